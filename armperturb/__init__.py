@@ -1,0 +1,1 @@
+"""Human-arm perturbation experiments on synthetic people in MuJoCo, and their analysis."""

@@ -1,0 +1,218 @@
+"""Who is perturbed: one person in one task, as the parameters of the linear arm model (thesis 2.7, appendix B)."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import tomli_w
+
+from armperturb.validation import require_number
+
+TASKS = ("PT", "RT")
+"""Position task (keep the handle in place) and relax task (do not react); thesis 2.5."""
+
+HUMERUS_MASS_SHARE = 0.49
+"""Share of the arm's mass in the humerus, the rest in forearm, hand, cuff and handle (thesis eqs 2.14, 2.15)."""
+
+_POSITIVE = ("m_h", "m_f", "l_h", "l_f", "k_h", "Td_s", "Td_e", "fact_s", "fact_e", "zeta_act")
+_NON_NEGATIVE = ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e", "b_h")
+_FINITE = ("kv_s", "kv_se", "kv_e", "kp_s", "kp_se", "kp_e")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Subject:
+    """One synthetic person in one task.
+
+    Joint quantities come in triples (s, se, e): shoulder, two-joint, elbow. They are entries of symmetric matrices,
+    [[k_s, k_se], [k_se, k_e]] (thesis eq. 2.9), not muscle groups (eq. 2.10; see `muscle_groups`).
+
+    Attributes:
+      task: "PT" (position task) or "RT" (relax task).
+      m_h: mass of the humerus, a point in the middle of the segment [kg].
+      m_f: mass of forearm, hand, cuff and handle, a point in the middle of the segment [kg].
+      b_s: intrinsic damping, shoulder [Nms/rad].
+      b_se: intrinsic damping, two-joint [Nms/rad].
+      b_e: intrinsic damping, elbow [Nms/rad].
+      k_s: intrinsic stiffness, shoulder [Nm/rad].
+      k_se: intrinsic stiffness, two-joint [Nm/rad].
+      k_e: intrinsic stiffness, elbow [Nm/rad].
+      b_h: grip damping [Ns/m].
+      k_h: grip stiffness [N/m].
+      kv_s: velocity feedback gain, shoulder [Nms/rad].
+      kv_se: velocity feedback gain, two-joint [Nms/rad].
+      kv_e: velocity feedback gain, elbow [Nms/rad].
+      kp_s: position feedback gain, shoulder [Nm/rad].
+      kp_se: position feedback gain, two-joint [Nm/rad].
+      kp_e: position feedback gain, elbow [Nm/rad].
+      Td_s: neural delay of the torque at the shoulder [s].
+      Td_e: neural delay of the torque at the elbow [s].
+      fact_s: cut-off frequency of the muscle activation at the shoulder [Hz].
+      fact_e: cut-off frequency of the muscle activation at the elbow [Hz].
+      l_h: length of the humerus, shoulder to elbow [m].
+      l_f: length of the forearm, elbow to the middle of the grip [m].
+      theta_s_deg: shoulder angle of the start posture, from the x axis [deg].
+      theta_e_deg: elbow angle of the start posture, relative to the humerus [deg].
+      zeta_act: relative damping of the activation filter [-]. The thesis calls the filter both "critically damped" (1)
+        and "Butterworth" (1 / sqrt 2, the default).
+      name: what the person is called in recordings and tables.
+
+    Raises:
+      TypeError: a parameter is not a number, or name is not text.
+      ValueError: a parameter is not finite or out of its range, or the task is unknown.
+    """
+
+    task: str
+    m_h: float
+    m_f: float
+    b_s: float
+    b_se: float
+    b_e: float
+    k_s: float
+    k_se: float
+    k_e: float
+    b_h: float
+    k_h: float
+    kv_s: float = 0.0
+    kv_se: float = 0.0
+    kv_e: float = 0.0
+    kp_s: float = 0.0
+    kp_se: float = 0.0
+    kp_e: float = 0.0
+    Td_s: float = 0.030
+    Td_e: float = 0.030
+    fact_s: float = 3.5
+    fact_e: float = 3.5
+    l_h: float = 0.33
+    l_f: float = 0.34
+    theta_s_deg: float = 22.5
+    theta_e_deg: float = 82.3
+    zeta_act: float = 1.0 / math.sqrt(2.0)
+    name: str = "subject"
+
+    def __post_init__(self) -> None:
+        if self.task not in TASKS:
+            raise ValueError(f"Subject: task = {self.task!r}; expected one of {', '.join(TASKS)}")
+        if not isinstance(self.name, str) or not self.name:
+            raise TypeError(f"Subject: name = {self.name!r}; expected a text that is not empty")
+        for field in _POSITIVE:
+            require_number("Subject", field, getattr(self, field), above=0.0)
+        for field in _NON_NEGATIVE:
+            require_number("Subject", field, getattr(self, field), at_least=0.0)
+        for field in _FINITE:
+            require_number("Subject", field, getattr(self, field))
+        require_number("Subject", "theta_s_deg", self.theta_s_deg, at_least=-90.0, at_most=180.0)
+        # A straight or folded elbow is singular: no joint motion moves the hand along the arm.
+        require_number("Subject", "theta_e_deg", self.theta_e_deg, at_least=5.0, at_most=175.0)
+
+    @property
+    def posture(self) -> np.ndarray:
+        """Start angles of shoulder (from the x axis) and elbow (from the humerus) [rad], (joint,)."""
+        return np.radians([self.theta_s_deg, self.theta_e_deg])
+
+    def joint_triple(self, quantity: str) -> tuple[float, float, float]:
+        """Entries (s, se, e) of one joint matrix; quantity is "b", "k", "kv" or "kp" (thesis eq. 2.9)."""
+        return tuple(getattr(self, f"{quantity}_{joint}") for joint in ("s", "se", "e"))  # type: ignore[return-value]
+
+    def joint_matrix(self, quantity: str) -> np.ndarray:
+        """Symmetric joint matrix [[s, se], [se, e]] of "b", "k", "kv" or "kp", (joint, joint) (thesis eq. 2.9)."""
+        s, se, e = self.joint_triple(quantity)
+        return np.array([[s, se], [se, e]])
+
+    def muscle_groups(self, quantity: str) -> tuple[float, float, float]:
+        """The same as the muscle groups' own values: single-joint shoulder, two-joint, single-joint elbow (eq. 2.10)."""
+        s, se, e = self.joint_triple(quantity)
+        return s - se, se, e - se
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any], source: str = "subject") -> Self:
+        """A subject from its parameters by name; only `zeta_act` and `name` may be left out.
+
+        Args:
+          values: parameter name to value, SI units, angles in degrees.
+          source: where the values come from, for the message.
+
+        Raises:
+          ValueError: a key is unknown or missing, or a value is refused.
+          TypeError: a value has the wrong type.
+        """
+        known = [field.name for field in fields(cls)]
+        unknown = [key for key in values if key not in known]
+        if unknown:
+            raise ValueError(f"{source}: unknown key {unknown[0]!r}; expected keys are {', '.join(known)}")
+        missing = [key for key in known if key not in values and key not in ("zeta_act", "name")]
+        if missing:
+            raise ValueError(f"{source}: missing key {missing[0]!r}; expected keys are {', '.join(known)}")
+        try:
+            return cls(**values)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"{source}: {error}") from None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Parameter name to value, as `from_dict` reads it."""
+        return asdict(self)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a subject from a TOML file whose keys are the parameter names.
+
+        Raises:
+          ValueError: the file is no TOML, or a key or value is refused.
+          OSError: the file cannot be read.
+        """
+        try:
+            values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ValueError(f"{path}: not a TOML file ({error}); expected lines such as 'm_h = 2.06'") from None
+        return cls.from_dict(values, source=str(path))
+
+    def save(self, path: str | Path) -> None:
+        """Write the subject to a TOML file that `load` reads back exactly."""
+        Path(path).write_text(tomli_w.dumps(self.to_dict()), encoding="utf-8")
+
+
+RELAX = Subject(
+    name="relax",
+    task="RT",
+    # Means of table C.18, model 1 (RT7.5, with penalty).
+    m_h=2.06,
+    m_f=1.86,
+    b_s=2.15,
+    b_se=1.40,
+    b_e=1.55,
+    k_s=7.3,
+    k_se=1.8,
+    k_e=5.4,
+    b_h=22.3,
+    k_h=8.2e3,
+)
+"""The mean relaxed arm of the thesis: intrinsic and grip parameters only (table C.18, model 1)."""
+
+POSITION = Subject(
+    name="position",
+    task="PT",
+    # Means of table E.3, vartheta_i5 (PT7.5, model 3b): m_tot = 3.38 kg; grip, delay and cut-off fixed (section 2.7).
+    m_h=HUMERUS_MASS_SHARE * 3.38,
+    m_f=(1.0 - HUMERUS_MASS_SHARE) * 3.38,
+    b_s=5.78,
+    b_se=8.83,
+    b_e=17.53,
+    k_s=161.4,
+    k_se=115.4,
+    k_e=206.7,
+    b_h=57.0,
+    k_h=22.4e3,
+    kv_s=15.7,
+    kv_se=15.6,
+    kv_e=24.3,
+    kp_s=11.5,
+    kp_se=56.5,
+    kp_e=96.4,
+)
+"""The mean position-task arm of the thesis, reflexes included (table E.3, start vartheta_i5)."""
+
+PRESETS = {"relax": RELAX, "position": POSITION}
+"""The thesis's mean arms by name; `armperturb.cohort.draw` draws people around them."""

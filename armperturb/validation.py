@@ -1,0 +1,42 @@
+"""The one way in which a bad value is refused: field, value, what was expected."""
+
+import math
+from numbers import Real
+
+
+def require_number(
+    owner: str,
+    field: str,
+    value: object,
+    *,
+    above: float = -math.inf,
+    at_least: float = -math.inf,
+    below: float = math.inf,
+    at_most: float = math.inf,
+) -> None:
+    """Refuse anything but a finite number within bounds.
+
+    Args:
+      owner: what the field belongs to, for the message.
+      field: name of the field, for the message.
+      value: the value to check.
+      above: exclusive lower bound.
+      at_least: inclusive lower bound.
+      below: exclusive upper bound.
+      at_most: inclusive upper bound.
+
+    Raises:
+      TypeError: value is not a number.
+      ValueError: value is not finite or out of bounds.
+    """
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise TypeError(f"{owner}: {field} = {value!r}; expected a number")
+    number = float(value)
+    expected = [
+        f"{word} {bound:g}"
+        for word, bound in (("above", above), ("at least", at_least), ("below", below), ("at most", at_most))
+        if math.isfinite(bound)
+    ]
+    inside = above < number < below and at_least <= number <= at_most
+    if not (math.isfinite(number) and inside):
+        raise ValueError(f"{owner}: {field} = {value!r}; expected a finite number {' and '.join(expected)}".rstrip())
