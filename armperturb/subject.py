@@ -123,7 +123,7 @@ class Subject:
         return np.array([[s, se], [se, e]])
 
     def muscle_groups(self, quantity: str) -> tuple[float, float, float]:
-        """The same as the muscle groups' own values: single-joint shoulder, two-joint, single-joint elbow (eq. 2.10)."""
+        """Own values of the muscle groups: single-joint shoulder, two-joint, single-joint elbow (eq. 2.10)."""
         s, se, e = self.joint_triple(quantity)
         return s - se, se, e - se
 

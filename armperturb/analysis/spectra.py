@@ -1,0 +1,175 @@
+"""Closed-loop spectral estimates of the admittances and the multiple coherence (thesis 2.6, appendix A).
+
+All spectra are taken from the disturbance d, with which neither the remnant of the person nor the noise of the
+instruments correlates. With row d and column y, Phi_dy = mean of conj(D) Y^T over the averages, and
+
+    X = H F      =>  Phi_dx = Phi_df H^T  =>  H^T = Phi_df^-1 Phi_dx    (arm, eq. A.14)
+    X = E (D-F)  =>  Phi_dx = Phi_dz E^T  =>  E^T = Phi_dz^-1 Phi_dx    (environment, eq. A.19)
+    X = P D      =>  Phi_dx = Phi_dd P^T  =>  P^T = Phi_dd^-1 Phi_dx    (arm and environment, eq. A.22)
+
+Here f acts on the hand and d - f on the environment, so that the admittances come out positive; appendix A mixes this
+sign with its opposite, and loses transposes (A.12).
+"""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from armperturb.recording import check_recording
+
+N_INPUTS = 2
+EXCITED = 1e-4
+"""Share of the strongest line's power from which on a line counts as excited."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SpectralEstimate:
+    """Frequency responses and coherence at the averaged frequencies.
+
+    Attributes:
+      frequency: mean of each group of averaged lines [Hz], (frequency,).
+      arm: admittance H_xf from f to x [m/N], (frequency, output, input).
+      environment: admittance E_xz from d - f to x [m/N], (frequency, output, input).
+      total: admittance P_dx from d to x [m/N], (frequency, output, input).
+      coherence: multiple coherence from both disturbances to each displacement [-], (frequency, output).
+      n_averages: lines times trials behind each point, (frequency,).
+    """
+
+    frequency: NDArray[np.float64]
+    arm: NDArray[np.complex128]
+    environment: NDArray[np.complex128]
+    total: NDArray[np.complex128]
+    coherence: NDArray[np.float64]
+    n_averages: NDArray[np.int64]
+
+
+def estimate_spectra(
+    recording: xr.Dataset,
+    *,
+    start: float = 8.0,
+    period: float = 20.48,
+    lines_per_average: int = 4,
+) -> SpectralEstimate:
+    """Estimate admittances and coherence from periodic disturbances.
+
+    Spectra (not gains) are averaged over `lines_per_average` adjacent excited lines (fewer where the run of lines is
+    shorter, a few more where it leaves a rest) and over all trials of the recording. Several whole periods of a trial
+    are averaged in time, which removes noise but adds no direction of the disturbance: they do not count as averages.
+
+    Args:
+      recording: trials of one subject in one condition.
+      start: of the window, after the transient has gone [s].
+      period: of the disturbance [s]. Whole periods from `start` to the pulse, or to the end, are used.
+      lines_per_average: 4 averages over the clusters of the thesis's multisine; 1 keeps every line.
+
+    Raises:
+      ValueError: the recording is refused (see `check_recording`), holds no whole period, a trial met the workspace
+        limit, there are fewer averages than inputs, or the disturbances along x and y cannot be told apart.
+    """
+    check_recording(recording)
+    if lines_per_average < 1:
+        raise ValueError(f"lines_per_average = {lines_per_average!r}; expected a whole number of at least 1")
+    hit = np.flatnonzero(np.isfinite(recording["limit_time"].values))
+    if len(hit):
+        raise ValueError(
+            f"trial {hit[0]} reached the workspace limit at {recording['limit_time'].values[hit[0]]:.3f} s; "
+            "expected trials that stay inside (leave this one out)"
+        )
+    rate = float(recording.attrs["rate"])
+    window = _whole_periods(recording, start, period, rate)
+    d, f, x = (
+        _spectrum(recording[name].values, window, rate, period) for name in ("perturbation", "force", "displacement")
+    )
+
+    power = np.sum(np.abs(d) ** 2, axis=(0, 2))
+    power[0] = 0.0
+    if not power.any():
+        raise ValueError(
+            f"the perturbation is zero from {start:g} s on; expected a disturbance with a period of {period:g} s"
+        )
+    groups = _adjacent_groups(np.flatnonzero(power > EXCITED * power.max()), lines_per_average)
+    n_averages = np.array([len(group) * len(d) for group in groups])
+    frequency = np.array([np.mean(group) for group in groups]) / period
+    if n_averages.min() < N_INPUTS:
+        worst = int(np.argmin(n_averages))
+        raise ValueError(
+            f"{n_averages[worst]} average at {frequency[worst]:.3f} Hz for {N_INPUTS} inputs; expected at least "
+            f"{N_INPUTS} (more trials, or more lines per average)"
+        )
+    if n_averages.min() == N_INPUTS:
+        warnings.warn(
+            "as many averages as inputs: the multiple coherence is one by construction", RuntimeWarning, stacklevel=2
+        )
+
+    def cross(y: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        return np.array([np.einsum("tki,tkj->ij", d[:, g].conj(), y[:, g]) / (len(g) * len(d)) for g in groups])
+
+    phi_dd, phi_df, phi_dx, phi_xx = cross(d), cross(f), cross(x), _auto(x, groups)
+    _require_two_directions(phi_dd, frequency)
+    total = _transposed_solve(phi_dd, phi_dx)
+    # Eq. 2.4 with the conjugate that it lacks: P Phi_dd P^H over Phi_xx.
+    explained = np.einsum("fij,fji->fi", total.conj(), phi_dx).real
+    return SpectralEstimate(
+        frequency=frequency,
+        arm=_transposed_solve(phi_df, phi_dx),
+        environment=_transposed_solve(phi_dd - phi_df, phi_dx),
+        total=total,
+        coherence=np.clip(explained / phi_xx, 0.0, 1.0),
+        n_averages=n_averages,
+    )
+
+
+def _whole_periods(recording: xr.Dataset, start: float, period: float, rate: float) -> slice:
+    samples = period * rate
+    if period <= 0 or abs(samples - round(samples)) > 1e-6 * samples:
+        raise ValueError(
+            f"rate = {rate:g} Hz; expected one at which the period of {period:g} s is a whole number of samples "
+            f"(it is {samples:.6g})"
+        )
+    n_period, first = round(samples), round(start * rate)
+    onsets = recording["pulse_onset"].values
+    end = float(np.nanmin(onsets)) if np.isfinite(onsets).any() else recording.sizes["time"] / rate
+    n_periods = int((min(round(end * rate), recording.sizes["time"]) - first) // n_period)
+    if start < 0 or n_periods < 1:
+        raise ValueError(
+            f"the recording holds {end:g} s before the pulse or its end; expected a whole period of {period:g} s from "
+            f"{start:g} s on"
+        )
+    return slice(first, first + n_periods * n_period)
+
+
+def _spectrum(values: NDArray[np.float64], window: slice, rate: float, period: float) -> NDArray[np.complex128]:
+    """DFT of the mean period, (trial, line, axis)."""
+    n_period = round(period * rate)
+    part = values[:, window]
+    mean = part.reshape(len(part), -1, n_period, part.shape[-1]).mean(axis=1)
+    return np.fft.rfft(mean, axis=1)
+
+
+def _adjacent_groups(lines: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
+    runs = np.split(lines, np.flatnonzero(np.diff(lines) > 1) + 1)
+    return [group for run in runs for group in np.array_split(run, max(1, len(run) // size))]
+
+
+def _auto(x: NDArray[np.complex128], groups: list[NDArray[np.int64]]) -> NDArray[np.float64]:
+    return np.array([np.mean(np.abs(x[:, group]) ** 2, axis=(0, 1)) for group in groups])
+
+
+def _transposed_solve(phi_du: NDArray[np.complex128], phi_dx: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    return np.linalg.solve(phi_du, phi_dx).swapaxes(-1, -2)
+
+
+def _require_two_directions(phi_dd: NDArray[np.complex128], frequency: NDArray[np.float64]) -> None:
+    scale = (np.einsum("fii->f", phi_dd).real / N_INPUTS) ** 2
+    independence = (
+        np.linalg.det(phi_dd).real / scale
+    )  # one for equal and unrelated disturbances, zero for one direction
+    worst = int(np.argmin(independence))
+    if independence[worst] < 1e-6:
+        raise ValueError(
+            f"the disturbances along x and y cannot be told apart at {frequency[worst]:.3f} Hz; expected independent "
+            "disturbances (other realisations, or one trial for each direction)"
+        )

@@ -1,0 +1,1 @@
+"""What muscles do at each step: pure functions on arrays whose first axis is the trial."""

@@ -1,0 +1,110 @@
+"""Reflexes: spindle feedback through activation dynamics, as torque on the joints (thesis 2.7, appendix B).
+
+The neural delay is MuJoCo's own (DESIGN: the actuators of `rig.xml` hold it): being linear, delay and activation
+commute, so the filter comes first here and the delay last there. Only elementwise arithmetic is used: it gives the
+same bits for one trial as for many.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from armperturb.subject import Subject
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReflexGains:
+    """What differs between trials, as arrays; made by `reflex_gains`.
+
+    Attributes:
+      posture: angles at which the spindles are silent [rad], (trial, joint).
+      velocity: Kv, (trial, joint, joint) [Nms/rad].
+      position: Kp, (trial, joint, joint) [Nm/rad].
+      numerator: of the activation filter, (3, trial, joint).
+      denominator: of the activation filter, first coefficient one, (3, trial, joint).
+    """
+
+    posture: Array
+    velocity: Array
+    position: Array
+    numerator: Array
+    denominator: Array
+
+
+def reflex_gains(subjects: Sequence[Subject], timestep: float) -> ReflexGains:
+    """Feedback gains and activation filters of one subject per trial.
+
+    The filter (eq. B.19) is discretised exactly for inputs that run straight between steps (first-order hold): its
+    output at a step is then second-order accurate without the half step of delay that a held input would add.
+
+    Args:
+      subjects: who is perturbed, one per trial.
+      timestep: of the simulation [s].
+    """
+    filters: dict[tuple[float, float], tuple[Array, Array]] = {}
+    numerator, denominator = np.empty((2, 3, len(subjects), 2))
+    for trial, subject in enumerate(subjects):
+        for joint, cutoff in enumerate((subject.fact_s, subject.fact_e)):
+            key = (cutoff, subject.zeta_act)
+            if key not in filters:
+                omega = 2 * np.pi * cutoff
+                continuous = ([omega**2], [1.0, 2 * subject.zeta_act * omega, omega**2])
+                num, den, _ = signal.cont2discrete(continuous, timestep, method="foh")
+                filters[key] = np.ravel(num), np.ravel(den)
+            numerator[:, trial, joint], denominator[:, trial, joint] = filters[key]
+    return ReflexGains(
+        posture=np.array([subject.posture for subject in subjects]),
+        velocity=np.array([subject.joint_matrix("kv") for subject in subjects]),
+        position=np.array([subject.joint_matrix("kp") for subject in subjects]),
+        numerator=numerator,
+        denominator=denominator,
+    )
+
+
+def initial_activation(n_trials: int) -> Array:
+    """State of the activation filters of an arm at rest in its posture, (2, trial, joint)."""
+    return np.zeros((2, n_trials, 2))
+
+
+def spindle_excitation(gains: ReflexGains, angle: Array, velocity: Array) -> Array:
+    """Reflexive excitation u_r of the joints [Nm], (trial, joint).
+
+    Args:
+      gains: of each trial.
+      angle: of the joints [rad], (trial, joint).
+      velocity: of the joints [rad/s], (trial, joint).
+
+    Source: eq. 2.8.
+    """
+    stretch = angle - gains.posture
+    excitation = gains.velocity[:, :, 0] * velocity[:, :1]
+    excitation += gains.velocity[:, :, 1] * velocity[:, 1:]
+    excitation += gains.position[:, :, 0] * stretch[:, :1]
+    excitation += gains.position[:, :, 1] * stretch[:, 1:]
+    return excitation
+
+
+def activate(gains: ReflexGains, state: Array, excitation: Array) -> tuple[Array, Array]:
+    """One step of the activation filters.
+
+    Args:
+      gains: of each trial.
+      state: of the filters, (2, trial, joint).
+      excitation: at this step [Nm], (trial, joint).
+
+    Returns:
+      The active torque at this step [Nm], (trial, joint), and the state for the next.
+
+    Source: eq. B.19 as a transposed direct form II filter.
+    """
+    (b0, b1, b2), (_, a1, a2) = gains.numerator, gains.denominator
+    active = b0 * excitation + state[0]
+    following = np.empty_like(state)
+    following[0] = b1 * excitation - a1 * active + state[1]
+    following[1] = b2 * excitation - a2 * active
+    return active, following

@@ -1,0 +1,12 @@
+"""What is applied: multisines, pulses, a trial made of both, and perturbations read from a file."""
+
+from armperturb.perturbations.multisine import CLUSTERS as CLUSTERS
+from armperturb.perturbations.multisine import Multisine as Multisine
+from armperturb.perturbations.perturbation import Perturbation as Perturbation
+from armperturb.perturbations.perturbation import check_bandwidth as check_bandwidth
+from armperturb.perturbations.pulse import Pulse as Pulse
+from armperturb.perturbations.pulse import draw_onset as draw_onset
+from armperturb.perturbations.sampled import Sampled as Sampled
+from armperturb.perturbations.sampled import load_csv as load_csv
+from armperturb.perturbations.sampled import save_csv as save_csv
+from armperturb.perturbations.trial import Trial as Trial
