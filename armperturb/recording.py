@@ -12,8 +12,6 @@ coordinates of `TRIAL_COORDINATES`. `rate` [Hz] is an attribute of the dataset; 
 it is netCDF4.
 """
 
-import os
-import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
+
+from armperturb.files import written_whole
 
 SIGNALS = {
     "perturbation": ("axis", "N", "disturbance force d on the manipulator"),
@@ -155,25 +155,11 @@ def save_recording(recording: xr.Dataset, path: str | Path) -> None:
       OSError: the folder cannot be written to.
     """
     check_recording(recording)
-    path = Path(path)
     compression = {
         name: {"compression": "gzip", "compression_opts": 1, "shuffle": True} for name in recording.data_vars
     }
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
-    os.close(handle)
-    try:
+    with written_whole(path) as temporary:
         recording.to_netcdf(temporary, engine="h5netcdf", encoding=compression)
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def load_recording(path: str | Path) -> xr.Dataset:

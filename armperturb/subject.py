@@ -115,7 +115,7 @@ class Subject:
 
     def joint_triple(self, quantity: str) -> tuple[float, float, float]:
         """Entries (s, se, e) of one joint matrix; quantity is "b", "k", "kv" or "kp" (thesis eq. 2.9)."""
-        return tuple(getattr(self, f"{quantity}_{joint}") for joint in ("s", "se", "e"))  # type: ignore[return-value]
+        return tuple(getattr(self, f"{quantity}_{joint}") for joint in ("s", "se", "e"))
 
     def joint_matrix(self, quantity: str) -> np.ndarray:
         """Symmetric joint matrix [[s, se], [se, e]] of "b", "k", "kv" or "kp", (joint, joint) (thesis eq. 2.9)."""

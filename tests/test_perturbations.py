@@ -12,10 +12,10 @@ import pytest
 from armperturb.perturbations import (
     CLUSTERS,
     Multisine,
+    MultisineThenPulse,
     Perturbation,
     Pulse,
     Sampled,
-    Trial,
     check_bandwidth,
     draw_onset,
     load_csv,
@@ -32,8 +32,8 @@ def multisine() -> Multisine:
 
 
 @pytest.fixture(scope="module")
-def trial(multisine: Multisine) -> Trial:
-    return Trial.join(multisine, peak=50.0, direction_deg=200.0)
+def trial(multisine: Multisine) -> MultisineThenPulse:
+    return MultisineThenPulse.join(multisine, peak=50.0, direction_deg=200.0)
 
 
 # --- multisine ---
@@ -212,7 +212,7 @@ def test_trial_is_zero_outside(trial):
 
 
 def test_onset_of_a_trial_may_be_later_than_the_multisine(multisine):
-    late = Trial.join(multisine, peak=50.0, direction_deg=20.0, onset=33.0)
+    late = MultisineThenPulse.join(multisine, peak=50.0, direction_deg=20.0, onset=33.0)
     np.testing.assert_allclose(late.sample(200.0, 6600), multisine.periodic(200.0, 6600), atol=1e-11)
     assert late.duration == 37.0
 
@@ -386,8 +386,8 @@ def test_every_kind_is_a_perturbation(multisine, trial):
         (lambda: PULSE.sample(0.0, 5), "sample: rate = 0.0; expected a finite number above 0"),
         (lambda: PULSE.sample(10.0, -1), "sample: n_samples = -1; expected a finite number at least 0"),
         (
-            lambda: Trial(multisine=Multisine.draw(seed=1, rms=1.0, crested=False), pulse=PULSE, fade=6.0),
-            "Trial: fade = 6.0; expected a finite number above 0 and at most 5",
+            lambda: MultisineThenPulse(multisine=Multisine.draw(seed=1, rms=1.0, crested=False), pulse=PULSE, fade=6.0),
+            "MultisineThenPulse: fade = 6.0; expected a finite number above 0 and at most 5",
         ),
         (lambda: save_csv(PULSE, "unwritten.csv", 0.1), "save_csv: rate = 0.1 Hz gives 1 sample; expected at least 2"),
     ],

@@ -225,7 +225,8 @@ def environment_admittance(environment: Environment, frequency: ArrayLike) -> ND
     """Admittance E_xz of the environment, from d - f to x [m/N], (frequency, output, input). Source: eq. 2.11."""
     s = _laplace(frequency)
     impedance = environment.m_env * s**2 + environment.b_env * s + environment.k_env
-    return np.eye(2) / impedance[:, None, None]
+    admittance: NDArray[np.complex128] = np.multiply.outer(1.0 / impedance, np.eye(2))
+    return admittance
 
 
 def total_admittance(

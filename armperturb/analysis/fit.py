@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -259,7 +260,7 @@ class _Problem:
         )
 
 
-def _stack(values: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _stack(values: NDArray[Any]) -> NDArray[np.float64]:
     return np.concatenate([values.real.ravel(), values.imag.ravel()])
 
 

@@ -146,7 +146,7 @@ def _spectrum(values: NDArray[np.float64], window: slice, rate: float, period: f
     n_period = round(period * rate)
     part = values[:, window]
     mean = part.reshape(len(part), -1, n_period, part.shape[-1]).mean(axis=1)
-    return np.fft.rfft(mean, axis=1)
+    return np.asarray(np.fft.rfft(mean, axis=1), dtype=np.complex128)
 
 
 def _adjacent_groups(lines: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,7 +50,8 @@ class Structure:
           body: gives task, segment lengths and posture.
           values: of the free parameters, (parameter,).
         """
-        parameters = {**self.fixed[body.task], **dict(zip(self.free, map(float, np.asarray(values)), strict=True))}
+        parameters: dict[str, Any] = dict(zip(self.free, map(float, np.asarray(values)), strict=True))
+        parameters.update(self.fixed[body.task])
         total = parameters.pop("m_tot", None)
         if total is not None:
             parameters.update(m_h=HUMERUS_MASS_SHARE * total, m_f=(1 - HUMERUS_MASS_SHARE) * total)

@@ -2,6 +2,7 @@
 
 from armperturb.perturbations.multisine import CLUSTERS as CLUSTERS
 from armperturb.perturbations.multisine import Multisine as Multisine
+from armperturb.perturbations.multisine_then_pulse import MultisineThenPulse as MultisineThenPulse
 from armperturb.perturbations.perturbation import Perturbation as Perturbation
 from armperturb.perturbations.perturbation import check_bandwidth as check_bandwidth
 from armperturb.perturbations.pulse import Pulse as Pulse
@@ -9,4 +10,3 @@ from armperturb.perturbations.pulse import draw_onset as draw_onset
 from armperturb.perturbations.sampled import Sampled as Sampled
 from armperturb.perturbations.sampled import load_csv as load_csv
 from armperturb.perturbations.sampled import save_csv as save_csv
-from armperturb.perturbations.trial import Trial as Trial

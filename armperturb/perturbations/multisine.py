@@ -71,7 +71,7 @@ class Multisine:
 
     rms: float
     phases: np.ndarray
-    reduced: str = "amplitude"
+    reduced: str = "power"
     duration: float = 32.0
 
     def __post_init__(self) -> None:
@@ -93,7 +93,7 @@ class Multisine:
         *,
         seed: int | np.random.Generator,
         rms: float,
-        reduced: str = "amplitude",
+        reduced: str = "power",
         duration: float = 32.0,
         crested: bool = True,
     ) -> Self:

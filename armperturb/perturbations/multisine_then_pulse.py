@@ -12,7 +12,7 @@ from armperturb.validation import require_number
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trial:
+class MultisineThenPulse:
     """A multisine that fades to zero as the pulse starts on top of it.
 
     The multisine runs from time 0 at full strength until the pulse's onset, periodically extended if that is later
@@ -33,7 +33,8 @@ class Trial:
     fade: float = 0.04
 
     def __post_init__(self) -> None:
-        require_number("Trial", "fade", self.fade, above=0.0, at_most=self.pulse.duration - self.pulse.onset)
+        longest = self.pulse.duration - self.pulse.onset
+        require_number("MultisineThenPulse", "fade", self.fade, above=0.0, at_most=longest)
 
     @classmethod
     def join(

@@ -1,0 +1,110 @@
+"""Results of an identification as files that any other program reads."""
+
+import csv
+import json
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armperturb.analysis.identify import Identification
+from armperturb.analysis.spectra import SpectralEstimate
+from armperturb.analysis.structures import unit
+from armperturb.files import written_whole
+
+AXES = ("x", "y")
+
+
+def write_csv(rows: Iterable[Mapping[str, Any]], path: str | Path) -> None:
+    """Write rows as CSV with a header line, numbers in full precision.
+
+    Args:
+      rows: at least one; all with the keys of the first.
+      path: of the file.
+    """
+    rows = list(rows)
+    with written_whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def admittance_rows(spectra: SpectralEstimate) -> list[dict[str, Any]]:
+    """One row per frequency, output and input of the arm's admittance, with the coherence of the output."""
+    return [
+        {
+            "frequency_hz": float(frequency),
+            "output": AXES[output],
+            "input": AXES[input_],
+            "real": float(value.real),
+            "imag": float(value.imag),
+            "gain_m_per_N": float(abs(value)),
+            "phase_deg": float(np.degrees(np.angle(value))),
+            "coherence": float(spectra.coherence[k, output]),
+        }
+        for k, frequency in enumerate(spectra.frequency)
+        for output in range(2)
+        for input_ in range(2)
+        for value in (spectra.arm[k, output, input_],)
+    ]
+
+
+def parameter_rows(identification: Identification) -> list[dict[str, Any]]:
+    """One row per estimated parameter, SI."""
+    fit = identification.fit
+    return [
+        {
+            "parameter": name,
+            "value": value,
+            "sem": fit.sem[name],
+            "unit": unit(name),
+            "at_bound": str(name in fit.at_bound).lower(),
+        }
+        for name, value in fit.values.items()
+    ]
+
+
+def fit_summary(identification: Identification) -> dict[str, Any]:
+    """How the fit went, ready for JSON; a VAF that does not exist is None."""
+    fit = identification.fit
+    vaf_x, vaf_y = (float(v) if math.isfinite(v) else None for v in identification.vaf)
+    return {
+        "model": fit.structure,
+        "status": fit.status,
+        "converged": fit.converged,
+        "criterion": fit.criterion,
+        "penalty": fit.penalty,
+        "VAF_x": vaf_x,
+        "VAF_y": vaf_y,
+        "stable": fit.stable,
+        "largest_real_pole_per_s": fit.largest_real_pole,
+        "at_bound": list(fit.at_bound),
+        "n_starts": fit.n_starts,
+        "n_starts_agree": fit.n_starts_agree,
+        "n_evaluations": fit.n_evaluations,
+        "environment": {
+            "m_env_kg": identification.environment.m_env,
+            "b_env_Ns_per_m": identification.environment.b_env,
+            "k_env_N_per_m": identification.environment.k_env,
+        },
+    }
+
+
+def write_identification(identification: Identification, folder: str | Path) -> list[Path]:
+    """Write `admittance.csv`, `parameters.csv` and `fit.json` into a folder, which is made if needed.
+
+    Returns:
+      The paths written.
+
+    Raises:
+      OSError: the folder cannot be made or written to.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_csv(admittance_rows(identification.spectra), folder / "admittance.csv")
+    write_csv(parameter_rows(identification), folder / "parameters.csv")
+    with written_whole(folder / "fit.json") as temporary:
+        temporary.write_text(json.dumps(fit_summary(identification), indent=2) + "\n", encoding="utf-8")
+    return [folder / name for name in ("admittance.csv", "parameters.csv", "fit.json")]

@@ -1,0 +1,185 @@
+"""The command line: one subcommand per dataclass, each also a Python function."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import tyro
+import xarray as xr
+
+from armperturb.analysis.export import write_identification
+from armperturb.analysis.identify import Identification
+from armperturb.analysis.identify import identify as identify_recording
+from armperturb.environment import Environment
+from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.instruments import Instruments
+from armperturb.perturbations import load_csv
+from armperturb.recording import load_recording, save_recording
+from armperturb.study.report import write_report
+from armperturb.study.runner import StudySettings, run_study
+from armperturb.subject import Subject
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """Run the study: draw people, perturb them, identify them, and report."""
+
+    out: Path
+    """Folder for recordings, tables, figures and report.html."""
+    subjects: int = 10
+    """Number of synthetic people."""
+    seed: int = 0
+    """Of everything random."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulate:
+    """Perturb one synthetic person and write the recording."""
+
+    subject: Path
+    """TOML file of the person."""
+    perturbation: Path
+    """CSV file with the columns time_s,d_x_N,d_y_N."""
+    out: Path
+    """Recording to write (netCDF4)."""
+    ideal: bool = False
+    """Record the truth: no instrument effects, no noise."""
+    rope: Literal["ideal", "pendulum"] = "ideal"
+    """Whether the rope that carries the arm pulls it back like a pendulum."""
+    rate: float = 200.0
+    """Sampling rate of the recording [Hz]."""
+    seed: int = 0
+    """Of the instruments' noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identify:
+    """Estimate the admittance from a recording and fit an arm model to it."""
+
+    recording: Annotated[Path, tyro.conf.Positional]
+    """Recording to read (netCDF4)."""
+    model: Literal["1", "3b"]
+    """Model structure: 1 intrinsic and grip; 3b total mass and reflexes, with grip, delay and cut-off fixed."""
+    out: Path
+    """Folder for admittance.csv, parameters.csv and fit.json."""
+    subject: str | None = None
+    """Which subject, if the recording holds several."""
+    condition: str | None = None
+    """Which condition, if the recording holds several."""
+    start: float = 8.0
+    """Start of the spectral window [s]."""
+    period: float = 20.48
+    """Period of the disturbance [s]."""
+    lines_per_average: int = 4
+    """Adjacent excited lines that are averaged; 1 keeps every line and needs several trials."""
+
+
+def study(settings: Study) -> Path:
+    """Run a study and return the path of its report.
+
+    Raises:
+      ValueError: a setting is out of its range.
+      OSError: the folder cannot be written to.
+    """
+    result = run_study(StudySettings(subjects=settings.subjects, seed=settings.seed), settings.out)
+    return write_report(result, settings.out)
+
+
+def simulate(settings: Simulate) -> xr.Dataset:
+    """Simulate one trial, write its recording and return it.
+
+    Raises:
+      ValueError: subject or perturbation is refused, or the handle reached the workspace limit.
+      OSError: a file cannot be read or written.
+    """
+    person, perturbation = Subject.load(settings.subject), load_csv(settings.perturbation)
+    if not settings.out.parent.is_dir():
+        raise FileNotFoundError(f"{settings.out}: folder {settings.out.parent} does not exist; expected one that does")
+    environment = Environment()
+    recording = run_experiment(
+        [Trial(subject=person, perturbation=perturbation, seed=settings.seed)],
+        environment,
+        rate=settings.rate,
+        rope=settings.rope,
+        instruments=None if settings.ideal else Instruments(),
+    )
+    limit = float(recording["limit_time"].values[0])
+    if np.isfinite(limit):
+        raise ValueError(
+            f"{settings.perturbation}: displacement reached the workspace limit at {limit:.3f} s; expected it to stay "
+            f"within {environment.workspace:g} m of the start (a weaker perturbation or a stiffer subject)"
+        )
+    save_recording(recording, settings.out)
+    return recording
+
+
+def identify(settings: Identify) -> Identification:
+    """Identify the arm from a recording, write the results and return them.
+
+    Raises:
+      ValueError: the recording is refused or cannot be identified.
+      OSError: a file cannot be read or written.
+    """
+    recording = load_recording(settings.recording)
+    for name in ("subject", "condition"):
+        wanted = getattr(settings, name)
+        if wanted is not None:
+            found = recording[name].values
+            if wanted not in found:
+                held = ", ".join(dict.fromkeys(found.tolist()))
+                raise ValueError(f"{settings.recording}: no {name} {wanted!r}; expected one of {held}")
+            recording = recording.isel(trial=np.flatnonzero(found == wanted))
+    try:
+        result = identify_recording(
+            recording,
+            settings.model,
+            start=settings.start,
+            period=settings.period,
+            lines_per_average=settings.lines_per_average,
+        )
+    except ValueError as error:
+        raise ValueError(f"{settings.recording}: {error}") from None
+    write_identification(result, settings.out)
+    return result
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse the command line and run it.
+
+    Args:
+      arguments: as typed after `armperturb`; by default those of this process.
+
+    Returns:
+      The exit status: 0, 1 for an input that is refused (one line on stderr says why), 130 for Ctrl-C.
+    """
+    command = tyro.cli(
+        Study | Simulate | Identify,
+        prog="armperturb",
+        description="Human-arm perturbation experiments on synthetic people in MuJoCo, and their analysis.",
+        args=arguments,
+        config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.FlagCreatePairsOff),
+    )
+    try:
+        if isinstance(command, Study):
+            print(f"report: {study(command)}")
+        elif isinstance(command, Simulate):
+            simulate(command)
+            print(f"recording: {command.out}")
+        else:
+            result = identify(command)
+            print(f"{result.fit.status}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %; results: {command.out}")
+    except (ValueError, TypeError, OSError, RuntimeError) as error:
+        message = " ".join(str(error).split())
+        print(f"armperturb: error: {message}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("armperturb: stopped", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""The thesis's experiment as a whole: protocol, runner, published tables, figures, report."""

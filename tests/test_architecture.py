@@ -1,0 +1,58 @@
+"""One direction of imports, and a face that loads light."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import armperturb
+
+ROOT = Path(armperturb.__file__).parent
+BASE = {"validation", "files", "subject", "environment", "recording"}
+ARROWS = {
+    "validation": set(),
+    "files": set(),
+    "subject": {"validation"},
+    "environment": {"validation"},
+    "recording": {"files"},
+    "perturbations": {"validation", "files"},
+    "analysis": BASE,
+    "cohort": BASE | {"analysis"},
+    "controllers": {"subject"},
+    "models": {"subject", "environment", "validation"},
+    "envs": BASE | {"models", "controllers", "perturbations", "analysis"},
+    "study": BASE | {"cohort", "models", "controllers", "perturbations", "analysis", "envs"},
+    "cli": BASE | {"cohort", "perturbations", "analysis", "envs", "study"},
+}
+"""Part of the package to the parts that it may import, beside itself."""
+
+MODULES = sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
+
+
+def part(path: Path) -> str:
+    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+
+
+def imported(path: Path) -> set[str]:
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} imports relatively"
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_follow_the_arrows(path):
+    ours = {name.split(".")[1] for name in imported(path) if name.startswith("armperturb.")}
+    assert ours <= ARROWS[part(path)] | {part(path)}
+
+
+@pytest.mark.parametrize("module", ["armperturb", "armperturb.analysis", "armperturb.analysis.identify"])
+def test_importing_it_loads_no_simulator(module):
+    code = f"import sys, {module}; sys.exit('mujoco' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,147 @@
+"""The linear model against python-control, limit cases, finite differences and the literature's Pade approximation."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from scipy import integrate
+
+from armperturb.analysis.arm_model import (
+    arm_admittance,
+    arm_admittance_gradient,
+    environment_admittance,
+    hand_jacobian,
+    joint_impedance,
+    joint_impedance_gradient,
+    largest_real_pole,
+    mass_matrix,
+    require_stable,
+    simulate_linear,
+    state_space,
+    total_admittance,
+)
+from armperturb.environment import Environment
+from armperturb.subject import POSITION, RELAX
+
+ENVIRONMENT = Environment()
+FREQUENCY = np.geomspace(0.1, 45.0, 25)
+OTHER = replace(POSITION, Td_s=0.041, Td_e=0.024, fact_s=2.1, fact_e=5.2, zeta_act=1.0, theta_s_deg=50.0, l_f=0.41)
+PEOPLE = pytest.mark.parametrize("subject", [RELAX, POSITION, OTHER], ids=["relax", "position", "other"])
+JOINT_WISE = [f"{quantity}_{joint}" for quantity in ("b", "k", "kv", "kp") for joint in ("s", "se", "e")]
+MECHANICAL = (*JOINT_WISE, "m_h", "m_f", "Td_s", "Td_e", "fact_s", "fact_e", "b_h", "k_h")
+
+
+def hand(subject, q):
+    return subject.l_h * np.exp(1j * q[0]) + subject.l_f * np.exp(1j * (q[0] + q[1]))
+
+
+@PEOPLE
+def test_jacobian_is_the_derivative_of_the_hand_position(subject):
+    step = 1e-6
+    for joint in range(2):
+        change = step * np.eye(2)[joint]
+        slope = (hand(subject, subject.posture + change) - hand(subject, subject.posture - change)) / (2 * step)
+        np.testing.assert_allclose(hand_jacobian(subject)[:, joint], [slope.real, slope.imag], rtol=1e-8)
+
+
+@PEOPLE
+def test_mass_matrix_gives_the_kinetic_energy_of_the_point_masses(subject):
+    rate, step = np.array([0.7, -1.3]), 1e-6
+
+    def masses(q):
+        elbow = subject.l_h * np.exp(1j * q[0])
+        return np.array([elbow / 2, elbow + subject.l_f / 2 * np.exp(1j * (q[0] + q[1]))])
+
+    speed = np.abs(masses(subject.posture + step * rate) - masses(subject.posture - step * rate)) / (2 * step)
+    energy = 0.5 * np.array([subject.m_h, subject.m_f]) @ speed**2
+    assert 0.5 * rate @ mass_matrix(subject) @ rate == pytest.approx(energy, rel=1e-8)
+
+
+@PEOPLE
+def test_state_space_equals_the_transfer_functions(subject):
+    system = control.ss(*state_space(subject, ENVIRONMENT))
+    response = np.moveaxis(system(2j * np.pi * FREQUENCY), -1, 0)
+    total = total_admittance(subject, ENVIRONMENT, FREQUENCY, "pade")
+    np.testing.assert_allclose(response[:, 0:2], total, rtol=1e-9, atol=1e-9 * np.abs(total).max())
+    force = np.linalg.solve(arm_admittance(subject, FREQUENCY, "pade"), total)
+    np.testing.assert_allclose(response[:, 2:4], force, rtol=1e-8, atol=1e-8 * np.abs(force).max())
+
+
+def test_pade_delay_is_that_of_python_control():
+    # Kp = I and a filter too fast to matter leave the delay alone in the impedance.
+    subject = replace(RELAX, kp_s=1.0, kp_e=1.0, Td_s=0.03, Td_e=0.05, fact_s=1e7, fact_e=1e7)
+    reflex = joint_impedance(subject, FREQUENCY, "pade") - joint_impedance(RELAX, FREQUENCY)
+    for joint, delay in enumerate((0.03, 0.05)):
+        pade = control.tf(*control.pade(delay, 3))(2j * np.pi * FREQUENCY)
+        np.testing.assert_allclose(reflex[:, joint, joint], pade, rtol=1e-4)
+
+
+def test_pade_and_exact_delay_agree_where_the_approximation_holds():
+    slow = FREQUENCY[FREQUENCY < 8]
+    exact, pade = (arm_admittance(POSITION, slow, kind) for kind in ("exact", "pade"))
+    np.testing.assert_allclose(pade, exact, rtol=2e-3, atol=2e-3 * np.abs(exact).min())
+
+
+@PEOPLE
+def test_slow_admittance_is_the_compliance_of_arm_and_grip(subject):
+    jacobian = hand_jacobian(subject)
+    stiffness = subject.joint_matrix("k") + subject.joint_matrix("kp")
+    compliance = jacobian @ np.linalg.solve(stiffness, jacobian.T) + np.eye(2) / subject.k_h
+    np.testing.assert_allclose(arm_admittance(subject, [1e-6])[0].real, compliance, rtol=1e-9)
+
+
+def test_environment_is_a_mass_spring_damper():
+    s = 2j * np.pi * FREQUENCY
+    expected = 1 / (ENVIRONMENT.m_env * s**2 + ENVIRONMENT.b_env * s + ENVIRONMENT.k_env)
+    response = environment_admittance(ENVIRONMENT, FREQUENCY)
+    np.testing.assert_allclose(response[:, 1, 1], expected)
+    np.testing.assert_array_equal(response[:, 0, 1], 0)
+
+
+@pytest.mark.parametrize("delay", ["exact", "pade"])
+@PEOPLE
+def test_gradient_equals_finite_differences(subject, delay):
+    gradient = arm_admittance_gradient(subject, FREQUENCY, MECHANICAL, delay)
+    impedance_gradient = joint_impedance_gradient(subject, FREQUENCY, MECHANICAL, delay)
+    for column, name in enumerate(MECHANICAL):
+        value = getattr(subject, name)
+        step = 1e-5 * max(abs(value), 0.1)
+        above, below = (replace(subject, **{name: value + sign * step}) for sign in (1, -1))
+        for function, exact in ((arm_admittance, gradient), (joint_impedance, impedance_gradient)):
+            slope = (function(above, FREQUENCY, delay) - function(below, FREQUENCY, delay)) / (2 * step)
+            scale = np.abs(function(subject, FREQUENCY, delay)).max() / max(abs(value), 0.1)
+            np.testing.assert_allclose(exact[..., column], slope, rtol=1e-5, atol=1e-7 * scale)
+
+
+def test_gradient_refuses_what_has_none():
+    with pytest.raises(ValueError, match="'theta_s_deg' has no derivative"):
+        arm_admittance_gradient(RELAX, FREQUENCY, ["theta_s_deg"])
+
+
+@PEOPLE
+def test_time_response_equals_an_adaptive_integration(subject):
+    rate = 200.0
+    time = np.arange(300) / rate
+    force = np.stack([np.sin(9 * time), 0.5 * np.cos(4 * time) - 0.5], axis=-1)
+    a, b, c, _ = state_space(subject, ENVIRONMENT)
+
+    def slope(t, state):
+        d = [np.interp(t, time, force[:, axis]) for axis in range(2)]
+        return a @ state + b @ d
+
+    solution = integrate.solve_ivp(
+        slope, (0, time[-1]), np.zeros(18), "LSODA", time, rtol=1e-9, atol=1e-12, max_step=0.005
+    )
+    expected = c @ solution.y
+    response = simulate_linear(subject, ENVIRONMENT, force, rate)
+    together = np.concatenate([response.displacement, response.force, response.joint_angle], axis=1)
+    np.testing.assert_allclose(together, expected.T, atol=2e-6 * np.abs(expected).max())
+
+
+def test_unstable_subjects_are_refused():
+    require_stable(POSITION, ENVIRONMENT)
+    wild = replace(POSITION, kv_s=60.0, kv_e=90.0)
+    assert largest_real_pole(wild, ENVIRONMENT) > 0
+    with pytest.raises(ValueError, match=r"'position' and the environment are unstable: .* expected below 0"):
+        require_stable(wild, ENVIRONMENT)
