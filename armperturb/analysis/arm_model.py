@@ -225,8 +225,7 @@ def environment_admittance(environment: Environment, frequency: ArrayLike) -> ND
     """Admittance E_xz of the environment, from d - f to x [m/N], (frequency, output, input). Source: eq. 2.11."""
     s = _laplace(frequency)
     impedance = environment.m_env * s**2 + environment.b_env * s + environment.k_env
-    admittance: NDArray[np.complex128] = np.multiply.outer(1.0 / impedance, np.eye(2))
-    return admittance
+    return np.multiply.outer(1.0 / impedance, np.eye(2))
 
 
 def total_admittance(
@@ -234,10 +233,11 @@ def total_admittance(
 ) -> NDArray[np.complex128]:
     """Admittance P_dx of arm and environment together, from d to x [m/N], (frequency, output, input).
 
-    Source: figure 2.6 with x = E (d - f) and x = H f; the signs of eq. A.20 belong to the opposite sign of f.
+    Source: figure 2.6 with x = E (d - f) and x = H f, hence P = (E^-1 + H^-1)^-1; the signs of eq. A.20 belong to the
+    opposite sign of f.
     """
-    arm = np.linalg.inv(arm_admittance(subject, frequency, delay))
-    return np.linalg.inv(np.linalg.inv(environment_admittance(environment, frequency)) + arm)
+    arm, held = arm_admittance(subject, frequency, delay), environment_admittance(environment, frequency)
+    return held @ np.linalg.solve(arm + held, arm)
 
 
 def state_space(subject: Subject, environment: Environment) -> StateSpace:

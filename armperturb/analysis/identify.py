@@ -9,7 +9,7 @@ from scipy import signal
 
 from armperturb.analysis.arm_model import Delay, simulate_linear
 from armperturb.analysis.fit import AdmittanceFit, fit_admittance
-from armperturb.analysis.spectra import SpectralEstimate, estimate_spectra
+from armperturb.analysis.spectra import LineSpectra, SpectralEstimate, estimate_spectra, line_spectra
 from armperturb.analysis.structures import Structure
 from armperturb.environment import Environment
 from armperturb.subject import POSITION, RELAX, Subject
@@ -32,22 +32,27 @@ class Identification:
     vaf: NDArray[np.float64]
 
 
-def fit_environment(spectra: SpectralEstimate) -> Environment:
-    """Mass, damping and stiffness of the environment from its estimated admittance (A.19, C.1-C.3).
+def fit_environment(lines: LineSpectra) -> Environment:
+    """Mass, damping and stiffness that the manipulator really showed (as C.1-C.3, from every line).
 
-    Linear least squares on the relative error of the diagonal of E (M s^2 + B s + K) = I.
+    At each line, D - F = (M s^2 + B s + K) X, whatever the arm does. As X is noisy, the equations are not solved by
+    least squares, which would bias M, but by instrumental variables made from D.
 
     Raises:
       ValueError: no positive mass comes out, as happens when the sign of the force is wrong.
     """
-    s = 2j * np.pi * spectra.frequency
-    diagonal = np.einsum("fii->fi", spectra.environment)
-    design = (diagonal[:, :, None] * np.stack([s**2, s, np.ones_like(s)], axis=-1)[:, None, :]).reshape(-1, 3)
-    scale = np.linalg.norm(design, axis=0)
-    target = np.ones(len(design))
-    stacked = np.vstack([design.real, design.imag]) / scale
-    solution, *_ = np.linalg.lstsq(stacked, np.concatenate([target, 0 * target]), rcond=None)
-    mass, damping, stiffness = solution / scale
+    s = 2j * np.pi * lines.frequency[:, None, None]
+    powers = np.concatenate([s**2, s, np.ones_like(s)], axis=-1)
+    regressors = (powers * lines.displacement[..., None]).reshape(-1, 3)
+    target = (lines.perturbation - lines.force).ravel()
+    # D through a rough environment: the weights fade with frequency as the displacement does.
+    rough = Environment()
+    instruments = (
+        powers
+        * (lines.perturbation / (rough.m_env * s[..., 0] ** 2 + rough.b_env * s[..., 0] + rough.k_env))[..., None]
+    )
+    instruments = instruments.reshape(-1, 3).conj().T
+    mass, damping, stiffness = np.linalg.solve((instruments @ regressors).real, (instruments @ target).real)
     if mass <= 0:
         raise ValueError(
             f"the environment's mass comes out at {mass:.3g} kg; expected a positive mass (force must be the reaction "
@@ -102,8 +107,9 @@ def identify(
       ValueError: the recording is refused, holds several subjects, conditions or postures, or gives no spectra.
     """
     body = body_of(recording)
-    spectra = estimate_spectra(recording, start=start, period=period, lines_per_average=lines_per_average)
-    environment = fit_environment(spectra)
+    lines = line_spectra(recording, start=start, period=period)
+    spectra = estimate_spectra(lines, lines_per_average=lines_per_average)
+    environment = fit_environment(lines)
     fit = fit_admittance(
         spectra.frequency,
         spectra.arm,

@@ -46,32 +46,38 @@ class SpectralEstimate:
     n_averages: NDArray[np.int64]
 
 
-def estimate_spectra(
-    recording: xr.Dataset,
-    *,
-    start: float = 8.0,
-    period: float = 20.48,
-    lines_per_average: int = 4,
-) -> SpectralEstimate:
-    """Estimate admittances and coherence from periodic disturbances.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LineSpectra:
+    """DFT of the signals at the excited lines, mean over whole periods.
 
-    Spectra (not gains) are averaged over `lines_per_average` adjacent excited lines (fewer where the run of lines is
-    shorter, a few more where it leaves a rest) and over all trials of the recording. Several whole periods of a trial
-    are averaged in time, which removes noise but adds no direction of the disturbance: they do not count as averages.
+    Attributes:
+      line: number of the line, cycles per period, (line,).
+      frequency: [Hz], (line,).
+      perturbation: D [N samples], (trial, line, axis).
+      force: F [N samples], (trial, line, axis).
+      displacement: X [m samples], (trial, line, axis).
+    """
+
+    line: NDArray[np.int64]
+    frequency: NDArray[np.float64]
+    perturbation: NDArray[np.complex128]
+    force: NDArray[np.complex128]
+    displacement: NDArray[np.complex128]
+
+
+def line_spectra(recording: xr.Dataset, *, start: float = 8.0, period: float = 20.48) -> LineSpectra:
+    """Fourier coefficients at the lines that a periodic disturbance excites.
 
     Args:
       recording: trials of one subject in one condition.
       start: of the window, after the transient has gone [s].
       period: of the disturbance [s]. Whole periods from `start` to the pulse, or to the end, are used.
-      lines_per_average: 4 averages over the clusters of the thesis's multisine; 1 keeps every line.
 
     Raises:
       ValueError: the recording is refused (see `check_recording`), holds no whole period, a trial met the workspace
-        limit, there are fewer averages than inputs, or the disturbances along x and y cannot be told apart.
+        limit, or the perturbation is zero.
     """
     check_recording(recording)
-    if lines_per_average < 1:
-        raise ValueError(f"lines_per_average = {lines_per_average!r}; expected a whole number of at least 1")
     hit = np.flatnonzero(np.isfinite(recording["limit_time"].values))
     if len(hit):
         raise ValueError(
@@ -83,16 +89,37 @@ def estimate_spectra(
     d, f, x = (
         _spectrum(recording[name].values, window, rate, period) for name in ("perturbation", "force", "displacement")
     )
-
     power = np.sum(np.abs(d) ** 2, axis=(0, 2))
     power[0] = 0.0
     if not power.any():
         raise ValueError(
             f"the perturbation is zero from {start:g} s on; expected a disturbance with a period of {period:g} s"
         )
-    groups = _adjacent_groups(np.flatnonzero(power > EXCITED * power.max()), lines_per_average)
+    line = np.flatnonzero(power > EXCITED * power.max())
+    return LineSpectra(
+        line=line, frequency=line / period, perturbation=d[:, line], force=f[:, line], displacement=x[:, line]
+    )
+
+
+def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = 4) -> SpectralEstimate:
+    """Estimate admittances and coherence.
+
+    Spectra (not gains) are averaged over `lines_per_average` adjacent lines (fewer where the run of lines is shorter, a
+    few more where it leaves a rest) and over all trials.
+
+    Args:
+      lines: Fourier coefficients of trials of one subject in one condition.
+      lines_per_average: 4 averages over the clusters of the thesis's multisine; 1 keeps every line.
+
+    Raises:
+      ValueError: there are fewer averages than inputs, or the disturbances along x and y cannot be told apart.
+    """
+    if lines_per_average < 1:
+        raise ValueError(f"lines_per_average = {lines_per_average!r}; expected a whole number of at least 1")
+    d, f, x = lines.perturbation, lines.force, lines.displacement
+    groups = _adjacent_groups(lines.line, lines_per_average)
     n_averages = np.array([len(group) * len(d) for group in groups])
-    frequency = np.array([np.mean(group) for group in groups]) / period
+    frequency = np.array([lines.frequency[group].mean() for group in groups])
     if n_averages.min() < N_INPUTS:
         worst = int(np.argmin(n_averages))
         raise ValueError(
@@ -150,7 +177,8 @@ def _spectrum(values: NDArray[np.float64], window: slice, rate: float, period: f
 
 
 def _adjacent_groups(lines: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
-    runs = np.split(lines, np.flatnonzero(np.diff(lines) > 1) + 1)
+    """Indices into lines of those that are averaged."""
+    runs = np.split(np.arange(len(lines)), np.flatnonzero(np.diff(lines) > 1) + 1)
     return [group for run in runs for group in np.array_split(run, max(1, len(run) // size))]
 
 
@@ -159,7 +187,7 @@ def _auto(x: NDArray[np.complex128], groups: list[NDArray[np.int64]]) -> NDArray
 
 
 def _transposed_solve(phi_du: NDArray[np.complex128], phi_dx: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    return np.linalg.solve(phi_du, phi_dx).swapaxes(-1, -2)
+    return np.asarray(np.linalg.solve(phi_du, phi_dx).swapaxes(-1, -2), dtype=np.complex128)
 
 
 def _require_two_directions(phi_dd: NDArray[np.complex128], frequency: NDArray[np.float64]) -> None:

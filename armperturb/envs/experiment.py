@@ -13,7 +13,7 @@ from armperturb.controllers.reflex import activate, initial_activation, reflex_g
 from armperturb.environment import Environment
 from armperturb.envs.instruments import Instruments
 from armperturb.models import JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, build_model, history_length
-from armperturb.perturbations import Perturbation, check_bandwidth
+from armperturb.perturbations import Perturbation, Pulse, check_bandwidth
 from armperturb.recording import make_recording
 from armperturb.subject import Subject
 from armperturb.validation import require_number
@@ -109,7 +109,10 @@ def run_experiment(
 
 
 def _labels(trials: Sequence[Trial]) -> dict[str, list]:
-    pulses = [getattr(trial.perturbation, "pulse", None) for trial in trials]
+    pulses = [
+        trial.perturbation if isinstance(trial.perturbation, Pulse) else getattr(trial.perturbation, "pulse", None)
+        for trial in trials
+    ]
     return {
         "subject": [trial.subject.name for trial in trials],
         "task": [trial.subject.task for trial in trials],

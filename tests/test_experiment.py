@@ -1,0 +1,244 @@
+"""The batched experiment against theory, against a plain loop, and under bad input."""
+
+import warnings
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from armperturb.analysis.arm_model import arm_admittance, environment_admittance, total_admittance
+from armperturb.analysis.spectra import estimate_spectra, line_spectra
+from armperturb.controllers.reflex import activate, initial_activation, reflex_gains, spindle_excitation
+from armperturb.environment import Environment
+from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.instruments import Instruments
+from armperturb.models import build_model
+from armperturb.perturbations import Multisine, MultisineThenPulse, Pulse, Sampled
+from armperturb.perturbations.multisine import PERIOD
+from armperturb.subject import POSITION, RELAX
+
+ENVIRONMENT = Environment()
+SETTLED = 20.0
+"""Time after which the transient of the slowest of these arms has gone [s]."""
+OTHER = replace(
+    POSITION,
+    name="other",
+    Td_s=0.0455,
+    Td_e=0.0253,
+    fact_s=5.0,
+    fact_e=2.2,
+    zeta_act=1.0,
+    kp_s=60.0,
+    kv_e=12.0,
+    b_se=7.0,
+    l_h=0.30,
+    l_f=0.37,
+    theta_s_deg=40.0,
+    theta_e_deg=70.0,
+)
+
+
+@dataclass(frozen=True)
+class OneAxis:
+    """A multisine along x or y only."""
+
+    multisine: Multisine
+    axis: int
+
+    @property
+    def duration(self):
+        return self.multisine.duration
+
+    @property
+    def highest_frequency(self):
+        return self.multisine.highest_frequency
+
+    def sample(self, rate, n_samples, start=0.0):
+        force = self.multisine.sample(rate, n_samples, start)
+        force[:, 1 - self.axis] = 0.0
+        return force
+
+
+def small_multisine(duration=SETTLED + PERIOD):
+    # So small that the arm's geometry stays linear to 1e-3.
+    return Multisine.draw(seed=4, rms=2e-3, duration=duration, crested=False)
+
+
+def both_axes(subject, **options):
+    trials = [Trial(subject=subject, perturbation=OneAxis(small_multisine(), axis)) for axis in range(2)]
+    recording = run_experiment(trials, ENVIRONMENT, **options)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # two averages for two inputs: coherence is not used here
+        return estimate_spectra(line_spectra(recording, start=SETTLED, period=PERIOD), lines_per_average=1)
+
+
+def relative_error(estimate, theory):
+    return np.linalg.norm(estimate - theory, axis=(1, 2)) / np.linalg.norm(theory, axis=(1, 2))
+
+
+@pytest.mark.parametrize("subject", [RELAX, POSITION, OTHER], ids=lambda subject: subject.name)
+def test_admittance_of_the_recording_is_that_of_theory(subject):
+    spectra = both_axes(subject)
+    f = spectra.frequency
+    for estimate, theory in (
+        (spectra.arm, arm_admittance(subject, f)),
+        (spectra.total, total_admittance(subject, ENVIRONMENT, f)),
+        (spectra.environment, environment_admittance(ENVIRONMENT, f)),
+    ):
+        error = relative_error(estimate, theory)
+        assert error[f <= 20].max() < 0.005
+        assert error.max() < 0.01
+
+
+def test_halving_the_step_divides_the_error_by_four():
+    errors = []
+    for timestep in (2.5e-3, 1.25e-3):
+        spectra = both_axes(POSITION, timestep=timestep)
+        fast = spectra.frequency > 15
+        errors.append(relative_error(spectra.arm, arm_admittance(POSITION, spectra.frequency))[fast].max())
+    assert errors[0] / errors[1] > 3.5
+
+
+def test_strain_gauge_reads_the_force_that_the_environment_misses():
+    rate, multisine = 1000.0, Multisine.draw(seed=2, rms=2.0, duration=SETTLED + PERIOD, crested=False)
+    recording = run_experiment([Trial(subject=POSITION, perturbation=multisine)], ENVIRONMENT, rate=rate)
+    last = recording.isel(trial=0, time=slice(round(SETTLED * rate), None))
+    s = 2j * np.pi * np.fft.rfftfreq(last.sizes["time"], 1 / rate)[:, None]
+    # In the settled period every derivative is a product in frequency.
+    inertial = np.fft.irfft(
+        (ENVIRONMENT.m_env * s**2 + ENVIRONMENT.b_env * s + ENVIRONMENT.k_env)
+        * np.fft.rfft(last["displacement"].values, axis=0),
+        axis=0,
+        n=last.sizes["time"],
+    )
+    expected = last["perturbation"].values - inertial
+    assert np.sqrt(np.mean((last["force"].values - expected) ** 2) / np.mean(expected**2)) < 1e-3
+
+
+def mixed_trials():
+    subjects = (RELAX, POSITION, OTHER, replace(POSITION, kp_e=20.0), replace(RELAX, m_f=1.2))
+    return [
+        Trial(subject=subject, perturbation=Multisine.draw(seed=number, rms=1.0, duration=0.5, crested=False))
+        for number, subject in enumerate(subjects)
+    ]
+
+
+def plain_loop(trial, n_samples, decimation, timestep=1e-3):
+    """The same trial by `mj_step` on one `MjData`, with the same controller."""
+    model = build_model(trial.subject, ENVIRONMENT, timestep=timestep)
+    data = mujoco.MjData(model)
+    gains, activation = reflex_gains([trial.subject], timestep), initial_activation(1)
+    n_steps = n_samples * decimation
+    middle = trial.perturbation.sample(1 / timestep, n_steps + 2, -timestep / 2)
+    held = middle[1:-1] - np.diff(middle, n=2, axis=0) / 24
+    log = []
+    for step in range(n_steps):
+        angle, velocity = data.qpos[None, :2].copy(), data.qvel[None, :2].copy()
+        active, activation = activate(gains, activation, spindle_excitation(gains, angle, velocity))
+        data.ctrl[:] = -active[0]
+        data.qfrc_applied[2:] = held[step]
+        state = data.qpos.copy()
+        mujoco.mj_step(model, data)
+        if step % decimation == 0:
+            log.append([*state, *data.sensor("strain_gauge").data[:2]])
+    return np.array(log)
+
+
+def test_batch_equals_a_plain_loop_to_the_last_bit_at_any_number_of_threads():
+    trials = mixed_trials()
+    reference = run_experiment(trials, ENVIRONMENT, n_threads=1)
+    for n_threads in (2, 4):
+        assert run_experiment(trials, ENVIRONMENT, n_threads=n_threads).identical(reference)
+    n = reference.sizes["time"]
+    for number, trial in enumerate(trials):
+        alone = run_experiment([trial], ENVIRONMENT).isel(trial=0)
+        lane = reference.isel(trial=number)
+        loop = plain_loop(trial, n, 5)
+        for name, columns in (("joint_angle", slice(0, 2)), ("displacement", slice(2, 4)), ("force", slice(4, 6))):
+            np.testing.assert_array_equal(lane[name].values, alone[name].values)
+            np.testing.assert_array_equal(lane[name].values, loop[:, columns])
+
+
+def test_a_trial_at_the_workspace_limit_is_reported_and_the_others_finish():
+    gentle, hard = (Pulse(peak=peak, direction_deg=20.0, onset=0.1, duration=1.0) for peak in (10.0, 600.0))
+    both = run_experiment([Trial(subject=RELAX, perturbation=pulse) for pulse in (gentle, hard)], ENVIRONMENT)
+    alone = run_experiment([Trial(subject=RELAX, perturbation=gentle)], ENVIRONMENT)
+    assert np.isnan(both["limit_time"].values[0])
+    assert 0.1 < both["limit_time"].values[1] < 0.5
+    np.testing.assert_array_equal(both["displacement"].values[0], alone["displacement"].values[0])
+
+
+def test_recording_carries_the_labels_of_its_trials():
+    multisine = Multisine.draw(seed=0, rms=1.0, duration=0.2, crested=False)
+    trial = Trial(
+        subject=POSITION,
+        perturbation=MultisineThenPulse.join(multisine, peak=20.0, direction_deg=200.0, tail=0.3),
+        condition="PT7.5",
+        repetition=1,
+        pulse_level=2.0,
+    )
+    alone = Trial(subject=RELAX, perturbation=Pulse(peak=5.0, direction_deg=20.0, onset=0.05, duration=0.3))
+    recording = run_experiment([trial, alone], ENVIRONMENT)
+    first, second = (recording.isel(trial=i) for i in range(2))
+    assert (first["subject"].item(), first["task"].item(), first["condition"].item()) == ("position", "PT", "PT7.5")
+    assert (first["repetition"].item(), first["pulse_level"].item()) == (1, 2.0)
+    assert (first["pulse_direction"].item(), first["pulse_onset"].item()) == (200.0, 0.2)
+    assert (second["condition"].item(), second["pulse_direction"].item(), second["pulse_onset"].item()) == (
+        "RT",
+        20,
+        0.05,
+    )
+    assert recording.sizes["time"] == 100
+    np.testing.assert_allclose(recording["joint_angle"].values[:, 0], [POSITION.posture, RELAX.posture], rtol=1e-12)
+    for name, units in (("perturbation", "N"), ("force", "N"), ("displacement", "m"), ("joint_angle", "rad")):
+        assert recording[name].attrs["units"] == units
+
+
+def test_instruments_disturb_only_what_they_measure_and_by_their_seed():
+    trial = Trial(subject=RELAX, perturbation=small_multisine(1.0), seed=5)
+    ideal = run_experiment([trial], ENVIRONMENT)
+    first, again = (run_experiment([trial], ENVIRONMENT, instruments=Instruments()) for _ in range(2))
+    other = run_experiment([replace(trial, seed=6)], ENVIRONMENT, instruments=Instruments())
+    assert first.identical(again)
+    assert not first["force"].equals(other["force"])
+    assert first["perturbation"].equals(ideal["perturbation"])
+    assert 0 < np.abs(first["displacement"] - ideal["displacement"]).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("trials", "options", "message"),
+    [
+        ([], {}, "trials is empty"),
+        (
+            [
+                Trial(
+                    subject=replace(POSITION, kv_s=60.0),
+                    perturbation=Pulse(peak=1, direction_deg=0, onset=0, duration=1),
+                )
+            ],
+            {},
+            "'position' and the environment are unstable: largest real part of a pole = .* expected below 0",
+        ),
+        (
+            [
+                Trial(
+                    subject=RELAX,
+                    perturbation=Sampled(
+                        force=np.sin(2 * np.pi * 480 / 2000 * np.arange(4000))[:, None] * [1, 1], rate=2000
+                    ),
+                )
+            ],
+            {},
+            "highest significant frequency = .*; expected at most 450 Hz",
+        ),
+        (mixed_trials()[:1], {"rate": 300.0}, "rate = 300.0 Hz; expected the simulation's 1000 Hz over a whole number"),
+        (mixed_trials()[:1], {"timestep": 0.0}, "timestep = 0.0; expected a finite number above 0"),
+        (mixed_trials()[:1], {"timestep": 0.05, "rate": 20.0}, "expected at most 9 Hz"),
+        (mixed_trials()[:1], {"rope": "steel"}, "rope = 'steel'; expected one of ideal, pendulum"),
+        ([Trial(subject=replace(RELAX, Td_s=5e-4), perturbation=small_multisine(1.0))], {}, "Td_s = 0.0005; expected"),
+    ],
+)
+def test_bad_input_is_named(trials, options, message):
+    with pytest.raises(ValueError, match=message):
+        run_experiment(trials, ENVIRONMENT, **options)

@@ -1,0 +1,163 @@
+"""Fits to frequency responses whose parameters are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import optimize
+
+from armperturb.analysis.arm_model import arm_admittance, largest_real_pole
+from armperturb.analysis.fit import _checked, fit_admittance, penalty_factor
+from armperturb.analysis.structures import STRUCTURES
+from armperturb.cohort import draw
+from armperturb.environment import Environment
+from armperturb.study.tables import true_value
+from armperturb.subject import POSITION, RELAX
+
+ENVIRONMENT = Environment()
+# The mean frequencies of the thesis's clusters, rounded.
+FREQUENCY = np.array([0.3, 0.7, 1.1, 1.4, 1.9, 2.2, 2.6, 3.1, 3.7, 4.3, 5.1, 6.1, 7.2, 10.1, 14.2, 20.0, 28.3, 39.9])
+CASES = pytest.mark.parametrize(("model", "arm"), [("1", RELAX), ("3b", POSITION)], ids=["1", "3b"])
+
+
+def fit(arm, model, **options):
+    admittance = arm_admittance(arm, FREQUENCY, options.get("delay", "exact"))
+    return fit_admittance(FREQUENCY, admittance, arm, model, ENVIRONMENT, **options)
+
+
+def truth_of(arm, model):
+    return {name: true_value(arm, name) for name in STRUCTURES[model].free}
+
+
+def worst_error(result, truth):
+    return max(abs(result.values[name] / value - 1) for name, value in truth.items())
+
+
+@pytest.mark.parametrize("delay", ["exact", "pade"])
+@CASES
+def test_own_response_gives_every_parameter_back_from_starts_25_percent_off(model, arm, delay):
+    rng, truth = np.random.default_rng(7), truth_of(arm, model)
+    for _ in range(12):
+        start = {
+            name: float(np.clip(value * rng.choice([0.75, 1.25]), *STRUCTURES[model].bounds[name]))
+            for name, value in truth.items()
+        }
+        result = fit(arm, model, start=start, delay=delay)
+        assert worst_error(result, truth) < 1e-3
+        assert result.converged
+        assert result.status.startswith("converged: ")
+        assert result.stable
+        assert result.criterion < 1e-12
+        assert result.at_bound == ()
+
+
+@pytest.mark.parametrize(("model", "preset"), [("1", "relax"), ("3b", "position")])
+def test_drawn_people_are_given_back_from_the_published_start(model, preset):
+    for seed in range(8):
+        arm = draw(preset, seed)
+        truth = truth_of(arm, model)
+        inside = all(low < truth[name] < high for name, (low, high) in STRUCTURES[model].bounds.items())
+        result = fit(arm, model)
+        assert not inside or worst_error(result, truth) < 1e-3
+        assert result.stable
+
+
+@CASES
+def test_criterion_is_the_mean_squared_weighted_log_error(model, arm):
+    rng = np.random.default_rng(1)
+    admittance = arm_admittance(arm, FREQUENCY) * np.exp(0.1 * rng.normal(size=(len(FREQUENCY), 2, 2)))
+    coherence = rng.uniform(0.5, 1.0, (len(FREQUENCY), 2))
+    result = fit_admittance(FREQUENCY, admittance, arm, model, ENVIRONMENT, coherence=coherence)
+    error = np.sqrt(coherence)[:, :, None] * np.abs(np.log(admittance / arm_admittance(result.arm, FREQUENCY)))
+    assert result.criterion == pytest.approx(np.mean(error**2) * result.penalty**2)
+    # No neighbour is better: the criterion is at a minimum.
+    for name, value in result.values.items():
+        if name in result.at_bound:
+            continue
+        for factor in (0.99, 1.01):
+            moved = STRUCTURES[model].arm(arm, list({**result.values, name: value * factor}.values()))
+            other = np.sqrt(coherence)[:, :, None] * np.abs(np.log(admittance / arm_admittance(moved, FREQUENCY)))
+            penalty = penalty_factor(largest_real_pole(moved, ENVIRONMENT))
+            assert np.mean(other**2) * penalty**2 > result.criterion
+
+
+def test_penalty_is_that_of_figure_c1():
+    assert penalty_factor(-0.5) == pytest.approx(11.0)
+    assert penalty_factor(-0.8) == pytest.approx(1.01)
+    assert penalty_factor(-0.4) == pytest.approx(101.0)
+    assert np.isfinite(penalty_factor(1e3))
+
+
+@pytest.mark.parametrize("with_penalty", [False, True])
+@CASES
+def test_jacobian_equals_finite_differences(model, arm, with_penalty):
+    slow = replace(arm, kv_s=arm.kv_s * 1.9) if model == "3b" else replace(arm, k_s=1.5, k_se=0.5)
+    problem = _checked(FREQUENCY, arm_admittance(arm, FREQUENCY), None, arm, STRUCTURES[model], ENVIRONMENT, "exact")
+    values = np.array(list(truth_of(slow, model).values()))
+    numerical = optimize.approx_fprime(values, lambda v: problem.residual(v, with_penalty), 1e-6 * values)
+    exact = problem.jacobian(values, with_penalty)
+    scale = np.abs(exact).max(axis=0)
+    np.testing.assert_allclose(exact / scale, numerical / scale, atol=1e-3)
+    if with_penalty:
+        assert problem.penalty(values) > 1.001
+
+
+def test_standard_errors_cover_the_truth_of_noisy_responses():
+    rng, truth, ratios = np.random.default_rng(3), truth_of(RELAX, "1"), []
+    for _ in range(40):
+        noise = 0.02 * (rng.normal(size=(len(FREQUENCY), 2, 2)) + 1j * rng.normal(size=(len(FREQUENCY), 2, 2)))
+        admittance = arm_admittance(RELAX, FREQUENCY) * np.exp(noise)
+        result = fit_admittance(FREQUENCY, admittance, RELAX, "1", ENVIRONMENT)
+        ratios.append([(result.values[name] - value) / result.sem[name] for name, value in truth.items()])
+    # Complex residuals: the sum of squares over N = 4 n_f holds two numbers each, so eq. 2.22 is wider by sqrt 2.
+    spread = np.sqrt(np.mean(np.square(ratios)))
+    assert spread == pytest.approx(2**-0.5, rel=0.15)
+
+
+def test_parameters_at_a_bound_are_named():
+    result = fit(replace(RELAX, m_h=0.7), "1")
+    assert "m_h" in result.at_bound
+    assert result.values["m_h"] == pytest.approx(1.0)
+
+
+def test_penalty_makes_an_unstable_arm_stable_and_says_so():
+    wild = replace(POSITION, kv_s=40.0, kv_e=60.0)
+    assert largest_real_pole(wild, ENVIRONMENT) > 0
+    without, with_penalty = (fit(wild, "3b", use_penalty=use) for use in (False, True))
+    assert not without.stable
+    assert worst_error(without, truth_of(wild, "3b")) < 1e-3
+    assert with_penalty.stable
+    assert with_penalty.penalty > 1.0
+
+
+def test_parameters_that_the_data_say_nothing_about_have_infinite_errors():
+    # Without damping, stiffness and reflexes at play: two frequencies hold 16 numbers, but not these.
+    low = np.array([1e-4, 2e-4])
+    result = fit_admittance(low, arm_admittance(POSITION, low), POSITION, "3b", ENVIRONMENT)
+    assert result.sem["m_tot"] > 10 * result.values["m_tot"] or np.isinf(result.sem["m_tot"])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"structure": "7"}, "model = '7'; expected one of 1, 3b"),
+        ({"start": {"m_x": 1.0}}, "start: unknown parameter 'm_x'; model 1 has m_h"),
+        ({"start": {"m_h": 9.0}}, "start: m_h = 9.0; expected 1 to 3 kg"),
+        ({"frequency": FREQUENCY[:3]}, r"shapes \(3,\), \(18, 2, 2\)"),
+        ({"frequency": FREQUENCY - 1.0}, "frequency = -0.7 Hz; expected frequencies above 0"),
+        ({"coherence": np.full((18, 2), np.nan)}, "coherence holds nan; expected finite values"),
+        ({"coherence": np.full((18, 2), 1.5)}, "coherence from 1.5 to 1.5; expected 0 to 1"),
+        ({"admittance": np.full((18, 2, 2), np.inf)}, r"admittance holds .*inf.*; expected finite values"),
+        ({"admittance": np.zeros((18, 2, 2))}, "admittance at 0.3 Hz is 0; expected a response"),
+    ],
+)
+def test_bad_input_is_named(change, message):
+    arguments = {
+        "frequency": FREQUENCY,
+        "admittance": arm_admittance(RELAX, FREQUENCY),
+        "body": RELAX,
+        "structure": "1",
+        "environment": ENVIRONMENT,
+    }
+    with pytest.raises(ValueError, match=message):
+        fit_admittance(**{**arguments, **change})
