@@ -18,8 +18,6 @@ from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.perturbations import load_csv
 from armperturb.recording import load_recording, save_recording
-from armperturb.study.report import write_report
-from armperturb.study.runner import StudySettings, run_study
 from armperturb.subject import Subject
 
 
@@ -84,6 +82,10 @@ def study(settings: Study) -> Path:
       ValueError: a setting is out of its range.
       OSError: the folder cannot be written to.
     """
+    # Here, so that the other commands start without the drawing library.
+    from armperturb.study.report import write_report
+    from armperturb.study.runner import StudySettings, run_study
+
     result = run_study(StudySettings(subjects=settings.subjects, seed=settings.seed), settings.out)
     return write_report(result, settings.out)
 

@@ -91,7 +91,7 @@ def test_penalty_is_that_of_figure_c1():
 @pytest.mark.parametrize("with_penalty", [False, True])
 @CASES
 def test_jacobian_equals_finite_differences(model, arm, with_penalty):
-    slow = replace(arm, kv_s=arm.kv_s * 1.9) if model == "3b" else replace(arm, k_s=1.5, k_se=0.5)
+    slow = replace(arm, kv_s=arm.kv_s * 1.9) if model == "3b" else replace(arm, k_s=3.0, m_f=3.5)
     problem = _checked(FREQUENCY, arm_admittance(arm, FREQUENCY), None, arm, STRUCTURES[model], ENVIRONMENT, "exact")
     values = np.array(list(truth_of(slow, model).values()))
     numerical = optimize.approx_fprime(values, lambda v: problem.residual(v, with_penalty), 1e-6 * values)

@@ -101,10 +101,10 @@ def write_identification(identification: Identification, folder: str | Path) -> 
     Raises:
       OSError: the folder cannot be made or written to.
     """
-    folder = Path(folder)
+    folder, summary = Path(folder), json.dumps(fit_summary(identification), indent=2)
     folder.mkdir(parents=True, exist_ok=True)
     write_csv(admittance_rows(identification.spectra), folder / "admittance.csv")
     write_csv(parameter_rows(identification), folder / "parameters.csv")
     with written_whole(folder / "fit.json") as temporary:
-        temporary.write_text(json.dumps(fit_summary(identification), indent=2) + "\n", encoding="utf-8")
+        temporary.write_text(summary + "\n", encoding="utf-8")
     return [folder / name for name in ("admittance.csv", "parameters.csv", "fit.json")]

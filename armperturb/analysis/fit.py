@@ -74,8 +74,8 @@ def penalty_factor(pole: float) -> float:
     Args:
       pole: largest real part of a pole of arm and environment [1/s].
     """
-    # Beyond 10^100 only the direction away from instability matters, and its square must not overflow.
-    return 10.0 * 10.0 ** min(10.0 * (pole + 0.5), 100.0) + 1.0
+    # Beyond 10^50 it only has to be large: powers of it must not overflow.
+    return 10.0 * 10.0 ** min(10.0 * (pole + 0.5), 50.0) + 1.0
 
 
 def fit_admittance(
@@ -133,7 +133,7 @@ def fit_admittance(
         best,
         use_penalty=use_penalty,
         n_starts=len(solutions),
-        n_starts_agree=sum(solution.cost - best.cost <= tolerance for solution in solutions),
+        n_starts_agree=sum(bool(solution.cost - best.cost <= tolerance) for solution in solutions),
         n_evaluations=sum(solution.nfev for solution in solutions),
     )
 

@@ -110,6 +110,12 @@ def identify(
     lines = line_spectra(recording, start=start, period=period)
     spectra = estimate_spectra(lines, lines_per_average=lines_per_average)
     environment = fit_environment(lines)
+    slowest = np.trace(spectra.arm[0]).real / 2
+    if slowest <= 0:
+        raise ValueError(
+            f"the arm's admittance at {spectra.frequency[0]:.3g} Hz is {slowest:.3g} m/N; expected it above 0, like "
+            "a spring's (force must be the reaction force that the handle exerts on the hand)"
+        )
     fit = fit_admittance(
         spectra.frequency,
         spectra.arm,
