@@ -1,1 +1,43 @@
 """Human-arm perturbation experiments on synthetic people in MuJoCo, and their analysis."""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from armperturb.analysis.arm_model import arm_admittance as arm_admittance
+from armperturb.analysis.identify import identify as identify
+from armperturb.cohort import draw as draw
+from armperturb.environment import Environment as Environment
+from armperturb.perturbations import Multisine as Multisine
+from armperturb.perturbations import MultisineThenPulse as MultisineThenPulse
+from armperturb.perturbations import Pulse as Pulse
+from armperturb.perturbations import load_csv as load_csv
+from armperturb.perturbations import save_csv as save_csv
+from armperturb.recording import load_recording as load_recording
+from armperturb.recording import save_recording as save_recording
+from armperturb.subject import POSITION as POSITION
+from armperturb.subject import RELAX as RELAX
+from armperturb.subject import Subject as Subject
+
+if TYPE_CHECKING:
+    from armperturb.envs.experiment import Trial as Trial
+    from armperturb.envs.experiment import run_experiment as run_experiment
+    from armperturb.envs.instruments import Instruments as Instruments
+    from armperturb.models import build_model as build_model
+
+# These need MuJoCo, which an analysis of recordings does not: they are fetched on first use.
+_SIMULATOR = {
+    "Instruments": "armperturb.envs.instruments",
+    "Trial": "armperturb.envs.experiment",
+    "build_model": "armperturb.models",
+    "run_experiment": "armperturb.envs.experiment",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _SIMULATOR:
+        return getattr(importlib.import_module(_SIMULATOR[name]), name)
+    raise AttributeError(f"module 'armperturb' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_SIMULATOR})

@@ -1,13 +1,13 @@
 """The continuous perturbation: a crested multisine of reduced power (thesis 2.4, fig. 2.5)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
 from scipy.fft import irfft
 
-from armperturb.perturbations.crest import reduce_crest
+from armperturb.perturbations.crest import N_STARTS, reduce_crest
 from armperturb.perturbations.perturbation import sample_times
 from armperturb.validation import require_number
 
@@ -28,7 +28,8 @@ REDUCED_BAND = (1.8, 40.0)
 
 REDUCED_RATIO = {"amplitude": 0.15, "power": math.sqrt(0.15)}
 """Amplitude of the reduced band over that of the full band [-]: "15 %" is said of the amplitude in the text of
-thesis 2.4 and of the power in the caption of its fig. 2.5."""
+thesis 2.4 and of the power in the caption of its fig. 2.5. Power is the default: only 15 % of power, an amplitude
+ratio of 0.387, gives the published ratios of joint velocity to joint rotation."""
 
 
 def _cluster_layout() -> np.ndarray:
@@ -61,7 +62,8 @@ class Multisine:
     Attributes:
       rms: RMS force of each axis over a period [N], > 0.
       phases: phases of the cosines [rad], (axis, 72); see `draw`. Stored as a read-only copy.
-      reduced: what 15 % of the full band's is left in the reduced band, "amplitude" or "power".
+      reduced: what 15 % of the full band's is left in the reduced band, "amplitude" or "power"; power unless asked
+        otherwise, see `REDUCED_RATIO`.
       duration: time that it is applied for [s], > 0.
 
     Raises:
@@ -104,18 +106,19 @@ class Multisine:
           rms: RMS force of each axis over a period [N], > 0.
           reduced: what 15 % of the full band's is left in the reduced band, "amplitude" or "power".
           duration: time that it is applied for [s], > 0.
-          crested: whether to lower the peaks (some 0.09 s per axis); if not, the phases stay uniformly random.
+          crested: whether to lower the peaks (some 0.12 s per axis); if not, the phases stay uniformly random.
 
         Raises:
           TypeError: a value is not a number.
           ValueError: a value is not finite or out of its range.
         """
-        phases = np.random.default_rng(seed).uniform(-np.pi, np.pi, (2, CLUSTERS.size))
-        multisine = cls(rms=rms, phases=phases, reduced=reduced, duration=duration)
+        starts = np.random.default_rng(seed).uniform(-np.pi, np.pi, (2, N_STARTS, CLUSTERS.size))
+        multisine = cls(rms=rms, phases=starts[:, 0], reduced=reduced, duration=duration)
         if not crested:
             return multisine
-        crested_phases = [reduce_crest(multisine.lines, multisine.amplitudes, axis) for axis in phases]
-        return cls(rms=rms, phases=np.stack(crested_phases), reduced=reduced, duration=duration)
+        amplitudes = replace(multisine, rms=1.0).amplitudes  # so that rounding lets no phase depend on rms
+        phases = [reduce_crest(multisine.lines, amplitudes, of_axis) for of_axis in starts]
+        return replace(multisine, phases=np.stack(phases))
 
     @property
     def clusters(self) -> np.ndarray:

@@ -1,0 +1,500 @@
+"""Figures of a study, after those of the thesis's chapters 2 and 3."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import FancyBboxPatch, Patch
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter
+from numpy.typing import NDArray
+
+from armperturb.analysis.arm_model import arm_admittance, simulate_linear
+from armperturb.analysis.identify import Identification, variance_accounted_for
+from armperturb.analysis.spectra import SpectralEstimate, estimate_spectra
+from armperturb.analysis.structures import unit
+from armperturb.envs.camera import render
+from armperturb.models import build_model
+from armperturb.perturbations.multisine import FULL_BAND, PERIOD, Multisine
+from armperturb.recording import load_recording
+from armperturb.study import published
+from armperturb.study.protocol import CONDITIONS, TAIL, Condition, draw_multisines, trials_of
+from armperturb.study.runner import Case, StudyResult
+from armperturb.study.style import (
+    COLOURS,
+    FITTED,
+    GREY,
+    INK,
+    PALE,
+    PUBLISHED,
+    RECORDED,
+    TRUE,
+    in_style,
+    new_figure,
+)
+from armperturb.study.tables import true_value
+
+Array = NDArray[np.float64]
+
+AXES = ("x", "y")
+
+Element = tuple[int, int]
+"""Output and input axis of an admittance."""
+
+FREQUENCY = np.geomspace(0.15, 45.0, 400)
+"""Where models are drawn [Hz]."""
+
+PERTURBATION_RATE = 1000.0
+"""At which a perturbation is drawn [Hz]; its pulse lasts 80 ms."""
+
+
+@in_style()
+def rig(study: StudyResult) -> Figure:
+    """The first person on the manipulator, from above and from the side.
+
+    Raises:
+      RuntimeError: this machine cannot draw; the message names what to install.
+    """
+    model = build_model(study.cases[0].truth, study.environment)
+    figure = new_figure(3.95)
+    for ax, camera in zip(figure.subplots(1, 2), ("top", "oblique"), strict=True):
+        ax.imshow(render(model, camera=camera, width=840, height=840), interpolation="none")
+        ax.set_axis_off()
+        if camera == "top":
+            _draw_directions(ax)
+    return figure
+
+
+def _draw_directions(ax: Axes) -> None:
+    """The axes x and y in the lower left corner of a picture from above."""
+    arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 1.4, "shrinkA": 0, "shrinkB": 0}
+    for tip, label, place in (((0.18, 0.06), "x", (0.205, 0.06)), ((0.06, 0.18), "y", (0.06, 0.205))):
+        ax.annotate("", tip, (0.06, 0.06), xycoords="axes fraction", arrowprops=arrow)
+        ax.text(*place, label, transform=ax.transAxes, ha="center", va="center", weight="bold")
+
+
+@in_style()
+def perturbation(study: StudyResult) -> Figure:
+    """A multisine followed by a pulse, and the power of the multisine (thesis fig. 2.5)."""
+    condition = CONDITIONS[0]
+    case = next(case for case in study.cases if case.condition is condition)
+    multisines = draw_multisines(condition, study.settings.seed)
+    applied = trials_of(condition, case.truth, multisines, study.settings.seed)[0].perturbation
+    time = np.arange(round(applied.duration * PERTURBATION_RATE)) / PERTURBATION_RATE
+    force = applied.sample(PERTURBATION_RATE, len(time))
+    onset = applied.duration - TAIL
+
+    figure = new_figure(4.4)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1))
+    whole = [figure.add_subplot(grid[row, 0]) for row in range(2)]
+    zoom, density = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
+    colours = (INK, GREY)
+    for ax, axis, colour in zip(whole, range(2), colours, strict=True):
+        ax.plot(time, force[:, axis], color=colour, linewidth=0.7)
+        ax.set(ylabel=f"$d_{AXES[axis]}$ [N]", xlim=(0, applied.duration))
+    whole[1].sharey(whole[0])
+    whole[0].tick_params(labelbottom=False)
+    whole[0].set_title(f"one trial of {condition.name}")
+    whole[1].set_xlabel("time [s]")
+
+    near = (time > onset - 0.5) & (time < onset + 0.3)
+    for axis, colour in enumerate(colours):
+        zoom.plot(time[near], force[near, axis], color=colour, label=f"$d_{AXES[axis]}$")
+    zoom.axvspan(onset, onset + 0.04, color=PALE, alpha=0.6, linewidth=0)
+    zoom.set(title="fade (grey) and pulse", xlabel="time [s]", ylabel="force [N]", xlim=(onset - 0.5, onset + 0.3))
+    zoom.legend(loc="upper left")
+    _draw_density(density, multisines[0])
+    return figure
+
+
+def _draw_density(ax: Axes, multisine: Multisine) -> None:
+    """Autospectral density of a multisine, with its bands and its extra clusters."""
+    power = (multisine.amplitudes**2 / 2 * PERIOD).reshape(multisine.clusters.shape)
+    frequency = multisine.clusters / PERIOD
+    reduced = np.flatnonzero(frequency[:, 0] > FULL_BAND[1])
+    extra = reduced[1:8:2]  # midpoints of the first five of the logarithmic grid
+    floor = 10 ** np.floor(np.log10(power.min()) - 0.5)
+    for clusters, colour, label in (
+        (np.setdiff1d(np.arange(len(frequency)), [*reduced]), COLOURS["PT"], "full power"),
+        (np.setdiff1d(reduced, extra), INK, "reduced power"),
+        (extra, GREY, "extra clusters"),
+    ):
+        lines, height = frequency[clusters].ravel(), power[clusters].ravel()
+        ax.vlines(lines, floor, height, color=colour, linewidth=1.2)
+        ax.plot(lines, height, "o", color=colour, markersize=2.2, label=label)
+    ax.set(xscale="log", yscale="log", ylim=(floor, power.max() * 3), title="power of the multisine, each axis")
+    ax.set(ylabel="density [N²/Hz]")
+    _label_frequency(ax)
+    ax.legend(loc="upper right", handletextpad=0.1)
+
+
+class MeanAdmittance(NamedTuple):
+    """Admittance of a condition over its subjects: geometric mean of gains, circular mean of phases.
+
+    Attributes:
+      frequency: [Hz], (frequency,).
+      gain: [m/N], (frequency, output, input).
+      gain_ratio: one SD over subjects as a factor on the gain [-]; NaN for one subject.
+      phase: without jumps [rad], (frequency, output, input).
+      phase_sd: over subjects [rad]; NaN for one subject.
+    """
+
+    frequency: Array
+    gain: Array
+    gain_ratio: Array
+    phase: Array
+    phase_sd: Array
+
+
+def mean_admittance(study: StudyResult, condition: str) -> MeanAdmittance:
+    """Mean of the estimated admittance over the subjects of a condition.
+
+    Raises:
+      ValueError: no subject was identified in the condition.
+    """
+    cases = study.of(condition)
+    if not cases:
+        raise ValueError(f"condition = {condition!r}; expected one in which somebody was identified")
+    spectra = [_identified(case).spectra for case in cases]
+    arm = np.stack([one.arm for one in spectra])
+    log_gain = np.log(np.abs(arm))
+    middle = np.mean(arm / np.abs(arm), axis=0)
+    deviation = np.angle(arm / middle)
+    if len(arm) > 1:
+        gain_ratio, phase_sd = np.exp(log_gain.std(axis=0, ddof=1)), deviation.std(axis=0, ddof=1)
+    else:
+        gain_ratio = phase_sd = np.full(middle.shape, np.nan)
+    return MeanAdmittance(spectra[0].frequency, np.exp(log_gain.mean(axis=0)), gain_ratio, _unwrapped(middle), phase_sd)
+
+
+@in_style()
+def admittance_of_trials(case: Case) -> Figure:
+    """Admittance of one subject, from each trial and from all (thesis fig. 3.1)."""
+    spectra = _identified(case).spectra
+    truth = arm_admittance(case.truth, FREQUENCY)
+    true_phase = _unwrapped(truth)
+    figure, panels = _admittance_panels()
+    for trial in _single_trials(case):
+        _plot_admittance(panels, trial.frequency, trial.arm, true_phase, color=GREY, linewidth=0.7, alpha=0.6)
+    _plot_admittance(panels, spectra.frequency, spectra.arm, true_phase, color=INK, linewidth=1.5)
+    _plot_admittance(panels, FREQUENCY, truth, true_phase, **TRUE)
+    _legend(
+        figure,
+        Line2D([], [], color=GREY, linewidth=0.9, alpha=0.6, label="single trials"),
+        Line2D([], [], color=INK, linewidth=1.5, label="spectra averaged over trials"),
+        Line2D([], [], label="true", **TRUE),
+    )
+    return figure
+
+
+@in_style()
+def admittance_by_task(study: StudyResult) -> Figure:
+    """Admittance of the conditions, mean and SD over subjects (thesis fig. 3.2)."""
+    figure, panels = _admittance_panels()
+    handles: list[Line2D | Patch] = []
+    for condition in _present(study):
+        mean = mean_admittance(study, condition.name)
+        look: dict[str, Any] = {"color": _colour(condition), "marker": "o", "markersize": 3}
+        band = {"color": _colour(condition), "alpha": 0.18, "linewidth": 0}
+        for (output, input_), (gain_ax, phase_ax) in panels.items():
+            gain, ratio = mean.gain[:, output, input_], mean.gain_ratio[:, output, input_]
+            phase, spread = (np.degrees(part[:, output, input_]) for part in (mean.phase, mean.phase_sd))
+            gain_ax.fill_between(mean.frequency, gain / ratio, gain * ratio, **band)
+            gain_ax.plot(mean.frequency, gain, **look)
+            phase_ax.fill_between(mean.frequency, phase - spread, phase + spread, **band)
+            phase_ax.plot(mean.frequency, phase, **look)
+        handles.append(Line2D([], [], label=condition.name, **look))
+    if len(study.cases) > len(CONDITIONS):
+        handles.append(Patch(facecolor=GREY, alpha=0.3, label="± 1 SD over subjects"))
+    _legend(figure, *handles)
+    return figure
+
+
+@in_style()
+def coherence(study: StudyResult) -> Figure:
+    """Multiple coherence of single trials, mean and SD over subjects (thesis fig. 3.6)."""
+    conditions = _present(study)
+    figure = new_figure(3.9)
+    panels = figure.subplots(2, len(conditions), sharex=True, sharey=True, squeeze=False)
+    for condition, column in zip(conditions, panels.T, strict=True):
+        trials = [_single_trials(case) for case in study.of(condition.name)]
+        of_subjects = np.stack([np.mean([trial.coherence for trial in of_one], axis=0) for of_one in trials])
+        frequency = trials[0][0].frequency
+        spread = of_subjects.std(axis=0, ddof=1) if len(of_subjects) > 1 else None
+        for output, ax in enumerate(column):
+            ax.errorbar(
+                frequency,
+                of_subjects.mean(axis=0)[:, output],
+                None if spread is None else spread[:, output],
+                fmt="o-",
+                markersize=3,
+                elinewidth=0.9,
+                color=_colour(condition),
+            )
+            ax.axhline(0.5, color=GREY, linewidth=1, linestyle=":")
+            ax.set(xscale="log", ylim=(0, 1.05))
+            ax.set_title(f"{condition.name}, displacement along {AXES[output]}")
+        _label_frequency(column[-1])
+    for output, ax in enumerate(panels[:, 0]):
+        ax.set_ylabel(rf"$\gamma^2_{{{AXES[output]}d}}$ [-]")
+    panels[0, 0].text(0.2, 0.47, "pure noise", color=GREY, fontsize=8, va="top")
+    return figure
+
+
+@in_style()
+def fit(case: Case) -> Figure:
+    """Arm model fitted to the admittance of one subject (thesis figs 3.7, 3.8)."""
+    identification = _identified(case)
+    spectra = identification.spectra
+    truth, model = (arm_admittance(arm, FREQUENCY) for arm in (case.truth, identification.fit.arm))
+    true_phase = _unwrapped(truth)
+    estimated: dict[str, Any] = {**RECORDED, "marker": "o", "markersize": 4.5}
+    figure, panels = _admittance_panels()
+    _plot_admittance(panels, spectra.frequency, spectra.arm, true_phase, **estimated)
+    _plot_admittance(panels, FREQUENCY, model, true_phase, **FITTED)
+    _plot_admittance(panels, FREQUENCY, truth, true_phase, **TRUE)
+    _legend(
+        figure,
+        Line2D([], [], label="estimated", **estimated),
+        Line2D([], [], label=f"fitted model {identification.fit.structure}", **FITTED),
+        Line2D([], [], label="true", **TRUE),
+    )
+    return figure
+
+
+@in_style()
+def prediction(case: Case, *, trial: int = 0, start: float = 20.0, span: float = 5.0) -> Figure:
+    """Recorded displacement of the handle against the fitted model's (thesis figs 3.9, 3.10).
+
+    Args:
+      case: who, in which condition.
+      trial: which of the trials that were analysed.
+      start: of the sample that is shown [s].
+      span: of the sample that is shown [s].
+    """
+    identification, recording = _identified(case), trials_of_case(case).isel(trial=trial)
+    rate, onset = float(recording.attrs["rate"]), float(recording["pulse_onset"])
+    n = recording.sizes["time"] if np.isnan(onset) else round(onset * rate)
+    time, recorded = recording["time"].values[:n], recording["displacement"].values[:n]
+    predicted = None
+    if identification.fit.stable:
+        d = recording["perturbation"].values[:n]
+        predicted = simulate_linear(identification.fit.arm, identification.environment, d, rate).displacement
+    shown = (time >= start) & (time <= start + span)
+
+    figure = new_figure(3.5)
+    panels = figure.subplots(2, 1, sharex=True)
+    for axis, ax in enumerate(panels):
+        ax.plot(time[shown], 1e3 * recorded[shown, axis], label="recorded", **RECORDED)
+        if predicted is None:
+            ax.set_title("the fitted model is unstable: no prediction", loc="left")
+        else:
+            vaf = variance_accounted_for(recorded, predicted, rate)[axis]
+            ax.plot(time[shown], 1e3 * predicted[shown, axis], label="fitted model", **FITTED)
+            ax.set_title(f"{AXES[axis]}, VAF {vaf:.1f} %", loc="left")
+        ax.set(ylabel=f"${AXES[axis]}$ [mm]", xlim=(start, start + span))
+    panels[-1].set_xlabel("time [s]")
+    panels[0].legend(loc="lower right", bbox_to_anchor=(1, 0.98), ncols=2, borderaxespad=0)
+    return figure
+
+
+@in_style()
+def parameters(study: StudyResult, condition: Condition) -> Figure:
+    """Estimated against true parameters of all subjects, beside the published mean and SD."""
+    cases = study.of(condition.name)
+    names = tuple(_identified(cases[0]).fit.values)
+    n_columns = 5
+    n_rows = -(-len(names) // n_columns)
+    figure = new_figure(1.62 * n_rows + 0.5)
+    panels = figure.subplots(n_rows, n_columns, squeeze=False)
+    for ax, name in zip(panels.flat, names, strict=False):
+        truth = np.array([true_value(case.truth, name) for case in cases])
+        estimate = np.array([_identified(case).fit.values[name] for case in cases])
+        sem = np.array([_identified(case).fit.sem[name] for case in cases])
+        printed = published.parameter(condition.name, name)
+        band = (printed.mean - printed.sd, printed.mean + printed.sd)
+        low, high = min(*truth, *estimate, *band), max(*truth, *estimate, *band)
+        low, high = low - 0.08 * (high - low), high + 0.08 * (high - low)
+        ax.axhspan(*band, color=PUBLISHED["color"], alpha=0.2, linewidth=0)
+        ax.axhline(printed.mean, color=PUBLISHED["color"], linewidth=1)
+        ax.plot((low, high), (low, high), **{**TRUE, "linewidth": 1})
+        ax.errorbar(
+            truth,
+            estimate,
+            np.where(np.isfinite(sem), sem, 0),
+            fmt="o",
+            color=_colour(condition),
+            markersize=3.5,
+            elinewidth=0.9,
+            alpha=0.85,
+        )
+        ax.set(xlim=(low, high), ylim=(low, high), box_aspect=1)
+        ax.set_title(f"{parameter_symbol(name)} [{unit(name)}]")
+        for axis in (ax.xaxis, ax.yaxis):
+            axis.set_major_locator(MaxNLocator(3))
+    for ax in panels.flat[len(names) :]:
+        ax.set_visible(False)
+    figure.supxlabel("true", fontsize=9)
+    figure.supylabel("estimated", fontsize=9)
+    _legend(
+        figure,
+        Line2D([], [], color=_colour(condition), marker="o", linestyle="", label="one subject ± SEM"),
+        Line2D([], [], label="estimated = true", **{**TRUE, "linewidth": 1}),
+        Patch(facecolor=PUBLISHED["color"], alpha=0.35, label="published mean ± SD"),
+    )
+    return figure
+
+
+@in_style()
+def overview(study: StudyResult) -> Figure:
+    """The rig, and the admittance of one person in both tasks with the fitted models.
+
+    Raises:
+      RuntimeError: this machine cannot draw the rig; the message names what to install.
+    """
+    figure = new_figure(4.6, 10.7)
+    left, right = figure.subfigures(1, 2, width_ratios=(0.86, 1), wspace=0.03)
+    ax = left.subplots()
+    model = build_model(study.cases[0].truth, study.environment)
+    # A taller picture than is shown: its upper part, where nothing but the rope is, goes.
+    picture = ax.imshow(render(model, camera="oblique", width=900, height=900), interpolation="none")
+    ax.set_axis_off()
+    rounded = FancyBboxPatch(
+        (0.035, 0.035), 0.93, 0.93, boxstyle="round,pad=0.035", transform=ax.transAxes, edgecolor="none"
+    )
+    picture.set_clip_path(rounded)
+
+    panels = right.subplots(2, 1, sharex=True, sharey=True)
+    for element, panel in enumerate(panels):
+        for condition in _present(study):
+            identification = _identified(study.of(condition.name)[0])
+            spectra, colour = identification.spectra, _colour(condition)
+            line = np.abs(arm_admittance(identification.fit.arm, FREQUENCY)[:, element, element])
+            panel.loglog(FREQUENCY, line, color=colour, linewidth=1.8)
+            gain = np.abs(spectra.arm[:, element, element])
+            panel.plot(spectra.frequency, gain, "o", color=colour, markersize=6, markeredgecolor="white")
+        panel.set_ylabel(f"$|H_{{{2 * AXES[element]}}}|$  [m/N]", fontsize=11)
+        panel.tick_params(labelsize=10)
+    _label_frequency(panels[-1], fontsize=11)
+    for condition in _present(study):
+        line = np.abs(arm_admittance(_identified(study.of(condition.name)[0]).fit.arm, [0.2])[0, 0, 0])
+        task = {"PT": "hold position", "RT": "relax"}[condition.name[:2]]
+        panels[0].text(0.17, 0.55 * line, task, color=_colour(condition), fontsize=12, weight="bold", va="top")
+    right.suptitle("Admittance of the arm: estimated (points) and fitted model (lines)", fontsize=11.5)
+    return figure
+
+
+def parameter_symbol(name: str) -> str:
+    """A parameter as mathematical text, e.g. kv_se as k with the subscript v,se."""
+    quantity, _, place = name.partition("_")
+    letter, *more = quantity
+    return f"${letter}_{{\\mathrm{{{','.join([*more, place])}}}}}$"
+
+
+def trials_of_case(case: Case) -> xr.Dataset:
+    """The trials behind an identification."""
+    recording = load_recording(case.recording)
+    inside = np.isnan(recording["limit_time"].values)
+    return recording.isel(trial=np.flatnonzero((recording["condition"].values == case.condition.name) & inside))
+
+
+def _single_trials(case: Case) -> list[SpectralEstimate]:
+    """Spectra of each trial alone, averaged over adjacent lines only."""
+    recording = trials_of_case(case)
+    return [estimate_spectra(recording.isel(trial=[trial])) for trial in range(recording.sizes["trial"])]
+
+
+def _present(study: StudyResult) -> list[Condition]:
+    return [condition for condition in CONDITIONS if study.of(condition.name)]
+
+
+def _colour(condition: Condition) -> str:
+    return COLOURS[condition.name[:2]]
+
+
+def _identified(case: Case) -> Identification:
+    if case.identification is None:
+        raise ValueError(f"{case.truth.name} in {case.condition.name} was not identified; expected a case that was")
+    return case.identification
+
+
+def _admittance_panels() -> tuple[Figure, dict[Element, tuple[Axes, Axes]]]:
+    """Axes for gain and phase of each element, gain over phase, two rows by two columns of such pairs."""
+    figure = new_figure(7.9)
+    grid = figure.add_gridspec(4, 2, height_ratios=(1.35, 1, 1.35, 1))
+    panels: dict[Element, tuple[Axes, Axes]] = {}
+    for output in range(2):
+        for input_ in range(2):
+            first = panels.get((0, 0))
+            beside = panels.get((output, 0))
+            gain = figure.add_subplot(grid[2 * output, input_], sharex=first and first[0], sharey=first and first[0])
+            phase = figure.add_subplot(grid[2 * output + 1, input_], sharex=gain, sharey=beside and beside[1])
+            panels[output, input_] = gain, phase
+            if first is None:
+                gain.set(xscale="log", yscale="log")
+                gain.yaxis.set_major_locator(LogLocator(10, numticks=10))
+            gain.tick_params(labelbottom=False, labelleft=input_ == 0)
+            phase.tick_params(labelbottom=output == 1, labelleft=input_ == 0)
+            phase.yaxis.set_major_locator(MultipleLocator(90))
+            element = AXES[output] + AXES[input_]
+            gain.set_title(f"$H_{{{element}}}$: from force {AXES[input_]} to displacement {AXES[output]}")
+            if input_ == 0:
+                gain.set_ylabel("gain [m/N]")
+                phase.set_ylabel("phase [°]")
+            if output == 1:
+                _label_frequency(phase)
+    return figure, panels
+
+
+def _plot_admittance(
+    panels: dict[Element, tuple[Axes, Axes]],
+    frequency: Array,
+    admittance: NDArray[np.complex128],
+    reference: Array,
+    **look: Any,
+) -> None:
+    """Draw gain and phase of each element; `reference` is as in `_phase_near`."""
+    phase = np.degrees(_phase_near(admittance, frequency, reference))
+    for (output, input_), (gain_ax, phase_ax) in panels.items():
+        gain_ax.plot(frequency, np.abs(admittance[:, output, input_]), **look)
+        phase_ax.plot(frequency, phase[:, output, input_], **look)
+
+
+def _unwrapped(admittance: NDArray[np.complex128]) -> Array:
+    """Phase without jumps, which starts between -270 and 90 degrees [rad], (frequency, output, input)."""
+    phase = np.unwrap(np.angle(admittance), axis=0)
+    return np.asarray(phase - 2 * np.pi * np.ceil((phase[:1] - np.pi / 2) / (2 * np.pi)))
+
+
+def _phase_near(admittance: NDArray[np.complex128], frequency: Array, reference: Array) -> Array:
+    """Phase as the turn of the circle that is nearest to a reference: noise cannot make it jump for good.
+
+    Args:
+      admittance: whose phase, (frequency, output, input).
+      frequency: [Hz], (frequency,).
+      reference: phase without jumps at `FREQUENCY` [rad].
+
+    Returns:
+      [rad], (frequency, output, input).
+    """
+    near = np.empty(admittance.shape)
+    for element in np.ndindex(2, 2):
+        expected = np.interp(np.log(frequency), np.log(FREQUENCY), reference[:, *element])
+        near[:, *element] = expected + np.angle(admittance[:, *element] * np.exp(-1j * expected))
+    return near
+
+
+def _label_frequency(ax: Axes, **text: Any) -> None:
+    """Ticks in plain numbers on a logarithmic frequency axis."""
+    ax.set_xlabel("frequency [Hz]", **text)
+    ax.set_xlim(FREQUENCY[0], FREQUENCY[-1])
+    ax.xaxis.set_major_locator(LogLocator(10))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _legend(figure: Figure, *handles: Line2D | Patch) -> None:
+    """One legend for the whole figure, above its panels."""
+    figure.legend(handles=list(handles), loc="outside upper center", ncols=len(handles))

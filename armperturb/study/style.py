@@ -1,0 +1,103 @@
+"""One look for all figures: settings, colours, and how they are saved."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import matplotlib.style
+from matplotlib.figure import Figure
+
+from armperturb.files import written_whole
+
+WIDTH = 7.6
+"""Of every figure of the report [inch], so that text has one size."""
+
+COLOURS = {"PT": "#0072B2", "RT": "#D55E00"}
+"""Colour of each task, from Okabe and Ito's colour-blind-safe palette (blue, vermillion)."""
+
+INK, GREY, PALE = "#262a30", "#8b929c", "#c9cdd3"
+
+FITTED: dict[str, Any] = {"color": INK, "linewidth": 1.3}
+"""Line of a fitted model."""
+
+RECORDED: dict[str, Any] = {"color": GREY, "linewidth": 2.2}
+"""Line of what was recorded or estimated from it, under a model's line."""
+
+TRUE: dict[str, Any] = {"color": "#009E73", "linewidth": 1.3, "linestyle": (0, (4, 2.2))}
+"""Line of the simulated person's own admittance (bluish green, dashed)."""
+
+PUBLISHED: dict[str, Any] = {"color": "#CC79A7"}
+"""What the thesis printed (reddish purple)."""
+
+_SETTINGS = {
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.labelsize": 9,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "legend.fontsize": 8,
+    "legend.frameon": False,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": GREY,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "grid.color": "#e6e8eb",
+    "grid.linewidth": 0.7,
+    "lines.linewidth": 1.3,
+    "lines.markersize": 4,
+    "lines.solid_capstyle": "round",
+    "errorbar.capsize": 1.5,
+    # A figure looks the same without the fonts of this machine, and has the same bytes whenever it is drawn.
+    "svg.fonttype": "path",
+    "svg.hashsalt": "armperturb",
+}
+
+_LOCK = threading.RLock()
+
+
+@contextmanager
+def in_style() -> Iterator[None]:
+    """Draw in this style, whatever the user's own; also a decorator.
+
+    Matplotlib's settings belong to the whole process: they are put back afterwards, and threads take turns.
+    """
+    with _LOCK, matplotlib.style.context("default"), matplotlib.rc_context(_SETTINGS):
+        yield
+
+
+def new_figure(height: float, width: float = WIDTH) -> Figure:
+    """An empty figure [inch] that belongs to no window and to no list of open figures."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+@in_style()
+def save_svg(figure: Figure, path: Path) -> None:
+    """Write a figure as SVG that needs nothing else, whole or not at all.
+
+    Raises:
+      OSError: the folder cannot be written to.
+    """
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, format="svg", metadata={"Date": None})
+
+
+@in_style()
+def save_png(figure: Figure, path: Path, dots_per_inch: float = 150.0) -> None:
+    """Write a figure as PNG, whole or not at all.
+
+    Raises:
+      OSError: the folder cannot be written to.
+    """
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=dots_per_inch)

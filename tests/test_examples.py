@@ -1,0 +1,20 @@
+"""What README and examples show is what happens."""
+
+import re
+import runpy
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_readme_prints_what_it_says(capsys):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    code, result = re.search(r"```python\n(.*?)```\n\n```\n(.*?)```", readme, re.S).groups()
+    exec(code, {})
+    assert capsys.readouterr().out == result
+
+
+def test_example_runs(tmp_path, capfd):
+    runpy.run_path(str(ROOT / "examples" / "simulate_and_identify.py"))["main"](tmp_path / "folder")
+    assert "m_tot" in capfd.readouterr().out
+    assert (tmp_path / "folder" / "identified" / "fit.json").is_file()
