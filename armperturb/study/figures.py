@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.arm_model import arm_admittance, simulate_linear
 from armperturb.analysis.identify import Identification, variance_accounted_for
-from armperturb.analysis.spectra import SpectralEstimate, estimate_spectra
+from armperturb.analysis.spectra import SpectralEstimate, estimate_spectra, line_spectra
 from armperturb.analysis.structures import unit
 from armperturb.envs.camera import render
 from armperturb.models import build_model
@@ -79,7 +79,7 @@ def _draw_directions(ax: Axes) -> None:
 def perturbation(study: StudyResult) -> Figure:
     """A multisine followed by a pulse, and the power of the multisine (thesis fig. 2.5)."""
     condition = CONDITIONS[0]
-    case = next(case for case in study.cases if case.condition is condition)
+    case = next(case for case in study.cases if case.condition == condition)
     multisines = draw_multisines(condition, study.settings.seed)
     applied = trials_of(condition, case.truth, multisines, study.settings.seed)[0].perturbation
     time = np.arange(round(applied.duration * PERTURBATION_RATE)) / PERTURBATION_RATE
@@ -197,7 +197,7 @@ def admittance_by_task(study: StudyResult) -> Figure:
     for condition in _present(study):
         mean = mean_admittance(study, condition.name)
         look: dict[str, Any] = {"color": _colour(condition), "marker": "o", "markersize": 3}
-        band = {"color": _colour(condition), "alpha": 0.18, "linewidth": 0}
+        band: dict[str, Any] = {"color": _colour(condition), "alpha": 0.18, "linewidth": 0}
         for (output, input_), (gain_ax, phase_ax) in panels.items():
             gain, ratio = mean.gain[:, output, input_], mean.gain_ratio[:, output, input_]
             phase, spread = (np.degrees(part[:, output, input_]) for part in (mean.phase, mean.phase_sd))
@@ -355,7 +355,7 @@ def overview(study: StudyResult) -> Figure:
       RuntimeError: this machine cannot draw the rig; the message names what to install.
     """
     figure = new_figure(4.6, 10.7)
-    left, right = figure.subfigures(1, 2, width_ratios=(0.86, 1), wspace=0.03)
+    left, right = figure.subfigures(1, 2, width_ratios=(0.86, 1), wspace=0.03).flat
     ax = left.subplots()
     model = build_model(study.cases[0].truth, study.environment)
     # A taller picture than is shown: its upper part, where nothing but the rope is, goes.
@@ -389,8 +389,8 @@ def overview(study: StudyResult) -> Figure:
 def parameter_symbol(name: str) -> str:
     """A parameter as mathematical text, e.g. kv_se as k with the subscript v,se."""
     quantity, _, place = name.partition("_")
-    letter, *more = quantity
-    return f"${letter}_{{\\mathrm{{{','.join([*more, place])}}}}}$"
+    letter, more = quantity[0], quantity[1:]
+    return f"${letter}_{{\\mathrm{{{','.join(filter(None, (more, place)))}}}}}$"
 
 
 def trials_of_case(case: Case) -> xr.Dataset:
@@ -403,7 +403,7 @@ def trials_of_case(case: Case) -> xr.Dataset:
 def _single_trials(case: Case) -> list[SpectralEstimate]:
     """Spectra of each trial alone, averaged over adjacent lines only."""
     recording = trials_of_case(case)
-    return [estimate_spectra(recording.isel(trial=[trial])) for trial in range(recording.sizes["trial"])]
+    return [estimate_spectra(line_spectra(recording.isel(trial=[trial]))) for trial in range(recording.sizes["trial"])]
 
 
 def _present(study: StudyResult) -> list[Condition]:

@@ -32,7 +32,7 @@ TRUE: dict[str, Any] = {"color": "#009E73", "linewidth": 1.3, "linestyle": (0, (
 PUBLISHED: dict[str, Any] = {"color": "#CC79A7"}
 """What the thesis printed (reddish purple)."""
 
-_SETTINGS = {
+_SETTINGS: dict[Any, Any] = {
     "font.size": 9,
     "axes.titlesize": 9,
     "axes.labelsize": 9,
