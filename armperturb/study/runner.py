@@ -96,11 +96,13 @@ def run_study(settings: StudySettings, out: Path, *, show_progress: bool = True)
     environment = Environment()
     people = _draw_people(settings, environment)
     cases = []
-    for name, recording in _record(settings, people, environment, show_progress):
-        path = folder / f"{name}.nc"
-        save_recording(recording, path)
-        for condition in CONDITIONS:
-            cases.append(_identify(condition, people[name][condition.name], recording, path))
+    with tqdm(total=len(people) * len(CONDITIONS), desc="identify", disable=not show_progress, position=1) as bar:
+        for name, recording in _record(settings, people, environment, show_progress):
+            path = folder / f"{name}.nc"
+            save_recording(recording, path)
+            for condition in CONDITIONS:
+                cases.append(_identify(condition, people[name][condition.name], recording, path))
+                bar.update()
     return StudyResult(settings=settings, environment=environment, cases=tuple(cases))
 
 
@@ -142,9 +144,7 @@ def _record(
         for number, (name, subjects) in enumerate(people.items())
     }
     total = sum(trial.perturbation.duration for of_subject in trials.values() for trial in of_subject)
-    with tqdm(
-        total=total, desc="simulate", unit="s", unit_scale=True, disable=None if show_progress else True, leave=True
-    ) as bar:
+    with tqdm(total=total, desc="simulate", unit="s", unit_scale=True, disable=not show_progress) as bar:
         for names in _blocks(trials):
             block = [trial for name in names for trial in trials[name]]
             recording = run_experiment(block, environment, instruments=Instruments(), progress=bar.update)
