@@ -1,5 +1,6 @@
 """Figures of a study, after those of the thesis's chapters 2 and 3."""
 
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -171,7 +172,7 @@ def admittance_of_trials(case: Case) -> Figure:
     spectra = _identified(case).spectra
     truth = arm_admittance(case.truth, FREQUENCY)
     figure, panels = _admittance_panels()
-    for trial in _single_trials(case):
+    for trial in _single_trials(trials_of_case(case)):
         _plot_admittance(panels, trial.frequency, trial.arm, color=GREY, linewidth=0.7, alpha=0.6)
     _plot_admittance(panels, spectra.frequency, spectra.arm, color=INK, linewidth=1.5)
     _plot_admittance(panels, FREQUENCY, truth, **TRUE)
@@ -204,7 +205,7 @@ def admittance_by_task(study: StudyResult) -> Figure:
             phase_ax.plot(frequency, phase, **look)
         handles.append(Line2D([], [], label=condition.name, **look))
     if len(study.cases) > len(CONDITIONS):
-        handles.append(Patch(facecolor=GREY, alpha=0.3, label="± 1 SD over subjects"))
+        handles.append(Patch(facecolor=GREY, alpha=0.3, label="± 1 SD over people"))
     _legend(figure, *handles)
     return figure
 
@@ -213,10 +214,16 @@ def admittance_by_task(study: StudyResult) -> Figure:
 def coherence(study: StudyResult) -> Figure:
     """Multiple coherence of single trials, mean and SD over subjects (thesis fig. 3.6)."""
     conditions = _present(study)
+    of_conditions: dict[str, list[list[SpectralEstimate]]] = {condition.name: [] for condition in conditions}
+    for path, cases in groupby(study.cases, key=lambda case: case.recording):
+        recording = load_recording(path)
+        for case in cases:
+            if case.identification is not None:
+                of_conditions[case.condition.name].append(_single_trials(_trials_in(recording, case)))
     figure = new_figure(3.9)
     panels = figure.subplots(2, len(conditions), sharex=True, sharey=True, squeeze=False)
     for condition, column in zip(conditions, panels.T, strict=True):
-        trials = [_single_trials(case) for case in study.of(condition.name)]
+        trials = of_conditions[condition.name]
         of_subjects = np.stack([np.mean([trial.coherence for trial in of_one], axis=0) for of_one in trials])
         frequency = trials[0][0].frequency
         spread = of_subjects.std(axis=0, ddof=1) if len(of_subjects) > 1 else None
@@ -336,7 +343,7 @@ def parameters(study: StudyResult, condition: Condition) -> Figure:
     figure.supylabel("estimated", fontsize=9)
     _legend(
         figure,
-        Line2D([], [], color=_colour(condition), marker="o", linestyle="", label="one subject ± SEM"),
+        Line2D([], [], color=_colour(condition), marker="o", linestyle="", label="one person ± SEM"),
         Line2D([], [], label="estimated = true", **{**TRUE, "linewidth": 1}),
         Patch(facecolor=PUBLISHED["color"], alpha=0.35, label="published mean ± SD"),
     )
@@ -346,6 +353,8 @@ def parameters(study: StudyResult, condition: Condition) -> Figure:
 @in_style()
 def overview(study: StudyResult, *, subject: int = 0) -> Figure:
     """The rig, and the admittance of one person in both tasks with the fitted models; for the head of a page.
+
+    `docs/overview.png` is the second person of seed 0, saved with `save_png`.
 
     Args:
       study: in which the person was identified in every condition.
@@ -392,15 +401,17 @@ def parameter_symbol(name: str) -> str:
 
 def trials_of_case(case: Case) -> xr.Dataset:
     """The trials behind an identification."""
-    recording = load_recording(case.recording)
+    return _trials_in(load_recording(case.recording), case)
+
+
+def _trials_in(recording: xr.Dataset, case: Case) -> xr.Dataset:
     inside = np.isnan(recording["limit_time"].values)
     return recording.isel(trial=np.flatnonzero((recording["condition"].values == case.condition.name) & inside))
 
 
-def _single_trials(case: Case) -> list[SpectralEstimate]:
+def _single_trials(trials: xr.Dataset) -> list[SpectralEstimate]:
     """Spectra of each trial alone, averaged over adjacent lines only."""
-    recording = trials_of_case(case)
-    return [estimate_spectra(line_spectra(recording.isel(trial=[trial]))) for trial in range(recording.sizes["trial"])]
+    return [estimate_spectra(line_spectra(trials.isel(trial=[trial]))) for trial in range(trials.sizes["trial"])]
 
 
 def _present(study: StudyResult) -> list[Condition]:

@@ -239,7 +239,7 @@ def digits(value: float | None, n: int = 3) -> str:
     """A number with n significant digits, never in powers of ten; a dash if there is none."""
     if value is None or not math.isfinite(value):
         return MISSING
-    decimals = n - 1 - math.floor(math.log10(abs(value))) if value else 0
+    decimals = _decimals(value, n)
     return fixed(round(value, decimals), max(decimals, 0))
 
 
@@ -254,8 +254,14 @@ def mean_sd(mean: float, sd: float) -> str:
     """Mean and standard deviation, both to the second digit of the latter; the mean alone if there is no spread."""
     if not math.isfinite(sd) or sd <= 1e-9 * abs(mean):
         return digits(mean)
-    decimals = max(0, 1 - math.floor(math.log10(sd)))
+    decimals = max(0, _decimals(sd, 2))
     return f"{fixed(mean, decimals)} ± {fixed(sd, decimals)}"
+
+
+def _decimals(value: float, n: int) -> int:
+    """Decimals that show n significant digits; negative where digits before the point are to be rounded."""
+    # The exponent after rounding: 99.96 has three digits before the point.
+    return n - 1 - int(f"{value:.{n - 1}e}".partition("e")[2])
 
 
 def symbol(parameter: str) -> Markup:
