@@ -14,6 +14,7 @@ from armperturb.study.protocol import CONDITIONS
 from armperturb.study.report import digits, left_out, mean_sd, symbol, write_report
 from armperturb.study.runner import StudySettings, run_study
 from armperturb.study.style import save_svg
+from armperturb.study.tables import fit_rows
 
 HEADERS = {
     "summary": "condition,subjects,identified,trials,trials_left_out,model,median_abs_error_percent",
@@ -203,7 +204,7 @@ def test_reports_what_went_badly(study, tmp_path, monkeypatch):
     )
     gone = replace(relax, identification=None, left_out=("trial 0 of S01 in RT7.5 reached the <limit> at 9.000 s",))
     badly = replace(study, cases=(bad, gone))
-    lists = left_out(badly)
+    lists = left_out(badly, fit_rows(badly))
     assert lists["Fits with a parameter at its bound"] == ["S01 in PT7.5: k_s"]
     assert lists["Fits that did not converge"] == ["S01 in PT7.5: gave up"]
     assert lists["People without any trial left"] == ["S01 in RT7.5"]

@@ -60,7 +60,7 @@ def test_tables_hold_published_true_and_estimated(study, tmp_path):
     assert len(rows) == 23
     assert float(rows["PT7.5", "k_s"]["published_mean"]) == 161.4
     assert float(rows["RT7.5", "k_h"]["published_mean"]) == 8200.0
-    assert len(parameter_summary_rows(study)) == 23
+    assert len(parameter_summary_rows(parameter_rows(study))) == 23
     for row in condition_rows(study):
         assert row["force_N_mean"] == pytest.approx(row["published_force_N_mean"], rel=1e-6)
         assert 0.4 < row["displacement_m_mean"] / row["published_displacement_m_mean"] < 2.5

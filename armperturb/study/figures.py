@@ -1,7 +1,6 @@
 """Figures of a study, after those of the thesis's chapters 2 and 3."""
 
-from itertools import groupby
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -13,15 +12,15 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocat
 from numpy.typing import NDArray
 
 from armperturb.analysis.arm_model import arm_admittance, simulate_linear
-from armperturb.analysis.identify import Identification, variance_accounted_for
+from armperturb.analysis.identify import variance_accounted_for
 from armperturb.analysis.spectra import LineSpectra, SpectralEstimate, estimate_spectra, line_spectra
 from armperturb.analysis.structures import unit
 from armperturb.envs.camera import render
 from armperturb.models import build_model
 from armperturb.perturbations import MultisineThenPulse
 from armperturb.perturbations.multisine import CLUSTERS, FULL_BAND, PERIOD
-from armperturb.recording import load_recording
 from armperturb.study import published
+from armperturb.study.admittance import mean_admittance
 from armperturb.study.protocol import CONDITIONS, Condition
 from armperturb.study.runner import Case, StudyResult
 from armperturb.study.style import (
@@ -80,7 +79,7 @@ def _draw_directions(ax: Axes) -> None:
 @in_style()
 def perturbation(case: Case) -> Figure:
     """A multisine followed by a pulse, and the power of the multisine (thesis fig. 2.5)."""
-    trial = trials_of_case(case).isel(trial=[0])
+    trial = case.trials().isel(trial=[0])
     time, force = trial["time"].values, trial["perturbation"].values[0]
     onset = float(trial["pulse_onset"].values[0])
 
@@ -126,53 +125,13 @@ def _draw_density(ax: Axes, lines: LineSpectra, rate: float) -> None:
     ax.legend(loc="upper right", handletextpad=0.1)
 
 
-class MeanAdmittance(NamedTuple):
-    """Admittance of a condition over its subjects: geometric mean of gains, circular mean of phases.
-
-    Attributes:
-      frequency: [Hz], (frequency,).
-      gain: [m/N], (frequency, output, input).
-      gain_ratio: one SD over subjects as a factor on the gain [-]; NaN for one subject.
-      phase: [rad], (frequency, output, input).
-      phase_sd: over subjects [rad]; NaN for one subject.
-    """
-
-    frequency: Array
-    gain: Array
-    gain_ratio: Array
-    phase: Array
-    phase_sd: Array
-
-
-def mean_admittance(study: StudyResult, condition: str) -> MeanAdmittance:
-    """Mean of the estimated admittance over the subjects of a condition.
-
-    Raises:
-      ValueError: no subject was identified in the condition.
-    """
-    cases = study.of(condition)
-    if not cases:
-        raise ValueError(f"condition = {condition!r}; expected one in which somebody was identified")
-    spectra = [_identified(case).spectra for case in cases]
-    arm = np.stack([one.arm for one in spectra])
-    log_gain, direction = np.log(np.abs(arm)), np.mean(arm / np.abs(arm), axis=0)
-    if len(arm) > 1:
-        gain_ratio = np.exp(log_gain.std(axis=0, ddof=1))
-        phase_sd = np.angle(arm / direction).std(axis=0, ddof=1)
-    else:
-        gain_ratio = phase_sd = np.full(direction.shape, np.nan)
-    return MeanAdmittance(
-        spectra[0].frequency, np.exp(log_gain.mean(axis=0)), gain_ratio, np.angle(direction), phase_sd
-    )
-
-
 @in_style()
 def admittance_of_trials(case: Case) -> Figure:
     """Admittance of one subject, from each trial and from all (thesis fig. 3.1)."""
-    spectra = _identified(case).spectra
+    spectra = case.identified.spectra
     truth = arm_admittance(case.truth, FREQUENCY)
     figure, panels = _admittance_panels()
-    for trial in _single_trials(trials_of_case(case)):
+    for trial in _single_trials(case.trials()):
         _plot_admittance(panels, trial.frequency, trial.arm, color=GREY, linewidth=0.7, alpha=0.6)
     _plot_admittance(panels, spectra.frequency, spectra.arm, color=INK, linewidth=1.5)
     _plot_admittance(panels, FREQUENCY, truth, **TRUE)
@@ -214,16 +173,10 @@ def admittance_by_task(study: StudyResult) -> Figure:
 def coherence(study: StudyResult) -> Figure:
     """Multiple coherence of single trials, mean and SD over subjects (thesis fig. 3.6)."""
     conditions = _present(study)
-    of_conditions: dict[str, list[list[SpectralEstimate]]] = {condition.name: [] for condition in conditions}
-    for path, cases in groupby(study.cases, key=lambda case: case.recording):
-        recording = load_recording(path)
-        for case in cases:
-            if case.identification is not None:
-                of_conditions[case.condition.name].append(_single_trials(_trials_in(recording, case)))
     figure = new_figure(3.9)
     panels = figure.subplots(2, len(conditions), sharex=True, sharey=True, squeeze=False)
     for condition, column in zip(conditions, panels.T, strict=True):
-        trials = of_conditions[condition.name]
+        trials = [_single_trials(case.trials()) for case in study.of(condition.name)]
         of_subjects = np.stack([np.mean([trial.coherence for trial in of_one], axis=0) for of_one in trials])
         frequency = trials[0][0].frequency
         spread = of_subjects.std(axis=0, ddof=1) if len(of_subjects) > 1 else None
@@ -250,7 +203,7 @@ def coherence(study: StudyResult) -> Figure:
 @in_style()
 def fit(case: Case) -> Figure:
     """Arm model fitted to the admittance of one subject (thesis figs 3.7, 3.8)."""
-    identification = _identified(case)
+    identification = case.identified
     spectra = identification.spectra
     truth, model = (arm_admittance(arm, FREQUENCY) for arm in (case.truth, identification.fit.arm))
     estimated: dict[str, Any] = {**RECORDED, "marker": "o", "markersize": 4.5}
@@ -277,7 +230,7 @@ def prediction(case: Case, *, trial: int = 0, start: float = 20.0, span: float =
       start: of the sample that is shown [s].
       span: of the sample that is shown [s].
     """
-    identification, recording = _identified(case), trials_of_case(case).isel(trial=trial)
+    identification, recording = case.identified, case.trials().isel(trial=trial)
     rate, onset = float(recording.attrs["rate"]), float(recording["pulse_onset"])
     n = recording.sizes["time"] if np.isnan(onset) else round(onset * rate)
     time, recorded = recording["time"].values[:n], recording["displacement"].values[:n]
@@ -307,15 +260,15 @@ def prediction(case: Case, *, trial: int = 0, start: float = 20.0, span: float =
 def parameters(study: StudyResult, condition: Condition) -> Figure:
     """Estimated against true parameters of all subjects, beside the published mean and SD."""
     cases = study.of(condition.name)
-    names = tuple(_identified(cases[0]).fit.values)
+    names = tuple(cases[0].identified.fit.values)
     n_columns = 5
     n_rows = -(-len(names) // n_columns)
     figure = new_figure(1.62 * n_rows + 0.5)
     panels = figure.subplots(n_rows, n_columns, squeeze=False)
     for ax, name in zip(panels.flat, names, strict=False):
         truth = np.array([true_value(case.truth, name) for case in cases])
-        estimate = np.array([_identified(case).fit.values[name] for case in cases])
-        sem = np.array([_identified(case).fit.sem[name] for case in cases])
+        estimate = np.array([case.identified.fit.values[name] for case in cases])
+        sem = np.array([case.identified.fit.sem[name] for case in cases])
         printed = published.parameter(condition.name, name)
         band = (printed.mean - printed.sd, printed.mean + printed.sd)
         low, high = min(*truth, *estimate, *band), max(*truth, *estimate, *band)
@@ -375,7 +328,7 @@ def overview(study: StudyResult, *, subject: int = 0) -> Figure:
 
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
     for condition in _present(study):
-        identification = _identified(study.of(condition.name)[subject])
+        identification = study.of(condition.name)[subject].identified
         spectra, colour = identification.spectra, _colour(condition)
         fitted = np.abs(arm_admittance(identification.fit.arm, FREQUENCY))
         for element, panel in enumerate(panels):
@@ -399,16 +352,6 @@ def parameter_symbol(name: str) -> str:
     return f"${letter}_{{\\mathrm{{{','.join(filter(None, (more, place)))}}}}}$"
 
 
-def trials_of_case(case: Case) -> xr.Dataset:
-    """The trials behind an identification."""
-    return _trials_in(load_recording(case.recording), case)
-
-
-def _trials_in(recording: xr.Dataset, case: Case) -> xr.Dataset:
-    inside = np.isnan(recording["limit_time"].values)
-    return recording.isel(trial=np.flatnonzero((recording["condition"].values == case.condition.name) & inside))
-
-
 def _single_trials(trials: xr.Dataset) -> list[SpectralEstimate]:
     """Spectra of each trial alone, averaged over adjacent lines only."""
     return [estimate_spectra(line_spectra(trials.isel(trial=[trial]))) for trial in range(trials.sizes["trial"])]
@@ -420,12 +363,6 @@ def _present(study: StudyResult) -> list[Condition]:
 
 def _colour(condition: Condition) -> str:
     return COLOURS[condition.name[:2]]
-
-
-def _identified(case: Case) -> Identification:
-    if case.identification is None:
-        raise ValueError(f"{case.truth.name} in {case.condition.name} was not identified; expected a case that was")
-    return case.identification
 
 
 def _admittance_panels() -> tuple[Figure, dict[Element, tuple[Axes, Axes]]]:

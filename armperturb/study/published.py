@@ -52,6 +52,18 @@ def rms_displacement(condition: str) -> MeanSD:
     return _condition(condition, "displacement_rms_mm", 1e-3)
 
 
+def headline(name: str) -> float:
+    """A number of the running text by its name in `headline.csv`, in the unit that stands there.
+
+    Raises:
+      KeyError: there is none of that name.
+    """
+    for row in _rows("headline"):
+        if row["name"] == name:
+            return float(row["value"])
+    raise KeyError(f"no headline number {name!r}")
+
+
 def _condition(condition: str, column: str, factor: float) -> MeanSD:
     row = next(row for row in _rows("conditions") if row["condition"] == condition)
     return MeanSD(factor * float(row[f"{column}_mean"]), factor * float(row[f"{column}_sd"]))

@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
-import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from armperturb.analysis.export import write_csv
 from armperturb.files import written_whole
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.perturbations.pulse import PULSE_DIRECTIONS_DEG
@@ -22,10 +20,7 @@ from armperturb.study import figures
 from armperturb.study.protocol import CONDITIONS, PULSE_UNIT, TAIL
 from armperturb.study.runner import StudyResult
 from armperturb.study.style import save_svg
-from armperturb.study.tables import Row, condition_rows, fit_rows, parameter_rows, parameter_summary_rows, write_tables
-
-PUBLISHED_TASK_EFFECT = 18.0
-"""Admittance in RT7.5 over that in PT7.5, mean over the lowest two frequencies and the diagonal [-] (thesis 3.1)."""
+from armperturb.study.tables import Row, write_tables
 
 MISSING = "–"
 
@@ -74,25 +69,18 @@ def write_report(study: StudyResult, out: Path) -> Path:
     Raises:
       OSError: the folder cannot be written to, or a recording is gone.
     """
-    tables = out / "tables"
-    write_tables(study, tables)
-    summary = summary_rows(study)
-    if summary:
-        write_csv(summary, tables / "summary.csv")
-    effect = task_effect(study)
-    if effect is not None:
-        row = {"quantity": "low-frequency admittance, RT7.5 over PT7.5", "study": effect}
-        write_csv([{**row, "published": PUBLISHED_TASK_EFFECT}], tables / "task_effect.csv")
-
+    rows = write_tables(study, out / "tables")
     pictures, not_drawn = _draw(study, out / "figures")
     sections = (
-        Section(title="Summary", template="summary", context={"rows": summary, "task_effect": effect}),
+        Section(
+            title="Summary", template="summary", context={"rows": rows["summary"], "task_effect": rows["task_effect"]}
+        ),
         Section(title="Method", template="method", context={}),
-        Section(title="Conditions", template="conditions", context={"rows": condition_rows(study)}),
+        Section(title="Conditions", template="conditions", context={"rows": rows["conditions"]}),
         Section(title="Admittance", template="admittance", context={}),
-        Section(title="Fits", template="fits", context={"rows": fit_rows(study)}),
-        Section(title="Parameters", template="parameters", context={"rows": parameter_summary_rows(study)}),
-        Section(title="What was left out", template="left_out", context={"lists": left_out(study)}),
+        Section(title="Fits", template="fits", context={"rows": rows["fits"]}),
+        Section(title="Parameters", template="parameters", context={"rows": rows["parameters_summary"]}),
+        Section(title="What was left out", template="left_out", context={"lists": left_out(study, rows["fits"])}),
     )
     page = _page(study, sections, pictures, not_drawn)
     report = out / "report.html"
@@ -101,50 +89,8 @@ def write_report(study: StudyResult, out: Path) -> Path:
     return report
 
 
-def task_effect(study: StudyResult) -> float | None:
-    """How many times larger the admittance is in RT7.5 than in PT7.5 at low frequencies [-].
-
-    Mean over the lowest two frequencies and the diagonal of the ratio of the gains, which are geometric means over
-    subjects; None if nobody was identified in one of the conditions. Source: thesis 3.1.
-    """
-    if not (study.of("PT7.5") and study.of("RT7.5")):
-        return None
-    relax, position = (figures.mean_admittance(study, name).gain[:2] for name in ("RT7.5", "PT7.5"))
-    return float(np.mean([np.diag(ratio) for ratio in relax / position]))
-
-
-def summary_rows(study: StudyResult) -> list[Row]:
-    """One row per condition: how many were identified and how well."""
-    of_parameters, of_fits = parameter_rows(study), fit_rows(study)
-    rows = []
-    for condition in CONDITIONS:
-        fits = [row for row in of_fits if row["condition"] == condition.name]
-        if not fits:
-            continue
-        errors = [abs(row["error_percent"]) for row in of_parameters if row["condition"] == condition.name]
-        left_out = sum(len(case.left_out) for case in study.cases if case.condition.name == condition.name)
-        rows.append(
-            {
-                "condition": condition.name,
-                "subjects": study.settings.subjects,
-                "identified": len(fits),
-                "trials": study.settings.subjects * condition.n_trials(),
-                "trials_left_out": left_out,
-                "model": condition.model,
-                "median_abs_error_percent": float(np.median(errors)),
-                "VAF_x_mean": _mean(row["VAF_x"] for row in fits),
-                "VAF_y_mean": _mean(row["VAF_y"] for row in fits),
-                "stable": sum(row["stable"] for row in fits),
-                "converged": sum(row["converged"] for row in fits),
-                "at_bound": sum(bool(row["at_bound"]) for row in fits),
-            }
-        )
-    return rows
-
-
-def left_out(study: StudyResult) -> dict[str, list[str]]:
+def left_out(study: StudyResult, fits: list[Row]) -> dict[str, list[str]]:
     """What no table shows, or what a reader should not trust: heading to one line each."""
-    fits = fit_rows(study)
 
     def those(says: Callable[[Row], str]) -> list[str]:
         return [f"{row['subject']} in {row['condition']}: {says(row)}" for row in fits if says(row)]
@@ -167,12 +113,6 @@ def left_out(study: StudyResult) -> dict[str, list[str]]:
             lambda row: "" if row["stable"] else f"largest real part of a pole {row['largest_real_pole_per_s']:.3g} 1/s"
         ),
     }
-
-
-def _mean(values: Any) -> float:
-    """Mean of the values that exist; NaN if none does."""
-    there = [value for value in values if value is not None]
-    return float(np.mean(there)) if there else math.nan
 
 
 def _draw(study: StudyResult, folder: Path) -> tuple[dict[str, Picture], dict[str, str]]:
@@ -224,7 +164,6 @@ def _page(
         not_drawn=not_drawn,
         multisine={"period": PERIOD, "lines": CLUSTERS.size, "clusters": len(CLUSTERS)},
         pulse={"unit": PULSE_UNIT, "tail": TAIL, "directions": PULSE_DIRECTIONS_DEG},
-        published_task_effect=PUBLISHED_TASK_EFFECT,
         versions={name: metadata.version(name) for name in ("armperturb", "mujoco", "numpy", "scipy")},
     )
     # Sections come out as markup, escaped already.

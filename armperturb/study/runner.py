@@ -13,7 +13,7 @@ from armperturb.cohort import draw
 from armperturb.environment import Environment
 from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
-from armperturb.recording import save_recording
+from armperturb.recording import load_recording, save_recording
 from armperturb.study.protocol import CONDITIONS, Condition, draw_multisines, trials_of
 from armperturb.subject import Subject
 from armperturb.validation import require_number
@@ -59,6 +59,16 @@ class Case:
     recording: Path
     identification: Identification | None
     left_out: tuple[str, ...]
+
+    @property
+    def identified(self) -> Identification:
+        """The identification of a case that `StudyResult.of` gives, which has one."""
+        assert self.identification is not None
+        return self.identification
+
+    def trials(self) -> xr.Dataset:
+        """The recorded trials behind the identification."""
+        return _inside(_of_condition(load_recording(self.recording), self.condition))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -167,12 +177,21 @@ def _blocks(trials: dict[str, list]) -> Iterator[Sequence[str]]:
 
 
 def _identify(condition: Condition, truth: Subject, recording: xr.Dataset, path: Path) -> Case:
-    mine = recording.isel(trial=np.flatnonzero(recording["condition"].values == condition.name))
+    mine = _of_condition(recording, condition)
     limits = mine["limit_time"].values
     left_out = tuple(
         f"trial {trial} of {truth.name} in {condition.name} reached the workspace limit at {limits[trial]:.3f} s"
         for trial in np.flatnonzero(np.isfinite(limits))
     )
-    inside = mine.isel(trial=np.flatnonzero(np.isnan(limits)))
+    inside = _inside(mine)
     identification = identify(inside, condition.model) if inside.sizes["trial"] else None
     return Case(condition=condition, truth=truth, recording=path, identification=identification, left_out=left_out)
+
+
+def _of_condition(recording: xr.Dataset, condition: Condition) -> xr.Dataset:
+    return recording.isel(trial=np.flatnonzero(recording["condition"].values == condition.name))
+
+
+def _inside(recording: xr.Dataset) -> xr.Dataset:
+    """Trials that stayed off the workspace limit."""
+    return recording.isel(trial=np.flatnonzero(np.isnan(recording["limit_time"].values)))
