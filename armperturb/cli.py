@@ -101,13 +101,16 @@ def simulate(settings: Simulate) -> xr.Dataset:
     if not settings.out.parent.is_dir():
         raise FileNotFoundError(f"{settings.out}: folder {settings.out.parent} does not exist; expected one that does")
     environment = Environment()
-    recording = run_experiment(
-        [Trial(subject=person, perturbation=perturbation, seed=settings.seed)],
-        environment,
-        rate=settings.rate,
-        rope=settings.rope,
-        instruments=None if settings.ideal else Instruments(),
-    )
+    try:
+        recording = run_experiment(
+            [Trial(subject=person, perturbation=perturbation, seed=settings.seed)],
+            environment,
+            rate=settings.rate,
+            rope=settings.rope,
+            instruments=None if settings.ideal else Instruments(),
+        )
+    except (ValueError, RuntimeError) as error:
+        raise type(error)(f"{settings.subject} with {settings.perturbation}: {error}") from None
     limit = float(recording["limit_time"].values[0])
     if np.isfinite(limit):
         raise ValueError(
@@ -173,7 +176,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             result = identify(command)
             print(f"{result.fit.status}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %; results: {command.out}")
-    except (ValueError, TypeError, OSError, RuntimeError) as error:
+    except (ValueError, TypeError, OSError, RuntimeError, ArithmeticError, MemoryError) as error:
         message = " ".join(str(error).split())
         print(f"armperturb: error: {message}", file=sys.stderr)
         return 1

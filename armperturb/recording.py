@@ -105,6 +105,8 @@ def check_recording(
       ValueError: a variable, coordinate or attribute is missing, has the wrong dims or unit, holds NaN, or the time
         axis does not run evenly at the stated rate.
     """
+    if not recording.sizes.get("trial"):
+        raise ValueError(f"{source}: there are no trials; expected at least one along the dimension 'trial'")
     for name in signals:
         if name not in recording.data_vars:
             raise ValueError(f"{source}: variable {name!r} is missing; expected {', '.join(signals)}")
@@ -118,6 +120,7 @@ def check_recording(
             raise ValueError(f"{source}: {name} has units {variable.attrs.get('units')!r}; expected {units!r}")
         if last not in recording.coords or tuple(map(str, recording[last].values)) != LABELS[last]:
             raise ValueError(f"{source}: dimension {last!r} is not labelled; expected {', '.join(LABELS[last])}")
+        _require_numbers(variable, source)
         bad = np.argwhere(~np.isfinite(variable.values))
         if len(bad):
             trial, sample, _ = bad[0]
@@ -128,13 +131,24 @@ def check_recording(
     for name in TRIAL_COORDINATES:
         if name not in recording.coords or recording[name].dims != ("trial",):
             raise ValueError(f"{source}: coordinate {name!r} along trial is missing; expected one value per trial")
+        if name not in TEXT_COORDINATES:
+            _require_numbers(recording[name], source)
+            if np.isinf(recording[name].values).any():
+                raise ValueError(f"{source}: {name} is infinite in a trial; expected finite values, or NaN for none")
     _check_clock(recording, source)
+
+
+def _require_numbers(variable: xr.DataArray, source: str) -> None:
+    if variable.dtype.kind not in "fiu":
+        raise ValueError(f"{source}: {variable.name} holds values of type {variable.dtype}; expected numbers")
 
 
 def _check_clock(recording: xr.Dataset, source: str) -> None:
     rate = recording.attrs.get("rate")
     if not isinstance(rate, (int, float, np.number)) or not (np.isfinite(rate) and rate > 0):
         raise ValueError(f"{source}: rate = {rate!r}; expected the sampling rate in Hz as an attribute, above 0")
+    if "time" in recording.coords:
+        _require_numbers(recording["time"], source)
     time = recording["time"].values if "time" in recording.coords else np.empty(0)
     if len(time) < 2:
         raise ValueError(f"{source}: time has {len(time)} samples; expected at least 2")
@@ -171,7 +185,7 @@ def load_recording(path: str | Path) -> xr.Dataset:
     """
     path = Path(path)
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file; expected a recording (netCDF4)")
+        raise FileNotFoundError(f"{path}: no such file, or a folder; expected a recording (netCDF4)")
     try:
         with xr.open_dataset(path, engine="h5netcdf") as opened:
             recording = opened.load()

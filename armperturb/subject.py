@@ -96,8 +96,8 @@ class Subject:
     def __post_init__(self) -> None:
         if self.task not in TASKS:
             raise ValueError(f"Subject: task = {self.task!r}; expected one of {', '.join(TASKS)}")
-        if not isinstance(self.name, str) or not self.name:
-            raise TypeError(f"Subject: name = {self.name!r}; expected a text that is not empty")
+        if not isinstance(self.name, str) or not self.name or not self.name.isprintable():
+            raise TypeError(f"Subject: name = {self.name!r}; expected a printable text that is not empty")
         for field in _POSITIVE:
             require_number("Subject", field, getattr(self, field), above=0.0)
         for field in _NON_NEGATIVE:
@@ -105,6 +105,11 @@ class Subject:
         for field in _FINITE:
             require_number("Subject", field, getattr(self, field))
         require_number("Subject", "theta_s_deg", self.theta_s_deg, at_least=-90.0, at_most=180.0)
+        # Beyond these a number is a slip of the unit, and numerics suffer.
+        for field, most in (("l_h", 2.0), ("l_f", 2.0), ("zeta_act", 100.0), ("Td_s", 1.0), ("Td_e", 1.0)):
+            require_number("Subject", field, getattr(self, field), at_most=most)
+        for field in ("fact_s", "fact_e"):
+            require_number("Subject", field, getattr(self, field), at_least=0.01, at_most=1000.0)
         # A straight or folded elbow is singular: no joint motion moves the hand along the arm.
         require_number("Subject", "theta_e_deg", self.theta_e_deg, at_least=5.0, at_most=175.0)
 

@@ -31,7 +31,10 @@ def require_number(
     """
     if isinstance(value, bool) or not isinstance(value, Real):
         raise TypeError(f"{owner}: {field} = {value!r}; expected a number")
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
     expected = [
         f"{word} {bound:g}"
         for word, bound in (("above", above), ("at least", at_least), ("below", below), ("at most", at_most))

@@ -169,6 +169,15 @@ def test_a_trial_at_the_workspace_limit_is_reported_and_the_others_finish():
     np.testing.assert_array_equal(both["displacement"].values[0], alone["displacement"].values[0])
 
 
+def test_what_cannot_be_integrated_is_refused(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    pulse = Pulse(peak=1e300, direction_deg=20.0, onset=0.1, duration=0.3)
+    with pytest.raises(RuntimeError, match="trial 0 of subject 'relax' could not be integrated"):
+        run_experiment([Trial(subject=RELAX, perturbation=pulse)], ENVIRONMENT)
+    assert list(tmp_path.iterdir()) == []  # MuJoCo would leave a log here
+    assert capfd.readouterr().err == ""
+
+
 def test_recording_carries_the_labels_of_its_trials():
     multisine = Multisine.draw(seed=0, rms=1.0, duration=0.2, crested=False)
     trial = Trial(
@@ -232,9 +241,21 @@ def test_instruments_disturb_only_what_they_measure_and_by_their_seed():
             {},
             "highest significant frequency = .*; expected at most 450 Hz",
         ),
+        (
+            [Trial(subject=replace(RELAX, b_h=5000.0), perturbation=small_multisine(1.0))],
+            {},
+            "fastest pole of arm and environment = .*; expected at most 2500 1/s at a step of 0.001 s",
+        ),
+        ([Trial(subject=RELAX, perturbation=small_multisine(1.0), seed=-1)], {}, "seed = -1; expected"),
+        ([Trial(subject=RELAX, perturbation=Sampled(force=np.ones((3, 2)), rate=1e-4))], {}, "at most 3600"),
+        (
+            [Trial(subject=RELAX, perturbation=Sampled(force=np.ones((3, 2)), rate=1e6))],
+            {},
+            "duration .* at least 0.01",
+        ),
         (mixed_trials()[:1], {"rate": 300.0}, "rate = 300.0 Hz; expected the simulation's 1000 Hz over a whole number"),
         (mixed_trials()[:1], {"timestep": 0.0}, "timestep = 0.0; expected a finite number above 0"),
-        (mixed_trials()[:1], {"timestep": 0.05, "rate": 20.0}, "expected at most 9 Hz"),
+        (mixed_trials()[:1], {"timestep": 0.0125, "rate": 80.0}, "expected at most 36 Hz"),
         (mixed_trials()[:1], {"rope": "steel"}, "rope = 'steel'; expected one of ideal, pendulum"),
         ([Trial(subject=replace(RELAX, Td_s=5e-4), perturbation=small_multisine(1.0))], {}, "Td_s = 0.0005; expected"),
     ],

@@ -62,6 +62,14 @@ def test_drawn_people_are_given_back_from_the_published_start(model, preset):
         assert result.stable
 
 
+def test_arms_close_to_instability_are_given_back_as_well():
+    for factor in (1.5, 1.55, 1.6):
+        gains = {name: factor * getattr(POSITION, name) for name in ("kv_s", "kv_se", "kv_e")}
+        arm = replace(POSITION, **gains)
+        assert -0.5 < largest_real_pole(arm, ENVIRONMENT) < 0
+        assert worst_error(fit(arm, "3b"), truth_of(arm, "3b")) < 1e-3
+
+
 @CASES
 def test_criterion_is_the_mean_squared_weighted_log_error(model, arm):
     rng = np.random.default_rng(1)

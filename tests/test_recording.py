@@ -92,6 +92,11 @@ def with_units(recording):
         (lambda r: r.assign_attrs(rate=-1.0), "rate = -1.0; expected the sampling rate in Hz"),
         (lambda r: r.drop_attrs(deep=False), "rate = None; expected the sampling rate in Hz"),
         (lambda r: r.isel(time=[0, 1, 2, 10, 11]), "sample 3 is at 0.05 s"),
+        (lambda r: r.isel(trial=[]), "there are no trials; expected at least one"),
+        (lambda r: r.assign(force=r["force"].astype(str)), "force holds values of type .*; expected numbers"),
+        (lambda r: r.assign_coords(time=r["time"].astype(str)), "time holds values of type .*; expected numbers"),
+        (lambda r: r.assign_coords(l_h=("trial", ["a", "b"])), "l_h holds values of type .*; expected numbers"),
+        (lambda r: r.assign_coords(pulse_onset=("trial", [np.inf, 1.0])), "pulse_onset is infinite in a trial"),
         (lambda r: r.drop_vars("pulse_onset"), "coordinate 'pulse_onset' along trial is missing"),
         (lambda r: r.drop_vars("axis"), "dimension 'axis' is not labelled; expected x, y"),
         (lambda r: r.isel(axis=[1, 0]), "dimension 'axis' is not labelled; expected x, y"),
@@ -103,7 +108,7 @@ def test_bad_recordings_are_named(recording, damage, message):
 
 
 def test_unreadable_files_are_named(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"none.nc: no such file; expected a recording"):
+    with pytest.raises(FileNotFoundError, match=r"none.nc: no such file, or a folder; expected a recording"):
         load_recording(tmp_path / "none.nc")
     (tmp_path / "text.nc").write_text("not netCDF")
     with pytest.raises(ValueError, match=r"text.nc: not a readable netCDF4 file"):

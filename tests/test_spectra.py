@@ -164,6 +164,8 @@ def hit(recording):
         (hit(synthetic(3)[0]), {}, r"trial 1 reached the workspace limit at 3.500 s"),
         (synthetic(3)[0], {"start": 3.0}, r"holds 7.12 s before .*; expected a whole period of 5.12 s from 3 s on"),
         (synthetic(3)[0], {"period": 5.1234}, r"rate = 200 Hz; expected one at which the period of 5.1234 s"),
+        (synthetic(3)[0], {"start": float("nan")}, r"start = nan; expected a finite number at least 0"),
+        (synthetic(3)[0], {"period": float("inf")}, r"period = inf; expected a finite number above 0"),
         (synthetic(3)[0], {"lines_per_average": 0}, r"lines_per_average = 0; expected a whole number of at least 1"),
         (synthetic(3)[0].drop_vars("force"), {}, r"variable 'force' is missing"),
     ],
@@ -171,6 +173,13 @@ def hit(recording):
 def test_bad_input_is_named(recording, options, message):
     with pytest.raises(ValueError, match=message):
         estimate(recording, **options)
+
+
+@pytest.mark.parametrize("name", ["force", "displacement"])
+def test_a_silent_channel_is_named(name):
+    recording, *_ = synthetic(2)
+    with pytest.raises(ValueError, match=f"{name} is constant from 2 s on"):
+        estimate(recording.assign({name: recording[name] * 0}))
 
 
 def test_a_silent_perturbation_is_named():

@@ -55,6 +55,10 @@ def test_joint_matrix_and_muscle_groups():
         ({"b_s": -0.1}, r"b_s = -0.1; expected a finite number at least 0"),
         ({"kv_s": float("nan")}, r"kv_s = nan; expected a finite number"),
         ({"theta_e_deg": 180.0}, r"theta_e_deg = 180.0; expected a finite number at least 5 and at most 175"),
+        ({"l_h": 330.0}, r"l_h = 330.0; expected a finite number at most 2"),
+        ({"Td_s": 30.0}, r"Td_s = 30.0; expected a finite number at most 1"),
+        ({"fact_s": 1e-9}, r"fact_s = 1e-09; expected a finite number at least 0.01"),
+        ({"m_h": 10**400}, r"m_h = 1000.*; expected a finite number above 0"),
         ({"task": "XT"}, r"task = 'XT'; expected one of PT, RT"),
     ],
 )

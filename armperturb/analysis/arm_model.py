@@ -312,6 +312,11 @@ def require_stable(subject: Subject, environment: Environment) -> None:
         )
 
 
+def fastest_pole(subject: Subject, environment: Environment) -> float:
+    """Largest modulus of the poles of arm and environment without reflexes [1/s]; it sets the step of a simulation."""
+    return float(np.abs(np.linalg.eigvals(state_space(subject, environment).a[:8, :8])).max())
+
+
 def simulate_linear(subject: Subject, environment: Environment, perturbation: ArrayLike, rate: float) -> LinearResponse:
     """Response of the linear model, from rest, to a sampled disturbance that runs straight between its samples.
 

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -103,8 +104,10 @@ def write_identification(identification: Identification, folder: str | Path) -> 
     """
     folder, summary = Path(folder), json.dumps(fit_summary(identification), indent=2)
     folder.mkdir(parents=True, exist_ok=True)
-    write_csv(admittance_rows(identification.spectra), folder / "admittance.csv")
-    write_csv(parameter_rows(identification), folder / "parameters.csv")
-    with written_whole(folder / "fit.json") as temporary:
-        temporary.write_text(summary + "\n", encoding="utf-8")
-    return [folder / name for name in ("admittance.csv", "parameters.csv", "fit.json")]
+    paths = [folder / name for name in ("admittance.csv", "parameters.csv", "fit.json")]
+    with ExitStack() as stack:  # all three take their places together, after all were written
+        admittance, parameters, fit = (stack.enter_context(written_whole(path)) for path in paths)
+        write_csv(admittance_rows(identification.spectra), admittance)
+        write_csv(parameter_rows(identification), parameters)
+        fit.write_text(summary + "\n", encoding="utf-8")
+    return paths

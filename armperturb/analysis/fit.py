@@ -124,8 +124,11 @@ def fit_admittance(
     solutions = [_minimise(problem, values, with_penalty=False) for values in starts]
     best = min(solutions, key=lambda solution: solution.cost)
     if use_penalty and problem.penalty(best.x) > 1.0 + 1e-6:
-        # An unstable start has no use for a criterion that its penalty dwarfs.
-        stable = [values for values in (best.x, *starts) if problem.penalty(values) < 1e3] or [_published(structure)]
+        # An unstable start has no use for a criterion that its penalty dwarfs; a stable optimum competes, whatever its
+        # penalty: without noise it is the minimum all the same.
+        stable = [values for values in starts if problem.penalty(values) < 1e3] or [_published(structure)]
+        if problem.penalty(best.x) < penalty_factor(0.0):
+            stable.append(best.x)
         solutions = [_minimise(problem, values, with_penalty=True) for values in stable]
         best = min(solutions, key=lambda solution: solution.cost)
     tolerance = SAME_MINIMUM * (best.cost + len(problem.frequency) * SAME_MINIMUM)

@@ -19,6 +19,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from armperturb.recording import check_recording
+from armperturb.validation import require_number
 
 N_INPUTS = 2
 EXCITED = 1e-4
@@ -78,6 +79,8 @@ def line_spectra(recording: xr.Dataset, *, start: float = 8.0, period: float = 2
         limit, or the perturbation is zero.
     """
     check_recording(recording)
+    require_number("line_spectra", "start", start, at_least=0.0)
+    require_number("line_spectra", "period", period, above=0.0)
     hit = np.flatnonzero(np.isfinite(recording["limit_time"].values))
     if len(hit):
         raise ValueError(
@@ -89,6 +92,9 @@ def line_spectra(recording: xr.Dataset, *, start: float = 8.0, period: float = 2
     d, f, x = (
         _spectrum(recording[name].values, window, rate, period) for name in ("perturbation", "force", "displacement")
     )
+    for name, values in (("force", f), ("displacement", x)):
+        if not values.any():
+            raise ValueError(f"{name} is constant from {start:g} s on; expected the response to the perturbation")
     power = np.sum(np.abs(d) ** 2, axis=(0, 2))
     power[0] = 0.0
     if not power.any():
@@ -151,7 +157,7 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = 4) -> Spect
 
 def _whole_periods(recording: xr.Dataset, start: float, period: float, rate: float) -> slice:
     samples = period * rate
-    if period <= 0 or abs(samples - round(samples)) > 1e-6 * samples:
+    if abs(samples - round(samples)) > 1e-6 * samples:
         raise ValueError(
             f"rate = {rate:g} Hz; expected one at which the period of {period:g} s is a whole number of samples "
             f"(it is {samples:.6g})"
@@ -160,7 +166,7 @@ def _whole_periods(recording: xr.Dataset, start: float, period: float, rate: flo
     onsets = recording["pulse_onset"].values
     end = float(np.nanmin(onsets)) if np.isfinite(onsets).any() else recording.sizes["time"] / rate
     n_periods = int((min(round(end * rate), recording.sizes["time"]) - first) // n_period)
-    if start < 0 or n_periods < 1:
+    if n_periods < 1:
         raise ValueError(
             f"the recording holds {end:g} s before the pulse or its end; expected a whole period of {period:g} s from "
             f"{start:g} s on"

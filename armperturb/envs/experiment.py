@@ -1,14 +1,18 @@
 """The batched experiment: many trials stepped in lockstep, each a person under a perturbation."""
 
-from collections.abc import Callable, Sequence
+import ctypes
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
+import mujoco
 import numpy as np
 import xarray as xr
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
-from armperturb.analysis.arm_model import require_stable
+from armperturb.analysis.arm_model import fastest_pole, require_stable
 from armperturb.controllers.reflex import activate, initial_activation, reflex_gains, spindle_excitation
 from armperturb.environment import Environment
 from armperturb.envs.instruments import Instruments
@@ -19,6 +23,14 @@ from armperturb.subject import Subject
 from armperturb.validation import require_number
 
 Array = NDArray[np.float64]
+
+MAX_DURATION = 3600.0
+"""Longest trial [s]: anything longer is a slip in a file, and would not fit into memory."""
+
+RK4_LIMIT = 2.5
+"""Largest product of a pole's modulus and the step [-]: Runge-Kutta 4 is stable up to 2.79 on the real axis."""
+
+_DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,8 +84,9 @@ def run_experiment(
       A recording (see `armperturb.recording`) with signals `perturbation`, `force`, `displacement`, `joint_angle`.
 
     Raises:
-      ValueError: no trials, a subject that is unstable on the environment, a perturbation with content above 45 % of
-        the simulation rate, or rates that do not fit.
+      ValueError: no trials, a subject that is unstable on the environment or too fast for the step, a perturbation with
+        content above 45 % of the simulation rate, too short or too long, or rates that do not fit.
+      RuntimeError: MuJoCo could not integrate a trial that stayed inside the workspace.
     """
     if not trials:
         raise ValueError("trials is empty; expected at least one trial")
@@ -87,8 +100,13 @@ def run_experiment(
         )
     for subject in {trial.subject for trial in trials}:
         require_stable(subject, environment)
+        _require_integrable(subject, environment, timestep)
+    for trial in trials:
+        require_number("Trial", "seed", trial.seed, at_least=0)
     for perturbation in {id(trial.perturbation): trial.perturbation for trial in trials}.values():
         check_bandwidth(perturbation, 1.0 / timestep)
+        name = f"duration of a {type(perturbation).__name__}"
+        require_number("run_experiment", name, perturbation.duration, at_least=2.0 / rate, at_most=MAX_DURATION)
 
     truth = _simulate(trials, environment, timestep, decimation, rope, n_threads, progress)
     signals = {
@@ -106,6 +124,32 @@ def run_experiment(
             ]
         )
     return make_recording(signals, {**_labels(trials), "limit_time": truth["limit_time"]}, rate)
+
+
+def _require_integrable(subject: Subject, environment: Environment, timestep: float) -> None:
+    pole = fastest_pole(subject, environment)
+    if pole * timestep > RK4_LIMIT:
+        raise ValueError(
+            f"subject {subject.name!r}: fastest pole of arm and environment = {pole:.4g} 1/s; expected at most "
+            f"{RK4_LIMIT / timestep:.4g} 1/s at a step of {timestep:g} s (grip or damping too large for the masses)"
+        )
+
+
+@contextmanager
+def _silent_simulator() -> Iterator[None]:
+    """Keep MuJoCo from writing its warnings to the terminal and to MUJOCO_LOG.TXT; `Batch.warning` counts them anyway.
+
+    The batch calls its threads' handler without Python, so it must be a C function: any that takes a text and does
+    nothing with it.
+    """
+    library = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
+    handler = ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mju_user_warning")
+    before = handler.value
+    handler.value = ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p).value
+    try:
+        yield
+    finally:
+        handler.value = before
 
 
 def _labels(trials: Sequence[Trial]) -> dict[str, list]:
@@ -178,22 +222,31 @@ def _simulate(
     qpos, qvel, ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
     applied, sensors = batch.bind("qfrc_applied"), batch.bind("sensordata")
     angle, velocity, handle = qpos[:, hinge], qvel[:, hinge], qpos[:, slide]
-    for step in range(n_steps):
-        active, activation = activate(gains, activation, spindle_excitation(gains, angle, velocity))
-        np.negative(active, out=ctrl[:, motor])
-        applied[:, slide] = held[step]
-        sample, rest = divmod(step, decimation)
-        if not rest:
-            log["displacement"][sample], log["joint_angle"][sample] = handle, angle
-            reached = np.abs(handle).max(axis=1) >= environment.workspace
-            if reached.any():
-                limit_time[reached & np.isnan(limit_time)] = step * timestep
-        batch.step()
-        if not rest:
-            # The sensors describe the state before the step, at which the other signals were taken.
-            log["force"][sample] = sensors[:, gauge : gauge + 2]
-            if progress is not None:
-                progress(n_trials * decimation * timestep)
+    with _silent_simulator():
+        for step in range(n_steps):
+            active, activation = activate(gains, activation, spindle_excitation(gains, angle, velocity))
+            np.negative(active, out=ctrl[:, motor])
+            applied[:, slide] = held[step]
+            sample, rest = divmod(step, decimation)
+            if not rest:
+                log["displacement"][sample], log["joint_angle"][sample] = handle, angle
+                reached = np.abs(handle).max(axis=1) >= environment.workspace
+                if reached.any():
+                    limit_time[reached & np.isnan(limit_time)] = step * timestep
+            batch.step()
+            if not rest:
+                # The sensors describe the state before the step, at which the other signals were taken.
+                log["force"][sample] = sensors[:, gauge : gauge + 2]
+                if progress is not None:
+                    progress(n_trials * decimation * timestep)
+    # MuJoCo resets a state that it cannot integrate; beyond the workspace limit nothing counts any more.
+    diverged = np.flatnonzero((batch.warning[:, _DIVERGED, 1] > 0).any(axis=1) & np.isnan(limit_time))
+    if len(diverged):
+        name = trials[diverged[0]].subject.name
+        raise RuntimeError(
+            f"trial {diverged[0]} of subject {name!r} could not be integrated; expected finite motion (a weaker "
+            "perturbation or a smaller step)"
+        )
     return {
         "perturbation": recorded,
         **{name: np.ascontiguousarray(values.swapaxes(0, 1)) for name, values in log.items()},
