@@ -18,6 +18,9 @@ MAX_EVALUATIONS = 1000
 AT_BOUND = 1e-6
 """A parameter sits on a bound when it is closer to it than this share of the distance between its bounds."""
 
+PERFECT = 1e-16
+"""A fit whose squared error per frequency is below this cannot be improved, and needs no other start."""
+
 SAME_MINIMUM = 1e-6
 """Starts agree when their criteria differ by less than this share (or this much, for a perfect fit)."""
 
@@ -128,8 +131,10 @@ def fit_admittance(
         # penalty: without noise it is the minimum all the same.
         stable = [values for values in starts if problem.penalty(values) < 1e3] or [_published(structure)]
         if problem.penalty(best.x) < penalty_factor(0.0):
-            stable.append(best.x)
-        solutions = [_minimise(problem, values, with_penalty=True) for values in stable]
+            stable.insert(0, best.x)
+        solutions = [_minimise(problem, stable[0], with_penalty=True)]
+        if solutions[0].cost > PERFECT * len(problem.frequency):
+            solutions += [_minimise(problem, values, with_penalty=True) for values in stable[1:]]
         best = min(solutions, key=lambda solution: solution.cost)
     tolerance = SAME_MINIMUM * (best.cost + len(problem.frequency) * SAME_MINIMUM)
     return problem.judge(
