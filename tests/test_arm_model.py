@@ -69,12 +69,14 @@ def test_state_space_equals_the_transfer_functions(subject):
 
 
 def test_pade_delay_is_that_of_python_control():
-    # Kp = I and a filter too fast to matter leave the delay alone in the impedance.
-    subject = replace(RELAX, kp_s=1.0, kp_e=1.0, Td_s=0.03, Td_e=0.05, fact_s=1e7, fact_e=1e7)
+    # With Kp = I, what reflexes add to the impedance is delay times activation filter.
+    subject = replace(RELAX, kp_s=1.0, kp_e=1.0, Td_s=0.03, Td_e=0.05)
     reflex = joint_impedance(subject, FREQUENCY, "pade") - joint_impedance(RELAX, FREQUENCY)
     for joint, delay in enumerate((0.03, 0.05)):
         pade = control.tf(*control.pade(delay, 3))(2j * np.pi * FREQUENCY)
-        np.testing.assert_allclose(reflex[:, joint, joint], pade, rtol=1e-4)
+        omega = 2 * np.pi * subject.fact_s
+        activation = control.tf([omega**2], [1, 2 * subject.zeta_act * omega, omega**2])(2j * np.pi * FREQUENCY)
+        np.testing.assert_allclose(reflex[:, joint, joint], pade * activation, rtol=1e-9)
 
 
 def test_pade_and_exact_delay_agree_where_the_approximation_holds():
