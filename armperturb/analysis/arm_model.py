@@ -54,19 +54,23 @@ class LinearResponse(NamedTuple):
     joint_angle: NDArray[np.float64]
 
 
-def hand_jacobian(subject: Subject) -> NDArray[np.float64]:
-    """Jacobian from joint angles to hand position at the start posture [m/rad], (axis, joint). Source: eq. B.28."""
+def _segment_velocities(subject: Subject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Velocity of each segment's end about its start per rad/s of its own turning [m/rad], (axis,) each."""
     shoulder, elbow = subject.posture
     humerus = subject.l_h * np.array([-np.sin(shoulder), np.cos(shoulder)])
     forearm = subject.l_f * np.array([-np.sin(shoulder + elbow), np.cos(shoulder + elbow)])
+    return humerus, forearm
+
+
+def hand_jacobian(subject: Subject) -> NDArray[np.float64]:
+    """Jacobian from joint angles to hand position at the start posture [m/rad], (axis, joint). Source: eq. B.28."""
+    humerus, forearm = _segment_velocities(subject)
     return np.column_stack([humerus + forearm, forearm])
 
 
 def _segment_inertias(subject: Subject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Derivatives of the joint mass matrix with respect to m_h and m_f [m^2], (joint, joint) each."""
-    shoulder, elbow = subject.posture
-    humerus = subject.l_h * np.array([-np.sin(shoulder), np.cos(shoulder)])
-    forearm = subject.l_f * np.array([-np.sin(shoulder + elbow), np.cos(shoulder + elbow)])
+    humerus, forearm = _segment_velocities(subject)
     t_h = np.column_stack([0.5 * humerus, np.zeros(2)])
     t_f = np.column_stack([humerus + 0.5 * forearm, 0.5 * forearm])
     return t_h.T @ t_h, t_f.T @ t_f

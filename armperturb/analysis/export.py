@@ -14,8 +14,9 @@ from armperturb.analysis.identify import Identification
 from armperturb.analysis.spectra import SpectralEstimate
 from armperturb.analysis.structures import unit
 from armperturb.files import written_whole
+from armperturb.recording import LABELS
 
-AXES = ("x", "y")
+AXES = LABELS["axis"]
 
 
 def write_csv(rows: Iterable[Mapping[str, Any]], path: str | Path) -> None:

@@ -12,7 +12,7 @@ from armperturb.analysis.fit import AdmittanceFit, fit_admittance
 from armperturb.analysis.spectra import LineSpectra, SpectralEstimate, estimate_spectra, line_spectra
 from armperturb.analysis.structures import Structure
 from armperturb.environment import Environment
-from armperturb.subject import POSITION, RELAX, Subject
+from armperturb.subject import POSITION, RELAX, TASKS, Subject
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,8 +143,8 @@ def body_of(recording: xr.Dataset) -> Subject:
                 f"the recording holds several values of {name} ({', '.join(map(str, values))}); expected one"
             )
         found[name] = values[0]
-    if found["task"] not in ("PT", "RT"):
-        raise ValueError(f"task = {found['task']!r}; expected PT or RT")
+    if found["task"] not in TASKS:
+        raise ValueError(f"task = {found['task']!r}; expected one of {', '.join(TASKS)}")
     found.pop("condition")
     name = found.pop("subject")
     return replace(POSITION if found["task"] == "PT" else RELAX, name=name, **found)
