@@ -95,7 +95,8 @@ def test_cohort_is_spread_as_published():
         for name, sd in SPREAD[preset].items():
             if name not in BODY:
                 values = np.array([getattr(person.subjects[task], name) for person in people])
-                assert abs(values.mean() - getattr(PRESETS[preset], name)) < 0.5 * sd
+                # Stability needs damping: redrawing moves b_e by half an SD, here as in `draw`.
+                assert abs(values.mean() - getattr(PRESETS[preset], name)) < 0.7 * sd
                 assert 0.5 * sd < values.std() < 1.3 * sd
     # Bodies are not drawn from the thesis's masses, yet are no strangers to them (table C.18).
     assert np.mean([arm.m_h for arm in arms]) == pytest.approx(2.06, abs=0.1)
