@@ -12,6 +12,7 @@ coordinates of `TRIAL_COORDINATES`. `rate` [Hz] is an attribute of the dataset; 
 it is netCDF4.
 """
 
+import io
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -147,6 +148,22 @@ def _check_clock(recording: xr.Dataset, source: str) -> None:
         )
 
 
+def encode_recording(recording: xr.Dataset) -> bytes:
+    """The content of a recording's netCDF4 file; the same recording gives the same bytes.
+
+    Raises:
+      ValueError: as `check_recording`.
+    """
+    check_recording(recording)
+    compression = {
+        name: {"compression": "gzip", "compression_opts": 1, "shuffle": True} for name in recording.data_vars
+    }
+    # In memory: on a full disk HDF5 fails over and over while it closes the file, up to a segmentation fault.
+    memory = io.BytesIO()
+    recording.to_netcdf(memory, engine="h5netcdf", encoding=compression)
+    return memory.getvalue()
+
+
 def save_recording(recording: xr.Dataset, path: str | Path) -> None:
     """Write a recording as netCDF4, whole or not at all.
 
@@ -154,12 +171,9 @@ def save_recording(recording: xr.Dataset, path: str | Path) -> None:
       ValueError: as `check_recording`.
       OSError: the folder cannot be written to.
     """
-    check_recording(recording)
-    compression = {
-        name: {"compression": "gzip", "compression_opts": 1, "shuffle": True} for name in recording.data_vars
-    }
+    content = encode_recording(recording)
     with written_whole(path) as temporary:
-        recording.to_netcdf(temporary, engine="h5netcdf", encoding=compression)
+        temporary.write_bytes(content)
 
 
 def load_recording(path: str | Path) -> xr.Dataset:
