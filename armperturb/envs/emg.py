@@ -145,14 +145,16 @@ class Emg:
         """
         amplitude = self.gain * self.activation(subject, excitation, rate)
         n_samples = round(len(excitation) * self.rate / rate)
-        time, emg_time = np.arange(len(excitation)) / rate, np.arange(n_samples) / self.rate
+        # Held between the samples of the excitation: a straight line would need the one to come. The small number keeps
+        # instants that coincide from falling a sample back by rounding.
+        held = np.minimum((np.arange(n_samples) * (rate / self.rate) + 1e-9).astype(int), len(excitation) - 1)
         colour, amplifier, quiet = _filters(self.rate, self.highpass)
         read = np.empty((n_samples, len(MUSCLES)), dtype=np.float32)
         # One stream for each muscle, drawn in the order of time.
         for column, stream in enumerate(rng.spawn(len(MUSCLES))):
             muscle, electrode = stream.spawn(2)
             volts = signal.sosfilt(colour, _white(muscle, n_samples))
-            volts *= np.interp(emg_time, time, amplitude[column]).astype(np.float32)
+            volts *= amplitude[column].astype(np.float32)[held]
             volts += np.float32(self.noise * quiet) * _white(electrode, n_samples)
             read[:, column] = signal.sosfilt(amplifier, volts)
         return self._convert(read)
