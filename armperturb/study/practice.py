@@ -175,9 +175,9 @@ def practice_multisine(seed: int) -> Multisine:
     """The disturbance that people practise with, 1 N RMS: one that moves them as realisations do on average.
 
     How far one realisation moves an arm depends, through the cross terms of the admittance, on the phases between x and
-    y: crested ones differ by 5 % (SD over people), in single cases by 20 %. Here the phase between x and y makes half
+    y: they differ by 8 % (SD over realisations, PT), in single cases by 30 %. Here the phase between x and y makes half
     a turn within each cluster, + - - +, so that what the cross terms give in two lines they take in the other two:
-    0.7 % are left (SD). The phase of each cluster is free, and chosen for a low peak.
+    1 % is left (SD over people). The phase of each cluster is free, and chosen for a low peak.
     """
     rng = np.random.default_rng(random_stream(seed, "practice"))
     multisine = Multisine.draw(seed=rng, rms=1.0, duration=SETTLE + PERIOD)
