@@ -405,7 +405,7 @@ THESIS = _thesis()
 """The experiment of the thesis: eight conditions, 32 trials (table 2.1); `thesis.toml` beside this file."""
 
 
-# TEMPORARY, until runner, tables and figures use `Protocol`: what they import from here today.
+# TEMPORARY: what figures and tables import until they take their conditions from `StudyResult.protocol`.
 TAIL = 4.0
 
 
@@ -429,6 +429,7 @@ CONDITIONS = (
 
 
 def draw_multisines(condition: Any, seed: int) -> list[Multisine]:
+    """Goes with `CONDITIONS`."""
     key = CONDITIONS.index(condition)
     return [
         Multisine.draw(seed=np.random.default_rng([seed, key, trial]), rms=condition.rms_force)
@@ -437,6 +438,7 @@ def draw_multisines(condition: Any, seed: int) -> list[Multisine]:
 
 
 def trials_of(condition: Any, subject: Any, multisines: list[Multisine], seed: int) -> list[Trial]:
+    """Goes with `CONDITIONS`."""
     cells = [
         (repetition, level, direction)
         for repetition in range(condition.repetitions)
