@@ -1,6 +1,6 @@
 """Figures of a study, after those of the thesis's chapters 2 and 3."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -8,19 +8,20 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyBboxPatch, Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullLocator
 from numpy.typing import NDArray
 
 from armperturb.analysis.arm_model import arm_admittance, simulate_linear
-from armperturb.analysis.identify import Identification, variance_accounted_for
-from armperturb.analysis.spectra import SpectralEstimate, estimate_spectra, line_spectra
+from armperturb.analysis.identify import variance_accounted_for
+from armperturb.analysis.spectra import LineSpectra, SpectralEstimate, estimate_spectra, line_spectra
 from armperturb.analysis.structures import unit
 from armperturb.envs.camera import render
 from armperturb.models import build_model
-from armperturb.perturbations.multisine import FULL_BAND, PERIOD, Multisine
-from armperturb.recording import load_recording
+from armperturb.perturbations import MultisineThenPulse
+from armperturb.perturbations.multisine import CLUSTERS, FULL_BAND, PERIOD
 from armperturb.study import published
-from armperturb.study.protocol import CONDITIONS, TAIL, Condition, draw_multisines, trials_of
+from armperturb.study.admittance import mean_admittance
+from armperturb.study.protocol import CONDITIONS, Condition
 from armperturb.study.runner import Case, StudyResult
 from armperturb.study.style import (
     COLOURS,
@@ -46,8 +47,8 @@ Element = tuple[int, int]
 FREQUENCY = np.geomspace(0.15, 45.0, 400)
 """Where models are drawn [Hz]."""
 
-PERTURBATION_RATE = 1000.0
-"""At which a perturbation is drawn [Hz]; its pulse lasts 80 ms."""
+PHASES = (-270.0, 90.0)
+"""The turn in which phases are drawn [degree]: springs, dampers and masses lie well inside, and so do negated ones."""
 
 
 @in_style()
@@ -76,110 +77,64 @@ def _draw_directions(ax: Axes) -> None:
 
 
 @in_style()
-def perturbation(study: StudyResult) -> Figure:
+def perturbation(case: Case) -> Figure:
     """A multisine followed by a pulse, and the power of the multisine (thesis fig. 2.5)."""
-    condition = CONDITIONS[0]
-    case = next(case for case in study.cases if case.condition == condition)
-    multisines = draw_multisines(condition, study.settings.seed)
-    applied = trials_of(condition, case.truth, multisines, study.settings.seed)[0].perturbation
-    time = np.arange(round(applied.duration * PERTURBATION_RATE)) / PERTURBATION_RATE
-    force = applied.sample(PERTURBATION_RATE, len(time))
-    onset = applied.duration - TAIL
+    trial = case.trials().isel(trial=[0])
+    time, force = trial["time"].values, trial["perturbation"].values[0]
+    onset = float(trial["pulse_onset"].values[0])
 
     figure = new_figure(4.4)
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.35, 1))
-    whole = [figure.add_subplot(grid[row, 0]) for row in range(2)]
-    zoom, density = figure.add_subplot(grid[0, 1]), figure.add_subplot(grid[1, 1])
+    grid = figure.add_gridspec(1, 2, width_ratios=(1.35, 1))
+    whole = list(grid[0].subgridspec(2, 1).subplots(sharex=True, sharey=True, squeeze=False).flat)
+    zoom, density = grid[1].subgridspec(2, 1).subplots(squeeze=False).flat
     colours = (INK, GREY)
     for ax, axis, colour in zip(whole, range(2), colours, strict=True):
         ax.plot(time, force[:, axis], color=colour, linewidth=0.7)
-        ax.set(ylabel=f"$d_{AXES[axis]}$ [N]", xlim=(0, applied.duration))
-    whole[1].sharey(whole[0])
-    whole[0].tick_params(labelbottom=False)
-    whole[0].set_title(f"one trial of {condition.name}")
+        ax.set(ylabel=f"$d_{AXES[axis]}$ [N]", xlim=(0, time[-1]))
+    whole[0].set_title(f"one trial of {case.condition.name}")
     whole[1].set_xlabel("time [s]")
 
     near = (time > onset - 0.5) & (time < onset + 0.3)
+    zoom.axvspan(onset, onset + MultisineThenPulse.fade, color=PALE, alpha=0.6, linewidth=0)
     for axis, colour in enumerate(colours):
         zoom.plot(time[near], force[near, axis], color=colour, label=f"$d_{AXES[axis]}$")
-    zoom.axvspan(onset, onset + 0.04, color=PALE, alpha=0.6, linewidth=0)
     zoom.set(title="fade (grey) and pulse", xlabel="time [s]", ylabel="force [N]", xlim=(onset - 0.5, onset + 0.3))
     zoom.legend(loc="upper left")
-    _draw_density(density, multisines[0])
+    _draw_density(density, line_spectra(trial), float(trial.attrs["rate"]))
     return figure
 
 
-def _draw_density(ax: Axes, multisine: Multisine) -> None:
-    """Autospectral density of a multisine, with its bands and its extra clusters."""
-    power = (multisine.amplitudes**2 / 2 * PERIOD).reshape(multisine.clusters.shape)
-    frequency = multisine.clusters / PERIOD
-    reduced = np.flatnonzero(frequency[:, 0] > FULL_BAND[1])
-    extra = reduced[1:8:2]  # midpoints of the first five of the logarithmic grid
+def _draw_density(ax: Axes, lines: LineSpectra, rate: float) -> None:
+    """Autospectral density of a multisine, mean of both axes, with its bands and its extra clusters."""
+    power = 2.0 * np.mean(np.abs(lines.perturbation[0]) ** 2, axis=-1) / (PERIOD * rate**2)
     floor = 10 ** np.floor(np.log10(power.min()) - 0.5)
-    for clusters, colour, label in (
-        (np.setdiff1d(np.arange(len(frequency)), [*reduced]), COLOURS["PT"], "full power"),
+    clusters = np.searchsorted(lines.line, CLUSTERS)
+    reduced = np.flatnonzero(CLUSTERS[:, 0] / PERIOD > FULL_BAND[1])
+    extra = reduced[1:8:2]  # midpoints of the first five of the logarithmic grid
+    for which, colour, label in (
+        (np.setdiff1d(np.arange(len(CLUSTERS)), reduced), COLOURS["PT"], "full power"),
         (np.setdiff1d(reduced, extra), INK, "reduced power"),
         (extra, GREY, "extra clusters"),
     ):
-        lines, height = frequency[clusters].ravel(), power[clusters].ravel()
-        ax.vlines(lines, floor, height, color=colour, linewidth=1.2)
-        ax.plot(lines, height, "o", color=colour, markersize=2.2, label=label)
+        index = clusters[which].ravel()
+        ax.vlines(lines.frequency[index], floor, power[index], color=colour, linewidth=1.2)
+        ax.plot(lines.frequency[index], power[index], "o", color=colour, markersize=2.2, label=label)
     ax.set(xscale="log", yscale="log", ylim=(floor, power.max() * 3), title="power of the multisine, each axis")
     ax.set(ylabel="density [N²/Hz]")
     _label_frequency(ax)
     ax.legend(loc="upper right", handletextpad=0.1)
 
 
-class MeanAdmittance(NamedTuple):
-    """Admittance of a condition over its subjects: geometric mean of gains, circular mean of phases.
-
-    Attributes:
-      frequency: [Hz], (frequency,).
-      gain: [m/N], (frequency, output, input).
-      gain_ratio: one SD over subjects as a factor on the gain [-]; NaN for one subject.
-      phase: without jumps [rad], (frequency, output, input).
-      phase_sd: over subjects [rad]; NaN for one subject.
-    """
-
-    frequency: Array
-    gain: Array
-    gain_ratio: Array
-    phase: Array
-    phase_sd: Array
-
-
-def mean_admittance(study: StudyResult, condition: str) -> MeanAdmittance:
-    """Mean of the estimated admittance over the subjects of a condition.
-
-    Raises:
-      ValueError: no subject was identified in the condition.
-    """
-    cases = study.of(condition)
-    if not cases:
-        raise ValueError(f"condition = {condition!r}; expected one in which somebody was identified")
-    spectra = [_identified(case).spectra for case in cases]
-    arm = np.stack([one.arm for one in spectra])
-    log_gain = np.log(np.abs(arm))
-    middle = np.mean(arm / np.abs(arm), axis=0)
-    deviation = np.angle(arm / middle)
-    if len(arm) > 1:
-        gain_ratio, phase_sd = np.exp(log_gain.std(axis=0, ddof=1)), deviation.std(axis=0, ddof=1)
-    else:
-        gain_ratio = phase_sd = np.full(middle.shape, np.nan)
-    return MeanAdmittance(spectra[0].frequency, np.exp(log_gain.mean(axis=0)), gain_ratio, _unwrapped(middle), phase_sd)
-
-
 @in_style()
 def admittance_of_trials(case: Case) -> Figure:
     """Admittance of one subject, from each trial and from all (thesis fig. 3.1)."""
-    spectra = _identified(case).spectra
+    spectra = case.identified.spectra
     truth = arm_admittance(case.truth, FREQUENCY)
-    true_phase = _unwrapped(truth)
     figure, panels = _admittance_panels()
-    for trial in _single_trials(case):
-        _plot_admittance(panels, trial.frequency, trial.arm, true_phase, color=GREY, linewidth=0.7, alpha=0.6)
-    _plot_admittance(panels, spectra.frequency, spectra.arm, true_phase, color=INK, linewidth=1.5)
-    _plot_admittance(panels, FREQUENCY, truth, true_phase, **TRUE)
+    for trial in _single_trials(case.trials()):
+        _plot_admittance(panels, trial.frequency, trial.arm, color=GREY, linewidth=0.7, alpha=0.6)
+    _plot_admittance(panels, spectra.frequency, spectra.arm, color=INK, linewidth=1.5)
+    _plot_admittance(panels, FREQUENCY, truth, **TRUE)
     _legend(
         figure,
         Line2D([], [], color=GREY, linewidth=0.9, alpha=0.6, label="single trials"),
@@ -200,14 +155,16 @@ def admittance_by_task(study: StudyResult) -> Figure:
         band: dict[str, Any] = {"color": _colour(condition), "alpha": 0.18, "linewidth": 0}
         for (output, input_), (gain_ax, phase_ax) in panels.items():
             gain, ratio = mean.gain[:, output, input_], mean.gain_ratio[:, output, input_]
-            phase, spread = (np.degrees(part[:, output, input_]) for part in (mean.phase, mean.phase_sd))
             gain_ax.fill_between(mean.frequency, gain / ratio, gain * ratio, **band)
             gain_ax.plot(mean.frequency, gain, **look)
-            phase_ax.fill_between(mean.frequency, phase - spread, phase + spread, **band)
-            phase_ax.plot(mean.frequency, phase, **look)
+            frequency, phase, spread = _within_turn(
+                mean.frequency, mean.phase[:, output, input_], mean.phase_sd[:, output, input_]
+            )
+            phase_ax.fill_between(frequency, phase - spread, phase + spread, **band)
+            phase_ax.plot(frequency, phase, **look)
         handles.append(Line2D([], [], label=condition.name, **look))
     if len(study.cases) > len(CONDITIONS):
-        handles.append(Patch(facecolor=GREY, alpha=0.3, label="± 1 SD over subjects"))
+        handles.append(Patch(facecolor=GREY, alpha=0.3, label="± 1 SD over people"))
     _legend(figure, *handles)
     return figure
 
@@ -219,7 +176,7 @@ def coherence(study: StudyResult) -> Figure:
     figure = new_figure(3.9)
     panels = figure.subplots(2, len(conditions), sharex=True, sharey=True, squeeze=False)
     for condition, column in zip(conditions, panels.T, strict=True):
-        trials = [_single_trials(case) for case in study.of(condition.name)]
+        trials = [_single_trials(case.trials()) for case in study.of(condition.name)]
         of_subjects = np.stack([np.mean([trial.coherence for trial in of_one], axis=0) for of_one in trials])
         frequency = trials[0][0].frequency
         spread = of_subjects.std(axis=0, ddof=1) if len(of_subjects) > 1 else None
@@ -239,22 +196,21 @@ def coherence(study: StudyResult) -> Figure:
         _label_frequency(column[-1])
     for output, ax in enumerate(panels[:, 0]):
         ax.set_ylabel(rf"$\gamma^2_{{{AXES[output]}d}}$ [-]")
-    panels[0, 0].text(0.2, 0.47, "pure noise", color=GREY, fontsize=8, va="top")
+    panels[0, 0].text(0.2, 0.47, "expected of pure noise", color=GREY, fontsize=8, va="top")
     return figure
 
 
 @in_style()
 def fit(case: Case) -> Figure:
     """Arm model fitted to the admittance of one subject (thesis figs 3.7, 3.8)."""
-    identification = _identified(case)
+    identification = case.identified
     spectra = identification.spectra
     truth, model = (arm_admittance(arm, FREQUENCY) for arm in (case.truth, identification.fit.arm))
-    true_phase = _unwrapped(truth)
     estimated: dict[str, Any] = {**RECORDED, "marker": "o", "markersize": 4.5}
     figure, panels = _admittance_panels()
-    _plot_admittance(panels, spectra.frequency, spectra.arm, true_phase, **estimated)
-    _plot_admittance(panels, FREQUENCY, model, true_phase, **FITTED)
-    _plot_admittance(panels, FREQUENCY, truth, true_phase, **TRUE)
+    _plot_admittance(panels, spectra.frequency, spectra.arm, **estimated)
+    _plot_admittance(panels, FREQUENCY, model, **FITTED)
+    _plot_admittance(panels, FREQUENCY, truth, **TRUE)
     _legend(
         figure,
         Line2D([], [], label="estimated", **estimated),
@@ -274,7 +230,7 @@ def prediction(case: Case, *, trial: int = 0, start: float = 20.0, span: float =
       start: of the sample that is shown [s].
       span: of the sample that is shown [s].
     """
-    identification, recording = _identified(case), trials_of_case(case).isel(trial=trial)
+    identification, recording = case.identified, case.trials().isel(trial=trial)
     rate, onset = float(recording.attrs["rate"]), float(recording["pulse_onset"])
     n = recording.sizes["time"] if np.isnan(onset) else round(onset * rate)
     time, recorded = recording["time"].values[:n], recording["displacement"].values[:n]
@@ -293,7 +249,7 @@ def prediction(case: Case, *, trial: int = 0, start: float = 20.0, span: float =
         else:
             vaf = variance_accounted_for(recorded, predicted, rate)[axis]
             ax.plot(time[shown], 1e3 * predicted[shown, axis], label="fitted model", **FITTED)
-            ax.set_title(f"{AXES[axis]}, VAF {vaf:.1f} %", loc="left")
+            ax.set_title(f"along {AXES[axis]}: VAF {vaf:.1f} %", loc="left")
         ax.set(ylabel=f"${AXES[axis]}$ [mm]", xlim=(start, start + span))
     panels[-1].set_xlabel("time [s]")
     panels[0].legend(loc="lower right", bbox_to_anchor=(1, 0.98), ncols=2, borderaxespad=0)
@@ -304,15 +260,15 @@ def prediction(case: Case, *, trial: int = 0, start: float = 20.0, span: float =
 def parameters(study: StudyResult, condition: Condition) -> Figure:
     """Estimated against true parameters of all subjects, beside the published mean and SD."""
     cases = study.of(condition.name)
-    names = tuple(_identified(cases[0]).fit.values)
+    names = tuple(cases[0].identified.fit.values)
     n_columns = 5
     n_rows = -(-len(names) // n_columns)
     figure = new_figure(1.62 * n_rows + 0.5)
     panels = figure.subplots(n_rows, n_columns, squeeze=False)
     for ax, name in zip(panels.flat, names, strict=False):
         truth = np.array([true_value(case.truth, name) for case in cases])
-        estimate = np.array([_identified(case).fit.values[name] for case in cases])
-        sem = np.array([_identified(case).fit.sem[name] for case in cases])
+        estimate = np.array([case.identified.fit.values[name] for case in cases])
+        sem = np.array([case.identified.fit.sem[name] for case in cases])
         printed = published.parameter(condition.name, name)
         band = (printed.mean - printed.sd, printed.mean + printed.sd)
         low, high = min(*truth, *estimate, *band), max(*truth, *estimate, *band)
@@ -340,7 +296,7 @@ def parameters(study: StudyResult, condition: Condition) -> Figure:
     figure.supylabel("estimated", fontsize=9)
     _legend(
         figure,
-        Line2D([], [], color=_colour(condition), marker="o", linestyle="", label="one subject ± SEM"),
+        Line2D([], [], color=_colour(condition), marker="o", linestyle="", label="one person ± SEM"),
         Line2D([], [], label="estimated = true", **{**TRUE, "linewidth": 1}),
         Patch(facecolor=PUBLISHED["color"], alpha=0.35, label="published mean ± SD"),
     )
@@ -348,41 +304,44 @@ def parameters(study: StudyResult, condition: Condition) -> Figure:
 
 
 @in_style()
-def overview(study: StudyResult) -> Figure:
-    """The rig, and the admittance of one person in both tasks with the fitted models.
+def overview(study: StudyResult, *, subject: int = 0) -> Figure:
+    """The rig, and the admittance of one person in both tasks with the fitted models; for the head of a page.
+
+    `docs/overview.png` is the second person of seed 0, saved with `save_png`.
+
+    Args:
+      study: in which the person was identified in every condition.
+      subject: number of the person, from 0.
 
     Raises:
       RuntimeError: this machine cannot draw the rig; the message names what to install.
     """
     figure = new_figure(4.6, 10.7)
-    left, right = figure.subfigures(1, 2, width_ratios=(0.86, 1), wspace=0.03).flat
-    ax = left.subplots()
-    model = build_model(study.cases[0].truth, study.environment)
-    # A taller picture than is shown: its upper part, where nothing but the rope is, goes.
-    picture = ax.imshow(render(model, camera="oblique", width=900, height=900), interpolation="none")
+    beside = 0.46
+    figure.set_layout_engine("constrained", rect=(beside, 0, 1 - beside, 1))
+    ax = figure.add_axes((0, 0, beside - 0.02, 1))
     ax.set_axis_off()
-    rounded = FancyBboxPatch(
-        (0.035, 0.035), 0.93, 0.93, boxstyle="round,pad=0.035", transform=ax.transAxes, edgecolor="none"
-    )
-    picture.set_clip_path(rounded)
+    model = build_model(study.of(CONDITIONS[0].name)[subject].truth, study.environment)
+    picture = ax.imshow(render(model, camera="oblique", width=1412, height=1380), aspect="auto")
+    corners = FancyBboxPatch((0.03, 0.03), 0.94, 0.94, boxstyle="round,pad=0.03", transform=ax.transAxes)
+    picture.set_clip_path(corners)
 
-    panels = right.subplots(2, 1, sharex=True, sharey=True)
-    for element, panel in enumerate(panels):
-        for condition in _present(study):
-            identification = _identified(study.of(condition.name)[0])
-            spectra, colour = identification.spectra, _colour(condition)
-            line = np.abs(arm_admittance(identification.fit.arm, FREQUENCY)[:, element, element])
-            panel.loglog(FREQUENCY, line, color=colour, linewidth=1.8)
+    panels = figure.subplots(2, 1, sharex=True, sharey=True)
+    for condition in _present(study):
+        identification = study.of(condition.name)[subject].identified
+        spectra, colour = identification.spectra, _colour(condition)
+        fitted = np.abs(arm_admittance(identification.fit.arm, FREQUENCY))
+        for element, panel in enumerate(panels):
+            panel.loglog(FREQUENCY, fitted[:, element, element], color=colour, linewidth=1.8)
             gain = np.abs(spectra.arm[:, element, element])
             panel.plot(spectra.frequency, gain, "o", color=colour, markersize=6, markeredgecolor="white")
-        panel.set_ylabel(f"$|H_{{{2 * AXES[element]}}}|$  [m/N]", fontsize=11)
+        task = {"PT": "hold position", "RT": "relax"}[condition.name[:2]]
+        panels[0].text(0.17, 0.6 * fitted[0, 0, 0], task, color=colour, fontsize=12, weight="bold", va="top")
+    for axis, panel in zip(AXES, panels, strict=True):
+        panel.set_ylabel(f"$|H_{{{2 * axis}}}|$  [m/N]", fontsize=11)
         panel.tick_params(labelsize=10)
     _label_frequency(panels[-1], fontsize=11)
-    for condition in _present(study):
-        line = np.abs(arm_admittance(_identified(study.of(condition.name)[0]).fit.arm, [0.2])[0, 0, 0])
-        task = {"PT": "hold position", "RT": "relax"}[condition.name[:2]]
-        panels[0].text(0.17, 0.55 * line, task, color=_colour(condition), fontsize=12, weight="bold", va="top")
-    right.suptitle("Admittance of the arm: estimated (points) and fitted model (lines)", fontsize=11.5)
+    panels[0].set_title("Admittance of one arm: estimated (points), fitted (lines)", fontsize=11)
     return figure
 
 
@@ -393,17 +352,9 @@ def parameter_symbol(name: str) -> str:
     return f"${letter}_{{\\mathrm{{{','.join(filter(None, (more, place)))}}}}}$"
 
 
-def trials_of_case(case: Case) -> xr.Dataset:
-    """The trials behind an identification."""
-    recording = load_recording(case.recording)
-    inside = np.isnan(recording["limit_time"].values)
-    return recording.isel(trial=np.flatnonzero((recording["condition"].values == case.condition.name) & inside))
-
-
-def _single_trials(case: Case) -> list[SpectralEstimate]:
+def _single_trials(trials: xr.Dataset) -> list[SpectralEstimate]:
     """Spectra of each trial alone, averaged over adjacent lines only."""
-    recording = trials_of_case(case)
-    return [estimate_spectra(line_spectra(recording.isel(trial=[trial]))) for trial in range(recording.sizes["trial"])]
+    return [estimate_spectra(line_spectra(trials.isel(trial=[trial]))) for trial in range(trials.sizes["trial"])]
 
 
 def _present(study: StudyResult) -> list[Condition]:
@@ -414,12 +365,6 @@ def _colour(condition: Condition) -> str:
     return COLOURS[condition.name[:2]]
 
 
-def _identified(case: Case) -> Identification:
-    if case.identification is None:
-        raise ValueError(f"{case.truth.name} in {case.condition.name} was not identified; expected a case that was")
-    return case.identification
-
-
 def _admittance_panels() -> tuple[Figure, dict[Element, tuple[Axes, Axes]]]:
     """Axes for gain and phase of each element, gain over phase, two rows by two columns of such pairs."""
     figure = new_figure(7.9)
@@ -428,16 +373,17 @@ def _admittance_panels() -> tuple[Figure, dict[Element, tuple[Axes, Axes]]]:
     for output in range(2):
         for input_ in range(2):
             first = panels.get((0, 0))
-            beside = panels.get((output, 0))
             gain = figure.add_subplot(grid[2 * output, input_], sharex=first and first[0], sharey=first and first[0])
-            phase = figure.add_subplot(grid[2 * output + 1, input_], sharex=gain, sharey=beside and beside[1])
+            phase = figure.add_subplot(grid[2 * output + 1, input_], sharex=gain, sharey=first and first[1])
             panels[output, input_] = gain, phase
             if first is None:
                 gain.set(xscale="log", yscale="log")
                 gain.yaxis.set_major_locator(LogLocator(10, numticks=10))
+                gain.yaxis.set_minor_locator(NullLocator())
             gain.tick_params(labelbottom=False, labelleft=input_ == 0)
             phase.tick_params(labelbottom=output == 1, labelleft=input_ == 0)
             phase.yaxis.set_major_locator(MultipleLocator(90))
+            phase.set_ylim(PHASES)
             element = AXES[output] + AXES[input_]
             gain.set_title(f"$H_{{{element}}}$: from force {AXES[input_]} to displacement {AXES[output]}")
             if input_ == 0:
@@ -449,50 +395,39 @@ def _admittance_panels() -> tuple[Figure, dict[Element, tuple[Axes, Axes]]]:
 
 
 def _plot_admittance(
-    panels: dict[Element, tuple[Axes, Axes]],
-    frequency: Array,
-    admittance: NDArray[np.complex128],
-    reference: Array,
-    **look: Any,
+    panels: dict[Element, tuple[Axes, Axes]], frequency: Array, admittance: NDArray[np.complex128], **look: Any
 ) -> None:
-    """Draw gain and phase of each element; `reference` is as in `_phase_near`."""
-    phase = np.degrees(_phase_near(admittance, frequency, reference))
+    """Draw gain and phase of each element of (frequency, output, input)."""
     for (output, input_), (gain_ax, phase_ax) in panels.items():
-        gain_ax.plot(frequency, np.abs(admittance[:, output, input_]), **look)
-        phase_ax.plot(frequency, phase[:, output, input_], **look)
+        element = admittance[:, output, input_]
+        gain_ax.plot(frequency, np.abs(element), **look)
+        phase_ax.plot(*_within_turn(frequency, np.angle(element)), **look)
 
 
-def _unwrapped(admittance: NDArray[np.complex128]) -> Array:
-    """Phase without jumps, which starts between -270 and 90 degrees [rad], (frequency, output, input)."""
-    phase = np.unwrap(np.angle(admittance), axis=0)
-    return np.asarray(phase - 2 * np.pi * np.ceil((phase[:1] - np.pi / 2) / (2 * np.pi)))
-
-
-def _phase_near(admittance: NDArray[np.complex128], frequency: Array, reference: Array) -> Array:
-    """Phase as the turn of the circle that is nearest to a reference: noise cannot make it jump for good.
+def _within_turn(frequency: Array, phase: Array, *others: Array) -> list[Array]:
+    """Phases [rad] in degrees within `PHASES`, with a gap wherever they leave it on one side and return on the other.
 
     Args:
-      admittance: whose phase, (frequency, output, input).
       frequency: [Hz], (frequency,).
-      reference: phase without jumps at `FREQUENCY` [rad].
+      phase: [rad], (frequency,).
+      *others: further angles, to be given the same gaps [rad], (frequency,).
 
     Returns:
-      [rad], (frequency, output, input).
+      Frequencies [Hz], phases and further angles [degree], longer by the gaps.
     """
-    near = np.empty(admittance.shape)
-    for element in np.ndindex(2, 2):
-        expected = np.interp(np.log(frequency), np.log(FREQUENCY), reference[:, *element])
-        near[:, *element] = expected + np.angle(admittance[:, *element] * np.exp(-1j * expected))
-    return near
+    low = PHASES[0]
+    wrapped = low + np.mod(np.degrees(phase) - low, 360.0)
+    jumps = np.flatnonzero(np.abs(np.diff(wrapped)) > 180.0) + 1
+    return [np.insert(values, jumps, np.nan) for values in (frequency, wrapped, *map(np.degrees, others))]
 
 
 def _label_frequency(ax: Axes, **text: Any) -> None:
     """Ticks in plain numbers on a logarithmic frequency axis."""
     ax.set_xlabel("frequency [Hz]", **text)
     ax.set_xlim(FREQUENCY[0], FREQUENCY[-1])
-    ax.xaxis.set_major_locator(LogLocator(10))
+    ax.xaxis.set_major_locator(FixedLocator([0.2, 0.5, 1, 2, 5, 10, 20, 40]))
+    ax.xaxis.set_minor_locator(NullLocator())
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.xaxis.set_minor_formatter(NullFormatter())
 
 
 def _legend(figure: Figure, *handles: Line2D | Patch) -> None:

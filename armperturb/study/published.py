@@ -92,6 +92,18 @@ def joint_motion(condition: str, joint: str, quantity: str, pulse: str = "none")
     raise KeyError(f"tables F.2 to F.6 have no {quantity} of joint {joint} in {condition} with pulse {pulse}")
 
 
+def headline(name: str) -> float:
+    """A number of the running text by its name in `headline.csv`, in the unit that stands there.
+
+    Raises:
+      KeyError: there is none of that name.
+    """
+    for row in _rows("headline"):
+        if row["name"] == name:
+            return float(row["value"])
+    raise KeyError(f"no headline number {name!r}")
+
+
 def _condition(condition: str, column: str, factor: float) -> MeanSD:
     for row in _rows("conditions"):
         if row["condition"] == condition and row[f"{column}_mean"] and row[f"{column}_sd"]:

@@ -13,7 +13,7 @@ from armperturb.cohort import draw
 from armperturb.environment import Environment
 from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
-from armperturb.recording import save_recording
+from armperturb.recording import load_recording, save_recording
 from armperturb.study.protocol import CONDITIONS, Condition, draw_multisines, trials_of
 from armperturb.subject import Subject
 from armperturb.validation import require_number
@@ -60,6 +60,16 @@ class Case:
     identification: Identification | None
     left_out: tuple[str, ...]
 
+    @property
+    def identified(self) -> Identification:
+        """The identification of a case that `StudyResult.of` gives, which has one."""
+        assert self.identification is not None
+        return self.identification
+
+    def trials(self) -> xr.Dataset:
+        """The recorded trials behind the identification."""
+        return _inside(_of_condition(load_recording(self.recording), self.condition))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StudyResult:
@@ -96,11 +106,13 @@ def run_study(settings: StudySettings, out: Path, *, show_progress: bool = True)
     environment = Environment()
     people = _draw_people(settings, environment)
     cases = []
-    for name, recording in _record(settings, people, environment, show_progress):
-        path = folder / f"{name}.nc"
-        save_recording(recording, path)
-        for condition in CONDITIONS:
-            cases.append(_identify(condition, people[name][condition.name], recording, path))
+    with tqdm(total=len(people) * len(CONDITIONS), desc="identify", disable=not show_progress, position=1) as bar:
+        for name, recording in _record(settings, people, environment, show_progress):
+            path = folder / f"{name}.nc"
+            save_recording(recording, path)
+            for condition in CONDITIONS:
+                cases.append(_identify(condition, people[name][condition.name], recording, path))
+                bar.update()
     return StudyResult(settings=settings, environment=environment, cases=tuple(cases))
 
 
@@ -142,9 +154,7 @@ def _record(
         for number, (name, subjects) in enumerate(people.items())
     }
     total = sum(trial.perturbation.duration for of_subject in trials.values() for trial in of_subject)
-    with tqdm(
-        total=total, desc="simulate", unit="s", unit_scale=True, disable=None if show_progress else True, leave=True
-    ) as bar:
+    with tqdm(total=total, desc="simulate", unit="s", unit_scale=True, disable=not show_progress) as bar:
         for names in _blocks(trials):
             block = [trial for name in names for trial in trials[name]]
             recording = run_experiment(block, environment, instruments=Instruments(), progress=bar.update)
@@ -167,12 +177,21 @@ def _blocks(trials: dict[str, list]) -> Iterator[Sequence[str]]:
 
 
 def _identify(condition: Condition, truth: Subject, recording: xr.Dataset, path: Path) -> Case:
-    mine = recording.isel(trial=np.flatnonzero(recording["condition"].values == condition.name))
+    mine = _of_condition(recording, condition)
     limits = mine["limit_time"].values
     left_out = tuple(
         f"trial {trial} of {truth.name} in {condition.name} reached the workspace limit at {limits[trial]:.3f} s"
         for trial in np.flatnonzero(np.isfinite(limits))
     )
-    inside = mine.isel(trial=np.flatnonzero(np.isnan(limits)))
+    inside = _inside(mine)
     identification = identify(inside, condition.model) if inside.sizes["trial"] else None
     return Case(condition=condition, truth=truth, recording=path, identification=identification, left_out=left_out)
+
+
+def _of_condition(recording: xr.Dataset, condition: Condition) -> xr.Dataset:
+    return recording.isel(trial=np.flatnonzero(recording["condition"].values == condition.name))
+
+
+def _inside(recording: xr.Dataset) -> xr.Dataset:
+    """Trials that stayed off the workspace limit."""
+    return recording.isel(trial=np.flatnonzero(np.isnan(recording["limit_time"].values)))

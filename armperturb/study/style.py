@@ -88,6 +88,7 @@ def save_svg(figure: Figure, path: Path) -> None:
     Raises:
       OSError: the folder cannot be written to.
     """
+    _arrange(figure)
     with written_whole(path) as temporary:
         figure.savefig(temporary, format="svg", metadata={"Date": None})
 
@@ -99,5 +100,14 @@ def save_png(figure: Figure, path: Path, dots_per_inch: float = 150.0) -> None:
     Raises:
       OSError: the folder cannot be written to.
     """
+    _arrange(figure)
     with written_whole(path) as temporary:
         figure.savefig(temporary, format="png", dpi=dots_per_inch)
+
+
+def _arrange(figure: Figure) -> None:
+    """Let the layout find its places once; left to itself, Matplotlib does it while it draws the figure once more."""
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")

@@ -1,6 +1,7 @@
 """Tables of a study: estimated against true against published."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,10 @@ import xarray as xr
 
 from armperturb.analysis.export import fit_summary, write_csv
 from armperturb.analysis.structures import unit
-from armperturb.recording import load_recording
 from armperturb.study import published
+from armperturb.study.admittance import task_effect
 from armperturb.study.protocol import CONDITIONS
-from armperturb.study.runner import Case, StudyResult
+from armperturb.study.runner import StudyResult
 from armperturb.subject import Subject
 
 Row = dict[str, Any]
@@ -28,7 +29,7 @@ def parameter_rows(study: StudyResult) -> list[Row]:
     rows = []
     for condition in CONDITIONS:
         for case in study.of(condition.name):
-            fit = _identified(case).fit
+            fit = case.identified.fit
             for name, estimate in fit.values.items():
                 truth = true_value(case.truth, name)
                 rows.append(
@@ -47,10 +48,9 @@ def parameter_rows(study: StudyResult) -> list[Row]:
     return rows
 
 
-def parameter_summary_rows(study: StudyResult) -> list[Row]:
+def parameter_summary_rows(of_subjects: list[Row]) -> list[Row]:
     """Published mean (SD), true and estimated mean (SD) over subjects, and the median error, per parameter."""
     rows = []
-    of_subjects = parameter_rows(study)
     for condition in CONDITIONS:
         mine = [row for row in of_subjects if row["condition"] == condition.name]
         for name in dict.fromkeys(row["parameter"] for row in mine):
@@ -76,7 +76,7 @@ def fit_rows(study: StudyResult) -> list[Row]:
     rows = []
     for condition in CONDITIONS:
         for case in study.of(condition.name):
-            summary = fit_summary(_identified(case))
+            summary = fit_summary(case.identified)
             environment = summary.pop("environment")
             summary["at_bound"] = " ".join(summary["at_bound"])
             rows.append({"condition": condition.name, "subject": case.truth.name, **summary, **environment})
@@ -87,7 +87,7 @@ def condition_rows(study: StudyResult) -> list[Row]:
     """Force and displacement of the multisine per condition, per axis, beside table 2.1."""
     rows = []
     for condition in CONDITIONS:
-        recordings = [_trials(case) for case in study.of(condition.name)]
+        recordings = [case.trials() for case in study.of(condition.name)]
         if not recordings:
             continue
         force, displacement = published.applied_force(condition.name), published.rms_displacement(condition.name)
@@ -105,32 +105,63 @@ def condition_rows(study: StudyResult) -> list[Row]:
     return rows
 
 
-def write_tables(study: StudyResult, folder: Path) -> None:
-    """Write every table as CSV.
+def summary_rows(study: StudyResult, of_parameters: list[Row], of_fits: list[Row]) -> list[Row]:
+    """One row per condition: how many were identified and how well."""
+    rows = []
+    for condition in CONDITIONS:
+        fits = [row for row in of_fits if row["condition"] == condition.name]
+        if not fits:
+            continue
+        errors = [abs(row["error_percent"]) for row in of_parameters if row["condition"] == condition.name]
+        left_out = sum(len(case.left_out) for case in study.cases if case.condition.name == condition.name)
+        rows.append(
+            {
+                "condition": condition.name,
+                "subjects": study.settings.subjects,
+                "identified": len(fits),
+                "trials": study.settings.subjects * condition.n_trials(),
+                "trials_left_out": left_out,
+                "model": condition.model,
+                "median_abs_error_percent": float(np.median(errors)),
+                "VAF_x_mean": _mean(row["VAF_x"] for row in fits),
+                "VAF_y_mean": _mean(row["VAF_y"] for row in fits),
+                "stable": sum(row["stable"] for row in fits),
+                "converged": sum(row["converged"] for row in fits),
+                "at_bound": sum(bool(row["at_bound"]) for row in fits),
+            }
+        )
+    return rows
+
+
+def task_effect_rows(study: StudyResult) -> list[Row]:
+    """Admittance when relaxing over that when keeping position, beside the published factor; empty without either."""
+    effect = task_effect(study)
+    if effect is None:
+        return []
+    name = "admittance_ratio_rt7.5_pt7.5"
+    return [{"quantity": name, "study": effect, "published": published.headline(name)}]
+
+
+def write_tables(study: StudyResult, folder: Path) -> dict[str, list[Row]]:
+    """Write every table that has rows as CSV, and return all by name.
 
     Raises:
       OSError: the folder cannot be written to.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    for name, rows in (
-        ("parameters", parameter_rows(study)),
-        ("parameters_summary", parameter_summary_rows(study)),
-        ("fits", fit_rows(study)),
-        ("conditions", condition_rows(study)),
-    ):
+    of_parameters, of_fits = parameter_rows(study), fit_rows(study)
+    tables = {
+        "parameters": of_parameters,
+        "parameters_summary": parameter_summary_rows(of_parameters),
+        "fits": of_fits,
+        "conditions": condition_rows(study),
+        "summary": summary_rows(study, of_parameters, of_fits),
+        "task_effect": task_effect_rows(study),
+    }
+    for name, rows in tables.items():
         if rows:
             write_csv(rows, folder / f"{name}.csv")
-
-
-def _identified(case: Case) -> Any:
-    assert case.identification is not None  # StudyResult.of gives no other
-    return case.identification
-
-
-def _trials(case: Case) -> xr.Dataset:
-    recording = load_recording(case.recording)
-    inside = np.isnan(recording["limit_time"].values)
-    return recording.isel(trial=np.flatnonzero((recording["condition"].values == case.condition.name) & inside))
+    return tables
 
 
 def _rms(signal: xr.DataArray) -> float:
@@ -141,3 +172,9 @@ def _rms(signal: xr.DataArray) -> float:
 def _mean_sd(name: str, values: Sequence[float]) -> Row:
     sd = float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
     return {f"{name}_mean": float(np.mean(values)), f"{name}_sd": sd}
+
+
+def _mean(values: Iterable[float | None]) -> float:
+    """Mean of the values that exist; NaN if none does."""
+    there = [value for value in values if value is not None]
+    return float(np.mean(there)) if there else math.nan

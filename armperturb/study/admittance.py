@@ -1,0 +1,62 @@
+"""Admittance of a condition over its subjects."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armperturb.study.runner import StudyResult
+
+Array = NDArray[np.float64]
+
+
+class MeanAdmittance(NamedTuple):
+    """Admittance of a condition over its subjects: geometric mean of gains, circular mean of phases.
+
+    Attributes:
+      frequency: [Hz], (frequency,).
+      gain: [m/N], (frequency, output, input).
+      gain_ratio: one SD over subjects as a factor on the gain [-]; NaN for one subject.
+      phase: [rad], (frequency, output, input).
+      phase_sd: over subjects [rad]; NaN for one subject.
+    """
+
+    frequency: Array
+    gain: Array
+    gain_ratio: Array
+    phase: Array
+    phase_sd: Array
+
+
+def mean_admittance(study: StudyResult, condition: str) -> MeanAdmittance:
+    """Mean of the estimated admittance over the subjects of a condition.
+
+    Raises:
+      ValueError: no subject was identified in the condition.
+    """
+    cases = study.of(condition)
+    if not cases:
+        raise ValueError(f"condition = {condition!r}; expected one in which somebody was identified")
+    spectra = [case.identified.spectra for case in cases]
+    arm = np.stack([one.arm for one in spectra])
+    log_gain, direction = np.log(np.abs(arm)), np.mean(arm / np.abs(arm), axis=0)
+    if len(arm) > 1:
+        gain_ratio = np.exp(log_gain.std(axis=0, ddof=1))
+        phase_sd = np.angle(arm / direction).std(axis=0, ddof=1)
+    else:
+        gain_ratio = phase_sd = np.full(direction.shape, np.nan)
+    return MeanAdmittance(
+        spectra[0].frequency, np.exp(log_gain.mean(axis=0)), gain_ratio, np.angle(direction), phase_sd
+    )
+
+
+def task_effect(study: StudyResult) -> float | None:
+    """How many times larger the admittance is in RT7.5 than in PT7.5 at low frequencies [-].
+
+    Mean over the lowest two frequencies and the diagonal of the ratio of the gains, which are geometric means over
+    subjects; None if nobody was identified in one of the conditions. Source: thesis 3.1.
+    """
+    if not (study.of("PT7.5") and study.of("RT7.5")):
+        return None
+    relax, position = (mean_admittance(study, name).gain[:2] for name in ("RT7.5", "PT7.5"))
+    return float(np.mean([np.diag(ratio) for ratio in relax / position]))

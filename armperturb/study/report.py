@@ -1,0 +1,210 @@
+"""The report of a study: tables, figures, and one HTML file that holds everything and opens offline."""
+
+import base64
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jinja2
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from armperturb.files import written_whole
+from armperturb.perturbations.multisine import CLUSTERS, PERIOD
+from armperturb.perturbations.pulse import PULSE_DIRECTIONS_DEG
+from armperturb.study import figures
+from armperturb.study.protocol import CONDITIONS, PULSE_UNIT, TAIL
+from armperturb.study.runner import StudyResult
+from armperturb.study.style import save_svg
+from armperturb.study.tables import Row, write_tables
+
+MISSING = "–"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """One section of the report.
+
+    Attributes:
+      title: its heading.
+      template: file in `templates/`, which is also its anchor.
+      context: what the template shows beside what all sections know.
+    """
+
+    title: str
+    template: str
+    context: dict[str, Any]
+
+
+class Picture(NamedTuple):
+    """A figure inside the report.
+
+    Attributes:
+      uri: the SVG itself, as a data URI.
+      width: [inch].
+      height: [inch].
+    """
+
+    uri: str
+    width: float
+    height: float
+
+
+def write_report(study: StudyResult, out: Path) -> Path:
+    """Write `tables/*.csv`, `figures/*.svg` and `report.html`, which needs neither of them nor a network.
+
+    Without a GL library, the picture of the rig is left out and the report says so.
+
+    Args:
+      study: the finished study; its recordings must still be there.
+      out: folder, which is made if needed.
+
+    Returns:
+      The path of the report.
+
+    Raises:
+      OSError: the folder cannot be written to, or a recording is gone.
+    """
+    rows = write_tables(study, out / "tables")
+    pictures, not_drawn = _draw(study, out / "figures")
+    sections = (
+        Section(
+            title="Summary", template="summary", context={"rows": rows["summary"], "task_effect": rows["task_effect"]}
+        ),
+        Section(title="Method", template="method", context={}),
+        Section(title="Conditions", template="conditions", context={"rows": rows["conditions"]}),
+        Section(title="Admittance", template="admittance", context={}),
+        Section(title="Fits", template="fits", context={"rows": rows["fits"]}),
+        Section(title="Parameters", template="parameters", context={"rows": rows["parameters_summary"]}),
+        Section(title="What was left out", template="left_out", context={"lists": left_out(study, rows["fits"])}),
+    )
+    page = _page(study, sections, pictures, not_drawn)
+    report = out / "report.html"
+    with written_whole(report) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return report
+
+
+def left_out(study: StudyResult, fits: list[Row]) -> dict[str, list[str]]:
+    """What no table shows, or what a reader should not trust: heading to one line each."""
+
+    def those(says: Callable[[Row], str]) -> list[str]:
+        return [f"{row['subject']} in {row['condition']}: {says(row)}" for row in fits if says(row)]
+
+    return {
+        "Trials at the limit of the workspace": [reason for case in study.cases for reason in case.left_out],
+        "People without any trial left": [
+            f"{case.truth.name} in {case.condition.name}" for case in study.cases if case.identification is None
+        ],
+        "Fits that did not converge": those(lambda row: "" if row["converged"] else row["status"]),
+        "Fits with a parameter at its bound": those(lambda row: row["at_bound"]),
+        "Fits whose starts ended in different minima": those(
+            lambda row: (
+                f"{row['n_starts_agree']} of {row['n_starts']} in the best"
+                if row["n_starts_agree"] < row["n_starts"]
+                else ""
+            )
+        ),
+        "Fits that are unstable on the manipulator, and so have no VAF": those(
+            lambda row: "" if row["stable"] else f"largest real part of a pole {row['largest_real_pole_per_s']:.3g} 1/s"
+        ),
+    }
+
+
+def _draw(study: StudyResult, folder: Path) -> tuple[dict[str, Picture], dict[str, str]]:
+    """Draw every figure that the study allows into a folder; pictures by name, and why another is missing."""
+    folder.mkdir(parents=True, exist_ok=True)
+    drawings: dict[str, Callable[[], Figure]] = {}
+    present = {condition: study.of(condition.name) for condition in CONDITIONS if study.of(condition.name)}
+    if present:
+        drawings["perturbation"] = partial(figures.perturbation, next(iter(present.values()))[0])
+        drawings["admittance_by_task"] = partial(figures.admittance_by_task, study)
+        drawings["coherence"] = partial(figures.coherence, study)
+    for condition, (first, *_) in present.items():
+        drawings[f"admittance_{condition.name}"] = partial(figures.admittance_of_trials, first)
+        drawings[f"fit_{condition.name}"] = partial(figures.fit, first)
+        drawings[f"prediction_{condition.name}"] = partial(figures.prediction, first)
+        drawings[f"parameters_{condition.name}"] = partial(figures.parameters, study, condition)
+    pictures, not_drawn = {name: _embed(draw(), folder / f"{name}.svg") for name, draw in drawings.items()}, {}
+    try:
+        pictures["rig"] = _embed(figures.rig(study), folder / "rig.svg")
+    except RuntimeError as error:
+        not_drawn["rig"] = str(error)
+    return pictures, not_drawn
+
+
+def _embed(figure: Figure, path: Path) -> Picture:
+    """Write a figure to a file, and return what the report shows of it."""
+    save_svg(figure, path)
+    content = base64.b64encode(path.read_bytes()).decode("ascii")
+    width, height = figure.get_size_inches()
+    return Picture(f"data:image/svg+xml;base64,{content}", float(width), float(height))
+
+
+def _page(
+    study: StudyResult, sections: tuple[Section, ...], pictures: dict[str, Picture], not_drawn: dict[str, str]
+) -> str:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("armperturb.study"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(digits=digits, fixed=fixed, mean_sd=mean_sd, symbol=symbol)
+    environment.globals.update(
+        study=study,
+        conditions=CONDITIONS,
+        present=[condition for condition in CONDITIONS if study.of(condition.name)],
+        pictures=pictures,
+        not_drawn=not_drawn,
+        multisine={"period": PERIOD, "lines": CLUSTERS.size, "clusters": len(CLUSTERS)},
+        pulse={"unit": PULSE_UNIT, "tail": TAIL, "directions": PULSE_DIRECTIONS_DEG},
+        versions={name: metadata.version(name) for name in ("armperturb", "mujoco", "numpy", "scipy")},
+    )
+    # Sections come out as markup, escaped already.
+    bodies = [
+        (section, Markup(environment.get_template(f"{section.template}.html").render(section.context)))
+        for section in sections
+    ]
+    return environment.get_template("report.html").render(sections=bodies)
+
+
+def digits(value: float | None, n: int = 3) -> str:
+    """A number with n significant digits, never in powers of ten; a dash if there is none."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    decimals = _decimals(value, n)
+    return fixed(round(value, decimals), max(decimals, 0))
+
+
+def fixed(value: float | None, decimals: int) -> str:
+    """A number with so many decimals; a dash if there is none."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    return f"{value:.{decimals}f}".replace("-", "−")
+
+
+def mean_sd(mean: float, sd: float) -> str:
+    """Mean and standard deviation, both to the second digit of the latter; the mean alone if there is no spread."""
+    if not math.isfinite(sd) or sd <= 1e-9 * abs(mean):
+        return digits(mean)
+    decimals = max(0, _decimals(sd, 2))
+    return f"{fixed(mean, decimals)} ± {fixed(sd, decimals)}"
+
+
+def _decimals(value: float, n: int) -> int:
+    """Decimals that show n significant digits; negative where digits before the point are to be rounded."""
+    # The exponent after rounding: 99.96 has three digits before the point.
+    return n - 1 - int(f"{value:.{n - 1}e}".partition("e")[2])
+
+
+def symbol(parameter: str) -> Markup:
+    """A parameter as its symbol, e.g. kv_se as k with the subscript v,se."""
+    quantity, _, place = parameter.partition("_")
+    subscript = ",".join(filter(None, (quantity[1:], place)))
+    return Markup("<i>{}</i><sub>{}</sub>").format(quantity[0], subscript)
