@@ -27,6 +27,9 @@ LOG = logging.getLogger(__name__)
 MAX_DEATHS = 3
 """How often in a row workers may die before any unit gets done; then the fault is the units' and repeating is vain."""
 
+DASK_TIMEOUT = 10.0
+"""How long a Dask scheduler may take to answer [s]."""
+
 TICK = 0.2
 """How long to wait for a unit before looking at the progress [s]."""
 
@@ -39,6 +42,9 @@ class Workers(Protocol):
 
     def start(self) -> Executor:
         """What takes units from now on."""
+
+    def submit(self, executor: Executor, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
+        """Hand out a unit."""
 
     def at_once(self) -> int:
         """How many units to hand out at once."""
@@ -70,6 +76,15 @@ class LocalProcesses:
         return ProcessPoolExecutor(
             self.count, initializer=_end_with, initargs=(os.getpid(),), env=dict.fromkeys(names, threads)
         )
+
+    def submit(self, executor: Executor, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
+        """Hand out a unit."""
+        # Processes that start here never see a Ctrl-C, which a terminal sends to all: this process stops them.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return executor.submit(function, unit)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def at_once(self) -> int:
         """Two for each process, so that none waits for work."""
@@ -105,7 +120,7 @@ class DaskCluster:
         except ModuleNotFoundError as error:
             raise RuntimeError(f"--dask needs {error.name}; expected `pip install 'armperturb[dask]'`") from None
         try:
-            self.client = Client(address, timeout=10, set_as_default=False)
+            self.client = Client(address, timeout=DASK_TIMEOUT, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise OSError(f"no Dask scheduler answers at {address} ({error}); expected host:port of one") from None
 
@@ -114,6 +129,10 @@ class DaskCluster:
         if not self.client.ncores():
             LOG.warning("the Dask cluster has no workers yet: waiting for some")
         return self.client.get_executor(pure=False)
+
+    def submit(self, executor: Executor, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
+        """Hand out a unit."""
+        return executor.submit(_on_its_own, function, unit)
 
     def at_once(self) -> int:
         """Two for each thread that the cluster has now: it may grow or shrink on the way."""
@@ -181,8 +200,7 @@ def completed(
             while waiting or running:
                 at_once = workers.at_once()
                 while waiting and len(running) < at_once:
-                    with _interrupts_withheld():
-                        future = executor.submit(function, waiting[0])
+                    future = workers.submit(executor, function, waiting[0])
                     running[future] = waiting.popleft()
                 done, _ = wait(running, timeout=TICK, return_when=FIRST_COMPLETED)
                 tick()
@@ -206,14 +224,13 @@ def completed(
             workers.stop(executor)
 
 
-@contextmanager
-def _interrupts_withheld() -> Iterator[None]:
-    """Processes that start meanwhile never see a Ctrl-C, which a terminal sends to all: this one stops them."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+def _on_its_own(function: Callable[[Unit], Result], unit: Unit) -> Result:
+    """Do a unit on a Dask worker as if there were no cluster."""
+    import dask
+
+    # xarray would ask the cluster for a lock on every file that it writes, even on one in memory, which fails.
+    with dask.config.set(scheduler="synchronous"):
+        return function(unit)
 
 
 def _end_with(parent: int) -> None:
