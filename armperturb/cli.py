@@ -26,11 +26,26 @@ class Study:
     """Run the study: draw people, perturb them, identify them, and report."""
 
     out: Path
-    """Folder for recordings, tables, figures and report.html."""
+    """Folder for recordings, tables, figures and report.html; a study that was stopped there goes on."""
     subjects: int = 10
     """Number of synthetic people."""
     seed: int = 0
     """Of everything random."""
+    protocol: Path | None = None
+    """TOML file of what everyone goes through, instead of the thesis's protocol."""
+    ideal: bool = False
+    """People and instruments without noise."""
+    forces: Literal["practice", "published"] | None = None
+    """Where the forces come from, instead of what the protocol says: each person's practice session, or the protocol's
+    own, the same for everyone."""
+    workers: int | None = None
+    """Number of processes; by default one per core. No effect on the files, nor have the next two."""
+    dask: str | None = None
+    """Address of a Dask scheduler whose workers simulate, e.g. tcp://127.0.0.1:8786; needs armperturb[dask]."""
+    block: int = 96
+    """Number of trials that a worker simulates side by side; bounds its memory."""
+    record_only: bool = False
+    """Stop when the recordings are there: no identification, no report."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,17 +91,30 @@ class Identify:
 
 
 def study(settings: Study) -> Path:
-    """Run a study and return the path of its report.
+    """Run a study, or go on with one, and return the path of its report, or of the folder if there is none.
 
     Raises:
-      ValueError: a setting is out of its range.
-      OSError: the folder cannot be written to.
+      TypeError: a setting has the wrong type.
+      ValueError: a setting is out of its range, or the folder was made with other settings.
+      RuntimeError: another run is at work in the folder, or workers die again and again.
+      OSError: a file cannot be read or written, or no Dask scheduler answers.
     """
     # Here, so that the other commands start without the drawing library.
-    from armperturb.study.report import write_report
-    from armperturb.study.runner import StudySettings, run_study
+    from armperturb.study.runner import StudySettings, record_study, run_study
 
-    result = run_study(StudySettings(subjects=settings.subjects, seed=settings.seed), settings.out)
+    what = StudySettings(
+        subjects=settings.subjects,
+        seed=settings.seed,
+        protocol=settings.protocol,
+        ideal=settings.ideal,
+        forces=settings.forces,
+    )
+    if settings.record_only:
+        record_study(what, settings.out, workers=settings.workers, dask=settings.dask, block=settings.block)
+        return settings.out
+    from armperturb.study.report import write_report
+
+    result = run_study(what, settings.out, workers=settings.workers, dask=settings.dask, block=settings.block)
     return write_report(result, settings.out)
 
 
@@ -169,7 +197,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     try:
         if isinstance(command, Study):
-            print(f"report: {study(command)}")
+            print(f"{'recordings' if command.record_only else 'report'}: {study(command)}")
         elif isinstance(command, Simulate):
             simulate(command)
             print(f"recording: {command.out}")
@@ -181,7 +209,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"armperturb: error: {message}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("armperturb: stopped", file=sys.stderr)
+        goes_on = "; the same command goes on from here" if isinstance(command, Study) else ""
+        print(f"armperturb: stopped{goes_on}", file=sys.stderr)
         return 130
     return 0
 

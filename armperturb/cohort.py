@@ -1,13 +1,15 @@
-"""Synthetic people: draws around the thesis's mean arms."""
+"""Synthetic people: draws around the thesis's mean arms, and cohorts of people who do both tasks."""
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from armperturb.analysis.arm_model import largest_real_pole
 from armperturb.environment import Environment
-from armperturb.subject import HUMERUS_MASS_SHARE, PRESETS, Subject
+from armperturb.subject import HUMERUS_MASS_SHARE, POSITION, PRESETS, RELAX, Subject
+from armperturb.validation import require_number
 
 SPREAD = {
     # Table C.18, model 1.
@@ -48,6 +50,69 @@ the published parameters were estimated because arms closer to instability rang 
 
 MAX_REDRAWS = 1000
 
+HEIGHT = (1.838, 0.071)
+"""Mean and SD of the height of young Dutch men [m] (Schoenbeck et al. 2013, fifth national growth study)."""
+
+BODY_MASS_INDEX = (22.5, 2.0)
+"""Mean and SD of the body mass over the height squared [kg/m^2]: healthy young men; assumed, the thesis prints none."""
+
+MAX_DEVIATION = 2.5
+"""Height, body-mass index and posture stay within this many SD of their means [-]: ordinary people only."""
+
+UPPER_ARM_LENGTH = 0.186
+"""Shoulder to elbow over height [-] (Winter 2009, fig. 4.1)."""
+
+ELBOW_TO_GRIP = 0.146 + 0.506 * 0.108
+"""Elbow to the middle of the grip over height [-]: forearm, and the part of the hand up to its centre of mass, which
+lies in the palm, where the handle does (Winter 2009, fig. 4.1 and table 4.1)."""
+
+UPPER_ARM_MASS = 0.028
+"""Over body mass [-] (Winter 2009, table 4.1)."""
+
+FOREARM_HAND_MASS = 0.022
+"""Over body mass [-] (Winter 2009, table 4.1)."""
+
+CUFF_AND_HANDLE_MASS = 0.25
+"""Mass of the wrist cuff and of the handle on the hand's side of the strain gauge [kg]; assumed. It gives the mean
+person the published ratio of m_h to m_f (table C.18)."""
+
+SHOULDER_ANGLE_DEG = (22.5, 0.7)
+"""Mean and SD over the thesis's subjects of the shoulder angle at the start [deg] (section 2.2)."""
+
+ELBOW_ANGLE_DEG = (82.3, 0.68)
+"""Mean and SD over the thesis's subjects of the elbow angle at the start [deg] (section 2.2)."""
+
+BODY = ("m_h", "m_f", "m_tot")
+"""Parameters of a preset's spread that a person's body sets, instead of a draw."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Person:
+    """One synthetic person: a body, and muscles and reflexes that depend on the task.
+
+    Attributes:
+      name: what the person is called in recordings and tables.
+      height: [m].
+      mass: of the whole body [kg].
+      subjects: the arm in each task, "PT" and "RT"; lengths, masses and posture are the same in both.
+
+    Raises:
+      TypeError: a value is not a number.
+      ValueError: a value is out of its range, or a subject belongs to another task than said.
+    """
+
+    name: str
+    height: float
+    mass: float
+    subjects: Mapping[str, Subject] = field(hash=False)
+
+    def __post_init__(self) -> None:
+        require_number("Person", "height", self.height, above=0.0)
+        require_number("Person", "mass", self.mass, above=0.0)
+        for task, subject in self.subjects.items():
+            if subject.task != task:
+                raise ValueError(f"Person: subjects[{task!r}] has the task {subject.task!r}; expected {task!r}")
+
 
 def draw(
     preset: str, seed: int | np.random.Generator, *, name: str | None = None, environment: Environment | None = None
@@ -70,9 +135,74 @@ def draw(
     """
     if preset not in PRESETS:
         raise ValueError(f"preset = {preset!r}; expected one of {', '.join(PRESETS)}")
-    rng = np.random.default_rng(seed)
+    mean = PRESETS[preset]
+    start = replace(mean, name=name or mean.name)
+    return _draw_around(start, SPREAD[preset], np.random.default_rng(seed), environment or Environment())
+
+
+def draw_person(seed: int, number: int, environment: Environment | None = None) -> Person:
+    """A person with a body drawn from anthropometry and, per task, muscles and reflexes drawn around the preset.
+
+    Segment lengths and masses are the fractions of height and body mass in Winter (2009), posture has the published
+    mean and SD. Muscle, reflex and grip parameters are drawn as `draw` does, on this body; what has no published
+    spread (grip, delay and cut-off in PT) is the preset's.
+
+    Args:
+      seed: of the cohort.
+      number: of the person in the cohort, from 0.
+      environment: on which the person has to be stable in both tasks; the thesis's manipulator if not given.
+
+    Returns:
+      The person, who depends on these arguments only.
+
+    Raises:
+      TypeError: an argument is no number.
+      ValueError: seed or number is negative.
+      RuntimeError: no stable person was found, which only an odd environment can cause.
+    """
+    require_number("cohort", "seed", seed, at_least=0)
+    require_number("cohort", "number", number, at_least=0)
     environment = environment or Environment()
-    mean, spread = PRESETS[preset], SPREAD[preset]
+    body_rng, *task_rngs = (
+        # A stream of its own for each purpose: the draws of one task do not move those of the other.
+        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*b"cohort", number, stream)))
+        for stream in range(1 + len(PRESETS))
+    )
+    height = _ordinary(body_rng, *HEIGHT)
+    mass = _ordinary(body_rng, *BODY_MASS_INDEX) * height**2
+    name = f"S{number + 1:02d}"
+    body: dict[str, Any] = {
+        "name": name,
+        "l_h": UPPER_ARM_LENGTH * height,
+        "l_f": ELBOW_TO_GRIP * height,
+        "m_h": UPPER_ARM_MASS * mass,
+        "m_f": FOREARM_HAND_MASS * mass + CUFF_AND_HANDLE_MASS,
+        "theta_s_deg": _ordinary(body_rng, *SHOULDER_ANGLE_DEG),
+        "theta_e_deg": _ordinary(body_rng, *ELBOW_ANGLE_DEG),
+    }
+    subjects = {}
+    for (preset, mean), rng in zip((("position", POSITION), ("relax", RELAX)), task_rngs, strict=True):
+        spread = {key: sd for key, sd in SPREAD[preset].items() if key not in BODY}
+        subjects[mean.task] = _draw_around(replace(mean, **body), spread, rng, environment)
+    return Person(name=name, height=height, mass=mass, subjects=subjects)
+
+
+def draw_cohort(n: int, seed: int, environment: Environment | None = None) -> tuple[Person, ...]:
+    """The first `n` people of a cohort, see `draw_person`: a larger cohort begins with the same people.
+
+    Raises:
+      TypeError: an argument is no number.
+      ValueError: n is not positive, or seed is negative.
+      RuntimeError: no stable person was found, which only an odd environment can cause.
+    """
+    require_number("cohort", "n", n, at_least=1)
+    return tuple(draw_person(seed, number, environment) for number in range(n))
+
+
+def _draw_around(
+    mean: Subject, spread: Mapping[str, float], rng: np.random.Generator, environment: Environment
+) -> Subject:
+    """`mean` with the parameters of `spread` (name to SD) drawn until they are in range and the arm is stable."""
     for _ in range(MAX_REDRAWS):
         drawn: dict[str, Any] = {key: rng.normal(_mean(mean, key), sd) for key, sd in spread.items()}
         total = drawn.pop("m_tot", None)
@@ -80,11 +210,18 @@ def draw(
             drawn.update(m_h=HUMERUS_MASS_SHARE * total, m_f=(1 - HUMERUS_MASS_SHARE) * total)
         if min(drawn.values()) <= 0:
             continue
-        subject = replace(mean, name=name or mean.name, **drawn)
+        subject = replace(mean, **drawn)
         if largest_real_pole(subject, environment) < -STABILITY_MARGIN:
             return subject
-    raise RuntimeError(f"no stable {preset!r} subject in {MAX_REDRAWS} draws on {environment}")
+    raise RuntimeError(f"no stable subject around {mean.name!r} ({mean.task}) in {MAX_REDRAWS} draws on {environment}")
 
 
 def _mean(preset: Subject, parameter: str) -> float:
     return preset.m_h + preset.m_f if parameter == "m_tot" else getattr(preset, parameter)
+
+
+def _ordinary(rng: np.random.Generator, mean: float, sd: float) -> float:
+    """A normal deviate, redrawn until it lies within `MAX_DEVIATION`."""
+    while abs(deviate := rng.normal()) > MAX_DEVIATION:
+        pass
+    return float(mean + sd * deviate)

@@ -33,3 +33,34 @@ def written_whole(path: str | Path) -> Iterator[Path]:
         os.replace(name, path)
     finally:
         Path(name).unlink(missing_ok=True)
+
+
+def write_durably(path: str | Path, content: bytes) -> None:
+    """Write a file whole or not at all, and let it outlast a loss of power.
+
+    Args:
+      path: of the file to write; an existing one is replaced.
+      content: of the file.
+
+    Raises:
+      OSError: the folder is missing or cannot be written to; an existing file stays as it was.
+    """
+    path = Path(path)
+    with written_whole(path) as temporary:
+        temporary.write_bytes(content)
+        sync_file(temporary)
+    sync_folder(path.parent)
+
+
+def sync_file(path: str | Path) -> None:
+    """Bring a file's content to disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def sync_folder(path: str | Path) -> None:
+    """Bring a folder's entries to disk: a new name lasts only then."""
+    sync_file(path)

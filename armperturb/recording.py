@@ -6,12 +6,17 @@
 | `force` | trial, time, axis | N | reaction force f that the handle exerts on the hand |
 | `displacement` | trial, time, axis | m | of the handle, from its start |
 | `joint_angle` | trial, time, joint | rad | shoulder from the x axis, elbow from the humerus; may be absent |
+| `shoulder_marker` | trial, time, axis | m | of the marker on the shoulder, from its start; may be absent |
+| `emg` | trial, emg_time, muscle | V | of the eight `MUSCLES`; may be absent |
 
 Axes are x = right, y = forward; the environment sees d - f, and admittance is displacement per f. Along `trial` lie the
-coordinates of `TRIAL_COORDINATES`. `rate` [Hz] is an attribute of the dataset; every variable has its `units`. On disk
-it is netCDF4.
+coordinates of `TRIAL_COORDINATES`. `rate` [Hz] is an attribute of the dataset, and `emg_rate` [Hz] where there is EMG;
+every variable has its `units`. On disk it is netCDF4. EMG is in single precision in memory; if its attribute `adc_step`
+[V] says so, it holds whole numbers of that step, and the file holds the 16-bit counts with the step as `scale_factor`
+(CF packing, which readers of netCDF undo).
 """
 
+import io
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -22,23 +27,41 @@ from numpy.typing import ArrayLike
 
 from armperturb.files import written_whole
 
+MUSCLES = (
+    "pectoralis_major_clavicular",
+    "latissimus_dorsi",
+    "deltoideus_anterior",
+    "deltoideus_posterior",
+    "biceps_short_head",
+    "brachioradialis",
+    "triceps_lateralis",
+    "triceps_longum",
+)
+"""Muscles whose EMG is recorded (thesis 2.3)."""
+
 SIGNALS = {
-    "perturbation": ("axis", "N", "disturbance force d on the manipulator"),
-    "force": ("axis", "N", "reaction force f that the handle exerts on the hand"),
-    "displacement": ("axis", "m", "displacement of the handle from its start"),
-    "joint_angle": ("joint", "rad", "joint angle"),
+    "perturbation": (("time", "axis"), "N", "disturbance force d on the manipulator"),
+    "force": (("time", "axis"), "N", "reaction force f that the handle exerts on the hand"),
+    "displacement": (("time", "axis"), "m", "displacement of the handle from its start"),
+    "joint_angle": (("time", "joint"), "rad", "joint angle"),
+    "shoulder_marker": (("time", "axis"), "m", "displacement of the shoulder marker from its start"),
+    "emg": (("emg_time", "muscle"), "V", "surface electromyogram"),
 }
-"""Variable name to last dimension, unit and description."""
+"""Variable name to dimensions after trial, unit and description."""
 
 REQUIRED_SIGNALS = ("perturbation", "force", "displacement")
 
-LABELS = {"axis": ("x", "y"), "joint": ("shoulder", "elbow")}
+LABELS = {"axis": ("x", "y"), "joint": ("shoulder", "elbow"), "muscle": MUSCLES}
+
+CLOCKS = {"time": "rate", "emg_time": "emg_rate"}
+"""Dimension to the attribute that holds its sampling rate [Hz]."""
 
 TRIAL_COORDINATES = {
     "subject": ("", "who was perturbed"),
     "task": ("", "PT position task, RT relax task"),
     "condition": ("", "condition of the protocol, e.g. PT7.5"),
     "repetition": ("", "repetition of the condition, from 0"),
+    "order": ("", "place of the trial in the session, from 0"),
     "pulse_level": ("", "multiple of the unit pulse; 0 without pulse"),
     "pulse_direction": ("deg", "direction of the pulse from the x axis"),
     "pulse_onset": ("s", "onset of the pulse; NaN without pulse"),
@@ -50,44 +73,67 @@ TRIAL_COORDINATES = {
 }
 """Coordinate along `trial` to unit and description."""
 
+OPTIONAL_COORDINATES = ("order",)
+"""Those of `TRIAL_COORDINATES` that a recording may lack."""
+
 TEXT_COORDINATES = ("subject", "task", "condition")
 
 
 def make_recording(
-    signals: Mapping[str, ArrayLike], trials: Mapping[str, ArrayLike], rate: float, **attributes: Any
+    signals: Mapping[str, ArrayLike],
+    trials: Mapping[str, ArrayLike],
+    rate: float,
+    *,
+    emg_rate: float | None = None,
+    adc_step: float | None = None,
+    **attributes: Any,
 ) -> xr.Dataset:
     """A checked recording.
 
     Args:
-      signals: variable name to values, (trial, time, axis) or (trial, time, joint).
+      signals: variable name to values, (trial, time, axis), (trial, time, joint) or (trial, emg_time, muscle).
       trials: coordinate name to one value per trial.
       rate: sampling rate [Hz].
+      emg_rate: sampling rate of the EMG [Hz], if there is any.
+      adc_step: voltage of which the EMG holds whole numbers [V]; None if it holds any number.
       **attributes: further attributes of the dataset.
 
     Raises:
       ValueError: as `check_recording`.
     """
-    n_time = np.asarray(signals["perturbation"]).shape[1]
+    variables = {}
+    for name, values in signals.items():
+        dims, units, description = SIGNALS[name]
+        # Half the memory for a signal that is ten times as long as the others, and 16 bits deep at its source.
+        array = np.asarray(values, dtype=np.float32 if name == "emg" else float)
+        variables[name] = (("trial", *dims), array, _describe(units, description))
+    if "emg" in variables and adc_step is not None:
+        variables["emg"][2]["adc_step"] = float(adc_step)
+    rates = {"time": rate, "emg_time": emg_rate}
+    sizes = {dim: array.shape[1 + axis] for dims, array, _ in variables.values() for axis, dim in enumerate(dims[1:])}
+    if "emg" in variables and emg_rate is None:
+        raise ValueError("recording: emg_rate = None; expected the sampling rate of the EMG in Hz")
     dataset = xr.Dataset(
-        {
-            name: (("trial", "time", SIGNALS[name][0]), np.asarray(values, dtype=float), _describe(*SIGNALS[name][1:]))
-            for name, values in signals.items()
-        },
+        variables,
         coords={
-            "time": ("time", np.arange(n_time) / rate, {"units": "s"}),
-            **{dim: (dim, list(labels)) for dim, labels in LABELS.items() if dim == "axis" or "joint_angle" in signals},
+            **{
+                dim: (dim, np.arange(sizes[dim]) / clock, {"units": "s"})
+                for dim, clock in rates.items()
+                if dim in sizes and clock is not None
+            },
+            **{dim: (dim, list(labels)) for dim, labels in LABELS.items() if dim in sizes},
             **{
                 name: ("trial", np.asarray(values), _describe(*TRIAL_COORDINATES[name]))
                 for name, values in trials.items()
             },
         },
-        attrs={"rate": float(rate), **attributes},
+        attrs={CLOCKS[dim]: float(clock) for dim, clock in rates.items() if clock is not None} | attributes,
     )
     check_recording(dataset)
     return dataset
 
 
-def _describe(units: str, description: str) -> dict[str, str]:
+def _describe(units: str, description: str) -> dict[str, Any]:
     return {"units": units, "long_name": description} if units else {"long_name": description}
 
 
@@ -110,32 +156,37 @@ def check_recording(
     for name in signals:
         if name not in recording.data_vars:
             raise ValueError(f"{source}: variable {name!r} is missing; expected {', '.join(signals)}")
-    for name, (last, units, _) in SIGNALS.items():
+    for name, (dims, units, _) in SIGNALS.items():
         if name not in recording.data_vars:
             continue
-        variable = recording[name]
-        if variable.dims != ("trial", "time", last):
-            raise ValueError(f"{source}: {name} has dims {variable.dims}; expected ('trial', 'time', '{last}')")
+        variable, last = recording[name], dims[-1]
+        if variable.dims != ("trial", *dims):
+            expected = ", ".join(f"'{dim}'" for dim in ("trial", *dims))
+            raise ValueError(f"{source}: {name} has dims {variable.dims}; expected ({expected})")
         if variable.attrs.get("units") != units:
             raise ValueError(f"{source}: {name} has units {variable.attrs.get('units')!r}; expected {units!r}")
         if last not in recording.coords or tuple(map(str, recording[last].values)) != LABELS[last]:
             raise ValueError(f"{source}: dimension {last!r} is not labelled; expected {', '.join(LABELS[last])}")
         _require_numbers(variable, source)
-        bad = np.argwhere(~np.isfinite(variable.values))
-        if len(bad):
-            trial, sample, _ = bad[0]
+        finite = np.isfinite(variable.values)
+        if not finite.all():
+            trial, sample, column = np.argwhere(~finite)[0]
             raise ValueError(
-                f"{source}: {name} of trial {trial} is {variable.values[tuple(bad[0])]} at sample {sample}; expected "
-                "finite values"
+                f"{source}: {name} of trial {trial} is {variable.values[trial, sample, column]} at sample {sample}; "
+                "expected finite values"
             )
     for name in TRIAL_COORDINATES:
+        if name in OPTIONAL_COORDINATES and name not in recording.coords:
+            continue
         if name not in recording.coords or recording[name].dims != ("trial",):
             raise ValueError(f"{source}: coordinate {name!r} along trial is missing; expected one value per trial")
         if name not in TEXT_COORDINATES:
             _require_numbers(recording[name], source)
             if np.isinf(recording[name].values).any():
                 raise ValueError(f"{source}: {name} is infinite in a trial; expected finite values, or NaN for none")
-    _check_clock(recording, source)
+    _check_clock(recording, "time", source)
+    if "emg" in recording.data_vars:
+        _check_clock(recording, "emg_time", source)
 
 
 def _require_numbers(variable: xr.DataArray, source: str) -> None:
@@ -143,22 +194,65 @@ def _require_numbers(variable: xr.DataArray, source: str) -> None:
         raise ValueError(f"{source}: {variable.name} holds values of type {variable.dtype}; expected numbers")
 
 
-def _check_clock(recording: xr.Dataset, source: str) -> None:
-    rate = recording.attrs.get("rate")
+def _check_clock(recording: xr.Dataset, dim: str, source: str) -> None:
+    attribute = CLOCKS[dim]
+    rate = recording.attrs.get(attribute)
     if not isinstance(rate, (int, float, np.number)) or not (np.isfinite(rate) and rate > 0):
-        raise ValueError(f"{source}: rate = {rate!r}; expected the sampling rate in Hz as an attribute, above 0")
-    if "time" in recording.coords:
-        _require_numbers(recording["time"], source)
-    time = recording["time"].values if "time" in recording.coords else np.empty(0)
+        raise ValueError(f"{source}: {attribute} = {rate!r}; expected the sampling rate in Hz as an attribute, above 0")
+    if dim in recording.coords:
+        _require_numbers(recording[dim], source)
+    time = recording[dim].values if dim in recording.coords else np.empty(0)
     if len(time) < 2:
-        raise ValueError(f"{source}: time has {len(time)} samples; expected at least 2")
+        raise ValueError(f"{source}: {dim} has {len(time)} samples; expected at least 2")
     off = np.abs(time - np.arange(len(time)) / rate)
     if off.max() > 0.01 / rate:
         found = 1.0 / np.median(np.diff(time))
         raise ValueError(
-            f"{source}: time runs at {found:.6g} Hz, or not evenly (sample {int(np.argmax(off > 0.01 / rate))} is at "
-            f"{time[np.argmax(off > 0.01 / rate)]:.6g} s); expected even steps from 0 s at rate = {float(rate):.6g} Hz"
+            f"{source}: {dim} runs at {found:.6g} Hz, or not evenly (sample {int(np.argmax(off > 0.01 / rate))} is at "
+            f"{time[np.argmax(off > 0.01 / rate)]:.6g} s); expected even steps from 0 s at {attribute} = "
+            f"{float(rate):.6g} Hz"
         )
+
+
+def _packed(recording: xr.Dataset) -> xr.Dataset:
+    """The recording as its file holds it: EMG as the counts of the converter."""
+    if "emg" not in recording.data_vars or "adc_step" not in recording["emg"].attrs:
+        return recording
+    volts = recording["emg"]
+    step = np.float32(volts.attrs["adc_step"])
+    limits = np.iinfo(np.int16)
+    packed = np.empty(volts.shape, dtype=np.int16)
+    for trial, values in enumerate(volts.values):  # one at a time: whole recordings do not fit into the cache
+        counts = np.rint(values / step)
+        off = (np.abs(values - counts * step) > 0.01 * step) | (counts < limits.min) | (counts > limits.max)
+        if off.any():
+            sample, column = np.argwhere(off)[0]
+            raise ValueError(
+                f"recording: emg of trial {trial} is {values[sample, column]} V at sample {sample}; expected 16-bit "
+                f"multiples of its adc_step = {step} V (or no attribute adc_step)"
+            )
+        packed[trial] = counts
+    # xarray reads scale_factor among the attributes as packing that has been done.
+    return recording.assign(emg=(volts.dims, packed, {**volts.attrs, "scale_factor": step}))
+
+
+def encode_recording(recording: xr.Dataset) -> bytes:
+    """The content of a recording's netCDF4 file; the same recording gives the same bytes.
+
+    Raises:
+      ValueError: as `check_recording`.
+    """
+    check_recording(recording)
+    compression: dict[Any, dict[str, Any]] = {
+        name: {"compression": "gzip", "compression_opts": 1, "shuffle": True} for name in recording.data_vars
+    }
+    if "emg" in compression:
+        # One trial in a chunk: faster to write, and a trial is what one reads.
+        compression["emg"]["chunksizes"] = (1, *recording["emg"].shape[1:])
+    # In memory: on a full disk HDF5 fails over and over while it closes the file, up to a segmentation fault.
+    memory = io.BytesIO()
+    _packed(recording).to_netcdf(memory, engine="h5netcdf", encoding=compression)
+    return memory.getvalue()
 
 
 def save_recording(recording: xr.Dataset, path: str | Path) -> None:
@@ -168,12 +262,9 @@ def save_recording(recording: xr.Dataset, path: str | Path) -> None:
       ValueError: as `check_recording`.
       OSError: the folder cannot be written to.
     """
-    check_recording(recording)
-    compression = {
-        name: {"compression": "gzip", "compression_opts": 1, "shuffle": True} for name in recording.data_vars
-    }
+    content = encode_recording(recording)
     with written_whole(path) as temporary:
-        recording.to_netcdf(temporary, engine="h5netcdf", encoding=compression)
+        temporary.write_bytes(content)
 
 
 def load_recording(path: str | Path) -> xr.Dataset:
@@ -194,5 +285,7 @@ def load_recording(path: str | Path) -> xr.Dataset:
     for name in TEXT_COORDINATES:
         if name in recording.coords:
             recording[name] = recording[name].astype(str)
+    if "emg" in recording.data_vars and recording["emg"].dtype != np.float32:
+        recording["emg"] = recording["emg"].astype(np.float32)
     check_recording(recording, source=str(path))
     return recording

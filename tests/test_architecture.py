@@ -20,7 +20,7 @@ ARROWS = {
     "perturbations": {"validation", "files"},
     "analysis": BASE,
     "cohort": BASE | {"analysis"},
-    "controllers": {"subject"},
+    "controllers": {"subject", "validation"},
     "models": {"subject", "environment", "validation"},
     "envs": BASE | {"models", "controllers", "perturbations", "analysis"},
     "study": BASE | {"cohort", "models", "controllers", "perturbations", "analysis", "envs"},

@@ -1,17 +1,28 @@
 """The batched experiment against theory, against a plain loop, and under bad input."""
 
+import tracemalloc
 import warnings
 from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 import pytest
+import xarray as xr
 
-from armperturb.analysis.arm_model import arm_admittance, environment_admittance, total_admittance
+from armperturb.analysis.arm_model import (
+    arm_admittance,
+    environment_admittance,
+    largest_real_pole,
+    simulate_linear,
+    total_admittance,
+)
+from armperturb.analysis.identify import variance_accounted_for
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
 from armperturb.controllers.reflex import activate, initial_activation, reflex_gains, spindle_excitation
+from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
 from armperturb.environment import Environment
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.emg import Emg
+from armperturb.envs.experiment import Trial, _subject_in, run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.models import build_model
 from armperturb.perturbations import Multisine, MultisineThenPulse, Pulse, Sampled
@@ -60,13 +71,13 @@ class OneAxis:
         return force
 
 
-def small_multisine(duration=SETTLED + PERIOD):
+def small_multisine(duration=SETTLED + PERIOD, rms=2e-3):
     # So small that the arm's geometry stays linear to 1e-3.
-    return Multisine.draw(seed=4, rms=2e-3, duration=duration, crested=False)
+    return Multisine.draw(seed=4, rms=rms, duration=duration, crested=False)
 
 
-def both_axes(subject, **options):
-    trials = [Trial(subject=subject, perturbation=OneAxis(small_multisine(), axis)) for axis in range(2)]
+def both_axes(subject, rms=2e-3, **options):
+    trials = [Trial(subject=subject, perturbation=OneAxis(small_multisine(rms=rms), axis)) for axis in range(2)]
     recording = run_experiment(trials, ENVIRONMENT, **options)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # two averages for two inputs: coherence is not used here
@@ -206,13 +217,187 @@ def test_recording_carries_the_labels_of_its_trials():
 
 def test_instruments_disturb_only_what_they_measure_and_by_their_seed():
     trial = Trial(subject=RELAX, perturbation=small_multisine(1.0), seed=5)
+    instruments = Instruments(antialias=None)
     ideal = run_experiment([trial], ENVIRONMENT)
-    first, again = (run_experiment([trial], ENVIRONMENT, instruments=Instruments()) for _ in range(2))
-    other = run_experiment([replace(trial, seed=6)], ENVIRONMENT, instruments=Instruments())
+    first, again = (run_experiment([trial], ENVIRONMENT, instruments=instruments) for _ in range(2))
+    other = run_experiment([replace(trial, seed=6)], ENVIRONMENT, instruments=instruments)
     assert first.identical(again)
-    assert not first["force"].equals(other["force"])
-    assert first["perturbation"].equals(ideal["perturbation"])
+    for name in ("force", "shoulder_marker", "emg"):
+        assert not first[name].equals(other[name])
+    for name in ("perturbation", "joint_angle"):
+        assert first[name].equals(ideal[name])
     assert 0 < np.abs(first["displacement"] - ideal["displacement"]).max() < 1e-4
+
+
+def test_admittance_behind_the_antialias_filter_is_that_of_theory():
+    # Rounding to 17 bits would hide motion that is small enough to keep the arm linear.
+    quiet = Instruments(force_noise=0.0, encoder_bits=32, marker_noise=None, emg=None)
+    spectra = both_axes(POSITION, rms=0.05, instruments=quiet)
+    f = spectra.frequency
+    for estimate, theory in (
+        (spectra.arm, arm_admittance(POSITION, f)),
+        (spectra.total, total_admittance(POSITION, ENVIRONMENT, f)),
+        (spectra.environment, environment_admittance(ENVIRONMENT, f)),
+    ):
+        error = relative_error(estimate, theory)
+        assert error[f <= 20].max() < 0.005
+        assert error.max() < 0.01
+
+
+def test_antialias_filter_keeps_out_what_would_fold():
+    # 170 Hz sampled at 200 Hz looks like 30 Hz.
+    time = np.arange(8000) / 4000
+    hum = Sampled(force=np.sin(2 * np.pi * 170 * time)[:, None] * [1.0, 1.0], rate=4000.0)
+    trial = Trial(subject=RELAX, perturbation=hum)
+    open_, closed = (
+        run_experiment([trial], ENVIRONMENT, instruments=Instruments(antialias=antialias, force_noise=0.0, emg=None))
+        for antialias in (None, 80.0)
+    )
+    for name in ("perturbation", "force"):
+        # The last second, after the transient of the start; its line 30 is at 30 Hz.
+        folded, kept = (
+            np.abs(np.fft.rfft(recording[name].values[0, 200:], axis=0)[30]) for recording in (open_, closed)
+        )
+        assert (kept < 0.05 * folded).all()
+
+
+def test_measured_noise_floors_are_the_settings():
+    trials = [
+        Trial(subject=RELAX, perturbation=Pulse(peak=1e-9, direction_deg=20.0, onset=7.0, duration=8.0), seed=seed)
+        for seed in range(2)
+    ]
+    emg = Emg(noise=7e-3)
+    instruments = Instruments(force_noise=0.05, marker_noise=2e-3, emg=emg)
+    recording = run_experiment(trials, ENVIRONMENT, instruments=instruments)
+    for name, expected in (("force", 0.05), ("shoulder_marker", 2e-3), ("emg", 7e-3)):
+        np.testing.assert_allclose(recording[name].values.std(axis=1), expected, rtol=0.1)
+    moving = Trial(subject=RELAX, perturbation=Multisine.draw(seed=3, rms=1.0, duration=20.0, crested=False))
+    fine, coarse = (
+        run_experiment([moving], ENVIRONMENT, instruments=Instruments(encoder_bits=bits, emg=None)) for bits in (32, 17)
+    )
+    error = (coarse["displacement"] - fine["displacement"]).values[0]
+    # Both angles are uniform within a step; the handle is 0.65 m from the first axis and 0.6 m from the second.
+    x, y = np.array([0.0, -0.65]), np.array([[-0.325, 0.5044], [-0.325, -0.5044]])
+    proximal, distal = np.linalg.norm(x), np.linalg.norm(y[1])
+    expected = 2 * np.pi / 2**17 / np.sqrt(12) * np.hypot(proximal, distal)
+    assert np.sqrt(np.mean(np.sum(error**2, axis=1))) == pytest.approx(expected, rel=0.1)
+
+
+def noisy_trials():
+    """People in both tasks, one seed each, the last with a pulse and one without noise."""
+    trials = [
+        replace(trial, noise=HUMAN_NOISE[trial.subject.task], seed=100 + number, order=number)
+        for number, trial in enumerate(mixed_trials())
+    ]
+    pulse = Pulse(peak=20.0, direction_deg=200.0, onset=0.1, duration=0.5)
+    return [*trials, replace(trials[1], noise=None), replace(trials[0], perturbation=pulse, seed=7)]
+
+
+def test_whole_laboratory_is_the_same_alone_and_together_at_any_number_of_threads():
+    trials, instruments = noisy_trials(), Instruments()
+    together = run_experiment(trials, ENVIRONMENT, instruments=instruments, n_threads=1)
+    assert run_experiment(trials, ENVIRONMENT, instruments=instruments, n_threads=4).identical(together)
+    halves = [run_experiment(part, ENVIRONMENT, instruments=instruments) for part in (trials[:3], trials[3:])]
+    alone = [run_experiment([trial], ENVIRONMENT, instruments=instruments) for trial in trials]
+    for parts in (halves, alone):
+        assert xr.concat(parts, dim="trial", combine_attrs="identical").identical(together)
+    assert together["order"].values.tolist() == [trial.order for trial in trials]
+
+
+def test_a_trial_beside_a_longer_one_begins_the_same():
+    trial = noisy_trials()[1]
+    longer = replace(trial, perturbation=Multisine.draw(seed=9, rms=1.0, duration=0.7, crested=False))
+    alone = run_experiment([trial], ENVIRONMENT, instruments=Instruments())
+    beside = run_experiment([trial, longer], ENVIRONMENT, instruments=Instruments())
+    n, n_emg = alone.sizes["time"], alone.sizes["emg_time"]
+    beside = beside.isel(trial=[0], time=slice(n), emg_time=slice(n_emg))
+    for name in ("perturbation", "force", "displacement", "joint_angle", "emg"):
+        np.testing.assert_array_equal(beside[name].values, alone[name].values)
+
+
+def test_noise_at_zero_is_no_noise_to_the_last_bit():
+    trials = mixed_trials()
+    silent = [replace(trial, noise=HumanNoise(), seed=3) for trial in trials]
+    assert run_experiment(silent, ENVIRONMENT).identical(run_experiment(trials, ENVIRONMENT))
+
+
+def test_every_kind_of_noise_moves_the_arm_by_its_seed():
+    still = mixed_trials()[1]
+    ideal = run_experiment([still], ENVIRONMENT)
+    for setting in ("remnant_share", "remnant_floor", "voluntary_share", "voluntary_floor", "spread_k", "spread_kv"):
+        noise = HumanNoise(**{setting: 0.5})
+        first, again, other = (
+            run_experiment([replace(still, noise=noise, seed=seed)], ENVIRONMENT) for seed in (1, 1, 2)
+        )
+        assert first.identical(again)
+        assert not first["displacement"].equals(ideal["displacement"])
+        assert not first["displacement"].equals(other["displacement"])
+        assert first["perturbation"].equals(ideal["perturbation"])
+
+
+def test_trials_of_a_person_near_instability_keep_half_of_the_margin():
+    noise = HumanNoise(spread_b=0.3, spread_kv=0.3, spread_kp=0.3)
+    trial = Trial(subject=POSITION, perturbation=small_multisine(1.0), noise=noise)
+    bound = largest_real_pole(POSITION, ENVIRONMENT) / 2
+    poles = [largest_real_pole(_subject_in(replace(trial, seed=seed), ENVIRONMENT), ENVIRONMENT) for seed in range(200)]
+    assert max(poles) <= bound
+    assert np.std(poles) > 0
+
+
+def test_people_are_as_noisy_as_the_thesis_describes():
+    conditions = {
+        "PT2.5": (POSITION, 1.2),
+        "PT7.5": (POSITION, 5.4),
+        "PT22.5": (POSITION, 16.6),
+        "RT7.5": (RELAX, 0.9),
+    }
+    n = 6
+    trials = [
+        Trial(
+            subject=subject,
+            perturbation=Multisine.draw(seed=seed, rms=rms, duration=8.0 + PERIOD, crested=False),
+            seed=seed + 1000 * round(10 * rms),
+            noise=HUMAN_NOISE[subject.task],
+        )
+        for subject, rms in conditions.values()
+        for seed in range(n)
+    ]
+    recording = run_experiment(trials, ENVIRONMENT, instruments=Instruments(emg=None))
+    coherence, vaf = {}, {}
+    for number, (name, (subject, _)) in enumerate(conditions.items()):
+        alone = [recording.isel(trial=[i]) for i in range(number * n, (number + 1) * n)]
+        spectra = [estimate_spectra(line_spectra(trial)) for trial in alone]
+        coherence[name] = np.mean([s.coherence for s in spectra], axis=0)
+        predicted = [simulate_linear(subject, ENVIRONMENT, t["perturbation"].values[0], 200.0) for t in alone]
+        vaf[name] = np.mean(
+            [
+                variance_accounted_for(t["displacement"].values[0], p.displacement, 200.0)
+                for t, p in zip(alone, predicted, strict=True)
+            ],
+            axis=0,
+        )
+    slow = spectra[0].frequency <= 1.5
+    for name in ("PT7.5", "PT22.5"):
+        # Section 3.1: high over the full range, and lower for the smallest perturbation.
+        assert coherence[name].mean() > 0.8
+        assert coherence[name][slow].mean() > 0.8
+        assert coherence[name][~slow].mean() > 0.8
+        assert coherence["PT2.5"].mean() < coherence[name].mean()
+    assert (coherence["RT7.5"][slow].mean(axis=0) - coherence["RT7.5"][~slow].mean(axis=0)).min() > 0.15
+    # Tables C.12, E.5: 61 % (SD over trials 10 %); here six trials.
+    assert vaf["PT7.5"][0] == pytest.approx(61.0, abs=8.0)
+
+
+def test_memory_grows_by_the_recording_not_by_the_steps():
+    trials = [replace(noisy_trials()[0], perturbation=small_multisine(4.0), seed=seed) for seed in range(16)]
+    tracemalloc.start()
+    try:
+        run_experiment(trials, ENVIRONMENT, instruments=Instruments())
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # At this, 96 trials of 36 s take 0.7 GB: force and noise held over each step, EMG, and the other signals.
+    assert peak / (16 * 4000) < 200
 
 
 @pytest.mark.parametrize(
@@ -258,8 +443,26 @@ def test_instruments_disturb_only_what_they_measure_and_by_their_seed():
         (mixed_trials()[:1], {"timestep": 0.0125, "rate": 80.0}, "expected at most 36 Hz"),
         (mixed_trials()[:1], {"rope": "steel"}, "rope = 'steel'; expected one of ideal, pendulum"),
         ([Trial(subject=replace(RELAX, Td_s=5e-4), perturbation=small_multisine(1.0))], {}, "Td_s = 0.0005; expected"),
+        (
+            mixed_trials()[:1],
+            {"rate": 100.0, "instruments": Instruments()},
+            "antialias = 80.0; expected a finite number above 0 and below 50",
+        ),
     ],
 )
 def test_bad_input_is_named(trials, options, message):
     with pytest.raises(ValueError, match=message):
         run_experiment(trials, ENVIRONMENT, **options)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"seed": -1}, ValueError, "Trial: seed = -1; expected at least 0"),
+        ({"order": 1.5}, TypeError, r"Trial: order = 1.5; expected a whole number"),
+        ({"noise": 0.3}, TypeError, r"Trial: noise = 0.3; expected HumanNoise or None"),
+    ],
+)
+def test_bad_trials_are_named(change, error, message):
+    with pytest.raises(error, match=message):
+        replace(mixed_trials()[0], **change)

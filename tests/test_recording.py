@@ -1,19 +1,31 @@
 """The log format: complete, checked, saved whole, loaded the same."""
 
+from pathlib import Path
+
+import h5py
 import numpy as np
 import pytest
-import xarray as xr
 
-from armperturb.recording import REQUIRED_SIGNALS, check_recording, load_recording, make_recording, save_recording
+from armperturb.recording import (
+    MUSCLES,
+    REQUIRED_SIGNALS,
+    check_recording,
+    load_recording,
+    make_recording,
+    save_recording,
+)
 
 N_TRIALS, N_TIME = 2, 50
+ADC_STEP = float(np.float32(5.0 / 2**15))
 
 
-@pytest.fixture
-def recording():
+def signals(names=(*REQUIRED_SIGNALS, "joint_angle")):
     rng = np.random.default_rng(0)
-    signals = {name: rng.normal(size=(N_TRIALS, N_TIME, 2)) for name in (*REQUIRED_SIGNALS, "joint_angle")}
-    trials = {
+    return {name: rng.normal(size=(N_TRIALS, N_TIME, 2)) for name in names}
+
+
+def labels():
+    return {
         "subject": ["A", "B"],
         "task": ["PT", "RT"],
         "condition": ["PT7.5", "RT7.5"],
@@ -27,7 +39,25 @@ def recording():
         "theta_e_deg": [82.3, 82.3],
         "limit_time": [np.nan, np.nan],
     }
-    return make_recording(signals, trials, 200.0)
+
+
+@pytest.fixture
+def recording():
+    return make_recording(signals(), labels(), 200.0)
+
+
+@pytest.fixture
+def whole_recording():
+    """With all that a laboratory records."""
+    counts = np.random.default_rng(1).integers(-(2**15), 2**15, (N_TRIALS, 10 * N_TIME, len(MUSCLES)))
+    emg = counts.astype(np.float32) * np.float32(ADC_STEP)
+    return make_recording(
+        {**signals((*REQUIRED_SIGNALS, "joint_angle", "shoulder_marker")), "emg": emg},
+        {**labels(), "order": [7, 3]},
+        200.0,
+        emg_rate=2000.0,
+        adc_step=ADC_STEP,
+    )
 
 
 def test_dims_labels_and_units(recording):
@@ -47,6 +77,63 @@ def test_file_gives_back_the_same_recording(recording, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["r.nc"]
 
 
+def test_emg_has_its_own_clock_and_muscles(whole_recording):
+    assert whole_recording["emg"].dims == ("trial", "emg_time", "muscle")
+    assert whole_recording["emg"].attrs["units"] == "V"
+    assert whole_recording["shoulder_marker"].attrs["units"] == "m"
+    assert whole_recording["emg_time"].values[-1] == pytest.approx((10 * N_TIME - 1) / 2000)
+    assert tuple(whole_recording["muscle"].values) == MUSCLES
+    assert whole_recording["order"].values.tolist() == [7, 3]
+
+
+def test_emg_is_16_bit_on_disk_and_the_same_in_memory(whole_recording, tmp_path):
+    save_recording(whole_recording, tmp_path / "r.nc")
+    loaded = load_recording(tmp_path / "r.nc")
+    assert loaded.identical(whole_recording)
+    assert loaded["emg"].dtype == np.float32
+    with h5py.File(tmp_path / "r.nc") as file:
+        assert file["emg"].dtype == np.int16
+        assert file["emg"].attrs["scale_factor"] == pytest.approx(ADC_STEP)
+    save_recording(loaded, tmp_path / "again.nc")
+    assert (tmp_path / "again.nc").read_bytes() == (tmp_path / "r.nc").read_bytes()
+
+
+def test_emg_of_a_laboratory_without_16_bits_stays_in_single_precision(tmp_path):
+    emg = np.random.default_rng(1).normal(size=(N_TRIALS, 10 * N_TIME, len(MUSCLES)))
+    recording = make_recording({**signals(), "emg": emg}, labels(), 200.0, emg_rate=2000.0)
+    save_recording(recording, tmp_path / "r.nc")
+    assert load_recording(tmp_path / "r.nc").identical(recording)
+
+
+@pytest.mark.parametrize("value", [0.4 * ADC_STEP, 6.0])
+def test_emg_that_16_bits_cannot_hold_is_named(whole_recording, tmp_path, value):
+    whole_recording["emg"][1, 30, 2] = value
+    with pytest.raises(
+        ValueError, match=r"emg of trial 1 is .* at sample 30; expected 16-bit multiples of its adc_step"
+    ):
+        save_recording(whole_recording, tmp_path / "r.nc")
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda r: r.assign_attrs(emg_rate=1000.0), "emg_time runs at 2000 Hz.*emg_rate = 1000 Hz"),
+        (lambda r: r.drop_attrs(deep=False).assign_attrs(rate=200.0), "emg_rate = None; expected the sampling rate"),
+        (lambda r: r.isel(muscle=slice(None, None, -1)), "dimension 'muscle' is not labelled; expected pectoralis"),
+        (lambda r: r.rename(emg_time="t"), r"emg has dims .*; expected \('trial', 'emg_time', 'muscle'\)"),
+    ],
+)
+def test_bad_emg_is_named(whole_recording, damage, message):
+    with pytest.raises(ValueError, match=message):
+        check_recording(damage(whole_recording))
+
+
+def test_emg_without_a_rate_is_refused():
+    emg = np.zeros((N_TRIALS, 10 * N_TIME, len(MUSCLES)))
+    with pytest.raises(ValueError, match="emg_rate = None; expected the sampling rate of the EMG in Hz"):
+        make_recording({**signals(), "emg": emg}, labels(), 200.0)
+
+
 def test_single_trials_can_be_saved_too(recording, tmp_path):
     save_recording(recording.isel(trial=[1]), tmp_path / "r.nc")
     assert load_recording(tmp_path / "r.nc")["subject"].values.tolist() == ["B"]
@@ -57,11 +144,12 @@ def test_a_failed_save_leaves_the_old_file_and_nothing_else(recording, tmp_path,
     save_recording(recording, path)
     before = path.read_bytes()
 
-    def fail(self, target, **options):
-        target.write_bytes(b"half")
+    def fail(self, content):
+        with self.open("wb") as file:
+            file.write(content[: len(content) // 2])
         raise OSError("disk full")
 
-    monkeypatch.setattr(xr.Dataset, "to_netcdf", fail)
+    monkeypatch.setattr(Path, "write_bytes", fail)
     with pytest.raises(OSError, match="disk full"):
         save_recording(recording, path)
     assert path.read_bytes() == before

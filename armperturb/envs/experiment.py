@@ -1,19 +1,24 @@
 """The batched experiment: many trials stepped in lockstep, each a person under a perturbation."""
 
 import ctypes
+import os
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import mujoco
 import numpy as np
 import xarray as xr
 from mujoco.batch import Batch
 from numpy.typing import NDArray
+from scipy import signal
 
-from armperturb.analysis.arm_model import fastest_pole, require_stable
+from armperturb.analysis.arm_model import fastest_pole, hand_jacobian, largest_real_pole, require_stable
 from armperturb.controllers.reflex import activate, initial_activation, reflex_gains, spindle_excitation
+from armperturb.controllers.remnant import HumanNoise
 from armperturb.environment import Environment
 from armperturb.envs.instruments import Instruments
 from armperturb.models import JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, build_model, history_length
@@ -23,6 +28,17 @@ from armperturb.subject import Subject
 from armperturb.validation import require_number
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
+
+HUMAN, MARKER, EMG = 1, 2, 3
+"""What a trial's seed is extended by for each source of chance; the strain gauge takes the seed as it is."""
+
+MARGIN_KEPT = 0.5
+"""Share of a person's distance from instability (largest real part of a pole) that every trial keeps [-]: closer to it,
+an arm rings on the remnant in a way that people do not."""
+
+CHUNK = 100
+"""Samples of the recording between two runs of the anti-alias filter: what is kept at the simulation's rate."""
 
 MAX_DURATION = 3600.0
 """Longest trial [s]: anything longer is a slip in a file, and would not fit into memory."""
@@ -43,7 +59,13 @@ class Trial:
       condition: name in the protocol, e.g. "PT7.5"; the subject's task if empty.
       repetition: of the condition, from 0.
       pulse_level: multiple of the unit pulse; 0 without pulse.
-      seed: of the instruments' noise.
+      order: place in the session, from 0.
+      seed: of the person's and the instruments' noise; a whole number of at least 0.
+      noise: how noisy the person is; None is a person who does the same in every trial.
+
+    Raises:
+      TypeError: seed or order is not a whole number, or noise is something else.
+      ValueError: seed or order is negative.
     """
 
     subject: Subject
@@ -51,7 +73,23 @@ class Trial:
     condition: str = ""
     repetition: int = 0
     pulse_level: float = 0.0
+    order: int = 0
     seed: int = 0
+    noise: HumanNoise | None = None
+
+    def __post_init__(self) -> None:
+        for field in ("order", "seed"):
+            value = getattr(self, field)
+            if isinstance(value, bool) or not isinstance(value, int | np.integer):
+                raise TypeError(f"Trial: {field} = {value!r}; expected a whole number")
+            if value < 0:
+                raise ValueError(f"Trial: {field} = {value!r}; expected at least 0")
+        if self.noise is not None and not isinstance(self.noise, HumanNoise):
+            raise TypeError(f"Trial: noise = {self.noise!r}; expected HumanNoise or None")
+
+    def generator(self, source: int) -> np.random.Generator:
+        """The trial's own stream of chance for one source (`HUMAN`, `MARKER`, `EMG`)."""
+        return np.random.default_rng([self.seed, source])
 
 
 def run_experiment(
@@ -69,6 +107,8 @@ def run_experiment(
 
     All trials last as long as the longest; a perturbation is zero after its end. A trial whose handle reaches the
     workspace limit goes on like the others, and its `limit_time` tells when: its signals mean nothing from then on.
+    Whatever is random in a trial comes from its own seed, and a trial is the same to the last bit alone and beside any
+    others, at any number of threads.
 
     Args:
       trials: who is perturbed by what.
@@ -81,7 +121,8 @@ def run_experiment(
       progress: called with the simulated seconds (all trials together) since the last call.
 
     Returns:
-      A recording (see `armperturb.recording`) with signals `perturbation`, `force`, `displacement`, `joint_angle`.
+      A recording (see `armperturb.recording`) with signals `perturbation`, `force`, `displacement`, `joint_angle`, and
+      `shoulder_marker` and `emg` if the instruments have them. Joint angles are true, but as late as the others.
 
     Raises:
       ValueError: no trials, a subject that is unstable on the environment or too fast for the step, a perturbation with
@@ -98,6 +139,7 @@ def run_experiment(
         raise ValueError(
             f"run_experiment: rate = {rate!r} Hz; expected the simulation's {1 / timestep:g} Hz over a whole number"
         )
+    lowpass = instruments.lowpass(timestep, rate) if instruments else None
     for subject in {trial.subject for trial in trials}:
         require_stable(subject, environment)
         _require_integrable(subject, environment, timestep)
@@ -108,22 +150,73 @@ def run_experiment(
         name = f"duration of a {type(perturbation).__name__}"
         require_number("run_experiment", name, perturbation.duration, at_least=2.0 / rate, at_most=MAX_DURATION)
 
-    truth = _simulate(trials, environment, timestep, decimation, rope, n_threads, progress)
-    signals = {
-        "perturbation": truth["perturbation"],
-        "force": truth["force"],
-        "displacement": truth["displacement"],
-        "joint_angle": truth["joint_angle"],
-    }
+    n_threads = n_threads or os.cpu_count() or 1
+    subjects = [_subject_in(trial, environment) for trial in trials]
+    emg = instruments.emg if instruments else None
+    truth = _simulate(
+        trials, subjects, environment, timestep, decimation, rope, lowpass, emg is not None, n_threads, progress
+    )
+    excitation = truth.pop("excitation")
+    limit_time = truth.pop("limit_time")
+    signals: dict[str, NDArray] = dict(truth)
+    clock: dict[str, float] = {}
     if instruments is not None:
         signals["displacement"] = instruments.read_displacement(signals["displacement"])
-        signals["force"] = np.stack(
-            [
-                instruments.read_force(force, np.random.default_rng(trial.seed))
-                for trial, force in zip(trials, signals["force"], strict=True)
-            ]
+        for trial, force in zip(trials, signals["force"], strict=True):
+            force[:] = instruments.read_force(force, np.random.default_rng(trial.seed))
+        if instruments.marker_noise is not None:
+            # The belt holds the shoulder: what the movies show is the camera's noise.
+            rest = np.zeros(signals["displacement"].shape[1:])
+            signals["shoulder_marker"] = np.stack(
+                [instruments.read_marker(rest, trial.generator(MARKER)) for trial in trials]
+            )
+    if emg is not None:
+        clock = {"emg_rate": emg.rate, "adc_step": emg.adc_step}
+        readings = _in_threads(
+            lambda i: emg.read(subjects[i], excitation[i], rate, trials[i].generator(EMG)),
+            range(len(trials)),
+            n_threads,
         )
-    return make_recording(signals, {**_labels(trials), "limit_time": truth["limit_time"]}, rate)
+        first = next(readings)
+        signals["emg"] = np.empty((len(trials), *first.shape), dtype=first.dtype)
+        signals["emg"][0] = first
+        for i, reading in enumerate(readings, start=1):
+            signals["emg"][i] = reading
+    return make_recording(signals, {**_labels(trials), "limit_time": limit_time}, rate, **clock)
+
+
+def _in_threads(function: Callable[[int], T], indices: Sequence[int], n_threads: int) -> Iterator[T]:
+    """Results in order, of calls that spend their time in NumPy and SciPy."""
+    with ThreadPoolExecutor(n_threads) as pool:
+        yield from pool.map(function, indices)
+
+
+def _subject_in(trial: Trial, environment: Environment) -> Subject:
+    """The person as it is in this trial."""
+    if trial.noise is None:
+        return trial.subject
+    bound = MARGIN_KEPT * largest_real_pole(trial.subject, environment)
+    stream = trial.generator(HUMAN).spawn(2)[0]
+    return trial.noise.vary(trial.subject, stream, lambda drawn: largest_real_pole(drawn, environment) <= bound)
+
+
+def _noise_torque(trial: Trial, timestep: float, n_steps: int) -> Array | None:
+    """Torque of the person's noise [Nm], (step, joint); None if there is no noise."""
+    if trial.noise is None:
+        return None
+    # The demand is the continuous perturbation's: the pulse is over before a person could answer with more effort.
+    pulse = _pulse(trial)
+    end = pulse.onset if pulse else trial.perturbation.duration
+    force = trial.perturbation.sample(1.0 / timestep, round(end / timestep))
+    x, y = hand_jacobian(trial.subject)
+    load = force[:, :1] * x + force[:, 1:] * y  # not @: BLAS may add in another order on another number of threads
+    demand = np.sqrt(np.mean(load**2, axis=0)) if len(load) else np.zeros(2)
+    return trial.noise.torque(demand, timestep, n_steps, trial.generator(HUMAN).spawn(2)[1])
+
+
+def _pulse(trial: Trial) -> Pulse | None:
+    perturbation = trial.perturbation
+    return perturbation if isinstance(perturbation, Pulse) else getattr(perturbation, "pulse", None)
 
 
 def _require_integrable(subject: Subject, environment: Environment, timestep: float) -> None:
@@ -153,15 +246,13 @@ def _silent_simulator() -> Iterator[None]:
 
 
 def _labels(trials: Sequence[Trial]) -> dict[str, list]:
-    pulses = [
-        trial.perturbation if isinstance(trial.perturbation, Pulse) else getattr(trial.perturbation, "pulse", None)
-        for trial in trials
-    ]
+    pulses = [_pulse(trial) for trial in trials]
     return {
         "subject": [trial.subject.name for trial in trials],
         "task": [trial.subject.task for trial in trials],
         "condition": [trial.condition or trial.subject.task for trial in trials],
         "repetition": [trial.repetition for trial in trials],
+        "order": [trial.order for trial in trials],
         "pulse_level": [trial.pulse_level for trial in trials],
         "pulse_direction": [pulse.direction_deg if pulse else np.nan for pulse in pulses],
         "pulse_onset": [pulse.onset if pulse else np.nan for pulse in pulses],
@@ -181,15 +272,21 @@ def _held(perturbation: Perturbation, timestep: float, n_steps: int) -> Array:
 
 def _simulate(
     trials: Sequence[Trial],
+    subjects: Sequence[Subject],
     environment: Environment,
     timestep: float,
     decimation: int,
     rope: str,
+    lowpass: Array | None,
+    log_excitation: bool,
     n_threads: int,
     progress: Callable[[float], object] | None,
 ) -> dict[str, Array]:
-    """True signals at every `decimation`-th step, (trial, time, axis), and the first instant at a limit, (trial,)."""
-    subjects = [trial.subject for trial in trials]
+    """Signals at every `decimation`-th step, (trial, time, axis), and the first instant at a limit, (trial,).
+
+    With a low-pass (second-order sections at the simulation's rate) all signals have passed it, but not `excitation`,
+    which no instrument sees.
+    """
     n_history = max(history_length(subject, timestep) for subject in subjects)
     models = {
         subject: build_model(subject, environment, timestep=timestep, rope=rope, n_history=n_history, visual=False)
@@ -207,11 +304,29 @@ def _simulate(
     n_steps = n_samples * decimation
     held = np.empty((n_steps, n_trials, 2))
     recorded = np.empty((n_trials, n_samples, 2))
-    for i, trial in enumerate(trials):
-        held[:, i] = _held(trial.perturbation, timestep, n_steps)
-        recorded[i] = trial.perturbation.sample(1.0 / (timestep * decimation), n_samples, 0.0)
+    noisy = any(trial.noise is not None for trial in trials)
+    torque = np.zeros((n_steps, n_trials, 2)) if noisy else None
 
-    log = {name: np.empty((n_samples, n_trials, 2)) for name in ("force", "displacement", "joint_angle")}
+    def prepare(i: int) -> None:
+        perturbation = trials[i].perturbation
+        held[:, i] = _held(perturbation, timestep, n_steps)
+        if lowpass is None:
+            recorded[i] = perturbation.sample(1.0 / (timestep * decimation), n_samples, 0.0)
+        else:
+            force = perturbation.sample(1.0 / timestep, n_steps, 0.0)
+            recorded[i] = signal.sosfilt(lowpass, force, axis=0)[::decimation]
+        noise = _noise_torque(trials[i], timestep, n_steps)
+        if torque is not None and noise is not None:
+            torque[:, i] = noise
+
+    list(_in_threads(prepare, range(n_trials), n_threads))
+
+    # Handle, joint angles, force. A filter starts at rest and gets angles as deviations from the posture.
+    log = np.empty((n_samples, n_trials, 6))
+    posture = np.array([subject.posture for subject in subjects])
+    chunk = np.empty((CHUNK * decimation if lowpass is not None else 0, n_trials, 6))
+    state = None if lowpass is None else np.zeros((len(lowpass), 2, n_trials, 6))
+    excitation_log = np.empty((n_samples if log_excitation else 0, n_trials, 2))
     limit_time = np.full(n_trials, np.nan)
     gains = reflex_gains(subjects, timestep)
     activation = initial_activation(n_trials)
@@ -224,21 +339,37 @@ def _simulate(
     angle, velocity, handle = qpos[:, hinge], qvel[:, hinge], qpos[:, slide]
     with _silent_simulator():
         for step in range(n_steps):
-            active, activation = activate(gains, activation, spindle_excitation(gains, angle, velocity))
+            excitation = spindle_excitation(gains, angle, velocity)
+            active, activation = activate(gains, activation, excitation)
             np.negative(active, out=ctrl[:, motor])
             applied[:, slide] = held[step]
+            if torque is not None:
+                applied[:, hinge] = torque[step]
             sample, rest = divmod(step, decimation)
             if not rest:
-                log["displacement"][sample], log["joint_angle"][sample] = handle, angle
                 reached = np.abs(handle).max(axis=1) >= environment.workspace
                 if reached.any():
                     limit_time[reached & np.isnan(limit_time)] = step * timestep
+                if log_excitation:
+                    excitation_log[sample] = excitation
+            row = None
+            if lowpass is not None:
+                row = chunk[step % len(chunk)]
+                row[:, 0:2] = handle
+                np.subtract(angle, posture, out=row[:, 2:4])
+            elif not rest:
+                row = log[sample]
+                row[:, 0:2], row[:, 2:4] = handle, angle
             batch.step()
-            if not rest:
-                # The sensors describe the state before the step, at which the other signals were taken.
-                log["force"][sample] = sensors[:, gauge : gauge + 2]
-                if progress is not None:
-                    progress(n_trials * decimation * timestep)
+            # The sensors describe the state before the step, at which the other signals were taken.
+            if row is not None:
+                row[:, 4:6] = sensors[:, gauge : gauge + 2]
+            if lowpass is not None and ((step + 1) % len(chunk) == 0 or step + 1 == n_steps):
+                n_rows = step % len(chunk) + 1
+                filtered, state = signal.sosfilt(lowpass, chunk[:n_rows], axis=0, zi=state)
+                log[sample + 1 - n_rows // decimation : sample + 1] = filtered[::decimation]
+            if not rest and progress is not None:
+                progress(n_trials * decimation * timestep)
     # MuJoCo resets a state that it cannot integrate; beyond the workspace limit nothing counts any more.
     diverged = np.flatnonzero((batch.warning[:, _DIVERGED, 1] > 0).any(axis=1) & np.isnan(limit_time))
     if len(diverged):
@@ -247,8 +378,17 @@ def _simulate(
             f"trial {diverged[0]} of subject {name!r} could not be integrated; expected finite motion (a weaker "
             "perturbation or a smaller step)"
         )
+    if lowpass is not None:
+        log[:, :, 2:4] += posture
+
+    def trial_first(values: Array) -> Array:
+        return np.ascontiguousarray(values.swapaxes(0, 1))
+
     return {
         "perturbation": recorded,
-        **{name: np.ascontiguousarray(values.swapaxes(0, 1)) for name, values in log.items()},
+        "force": trial_first(log[:, :, 4:6]),
+        "displacement": trial_first(log[:, :, 0:2]),
+        "joint_angle": trial_first(log[:, :, 2:4]),
         "limit_time": limit_time,
+        "excitation": trial_first(excitation_log),
     }

@@ -21,7 +21,7 @@ from armperturb.perturbations import MultisineThenPulse
 from armperturb.perturbations.multisine import CLUSTERS, FULL_BAND, PERIOD
 from armperturb.study import published
 from armperturb.study.admittance import mean_admittance
-from armperturb.study.protocol import CONDITIONS, Condition
+from armperturb.study.protocol import Condition
 from armperturb.study.runner import Case, StudyResult
 from armperturb.study.style import (
     COLOURS,
@@ -35,7 +35,7 @@ from armperturb.study.style import (
     in_style,
     new_figure,
 )
-from armperturb.study.tables import true_value
+from armperturb.study.tables import published_or_nan, true_value
 
 Array = NDArray[np.float64]
 
@@ -149,7 +149,7 @@ def admittance_by_task(study: StudyResult) -> Figure:
     """Admittance of the conditions, mean and SD over subjects (thesis fig. 3.2)."""
     figure, panels = _admittance_panels()
     handles: list[Line2D | Patch] = []
-    for condition in _present(study):
+    for condition in study.conditions:
         mean = mean_admittance(study, condition.name)
         look: dict[str, Any] = {"color": _colour(condition), "marker": "o", "markersize": 3}
         band: dict[str, Any] = {"color": _colour(condition), "alpha": 0.18, "linewidth": 0}
@@ -163,7 +163,7 @@ def admittance_by_task(study: StudyResult) -> Figure:
             phase_ax.fill_between(frequency, phase - spread, phase + spread, **band)
             phase_ax.plot(frequency, phase, **look)
         handles.append(Line2D([], [], label=condition.name, **look))
-    if len(study.cases) > len(CONDITIONS):
+    if study.settings.subjects > 1:
         handles.append(Patch(facecolor=GREY, alpha=0.3, label="± 1 SD over people"))
     _legend(figure, *handles)
     return figure
@@ -172,7 +172,7 @@ def admittance_by_task(study: StudyResult) -> Figure:
 @in_style()
 def coherence(study: StudyResult) -> Figure:
     """Multiple coherence of single trials, mean and SD over subjects (thesis fig. 3.6)."""
-    conditions = _present(study)
+    conditions = study.conditions
     figure = new_figure(3.9)
     panels = figure.subplots(2, len(conditions), sharex=True, sharey=True, squeeze=False)
     for condition, column in zip(conditions, panels.T, strict=True):
@@ -269,12 +269,13 @@ def parameters(study: StudyResult, condition: Condition) -> Figure:
         truth = np.array([true_value(case.truth, name) for case in cases])
         estimate = np.array([case.identified.fit.values[name] for case in cases])
         sem = np.array([case.identified.fit.sem[name] for case in cases])
-        printed = published.parameter(condition.name, name)
+        printed = published_or_nan(published.parameter, condition.name, name)
         band = (printed.mean - printed.sd, printed.mean + printed.sd)
-        low, high = min(*truth, *estimate, *band), max(*truth, *estimate, *band)
+        low, high = np.nanmin([*truth, *estimate, *band]), np.nanmax([*truth, *estimate, *band])
         low, high = low - 0.08 * (high - low), high + 0.08 * (high - low)
-        ax.axhspan(*band, color=PUBLISHED["color"], alpha=0.2, linewidth=0)
-        ax.axhline(printed.mean, color=PUBLISHED["color"], linewidth=1)
+        if np.isfinite(printed.mean):
+            ax.axhspan(*band, color=PUBLISHED["color"], alpha=0.2, linewidth=0)
+            ax.axhline(printed.mean, color=PUBLISHED["color"], linewidth=1)
         ax.plot((low, high), (low, high), **{**TRUE, "linewidth": 1})
         ax.errorbar(
             truth,
@@ -310,7 +311,7 @@ def overview(study: StudyResult, *, subject: int = 0) -> Figure:
     `docs/overview.png` is the second person of seed 0, saved with `save_png`.
 
     Args:
-      study: in which the person was identified in every condition.
+      study: in which the person was identified in PT7.5 and RT7.5.
       subject: number of the person, from 0.
 
     Raises:
@@ -321,13 +322,13 @@ def overview(study: StudyResult, *, subject: int = 0) -> Figure:
     figure.set_layout_engine("constrained", rect=(beside, 0, 1 - beside, 1))
     ax = figure.add_axes((0, 0, beside - 0.02, 1))
     ax.set_axis_off()
-    model = build_model(study.of(CONDITIONS[0].name)[subject].truth, study.environment)
+    model = build_model(study.of("PT7.5")[subject].truth, study.environment)
     picture = ax.imshow(render(model, camera="oblique", width=1412, height=1380), aspect="auto")
     corners = FancyBboxPatch((0.03, 0.03), 0.94, 0.94, boxstyle="round,pad=0.03", transform=ax.transAxes)
     picture.set_clip_path(corners)
 
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
-    for condition in _present(study):
+    for condition in (study.protocol.condition(name) for name in ("PT7.5", "RT7.5")):
         identification = study.of(condition.name)[subject].identified
         spectra, colour = identification.spectra, _colour(condition)
         fitted = np.abs(arm_admittance(identification.fit.arm, FREQUENCY))
@@ -335,7 +336,7 @@ def overview(study: StudyResult, *, subject: int = 0) -> Figure:
             panel.loglog(FREQUENCY, fitted[:, element, element], color=colour, linewidth=1.8)
             gain = np.abs(spectra.arm[:, element, element])
             panel.plot(spectra.frequency, gain, "o", color=colour, markersize=6, markeredgecolor="white")
-        task = {"PT": "hold position", "RT": "relax"}[condition.name[:2]]
+        task = {"PT": "hold position", "RT": "relax"}[condition.task]
         panels[0].text(0.17, 0.6 * fitted[0, 0, 0], task, color=colour, fontsize=12, weight="bold", va="top")
     for axis, panel in zip(AXES, panels, strict=True):
         panel.set_ylabel(f"$|H_{{{2 * axis}}}|$  [m/N]", fontsize=11)
@@ -357,12 +358,8 @@ def _single_trials(trials: xr.Dataset) -> list[SpectralEstimate]:
     return [estimate_spectra(line_spectra(trials.isel(trial=[trial]))) for trial in range(trials.sizes["trial"])]
 
 
-def _present(study: StudyResult) -> list[Condition]:
-    return [condition for condition in CONDITIONS if study.of(condition.name)]
-
-
 def _colour(condition: Condition) -> str:
-    return COLOURS[condition.name[:2]]
+    return COLOURS[condition.task]
 
 
 def _admittance_panels() -> tuple[Figure, dict[Element, tuple[Axes, Axes]]]:

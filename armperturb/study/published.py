@@ -2,17 +2,21 @@
 
 import csv
 import functools
+import math
 from importlib import resources
 from typing import NamedTuple
 
-SI = {"kN/m": 1e3, "ms": 1e-3}
+SI = {"kN/m": 1e3, "ms": 1e-3, "deg": math.radians(1.0), "deg/s": math.radians(1.0)}
 """Factors from the printed units that are not SI."""
 
 PARAMETER_TABLES = {
     "PT7.5": {"table": "E.3", "model": "3b", "start": "vartheta_i5"},
+    "RT2.5": {"table": "C.16", "model": "1", "start": ""},
     "RT7.5": {"table": "C.18", "model": "1", "start": ""},
+    "RT22.5": {"table": "C.20", "model": "1", "start": ""},
 }
-"""Which table holds the parameters of a condition for the model that the thesis settled on."""
+"""Which table holds the parameters of a condition for the model that the thesis settled on; PT2.5 and PT22.5 were not
+fitted with model 3b."""
 
 
 class MeanSD(NamedTuple):
@@ -34,6 +38,8 @@ def parameter(condition: str, name: str) -> MeanSD:
     Raises:
       KeyError: the thesis prints none.
     """
+    if condition not in PARAMETER_TABLES:
+        raise KeyError(f"no published parameters in {condition}; there are some in {', '.join(PARAMETER_TABLES)}")
     wanted = PARAMETER_TABLES[condition]
     for row in _rows("parameters"):
         if row["parameter"] == name and row["quantity"] == "parameter" and all(row[k] == v for k, v in wanted.items()):
@@ -43,13 +49,47 @@ def parameter(condition: str, name: str) -> MeanSD:
 
 
 def applied_force(condition: str) -> MeanSD:
-    """RMS force of the multisine, per axis [N] (table 2.1)."""
+    """RMS force of the multisine, per axis [N] (table 2.1).
+
+    Raises:
+      KeyError: the thesis prints none.
+    """
     return _condition(condition, "applied_force_rms_N", 1.0)
 
 
 def rms_displacement(condition: str) -> MeanSD:
-    """RMS displacement during the multisine, per axis [m] (table 2.1)."""
+    """RMS displacement during the multisine, per axis [m] (table 2.1).
+
+    Raises:
+      KeyError: the thesis prints none.
+    """
     return _condition(condition, "displacement_rms_mm", 1e-3)
+
+
+def pulse_unit() -> MeanSD:
+    """Peak force of pulse level 1 [N]: ten times the RMS force of PT7.5 (table 2.1)."""
+    return _condition("PT7.5", "pulse_peak_force_unit_N", 1.0)
+
+
+def joint_motion(condition: str, joint: str, quantity: str, pulse: str = "none") -> MeanSD:
+    """Rotation [rad] or velocity [rad/s] of a joint (tables F.2 to F.6).
+
+    Args:
+      condition: e.g. "PT7.5".
+      joint: "s" or "e".
+      quantity: "rms_rotation", "max_rotation", "rms_velocity" or "max_velocity" during the multisine;
+        "peak_rotation" or "peak_velocity" after a pulse.
+      pulse: "none" for the multisine; "min", "max" (level), "left" or "right" (direction).
+
+    Raises:
+      KeyError: the thesis prints none.
+    """
+    wanted = {"condition": condition, "joint": joint, "quantity": quantity, "pulse": pulse}
+    for row in _rows("joint_kinematics"):
+        if all(row[key] == value for key, value in wanted.items()):
+            factor = SI[row["unit"]]
+            return MeanSD(factor * float(row["mean"]), factor * float(row["sd"]))
+    raise KeyError(f"tables F.2 to F.6 have no {quantity} of joint {joint} in {condition} with pulse {pulse}")
 
 
 def headline(name: str) -> float:
@@ -65,5 +105,7 @@ def headline(name: str) -> float:
 
 
 def _condition(condition: str, column: str, factor: float) -> MeanSD:
-    row = next(row for row in _rows("conditions") if row["condition"] == condition)
-    return MeanSD(factor * float(row[f"{column}_mean"]), factor * float(row[f"{column}_sd"]))
+    for row in _rows("conditions"):
+        if row["condition"] == condition and row[f"{column}_mean"] and row[f"{column}_sd"]:
+            return MeanSD(factor * float(row[f"{column}_mean"]), factor * float(row[f"{column}_sd"]))
+    raise KeyError(f"table 2.1 has no {column} in {condition}")

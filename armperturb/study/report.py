@@ -15,9 +15,7 @@ from matplotlib.figure import Figure
 
 from armperturb.files import written_whole
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
-from armperturb.perturbations.pulse import PULSE_DIRECTIONS_DEG
 from armperturb.study import figures
-from armperturb.study.protocol import CONDITIONS, PULSE_UNIT, TAIL
 from armperturb.study.runner import StudyResult
 from armperturb.study.style import save_svg
 from armperturb.study.tables import Row, write_tables
@@ -96,10 +94,7 @@ def left_out(study: StudyResult, fits: list[Row]) -> dict[str, list[str]]:
         return [f"{row['subject']} in {row['condition']}: {says(row)}" for row in fits if says(row)]
 
     return {
-        "Trials at the limit of the workspace": [reason for case in study.cases for reason in case.left_out],
-        "People without any trial left": [
-            f"{case.truth.name} in {case.condition.name}" for case in study.cases if case.identification is None
-        ],
+        "Trials and people that were left out": [reason for case in study.cases for reason in case.left_out],
         "Fits that did not converge": those(lambda row: "" if row["converged"] else row["status"]),
         "Fits with a parameter at its bound": those(lambda row: row["at_bound"]),
         "Fits whose starts ended in different minima": those(
@@ -119,7 +114,7 @@ def _draw(study: StudyResult, folder: Path) -> tuple[dict[str, Picture], dict[st
     """Draw every figure that the study allows into a folder; pictures by name, and why another is missing."""
     folder.mkdir(parents=True, exist_ok=True)
     drawings: dict[str, Callable[[], Figure]] = {}
-    present = {condition: study.of(condition.name) for condition in CONDITIONS if study.of(condition.name)}
+    present = {condition: study.of(condition.name) for condition in study.conditions}
     if present:
         drawings["perturbation"] = partial(figures.perturbation, next(iter(present.values()))[0])
         drawings["admittance_by_task"] = partial(figures.admittance_by_task, study)
@@ -158,12 +153,10 @@ def _page(
     environment.filters.update(digits=digits, fixed=fixed, mean_sd=mean_sd, symbol=symbol)
     environment.globals.update(
         study=study,
-        conditions=CONDITIONS,
-        present=[condition for condition in CONDITIONS if study.of(condition.name)],
+        present=study.conditions,
         pictures=pictures,
         not_drawn=not_drawn,
         multisine={"period": PERIOD, "lines": CLUSTERS.size, "clusters": len(CLUSTERS)},
-        pulse={"unit": PULSE_UNIT, "tail": TAIL, "directions": PULSE_DIRECTIONS_DEG},
         versions={name: metadata.version(name) for name in ("armperturb", "mujoco", "numpy", "scipy")},
     )
     # Sections come out as markup, escaped already.

@@ -1,25 +1,50 @@
-"""Runs the study: draws people, perturbs them, records, identifies."""
+"""Runs the study: draws people, lets them practise, perturbs them, records, identifies.
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+Everything that a subject's file holds follows from the settings and the subject's number alone, so a study may be
+stopped, killed and started again, and be shared out over processes and machines, without any effect on the files.
+"""
+
+import hashlib
+import importlib.metadata
+import time
+from collections.abc import Callable, Generator, Sequence
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import joblib
 import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
 from armperturb.analysis.identify import Identification, identify
-from armperturb.cohort import draw
+from armperturb.cohort import Person, draw_cohort
 from armperturb.environment import Environment
-from armperturb.envs.experiment import run_experiment
+from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.envs.instruments import Instruments
-from armperturb.recording import load_recording, save_recording
-from armperturb.study.protocol import CONDITIONS, Condition, draw_multisines, trials_of
+from armperturb.files import write_durably
+from armperturb.perturbations import Multisine
+from armperturb.perturbations.multisine import PERIOD
+from armperturb.recording import encode_recording, load_recording
+from armperturb.study.practice import practise
+from armperturb.study.protocol import FORCES, THESIS, Condition, Protocol, load_protocol
+from armperturb.study.store import StudyFolder, cannot_write, open_study
+from armperturb.study.workers import LOG, Workers, completed, workers_for
 from armperturb.subject import Subject
 from armperturb.validation import require_number
 
-TRIALS_PER_BATCH = 96
-"""About how many trials are simulated side by side; bounds the memory."""
+BLOCK = 96
+"""How many trials are simulated side by side unless told otherwise: more hardly gains speed, but takes memory."""
+
+MODELS = {"PT": "3b", "RT": "1"}
+"""Task to the structure that is fitted, see `armperturb.analysis.structures`."""
+
+WINDOW_START = 8.0
+"""Time from which on a trial is analysed [s]: the transient has gone by then."""
+
+PROGRESS_INTERVAL = 0.2
+"""How often a worker tells how far it is [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,17 +54,37 @@ class StudySettings:
     Attributes:
       subjects: number of people.
       seed: of everything random.
+      protocol: file of what everyone goes through, see `armperturb.study.protocol`; the thesis's if None.
+      ideal: whether people and instruments are free of noise.
+      forces: "practice" or "published", whatever the protocol says; None for what it says.
 
     Raises:
+      TypeError: a value is not a number.
       ValueError: a value is out of its range.
     """
 
     subjects: int = 10
     seed: int = 0
+    protocol: Path | None = None
+    ideal: bool = False
+    forces: str | None = None
 
     def __post_init__(self) -> None:
         require_number("study", "subjects", self.subjects, at_least=1)
         require_number("study", "seed", self.seed, at_least=0)
+        if self.forces is not None and self.forces not in FORCES:
+            raise ValueError(f"study: forces = {self.forces!r}; expected one of {', '.join(FORCES)}")
+
+    def load_protocol(self) -> Protocol:
+        """The protocol that they name, with their `forces`.
+
+        Raises:
+          TypeError: a value in the file has the wrong type.
+          ValueError: the file is refused.
+          OSError: the file cannot be read.
+        """
+        protocol = THESIS if self.protocol is None else load_protocol(self.protocol)
+        return protocol if self.forces is None else replace(protocol, forces=self.forces)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,8 +95,8 @@ class Case:
       condition: what was run.
       truth: the subject that was simulated.
       recording: path of the subject's recording.
-      identification: what the analysis made of it; None if every trial met the workspace limit.
-      left_out: reasons why trials were left out, one each.
+      identification: what the analysis made of it; None if it could not be identified.
+      left_out: reasons why trials were left out, or why nothing was identified.
     """
 
     condition: Condition
@@ -59,6 +104,11 @@ class Case:
     recording: Path
     identification: Identification | None
     left_out: tuple[str, ...]
+
+    @property
+    def model(self) -> str:
+        """Structure that is fitted, see `armperturb.analysis.structures`."""
+        return MODELS[self.condition.task]
 
     @property
     def identified(self) -> Identification:
@@ -77,115 +127,353 @@ class StudyResult:
 
     Attributes:
       settings: what determined it.
+      protocol: what everyone went through.
       environment: what the hands held.
-      cases: one per subject and condition, subjects in order.
+      cases: one per subject and condition that has a multisine, subjects in order.
     """
 
     settings: StudySettings
+    protocol: Protocol
     environment: Environment
     cases: tuple[Case, ...]
+
+    @property
+    def conditions(self) -> tuple[Condition, ...]:
+        """Conditions in which somebody was identified, in the protocol's order."""
+        return tuple(condition for condition in self.protocol.conditions if self.of(condition.name))
+
+    def n_trials(self, condition: str) -> int:
+        """Trials of everyone in a condition."""
+        of_one = sum(cell.condition.name == condition for cell in self.protocol.cells())
+        return self.settings.subjects * of_one
 
     def of(self, condition: str) -> list[Case]:
         """The identified cases of one condition."""
         return [case for case in self.cases if case.condition.name == condition and case.identification is not None]
 
 
-def run_study(settings: StudySettings, out: Path, *, show_progress: bool = True) -> StudyResult:
-    """Draw the cohort, simulate and record every trial, and identify every subject in every condition.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Unit:
+    """Some people's whole experiment, to be done in one go; all that a worker needs to know."""
+
+    number: int
+    people: tuple[tuple[int, Person], ...]
+    protocol: Protocol
+    multisines: dict[int, Multisine]
+    environment: Environment
+    seed: int
+    ideal: bool
+    block: int
+    n_threads: int
+    staging: Path | None  # where to leave the files; None to send them back
+    progress: Path | None  # where to tell the simulated seconds, as the double at place `number`
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time of all trials [s]."""
+        return len(self.people) * len(self.protocol.cells()) * self.protocol.trial_duration
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Finished:
+    """A subject's file that a worker has written."""
+
+    name: str
+    content: Path | bytes
+    sha256: str
+
+
+def run_study(
+    settings: StudySettings,
+    out: Path,
+    *,
+    workers: int | None = 1,
+    dask: str | None = None,
+    block: int = BLOCK,
+    show_progress: bool = True,
+) -> StudyResult:
+    """Draw the cohort, record every trial as `record_study` does, and identify every subject in every condition.
 
     Args:
       settings: what determines the study.
-      out: folder for `recordings/*.nc`, one file per subject.
+      out: the study folder, see `armperturb.study.store`.
+      workers: number of processes, also for the identification; None for one per core.
+      dask: address of a Dask scheduler whose workers simulate.
+      block: number of trials that a worker simulates side by side.
       show_progress: whether to draw progress bars on the terminal.
 
     Raises:
-      OSError: the folder cannot be written to.
+      Exception: as `record_study`.
     """
-    folder = out / "recordings"
-    folder.mkdir(parents=True, exist_ok=True)
-    environment = Environment()
-    people = _draw_people(settings, environment)
-    cases = []
-    with tqdm(total=len(people) * len(CONDITIONS), desc="identify", disable=not show_progress, position=1) as bar:
-        for name, recording in _record(settings, people, environment, show_progress):
-            path = folder / f"{name}.nc"
-            save_recording(recording, path)
-            for condition in CONDITIONS:
-                cases.append(_identify(condition, people[name][condition.name], recording, path))
-                bar.update()
-    return StudyResult(settings=settings, environment=environment, cases=tuple(cases))
+    protocol, environment = settings.load_protocol(), Environment()
+    paths = record_study(settings, out, workers=workers, dask=dask, block=block, show_progress=show_progress)
+    people = draw_cohort(settings.subjects, settings.seed, environment)
+    units = [(person, path, protocol) for person, path in zip(people, paths, strict=True)]
+    cases: dict[str, list[Case]] = {}
+    with (
+        workers_for(_count(workers, len(units)), None) as local,
+        tqdm(total=len(units), desc="identify", unit="subject", disable=None if show_progress else True) as bar,
+    ):
+        results = map(_identify, units) if local is None else completed(_identify, units, local, bar.refresh)
+        for name, of_subject in results:
+            cases[name] = of_subject
+            bar.update()
+    return StudyResult(
+        settings=settings,
+        protocol=protocol,
+        environment=environment,
+        cases=tuple(case for person in people for case in cases[person.name]),
+    )
 
 
-def _draw_people(settings: StudySettings, environment: Environment) -> dict[str, dict[str, Subject]]:
-    """Name to condition to subject."""
-    return {
-        name: {
-            condition.name: draw(
-                condition.preset,
-                np.random.default_rng([settings.seed, number, key]),
-                name=name,
-                environment=environment,
-            )
-            for key, condition in enumerate(CONDITIONS)
-        }
-        for number, name in enumerate(f"S{i + 1:02d}" for i in range(settings.subjects))
-    }
-
-
-def _record(
+def record_study(
     settings: StudySettings,
-    people: dict[str, dict[str, Subject]],
-    environment: Environment,
-    show_progress: bool,
-) -> Iterator[tuple[str, xr.Dataset]]:
-    """Each subject's recording, simulated several subjects at a time."""
-    multisines = {condition.name: draw_multisines(condition, settings.seed) for condition in CONDITIONS}
-    trials = {
-        name: [
-            trial
-            for key, condition in enumerate(CONDITIONS)
-            for trial in trials_of(
-                condition,
-                subjects[condition.name],
-                multisines[condition.name],
-                int(np.random.SeedSequence([settings.seed, number, key]).generate_state(1)[0]),
-            )
-        ]
-        for number, (name, subjects) in enumerate(people.items())
+    out: Path,
+    *,
+    workers: int | None = 1,
+    dask: str | None = None,
+    block: int = BLOCK,
+    show_progress: bool = True,
+) -> list[Path]:
+    """Draw the cohort, let it practise, simulate every trial and write one recording per subject.
+
+    A study that was stopped or killed goes on where it was: subjects whose file is there and whole are not done again.
+    Neither `workers` nor `dask` nor `block` has any effect on what the files hold.
+
+    Args:
+      settings: what determines the study.
+      out: the study folder, see `armperturb.study.store`.
+      workers: number of processes; 1 for this one alone with as many threads as there are cores, None for one
+        per core.
+      dask: address of a Dask scheduler whose workers do the work instead; they send the files back.
+      block: number of trials that a worker simulates side by side; its memory grows with it, or with the trials
+        of a person if they are more.
+      show_progress: whether to draw a progress bar on the terminal.
+
+    Returns:
+      The path of each subject's recording, subjects in order.
+
+    Raises:
+      TypeError: a setting has the wrong type.
+      ValueError: a setting is out of its range, or the folder was made with other settings.
+      RuntimeError: another run is at work in the folder, workers die again and again, or Dask is not installed.
+      OSError: a file cannot be read or written, or no Dask scheduler answers.
+    """
+    require_number("study", "block", block, at_least=1)
+    if workers is not None:
+        require_number("study", "workers", workers, at_least=1)
+    protocol, environment = settings.load_protocol(), Environment()
+    people = draw_cohort(settings.subjects, settings.seed, environment)
+    names = [person.name for person in people]
+    with open_study(out, _manifest(settings, protocol)) as folder:
+        done, damaged = folder.check(names)
+        for path in damaged:
+            LOG.warning("%s does not match its checksum: set aside, and its subject is done again", path)
+        missing = [(number, person) for number, person in enumerate(people) if person.name not in set(done)]
+        if missing:
+            n_trials = len(protocol.cells())
+            with (
+                workers_for(_count(workers, len(missing)), dask) as crew,
+                _Progress(len(people) * n_trials, len(done) * n_trials, protocol.trial_duration, show_progress) as bar,
+            ):
+                units = _units(missing, settings, protocol, environment, folder, crew, block)
+                with closing(_work(units, crew, bar)) as finished:
+                    for file in finished:
+                        content = file.content
+                        staged = content if isinstance(content, Path) else _stage(content, folder.staging, file.name)
+                        folder.keep(file.name, staged, file.sha256)
+        return [folder.recording(name) for name in names]
+
+
+def _count(workers: int | None, n_subjects: int) -> int:
+    """Number of processes: no more than there is work for."""
+    return min(joblib.cpu_count() if workers is None else workers, n_subjects)
+
+
+def _manifest(settings: StudySettings, protocol: Protocol) -> dict[str, Any]:
+    return {
+        "versions": {name: importlib.metadata.version(name) for name in ("armperturb", "mujoco", "numpy", "scipy")},
+        "subjects": settings.subjects,
+        "seed": settings.seed,
+        "ideal": settings.ideal,
+        "protocol": protocol.to_dict(),
     }
-    total = sum(trial.perturbation.duration for of_subject in trials.values() for trial in of_subject)
-    with tqdm(total=total, desc="simulate", unit="s", unit_scale=True, disable=not show_progress) as bar:
-        for names in _blocks(trials):
-            block = [trial for name in names for trial in trials[name]]
-            recording = run_experiment(block, environment, instruments=Instruments(), progress=bar.update)
-            first = 0
-            for name in names:
-                last = first + len(trials[name])
-                yield name, recording.isel(trial=slice(first, last))
-                first = last
 
 
-def _blocks(trials: dict[str, list]) -> Iterator[Sequence[str]]:
-    block: list[str] = []
-    for name in trials:
-        block.append(name)
-        if sum(len(trials[n]) for n in block) >= TRIALS_PER_BATCH:
-            yield block
-            block = []
-    if block:
-        yield block
+def _units(
+    missing: Sequence[tuple[int, Person]],
+    settings: StudySettings,
+    protocol: Protocol,
+    environment: Environment,
+    folder: StudyFolder,
+    crew: Workers | None,
+    block: int,
+) -> list[_Unit]:
+    """Share the people out."""
+    # More people side by side gain some speed, but only after every worker has had two turns: the last ones would be
+    # waited for.
+    share = len(missing) if crew is None else len(missing) // crew.at_once()
+    size = max(1, min(block // len(protocol.cells()), share))
+    groups = [tuple(missing[first : first + size]) for first in range(0, len(missing), size)]
+    multisines = protocol.draw_multisines(settings.seed)
+    progress = None
+    if crew is not None and not crew.remote:
+        progress = folder.staging / "progress"
+        progress.write_bytes(bytes(8 * len(groups)))
+    return [
+        _Unit(
+            number=number,
+            people=group,
+            protocol=protocol,
+            multisines=multisines,
+            environment=environment,
+            seed=settings.seed,
+            ideal=settings.ideal,
+            block=block,
+            n_threads=0 if crew is None else crew.threads(number, len(groups)),
+            staging=None if crew is not None and crew.remote else folder.staging.resolve(),
+            progress=progress,
+        )
+        for number, group in enumerate(groups)
+    ]
 
 
-def _identify(condition: Condition, truth: Subject, recording: xr.Dataset, path: Path) -> Case:
+def _work(units: Sequence[_Unit], crew: Workers | None, bar: "_Progress") -> Generator[_Finished]:
+    """Do the units and give each subject's file as it comes."""
+    if crew is None:
+        for unit in units:
+            yield from _do(unit, bar.add)
+        return
+    seconds = np.array([unit.seconds for unit in units])
+    finished = np.zeros(len(units), bool)
+    told = units[0].progress
+
+    def look() -> None:
+        running = np.zeros(len(units)) if told is None else np.fromfile(told)
+        bar.reach(float(np.where(finished, seconds, running).sum()))
+
+    with closing(completed(_do_numbered, units, crew, look)) as results:
+        for number, files in results:
+            finished[number] = True
+            look()
+            yield from files
+
+
+def _do_numbered(unit: _Unit) -> tuple[int, list[_Finished]]:
+    """What a worker process does."""
+    if unit.progress is None:
+        return unit.number, _do(unit, None)
+    with unit.progress.open("r+b", buffering=0) as told:
+        done, next_time = 0.0, 0.0
+
+        def tell(seconds: float) -> None:
+            nonlocal done, next_time
+            done += seconds
+            if (now := time.monotonic()) >= next_time:
+                told.seek(8 * unit.number)
+                told.write(np.float64(done).tobytes())
+                next_time = now + PROGRESS_INTERVAL
+
+        return unit.number, _do(unit, tell)
+
+
+def _do(unit: _Unit, progress: Callable[[float], object] | None) -> list[_Finished]:
+    """Let the people of a unit practise, perturb them, and write their files."""
+    people = [person for _, person in unit.people]
+    forces = practise(people, unit.protocol, unit.seed, unit.environment, unit.n_threads)
+    trials = [
+        trial
+        for (number, person), own in zip(unit.people, forces, strict=True)
+        for trial in unit.protocol.trials(
+            person, own, unit.seed, number, noisy=not unit.ideal, multisines=unit.multisines
+        )
+    ]
+    recording = _simulate(trials, unit, progress)
+    finished = []
+    for place, person in enumerate(people):
+        n_trials = len(trials) // len(people)
+        mine = recording.isel(trial=slice(place * n_trials, (place + 1) * n_trials))
+        finished.append(_write(mine, person.name, unit.staging))
+    return finished
+
+
+def _simulate(trials: Sequence[Trial], unit: _Unit, progress: Callable[[float], object] | None) -> xr.Dataset:
+    """The recording of all trials, at most `block` of them side by side."""
+    pieces = [
+        run_experiment(
+            trials[first : first + unit.block],
+            unit.environment,
+            instruments=None if unit.ideal else Instruments(),
+            n_threads=unit.n_threads,
+            progress=progress,
+        )
+        for first in range(0, len(trials), unit.block)
+    ]
+    if len(pieces) == 1:
+        return pieces[0]
+    return xr.concat(
+        pieces,
+        dim="trial",
+        data_vars="minimal",
+        coords="minimal",
+        compat="equals",
+        join="exact",
+        combine_attrs="identical",
+    )
+
+
+def _write(recording: xr.Dataset, name: str, staging: Path | None) -> _Finished:
+    """A subject's file: on disk for `StudyFolder.keep` to take over, or to be sent back."""
+    content = encode_recording(recording)
+    sha256 = hashlib.sha256(content).hexdigest()
+    return _Finished(name=name, content=content if staging is None else _stage(content, staging, name), sha256=sha256)
+
+
+def _stage(content: bytes, staging: Path, name: str) -> Path:
+    path = staging / f"{name}.nc"
+    try:
+        write_durably(path, content)
+    except OSError as error:
+        raise cannot_write(path, error) from None
+    return path
+
+
+def _identify(unit: tuple[Person, Path, Protocol]) -> tuple[str, list[Case]]:
+    """Identify a person in every condition that has a multisine."""
+    person, path, protocol = unit
+    recording = load_recording(path)
+    return person.name, [
+        _identify_condition(condition, person.subjects[condition.task], recording, path, protocol)
+        for condition in protocol.conditions
+        if condition.has_multisine
+    ]
+
+
+def _identify_condition(
+    condition: Condition, truth: Subject, recording: xr.Dataset, path: Path, protocol: Protocol
+) -> Case:
     mine = _of_condition(recording, condition)
     limits = mine["limit_time"].values
-    left_out = tuple(
+    left_out = [
         f"trial {trial} of {truth.name} in {condition.name} reached the workspace limit at {limits[trial]:.3f} s"
         for trial in np.flatnonzero(np.isfinite(limits))
-    )
+    ]
     inside = _inside(mine)
-    identification = identify(inside, condition.model) if inside.sizes["trial"] else None
-    return Case(condition=condition, truth=truth, recording=path, identification=identification, left_out=left_out)
+    lasts = protocol.multisine_duration if condition.pulse_levels else protocol.trial_duration
+    identification = None
+    if lasts < WINDOW_START + PERIOD:
+        left_out.append(
+            f"{truth.name} in {condition.name} was not identified: the multisine lasts {lasts:g} s, and the analysis "
+            f"needs {WINDOW_START + PERIOD:g} s"
+        )
+    elif inside.sizes["trial"]:
+        try:
+            identification = identify(inside, MODELS[condition.task], start=WINDOW_START)
+        except ValueError as error:  # must not cost the other subjects their results
+            left_out.append(f"{truth.name} in {condition.name} was not identified: {error}")
+    return Case(
+        condition=condition, truth=truth, recording=path, identification=identification, left_out=tuple(left_out)
+    )
 
 
 def _of_condition(recording: xr.Dataset, condition: Condition) -> xr.Dataset:
@@ -195,3 +483,49 @@ def _of_condition(recording: xr.Dataset, condition: Condition) -> xr.Dataset:
 def _inside(recording: xr.Dataset) -> xr.Dataset:
     """Trials that stayed off the workspace limit."""
     return recording.isel(trial=np.flatnonzero(np.isnan(recording["limit_time"].values)))
+
+
+class _Progress(AbstractContextManager["_Progress"]):
+    """A bar that shows trials done, speed as a multiple of real time, and time left.
+
+    Args:
+      n_trials: of the whole study.
+      n_before: of them, done by earlier runs.
+      duration: of a trial [s].
+      show: whether to draw it if there is a terminal.
+    """
+
+    def __init__(self, n_trials: int, n_before: int, duration: float, show: bool) -> None:
+        self._n_trials, self._n_before, self._duration = n_trials, n_before, duration
+        self._seconds = 0.0
+        self._start = self._next = time.monotonic()
+        self._bar = tqdm(
+            total=n_trials,
+            initial=n_before,
+            desc="simulate",
+            disable=None if show else True,
+            bar_format="{l_bar}{bar}| {remaining} left{postfix}",
+        )
+
+    def __exit__(self, *_: object) -> None:
+        self._draw()
+        self._bar.close()
+
+    def add(self, seconds: float) -> None:
+        """So many simulated seconds more have been done."""
+        self.reach(self._seconds + seconds)
+
+    def reach(self, seconds: float) -> None:
+        """So many simulated seconds have been done in this run."""
+        self._seconds = seconds
+        now = time.monotonic()
+        if now >= self._next:
+            self._next = now + PROGRESS_INTERVAL
+            self._draw()
+
+    def _draw(self) -> None:
+        n_done = self._n_before + self._seconds / self._duration
+        speed = self._seconds / (time.monotonic() - self._start)
+        # Set by hand, as tqdm's own counts are whole numbers; it then bases the time left on the mean speed.
+        self._bar.n = n_done
+        self._bar.set_postfix_str(f"{int(n_done + 1e-6)}/{self._bar.total} trials, {speed:.0f} x real time")

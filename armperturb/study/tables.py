@@ -1,7 +1,7 @@
 """Tables of a study: estimated against true against published."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,6 @@ from armperturb.analysis.export import fit_summary, write_csv
 from armperturb.analysis.structures import unit
 from armperturb.study import published
 from armperturb.study.admittance import task_effect
-from armperturb.study.protocol import CONDITIONS
 from armperturb.study.runner import StudyResult
 from armperturb.subject import Subject
 
@@ -27,7 +26,7 @@ def true_value(subject: Subject, parameter: str) -> float:
 def parameter_rows(study: StudyResult) -> list[Row]:
     """Every estimated parameter of every subject beside its truth."""
     rows = []
-    for condition in CONDITIONS:
+    for condition in study.conditions:
         for case in study.of(condition.name):
             fit = case.identified.fit
             for name, estimate in fit.values.items():
@@ -51,14 +50,14 @@ def parameter_rows(study: StudyResult) -> list[Row]:
 def parameter_summary_rows(of_subjects: list[Row]) -> list[Row]:
     """Published mean (SD), true and estimated mean (SD) over subjects, and the median error, per parameter."""
     rows = []
-    for condition in CONDITIONS:
-        mine = [row for row in of_subjects if row["condition"] == condition.name]
+    for condition in dict.fromkeys(row["condition"] for row in of_subjects):
+        mine = [row for row in of_subjects if row["condition"] == condition]
         for name in dict.fromkeys(row["parameter"] for row in mine):
             values = [row for row in mine if row["parameter"] == name]
-            printed = published.parameter(condition.name, name)
+            printed = published_or_nan(published.parameter, condition, name)
             rows.append(
                 {
-                    "condition": condition.name,
+                    "condition": condition,
                     "parameter": name,
                     "unit": unit(name),
                     "published_mean": printed.mean,
@@ -74,7 +73,7 @@ def parameter_summary_rows(of_subjects: list[Row]) -> list[Row]:
 def fit_rows(study: StudyResult) -> list[Row]:
     """How each fit went."""
     rows = []
-    for condition in CONDITIONS:
+    for condition in study.conditions:
         for case in study.of(condition.name):
             summary = fit_summary(case.identified)
             environment = summary.pop("environment")
@@ -86,11 +85,11 @@ def fit_rows(study: StudyResult) -> list[Row]:
 def condition_rows(study: StudyResult) -> list[Row]:
     """Force and displacement of the multisine per condition, per axis, beside table 2.1."""
     rows = []
-    for condition in CONDITIONS:
+    for condition in study.conditions:
         recordings = [case.trials() for case in study.of(condition.name)]
-        if not recordings:
-            continue
-        force, displacement = published.applied_force(condition.name), published.rms_displacement(condition.name)
+        force, displacement = (
+            published_or_nan(source, condition.name) for source in (published.applied_force, published.rms_displacement)
+        )
         rows.append(
             {
                 "condition": condition.name,
@@ -108,10 +107,8 @@ def condition_rows(study: StudyResult) -> list[Row]:
 def summary_rows(study: StudyResult, of_parameters: list[Row], of_fits: list[Row]) -> list[Row]:
     """One row per condition: how many were identified and how well."""
     rows = []
-    for condition in CONDITIONS:
+    for condition in study.conditions:
         fits = [row for row in of_fits if row["condition"] == condition.name]
-        if not fits:
-            continue
         errors = [abs(row["error_percent"]) for row in of_parameters if row["condition"] == condition.name]
         left_out = sum(len(case.left_out) for case in study.cases if case.condition.name == condition.name)
         rows.append(
@@ -119,9 +116,9 @@ def summary_rows(study: StudyResult, of_parameters: list[Row], of_fits: list[Row
                 "condition": condition.name,
                 "subjects": study.settings.subjects,
                 "identified": len(fits),
-                "trials": study.settings.subjects * condition.n_trials(),
+                "trials": study.n_trials(condition.name),
                 "trials_left_out": left_out,
-                "model": condition.model,
+                "model": study.of(condition.name)[0].model,
                 "median_abs_error_percent": float(np.median(errors)),
                 "VAF_x_mean": _mean(row["VAF_x"] for row in fits),
                 "VAF_y_mean": _mean(row["VAF_y"] for row in fits),
@@ -162,6 +159,14 @@ def write_tables(study: StudyResult, folder: Path) -> dict[str, list[Row]]:
         if rows:
             write_csv(rows, folder / f"{name}.csv")
     return tables
+
+
+def published_or_nan(source: Callable[..., published.MeanSD], *names: str) -> published.MeanSD:
+    """A published mean (SD); NaN where the thesis prints none."""
+    try:
+        return source(*names)
+    except KeyError:
+        return published.MeanSD(math.nan, math.nan)
 
 
 def _rms(signal: xr.DataArray) -> float:

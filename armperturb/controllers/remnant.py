@@ -1,0 +1,189 @@
+"""What a person does beside answering the perturbation: remnant, slow corrections, trials that differ (thesis 2.6).
+
+Remnant and corrections are the N of figure 2.6: torque on the joints that does not correlate with the disturbance. That
+they grow with the effort is the classical finding on remnant (Levison, Baron & Kleinman 1969, IEEE Trans. Man-Mach.
+Syst. 10: its power is proportional to the variance of what the person controls) and on motor noise (Jones, Hamilton &
+Wolpert 2002, J. Neurophysiol. 88: its SD is proportional to the mean torque); without it one setting could not give
+both PT2.5 and PT22.5 their published VAF (table C.12).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import signal
+
+from armperturb.subject import Subject
+from armperturb.validation import require_number
+
+Array = NDArray[np.float64]
+
+REMNANT_ORDER = 2
+"""Order of the Butterworth low-pass that colours the remnant."""
+
+VOLUNTARY_ORDER = 4
+"""Order of the Butterworth low-pass that keeps corrections slow."""
+
+MAX_REDRAWS = 1000
+
+_VARIED = ("b", "k", "kv", "kp")
+
+
+@dataclass(frozen=True, kw_only=True)
+class HumanNoise:
+    """How noisy a person is in one task; every part is off at zero, and all are by default.
+
+    The torque at a joint is two low-passed white noises, independent between joints, each with an RMS of
+    hypot(floor, share x demand), where the demand is the RMS torque with which the perturbation of the trial loads the
+    joint. Both start at zero with the person at rest, and reach their RMS after about one period of their cut-off.
+
+    Attributes:
+      remnant_share: RMS of the remnant as a share of the demand [-], >= 0.
+      remnant_floor: RMS of the remnant without a perturbation [Nm], >= 0.
+      remnant_cutoff: of the remnant's second-order low-pass [Hz], > 0.
+      voluntary_share: RMS of the slow corrections as a share of the demand [-], >= 0.
+      voluntary_floor: RMS of the slow corrections without a perturbation [Nm], >= 0.
+      voluntary_cutoff: of the corrections' fourth-order low-pass [Hz], > 0. At 0.3 Hz, 97 % of their power is below the
+        0.40 Hz from which on the thesis takes the VAF (2.7).
+      spread_b: SD over trials of the logarithm of one factor on all intrinsic damping [-], >= 0.
+      spread_k: the same of intrinsic stiffness [-], >= 0.
+      spread_kv: the same of velocity feedback [-], >= 0.
+      spread_kp: the same of position feedback [-], >= 0.
+
+    Raises:
+      TypeError: a value is not a number.
+      ValueError: a value is not finite or out of its range.
+    """
+
+    remnant_share: float = 0.0
+    remnant_floor: float = 0.0
+    remnant_cutoff: float = 2.0
+    voluntary_share: float = 0.0
+    voluntary_floor: float = 0.0
+    voluntary_cutoff: float = 0.3
+    spread_b: float = 0.0
+    spread_k: float = 0.0
+    spread_kv: float = 0.0
+    spread_kp: float = 0.0
+
+    def __post_init__(self) -> None:
+        for field in ("remnant_cutoff", "voluntary_cutoff"):
+            require_number("HumanNoise", field, getattr(self, field), above=0.0)
+        for field in ("remnant_share", "remnant_floor", "voluntary_share", "voluntary_floor"):
+            require_number("HumanNoise", field, getattr(self, field), at_least=0.0)
+        for quantity in _VARIED:
+            # Beyond one, trials of one person would differ more than people do.
+            field = f"spread_{quantity}"
+            require_number("HumanNoise", field, getattr(self, field), at_least=0.0, at_most=1.0)
+
+    def vary(self, subject: Subject, rng: np.random.Generator, accept: Callable[[Subject], bool]) -> Subject:
+        """The subject as it is in one trial; the subject itself if all spreads are zero.
+
+        Args:
+          subject: the person on average.
+          rng: what the factors are drawn from.
+          accept: whether a draw may be used, as it may not if the arm is unstable; others are drawn again.
+
+        Raises:
+          RuntimeError: no draw was accepted.
+        """
+        spreads = np.array([getattr(self, f"spread_{quantity}") for quantity in _VARIED])
+        if not spreads.any():
+            return subject
+        for _ in range(MAX_REDRAWS):
+            factors = np.exp(spreads * rng.standard_normal(len(spreads)))
+            changes: dict[str, Any] = {
+                f"{quantity}_{joint}": float(factor) * value
+                for quantity, factor in zip(_VARIED, factors, strict=True)
+                for joint, value in zip(("s", "se", "e"), subject.joint_triple(quantity), strict=True)
+            }
+            drawn = replace(subject, **changes)
+            if accept(drawn):
+                return drawn
+        raise RuntimeError(f"no stable variation of subject {subject.name!r} in {MAX_REDRAWS} draws with {self}")
+
+    def rms(self, demand: ArrayLike) -> tuple[Array, Array]:
+        """RMS torque of remnant and of slow corrections [Nm], (joint,) each, at a demand [Nm], (joint,)."""
+        demand = np.asarray(demand, dtype=float)
+        return (
+            np.hypot(self.remnant_floor, self.remnant_share * demand),
+            np.hypot(self.voluntary_floor, self.voluntary_share * demand),
+        )
+
+    def torque(self, demand: ArrayLike, timestep: float, n_steps: int, rng: np.random.Generator) -> Array:
+        """Torque to add at the joints, held over each step [Nm], (step, joint).
+
+        More steps do not change the first ones, so that a trial is the same beside longer ones.
+
+        Args:
+          demand: RMS torque with which the perturbation loads each joint [Nm], (joint,).
+          timestep: of the simulation [s].
+          n_steps: how many steps.
+          rng: what the noise is drawn from.
+
+        Raises:
+          ValueError: a cut-off is not below half the simulation's rate.
+        """
+        torque = np.zeros((n_steps, 2))
+        parts = (
+            (REMNANT_ORDER, "remnant_cutoff"),
+            (VOLUNTARY_ORDER, "voluntary_cutoff"),
+        )
+        # One stream for each part: switching one off leaves the other as it was.
+        for (order, field), rms, stream in zip(parts, self.rms(demand), rng.spawn(len(parts)), strict=True):
+            if not rms.any():
+                continue
+            cutoff = getattr(self, field)
+            require_number("HumanNoise", field, cutoff, above=0.0, below=0.5 / timestep)
+            sections = _unit_lowpass(order, cutoff, timestep)
+            torque += rms * signal.sosfilt(sections, stream.standard_normal((n_steps, 2)), axis=0)
+        return torque
+
+
+@lru_cache(maxsize=64)
+def _unit_lowpass(order: int, cutoff: float, timestep: float) -> Array:
+    """Low-pass that turns unit white noise into noise of unit RMS, second-order sections."""
+    sections = signal.butter(order, cutoff, fs=1.0 / timestep, output="sos")
+    # White noise comes out with the power of the impulse response, which has died down after 20 periods.
+    impulse = np.zeros(int(np.ceil(20.0 / (cutoff * timestep))))
+    impulse[0] = 1.0
+    sections[0, :3] /= np.sqrt(np.sum(signal.sosfilt(sections, impulse) ** 2))
+    return sections
+
+
+HUMAN_NOISE = {
+    "PT": HumanNoise(
+        remnant_share=0.58,
+        remnant_floor=0.35,
+        remnant_cutoff=1.5,
+        voluntary_share=0.20,
+        voluntary_floor=0.10,
+        spread_b=0.08,
+        spread_k=0.08,
+        spread_kv=0.08,
+        spread_kp=0.08,
+    ),
+    "RT": HumanNoise(
+        remnant_share=0.85,
+        remnant_floor=0.15,
+        remnant_cutoff=8.0,
+        spread_b=0.08,
+        spread_k=0.08,
+        spread_kv=0.08,
+        spread_kp=0.08,
+    ),
+}
+"""Task to how noisy people are in it; relaxed people make no slow corrections.
+
+Calibrated on the coherences as the thesis describes figure 3.6 and on the VAF of its tables C.12, C.22 and E.5. For the
+presets with the published forces, 24 trials each, four lines per average: mean coherence of x (0.2-1.5 Hz / above) and
+VAF of x at the true parameters [%] are
+
+    PT2.5  0.81 / 0.86, 46    PT7.5  0.88 / 0.88, 63    PT22.5  0.88 / 0.91, 61
+    RT2.5  0.91 / 0.67, 77    RT7.5  0.92 / 0.69, 80    RT22.5  0.93 / 0.72, 81
+
+With four averages for two inputs, coherence is 0.5 where there is only noise.
+"""

@@ -1,0 +1,239 @@
+"""The study folder: who may write to it, what it was made with, and which subjects' recordings are there and whole.
+
+| file | |
+|---|---|
+| `manifest.json` | everything that determines the recordings; written first |
+| `recordings/NAME.nc` | one per subject, there whole or not at all |
+| `recordings/SHA256SUMS` | a checksum per subject, for `sha256sum -c` |
+| `recordings/NAME.nc.corrupt` | a file that did not match its checksum and was set aside |
+| `.lock`, `.staging/` | held and used by a run; they mean nothing once it has ended |
+
+A checksum is on disk before its file takes its name. So whenever a run is killed, a file that stands under its name has
+a checksum: one that does not match is damaged, and one that is missing was never finished.
+"""
+
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+import socket
+from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from armperturb.files import sync_folder, write_durably
+
+MANIFEST = "manifest.json"
+RECORDINGS = "recordings"
+SUMS = "SHA256SUMS"
+LOCK = ".lock"
+STAGING = ".staging"
+
+
+class StudyFolder:
+    """A study folder that this process alone writes to; made by `open_study`.
+
+    Attributes:
+      root: the folder.
+      staging: where files of this study grow before `keep` gives them their name; on the same file system.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.staging = root / STAGING
+        self._sums = _read_sums(root / RECORDINGS / SUMS)
+
+    def recording(self, name: str) -> Path:
+        """Where the recording of a subject lies, or will."""
+        return self.root / RECORDINGS / f"{name}.nc"
+
+    def check(self, names: Iterable[str]) -> tuple[list[str], list[Path]]:
+        """Which recordings are there; what is damaged is set aside.
+
+        Args:
+          names: subjects of the study.
+
+        Returns:
+          The subjects whose recording is there and matches its checksum, in the given order, and the damaged files
+          under the names that they have been given.
+
+        Raises:
+          OSError: a file cannot be read, or not be set aside.
+        """
+        present = [name for name in names if self.recording(name).is_file()]
+        with ThreadPoolExecutor() as pool:  # hashing lets go of the interpreter
+            digests = list(pool.map(digest, map(self.recording, present)))
+        whole, damaged = [], []
+        for name, found in zip(present, digests, strict=True):
+            if self._sums.get(name) == found:
+                whole.append(name)
+                continue
+            path = self.recording(name)
+            aside = path.with_name(f"{path.name}.corrupt")
+            with _told(path):
+                os.replace(path, aside)
+            damaged.append(aside)
+        return whole, damaged
+
+    def keep(self, name: str, staged: Path, sha256: str) -> Path:
+        """Give a finished file its name.
+
+        Args:
+          name: the subject.
+          staged: the file, complete and on disk, on the same file system.
+          sha256: its checksum.
+
+        Returns:
+          The path that it has now.
+
+        Raises:
+          OSError: the folder cannot be written to; files that were kept before stay as they were.
+        """
+        path = self.recording(name)
+        sums = {**self._sums, name: sha256}
+        text = "".join(f"{sums[key]}  {key}.nc\n" for key in sorted(sums))
+        with _told(path):
+            write_durably(path.parent / SUMS, text.encode())
+            os.replace(staged, path)
+            sync_folder(path.parent)
+        self._sums = sums
+        return path
+
+
+@contextmanager
+def open_study(root: Path, manifest: Mapping[str, Any]) -> Iterator[StudyFolder]:
+    """Take a study folder for this process alone, a new one or one that the same study has begun.
+
+    The lock is the kernel's (flock): it goes when the process ends, however it ends.
+
+    Args:
+      root: the folder; made if it is not there.
+      manifest: everything that determines the study's files, as JSON has it (string keys; no tuples).
+
+    Raises:
+      RuntimeError: another run holds the folder.
+      ValueError: the folder was made with another manifest, which the message sets side by side, or holds recordings
+        of unknown origin.
+      OSError: the folder cannot be written to.
+    """
+    with _told(root):
+        root.mkdir(parents=True, exist_ok=True)
+        lock = os.open(root / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        _take(lock, root)
+        _agree(root, manifest)
+        with _told(root):
+            (root / RECORDINGS).mkdir(exist_ok=True)
+            _sweep(root)
+            (root / STAGING).mkdir()
+        try:
+            yield StudyFolder(root)
+        finally:
+            shutil.rmtree(root / STAGING, ignore_errors=True)
+    finally:
+        os.close(lock)
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal digits."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _take(lock: int, root: Path) -> None:
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        holder = os.read(lock, 200).decode(errors="replace").strip() or "unknown"
+        raise RuntimeError(
+            f"{root}: another run is at work in this folder ({holder}); expected it to have ended, or another folder"
+        ) from None
+    with _told(root):
+        os.ftruncate(lock, 0)
+        os.pwrite(lock, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0)
+
+
+def _agree(root: Path, manifest: Mapping[str, Any]) -> None:
+    """Write the manifest if there is none, else compare."""
+    path = root / MANIFEST
+    if not path.exists():
+        found = next((root / RECORDINGS).glob("*.nc"), None)
+        if found is not None:
+            raise ValueError(
+                f"{root}: holds {found.relative_to(root)} but no {MANIFEST} that tells how it was made; expected an "
+                "empty folder or one that a study has begun"
+            )
+        with _told(path):
+            write_durably(path, (json.dumps(manifest, indent=1, ensure_ascii=False) + "\n").encode())
+        return
+    try:
+        before = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ValueError(f"{path}: not readable as JSON ({error}); expected what an earlier run wrote") from None
+    wanted = json.loads(json.dumps(manifest))
+    differences = list(_differences("", before, wanted))
+    if differences:
+        more = f", and {len(differences) - 3} more" if len(differences) > 3 else ""
+        raise ValueError(
+            f"{root}: was made with other settings: {'; '.join(differences[:3])}{more}; expected the same settings, or "
+            "another folder"
+        )
+
+
+def _differences(name: str, before: Any, wanted: Any) -> Iterator[str]:
+    """One text per value that differs."""
+    if isinstance(before, dict) and isinstance(wanted, dict):
+        for key in dict.fromkeys([*before, *wanted]):
+            inner = f"{name}.{key}" if name else key
+            if key not in before:
+                yield f"{inner} is missing there and {json.dumps(wanted[key])} now"
+            elif key not in wanted:
+                yield f"{inner} is {json.dumps(before[key])} there and missing now"
+            else:
+                yield from _differences(inner, before[key], wanted[key])
+    elif isinstance(before, list) and isinstance(wanted, list) and len(before) == len(wanted):
+        for i, (a, b) in enumerate(zip(before, wanted, strict=True)):
+            # An entry with a name, such as a condition, goes by it.
+            label = a.get("name", i) if isinstance(a, dict) else i
+            yield from _differences(f"{name}[{label}]", a, b)
+    elif before != wanted:
+        yield f"{name} is {json.dumps(before)} there and {json.dumps(wanted)} now"
+
+
+def _sweep(root: Path) -> None:
+    """Remove what a killed run has left half-written."""
+    shutil.rmtree(root / STAGING, ignore_errors=True)
+    for folder in (root, root / RECORDINGS):
+        for path in folder.glob(".*.part"):
+            path.unlink(missing_ok=True)
+
+
+def _read_sums(path: Path) -> dict[str, str]:
+    """Subject to checksum; a line that makes no sense counts as none, and its subject is then done again."""
+    if not path.is_file():
+        return {}
+    sums = {}
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        sha256, _, file = line.partition("  ")
+        if len(sha256) == 64 and file.endswith(".nc"):
+            sums[file.removesuffix(".nc")] = sha256
+    return sums
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Say of an operating system's error what could not be written."""
+    try:
+        yield
+    except OSError as error:
+        raise cannot_write(path, error) from error
+
+
+def cannot_write(path: Path, error: OSError) -> OSError:
+    """An error of the operating system, told in a sentence; the kind stays."""
+    told = type(error)(f"{path}: cannot be written ({error.strerror or error}); what was finished before is kept")
+    told.errno = error.errno
+    return told

@@ -1,0 +1,244 @@
+"""Where a study's units of work are done: in this process, in processes of this machine, or on a Dask cluster.
+
+A unit is done by a pure function: doing one again gives the same result, so a unit whose worker has died is simply done
+again, and which worker does which unit has no effect on any file.
+"""
+
+import logging
+import os
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import Protocol, TypeVar
+
+import joblib
+from joblib.externals.loky import ProcessPoolExecutor
+
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
+
+LOG = logging.getLogger(__name__)
+
+MAX_DEATHS = 3
+"""How often in a row workers may die before any unit gets done; then the fault is the units' and repeating is vain."""
+
+DASK_TIMEOUT = 10.0
+"""How long a Dask scheduler may take to answer [s]."""
+
+TICK = 0.2
+"""How long to wait for a unit before looking at the progress [s]."""
+
+
+class Workers(Protocol):
+    """Processes that do units of work."""
+
+    remote: bool
+    """Whether they may lack this machine's file system."""
+
+    def start(self) -> Executor:
+        """What takes units from now on."""
+
+    def submit(self, executor: Executor, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
+        """Hand out a unit."""
+
+    def at_once(self) -> int:
+        """How many units to hand out at once."""
+
+    def threads(self, number: int, n_units: int) -> int:
+        """Threads for one of `n_units` units, counted from 0 in the order in which they start."""
+
+    def stop(self, executor: Executor) -> None:
+        """Let go of everything that still runs, at once."""
+
+
+class LocalProcesses:
+    """Fresh Python processes on this machine, through joblib's loky.
+
+    Args:
+      count: of processes.
+    """
+
+    remote = False
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+
+    def start(self) -> Executor:
+        """A pool whose processes end with this one, however it ends."""
+        # Libraries with a pool of their own (BLAS) must not take every core in every process.
+        threads = str(self.threads(0, self.count))
+        names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+        return ProcessPoolExecutor(
+            self.count, initializer=_end_with, initargs=(os.getpid(),), env=dict.fromkeys(names, threads)
+        )
+
+    def submit(self, executor: Executor, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
+        """Hand out a unit."""
+        # Processes that start here never see a Ctrl-C, which a terminal sends to all: this process stops them.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return executor.submit(function, unit)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+    def at_once(self) -> int:
+        """Two for each process, so that none waits for work."""
+        return 2 * self.count
+
+    def threads(self, number: int, n_units: int) -> int:
+        """The cores, shared out; among fewer in the last round if there is not enough work for every process."""
+        last_round = n_units % self.count
+        together = last_round if number >= n_units - last_round else self.count
+        return max(1, joblib.cpu_count() // together)
+
+    def stop(self, executor: Executor) -> None:
+        """Kill the processes."""
+        executor.shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
+
+
+class DaskCluster:
+    """The workers of a Dask cluster; the extra `dask` brings the library.
+
+    Args:
+      address: of the scheduler, e.g. "tcp://127.0.0.1:8786".
+
+    Raises:
+      RuntimeError: the library is not installed.
+      OSError: no scheduler answers at the address.
+    """
+
+    remote = True
+
+    def __init__(self, address: str) -> None:
+        try:
+            from distributed import Client
+        except ModuleNotFoundError as error:
+            raise RuntimeError(f"--dask needs {error.name}; expected `pip install 'armperturb[dask]'`") from None
+        try:
+            self.client = Client(address, timeout=DASK_TIMEOUT, set_as_default=False)
+        except (OSError, ValueError, TypeError) as error:
+            raise OSError(f"no Dask scheduler answers at {address} ({error}); expected host:port of one") from None
+
+    def start(self) -> Executor:
+        """The cluster as an executor."""
+        if not self.client.ncores():
+            LOG.warning("the Dask cluster has no workers yet: waiting for some")
+        return self.client.get_executor(pure=False)
+
+    def submit(self, executor: Executor, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
+        """Hand out a unit."""
+        return executor.submit(_on_its_own, function, unit)
+
+    def at_once(self) -> int:
+        """Two for each thread that the cluster has now: it may grow or shrink on the way."""
+        return 2 * max(1, sum(self.client.ncores().values()))
+
+    def threads(self, number: int, n_units: int) -> int:
+        """One: Dask itself runs a unit on every thread of a worker."""
+        return 1
+
+    def stop(self, executor: Executor) -> None:
+        """Forget what still runs there."""
+        executor.shutdown(wait=False)
+
+    def close(self) -> None:
+        """End the connection."""
+        self.client.close(timeout=1)
+
+
+@contextmanager
+def workers_for(count: int, dask: str | None) -> Iterator[Workers | None]:
+    """The workers that a command asks for; None stands for this process itself.
+
+    Args:
+      count: of local processes.
+      dask: address of a Dask scheduler, which takes the place of local processes.
+
+    Raises:
+      RuntimeError: Dask is not installed.
+      OSError: no scheduler answers.
+    """
+    if dask is None:
+        yield None if count == 1 else LocalProcesses(count)
+        return
+    cluster = DaskCluster(dask)
+    try:
+        yield cluster
+    finally:
+        cluster.close()
+
+
+def completed(
+    function: Callable[[Unit], Result],
+    units: Sequence[Unit],
+    workers: Workers,
+    tick: Callable[[], object] = lambda: None,
+) -> Generator[Result]:
+    """Do units of work and give the results as they come, in no order.
+
+    Args:
+      function: does a unit; must give the same result whenever and wherever it is called.
+      units: what to do.
+      workers: who does it.
+      tick: called some times a second while waiting.
+
+    Raises:
+      RuntimeError: workers died again and again.
+      Exception: what the function raised; units that still run are given up.
+    """
+    waiting = deque(units)
+    deaths = 0
+    while waiting:
+        executor = workers.start()
+        running: dict[Future, Unit] = {}
+        try:
+            while waiting or running:
+                at_once = workers.at_once()
+                while waiting and len(running) < at_once:
+                    future = workers.submit(executor, function, waiting[0])
+                    running[future] = waiting.popleft()
+                done, _ = wait(running, timeout=TICK, return_when=FIRST_COMPLETED)
+                tick()
+                for future in done:
+                    result = future.result()
+                    del running[future]
+                    deaths = 0
+                    yield result
+        except BrokenProcessPool as error:
+            deaths += 1
+            if deaths > MAX_DEATHS:
+                raise RuntimeError(
+                    f"worker processes died {deaths} times in a row ({error}); expected enough memory for them (a "
+                    "smaller --block or fewer --workers)"
+                ) from None
+            waiting.extendleft(reversed(running.values()))
+            LOG.warning("a worker process died; %d unfinished units are done again", len(running))
+        except CancelledError:
+            raise RuntimeError("the workers gave up a unit; expected the cluster to stay until all is done") from None
+        finally:
+            workers.stop(executor)
+
+
+def _on_its_own(function: Callable[[Unit], Result], unit: Unit) -> Result:
+    """Do a unit on a Dask worker as if there were no cluster."""
+    import dask
+
+    # xarray would ask the cluster for a lock on every file that it writes, even on one in memory, which fails.
+    with dask.config.set(scheduler="synchronous"):
+        return function(unit)
+
+
+def _end_with(parent: int) -> None:
+    """Make this process end soon after its parent, even if that was killed."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.2)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -1,0 +1,330 @@
+"""A study gives the same files however it is run, stopped, killed and started again."""
+
+import hashlib
+import io
+import logging
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from armperturb.recording import load_recording
+from armperturb.study import runner
+from armperturb.study.runner import StudySettings, record_study, run_study
+
+PROTOCOL = """
+forces = "published"
+trial_duration = 6.0
+multisine_duration = 5.0
+onset_window = [0.5, 1.0]
+
+[[conditions]]
+name = "PT7.5"
+task = "PT"
+rms_displacement = 0.0075
+published_force = 5.4
+pulse_levels = [1]
+
+[[conditions]]
+name = "RT0"
+task = "RT"
+pulse_levels = [1]
+"""
+N_SUBJECTS, N_TRIALS = 6, 4
+PATIENCE = 120.0  # [s]; far more than anything here takes, on however busy a machine
+
+
+@pytest.fixture(scope="module")
+def protocol(tmp_path_factory):
+    path = tmp_path_factory.mktemp("protocol") / "short.toml"
+    path.write_text(PROTOCOL)
+    return path
+
+
+@pytest.fixture(scope="module")
+def settings(protocol):
+    return StudySettings(subjects=N_SUBJECTS, seed=3, protocol=protocol)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(settings, tmp_path_factory):
+    """File name to bytes of the recordings of a run that nothing disturbed."""
+    out = tmp_path_factory.mktemp("undisturbed")
+    record_study(settings, out, show_progress=False)
+    return content(out)
+
+
+def content(out):
+    return {path.name: path.read_bytes() for path in (Path(out) / "recordings").iterdir()}
+
+
+def command(out, protocol, *options):
+    return [
+        *(sys.executable, "-m", "armperturb.cli", "study", "--out", str(out), "--protocol", str(protocol)),
+        *("--subjects", str(N_SUBJECTS), "--seed", "3", "--record-only", *options),
+    ]
+
+
+def wait_for(condition):
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def test_files_hold_every_trial_in_order(settings, undisturbed, tmp_path):
+    assert len(undisturbed) == N_SUBJECTS + 1
+    (tmp_path / "S02.nc").write_bytes(undisturbed["S02.nc"])
+    recording = load_recording(tmp_path / "S02.nc")
+    assert recording.sizes["trial"] == N_TRIALS
+    assert set(recording["subject"].values) == {"S02"}
+    assert sorted(recording["condition"].values) == ["PT7.5", "PT7.5", "RT0", "RT0"]
+    assert recording["order"].values.tolist() == list(range(N_TRIALS))
+
+
+@pytest.mark.parametrize("options", [{"block": 3}, {"block": 320}, {"workers": 2, "block": 1}, {"workers": 4}], ids=str)
+def test_workers_and_blocks_change_no_file(settings, undisturbed, tmp_path, options):
+    record_study(settings, tmp_path, show_progress=False, **options)
+    assert content(tmp_path) == undisturbed
+
+
+def killing(out, victim):
+    """A thread that kills a process as soon as the first file is there, and its verdict whether that was on the way."""
+    on_the_way = []
+
+    def kill():
+        wait_for(lambda: list((out / "recordings").glob("*.nc")))
+        victim().kill()
+        on_the_way.append(len(list((out / "recordings").glob("*.nc"))) < N_SUBJECTS)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    return thread, on_the_way
+
+
+def a_worker():
+    children = psutil.Process().children()
+    return next(child for child in children if any("LokyProcess" in word for word in child.cmdline()))
+
+
+def test_a_killed_worker_costs_nothing(settings, undisturbed, tmp_path, caplog):
+    thread, on_the_way = killing(tmp_path, a_worker)
+    with caplog.at_level(logging.WARNING):
+        record_study(settings, tmp_path, workers=2, show_progress=False)
+    thread.join()
+    assert on_the_way == [True]
+    assert "a worker process died" in caplog.text
+    assert content(tmp_path) == undisturbed
+
+
+def test_a_dask_cluster_gives_the_same_files_though_a_worker_is_killed(settings, undisturbed, tmp_path):
+    from distributed import Client, LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
+    ) as cluster:
+        with Client(cluster, set_as_default=False) as client:
+            pids = list(client.run(os.getpid).values())
+        thread, on_the_way = killing(tmp_path, lambda: psutil.Process(pids[0]))
+        record_study(settings, tmp_path, dask=cluster.scheduler_address, show_progress=False)
+        thread.join()
+    assert on_the_way == [True]
+    assert content(tmp_path) == undisturbed
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_killed_and_started_again_it_ends_the_same(protocol, undisturbed, tmp_path, workers):
+    rng = np.random.default_rng(int(workers))
+    for n_files in (0, *sorted(rng.choice(np.arange(1, N_SUBJECTS - 1), 2, replace=False))):
+        with subprocess.Popen(command(tmp_path, protocol, "--workers", workers, "--block", "4")) as run:
+            wait_for(
+                lambda n=n_files: (
+                    ((tmp_path / "recordings").is_dir() and len(content(tmp_path)) > n) or run.poll() is not None
+                )
+            )
+            time.sleep(rng.uniform(0.0, 0.2))
+            run.kill()
+    again = subprocess.run(command(tmp_path, protocol), capture_output=True, text=True, check=True)
+    assert again.stderr == ""
+    assert content(tmp_path) == undisturbed
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "manifest.json", "recordings"]
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_ctrl_c_stops_soon_and_keeps_what_is_finished(protocol, undisturbed, tmp_path, workers):
+    run = subprocess.Popen(
+        command(tmp_path, protocol, "--workers", workers, "--block", "4"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    wait_for(lambda: (tmp_path / "recordings" / "S01.nc").exists())
+    workers_then = psutil.Process(run.pid).children(recursive=True)
+    start = time.monotonic()
+    os.killpg(run.pid, signal.SIGINT)  # as a terminal does: to all processes
+    _, errors = run.communicate(timeout=PATIENCE)
+    took = time.monotonic() - start
+    assert run.returncode == 130
+    assert errors == "armperturb: stopped; the same command goes on from here\n"
+    assert took < 2.0
+    psutil.wait_procs(workers_then, timeout=5.0)
+    assert not [process for process in workers_then if process.is_running() and process.status() != "zombie"]
+    kept = content(tmp_path)
+    assert "S01.nc" in kept
+    assert all(kept[name] == undisturbed[name] for name in kept if name.endswith(".nc"))
+    subprocess.run(command(tmp_path, protocol), check=True)
+    assert content(tmp_path) == undisturbed
+
+
+def test_workers_of_a_killed_study_end_too(protocol, tmp_path):
+    with subprocess.Popen(command(tmp_path, protocol, "--workers", "2", "--block", "4")) as run:
+        wait_for(lambda: (tmp_path / "recordings" / "S01.nc").exists())
+        children = psutil.Process(run.pid).children(recursive=True)
+        run.kill()
+    _, alive = psutil.wait_procs(children, timeout=10.0)
+    assert not [process for process in alive if process.status() != "zombie"]
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b[:5000] + b"?" + b[5001:]])
+def test_a_damaged_file_is_named_set_aside_and_redone(settings, undisturbed, tmp_path, caplog, damage):
+    record_study(settings, tmp_path, show_progress=False)
+    path = tmp_path / "recordings" / "S03.nc"
+    path.write_bytes(damage(undisturbed["S03.nc"]))
+    with caplog.at_level(logging.WARNING):
+        record_study(settings, tmp_path, show_progress=False)
+    assert f"{path}.corrupt does not match its checksum" in caplog.text
+    found = content(tmp_path)
+    assert found.pop("S03.nc.corrupt") == damage(undisturbed["S03.nc"])
+    assert found == undisturbed
+
+
+def test_finished_subjects_are_not_done_again(settings, tmp_path, monkeypatch):
+    first = record_study(settings, tmp_path, show_progress=False)
+    monkeypatch.setattr(runner, "run_experiment", None)
+    assert record_study(settings, tmp_path, workers=2, show_progress=False) == first
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_full_disk_is_one_line_and_spares_earlier_files(protocol, undisturbed, tmp_path, workers):
+    subprocess.run(command(tmp_path, protocol, "--workers", "1"), check=True)
+    for name in ("S02.nc", "S05.nc"):
+        (tmp_path / "recordings" / name).unlink()
+    before = content(tmp_path)
+    # A limit on the size of files stands for a full disk: the same call fails in the same place.
+    limit = len(undisturbed["S02.nc"]) // 2
+    run = subprocess.run(
+        command(tmp_path, protocol, "--workers", workers),
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+        check=False,
+    )
+    assert run.returncode == 1
+    assert len(run.stderr.splitlines()) == 1
+    assert "cannot be written (File too large); what was finished before is kept" in run.stderr
+    assert content(tmp_path) == before
+    subprocess.run(command(tmp_path, protocol), check=True)
+    assert content(tmp_path) == undisturbed
+
+
+def test_a_second_run_and_other_settings_are_refused(protocol, settings, tmp_path):
+    with subprocess.Popen(command(tmp_path, protocol, "--workers", "1", "--block", "1")) as run:
+        wait_for(lambda: (tmp_path / "recordings").is_dir())
+        second = subprocess.run(command(tmp_path, protocol), capture_output=True, text=True, check=False)
+        still_running = run.poll() is None
+        run.kill()
+    assert still_running
+    assert second.returncode == 1
+    assert second.stderr.startswith(
+        f"armperturb: error: {tmp_path}: another run is at work in this folder (process {run.pid}"
+    )
+    with pytest.raises(ValueError, match=r"ideal is false there and true now; protocol.forces is \"published\" there"):
+        record_study(
+            StudySettings(subjects=N_SUBJECTS, seed=3, protocol=protocol, ideal=True, forces="practice"), tmp_path
+        )
+
+
+def test_another_protocol_in_the_same_file_is_refused(settings, tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(PROTOCOL)
+    mine = StudySettings(subjects=1, protocol=path)
+    record_study(mine, tmp_path / "s", show_progress=False)
+    path.write_text(PROTOCOL.replace("onset_window = [0.5, 1.0]", "onset_window = [0.5, 2.0]"))
+    with pytest.raises(ValueError, match=r"protocol.onset_window\[1\] is 1.0 there and 2.0 now"):
+        record_study(mine, tmp_path / "s", show_progress=False)
+
+
+def test_progress_shows_trials_speed_and_time_left(settings, tmp_path, monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(runner, "PROGRESS_INTERVAL", 0.0)
+    record_study(settings, tmp_path, block=4)
+    shown = terminal.getvalue()
+    assert f"{N_SUBJECTS * N_TRIALS}/{N_SUBJECTS * N_TRIALS} trials, " in shown
+    assert " x real time" in shown
+    assert "00:0" in shown
+    assert " left" in shown
+    assert len(shown.split("\r")) > 10
+
+
+def test_bad_numbers_are_refused(settings, tmp_path):
+    for options, message in (
+        ({"workers": 0}, "workers = 0; expected a finite number at least 1"),
+        ({"block": 0}, "block = 0; expected a finite number at least 1"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            record_study(settings, tmp_path / "s", **options)
+    with pytest.raises(ValueError, match="forces = 'none'; expected one of practice, published"):
+        StudySettings(forces="none")
+    assert not (tmp_path / "s").exists()
+
+
+LONG_ENOUGH = """
+forces = "published"
+trial_duration = 29.0
+multisine_duration = 28.5
+
+[[conditions]]
+name = "RT7.5"
+task = "RT"
+rms_displacement = 0.0075
+published_force = 0.9
+pulse_levels = [1]
+"""
+
+
+def test_identification_is_the_same_in_worker_processes(tmp_path):
+    (tmp_path / "p.toml").write_text(LONG_ENOUGH)
+    settings = StudySettings(subjects=2, protocol=tmp_path / "p.toml")
+    here, there = (run_study(settings, tmp_path / "s", workers=n, show_progress=False) for n in (1, 2))
+    assert [case.truth.name for case in there.of("RT7.5")] == ["S01", "S02"]
+    for a, b in zip(here.of("RT7.5"), there.of("RT7.5"), strict=True):
+        assert a.identification.fit.values == b.identification.fit.values
+        assert a.truth == b.truth
+        assert a.recording == b.recording
+
+
+def test_a_short_multisine_is_left_out_with_its_reason(settings, tmp_path):
+    result = run_study(settings, tmp_path, show_progress=False)
+    assert [case.condition.name for case in result.cases] == ["PT7.5"] * N_SUBJECTS
+    assert result.of("PT7.5") == []
+    assert "S01 in PT7.5 was not identified: the multisine lasts 5 s" in result.cases[0].left_out[0]
+
+
+def test_digest_file_is_that_of_the_files(undisturbed):
+    for line in undisturbed["SHA256SUMS"].decode().splitlines():
+        sha256, name = line.split("  ")
+        assert hashlib.sha256(undisturbed[name]).hexdigest() == sha256

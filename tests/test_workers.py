@@ -1,0 +1,98 @@
+"""Units of work outlive the workers that do them."""
+
+import logging
+import os
+import time
+
+import joblib
+import pytest
+
+from armperturb.study import workers
+from armperturb.study.workers import DaskCluster, LocalProcesses, completed, workers_for
+
+
+def square(number):
+    return number**2
+
+
+def die_once(unit):
+    """The first call for a marker ends its process as SIGKILL does; all others do their work."""
+    number, marker = unit
+    try:
+        os.close(os.open(marker, os.O_CREAT | os.O_EXCL))
+    except FileExistsError:
+        return number
+    os.kill(os.getpid(), 9)
+
+
+def die(_):
+    os._exit(1)
+
+
+def fail(number):
+    raise ValueError(f"unit {number} is wrong")
+
+
+def wait_long(_):
+    time.sleep(60.0)
+
+
+def test_all_units_are_done_once():
+    ticks = []
+    found = list(completed(square, range(20), LocalProcesses(2), lambda: ticks.append(0)))
+    assert sorted(found) == [n**2 for n in range(20)]
+    assert ticks
+
+
+def test_units_of_a_killed_worker_are_done_again_and_none_doubled(tmp_path, caplog):
+    with caplog.at_level(logging.WARNING):
+        found = list(completed(die_once, [(n, str(tmp_path / str(n // 4))) for n in range(8)], LocalProcesses(2)))
+    assert sorted(found) == list(range(8))
+    assert "a worker process died" in caplog.text
+
+
+def test_workers_that_always_die_end_it(monkeypatch):
+    monkeypatch.setattr(workers, "MAX_DEATHS", 1)
+    with pytest.raises(RuntimeError, match="worker processes died 2 times in a row"):
+        list(completed(die, range(3), LocalProcesses(1)))
+
+
+def test_what_a_unit_raises_comes_through():
+    with pytest.raises(ValueError, match="unit 0 is wrong"):
+        list(completed(fail, range(1), LocalProcesses(1)))
+
+
+def test_closing_stops_at_once():
+    crew = LocalProcesses(2)
+    results = completed(wait_long, range(4), crew, lambda: (_ for _ in ()).throw(KeyboardInterrupt))
+    start = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        next(results)
+    assert time.monotonic() - start < 10.0  # the start of the processes included, on a busy machine
+
+
+def test_cores_are_shared_out(monkeypatch):
+    monkeypatch.setattr(joblib, "cpu_count", lambda: 8)
+    crew = LocalProcesses(4)
+    assert [crew.threads(number, 10) for number in range(10)] == [2] * 8 + [4] * 2
+    assert [crew.threads(number, 2) for number in range(2)] == [4] * 2
+    assert LocalProcesses(16).threads(0, 16) == 1
+
+
+def test_one_worker_is_this_process():
+    with workers_for(1, None) as crew:
+        assert crew is None
+
+
+def test_dask_is_told_to_be_missing(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    with pytest.raises(RuntimeError, match=r"--dask needs distributed; expected `pip install 'armperturb\[dask\]'`"):
+        DaskCluster("tcp://127.0.0.1:1")
+
+
+def test_a_wrong_dask_address_is_told(monkeypatch):
+    monkeypatch.setattr(workers, "DASK_TIMEOUT", 0.5)
+    with pytest.raises(OSError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:1 "):
+        DaskCluster("tcp://127.0.0.1:1")
+    with pytest.raises(OSError, match="no Dask scheduler answers at nonsense://x"):
+        DaskCluster("nonsense://x")
