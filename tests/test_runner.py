@@ -5,6 +5,7 @@ import io
 import logging
 import os
 import resource
+import runpy
 import signal
 import subprocess
 import sys
@@ -66,6 +67,10 @@ def content(out):
     return {path.name: path.read_bytes() for path in (Path(out) / "recordings").iterdir()}
 
 
+def count(out):
+    return len(list((out / "recordings").glob("*.nc")))
+
+
 def command(out, protocol, *options):
     return [
         *(sys.executable, "-m", "armperturb.cli", "study", "--out", str(out), "--protocol", str(protocol)),
@@ -101,9 +106,9 @@ def killing(out, victim):
     on_the_way = []
 
     def kill():
-        wait_for(lambda: list((out / "recordings").glob("*.nc")))
+        wait_for(lambda: count(out) > 0)
         victim().kill()
-        on_the_way.append(len(list((out / "recordings").glob("*.nc"))) < N_SUBJECTS)
+        on_the_way.append(count(out) < N_SUBJECTS)
 
     thread = threading.Thread(target=kill)
     thread.start()
@@ -145,11 +150,7 @@ def test_killed_and_started_again_it_ends_the_same(protocol, undisturbed, tmp_pa
     rng = np.random.default_rng(int(workers))
     for n_files in (0, *sorted(rng.choice(np.arange(1, N_SUBJECTS - 1), 2, replace=False))):
         with subprocess.Popen(command(tmp_path, protocol, "--workers", workers, "--block", "4")) as run:
-            wait_for(
-                lambda n=n_files: (
-                    ((tmp_path / "recordings").is_dir() and len(content(tmp_path)) > n) or run.poll() is not None
-                )
-            )
+            wait_for(lambda n=n_files: (count(tmp_path) > n) or (run.poll() is not None))
             time.sleep(rng.uniform(0.0, 0.2))
             run.kill()
     again = subprocess.run(command(tmp_path, protocol), capture_output=True, text=True, check=True)
@@ -159,7 +160,7 @@ def test_killed_and_started_again_it_ends_the_same(protocol, undisturbed, tmp_pa
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])
-def test_ctrl_c_stops_soon_and_keeps_what_is_finished(protocol, undisturbed, tmp_path, workers):
+def test_ctrl_c_stops_soon_and_keeps_what_is_finished(protocol, settings, undisturbed, tmp_path, workers):
     run = subprocess.Popen(
         command(tmp_path, protocol, "--workers", workers, "--block", "4"),
         stdout=subprocess.PIPE,
@@ -181,7 +182,7 @@ def test_ctrl_c_stops_soon_and_keeps_what_is_finished(protocol, undisturbed, tmp
     kept = content(tmp_path)
     assert "S01.nc" in kept
     assert all(kept[name] == undisturbed[name] for name in kept if name.endswith(".nc"))
-    subprocess.run(command(tmp_path, protocol), check=True)
+    record_study(settings, tmp_path, show_progress=False)
     assert content(tmp_path) == undisturbed
 
 
@@ -214,8 +215,8 @@ def test_finished_subjects_are_not_done_again(settings, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])
-def test_a_full_disk_is_one_line_and_spares_earlier_files(protocol, undisturbed, tmp_path, workers):
-    subprocess.run(command(tmp_path, protocol, "--workers", "1"), check=True)
+def test_a_full_disk_is_one_line_and_spares_earlier_files(protocol, settings, undisturbed, tmp_path, workers):
+    record_study(settings, tmp_path, show_progress=False)
     for name in ("S02.nc", "S05.nc"):
         (tmp_path / "recordings" / name).unlink()
     before = content(tmp_path)
@@ -232,7 +233,7 @@ def test_a_full_disk_is_one_line_and_spares_earlier_files(protocol, undisturbed,
     assert len(run.stderr.splitlines()) == 1
     assert "cannot be written (File too large); what was finished before is kept" in run.stderr
     assert content(tmp_path) == before
-    subprocess.run(command(tmp_path, protocol), check=True)
+    record_study(settings, tmp_path, show_progress=False)
     assert content(tmp_path) == undisturbed
 
 
@@ -328,3 +329,11 @@ def test_digest_file_is_that_of_the_files(undisturbed):
     for line in undisturbed["SHA256SUMS"].decode().splitlines():
         sha256, name = line.split("  ")
         assert hashlib.sha256(undisturbed[name]).hexdigest() == sha256
+
+
+def test_the_example_of_a_thousand_subjects_runs_with_three(protocol, tmp_path):
+    example = runpy.run_path(str(Path(__file__).parent.parent / "examples" / "thousand_subjects.py"))
+    options = ["--subjects", "3", "--workers", "2", "--protocol", str(protocol)]
+    files = example["main"]([str(tmp_path), *options])
+    assert [path.name for path in files] == ["S01.nc", "S02.nc", "S03.nc"]
+    assert all(path.is_file() for path in files)

@@ -290,7 +290,7 @@ def _units(
     share = len(missing) if crew is None else len(missing) // crew.at_once()
     size = max(1, min(block // len(protocol.cells()), share))
     groups = [tuple(missing[first : first + size]) for first in range(0, len(missing), size)]
-    multisines = protocol.draw_multisines(settings.seed)
+    multisines = _draw_multisines(protocol, settings.seed, crew)
     progress = None
     if crew is not None and not crew.remote:
         progress = folder.staging / "progress"
@@ -311,6 +311,22 @@ def _units(
         )
         for number, group in enumerate(groups)
     ]
+
+
+def _draw_multisines(protocol: Protocol, seed: int, crew: Workers | None) -> dict[int, Multisine]:
+    """`Protocol.draw_multisines`, shared out: some seconds' work that everybody's trials wait for."""
+    if crew is None:
+        return protocol.draw_multisines(seed)
+    numbers = [number for number, cell in enumerate(protocol.cells()) if cell.condition.has_multisine]
+    drawn: dict[int, Multisine] = {}
+    for some in completed(_draw_multisine, [(protocol, seed, number) for number in numbers], crew):
+        drawn.update(some)
+    return drawn
+
+
+def _draw_multisine(unit: tuple[Protocol, int, int]) -> dict[int, Multisine]:
+    protocol, seed, number = unit
+    return protocol.draw_multisines(seed, [number])
 
 
 def _work(units: Sequence[_Unit], crew: Workers | None, bar: "_Progress") -> Generator[_Finished]:
