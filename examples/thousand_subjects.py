@@ -24,7 +24,7 @@ def main(arguments: list[str] | None = None) -> list[Path]:
     options = parser.parse_args(arguments)
     settings = StudySettings(subjects=options.subjects, protocol=options.protocol)
     # One thread per process: a unit of work keeps it busy. Memory is bounded by the block, not by the study.
-    with LocalCluster(n_workers=options.workers, threads_per_worker=1, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=options.workers, threads_per_worker=1, dashboard_address=":0") as cluster:
         files = record_study(settings, options.folder, dask=cluster.scheduler_address, block=32)
     size = sum(path.stat().st_size for path in files)
     print(f"{len(files)} recordings, {size / 1e6:.1f} MB, in {options.folder / 'recordings'}")

@@ -172,7 +172,7 @@ def run_study(
     Args:
       settings: what determines the study.
       out: the study folder, see `armperturb.study.store`.
-      workers: number of processes, also for the identification; None for one per core.
+      workers: number of processes, also for the identification; None for about one per core.
       dask: address of a Dask scheduler whose workers simulate.
       block: number of trials that a worker simulates side by side.
       show_progress: whether to draw progress bars on the terminal.
@@ -218,8 +218,8 @@ def record_study(
     Args:
       settings: what determines the study.
       out: the study folder, see `armperturb.study.store`.
-      workers: number of processes; 1 for this one alone with as many threads as there are cores, None for one
-        per core.
+      workers: number of processes; 1 for this one alone with as many threads as there are cores, None for about
+        one per core.
       dask: address of a Dask scheduler whose workers do the work instead; they send the files back.
       block: number of trials that a worker simulates side by side; its memory grows with it, or with the trials
         of a person if they are more.
@@ -262,7 +262,11 @@ def record_study(
 
 def _count(workers: int | None, n_subjects: int) -> int:
     """Number of processes: no more than there is work for."""
-    return min(joblib.cpu_count() if workers is None else workers, n_subjects)
+    if workers is None:
+        cores = joblib.cpu_count()
+        # One process in four more than cores costs little, and is worth it if then none is idle in the last round.
+        workers = next((count for count in range(cores, cores + cores // 4 + 1) if n_subjects % count == 0), cores)
+    return min(workers, n_subjects)
 
 
 def _manifest(settings: StudySettings, protocol: Protocol) -> dict[str, Any]:
