@@ -28,7 +28,7 @@ MAX_DEATHS = 3
 """How often in a row workers may die before any unit gets done; then the fault is the units' and repeating is vain."""
 
 MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(2**20)}
-"""Has glibc give memory of large arrays back at once, which it else keeps: a quarter less at the peak, half after it."""
+"""Has glibc give back the memory of large arrays at once, which it else keeps: a fifth less at the peak, half after."""
 
 DASK_TIMEOUT = 10.0
 """How long a Dask scheduler may take to answer [s]."""
@@ -230,7 +230,8 @@ def completed(
                     "smaller --block or fewer --workers)"
                 ) from None
             waiting.extendleft(reversed(running.values()))
-            LOG.warning("a worker process died; %d unfinished units are done again", len(running))
+            why = " ".join(str(error).split())
+            LOG.warning("a worker process died; %d unfinished units are done again (%s)", len(running), why)
         except CancelledError:
             raise RuntimeError("the workers gave up a unit; expected the cluster to stay until all is done") from None
         finally:
