@@ -39,7 +39,7 @@ class Study:
     """Where the forces come from, instead of what the protocol says: each person's practice session, or the protocol's
     own, the same for everyone."""
     workers: int | None = None
-    """Number of processes; by default one per core. No effect on the files, nor have the next two."""
+    """Number of processes; by default about one per core. No effect on the files, nor have the next two."""
     dask: str | None = None
     """Address of a Dask scheduler whose workers simulate, e.g. tcp://127.0.0.1:8786; needs armperturb[dask]."""
     block: int = 96

@@ -1,7 +1,7 @@
 """Runs every benchmark."""
 
-from benchmarks import batch_overhead, multisine_crest
+from benchmarks import batch_overhead, multisine_crest, study_kills, study_speed
 
-for module in (batch_overhead, multisine_crest):
+for module in (batch_overhead, multisine_crest, study_speed, study_kills):
     print(f"== {module.__name__}")
     module.main()

@@ -39,14 +39,17 @@ def wait_long(_):
 
 def test_all_units_are_done_once():
     ticks = []
-    found = list(completed(square, range(20), LocalProcesses(2), lambda: ticks.append(0)))
-    assert sorted(found) == [n**2 for n in range(20)]
+    with workers_for(2, None) as crew:
+        for first in (0, 20):  # the processes stay for more
+            found = list(completed(square, range(first, first + 20), crew, lambda: ticks.append(0)))
+            assert sorted(found) == [n**2 for n in range(first, first + 20)]
     assert ticks
 
 
 def test_units_of_a_killed_worker_are_done_again_and_none_doubled(tmp_path, caplog):
-    with caplog.at_level(logging.WARNING):
-        found = list(completed(die_once, [(n, str(tmp_path / str(n // 4))) for n in range(8)], LocalProcesses(2)))
+    units = [(n, str(tmp_path / str(n // 4))) for n in range(8)]
+    with caplog.at_level(logging.WARNING), workers_for(2, None) as crew:
+        found = list(completed(die_once, units, crew))
     assert sorted(found) == list(range(8))
     assert "a worker process died" in caplog.text
 

@@ -3,7 +3,7 @@
 import functools
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from importlib import resources
 from numbers import Integral, Real
@@ -252,15 +252,19 @@ class Protocol:
         forces = {c.name: float(c.published_force) for c in self.conditions if c.has_multisine}
         return {**forces, PULSE_UNIT: float(self.pulse_unit)}
 
-    def draw_multisines(self, seed: int) -> dict[int, Multisine]:
+    def draw_multisines(self, seed: int, numbers: Collection[int] | None = None) -> dict[int, Multisine]:
         """Number of the cell to its multisine of 1 N RMS: a different realisation in each, the same for everyone.
 
         Lowering the peaks takes some 0.25 s per realisation; they are kept, so that later calls cost nothing.
+
+        Args:
+          seed: of the study.
+          numbers: of the cells that are wanted, to share out the work; all if None.
         """
         return {
             number: _realisation(seed, number)
             for number, cell in enumerate(self.cells())
-            if cell.condition.has_multisine
+            if cell.condition.has_multisine and (numbers is None or number in numbers)
         }
 
     def trials(

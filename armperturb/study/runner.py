@@ -197,7 +197,7 @@ def run_study(
     Args:
       settings: what determines the study.
       out: the study folder, see `armperturb.study.store`.
-      workers: number of processes, also for the identification; None for one per core.
+      workers: number of processes, also for the identification; None for about one per core.
       dask: address of a Dask scheduler whose workers simulate.
       block: number of trials that a worker simulates side by side.
       show_progress: whether to draw progress bars on the terminal.
@@ -243,8 +243,8 @@ def record_study(
     Args:
       settings: what determines the study.
       out: the study folder, see `armperturb.study.store`.
-      workers: number of processes; 1 for this one alone with as many threads as there are cores, None for one
-        per core.
+      workers: number of processes; 1 for this one alone with as many threads as there are cores, None for about
+        one per core.
       dask: address of a Dask scheduler whose workers do the work instead; they send the files back.
       block: number of trials that a worker simulates side by side; its memory grows with it, or with the trials
         of a person if they are more.
@@ -287,7 +287,11 @@ def record_study(
 
 def _count(workers: int | None, n_subjects: int) -> int:
     """Number of processes: no more than there is work for."""
-    return min(joblib.cpu_count() if workers is None else workers, n_subjects)
+    if workers is None:
+        cores = joblib.cpu_count()
+        # One process in four more than cores costs little, and is worth it if then none is idle in the last round.
+        workers = next((count for count in range(cores, cores + cores // 4 + 1) if n_subjects % count == 0), cores)
+    return min(workers, n_subjects)
 
 
 def _manifest(settings: StudySettings, protocol: Protocol) -> dict[str, Any]:
@@ -315,7 +319,7 @@ def _units(
     share = len(missing) if crew is None else len(missing) // crew.at_once()
     size = max(1, min(block // len(protocol.cells()), share))
     groups = [tuple(missing[first : first + size]) for first in range(0, len(missing), size)]
-    multisines = protocol.draw_multisines(settings.seed)
+    multisines = _draw_multisines(protocol, settings.seed, crew)
     progress = None
     if crew is not None and not crew.remote:
         progress = folder.staging / "progress"
@@ -336,6 +340,22 @@ def _units(
         )
         for number, group in enumerate(groups)
     ]
+
+
+def _draw_multisines(protocol: Protocol, seed: int, crew: Workers | None) -> dict[int, Multisine]:
+    """`Protocol.draw_multisines`, shared out: some seconds' work that everybody's trials wait for."""
+    if crew is None:
+        return protocol.draw_multisines(seed)
+    numbers = [number for number, cell in enumerate(protocol.cells()) if cell.condition.has_multisine]
+    drawn: dict[int, Multisine] = {}
+    for some in completed(_draw_multisine, [(protocol, seed, number) for number in numbers], crew):
+        drawn.update(some)
+    return drawn
+
+
+def _draw_multisine(unit: tuple[Protocol, int, int]) -> dict[int, Multisine]:
+    protocol, seed, number = unit
+    return protocol.draw_multisines(seed, [number])
 
 
 def _work(units: Sequence[_Unit], crew: Workers | None, bar: "_Progress") -> Generator[_Finished]:

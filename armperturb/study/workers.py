@@ -27,6 +27,9 @@ LOG = logging.getLogger(__name__)
 MAX_DEATHS = 3
 """How often in a row workers may die before any unit gets done; then the fault is the units' and repeating is vain."""
 
+MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(2**20)}
+"""Has glibc give back the memory of large arrays at once, which it else keeps: a fifth less at the peak, half after."""
+
 DASK_TIMEOUT = 10.0
 """How long a Dask scheduler may take to answer [s]."""
 
@@ -40,11 +43,8 @@ class Workers(Protocol):
     remote: bool
     """Whether they may lack this machine's file system."""
 
-    def start(self) -> Executor:
-        """What takes units from now on."""
-
-    def submit(self, executor: Executor, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
-        """Hand out a unit."""
+    def submit(self, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
+        """Hand out a unit, to processes that are started if there are none."""
 
     def at_once(self) -> int:
         """How many units to hand out at once."""
@@ -52,12 +52,12 @@ class Workers(Protocol):
     def threads(self, number: int, n_units: int) -> int:
         """Threads for one of `n_units` units, counted from 0 in the order in which they start."""
 
-    def stop(self, executor: Executor) -> None:
-        """Let go of everything that still runs, at once."""
+    def stop(self) -> None:
+        """Let go of everything that still runs, at once; more may be handed out later."""
 
 
 class LocalProcesses:
-    """Fresh Python processes on this machine, through joblib's loky.
+    """Fresh Python processes on this machine, through joblib's loky; they end with this one, however it ends.
 
     Args:
       count: of processes.
@@ -67,22 +67,24 @@ class LocalProcesses:
 
     def __init__(self, count: int) -> None:
         self.count = count
+        self._executor: ProcessPoolExecutor | None = None
 
-    def start(self) -> Executor:
-        """A pool whose processes end with this one, however it ends."""
-        # Libraries with a pool of their own (BLAS) must not take every core in every process.
-        threads = str(self.threads(0, self.count))
-        names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-        return ProcessPoolExecutor(
-            self.count, initializer=_end_with, initargs=(os.getpid(),), env=dict.fromkeys(names, threads)
-        )
-
-    def submit(self, executor: Executor, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
-        """Hand out a unit."""
+    def submit(self, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
+        """Hand out a unit, to processes that are started if there are none."""
+        if self._executor is None:
+            # Libraries with a pool of their own (BLAS) must not take every core in every process.
+            names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+            threads = str(self.threads(0, self.count))
+            self._executor = ProcessPoolExecutor(
+                self.count,
+                initializer=_end_with,
+                initargs=(os.getpid(),),
+                env={**dict.fromkeys(names, threads), **MALLOC},
+            )
         # Processes that start here never see a Ctrl-C, which a terminal sends to all: this process stops them.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            return executor.submit(function, unit)
+            return self._executor.submit(function, unit)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
@@ -96,9 +98,11 @@ class LocalProcesses:
         together = last_round if number >= n_units - last_round else self.count
         return max(1, joblib.cpu_count() // together)
 
-    def stop(self, executor: Executor) -> None:
+    def stop(self) -> None:
         """Kill the processes."""
-        executor.shutdown(wait=True, kill_workers=True)  # type: ignore[call-arg]
+        executor, self._executor = self._executor, None
+        if executor is not None:
+            executor.shutdown(wait=True, kill_workers=True)
 
 
 class DaskCluster:
@@ -120,35 +124,36 @@ class DaskCluster:
         except ModuleNotFoundError as error:
             raise RuntimeError(f"--dask needs {error.name}; expected `pip install 'armperturb[dask]'`") from None
         try:
-            self.client = Client(address, timeout=DASK_TIMEOUT, set_as_default=False)
+            self._client = Client(address, timeout=DASK_TIMEOUT, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise OSError(f"no Dask scheduler answers at {address} ({error}); expected host:port of one") from None
+        self._executor: Executor | None = None
 
-    def start(self) -> Executor:
-        """The cluster as an executor."""
-        if not self.client.ncores():
-            LOG.warning("the Dask cluster has no workers yet: waiting for some")
-        return self.client.get_executor(pure=False)
-
-    def submit(self, executor: Executor, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
+    def submit(self, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
         """Hand out a unit."""
-        return executor.submit(_on_its_own, function, unit)
+        if self._executor is None:
+            if not self._client.ncores():
+                LOG.warning("the Dask cluster has no workers yet: waiting for some")
+            self._executor = self._client.get_executor(pure=False)
+        return self._executor.submit(_on_its_own, function, unit)
 
     def at_once(self) -> int:
         """Two for each thread that the cluster has now: it may grow or shrink on the way."""
-        return 2 * max(1, sum(self.client.ncores().values()))
+        return 2 * max(1, sum(self._client.ncores().values()))
 
     def threads(self, number: int, n_units: int) -> int:
         """One: Dask itself runs a unit on every thread of a worker."""
         return 1
 
-    def stop(self, executor: Executor) -> None:
+    def stop(self) -> None:
         """Forget what still runs there."""
-        executor.shutdown(wait=False)
+        executor, self._executor = self._executor, None
+        if executor is not None:
+            executor.shutdown(wait=False)
 
     def close(self) -> None:
         """End the connection."""
-        self.client.close(timeout=1)
+        self._client.close(timeout=1)
 
 
 @contextmanager
@@ -163,14 +168,21 @@ def workers_for(count: int, dask: str | None) -> Iterator[Workers | None]:
       RuntimeError: Dask is not installed.
       OSError: no scheduler answers.
     """
-    if dask is None:
-        yield None if count == 1 else LocalProcesses(count)
-        return
-    cluster = DaskCluster(dask)
-    try:
-        yield cluster
-    finally:
-        cluster.close()
+    if dask is not None:
+        cluster = DaskCluster(dask)
+        try:
+            yield cluster
+        finally:
+            cluster.stop()
+            cluster.close()
+    elif count == 1:
+        yield None
+    else:
+        processes = LocalProcesses(count)
+        try:
+            yield processes
+        finally:
+            processes.stop()
 
 
 def completed(
@@ -194,13 +206,13 @@ def completed(
     waiting = deque(units)
     deaths = 0
     while waiting:
-        executor = workers.start()
         running: dict[Future, Unit] = {}
+        ended_well = False
         try:
             while waiting or running:
                 at_once = workers.at_once()
                 while waiting and len(running) < at_once:
-                    future = workers.submit(executor, function, waiting[0])
+                    future = workers.submit(function, waiting[0])
                     running[future] = waiting.popleft()
                 done, _ = wait(running, timeout=TICK, return_when=FIRST_COMPLETED)
                 tick()
@@ -209,6 +221,7 @@ def completed(
                     del running[future]
                     deaths = 0
                     yield result
+            ended_well = True
         except BrokenProcessPool as error:
             deaths += 1
             if deaths > MAX_DEATHS:
@@ -217,11 +230,13 @@ def completed(
                     "smaller --block or fewer --workers)"
                 ) from None
             waiting.extendleft(reversed(running.values()))
-            LOG.warning("a worker process died; %d unfinished units are done again", len(running))
+            why = " ".join(str(error).split())
+            LOG.warning("a worker process died; %d unfinished units are done again (%s)", len(running), why)
         except CancelledError:
             raise RuntimeError("the workers gave up a unit; expected the cluster to stay until all is done") from None
         finally:
-            workers.stop(executor)
+            if not ended_well:
+                workers.stop()
 
 
 def _on_its_own(function: Callable[[Unit], Result], unit: Unit) -> Result:
