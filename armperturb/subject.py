@@ -20,7 +20,8 @@ HUMERUS_MASS_SHARE = 0.49
 
 _POSITIVE = ("m_h", "m_f", "l_h", "l_f", "k_h", "Td_s", "Td_e", "fact_s", "fact_e", "zeta_act")
 _NON_NEGATIVE = ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e", "b_h")
-_FINITE = ("kv_s", "kv_se", "kv_e", "kp_s", "kp_se", "kp_e")
+_FINITE = tuple(f"{quantity}_{joint}" for quantity in ("kv", "kp", "ka", "kf") for joint in ("s", "se", "e"))
+_OPTIONAL = ("ka_s", "ka_se", "ka_e", "kf_s", "kf_se", "kf_e", "zeta_act", "name")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +49,12 @@ class Subject:
       kp_s: position feedback gain, shoulder [Nm/rad].
       kp_se: position feedback gain, two-joint [Nm/rad].
       kp_e: position feedback gain, elbow [Nm/rad].
+      ka_s: acceleration feedback gain, shoulder [Nms^2/rad].
+      ka_se: acceleration feedback gain, two-joint [Nms^2/rad].
+      ka_e: acceleration feedback gain, elbow [Nms^2/rad].
+      kf_s: force feedback gain, shoulder [-]; negative inhibits, as tendon organs do (see `analysis.arm_model`).
+      kf_se: force feedback gain, two-joint [-].
+      kf_e: force feedback gain, elbow [-].
       Td_s: neural delay of the torque at the shoulder [s].
       Td_e: neural delay of the torque at the elbow [s].
       fact_s: cut-off frequency of the muscle activation at the shoulder [Hz].
@@ -82,6 +89,12 @@ class Subject:
     kp_s: float = 0.0
     kp_se: float = 0.0
     kp_e: float = 0.0
+    ka_s: float = 0.0
+    ka_se: float = 0.0
+    ka_e: float = 0.0
+    kf_s: float = 0.0
+    kf_se: float = 0.0
+    kf_e: float = 0.0
     Td_s: float = 0.030
     Td_e: float = 0.030
     fact_s: float = 3.5
@@ -119,11 +132,11 @@ class Subject:
         return np.radians([self.theta_s_deg, self.theta_e_deg])
 
     def joint_triple(self, quantity: str) -> tuple[float, float, float]:
-        """Entries (s, se, e) of one joint matrix; quantity is "b", "k", "kv" or "kp" (thesis eq. 2.9)."""
+        """Entries (s, se, e) of one joint matrix; quantity is "b", "k", "kv", "kp", "ka" or "kf" (eq. 2.9)."""
         return tuple(getattr(self, f"{quantity}_{joint}") for joint in ("s", "se", "e"))
 
     def joint_matrix(self, quantity: str) -> np.ndarray:
-        """Symmetric joint matrix [[s, se], [se, e]] of "b", "k", "kv" or "kp", (joint, joint) (thesis eq. 2.9)."""
+        """Symmetric joint matrix [[s, se], [se, e]] of a quantity of `joint_triple`, (joint, joint) (eq. 2.9)."""
         s, se, e = self.joint_triple(quantity)
         return np.array([[s, se], [se, e]])
 
@@ -134,7 +147,7 @@ class Subject:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], source: str = "subject") -> Self:
-        """A subject from its parameters by name; only `zeta_act` and `name` may be left out.
+        """A subject from its parameters by name; `zeta_act`, `name` and the gains ka_* and kf_* may be left out.
 
         Args:
           values: parameter name to value, SI units, angles in degrees.
@@ -148,7 +161,7 @@ class Subject:
         unknown = [key for key in values if key not in known]
         if unknown:
             raise ValueError(f"{source}: unknown key {unknown[0]!r}; expected keys are {', '.join(known)}")
-        missing = [key for key in known if key not in values and key not in ("zeta_act", "name")]
+        missing = [key for key in known if key not in values and key not in _OPTIONAL]
         if missing:
             raise ValueError(f"{source}: missing key {missing[0]!r}; expected keys are {', '.join(known)}")
         try:

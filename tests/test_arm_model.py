@@ -5,9 +5,13 @@ from dataclasses import replace
 import control
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy import integrate
 
 from armperturb.analysis.arm_model import (
+    PARAMETERS,
+    LinearArm,
     arm_admittance,
     arm_admittance_gradient,
     environment_admittance,
@@ -16,10 +20,12 @@ from armperturb.analysis.arm_model import (
     joint_impedance_gradient,
     largest_real_pole,
     mass_matrix,
+    parameter_vector,
     require_stable,
     simulate_linear,
     state_space,
     total_admittance,
+    total_admittance_gradient,
 )
 from armperturb.environment import Environment
 from armperturb.subject import POSITION, RELAX
@@ -27,9 +33,16 @@ from armperturb.subject import POSITION, RELAX
 ENVIRONMENT = Environment()
 FREQUENCY = np.geomspace(0.1, 45.0, 25)
 OTHER = replace(POSITION, Td_s=0.041, Td_e=0.024, fact_s=2.1, fact_e=5.2, zeta_act=1.0, theta_s_deg=50.0, l_f=0.41)
-PEOPLE = pytest.mark.parametrize("subject", [RELAX, POSITION, OTHER], ids=["relax", "position", "other"])
-JOINT_WISE = [f"{quantity}_{joint}" for quantity in ("b", "k", "kv", "kp") for joint in ("s", "se", "e")]
-MECHANICAL = (*JOINT_WISE, "m_h", "m_f", "Td_s", "Td_e", "fact_s", "fact_e", "b_h", "k_h")
+SENSING = replace(
+    OTHER, ka_s=0.6, ka_se=0.3, ka_e=0.9, kf_s=-0.7, kf_se=-0.3, kf_e=-0.4, kp_s=20.0, kv_e=18.0, name="sensing"
+)
+PEOPLE = pytest.mark.parametrize(
+    "subject", [RELAX, POSITION, OTHER, SENSING], ids=["relax", "position", "other", "sensing"]
+)
+
+
+def total(subject, frequency, delay):
+    return total_admittance(subject, ENVIRONMENT, frequency, delay)
 
 
 def hand(subject, q):
@@ -88,7 +101,8 @@ def test_pade_and_exact_delay_agree_where_the_approximation_holds():
 @PEOPLE
 def test_slow_admittance_is_the_compliance_of_arm_and_grip(subject):
     jacobian = hand_jacobian(subject)
-    stiffness = subject.joint_matrix("k") + subject.joint_matrix("kp")
+    muscle = subject.joint_matrix("k") + subject.joint_matrix("kp")
+    stiffness = np.linalg.solve(np.eye(2) - subject.joint_matrix("kf"), muscle)
     compliance = jacobian @ np.linalg.solve(stiffness, jacobian.T) + np.eye(2) / subject.k_h
     np.testing.assert_allclose(arm_admittance(subject, [1e-6])[0].real, compliance, rtol=1e-9)
 
@@ -104,16 +118,50 @@ def test_environment_is_a_mass_spring_damper():
 @pytest.mark.parametrize("delay", ["exact", "pade"])
 @PEOPLE
 def test_gradient_equals_finite_differences(subject, delay):
-    gradient = arm_admittance_gradient(subject, FREQUENCY, MECHANICAL, delay)
-    impedance_gradient = joint_impedance_gradient(subject, FREQUENCY, MECHANICAL, delay)
-    for column, name in enumerate(MECHANICAL):
+    cases = (
+        (arm_admittance, arm_admittance_gradient(subject, FREQUENCY, PARAMETERS, delay)),
+        (joint_impedance, joint_impedance_gradient(subject, FREQUENCY, PARAMETERS, delay)),
+        (total, total_admittance_gradient(subject, ENVIRONMENT, FREQUENCY, PARAMETERS, delay)),
+    )
+    for column, name in enumerate(PARAMETERS):
         value = getattr(subject, name)
         step = 1e-5 * max(abs(value), 0.1)
         above, below = (replace(subject, **{name: value + sign * step}) for sign in (1, -1))
-        for function, exact in ((arm_admittance, gradient), (joint_impedance, impedance_gradient)):
+        for function, exact in cases:
             slope = (function(above, FREQUENCY, delay) - function(below, FREQUENCY, delay)) / (2 * step)
             scale = np.abs(function(subject, FREQUENCY, delay)).max() / max(abs(value), 0.1)
-            np.testing.assert_allclose(exact[..., column], slope, rtol=1e-5, atol=1e-7 * scale)
+            np.testing.assert_allclose(exact[..., column], slope, rtol=1e-5, atol=1e-7 * scale, err_msg=name)
+
+
+def test_force_feedback_makes_a_slow_arm_softer_or_stiffer():
+    # At rest R = 1: tau = (K + Kp) q + Kf tau.
+    still = [1e-6]
+    for gain in (-0.8, 0.4):
+        arm = replace(POSITION, kf_s=gain, kf_e=gain)
+        expected = (POSITION.joint_matrix("k") + POSITION.joint_matrix("kp")) / (1.0 - gain)
+        np.testing.assert_allclose(joint_impedance(arm, still)[0].real, expected, rtol=1e-9)
+
+
+def test_one_prepared_arm_serves_any_parameters():
+    model, values = LinearArm(POSITION, FREQUENCY), parameter_vector(SENSING)
+    same_body = replace(POSITION, **dict(zip(PARAMETERS, values.tolist(), strict=True)))
+    np.testing.assert_array_equal(model.admittance(values), arm_admittance(same_body, FREQUENCY))
+    response, gradient = model.total_and_gradient(values, ENVIRONMENT)
+    np.testing.assert_array_equal(response, total_admittance(same_body, ENVIRONMENT, FREQUENCY))
+    assert gradient.shape == (len(FREQUENCY), 2, 2, len(PARAMETERS))
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_random_arms_with_every_feedback_are_the_same_in_state_space(seed):
+    rng = np.random.default_rng(seed)
+    factors = rng.uniform(0.5, 1.5, len(PARAMETERS))
+    arm = replace(SENSING, **dict(zip(PARAMETERS, (factors * parameter_vector(SENSING)).tolist(), strict=True)))
+    a, b, c, d = state_space(arm, ENVIRONMENT)
+    s = 2j * np.pi * FREQUENCY[:, None, None]
+    response = c @ np.linalg.solve(s * np.eye(len(a)) - a, b) + d
+    expected = total_admittance(arm, ENVIRONMENT, FREQUENCY, "pade")
+    np.testing.assert_allclose(response[:, :2], expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
 
 
 def test_gradient_refuses_what_has_none():

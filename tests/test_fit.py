@@ -148,7 +148,7 @@ def test_parameters_that_the_data_say_nothing_about_have_infinite_errors():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"structure": "7"}, "model = '7'; expected one of 1, 3b"),
+        ({"structure": "7"}, "model = '7'; expected one of 1, 2, 3, 4, 5, 6, 3a, 3b"),
         ({"start": {"m_x": 1.0}}, "start: unknown parameter 'm_x'; model 1 has m_h"),
         ({"start": {"m_h": 9.0}}, "start: m_h = 9.0; expected 1 to 3 kg"),
         ({"frequency": FREQUENCY[:3]}, r"shapes \(3,\), \(18, 2, 2\)"),

@@ -80,7 +80,7 @@ def test_mixed_recordings_are_refused(relax_recording, position_recording):
 
 
 def test_unknown_models_are_named(relax_recording):
-    with pytest.raises(ValueError, match="model = '9'; expected one of 1, 3b"):
+    with pytest.raises(ValueError, match="model = '9'; expected one of 1, 2, 3"):
         identify(relax_recording, "9")
 
 

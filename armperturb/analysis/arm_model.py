@@ -1,15 +1,21 @@
 """The linear arm-environment model in two joints (thesis 2.7 and appendix B).
 
 Symbols: q = [shoulder, elbow] angle deviation [rad], x = handle displacement [m], d = disturbance force [N],
-f = force that the handle exerts on the hand [N], s = j 2 pi frequency. The joint impedance from q to torque is
+f = force that the handle exerts on the hand [N], s = j 2 pi frequency. Reflexes see, and muscles answer with,
 
-    Z(s) = I s^2 + B s + K + R(s) (Kv s + Kp),    R = diag(activation x delay) per joint,
+    u_r = Ka q'' + Kv q' + Kp q + Kf tau,    tau_r = R u_r,    tau = B q' + K q + tau_r,
+
+where tau is the torque with which all muscles oppose the movement, and R = diag(activation x delay) per joint. So force
+feedback with a negative gain inhibits, as tendon organs do and as the gains of table C.3 are; the thesis prints no law
+for it (eq. 2.8 holds Kv and Kp only). With it, the joint impedance from q to torque is
+
+    Z(s) = I s^2 + (1 - R Kf)^-1 (B s + K + R (Ka s^2 + Kv s + Kp)),
 
 and the endpoint admittance from f to x is that of the arm in series with the grip, J Z^-1 J^T + 1 / (b_h s + k_h).
 """
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,10 +24,32 @@ from scipy import signal
 from armperturb.environment import Environment
 from armperturb.subject import Subject
 
+Array = NDArray[np.float64]
+Response = NDArray[np.complex128]
+
 Delay = Literal["exact", "pade"]
 """A pure neural delay, or its third-order Pade approximation (eq. B.12)."""
 
 N_STATES = 18
+
+_TRIPLES = ("b", "k", "kv", "kp", "ka", "kf")
+PARAMETERS = (
+    "m_h",
+    "m_f",
+    *(f"{quantity}_{joint}" for quantity in _TRIPLES for joint in ("s", "se", "e")),
+    "Td_s",
+    "Td_e",
+    "fact_s",
+    "fact_e",
+    "b_h",
+    "k_h",
+)
+"""Every parameter by which the arm's responses can be differentiated: fields of `Subject`, SI."""
+
+_INDEX = {name: index for index, name in enumerate(PARAMETERS)}
+_MASSES, _DELAYS, _CUTOFFS = slice(0, 2), slice(20, 22), slice(22, 24)
+_GRIP_DAMPING, _GRIP_STIFFNESS = 24, 25
+_MATRIX = {quantity: np.array([[2 + 3 * n, 3 + 3 * n], [3 + 3 * n, 4 + 3 * n]]) for n, quantity in enumerate(_TRIPLES)}
 
 
 class StateSpace(NamedTuple):
@@ -34,10 +62,10 @@ class StateSpace(NamedTuple):
       d: (6, 2).
     """
 
-    a: NDArray[np.float64]
-    b: NDArray[np.float64]
-    c: NDArray[np.float64]
-    d: NDArray[np.float64]
+    a: Array
+    b: Array
+    c: Array
+    d: Array
 
 
 class LinearResponse(NamedTuple):
@@ -49,12 +77,12 @@ class LinearResponse(NamedTuple):
       joint_angle: deviation from the posture [rad], (time, joint).
     """
 
-    displacement: NDArray[np.float64]
-    force: NDArray[np.float64]
-    joint_angle: NDArray[np.float64]
+    displacement: Array
+    force: Array
+    joint_angle: Array
 
 
-def _segment_velocities(subject: Subject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _segment_velocities(subject: Subject) -> tuple[Array, Array]:
     """Velocity of each segment's end about its start per rad/s of its own turning [m/rad], (axis,) each."""
     shoulder, elbow = subject.posture
     humerus = subject.l_h * np.array([-np.sin(shoulder), np.cos(shoulder)])
@@ -62,13 +90,13 @@ def _segment_velocities(subject: Subject) -> tuple[NDArray[np.float64], NDArray[
     return humerus, forearm
 
 
-def hand_jacobian(subject: Subject) -> NDArray[np.float64]:
+def hand_jacobian(subject: Subject) -> Array:
     """Jacobian from joint angles to hand position at the start posture [m/rad], (axis, joint). Source: eq. B.28."""
     humerus, forearm = _segment_velocities(subject)
     return np.column_stack([humerus + forearm, forearm])
 
 
-def _segment_inertias(subject: Subject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _segment_inertias(subject: Subject) -> tuple[Array, Array]:
     """Derivatives of the joint mass matrix with respect to m_h and m_f [m^2], (joint, joint) each."""
     humerus, forearm = _segment_velocities(subject)
     t_h = np.column_stack([0.5 * humerus, np.zeros(2)])
@@ -76,7 +104,7 @@ def _segment_inertias(subject: Subject) -> tuple[NDArray[np.float64], NDArray[np
     return t_h.T @ t_h, t_f.T @ t_f
 
 
-def mass_matrix(subject: Subject) -> NDArray[np.float64]:
+def mass_matrix(subject: Subject) -> Array:
     """Joint mass matrix T_q^T M T_q at the start posture [kg m^2], (joint, joint).
 
     Source: eqs B.2, B.7 with point masses in the middle of the segments.
@@ -85,36 +113,219 @@ def mass_matrix(subject: Subject) -> NDArray[np.float64]:
     return subject.m_h * inertia_h + subject.m_f * inertia_f
 
 
-def _delay(
-    s: NDArray[np.complex128], delay: float, kind: Delay
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Transfer function of a delay and its derivative with respect to the delay."""
-    if kind == "exact":
-        value = np.exp(-s * delay)
-        return value, -s * value
-    u = s * delay
-    numerator = 120 - 60 * u + 12 * u**2 - u**3
-    denominator = 120 + 60 * u + 12 * u**2 + u**3
-    slope = (-60 + 24 * u - 3 * u**2) / denominator - numerator * (60 + 24 * u + 3 * u**2) / denominator**2
-    return numerator / denominator, s * slope
+def parameter_vector(subject: Subject) -> Array:
+    """The parameters of an arm in the order of `PARAMETERS`, (parameter,)."""
+    return np.array([getattr(subject, name) for name in PARAMETERS])
 
 
-def _activation(
-    s: NDArray[np.complex128], cutoff: float, zeta: float
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Activation filter (eq. B.19) and its derivative with respect to the cut-off frequency [Hz]."""
-    omega = 2 * np.pi * cutoff
-    denominator = s**2 + 2 * zeta * omega * s + omega**2
-    value = omega**2 / denominator
-    slope = (2 * omega - value * (2 * zeta * s + 2 * omega)) / denominator
-    return value, 2 * np.pi * slope
+def _matrix(values: Array, quantity: str) -> Array:
+    """Joint matrix of a quantity, ready for frequencies, (joint, joint, 1)."""
+    return values[_MATRIX[quantity]][..., None]
 
 
-def _laplace(frequency: ArrayLike) -> NDArray[np.complex128]:
+def _laplace(frequency: ArrayLike) -> Response:
     return 2j * np.pi * np.asarray(frequency, dtype=float)
 
 
-def joint_impedance(subject: Subject, frequency: ArrayLike, delay: Delay = "exact") -> NDArray[np.complex128]:
+# Inside this module frequency is the last axis: matrices are 2 x 2, so that loops over it are the long ones.
+
+
+def _product(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
+    return a[:, :1] * b[:1] + a[:, 1:] * b[1:]
+
+
+def _inverse(a: NDArray[Any]) -> NDArray[Any]:
+    (p, q), (r, t) = a
+    inverse = np.array([[t, -q], [-r, p]])
+    inverse /= p * t - q * r
+    return inverse
+
+
+def _frequency_first(a: NDArray[Any]) -> NDArray[Any]:
+    return np.moveaxis(a, -1, 0)
+
+
+def _triple(outer: Response) -> Response:
+    """Derivative by (s, se, e) from that by the entries, (output, row, column, input, n) to (3, output, input, n)."""
+    return np.stack([outer[:, 0, 0], outer[:, 0, 1] + outer[:, 1, 0], outer[:, 1, 1]])
+
+
+class _Joints(NamedTuple):
+    """What joint impedance and its derivatives share; rows are joints.
+
+    Attributes:
+      delayed: transfer function of the delay, (joint, frequency).
+      active: that of the activation filter, (joint, frequency).
+      delay_slope: derivative by the delay, (joint, frequency).
+      active_slope: derivative by the cut-off frequency, (joint, frequency).
+      loop: (1 - R Kf)^-1, (joint, joint, frequency).
+      muscle: from q to tau, (joint, joint, frequency).
+      reflex: from q to u_r, (joint, joint, frequency).
+      impedance: Z, (joint, joint, frequency).
+    """
+
+    delayed: Response
+    active: Response
+    delay_slope: Response
+    active_slope: Response
+    loop: Response
+    muscle: Response
+    reflex: Response
+    impedance: Response
+
+
+class LinearArm:
+    """Frequency responses of one body's arm as functions of its parameters; what a fit evaluates again and again.
+
+    Everything that is the same for all parameters is computed once. Values are in the order of `PARAMETERS`.
+
+    Attributes:
+      frequency: [Hz], (frequency,).
+      jacobian: from joint angles to hand position [m/rad], (axis, joint).
+    """
+
+    def __init__(self, body: Subject, frequency: ArrayLike, delay: Delay = "exact") -> None:
+        """Prepare responses at frequencies.
+
+        Args:
+          body: gives segment lengths, posture and damping of the activation filter; its parameters do not matter.
+          frequency: [Hz], (frequency,).
+          delay: "exact" or "pade".
+        """
+        self.frequency = np.asarray(frequency, dtype=float)
+        self.jacobian = hand_jacobian(body)
+        self._s = _laplace(self.frequency)
+        self._s2 = self._s**2
+        self._zeta = body.zeta_act
+        self._delay = delay
+        self._inertias = _segment_inertias(body)
+        self._left = self.jacobian[:, :, None]
+        self._right = self.jacobian.T[:, :, None]
+        self._eye = np.eye(2)[:, :, None]
+
+    def joint_impedance(self, values: Array) -> Response:
+        """Joint impedance Z from angle to torque [Nm/rad], (frequency, joint, joint)."""
+        return _frequency_first(self._joints(values).impedance)
+
+    def admittance(self, values: Array) -> Response:
+        """Endpoint admittance H_xf of arm and grip, from f to x [m/N], (frequency, output, input)."""
+        return _frequency_first(self._endpoint(_inverse(self._joints(values).impedance), values))
+
+    def total_admittance(self, values: Array, environment: Environment) -> Response:
+        """Admittance P_dx of arm and environment, from d to x [m/N], (frequency, output, input)."""
+        arm = self._endpoint(_inverse(self._joints(values).impedance), values)
+        return _frequency_first(_product(arm, self._share(arm, environment)))
+
+    def joint_impedance_gradient(self, values: Array) -> Response:
+        """Derivative of `joint_impedance` by every parameter, (frequency, joint, joint, parameter)."""
+        gradient = np.zeros((len(PARAMETERS), 2, 2, len(self._s)), dtype=complex)
+        self._joint_change(gradient, self._joints(values), self._eye, self._eye)
+        return gradient.transpose(3, 1, 2, 0)
+
+    def admittance_and_gradient(self, values: Array) -> tuple[Response, Response]:
+        """`admittance` and its derivative by every parameter, (frequency, output, input, parameter)."""
+        arm, gradient = self._arm_and_gradient(values, None)
+        return _frequency_first(arm), gradient.transpose(3, 1, 2, 0)
+
+    def total_and_gradient(self, values: Array, environment: Environment) -> tuple[Response, Response]:
+        """`total_admittance` and its derivative by every parameter, (frequency, output, input, parameter).
+
+        As P^-1 = E^-1 + H^-1, dP = P H^-1 dH H^-1 P, where P H^-1 = H^-1 P = (1 + E^-1 H)^-1.
+        """
+        arm, gradient = self._arm_and_gradient(values, environment)
+        return _frequency_first(_product(arm, self._share(arm, environment))), gradient.transpose(3, 1, 2, 0)
+
+    def _share(self, arm: Response, environment: Environment) -> Response:
+        """Share of d that the arm takes, (1 + E^-1 H)^-1 = H^-1 P, (axis, axis, frequency)."""
+        held = environment.m_env * self._s2 + environment.b_env * self._s + environment.k_env
+        return _inverse(self._eye + held * arm)
+
+    def _endpoint(self, compliance: Response, values: Array) -> Response:
+        arm = _product(_product(self._left, compliance), self._right)
+        grip = 1.0 / (values[_GRIP_DAMPING] * self._s + values[_GRIP_STIFFNESS])
+        arm[0, 0] += grip
+        arm[1, 1] += grip
+        return arm
+
+    def _joints(self, values: Array) -> _Joints:
+        s, s2 = self._s, self._s2
+        delay, omega = values[_DELAYS, None], 2 * np.pi * values[_CUTOFFS, None]
+        u = s * delay
+        if self._delay == "exact":
+            delayed = np.exp(-u)
+            delay_slope = -s * delayed
+        else:
+            denominator = 120 + u * (60 + u * (12 + u))
+            delayed = (120 + u * (-60 + u * (12 - u))) / denominator
+            delay_slope = s * (-60 + u * (24 - 3 * u) - delayed * (60 + u * (24 + 3 * u))) / denominator
+        denominator = s2 + 2 * self._zeta * omega * s + omega**2
+        active = omega**2 / denominator
+        active_slope = 4 * np.pi * (omega - active * (self._zeta * s + omega)) / denominator
+
+        r = (delayed * active)[:, None]
+        force = _matrix(values, "kf")
+        feedback = _matrix(values, "ka") * s2 + _matrix(values, "kv") * s + _matrix(values, "kp")
+        loop = _inverse(self._eye - r * force)
+        muscle = _product(loop, _matrix(values, "b") * s + _matrix(values, "k") + r * feedback)
+        mass = values[0] * self._inertias[0] + values[1] * self._inertias[1]
+        return _Joints(
+            delayed=delayed,
+            active=active,
+            delay_slope=delay_slope,
+            active_slope=active_slope,
+            loop=loop,
+            muscle=muscle,
+            reflex=feedback + _product(force, muscle),
+            impedance=mass[:, :, None] * s2 + muscle,
+        )
+
+    def _arm_and_gradient(self, values: Array, environment: Environment | None) -> tuple[Response, Response]:
+        """The arm's admittance and its derivative, or that of the total admittance if there is an environment.
+
+        Returns:
+          (output, input, frequency) and (parameter, output, input, frequency).
+        """
+        joints = self._joints(values)
+        compliance = _inverse(joints.impedance)
+        arm = self._endpoint(compliance, values)
+        left, right = _product(self._left, compliance), _product(compliance, self._right)
+        grip = -1.0 / (values[_GRIP_DAMPING] * self._s + values[_GRIP_STIFFNESS]) ** 2
+        through_grip = self._eye
+        if environment is not None:
+            share = self._share(arm, environment)
+            left, right, through_grip = _product(share, left), _product(right, share), _product(share, share)
+        gradient = np.empty((len(PARAMETERS), 2, 2, len(self._s)), dtype=complex)
+        self._joint_change(gradient, joints, -left, right)
+        gradient[_GRIP_STIFFNESS] = grip * through_grip
+        gradient[_GRIP_DAMPING] = self._s * gradient[_GRIP_STIFFNESS]
+        return arm, gradient
+
+    def _joint_change(self, out: Response, joints: _Joints, left: NDArray[Any], right: NDArray[Any]) -> None:
+        """Fill in left x (derivative of Z) x right for every parameter but the grip's.
+
+        With W = (1 - R Kf)^-1 (B s + K + R G) the muscle's part of Z and G the part of the feedback that sees q,
+        dW = (1 - R Kf)^-1 (dB s + dK + R (dG + dKf W) + dR (G + Kf W)).
+        """
+        s, s2 = self._s, self._s2
+        for index, inertia in enumerate(self._inertias):
+            out[index] = s2 * _product(_product(left, inertia[:, :, None]), right)
+        left = _product(left, joints.loop)
+        reflexive = left * (joints.delayed * joints.active)
+        changed = right[None, None]
+        stiffness = _triple(left[:, :, None, None] * changed)
+        position = _triple(reflexive[:, :, None, None] * changed)
+        out[2:5] = s * stiffness
+        out[5:8] = stiffness
+        out[8:11] = s * position
+        out[11:14] = position
+        out[14:17] = s2 * position
+        out[17:20] = _triple(reflexive[:, :, None, None] * _product(joints.muscle, right)[None, None])
+        moved = (left[:, :, None] * _product(joints.reflex, right)[None]).swapaxes(0, 1)
+        out[_DELAYS] = moved * (joints.delay_slope * joints.active)[:, None, None]
+        out[_CUTOFFS] = moved * (joints.delayed * joints.active_slope)[:, None, None]
+
+
+def joint_impedance(subject: Subject, frequency: ArrayLike, delay: Delay = "exact") -> Response:
     """Joint impedance Z from angle to torque [Nm/rad], (frequency, joint, joint).
 
     Args:
@@ -122,23 +333,12 @@ def joint_impedance(subject: Subject, frequency: ArrayLike, delay: Delay = "exac
       frequency: [Hz], (frequency,).
       delay: "exact" or "pade".
 
-    Source: eqs 2.6, 2.8, B.12, B.19.
+    Source: eqs 2.6, 2.8, B.12, B.19, and the head of this module.
     """
-    s = _laplace(frequency)
-    reflex = np.stack(
-        [
-            _delay(s, getattr(subject, f"Td_{j}"), delay)[0]
-            * _activation(s, getattr(subject, f"fact_{j}"), subject.zeta_act)[0]
-            for j in ("s", "e")
-        ],
-        axis=-1,
-    )
-    s = s[:, None, None]
-    intrinsic = mass_matrix(subject) * s**2 + subject.joint_matrix("b") * s + subject.joint_matrix("k")
-    return intrinsic + reflex[:, :, None] * (subject.joint_matrix("kv") * s + subject.joint_matrix("kp"))
+    return LinearArm(subject, frequency, delay).joint_impedance(parameter_vector(subject))
 
 
-def arm_admittance(subject: Subject, frequency: ArrayLike, delay: Delay = "exact") -> NDArray[np.complex128]:
+def arm_admittance(subject: Subject, frequency: ArrayLike, delay: Delay = "exact") -> Response:
     """Endpoint admittance H_xf of arm and grip, from f to x [m/N], (frequency, output, input).
 
     Args:
@@ -148,84 +348,53 @@ def arm_admittance(subject: Subject, frequency: ArrayLike, delay: Delay = "exact
 
     Source: figure 2.7; see the head of this module.
     """
-    jacobian = hand_jacobian(subject)
-    grip = 1.0 / (subject.b_h * _laplace(frequency) + subject.k_h)
-    arm = jacobian @ np.linalg.solve(joint_impedance(subject, frequency, delay), jacobian.T)
-    return arm + grip[:, None, None] * np.eye(2)
+    return LinearArm(subject, frequency, delay).admittance(parameter_vector(subject))
+
+
+def _columns(parameters: Sequence[str]) -> list[int]:
+    for name in parameters:
+        if name not in _INDEX:
+            raise ValueError(f"parameter {name!r} has no derivative; expected one of {', '.join(PARAMETERS)}")
+    return [_INDEX[name] for name in parameters]
 
 
 def joint_impedance_gradient(
     subject: Subject, frequency: ArrayLike, parameters: Sequence[str], delay: Delay = "exact"
-) -> NDArray[np.complex128]:
-    """Derivative of `joint_impedance` with respect to parameters, (frequency, joint, joint, parameter).
-
-    The impedance is linear in masses, b_*, k_*, kv_* and kp_*; the grip (b_h, k_h) is no part of it.
+) -> Response:
+    """Derivative of `joint_impedance` by parameters, (frequency, joint, joint, parameter).
 
     Args:
       subject: the arm at which to differentiate.
       frequency: [Hz], (frequency,).
-      parameters: names of fields of `Subject`: masses, b_*, k_*, kv_*, kp_*, Td_*, fact_*, b_h, k_h.
+      parameters: names in `PARAMETERS`.
       delay: "exact" or "pade".
 
     Raises:
       ValueError: a name is none of these.
     """
-    s = _laplace(frequency)
-    inertia = dict(zip(("m_h", "m_f"), _segment_inertias(subject), strict=True))
-    entries = {"s": ((0, 0),), "se": ((0, 1), (1, 0)), "e": ((1, 1),)}
-    rows = {"s": 0, "e": 1}
-    delays = [_delay(s, getattr(subject, f"Td_{joint}"), delay) for joint in rows]
-    activations = [_activation(s, getattr(subject, f"fact_{joint}"), subject.zeta_act) for joint in rows]
-    feedback = subject.joint_matrix("kv") * s[:, None, None] + subject.joint_matrix("kp")
-
-    gradient = np.zeros((len(s), 2, 2, len(parameters)), dtype=complex)
-    for column, name in enumerate(parameters):
-        quantity, _, joint = name.partition("_")
-        if name in inertia:
-            gradient[..., column] = inertia[name] * s[:, None, None] ** 2
-        elif quantity in ("b", "k", "kv", "kp") and joint in entries:
-            for row, col in entries[joint]:
-                factor = s if quantity in ("b", "kv") else np.ones_like(s)
-                reflex = delays[row][0] * activations[row][0] if quantity in ("kv", "kp") else 1.0
-                gradient[:, row, col, column] = factor * reflex
-        elif quantity in ("Td", "fact") and joint in rows:
-            row = rows[joint]
-            (delayed, delay_slope), (active, active_slope) = delays[row], activations[row]
-            slope = delay_slope * active if quantity == "Td" else delayed * active_slope
-            gradient[:, row, :, column] = slope[:, None] * feedback[:, row, :]
-        elif name not in ("b_h", "k_h"):
-            raise ValueError(f"parameter {name!r} has no derivative; expected a mechanical parameter of Subject")
-    return gradient
+    columns = _columns(parameters)
+    return LinearArm(subject, frequency, delay).joint_impedance_gradient(parameter_vector(subject))[..., columns]
 
 
 def arm_admittance_gradient(
     subject: Subject, frequency: ArrayLike, parameters: Sequence[str], delay: Delay = "exact"
-) -> NDArray[np.complex128]:
-    """Derivative of `arm_admittance` with respect to parameters, (frequency, output, input, parameter).
+) -> Response:
+    """Derivative of `arm_admittance` by parameters, (frequency, output, input, parameter).
 
     Args:
       subject: the arm at which to differentiate.
       frequency: [Hz], (frequency,).
-      parameters: as in `joint_impedance_gradient`.
+      parameters: names in `PARAMETERS`.
       delay: "exact" or "pade".
 
     Raises:
-      ValueError: as `joint_impedance_gradient`.
+      ValueError: a name is none of these.
     """
-    s = _laplace(frequency)
-    jacobian = hand_jacobian(subject)
-    inverse = np.linalg.inv(joint_impedance(subject, frequency, delay))
-    change = np.moveaxis(joint_impedance_gradient(subject, frequency, parameters, delay), -1, 1)
-    gradient = -(jacobian @ inverse)[:, None] @ change @ (inverse @ jacobian.T)[:, None]
-    grip = 1.0 / (subject.b_h * s + subject.k_h)
-    for column, name in enumerate(parameters):
-        if name in ("b_h", "k_h"):
-            slope = -(grip**2) * (s if name == "b_h" else 1.0)
-            gradient[:, column] = slope[:, None, None] * np.eye(2)
-    return np.moveaxis(gradient, 1, -1)
+    columns = _columns(parameters)
+    return LinearArm(subject, frequency, delay).admittance_and_gradient(parameter_vector(subject))[1][..., columns]
 
 
-def environment_admittance(environment: Environment, frequency: ArrayLike) -> NDArray[np.complex128]:
+def environment_admittance(environment: Environment, frequency: ArrayLike) -> Response:
     """Admittance E_xz of the environment, from d - f to x [m/N], (frequency, output, input). Source: eq. 2.11."""
     s = _laplace(frequency)
     impedance = environment.m_env * s**2 + environment.b_env * s + environment.k_env
@@ -234,14 +403,43 @@ def environment_admittance(environment: Environment, frequency: ArrayLike) -> ND
 
 def total_admittance(
     subject: Subject, environment: Environment, frequency: ArrayLike, delay: Delay = "exact"
-) -> NDArray[np.complex128]:
+) -> Response:
     """Admittance P_dx of arm and environment together, from d to x [m/N], (frequency, output, input).
+
+    Args:
+      subject: the arm.
+      environment: what the hand holds.
+      frequency: [Hz], (frequency,).
+      delay: "exact" or "pade".
 
     Source: figure 2.6 with x = E (d - f) and x = H f, hence P = (E^-1 + H^-1)^-1; the signs of eq. A.20 belong to the
     opposite sign of f.
     """
-    arm, held = arm_admittance(subject, frequency, delay), environment_admittance(environment, frequency)
-    return held @ np.linalg.solve(arm + held, arm)
+    return LinearArm(subject, frequency, delay).total_admittance(parameter_vector(subject), environment)
+
+
+def total_admittance_gradient(
+    subject: Subject,
+    environment: Environment,
+    frequency: ArrayLike,
+    parameters: Sequence[str],
+    delay: Delay = "exact",
+) -> Response:
+    """Derivative of `total_admittance` by parameters, (frequency, output, input, parameter).
+
+    Args:
+      subject: the arm at which to differentiate.
+      environment: what the hand holds.
+      frequency: [Hz], (frequency,).
+      parameters: names in `PARAMETERS`.
+      delay: "exact" or "pade".
+
+    Raises:
+      ValueError: a name is none of these.
+    """
+    columns = _columns(parameters)
+    arm = LinearArm(subject, frequency, delay)
+    return arm.total_and_gradient(parameter_vector(subject), environment)[1][..., columns]
 
 
 def state_space(subject: Subject, environment: Environment) -> StateSpace:
@@ -259,11 +457,16 @@ def state_space(subject: Subject, environment: Environment) -> StateSpace:
     force[:, q_dot], force[:, q] = -subject.b_h * jacobian, -subject.k_h * jacobian
     force[:, x_dot], force[:, x] = subject.b_h * eye, subject.k_h * eye
 
-    excitation = np.zeros((2, N_STATES))
-    excitation[:, q_dot], excitation[:, q] = subject.joint_matrix("kv"), subject.joint_matrix("kp")
+    muscle = np.zeros((2, N_STATES))
+    muscle[:, q_dot], muscle[:, q] = subject.joint_matrix("b"), subject.joint_matrix("k")
+    muscle[[0, 1], [15, 17]] = 1.0
+    acceleration = inverse_mass @ (jacobian.T @ force - muscle)
+
+    excitation = subject.joint_matrix("ka") @ acceleration + subject.joint_matrix("kf") @ muscle
+    excitation[:, q_dot] += subject.joint_matrix("kv")
+    excitation[:, q] += subject.joint_matrix("kp")
 
     a = np.zeros((N_STATES, N_STATES))
-    reflex_torque = np.zeros((2, N_STATES))
     for row, joint in enumerate(("s", "e")):
         delay, omega = getattr(subject, f"Td_{joint}"), 2 * np.pi * getattr(subject, f"fact_{joint}")
         pade = slice(8 + 3 * row, 11 + 3 * row)
@@ -271,17 +474,13 @@ def state_space(subject: Subject, environment: Environment) -> StateSpace:
         a[pade, pade] = [[0, 1, 0], [0, 0, 1], [-120 / delay**3, -60 / delay**2, -12 / delay]]
         a[pade.stop - 1] += excitation[row]
         delayed = -excitation[row]
-        delayed[pade] = [240 / delay**3, 0, 24 / delay]
+        delayed[pade] += [240 / delay**3, 0, 24 / delay]
         a[act_dot, act_dot] = -2 * subject.zeta_act * omega
         a[act_dot, act] = -(omega**2)
         a[act_dot] += omega**2 * delayed
         a[act, act_dot] = 1.0
-        reflex_torque[row, act] = 1.0
 
-    torque = jacobian.T @ force - reflex_torque
-    torque[:, q_dot] -= subject.joint_matrix("b")
-    torque[:, q] -= subject.joint_matrix("k")
-    a[q_dot] = inverse_mass @ torque
+    a[q_dot] = acceleration
     a[q, q_dot] = eye
     a[x_dot] = -force / environment.m_env
     a[x_dot, x_dot] -= environment.b_env / environment.m_env * eye

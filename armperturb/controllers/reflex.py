@@ -45,7 +45,13 @@ def reflex_gains(subjects: Sequence[Subject], timestep: float) -> ReflexGains:
     Args:
       subjects: who is perturbed, one per trial.
       timestep: of the simulation [s].
+
+    Raises:
+      ValueError: a subject has force or acceleration feedback, which the simulated reflexes do not.
     """
+    for subject in subjects:
+        if any(subject.joint_triple("ka") + subject.joint_triple("kf")):
+            raise ValueError(f"subject {subject.name!r} has force or acceleration feedback; expected ka_* = kf_* = 0")
     filters: dict[tuple[float, float], tuple[Array, Array]] = {}
     numerator, denominator = np.empty((2, 3, len(subjects), 2))
     for trial, subject in enumerate(subjects):
