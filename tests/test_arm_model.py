@@ -170,6 +170,25 @@ def test_gradient_refuses_what_has_none():
 
 
 @PEOPLE
+def test_poles_move_as_their_gradient_says(subject):
+    model, values = LinearArm(subject, ()), parameter_vector(subject)
+
+    def largest(moved):
+        poles = model.poles(moved, ENVIRONMENT)
+        return poles[np.argmax(poles.real + 1e-9 * poles.imag)]
+
+    pole = largest(values)
+    np.testing.assert_allclose(pole.real, largest_real_pole(subject, ENVIRONMENT))
+    gradient = model.pole_gradient(values, ENVIRONMENT, pole)
+    for column, name in enumerate(PARAMETERS):
+        step = 1e-5 * max(abs(values[column]), 0.01)
+        above, below = (largest(values + sign * step * np.eye(len(values))[column]) for sign in (1, -1))
+        slope = (above - below) / (2 * step)
+        size = abs(pole) / max(abs(values[column]), 0.01)
+        np.testing.assert_allclose(gradient[column], slope, rtol=1e-4, atol=1e-6 * size, err_msg=name)
+
+
+@PEOPLE
 def test_time_response_equals_an_adaptive_integration(subject):
     rate = 200.0
     time = np.arange(300) / rate

@@ -14,6 +14,7 @@ for it (eq. 2.8 holds Kv and Kp only). With it, the joint impedance from q to to
 and the endpoint admittance from f to x is that of the arm in series with the grip, J Z^-1 J^T + 1 / (b_h s + k_h).
 """
 
+import copy
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -31,6 +32,11 @@ Delay = Literal["exact", "pade"]
 """A pure neural delay, or its third-order Pade approximation (eq. B.12)."""
 
 N_STATES = 18
+_Q_DOT, _Q, _X_DOT, _X = slice(0, 2), slice(2, 4), slice(4, 6), slice(6, 8)
+_VELOCITIES, _POSITIONS = [0, 1, 4, 5], [2, 3, 6, 7]
+_PADE = np.array([[8, 11], [9, 12], [10, 13]])  # derivative, joint
+_ACTIVE_DOT, _ACTIVE = np.array([14, 16]), np.array([15, 17])
+_ROWS = np.array([0, 1])
 
 _TRIPLES = ("b", "k", "kv", "kp", "ka", "kf")
 PARAMETERS = (
@@ -234,6 +240,66 @@ class LinearArm:
         """
         arm, gradient = self._arm_and_gradient(values, environment)
         return _frequency_first(_product(arm, self._share(arm, environment))), gradient.transpose(3, 1, 2, 0)
+
+    def poles(self, values: Array, environment: Environment) -> Response:
+        """Poles of arm and environment with third-order Pade delays [1/s], (state,)."""
+        return np.asarray(np.linalg.eigvals(self._force_and_dynamics(values, environment)[1]), dtype=complex)
+
+    def pole_gradient(self, values: Array, environment: Environment, pole: complex) -> Response:
+        """Derivative of a simple pole of arm and environment by every parameter, (parameter,).
+
+        A pole is where F = det(1 + E^-1 H) vanishes, so that its derivative is -(dF/dp) / (dF/ds).
+        """
+        step = 1e-6 * max(abs(pole), 1.0)
+        here = copy.copy(self)
+        here._s, here._delay = np.array([pole, pole + step, pole - step]), "pade"
+        here._s2 = here._s**2
+        arm, gradient = here._arm_and_gradient(values, None)
+        held = environment.m_env * here._s2 + environment.b_env * here._s + environment.k_env
+        (p, q), (r, t) = here._eye + held * arm
+        vanishing = p * t - q * r
+        adjugate = np.array([[t, -q], [-r, p]])[..., 0]
+        change = held[0] * np.einsum("ij,pji->p", adjugate, gradient[..., 0])
+        return np.asarray(-change * 2 * step / (vanishing[1] - vanishing[2]))
+
+    def _force_and_dynamics(self, values: Array, environment: Environment) -> tuple[Array, Array]:
+        """Hand reaction force f, (2, 18), and matrix A, (18, 18), of `StateSpace`."""
+        matrix = {quantity: values[index] for quantity, index in _MATRIX.items()}
+        mass = values[0] * self._inertias[0] + values[1] * self._inertias[1]
+        grip = np.hstack([-self.jacobian, np.eye(2)])
+        force = np.zeros((2, N_STATES))
+        force[:, _VELOCITIES], force[:, _POSITIONS] = values[_GRIP_DAMPING] * grip, values[_GRIP_STIFFNESS] * grip
+
+        muscle = np.zeros((2, N_STATES))
+        muscle[:, _Q_DOT], muscle[:, _Q] = matrix["b"], matrix["k"]
+        muscle[_ROWS, _ACTIVE] = 1.0
+        acceleration = np.linalg.solve(mass, self.jacobian.T @ force - muscle)
+
+        excitation = matrix["ka"] @ acceleration + matrix["kf"] @ muscle
+        excitation[:, _Q_DOT] += matrix["kv"]
+        excitation[:, _Q] += matrix["kp"]
+
+        delay, omega = values[_DELAYS], 2 * np.pi * values[_CUTOFFS]
+        first, second, third = _PADE
+        a = np.zeros((N_STATES, N_STATES))
+        a[first, second] = a[second, third] = 1.0
+        a[third] = excitation
+        a[third, first] -= 120 / delay**3
+        a[third, second] -= 60 / delay**2
+        a[third, third] -= 12 / delay
+        delayed = -excitation
+        delayed[_ROWS, first] += 240 / delay**3
+        delayed[_ROWS, third] += 24 / delay
+        a[_ACTIVE_DOT] = (omega**2)[:, None] * delayed
+        a[_ACTIVE_DOT, _ACTIVE_DOT] -= 2 * self._zeta * omega
+        a[_ACTIVE_DOT, _ACTIVE] -= omega**2
+        a[_ACTIVE, _ACTIVE_DOT] = 1.0
+        a[_Q_DOT] = acceleration
+        a[_Q, _Q_DOT] = a[_X, _X_DOT] = np.eye(2)
+        a[_X_DOT] = -force / environment.m_env
+        a[_X_DOT, _X_DOT] -= environment.b_env / environment.m_env * np.eye(2)
+        a[_X_DOT, _X] -= environment.k_env / environment.m_env * np.eye(2)
+        return force, a
 
     def _share(self, arm: Response, environment: Environment) -> Response:
         """Share of d that the arm takes, (1 + E^-1 H)^-1 = H^-1 P, (axis, axis, frequency)."""
@@ -448,49 +514,13 @@ def state_space(subject: Subject, environment: Environment) -> StateSpace:
     Source: appendix B, with two slips of its text corrected: the feed-through of the Pade approximation is -1, not 1
     (B.16), and the activation matrix holds omega_c^2 where B.20 prints omega_c.
     """
-    q_dot, q, x_dot, x = slice(0, 2), slice(2, 4), slice(4, 6), slice(6, 8)
-    eye = np.eye(2)
-    jacobian = hand_jacobian(subject)
-    inverse_mass = np.linalg.inv(mass_matrix(subject))
-
-    force = np.zeros((2, N_STATES))
-    force[:, q_dot], force[:, q] = -subject.b_h * jacobian, -subject.k_h * jacobian
-    force[:, x_dot], force[:, x] = subject.b_h * eye, subject.k_h * eye
-
-    muscle = np.zeros((2, N_STATES))
-    muscle[:, q_dot], muscle[:, q] = subject.joint_matrix("b"), subject.joint_matrix("k")
-    muscle[[0, 1], [15, 17]] = 1.0
-    acceleration = inverse_mass @ (jacobian.T @ force - muscle)
-
-    excitation = subject.joint_matrix("ka") @ acceleration + subject.joint_matrix("kf") @ muscle
-    excitation[:, q_dot] += subject.joint_matrix("kv")
-    excitation[:, q] += subject.joint_matrix("kp")
-
-    a = np.zeros((N_STATES, N_STATES))
-    for row, joint in enumerate(("s", "e")):
-        delay, omega = getattr(subject, f"Td_{joint}"), 2 * np.pi * getattr(subject, f"fact_{joint}")
-        pade = slice(8 + 3 * row, 11 + 3 * row)
-        act_dot, act = 14 + 2 * row, 15 + 2 * row
-        a[pade, pade] = [[0, 1, 0], [0, 0, 1], [-120 / delay**3, -60 / delay**2, -12 / delay]]
-        a[pade.stop - 1] += excitation[row]
-        delayed = -excitation[row]
-        delayed[pade] += [240 / delay**3, 0, 24 / delay]
-        a[act_dot, act_dot] = -2 * subject.zeta_act * omega
-        a[act_dot, act] = -(omega**2)
-        a[act_dot] += omega**2 * delayed
-        a[act, act_dot] = 1.0
-
-    a[q_dot] = acceleration
-    a[q, q_dot] = eye
-    a[x_dot] = -force / environment.m_env
-    a[x_dot, x_dot] -= environment.b_env / environment.m_env * eye
-    a[x_dot, x] -= environment.k_env / environment.m_env * eye
-    a[x, x_dot] = eye
-
+    arm = LinearArm(subject, ())
+    values = parameter_vector(subject)
+    force, a = arm._force_and_dynamics(values, environment)
     b = np.zeros((N_STATES, 2))
-    b[x_dot] = eye / environment.m_env
+    b[_X_DOT] = np.eye(2) / environment.m_env
     select = np.eye(N_STATES)
-    return StateSpace(a, b, np.vstack([select[x], force, select[q]]), np.zeros((6, 2)))
+    return StateSpace(a, b, np.vstack([select[_X], force, select[_Q]]), np.zeros((6, 2)))
 
 
 def largest_real_pole(subject: Subject, environment: Environment) -> float:
@@ -498,7 +528,7 @@ def largest_real_pole(subject: Subject, environment: Environment) -> float:
 
     Source: sigma_max of eq. 2.21.
     """
-    return float(np.linalg.eigvals(state_space(subject, environment).a).real.max())
+    return float(LinearArm(subject, ()).poles(parameter_vector(subject), environment).real.max())
 
 
 def require_stable(subject: Subject, environment: Environment) -> None:

@@ -83,6 +83,7 @@ def fit_summary(identification: Identification) -> dict[str, Any]:
         "stable": fit.stable,
         "largest_real_pole_per_s": fit.largest_real_pole,
         "at_bound": list(fit.at_bound),
+        "unidentified": list(fit.unidentified),
         "n_starts": fit.n_starts,
         "n_starts_agree": fit.n_starts_agree,
         "n_evaluations": fit.n_evaluations,

@@ -1,14 +1,20 @@
-"""An arm model fitted to an admittance by the thesis's criterion (2.18-2.22, appendices C and E)."""
+"""An arm model fitted to an admittance by the thesis's criterion (2.18-2.22, appendices C and E).
+
+The error of eq. 2.18 is a modulus, |ln(H_estimated / H_model)|. The fit minimises the squares of the real and imaginary
+part of the complex logarithm instead: the same criterion and the same minimum, but a Gauss-Newton step that is right,
+which the modulus spoils. The standard errors are those of the modulus, as eq. 2.22 has them: it keeps about half of the
+information, and with the sum of squares over N = 4 n_f they are twice the scatter that independent errors cause.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 
-from armperturb.analysis.arm_model import Delay, arm_admittance, hand_jacobian, largest_real_pole
+from armperturb.analysis.arm_model import PARAMETERS, Delay, LinearArm
 from armperturb.analysis.structures import STRUCTURES, Structure, unit
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -24,6 +30,14 @@ PERFECT = 1e-16
 SAME_MINIMUM = 1e-6
 """Starts agree when their criteria differ by less than this share (or this much, for a perfect fit)."""
 
+NEGLIGIBLE_PENALTY = 1e-9
+"""A penalty this close to one has no slope worth computing."""
+
+UNIDENTIFIED = 1e-10
+"""Directions of the parameters, each scaled by its effect, whose effect is this small beside the largest have none."""
+
+_NOT_LINEAR = [name.startswith(("kf_", "Td_", "fact_", "b_h", "k_h")) for name in PARAMETERS]
+"""Parameters in which the joint impedance is not linear, or that are no part of it."""
 
 _WHY_STOPPED = {
     0: "not converged: limit of evaluations reached",
@@ -43,6 +57,7 @@ class AdmittanceFit:
       arm: the fitted arm, fixed parameters included.
       values: estimate of each free parameter, SI.
       sem: standard error of each free parameter, SI (eq. 2.22); infinite where the data say nothing.
+      unidentified: free parameters about which the data say nothing, alone or together.
       at_bound: free parameters that sit on a bound.
       status: why the fit stopped, in words.
       converged: whether it stopped at a minimum.
@@ -59,6 +74,7 @@ class AdmittanceFit:
     arm: Subject
     values: Mapping[str, float]
     sem: Mapping[str, float]
+    unidentified: tuple[str, ...]
     at_bound: tuple[str, ...]
     status: str
     converged: bool
@@ -90,14 +106,14 @@ def fit_admittance(
     *,
     coherence: ArrayLike | None = None,
     start: Mapping[str, float] | None = None,
+    only_start: bool = False,
     use_penalty: bool = True,
     delay: Delay = "exact",
 ) -> AdmittanceFit:
     """Fit an arm model to an admittance.
 
-    Minimises eq. 2.19: the mean over frequencies and elements of (gamma |ln(H_estimated / H_model)| p)^2. The residual
-    given to the optimiser is the complex logarithm, real and imaginary part: the same criterion, but one whose
-    Gauss-Newton step is right, which the modulus in eq. 2.18 spoils. Parameters are normalised by their start.
+    Minimises eq. 2.19: the mean over frequencies and elements of (gamma |ln(H_estimated / H_model)| p)^2. Parameters
+    are normalised by their start.
 
     Two starts are tried, the given one and one from linear least squares on the joint impedance, first without penalty;
     only where their best fit is penalised does a second run with the penalty follow (appendix C's two steps).
@@ -110,12 +126,13 @@ def fit_admittance(
       environment: what the hand held, for the stability of the whole.
       coherence: multiple coherence [-], (frequency, output); one if not given.
       start: values of free parameters to start from, SI; the published start where not given.
+      only_start: try no other start and penalise from the first step on, as appendices C to E do.
       use_penalty: whether to push the fit away from instability (eq. 2.21).
       delay: "exact", or the thesis's "pade".
 
     Raises:
-      ValueError: shapes do not fit, values are not finite, an admittance is zero, or a start is unknown or outside its
-        bounds.
+      ValueError: shapes do not fit, values are not finite, an admittance is zero, a start is unknown or outside its
+        bounds, or the structure has free parameters that no admittance at these frequencies can tell apart.
     """
     if isinstance(structure, str):
         if structure not in STRUCTURES:
@@ -123,6 +140,12 @@ def fit_admittance(
         structure = STRUCTURES[structure]
     problem = _checked(frequency, admittance, coherence, body, structure, environment, delay)
     first = _checked_start(structure, start)
+    problem.require_identifiable(first)
+    if only_start:
+        solution = _minimise(problem, first, with_penalty=use_penalty)
+        return problem.judge(
+            solution, use_penalty=use_penalty, n_starts=1, n_starts_agree=1, n_evaluations=solution.nfev
+        )
     starts = [first, problem.linear_start(first)]
     solutions = [_minimise(problem, values, with_penalty=False) for values in starts]
     best = min(solutions, key=lambda solution: solution.cost)
@@ -175,58 +198,109 @@ class _Problem:
     body: Subject
     structure: Structure
     environment: Environment
-    delay: Delay
+    model: LinearArm
 
     @property
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         lower, upper = np.array(list(self.structure.bounds.values())).T
         return lower, upper
 
+    def parameters(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self.structure.parameters(self.body.task, values)
+
     def penalty(self, values: NDArray[np.float64]) -> float:
-        return penalty_factor(largest_real_pole(self.structure.arm(self.body, values), self.environment))
+        return penalty_factor(self.largest_pole(values).real)
+
+    def largest_pole(self, values: NDArray[np.float64]) -> complex:
+        poles = self.model.poles(self.parameters(values), self.environment)
+        return complex(poles[np.argmax(poles.real)])
+
+    def log_error(self, values: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """Weighted complex log error, (4 frequency,)."""
+        error = self.weight * np.log(self.admittance / self.model.admittance(self.parameters(values)))
+        return np.asarray(error.ravel())
+
+    def log_error_slope(self, values: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """Derivative of `log_error`, (4 frequency, parameter)."""
+        model, gradient = self.model.admittance_and_gradient(self.parameters(values))
+        slope = (gradient @ self.structure.mixing) * (-self.weight / model)[..., None]
+        return np.asarray(slope.reshape(-1, slope.shape[-1]))
 
     def residual(self, values: NDArray[np.float64], with_penalty: bool) -> NDArray[np.float64]:
         """Weighted complex log error, real then imaginary parts, (8 frequency,)."""
-        model = arm_admittance(self.structure.arm(self.body, values), self.frequency, self.delay)
-        error = _stack(self.weight * np.log(self.admittance / model))
+        error = _stack(self.log_error(values))
         return error * self.penalty(values) if with_penalty else error
 
     def jacobian(self, values: NDArray[np.float64], with_penalty: bool) -> NDArray[np.float64]:
         """Derivative of the residual, (8 frequency, parameter)."""
-        arm = self.structure.arm(self.body, values)
-        model = arm_admittance(arm, self.frequency, self.delay)[..., None]
-        slope = -self.weight[..., None] * self.structure.admittance_gradient(arm, self.frequency, self.delay) / model
-        jacobian = np.column_stack([_stack(slope[..., i]) for i in range(slope.shape[-1])])
+        jacobian = _stack(self.log_error_slope(values))
         if not with_penalty:
             return jacobian
         factor = self.penalty(values)
+        if factor - 1.0 < NEGLIGIBLE_PENALTY:
+            return jacobian
         return jacobian * factor + np.outer(self.residual(values, False), self._penalty_gradient(values, factor))
 
     def _penalty_gradient(self, values: NDArray[np.float64], factor: float) -> NDArray[np.float64]:
-        gradient = np.empty(len(values))
-        for i, (value, lower, upper) in enumerate(zip(values, *self.bounds, strict=True)):
-            step = 1e-6 * max(abs(value), 1e-3 * (upper - lower))
-            moved = values.copy()
-            moved[i] += step if value + step <= upper else -step
-            gradient[i] = (self.penalty(moved) - factor) / (moved[i] - value)
-        return gradient
+        pole = self.largest_pole(values)
+        if factor >= penalty_factor(np.inf):
+            return np.zeros(len(values))
+        slope = self.model.pole_gradient(self.parameters(values), self.environment, pole).real @ self.structure.mixing
+        return np.asarray((factor - 1.0) * 10.0 * np.log(10.0) * slope)
+
+    def require_identifiable(self, start: NDArray[np.float64]) -> None:
+        """Refuse a structure in which some direction of the parameters changes no response.
+
+        What has no effect at the start may have some elsewhere, as a delay has none without gains: only what has none
+        at random places within the bounds either is refused.
+
+        Raises:
+          ValueError: there is such a direction.
+        """
+        rng = np.random.default_rng(0)
+        lower, upper = self.bounds
+        places = [start, *(start + share * (rng.uniform(lower, upper) - start) for share in (0.1, 0.3))]
+        slopes = [_stack(self.log_error_slope(values)) for values in places]
+        nothing = [_silent_directions(slope) for slope in slopes]
+        if all(directions.size for directions in nothing):
+            effect = np.linalg.norm(slopes[-1], axis=0)
+            direction = nothing[-1][0] / np.where(effect > 0, effect, 1.0)
+            direction[np.abs(nothing[-1][0]) < 1e-3] = 0.0
+            direction /= np.abs(direction).max()
+            parts = [
+                f"{share:+.2g} {unit(name)} of {name}"
+                for share, name in zip(direction, self.structure.free, strict=True)
+                if share
+            ]
+            raise ValueError(
+                f"model {self.structure.name} cannot be identified from {len(self.frequency)} frequencies: "
+                f"{', '.join(parts)} change no response; expected fewer free parameters"
+            )
 
     def linear_start(self, guess: NDArray[np.float64]) -> NDArray[np.float64]:
         """Parameters from bounded linear least squares on the joint impedance J^T (H - G)^-1 J.
 
-        It is linear in all but the grip G, which is taken from the guess, so that no start has to be guessed for them.
+        It is linear in all but delays, cut-offs, force feedback and the grip G, which are taken from the guess, so that
+        no start has to be guessed for the others. It is the guess where H - G has no inverse.
         """
+        parameters = self.parameters(guess)
         arm = self.structure.arm(self.body, guess)
-        jacobian = hand_jacobian(arm)
+        jacobian = self.model.jacobian
         grip = 1.0 / (arm.b_h * 2j * np.pi * self.frequency + arm.k_h)
-        impedance = jacobian.T @ np.linalg.solve(self.admittance - grip[:, None, None] * np.eye(2), jacobian)
-        basis = self.structure.impedance_gradient(arm, self.frequency, self.delay)
-        linear = np.array([name not in ("b_h", "k_h") for name in self.structure.free])
+        try:
+            impedance = jacobian.T @ np.linalg.solve(self.admittance - grip[:, None, None] * np.eye(2), jacobian)
+        except np.linalg.LinAlgError:
+            return guess
+        basis = self.model.joint_impedance_gradient(parameters) @ self.structure.mixing
+        linear = ~self.structure.mixing[_NOT_LINEAR].any(axis=0)
+        # What the fixed and the other parameters contribute.
+        rest = self.model.joint_impedance(parameters) - basis[..., linear] @ guess[linear]
         relative = 1.0 / np.linalg.norm(impedance, axis=(1, 2))[:, None, None]
-        design = np.column_stack([_stack(basis[..., i] * relative) for i in np.flatnonzero(linear)])
+        design = _stack((basis[..., linear] * relative[..., None]).reshape(-1, linear.sum()))
         scale = np.linalg.norm(design, axis=0)
+        scale[scale == 0] = 1.0
         lower, upper = (bound[linear] * scale for bound in self.bounds)
-        solution = optimize.lsq_linear(design / scale, _stack(impedance * relative), (lower, upper))
+        solution = optimize.lsq_linear(design / scale, _stack(((impedance - rest) * relative).ravel()), (lower, upper))
         values = guess.copy()
         values[linear] = np.clip(solution.x, lower, upper) / scale
         return values
@@ -243,22 +317,26 @@ class _Problem:
         """The fit at a solution, with all that a reader must know to trust it or not."""
         values, names = solution.x, self.structure.free
         arm = self.structure.arm(self.body, values)
-        pole = largest_real_pole(arm, self.environment)
+        pole = self.largest_pole(values).real
         factor = penalty_factor(pole) if use_penalty else 1.0
-        residual, jacobian = self.residual(values, False), self.jacobian(values, False)
-        n = 4 * len(self.frequency)
+        error, slope = self.log_error(values), self.log_error_slope(values)
+        sem = _standard_error(error, slope)
         lower, upper = self.bounds
         near = np.minimum(values - lower, upper - values) <= AT_BOUND * (upper - lower)
-        converged = solution.status > 0
+        unidentified = tuple(name for name, value in zip(names, sem, strict=True) if not np.isfinite(value))
+        status = _WHY_STOPPED[solution.status]
+        if unidentified:
+            status += f"; the data say nothing about {', '.join(unidentified)}"
         return AdmittanceFit(
             structure=self.structure.name,
             arm=arm,
             values=dict(zip(names, map(float, values), strict=True)),
-            sem=dict(zip(names, map(float, _standard_error(jacobian, residual, n)), strict=True)),
+            sem=dict(zip(names, map(float, sem), strict=True)),
+            unidentified=unidentified,
             at_bound=tuple(name for name, hit in zip(names, near, strict=True) if hit),
-            status=_WHY_STOPPED[solution.status],
-            converged=converged,
-            criterion=float(residual @ residual / n) * factor**2,
+            status=status,
+            converged=solution.status > 0,
+            criterion=float(np.mean(np.abs(error) ** 2)) * factor**2,
             penalty=factor,
             stable=pole < 0,
             largest_real_pole=pole,
@@ -268,20 +346,37 @@ class _Problem:
         )
 
 
-def _stack(values: NDArray[Any]) -> NDArray[np.float64]:
-    return np.concatenate([values.real.ravel(), values.imag.ravel()])
+def _stack(values: NDArray[np.complex128]) -> NDArray[np.float64]:
+    return np.concatenate([values.real, values.imag])
 
 
-def _standard_error(jacobian: NDArray[np.float64], residual: NDArray[np.float64], n: int) -> NDArray[np.float64]:
-    """Eq. 2.22 with N = 4 n_f residuals; infinite where the Jacobian has no independent column."""
+def _silent_directions(jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Directions of the columns, each scaled by its norm, in which nothing changes, (direction, column)."""
     scale = np.linalg.norm(jacobian, axis=0)
     if not scale.all():
-        return np.full(len(scale), np.inf)
-    _, singular, basis = np.linalg.svd(jacobian / scale, full_matrices=False)
-    if singular[-1] < 1e-12 * singular[0]:
-        return np.full(len(scale), np.inf)
-    variance = np.sum((basis / singular[:, None]) ** 2, axis=0) / scale**2
-    return np.sqrt(variance * (residual @ residual) / n)
+        return np.eye(len(scale))[scale == 0]
+    _, singular, basis = np.linalg.svd(jacobian / scale)
+    return np.asarray(basis[np.count_nonzero(singular > UNIDENTIFIED * singular[0]) :])
+
+
+def _standard_error(error: NDArray[np.complex128], slope: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Eq. 2.22 for the modulus of the error; infinite for columns that share in a direction without effect.
+
+    Args:
+      error: complex log error, (n,).
+      slope: its derivative, (n, parameter).
+    """
+    modulus = np.abs(error)
+    aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
+    jacobian = (aligned[:, None] * slope).real
+    silent = np.abs(_silent_directions(jacobian)).max(axis=0, initial=0.0) > 1e-6
+    known = jacobian[:, ~silent]
+    scale = np.linalg.norm(known, axis=0)
+    _, singular, basis = np.linalg.svd(known / scale, full_matrices=False)
+    variance = np.sum((basis / singular[:, None]) ** 2, axis=0) / scale**2 * np.mean(modulus**2)
+    sem = np.full(len(silent), np.inf)
+    sem[~silent] = np.sqrt(variance)
+    return sem
 
 
 def _checked(
@@ -309,10 +404,12 @@ def _checked(
         raise ValueError(f"admittance at {f[np.argwhere(h == 0)[0][0]]:g} Hz is 0; expected a response to fit")
     if (c < 0).any() or (c > 1).any():
         raise ValueError(f"coherence from {c.min():g} to {c.max():g}; expected 0 to 1")
+    if delay not in get_args(Delay):
+        raise ValueError(f"delay = {delay!r}; expected one of {', '.join(get_args(Delay))}")
     if 8 * f.size <= len(structure.free):
         raise ValueError(f"{f.size} frequencies for {len(structure.free)} parameters; expected more frequencies")
     weight = np.broadcast_to(np.sqrt(c)[:, :, None], h.shape)
-    return _Problem(f, h, weight, body, structure, environment, delay)
+    return _Problem(f, h, weight, body, structure, environment, LinearArm(body, f, delay))
 
 
 def _published(structure: Structure) -> NDArray[np.float64]:
