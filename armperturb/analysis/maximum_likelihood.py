@@ -1,0 +1,481 @@
+"""Arm parameters of greatest likelihood, from any number of trials, conditions and tasks of one person at once.
+
+The start comes from linear least squares (`linear_start`), so none has to be guessed; Gauss-Newton steps within the bounds
+follow, the noise being weighed anew before each (`likelihood`). Steps that lead to an unstable arm or uphill are shortened.
+Standard errors are those of the Fisher information, which the Cramer-Rao bound says cannot be beaten.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, Self, get_args
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import linalg, optimize, stats
+
+from armperturb.analysis.arm_model import largest_real_pole
+from armperturb.analysis.displacement import EDGE, Balance, NoiseLevels
+from armperturb.analysis.likelihood import LackOfFit, Likelihood, Normal, PeriodLikelihood, RecordLikelihood, whitened
+from armperturb.analysis.linear_start import linear_start
+from armperturb.analysis.spectra import estimate_spectra, line_spectra
+from armperturb.analysis.structures import Structure, unit
+from armperturb.environment import Environment
+from armperturb.subject import Subject
+
+Array = NDArray[np.float64]
+
+Method = Literal["frequency", "record"]
+"""Whether the mean period of each trial is used, or all of it from its start."""
+
+MAX_ROUNDS = 60
+
+SETTLED = 0.01
+"""A step this small in units of the standard error ends the search [-]."""
+
+AT_BOUND = 1e-6
+"""A parameter sits on a bound when it is closer to it than this share of the distance between its bounds."""
+
+SINGULAR = 1e-12
+"""Least eigenvalue of the scaled information with which a structure can be identified [-]."""
+
+SUSPICIOUS, UNCERTAIN, ALIKE = 0.01, 0.5, 0.95
+"""From when on remarks are made: chance of the lack of fit, error over value, and correlation of errors [-]."""
+
+SHARES: Mapping[str, tuple[str, ...]] = {
+    "mass": ("m_h", "m_f", "m_tot"),
+    "damping": ("b_s", "b_se", "b_e"),
+    "stiffness": ("k_s", "k_se", "k_e"),
+    "velocity": ("kv_s", "kv_se", "kv_e"),
+    "position": ("kp_s", "kp_se", "kp_e"),
+    "acceleration": ("ka_s", "ka_se", "ka_e"),
+    "force": ("kf_s", "kf_se", "kf_e"),
+    "delay": ("Td_s", "Td_e"),
+    "cutoff": ("fact_s", "fact_e"),
+    "grip": ("b_h", "k_h"),
+}
+"""Names for parameters that are shared together; single ones are named as they are."""
+
+
+class Interval(NamedTuple):
+    """A confidence interval, SI."""
+
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Group:
+    """Trials of one person in one condition, ready to be fitted.
+
+    Attributes:
+      label: the condition.
+      body: task, segment lengths and posture.
+      structure: what is free.
+      environment: what the hand held, as identified from these trials.
+      noise: of the instruments, as identified from these trials.
+      n_trials: how many there are.
+      start: values of the free parameters near the best fit, (parameter,).
+      period: likelihood of the mean periods.
+      record: likelihood of the whole records.
+    """
+
+    label: str
+    body: Subject
+    structure: Structure
+    environment: Environment
+    noise: NoiseLevels
+    n_trials: int
+    start: Array
+    period: Likelihood
+    record: Likelihood
+
+    @classmethod
+    def prepare(
+        cls, recording: xr.Dataset, body: Subject, structure: Structure, *, start: float = 8.0, period: float = 20.48
+    ) -> Self:
+        """Prepare trials.
+
+        Args:
+          recording: trials of one person in one condition, each from rest at its first sample.
+          body: the person, see `identify.body_of`.
+          structure: what is to be estimated.
+          start: of the window of whole periods, after the transient has gone [s].
+          period: of the disturbance [s].
+
+        Raises:
+          ValueError: the recording is refused, or gives no spectra.
+        """
+        lines = line_spectra(recording, start=start, period=period)
+        rate = float(recording.attrs["rate"])
+        signals = (recording[name].values for name in ("perturbation", "force", "displacement"))
+        d, f, x = (np.asarray(values, dtype=float) for values in signals)
+        balance = Balance(d, f, x, rate)
+        environment, noise = balance.fit()
+        spectra = estimate_spectra(lines)
+        values = linear_start(spectra.frequency, spectra.arm, body, structure)
+        white = whitened(balance.displacement(environment, noise), rate)
+        onset = float(np.nanmin([*recording["pulse_onset"].values, np.inf]))
+        end = min(round(min(onset, d.shape[1] / rate) * rate), d.shape[1] - round(EDGE * rate))
+        top = min(1.1 * float(lines.frequency[-1]), 0.45 * rate)
+        n_period, first = round(period * rate), round(start * rate)
+        last = first + n_period * max(1, (end - first) // n_period)
+        return cls(
+            label=str(recording["condition"].values[0]),
+            body=body,
+            structure=structure,
+            environment=environment,
+            noise=noise,
+            n_trials=len(d),
+            start=values,
+            period=PeriodLikelihood(d[:, first:last], white[:, first:last], body, environment, rate, n_period, top),
+            record=RecordLikelihood(d[:, :end], white[:, :end], body, environment, rate, top, settle=end / rate),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """Parameters of greatest likelihood.
+
+    Attributes:
+      method: "frequency" or "record".
+      values: name to estimate, SI. With several conditions a parameter that is not shared is "k_s [RT7.5]".
+      standard_error: the same of the estimates, from the Fisher information times `dispersion`; infinite where the
+        data say nothing.
+      correlation: of the estimates' errors, (parameter, parameter), in the order of `values`.
+      at_bound: parameters that sit on a bound; their errors are not normal.
+      arms: condition to the arm, fixed parameters included.
+      groups: the trials.
+      status: how the search ended, in words.
+      converged: whether it ended at a maximum.
+      stable: whether arm and environment are stable together in every condition.
+      largest_real_pole: of arm and environment, over the conditions [1/s].
+      chi2: of what the disturbance explains of the residual, see `likelihood.LackOfFit`.
+      dof: its degrees of freedom.
+      n_rounds: Gauss-Newton steps.
+    """
+
+    method: Method
+    values: Mapping[str, float]
+    standard_error: Mapping[str, float]
+    correlation: Array
+    at_bound: tuple[str, ...]
+    arms: Mapping[str, Subject]
+    groups: tuple[Group, ...]
+    status: str
+    converged: bool
+    stable: bool
+    largest_real_pole: float
+    chi2: float
+    dof: int
+    n_rounds: int
+
+    @property
+    def p_value(self) -> float:
+        """Chance of so large a `chi2` if the structure is right and the person linear [-]."""
+        return float(stats.chi2.sf(self.chi2, self.dof))
+
+    @property
+    def dispersion(self) -> float:
+        """How much more the residual varies along the disturbance than elsewhere, at least one [-]."""
+        return max(1.0, self.chi2 / self.dof)
+
+    def interval(self, name: str, level: float = 0.95) -> Interval:
+        """Confidence interval of a parameter, from its standard error."""
+        half = float(stats.norm.ppf(0.5 + level / 2.0)) * self.standard_error[name]
+        return Interval(self.values[name] - half, self.values[name] + half)
+
+    def remarks(self) -> tuple[str, ...]:
+        """What a reader must know before trusting the values, a sentence each."""
+        said = []
+        if self.p_value < SUSPICIOUS:
+            said.append(
+                f"the disturbance explains more of the movement than the model does (chi2 / dof = "
+                f"{self.chi2 / self.dof:.2f}, p = {self.p_value:.1g}): the structure is wrong, or the person is not linear"
+            )
+        for name in self.at_bound:
+            said.append(f"{name} sits on a bound")
+        for name, error in self.standard_error.items():
+            if error > UNCERTAIN * abs(self.values[name]):
+                said.append(f"{name} is hardly known: {self.values[name]:.3g} with a standard error of {error:.2g}")
+        names = list(self.values)
+        for i, j in zip(*np.nonzero(np.triu(np.abs(self.correlation) > ALIKE, 1)), strict=True):
+            said.append(
+                f"{names[i]} and {names[j]} can hardly be told apart: their errors correlate with {self.correlation[i, j]:.2f}"
+            )
+        return tuple(said)
+
+
+class _Problem:
+    """Free parameters of all groups in one vector, and their likelihood."""
+
+    def __init__(self, groups: Sequence[Group], method: Method, share: Sequence[str]) -> None:
+        self.groups = tuple(groups)
+        self.likelihoods = [group.period if method == "frequency" else group.record for group in self.groups]
+        shared = _shared_names(self.groups, share)
+        self.names: list[str] = []
+        self.columns: list[list[int]] = []
+        for group in self.groups:
+            mine = []
+            for name in group.structure.free:
+                label = name if len(self.groups) == 1 or name in shared else f"{name} [{group.label}]"
+                if label not in self.names:
+                    self.names.append(label)
+                mine.append(self.names.index(label))
+            self.columns.append(mine)
+        self.lower, self.upper = np.full(len(self.names), -np.inf), np.full(len(self.names), np.inf)
+        for group, columns in zip(self.groups, self.columns, strict=True):
+            lower, upper = np.array([group.structure.bounds[name] for name in group.structure.free]).T
+            self.lower[columns] = np.maximum(self.lower[columns], lower)
+            self.upper[columns] = np.minimum(self.upper[columns], upper)
+        for name, lower, upper in zip(self.names, self.lower, self.upper, strict=True):
+            if not lower < upper:
+                raise ValueError(f"bounds of the shared {name} cross ({lower:g} to {upper:g}); expected some overlap")
+
+    def start(self) -> Array:
+        """Mean over the groups of where each would start."""
+        total, count = np.zeros(len(self.names)), np.zeros(len(self.names))
+        for group, columns in zip(self.groups, self.columns, strict=True):
+            total[columns] += group.start
+            count[columns] += 1.0
+        return np.clip(total / count, self.lower, self.upper)
+
+    def parameters(self, values: Array) -> list[Array]:
+        return [
+            group.structure.parameters(group.body.task, values[columns])
+            for group, columns in zip(self.groups, self.columns, strict=True)
+        ]
+
+    def arms(self, values: Array) -> list[Subject]:
+        return [
+            group.structure.arm(group.body, values[columns])
+            for group, columns in zip(self.groups, self.columns, strict=True)
+        ]
+
+    def pole(self, values: Array) -> float:
+        """Largest real part of a pole of any arm on its environment [1/s]."""
+        arms = zip(self.arms(values), self.groups, strict=True)
+        return max(largest_real_pole(arm, group.environment) for arm, group in arms)
+
+    def weigh(self, values: Array) -> None:
+        for likelihood, parameters in zip(self.likelihoods, self.parameters(values), strict=True):
+            likelihood.weigh(parameters)
+
+    def cost(self, values: Array) -> float:
+        pairs = zip(self.likelihoods, self.parameters(values), strict=True)
+        return sum(likelihood.cost(parameters) for likelihood, parameters in pairs)
+
+    def normal(self, values: Array) -> Normal:
+        cost, slope = 0.0, np.zeros(len(self.names))
+        information = np.zeros((len(self.names), len(self.names)))
+        every = zip(self.groups, self.likelihoods, self.columns, self.parameters(values), strict=True)
+        for group, likelihood, columns, parameters in every:
+            part = likelihood.normal(parameters, group.structure.mixing)
+            cost += part.cost
+            slope[columns] += part.slope
+            information[np.ix_(columns, columns)] += part.information
+        return Normal(cost, slope, information)
+
+    def lack_of_fit(self, values: Array) -> LackOfFit:
+        parts = [
+            likelihood.lack_of_fit(parameters)
+            for likelihood, parameters in zip(self.likelihoods, self.parameters(values), strict=True)
+        ]
+        dof = sum(part.dof for part in parts) - len(self.names)
+        return LackOfFit(sum(part.chi2 for part in parts), max(dof, 1))
+
+    def stabilised(self, values: Array) -> Array:
+        """The values with feedback gains shrunk until every arm is stable."""
+        values = values.copy()
+        gains = np.array([name.partition("_")[0] in ("kv", "kp", "ka", "kf") for name in self.names])
+        for _ in range(MAX_ROUNDS):
+            if self.pole(values) < 0.0:
+                break
+            values[gains] *= 0.8
+            values = np.clip(values, self.lower, self.upper)
+        return values
+
+
+class _Search(NamedTuple):
+    values: Array
+    information: Array
+    status: str
+    converged: bool
+    n_rounds: int
+
+
+def estimate(groups: Sequence[Group], method: Method = "record", *, share: Sequence[str] = ()) -> Estimate:
+    """Estimate the arm of one person from the trials of one or several conditions.
+
+    Args:
+      groups: trials, one group per condition.
+      method: "frequency" (mean periods; fast) or "record" (all of each trial; best, started from the former).
+      share: parameters that are the same in all conditions: names of parameters, or of `SHARES`.
+
+    Raises:
+      ValueError: there is no group, groups differ in person or posture, a shared name is unknown, or the structure cannot
+        be identified from any data; the message names the direction.
+    """
+    if method not in get_args(Method):
+        raise ValueError(f"method = {method!r}; expected one of {', '.join(get_args(Method))}")
+    if not groups:
+        raise ValueError("groups is empty; expected the trials of at least one condition")
+    _require_one_person(groups)
+    problem = _Problem(groups, "frequency", share)
+    search = _search(problem, problem.stabilised(problem.start()))
+    if method == "record":
+        problem = _Problem(groups, "record", share)
+        search = _search(problem, problem.stabilised(search.values))
+    return _judge(problem, method, search)
+
+
+def profile(found: Estimate, name: str, points: Sequence[float], *, share: Sequence[str] = ()) -> Array:
+    """Profile likelihood of a parameter: how much less likely the trials are if it is held, all others fitted anew.
+
+    Args:
+      found: the estimate around which to look.
+      name: of the parameter, as in `Estimate.values`.
+      points: values at which to hold it, SI.
+      share: as it was for the estimate.
+
+    Returns:
+      Twice the logarithm of the likelihood ratio [-], (point,), with the noise as weighed at the estimate. A point belongs
+      to the 95 % interval if it is below 3.84.
+
+    Raises:
+      ValueError: the parameter is unknown, or a point is outside its bounds.
+    """
+    problem = _Problem(found.groups, found.method, share)
+    if name not in problem.names:
+        raise ValueError(f"no parameter {name!r}; expected one of {', '.join(problem.names)}")
+    column = problem.names.index(name)
+    best = np.array([found.values[one] for one in problem.names])
+    problem.weigh(best)
+    least = problem.cost(best)
+    bounds = problem.lower.copy(), problem.upper.copy()
+    deviance = np.empty(len(points))
+    for index, point in enumerate(points):
+        if not bounds[0][column] <= point <= bounds[1][column]:
+            raise ValueError(
+                f"{name} = {point!r}; expected {bounds[0][column]:g} to {bounds[1][column]:g} {unit(name.split()[0])}"
+            )
+        problem.lower[column] = problem.upper[column] = point
+        held = _search(problem, np.clip(best, problem.lower, problem.upper), weigh=False)
+        deviance[index] = problem.cost(held.values) - least
+        problem.lower, problem.upper = bounds[0].copy(), bounds[1].copy()
+    return deviance
+
+
+def _search(problem: _Problem, values: Array, *, weigh: bool = True) -> _Search:
+    """Gauss-Newton steps within bounds from a stable start, the noise weighed anew before each unless told otherwise."""
+    damping = 0.0
+    normal = None
+    for n_rounds in range(1, MAX_ROUNDS + 1):
+        if weigh:
+            problem.weigh(values)
+        normal = problem.normal(values)
+        scale = np.sqrt(np.diag(normal.information))
+        if n_rounds == 1:
+            _require_identifiable(problem, normal.information)
+        scale[scale == 0.0] = 1.0
+        while True:
+            step = _bounded_step(normal, scale, damping, problem.lower - values, problem.upper - values)
+            size = float(np.max(np.abs(step) * scale, initial=0.0))
+            if size < SETTLED:
+                return _Search(values, normal.information, "converged: steps are far below the errors", True, n_rounds)
+            after = np.clip(values + step, problem.lower, problem.upper)
+            if problem.pole(after) < 0.0 and problem.cost(after) < normal.cost:
+                break
+            damping = max(10.0 * damping, 1e-3)
+            if damping > 1e8:
+                return _Search(values, normal.information, "not converged: no step leads uphill", False, n_rounds)
+        values, damping = after, damping / 10.0 if damping > 1e-6 else 0.0
+    assert normal is not None
+    return _Search(values, normal.information, f"not converged: {MAX_ROUNDS} steps were not enough", False, MAX_ROUNDS)
+
+
+def _bounded_step(normal: Normal, scale: Array, damping: float, lower: Array, upper: Array) -> Array:
+    """Levenberg-Marquardt step that stays within bounds."""
+    information = normal.information / np.outer(scale, scale)
+    information[np.diag_indices_from(information)] += damping + 1e-13
+    root = np.linalg.cholesky(information)
+    target = linalg.solve_triangular(root, normal.slope / scale, lower=True)
+    free = upper > lower
+    step = np.zeros(len(scale))
+    bounds = lower[free] * scale[free], upper[free] * scale[free]
+    step[free] = optimize.lsq_linear(root.T[:, free], target, bounds, method="bvls").x
+    return step / scale
+
+
+def _judge(problem: _Problem, method: Method, search: _Search) -> Estimate:
+    values, names = search.values, problem.names
+    problem.weigh(values)
+    fit = problem.lack_of_fit(values)
+    scale = np.sqrt(np.diag(search.information))
+    scale[scale == 0.0] = np.nan
+    try:
+        covariance = np.linalg.inv(search.information / np.outer(scale, scale))
+        error = np.sqrt(np.diag(covariance)) / scale
+        correlation = covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+    except np.linalg.LinAlgError:
+        error, correlation = np.full(len(names), np.inf), np.eye(len(names))
+    error = np.where(np.isfinite(error), error * np.sqrt(max(1.0, fit.chi2 / fit.dof)), np.inf)
+    near = np.minimum(values - problem.lower, problem.upper - values) <= AT_BOUND * (problem.upper - problem.lower)
+    pole = problem.pole(values)
+    return Estimate(
+        method=method,
+        values=dict(zip(names, values.tolist(), strict=True)),
+        standard_error=dict(zip(names, error.tolist(), strict=True)),
+        correlation=correlation,
+        at_bound=tuple(name for name, hit in zip(names, near, strict=True) if hit),
+        arms={group.label: arm for group, arm in zip(problem.groups, problem.arms(values), strict=True)},
+        groups=problem.groups,
+        status=search.status,
+        converged=search.converged,
+        stable=pole < 0.0,
+        largest_real_pole=pole,
+        chi2=fit.chi2,
+        dof=fit.dof,
+        n_rounds=search.n_rounds,
+    )
+
+
+def _shared_names(groups: Sequence[Group], share: Sequence[str]) -> set[str]:
+    known = {name for group in groups for name in group.structure.free}
+    shared: set[str] = set()
+    for name in share:
+        names = [one for one in SHARES.get(name, (name,)) if one in known]
+        if not names:
+            raise ValueError(f"share: {name!r} is no free parameter; expected {', '.join((*SHARES, *sorted(known)))}")
+        shared.update(names)
+    return shared
+
+
+def _require_one_person(groups: Sequence[Group]) -> None:
+    labels = [group.label for group in groups]
+    for field in ("name", "l_h", "l_f", "theta_s_deg", "theta_e_deg"):
+        found = {getattr(group.body, field) for group in groups}
+        if len(found) > 1:
+            raise ValueError(
+                f"the conditions {', '.join(labels)} differ in {field} ({', '.join(map(str, sorted(found)))}); expected "
+                "one person in one posture"
+            )
+    for label in labels:
+        if labels.count(label) > 1:
+            raise ValueError(f"the condition {label!r} comes twice; expected each once (its trials in one group)")
+
+
+def _require_identifiable(problem: _Problem, information: Array) -> None:
+    scale = np.sqrt(np.diag(information))
+    silent = [name for name, size in zip(problem.names, scale, strict=True) if not size > 0.0]
+    if silent:
+        raise ValueError(f"{', '.join(silent)} cannot be identified: no effect on the movement; expected them fixed")
+    power, direction = np.linalg.eigh(information / np.outer(scale, scale))
+    if power[0] < SINGULAR:
+        weak = direction[:, 0] / scale
+        weak /= np.abs(weak).max()
+        terms = [f"{w:+.2g} {name}" for w, name in zip(weak, problem.names, strict=True) if abs(w) > 1e-3]
+        raise ValueError(
+            f"the structure cannot be identified: a change of {' '.join(terms)} leaves the movement as it is; expected one "
+            "of them fixed"
+        )
