@@ -13,12 +13,13 @@ A finite record lets the strong low frequencies leak into the weak high ones. Bo
 with the same two poles less, so that what is left is nearly white, before they are transformed.
 """
 
+import itertools
 from collections.abc import Iterator
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, stats
 
 from armperturb.analysis.arm_model import LinearArm
 from armperturb.environment import Environment
@@ -68,12 +69,20 @@ class LackOfFit(NamedTuple):
     chi2: float
     dof: int
 
+    @property
+    def p_value(self) -> float:
+        """Chance of so large a chi2 if the arm is right [-]."""
+        return float(stats.chi2.sf(self.chi2, self.dof))
+
 
 class Likelihood(Protocol):
     """Likelihood of the trials of one condition. Parameters of an arm are in the order of `arm_model.PARAMETERS`."""
 
     def weigh(self, values: Array) -> None:
         """Estimate the noise that is left by an arm with these parameters; it holds until the next call."""
+
+    def objective(self, values: Array) -> float:
+        """Minus twice the logarithm of the likelihood, but for a constant, the noise being that which the arm leaves."""
 
     def cost(self, values: Array) -> float:
         """`Normal.cost` of an arm."""
@@ -144,6 +153,12 @@ class _Whittle:
         root = np.linalg.inv(np.linalg.cholesky(np.moveaxis(_smoothed_power(force), -1, 0)))
         # Real and imaginary part of the residual have half its power each.
         self._white = np.sqrt(2.0) * np.einsum("fab,bcf->acf", root, to_force)
+
+    def objective(self, values: Array) -> float:
+        """Minus twice the logarithm of the likelihood, but for a constant, the noise being that which the arm leaves."""
+        self.weigh(values)
+        _, logarithm = np.linalg.slogdet(np.moveaxis(self._white, -1, 0))
+        return self.cost(values) - 4.0 * len(self._force) * float(np.sum(logarithm))
 
     def cost(self, values: Array) -> float:
         """`Normal.cost` of an arm."""
@@ -328,7 +343,7 @@ def _bands(frequency: Array, force: Response) -> list[slice]:
     power = np.mean(np.abs(force) ** 2, axis=(0, 1))
     excited = np.flatnonzero(power > EXCITED * power.max())
     runs, first = [], excited[0]
-    for before, now in zip(excited, excited[1:], strict=False):
+    for before, now in itertools.pairwise(excited):
         if now - before > 2 or frequency[now] > 2 ** (1 / 3) * frequency[first] + 4 * frequency[0]:
             runs.append(slice(int(first), int(before) + 1))
             first = now

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple, Self, get_args
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import linalg, optimize, stats
 
 from armperturb.analysis.arm_model import largest_real_pole
@@ -32,6 +32,9 @@ MAX_ROUNDS = 60
 
 SETTLED = 0.01
 """A step this small in units of the standard error ends the search [-]."""
+
+STABILISING = (0.0, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
+"""Shares of the default start that are mixed into an unstable one until it is stable [-]."""
 
 AT_BOUND = 1e-6
 """A parameter sits on a bound when it is closer to it than this share of the distance between its bounds."""
@@ -173,7 +176,7 @@ class Estimate:
     @property
     def p_value(self) -> float:
         """Chance of so large a `chi2` if the structure is right and the person linear [-]."""
-        return float(stats.chi2.sf(self.chi2, self.dof))
+        return LackOfFit(self.chi2, self.dof).p_value
 
     @property
     def dispersion(self) -> float:
@@ -233,10 +236,13 @@ class _Problem:
                 raise ValueError(f"bounds of the shared {name} cross ({lower:g} to {upper:g}); expected some overlap")
 
     def start(self) -> Array:
-        """Mean over the groups of where each would start."""
+        """Mean over the groups of where linear least squares would start."""
+        return self._mean([group.start for group in self.groups])
+
+    def _mean(self, of_groups: Sequence[ArrayLike]) -> Array:
         total, count = np.zeros(len(self.names)), np.zeros(len(self.names))
-        for group, columns in zip(self.groups, self.columns, strict=True):
-            total[columns] += group.start
+        for columns, values in zip(self.columns, of_groups, strict=True):
+            total[columns] += np.asarray(values)
             count[columns] += 1.0
         return np.clip(total / count, self.lower, self.upper)
 
@@ -265,6 +271,10 @@ class _Problem:
         pairs = zip(self.likelihoods, self.parameters(values), strict=True)
         return sum(likelihood.cost(parameters) for likelihood, parameters in pairs)
 
+    def objective(self, values: Array) -> float:
+        pairs = zip(self.likelihoods, self.parameters(values), strict=True)
+        return sum(likelihood.objective(parameters) for likelihood, parameters in pairs)
+
     def normal(self, values: Array) -> Normal:
         cost, slope = 0.0, np.zeros(len(self.names))
         information = np.zeros((len(self.names), len(self.names)))
@@ -277,6 +287,7 @@ class _Problem:
         return Normal(cost, slope, information)
 
     def lack_of_fit(self, values: Array) -> LackOfFit:
+        """Of all groups together; the noise must have been weighed."""
         parts = [
             likelihood.lack_of_fit(parameters)
             for likelihood, parameters in zip(self.likelihoods, self.parameters(values), strict=True)
@@ -284,16 +295,18 @@ class _Problem:
         dof = sum(part.dof for part in parts) - len(self.names)
         return LackOfFit(sum(part.chi2 for part in parts), max(dof, 1))
 
+    def published(self) -> Array:
+        """Mean over the groups of the structures' default starts."""
+        return self._mean([[group.structure.start[name] for name in group.structure.free] for group in self.groups])
+
     def stabilised(self, values: Array) -> Array:
-        """The values with feedback gains shrunk until every arm is stable."""
-        values = values.copy()
-        gains = np.array([name.partition("_")[0] in ("kv", "kp", "ka", "kf") for name in self.names])
-        for _ in range(MAX_ROUNDS):
-            if self.pole(values) < 0.0:
-                break
-            values[gains] *= 0.8
-            values = np.clip(values, self.lower, self.upper)
-        return values
+        """The values moved towards the structures' default starts until every arm is stable."""
+        published = self.published()
+        for share in STABILISING:
+            mixed = (1.0 - share) * values + share * published
+            if self.pole(mixed) < 0.0:
+                return mixed
+        raise ValueError("the structure's default start is unstable on this environment; expected a stable arm")
 
 
 class _Search(NamedTuple):
@@ -323,6 +336,10 @@ def estimate(groups: Sequence[Group], method: Method = "record", *, share: Seque
     _require_one_person(groups)
     problem = _Problem(groups, "frequency", share)
     search = _search(problem, problem.stabilised(problem.start()))
+    if not search.converged or problem.lack_of_fit(search.values).p_value < SUSPICIOUS:
+        other = _search(problem, problem.published())
+        if problem.objective(other.values) < problem.objective(search.values):
+            search = other
     if method == "record":
         problem = _Problem(groups, "record", share)
         search = _search(problem, problem.stabilised(search.values))
@@ -378,11 +395,11 @@ def _search(problem: _Problem, values: Array, *, weigh: bool = True) -> _Search:
         if n_rounds == 1:
             _require_identifiable(problem, normal.information)
         scale[scale == 0.0] = 1.0
+        room = problem.lower - values, problem.upper - values
+        if np.max(np.abs(_bounded_step(normal, scale, 0.0, *room)) * scale) < SETTLED:
+            return _Search(values, normal.information, "converged: steps are far below the errors", True, n_rounds)
         while True:
-            step = _bounded_step(normal, scale, damping, problem.lower - values, problem.upper - values)
-            size = float(np.max(np.abs(step) * scale, initial=0.0))
-            if size < SETTLED:
-                return _Search(values, normal.information, "converged: steps are far below the errors", True, n_rounds)
+            step = _bounded_step(normal, scale, damping, *room)
             after = np.clip(values + step, problem.lower, problem.upper)
             if problem.pole(after) < 0.0 and problem.cost(after) < normal.cost:
                 break
