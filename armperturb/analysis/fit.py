@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import optimize
+from scipy import linalg, optimize
 
-from armperturb.analysis.arm_model import Delay, arm_admittance, hand_jacobian, largest_real_pole
+from armperturb.analysis.arm_model import Delay, arm_admittance, hand_jacobian, largest_real_pole, state_space
 from armperturb.analysis.structures import STRUCTURES, Structure, unit
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -150,10 +150,18 @@ def _minimise(problem: "_Problem", start: NDArray[np.float64], *, with_penalty: 
     """Bounded least squares from one start; the result holds parameters in SI."""
     scale = np.where(start != 0, np.abs(start), 1.0)
     lower, upper = problem.bounds
+
+    def residual(v: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.append(problem.residual(v * scale, with_penalty), 0.0)
+
+    def jacobian(v: NDArray[np.float64]) -> NDArray[np.float64]:
+        row = problem.curvature(v * scale) if with_penalty else np.zeros(len(v))
+        return np.vstack([problem.jacobian(v * scale, with_penalty), row]) * scale
+
     solution = optimize.least_squares(
-        lambda v: problem.residual(v * scale, with_penalty),
+        residual,
         np.clip(start, lower, upper) / scale,
-        lambda v: problem.jacobian(v * scale, with_penalty) * scale,
+        jacobian,
         bounds=(lower / scale, upper / scale),
         x_scale="jac",
         xtol=1e-10,
@@ -202,14 +210,34 @@ class _Problem:
         factor = self.penalty(values)
         return jacobian * factor + np.outer(self.residual(values, False), self._penalty_gradient(values, factor))
 
+    def curvature(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Row of a Jacobian for a residual of zero, (parameter,).
+
+        It changes neither criterion nor gradient, and adds to the Gauss-Newton step the second derivative of the
+        penalty, which is most of its curvature; without it the optimiser creeps along the border of stability.
+        """
+        factor = self.penalty(values)
+        gradient = self._penalty_gradient(values, factor)
+        if not gradient.any():
+            return gradient
+        return np.asarray(np.linalg.norm(self.residual(values, False)) * np.sqrt(factor / (factor - 1.0)) * gradient)
+
     def _penalty_gradient(self, values: NDArray[np.float64], factor: float) -> NDArray[np.float64]:
-        gradient = np.empty(len(values))
+        """Derivative of the penalty, from that of the pole as an eigenvalue: left dA right / left right, (parameter,)."""
+        if not 1e-12 < factor - 1.0 < 1e50:
+            return np.zeros(len(values))  # it does not act, or is capped
+        a = state_space(self.structure.arm(self.body, values), self.environment).a
+        poles, left, right = linalg.eig(a, left=True)
+        last = int(np.argmax(poles.real))
+        to_left, to_right = left[:, last].conj(), right[:, last]
+        slope = np.empty(len(values))
         for i, (value, lower, upper) in enumerate(zip(values, *self.bounds, strict=True)):
             step = 1e-6 * max(abs(value), 1e-3 * (upper - lower))
             moved = values.copy()
             moved[i] += step if value + step <= upper else -step
-            gradient[i] = (self.penalty(moved) - factor) / (moved[i] - value)
-        return gradient
+            change = state_space(self.structure.arm(self.body, moved), self.environment).a - a
+            slope[i] = (to_left @ change @ to_right / (to_left @ to_right)).real / (moved[i] - value)
+        return 10.0 * np.log(10.0) * (factor - 1.0) * slope
 
     def linear_start(self, guess: NDArray[np.float64]) -> NDArray[np.float64]:
         """Parameters from bounded linear least squares on the joint impedance J^T (H - G)^-1 J.
