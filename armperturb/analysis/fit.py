@@ -223,7 +223,7 @@ class _Problem:
         return np.asarray(np.linalg.norm(self.residual(values, False)) * np.sqrt(factor / (factor - 1.0)) * gradient)
 
     def _penalty_gradient(self, values: NDArray[np.float64], factor: float) -> NDArray[np.float64]:
-        """Derivative of the penalty, from that of the pole as an eigenvalue: left dA right / left right, (parameter,)."""
+        """Derivative of the penalty, from that of the pole as an eigenvalue: left dA right / left right."""
         if not 1e-12 < factor - 1.0 < 1e50:
             return np.zeros(len(values))  # it does not act, or is capped
         a = state_space(self.structure.arm(self.body, values), self.environment).a
