@@ -150,18 +150,10 @@ def _minimise(problem: "_Problem", start: NDArray[np.float64], *, with_penalty: 
     """Bounded least squares from one start; the result holds parameters in SI."""
     scale = np.where(start != 0, np.abs(start), 1.0)
     lower, upper = problem.bounds
-
-    def residual(v: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.append(problem.residual(v * scale, with_penalty), 0.0)
-
-    def jacobian(v: NDArray[np.float64]) -> NDArray[np.float64]:
-        row = problem.curvature(v * scale) if with_penalty else np.zeros(len(v))
-        return np.vstack([problem.jacobian(v * scale, with_penalty), row]) * scale
-
     solution = optimize.least_squares(
-        residual,
+        lambda v: problem.residual(v * scale, with_penalty),
         np.clip(start, lower, upper) / scale,
-        jacobian,
+        lambda v: problem.jacobian(v * scale, with_penalty) * scale,
         bounds=(lower / scale, upper / scale),
         x_scale="jac",
         xtol=1e-10,
@@ -194,33 +186,30 @@ class _Problem:
         return penalty_factor(largest_real_pole(self.structure.arm(self.body, values), self.environment))
 
     def residual(self, values: NDArray[np.float64], with_penalty: bool) -> NDArray[np.float64]:
-        """Weighted complex log error, real then imaginary parts, (8 frequency,)."""
+        """Weighted complex log error, real then imaginary parts; with penalty and then a zero, (8 frequency [+ 1],)."""
         model = arm_admittance(self.structure.arm(self.body, values), self.frequency, self.delay)
         error = _stack(self.weight * np.log(self.admittance / model))
-        return error * self.penalty(values) if with_penalty else error
+        return np.append(error * self.penalty(values), 0.0) if with_penalty else error
 
     def jacobian(self, values: NDArray[np.float64], with_penalty: bool) -> NDArray[np.float64]:
-        """Derivative of the residual, (8 frequency, parameter)."""
+        """Derivative of the residual, (8 frequency [+ 1], parameter).
+
+        The zero that comes with the penalty changes neither criterion nor gradient, whatever its row here. The row adds
+        the second derivative of the penalty, most of its curvature, to the Gauss-Newton step: without it the optimiser
+        creeps along the border of stability.
+        """
         arm = self.structure.arm(self.body, values)
         model = arm_admittance(arm, self.frequency, self.delay)[..., None]
         slope = -self.weight[..., None] * self.structure.admittance_gradient(arm, self.frequency, self.delay) / model
         jacobian = np.column_stack([_stack(slope[..., i]) for i in range(slope.shape[-1])])
         if not with_penalty:
             return jacobian
-        factor = self.penalty(values)
-        return jacobian * factor + np.outer(self.residual(values, False), self._penalty_gradient(values, factor))
-
-    def curvature(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Row of a Jacobian for a residual of zero, (parameter,).
-
-        It changes neither criterion nor gradient, and adds to the Gauss-Newton step the second derivative of the
-        penalty, which is most of its curvature; without it the optimiser creeps along the border of stability.
-        """
-        factor = self.penalty(values)
+        factor, error = self.penalty(values), self.residual(values, False)
         gradient = self._penalty_gradient(values, factor)
-        if not gradient.any():
-            return gradient
-        return np.asarray(np.linalg.norm(self.residual(values, False)) * np.sqrt(factor / (factor - 1.0)) * gradient)
+        curvature = gradient
+        if gradient.any():
+            curvature = np.linalg.norm(error) * np.sqrt(factor / (factor - 1.0)) * gradient
+        return np.vstack([jacobian * factor + np.outer(error, gradient), curvature])
 
     def _penalty_gradient(self, values: NDArray[np.float64], factor: float) -> NDArray[np.float64]:
         """Derivative of the penalty, from that of the pole as an eigenvalue: left dA right / left right."""
