@@ -35,11 +35,11 @@ def require_number(
         number = float(value)
     except OverflowError:
         number = math.inf
+    if math.isfinite(number) and above < number < below and at_least <= number <= at_most:
+        return
     expected = [
         f"{word} {bound:g}"
         for word, bound in (("above", above), ("at least", at_least), ("below", below), ("at most", at_most))
         if math.isfinite(bound)
     ]
-    inside = above < number < below and at_least <= number <= at_most
-    if not (math.isfinite(number) and inside):
-        raise ValueError(f"{owner}: {field} = {value!r}; expected a finite number {' and '.join(expected)}".rstrip())
+    raise ValueError(f"{owner}: {field} = {value!r}; expected a finite number {' and '.join(expected)}".rstrip())

@@ -1,9 +1,10 @@
-"""Recordings that several tests read."""
+"""Recordings and studies that several tests read."""
 
 import pytest
 
 from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.perturbations import Multisine, MultisineThenPulse
+from armperturb.study.runner import StudySettings, run_study
 from armperturb.subject import POSITION, RELAX
 
 
@@ -34,3 +35,59 @@ def relax_recording():
 def position_recording():
     """Four ideal trials of the preset that keeps position."""
     return perturbed(POSITION, 3.0, 4)
+
+
+SHORT = """
+forces = "published"
+trial_duration = 29.0
+multisine_duration = 28.6
+onset_window = [1.0, 2.0]
+pulse_directions_deg = [20.0]
+
+[[conditions]]
+name = "PT0"
+task = "PT"
+pulse_levels = [1]
+
+[[conditions]]
+name = "PT7.5"
+task = "PT"
+rms_displacement = 0.0075
+published_force = 5.4
+pulse_levels = [1, 2]
+
+[[conditions]]
+name = "PT2.5"
+task = "PT"
+rms_displacement = 0.0025
+published_force = 1.2
+
+[[conditions]]
+name = "RT7.5"
+task = "RT"
+rms_displacement = 0.0075
+published_force = 0.9
+pulse_levels = [1]
+repetitions = 2
+
+[[conditions]]
+name = "RT22.5"
+task = "RT"
+rms_displacement = 0.0225
+published_force = 1.8
+"""
+
+
+@pytest.fixture(scope="session")
+def short_protocol(tmp_path_factory):
+    """A protocol file: two amplitudes of each task, pulses with, without and instead of a multisine, seven trials."""
+    path = tmp_path_factory.mktemp("protocol") / "short.toml"
+    path.write_text(SHORT)
+    return path
+
+
+@pytest.fixture(scope="session")
+def study(short_protocol, tmp_path_factory):
+    """Two noisy people who went through the short protocol."""
+    settings = StudySettings(subjects=2, seed=3, protocol=short_protocol)
+    return run_study(settings, tmp_path_factory.mktemp("study"), show_progress=False)

@@ -12,6 +12,7 @@ import xarray as xr
 from armperturb.analysis.arm_model import (
     arm_admittance,
     environment_admittance,
+    fastest_pole,
     largest_real_pole,
     simulate_linear,
     total_admittance,
@@ -344,6 +345,19 @@ def test_trials_of_a_person_near_instability_keep_half_of_the_margin():
     assert np.std(poles) > 0
 
 
+def test_a_person_too_fast_for_the_step_in_one_trial_only_is_refused():
+    # Else it would blow up, and be reported as a trial that reached the workspace limit.
+    wild = HumanNoise(spread_b=1.0)
+    trials = [Trial(subject=POSITION, perturbation=small_multisine(1.0), noise=wild, seed=seed) for seed in range(60)]
+    poles = np.array([fastest_pole(_subject_in(trial, ENVIRONMENT), ENVIRONMENT) for trial in trials])
+    slow, fast = trials[int(np.argmin(poles))], trials[int(np.argmax(poles))]
+    assert np.isnan(run_experiment([slow], ENVIRONMENT)["limit_time"].values).all()
+    with pytest.raises(
+        ValueError, match=r"'position': fastest pole of arm and environment = .*; expected at most 2500"
+    ):
+        run_experiment([slow, fast], ENVIRONMENT)
+
+
 def test_people_are_as_noisy_as_the_thesis_describes():
     conditions = {
         "PT2.5": (POSITION, 1.2),
@@ -431,7 +445,6 @@ def test_memory_grows_by_the_recording_not_by_the_steps():
             {},
             "fastest pole of arm and environment = .*; expected at most 2500 1/s at a step of 0.001 s",
         ),
-        ([Trial(subject=RELAX, perturbation=small_multisine(1.0), seed=-1)], {}, "seed = -1; expected"),
         ([Trial(subject=RELAX, perturbation=Sampled(force=np.ones((3, 2)), rate=1e-4))], {}, "at most 3600"),
         (
             [Trial(subject=RELAX, perturbation=Sampled(force=np.ones((3, 2)), rate=1e6))],
@@ -458,8 +471,9 @@ def test_bad_input_is_named(trials, options, message):
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
-        ({"seed": -1}, ValueError, "Trial: seed = -1; expected at least 0"),
-        ({"order": 1.5}, TypeError, r"Trial: order = 1.5; expected a whole number"),
+        ({"seed": -1}, ValueError, "Trial: seed = -1; expected a finite number at least 0"),
+        ({"seed": "1"}, TypeError, "Trial: seed = '1'; expected a number"),
+        ({"order": 1.5}, TypeError, "Trial: order = 1.5; expected a whole number"),
         ({"noise": 0.3}, TypeError, r"Trial: noise = 0.3; expected HumanNoise or None"),
     ],
 )

@@ -1,76 +1,157 @@
-"""Protocol, runner and tables of the study."""
+"""What a study makes of its people: identification and tables."""
 
 import csv
+import math
 
 import numpy as np
 import pytest
 
+from armperturb.analysis.arm_model import arm_admittance
 from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.perturbations import Pulse
-from armperturb.recording import load_recording
+from armperturb.recording import load_recording, save_recording
 from armperturb.study import published
-from armperturb.study.protocol import CONDITIONS, PULSE_UNIT, draw_multisines, trials_of
-from armperturb.study.runner import StudySettings, _identify, run_study
-from armperturb.study.tables import condition_rows, parameter_rows, parameter_summary_rows, write_tables
-from armperturb.subject import POSITION, RELAX
+from armperturb.study.admittance import by_task, main_conditions, task_effect
+from armperturb.study.protocol import THESIS, Condition, Protocol
+from armperturb.study.runner import StudySettings, _identify_condition, run_study
+from armperturb.study.tables import condition_rows, parameter_rows, parameter_summary_rows, summary_rows, write_tables
+from armperturb.subject import RELAX
+
+RT = Condition(name="RT7.5", task="RT", rms_displacement=0.0075, published_force=0.9)
 
 
 @pytest.fixture(scope="module")
-def study(tmp_path_factory):
-    return run_study(StudySettings(subjects=1, seed=3), tmp_path_factory.mktemp("study"), show_progress=False)
+def ideal(short_protocol, tmp_path_factory):
+    settings = StudySettings(subjects=1, seed=3, protocol=short_protocol, ideal=True)
+    return run_study(settings, tmp_path_factory.mktemp("ideal"), show_progress=False)
 
 
-def test_conditions_are_those_of_table_2_1():
-    for condition in CONDITIONS:
-        assert condition.rms_force == published.applied_force(condition.name).mean
-    assert {condition.name: condition.n_trials() for condition in CONDITIONS} == {"PT7.5": 8, "RT7.5": 4}
+def test_ideal_study_recovers_its_people(ideal):
+    errors = {(row["condition"], row["parameter"]): row["error_percent"] for row in parameter_rows(ideal)}
+    for (condition, name), error in errors.items():
+        # Averages over clusters blur the admittance also without noise; stiffness and position feedback of the position
+        # task are all but exchangeable.
+        if name[0] in "bm" or name.startswith("kv_") or condition.startswith("RT"):
+            assert abs(error) < 10, (condition, name)
+    for case in ideal.cases:
+        spectra, fit = case.identified.spectra, case.identified.fit
+        off = np.abs(arm_admittance(fit.arm, spectra.frequency) / arm_admittance(case.truth, spectra.frequency) - 1.0)
+        assert np.median(off) < 0.03
+        assert fit.stable
+        assert min(case.identified.vaf) > 98
 
 
-def test_every_trial_has_its_own_disturbance_and_pulse():
-    condition = CONDITIONS[0]
-    multisines = draw_multisines(condition, seed=1)
-    trials = trials_of(condition, POSITION, multisines, seed=1)
-    assert len({multisine.phases.tobytes() for multisine in multisines}) == 8
-    pulses = {(trial.perturbation.pulse.peak, trial.perturbation.pulse.direction_deg) for trial in trials}
-    assert pulses == {(level * PULSE_UNIT, direction) for level in (1, 2) for direction in (20.0, 200.0)}
-    assert len({trial.seed for trial in trials}) == 8
-    assert all(trial.perturbation.pulse.onset == 32.0 for trial in trials)
+def test_noise_lowers_coherence_and_vaf_and_leaves_the_admittance_unbiased(study, ideal):
+    for condition in study.conditions:
+        noisy, clean = study.of(condition.name)[0], ideal.of(condition.name)[0]
+        assert noisy.truth == clean.truth
+        assert (noisy.identified.vaf < clean.identified.vaf - 5).all()
+        assert noisy.identified.spectra.coherence.mean() < clean.identified.spectra.coherence.mean() - 0.02
+    off = [
+        np.log(np.abs(np.einsum("fii->fi", case.identified.spectra.arm[:2])))
+        - np.log(np.abs(np.einsum("fii->fi", ideal.of(case.condition.name)[0].identified.spectra.arm[:2])))
+        for case in study.cases
+        if case.truth.name == "S01"
+    ]
+    assert abs(np.mean(off)) < 0.2
 
 
-def test_study_recovers_its_people(study):
-    rows = {(row["condition"], row["parameter"]): row for row in parameter_rows(study)}
-    for (condition, name), row in rows.items():
-        if name[0] in "bk" and not name.startswith("kp"):
-            # Estimates from averages over clusters, with instrument noise; the humerus' mass moves them in RT.
-            limit = 25 if condition == "RT7.5" else 10
-            assert abs(row["error_percent"]) < limit, (condition, name)
-    assert all(case.identification.fit.stable for case in study.cases)
+def test_people_are_identified_in_order_in_every_condition_with_a_multisine(study):
+    found = [(case.truth.name, case.truth.task, case.condition.name) for case in study.cases]
+    assert found == [
+        (person, name[:2], name) for person in ("S01", "S02") for name in ("PT7.5", "PT2.5", "RT7.5", "RT22.5")
+    ]
+    assert [condition.name for condition in study.conditions] == ["PT7.5", "PT2.5", "RT7.5", "RT22.5"]
+    assert {name: study.n_trials(name) for name in ("PT0", "PT7.5", "PT2.5", "RT7.5")} == {
+        "PT0": 2, "PT7.5": 4, "PT2.5": 2, "RT7.5": 4,
+    }  # fmt: skip
 
 
-def test_same_seed_gives_the_same_recording(study, tmp_path):
-    again = run_study(StudySettings(subjects=1, seed=3), tmp_path, show_progress=False)
-    first, second = (load_recording(result.cases[0].recording) for result in (study, again))
-    assert first.identical(second)
+def test_conditions_are_sorted_by_amplitude_and_the_main_one_has_most_trials(study):
+    names = {task: [condition.name for condition in conditions] for task, conditions in by_task(study).items()}
+    assert names == {"PT": ["PT2.5", "PT7.5"], "RT": ["RT7.5", "RT22.5"]}
+    assert {task: condition.name for task, condition in main_conditions(study).items()} == {
+        "PT": "PT7.5",
+        "RT": "RT7.5",
+    }
+
+
+def test_cases_hold_what_their_recordings_say(study):
+    for case in study.cases:
+        trials = case.trials()
+        assert set(trials["condition"].values) == {case.condition.name}
+        assert len(case.single_trials) == trials.sizes["trial"]
+        window = slice(round(8.0 * 200), round(28.48 * 200))
+        for name, held in (("perturbation", case.force), ("displacement", case.displacement)):
+            assert held == pytest.approx(float(np.sqrt(np.mean(trials[name].values[:, window] ** 2))))
+        gains = np.abs([one.total for one in case.single_trials])
+        assert gains[:, 0].mean() == pytest.approx(np.abs(case.identified.spectra.total[0]).mean(), rel=0.3)
 
 
 def test_tables_hold_published_true_and_estimated(study, tmp_path):
     write_tables(study, tmp_path)
     with (tmp_path / "parameters_summary.csv").open() as file:
         rows = {(row["condition"], row["parameter"]): row for row in csv.DictReader(file)}
-    assert len(rows) == 23
+    assert len(rows) == len(parameter_summary_rows(parameter_rows(study))) == 2 * (13 + 10)
     assert float(rows["PT7.5", "k_s"]["published_mean"]) == 161.4
     assert float(rows["RT7.5", "k_h"]["published_mean"]) == 8200.0
-    assert len(parameter_summary_rows(parameter_rows(study))) == 23
-    for row in condition_rows(study):
-        assert row["force_N_mean"] == pytest.approx(row["published_force_N_mean"], rel=1e-6)
-        assert 0.4 < row["displacement_m_mean"] / row["published_displacement_m_mean"] < 2.5
+    assert float(rows["RT22.5", "k_s"]["published_mean"]) == published.parameter("RT22.5", "k_s").mean
+    assert rows["PT2.5", "k_s"]["published_mean"] in ("", "nan")  # the thesis did not fit model 3b there
+    truths = [case.truth.k_s for case in study.of("PT7.5")]
+    assert float(rows["PT7.5", "k_s"]["true_mean"]) == pytest.approx(np.mean(truths))
+    assert float(rows["PT7.5", "k_s"]["true_sd"]) == pytest.approx(np.std(truths, ddof=1))
+
+
+def test_condition_table_stands_beside_table_2_1(study):
+    rows = {row["condition"]: row for row in condition_rows(study)}
+    assert list(rows) == ["PT0", "PT7.5", "PT2.5", "RT7.5", "RT22.5"]
+    assert rows["PT7.5"]["pulse_levels"] == "1 2"
+    assert rows["PT2.5"]["pulse_levels"] == ""
+    assert math.isnan(rows["PT0"]["force_N_mean"])
+    for name in ("PT7.5", "PT2.5", "RT7.5", "RT22.5"):
+        row = rows[name]
+        # The recorder's filter takes little of the highest cluster.
+        assert row["force_N_mean"] == pytest.approx(row["published_force_N_mean"], rel=0.01)
+        assert 0.4 < row["displacement_m_mean"] / row["published_displacement_m_mean"] < 4
+        assert row["intended_displacement_m"] == pytest.approx(1e-3 * float(name[2:]))
+
+
+def test_published_values_of_table_2_1_are_those_of_the_protocol():
+    for condition in THESIS.conditions:
+        if condition.has_multisine:
+            assert condition.published_force == published.applied_force(condition.name).mean
+
+
+def test_summary_counts_people_and_trials(study):
+    rows = {row["condition"]: row for row in summary_rows(study, parameter_rows(study), [])}
+    assert (rows["PT7.5"]["subjects"], rows["PT7.5"]["trials"], rows["PT7.5"]["trials_used"]) == (2, 4, 4)
+    errors = [abs(row["error_percent"]) for row in parameter_rows(study) if row["condition"] == "PT7.5"]
+    assert rows["PT7.5"]["median_abs_error_percent"] == pytest.approx(np.median(errors))
+
+
+def test_relaxed_people_give_way_many_times_more(study):
+    effect = task_effect(study)
+    assert effect is not None
+    assert 10 < effect < 60
 
 
 def test_trials_at_the_workspace_limit_are_left_out_by_name(tmp_path):
-    condition = CONDITIONS[1]
     hard = Pulse(peak=600.0, direction_deg=20.0, onset=0.1, duration=1.0)
-    recording = run_experiment([Trial(subject=RELAX, perturbation=hard, condition=condition.name)])
-    case = _identify(condition, RELAX, recording, tmp_path / "r.nc")
+    recording = run_experiment([Trial(subject=RELAX, perturbation=hard, condition=RT.name)])
+    case = _identify_condition(RT, RELAX, recording, tmp_path / "r.nc", Protocol(conditions=(RT,)))
     assert case.identification is None
     assert case.left_out[0].startswith("trial 0 of relax in RT7.5 reached the workspace limit at 0.")
     assert np.isfinite(recording["limit_time"].values).all()
+    save_recording(recording, tmp_path / "r.nc")
+    assert load_recording(tmp_path / "r.nc").sizes["trial"] == 1
+    assert case.trials().sizes["trial"] == 0
+
+
+def test_multisines_too_short_to_identify_from_are_named(relax_recording, tmp_path):
+    brief = Protocol(conditions=(RT,), trial_duration=20.0, multisine_duration=19.0)
+    case = _identify_condition(RT, RELAX, relax_recording, tmp_path / "r.nc", brief)
+    assert case.identification is None
+    assert case.left_out == (
+        "relax in RT7.5 was not identified: the multisine lasts 20 s, and the analysis needs 28.48 s",
+    )
+    assert math.isnan(case.force)

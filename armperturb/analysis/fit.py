@@ -227,19 +227,26 @@ class _Problem:
         return np.asarray(slope.reshape(-1, slope.shape[-1]))
 
     def residual(self, values: NDArray[np.float64], with_penalty: bool) -> NDArray[np.float64]:
-        """Weighted complex log error, real then imaginary parts, (8 frequency,)."""
+        """Weighted complex log error, real then imaginary parts; with penalty and then a zero, (8 frequency [+ 1],)."""
         error = _stack(self.log_error(values))
-        return error * self.penalty(values) if with_penalty else error
+        return np.append(error * self.penalty(values), 0.0) if with_penalty else error
 
     def jacobian(self, values: NDArray[np.float64], with_penalty: bool) -> NDArray[np.float64]:
-        """Derivative of the residual, (8 frequency, parameter)."""
+        """Derivative of the residual, (8 frequency [+ 1], parameter).
+
+        The zero that comes with the penalty changes neither criterion nor gradient, whatever its row here. The row adds
+        the second derivative of the penalty, most of its curvature, to the Gauss-Newton step: without it the optimiser
+        creeps along the border of stability.
+        """
         jacobian = _stack(self.log_error_slope(values))
         if not with_penalty:
             return jacobian
         factor = self.penalty(values)
         if factor - 1.0 < NEGLIGIBLE_PENALTY:
-            return jacobian
-        return jacobian * factor + np.outer(self.residual(values, False), self._penalty_gradient(values, factor))
+            return np.vstack([jacobian, np.zeros(len(values))])
+        error, gradient = self.residual(values, False), self._penalty_gradient(values, factor)
+        curvature = np.linalg.norm(error) * np.sqrt(factor / (factor - 1.0)) * gradient
+        return np.vstack([jacobian * factor + np.outer(error, gradient), curvature])
 
     def _penalty_gradient(self, values: NDArray[np.float64], factor: float) -> NDArray[np.float64]:
         pole = self.largest_pole(values)

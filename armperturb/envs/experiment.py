@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import TypeVar
 
@@ -65,7 +66,7 @@ class Trial:
 
     Raises:
       TypeError: seed or order is not a whole number, or noise is something else.
-      ValueError: seed or order is negative.
+      ValueError: seed or order is not finite or negative.
     """
 
     subject: Subject
@@ -80,10 +81,9 @@ class Trial:
     def __post_init__(self) -> None:
         for field in ("order", "seed"):
             value = getattr(self, field)
-            if isinstance(value, bool) or not isinstance(value, int | np.integer):
+            require_number("Trial", field, value, at_least=0)
+            if not isinstance(value, Integral):
                 raise TypeError(f"Trial: {field} = {value!r}; expected a whole number")
-            if value < 0:
-                raise ValueError(f"Trial: {field} = {value!r}; expected at least 0")
         if self.noise is not None and not isinstance(self.noise, HumanNoise):
             raise TypeError(f"Trial: noise = {self.noise!r}; expected HumanNoise or None")
 
@@ -140,11 +140,8 @@ def run_experiment(
             f"run_experiment: rate = {rate!r} Hz; expected the simulation's {1 / timestep:g} Hz over a whole number"
         )
     lowpass = instruments.lowpass(timestep, rate) if instruments else None
-    for subject in {trial.subject for trial in trials}:
+    for subject in dict.fromkeys(trial.subject for trial in trials):
         require_stable(subject, environment)
-        _require_integrable(subject, environment, timestep)
-    for trial in trials:
-        require_number("Trial", "seed", trial.seed, at_least=0)
     for perturbation in {id(trial.perturbation): trial.perturbation for trial in trials}.values():
         check_bandwidth(perturbation, 1.0 / timestep)
         name = f"duration of a {type(perturbation).__name__}"
@@ -152,6 +149,8 @@ def run_experiment(
 
     n_threads = n_threads or os.cpu_count() or 1
     subjects = [_subject_in(trial, environment) for trial in trials]
+    for subject in dict.fromkeys(subjects):  # as varied: the person on average may be slow enough where this is not
+        _require_integrable(subject, environment, timestep)
     emg = instruments.emg if instruments else None
     truth = _simulate(
         trials, subjects, environment, timestep, decimation, rope, lowpass, emg is not None, n_threads, progress

@@ -5,9 +5,26 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from armperturb.study.protocol import Condition
 from armperturb.study.runner import StudyResult
+from armperturb.subject import TASKS
 
 Array = NDArray[np.float64]
+
+
+def by_task(study: StudyResult) -> dict[str, list[Condition]]:
+    """Tasks in which somebody was identified, to their conditions, the smallest intended displacement first."""
+    present = sorted(study.conditions, key=lambda condition: condition.rms_displacement)
+    tasks = {task: [condition for condition in present if condition.task == task] for task in TASKS}
+    return {task: conditions for task, conditions in tasks.items() if conditions}
+
+
+def main_conditions(study: StudyResult) -> dict[str, Condition]:
+    """Tasks in which somebody was identified, to the condition that most trials are spent on."""
+    return {
+        task: max(conditions, key=lambda condition: study.n_trials(condition.name))
+        for task, conditions in by_task(study).items()
+    }
 
 
 class MeanAdmittance(NamedTuple):

@@ -1,9 +1,9 @@
 """Figures of a study, after those of the thesis's chapters 2 and 3."""
 
+import itertools
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.arm_model import arm_admittance, simulate_linear
 from armperturb.analysis.identify import variance_accounted_for
-from armperturb.analysis.spectra import LineSpectra, SpectralEstimate, estimate_spectra, line_spectra
+from armperturb.analysis.spectra import LineSpectra, line_spectra
 from armperturb.analysis.structures import unit
+from armperturb.cohort import draw_cohort
 from armperturb.envs.camera import render
 from armperturb.models import build_model
 from armperturb.perturbations import MultisineThenPulse
 from armperturb.perturbations.multisine import CLUSTERS, FULL_BAND, PERIOD
 from armperturb.study import published
-from armperturb.study.admittance import mean_admittance
+from armperturb.study.admittance import MeanAdmittance, by_task, main_conditions, mean_admittance
 from armperturb.study.protocol import Condition
 from armperturb.study.runner import Case, StudyResult
 from armperturb.study.style import (
@@ -34,6 +35,7 @@ from armperturb.study.style import (
     TRUE,
     in_style,
     new_figure,
+    shades,
 )
 from armperturb.study.tables import published_or_nan, true_value
 
@@ -58,7 +60,8 @@ def rig(study: StudyResult) -> Figure:
     Raises:
       RuntimeError: this machine cannot draw; the message names what to install.
     """
-    model = build_model(study.cases[0].truth, study.environment)
+    person = draw_cohort(1, study.settings.seed, study.environment)[0]
+    model = build_model(person.subjects[study.protocol.conditions[0].task], study.environment)
     figure = new_figure(3.95)
     for ax, camera in zip(figure.subplots(1, 2), ("top", "oblique"), strict=True):
         ax.imshow(render(model, camera=camera, width=840, height=840), interpolation="none")
@@ -78,7 +81,7 @@ def _draw_directions(ax: Axes) -> None:
 
 @in_style()
 def perturbation(case: Case) -> Figure:
-    """A multisine followed by a pulse, and the power of the multisine (thesis fig. 2.5)."""
+    """A multisine, its power, and the pulse that follows it, if there is one (thesis fig. 2.5)."""
     trial = case.trials().isel(trial=[0])
     time, force = trial["time"].values, trial["perturbation"].values[0]
     onset = float(trial["pulse_onset"].values[0])
@@ -86,7 +89,7 @@ def perturbation(case: Case) -> Figure:
     figure = new_figure(4.4)
     grid = figure.add_gridspec(1, 2, width_ratios=(1.35, 1))
     whole = list(grid[0].subgridspec(2, 1).subplots(sharex=True, sharey=True, squeeze=False).flat)
-    zoom, density = grid[1].subgridspec(2, 1).subplots(squeeze=False).flat
+    *zooms, density = grid[1].subgridspec(1 if np.isnan(onset) else 2, 1).subplots(squeeze=False).flat
     colours = (INK, GREY)
     for ax, axis, colour in zip(whole, range(2), colours, strict=True):
         ax.plot(time, force[:, axis], color=colour, linewidth=0.7)
@@ -94,12 +97,13 @@ def perturbation(case: Case) -> Figure:
     whole[0].set_title(f"one trial of {case.condition.name}")
     whole[1].set_xlabel("time [s]")
 
-    near = (time > onset - 0.5) & (time < onset + 0.3)
-    zoom.axvspan(onset, onset + MultisineThenPulse.fade, color=PALE, alpha=0.6, linewidth=0)
-    for axis, colour in enumerate(colours):
-        zoom.plot(time[near], force[near, axis], color=colour, label=f"$d_{AXES[axis]}$")
-    zoom.set(title="fade (grey) and pulse", xlabel="time [s]", ylabel="force [N]", xlim=(onset - 0.5, onset + 0.3))
-    zoom.legend(loc="upper left")
+    for zoom in zooms:
+        near = (time > onset - 0.5) & (time < onset + 0.3)
+        zoom.axvspan(onset, onset + MultisineThenPulse.fade, color=PALE, alpha=0.6, linewidth=0)
+        for axis, colour in enumerate(colours):
+            zoom.plot(time[near], force[near, axis], color=colour, label=f"$d_{AXES[axis]}$")
+        zoom.set(title="fade (grey) and pulse", xlabel="time [s]", ylabel="force [N]", xlim=(onset - 0.5, onset + 0.3))
+        zoom.legend(loc="upper left")
     _draw_density(density, line_spectra(trial), float(trial.attrs["rate"]))
     return figure
 
@@ -131,7 +135,7 @@ def admittance_of_trials(case: Case) -> Figure:
     spectra = case.identified.spectra
     truth = arm_admittance(case.truth, FREQUENCY)
     figure, panels = _admittance_panels()
-    for trial in _single_trials(case.trials()):
+    for trial in case.single_trials:
         _plot_admittance(panels, trial.frequency, trial.arm, color=GREY, linewidth=0.7, alpha=0.6)
     _plot_admittance(panels, spectra.frequency, spectra.arm, color=INK, linewidth=1.5)
     _plot_admittance(panels, FREQUENCY, truth, **TRUE)
@@ -146,22 +150,21 @@ def admittance_of_trials(case: Case) -> Figure:
 
 @in_style()
 def admittance_by_task(study: StudyResult) -> Figure:
-    """Admittance of the conditions, mean and SD over subjects (thesis fig. 3.2)."""
+    """Admittance of each task's main condition, mean and SD over subjects (thesis fig. 3.2)."""
     figure, panels = _admittance_panels()
     handles: list[Line2D | Patch] = []
-    for condition in study.conditions:
+    for task, condition in main_conditions(study).items():
         mean = mean_admittance(study, condition.name)
-        look: dict[str, Any] = {"color": _colour(condition), "marker": "o", "markersize": 3}
-        band: dict[str, Any] = {"color": _colour(condition), "alpha": 0.18, "linewidth": 0}
+        look: dict[str, Any] = {"color": COLOURS[task], "marker": "o", "markersize": 3}
+        band: dict[str, Any] = {"color": COLOURS[task], "alpha": 0.18, "linewidth": 0}
         for (output, input_), (gain_ax, phase_ax) in panels.items():
             gain, ratio = mean.gain[:, output, input_], mean.gain_ratio[:, output, input_]
             gain_ax.fill_between(mean.frequency, gain / ratio, gain * ratio, **band)
-            gain_ax.plot(mean.frequency, gain, **look)
             frequency, phase, spread = _within_turn(
                 mean.frequency, mean.phase[:, output, input_], mean.phase_sd[:, output, input_]
             )
             phase_ax.fill_between(frequency, phase - spread, phase + spread, **band)
-            phase_ax.plot(frequency, phase, **look)
+        _plot_mean(panels, mean, look)
         handles.append(Line2D([], [], label=condition.name, **look))
     if study.settings.subjects > 1:
         handles.append(Patch(facecolor=GREY, alpha=0.3, label="± 1 SD over people"))
@@ -170,34 +173,60 @@ def admittance_by_task(study: StudyResult) -> Figure:
 
 
 @in_style()
+def admittance_by_amplitude(study: StudyResult, task: str) -> Figure:
+    """Admittance of all conditions of a task, mean over subjects (thesis figs 3.3 to 3.5)."""
+    figure, panels = _admittance_panels()
+    handles = []
+    for condition, look in _looks(study, task):
+        _plot_mean(panels, mean_admittance(study, condition.name), {**look, "markersize": 3.5})
+        handles.append(Line2D([], [], label=condition.name, **look))
+    _legend(figure, *handles)
+    return figure
+
+
+@in_style()
 def coherence(study: StudyResult) -> Figure:
     """Multiple coherence of single trials, mean and SD over subjects (thesis fig. 3.6)."""
-    conditions = study.conditions
-    figure = new_figure(3.9)
-    panels = figure.subplots(2, len(conditions), sharex=True, sharey=True, squeeze=False)
-    for condition, column in zip(conditions, panels.T, strict=True):
-        trials = [_single_trials(case.trials()) for case in study.of(condition.name)]
-        of_subjects = np.stack([np.mean([trial.coherence for trial in of_one], axis=0) for of_one in trials])
-        frequency = trials[0][0].frequency
-        spread = of_subjects.std(axis=0, ddof=1) if len(of_subjects) > 1 else None
-        for output, ax in enumerate(column):
-            ax.errorbar(
-                frequency,
-                of_subjects.mean(axis=0)[:, output],
-                None if spread is None else spread[:, output],
-                fmt="o-",
-                markersize=3,
-                elinewidth=0.9,
-                color=_colour(condition),
-            )
-            ax.axhline(0.5, color=GREY, linewidth=1, linestyle=":")
-            ax.set(xscale="log", ylim=(0, 1.05))
-            ax.set_title(f"{condition.name}, displacement along {AXES[output]}")
-        _label_frequency(column[-1])
-    for output, ax in enumerate(panels[:, 0]):
-        ax.set_ylabel(rf"$\gamma^2_{{{AXES[output]}d}}$ [-]")
-    panels[0, 0].text(0.2, 0.47, "expected of pure noise", color=GREY, fontsize=8, va="top")
+    n_columns = max(2, min(3, max(map(len, by_task(study).values()))))
+    blocks = [
+        conditions[first : first + n_columns]
+        for conditions in by_task(study).values()
+        for first in range(0, len(conditions), n_columns)
+    ]
+    figure = new_figure(3.3 * len(blocks) + 0.3)
+    parts = figure.subfigures(len(blocks), 1, squeeze=False)
+    for number, (part, block) in enumerate(zip(parts.flat, blocks, strict=True)):
+        panels = part.subplots(2, n_columns, sharex=True, sharey=True, squeeze=False)
+        for column, condition in zip(panels.T, block, strict=False):
+            _draw_coherence(column, study.of(condition.name))
+            column[0].set_title(condition.name)
+            _label_frequency(column[-1])
+        for column in panels.T[len(block) :]:
+            for ax in column:
+                ax.set_visible(False)
+        for output, ax in enumerate(panels[:, 0]):
+            ax.set_ylabel(rf"$\gamma^2_{{{AXES[output]}d}}$ [-]")
+        if number == 0:
+            panels[0, 0].text(0.2, 0.47, "expected of pure noise", color=GREY, fontsize=8, va="top")
     return figure
+
+
+def _draw_coherence(column: NDArray[np.object_], cases: list[Case]) -> None:
+    """The coherence of a condition's displacement along x, and along y below."""
+    of_subjects = np.stack([np.mean([trial.coherence for trial in case.single_trials], axis=0) for case in cases])
+    spread = of_subjects.std(axis=0, ddof=1) if len(of_subjects) > 1 else None
+    for output, ax in enumerate(column):
+        ax.errorbar(
+            cases[0].single_trials[0].frequency,
+            of_subjects.mean(axis=0)[:, output],
+            None if spread is None else spread[:, output],
+            fmt="o-",
+            markersize=3,
+            elinewidth=0.9,
+            color=COLOURS[cases[0].condition.task],
+        )
+        ax.axhline(0.5, color=GREY, linewidth=1, linestyle=":")
+        ax.set(xscale="log", ylim=(0, 1.05))
 
 
 @in_style()
@@ -257,37 +286,50 @@ def prediction(case: Case, *, trial: int = 0, start: float = 20.0, span: float =
 
 
 @in_style()
-def parameters(study: StudyResult, condition: Condition) -> Figure:
-    """Estimated against true parameters of all subjects, beside the published mean and SD."""
-    cases = study.of(condition.name)
-    names = tuple(cases[0].identified.fit.values)
+def parameters(study: StudyResult, task: str) -> Figure:
+    """Estimated against true parameters of all subjects in a task's conditions, beside the published mean and SD."""
+    looks = _looks(study, task)
+    names = tuple(study.of(looks[0][0].name)[0].identified.fit.values)
     n_columns = 5
     n_rows = -(-len(names) // n_columns)
-    figure = new_figure(1.62 * n_rows + 0.5)
+    figure = new_figure(1.75 * n_rows + 0.6)
     panels = figure.subplots(n_rows, n_columns, squeeze=False)
+    any_printed = False
     for ax, name in zip(panels.flat, names, strict=False):
-        truth = np.array([true_value(case.truth, name) for case in cases])
-        estimate = np.array([case.identified.fit.values[name] for case in cases])
-        sem = np.array([case.identified.fit.sem[name] for case in cases])
-        printed = published_or_nan(published.parameter, condition.name, name)
-        band = (printed.mean - printed.sd, printed.mean + printed.sd)
-        low, high = np.nanmin([*truth, *estimate, *band]), np.nanmax([*truth, *estimate, *band])
-        low, high = low - 0.08 * (high - low), high + 0.08 * (high - low)
-        if np.isfinite(printed.mean):
-            ax.axhspan(*band, color=PUBLISHED["color"], alpha=0.2, linewidth=0)
-            ax.axhline(printed.mean, color=PUBLISHED["color"], linewidth=1)
-        ax.plot((low, high), (low, high), **{**TRUE, "linewidth": 1})
-        ax.errorbar(
-            truth,
-            estimate,
-            np.where(np.isfinite(sem), sem, 0),
-            fmt="o",
-            color=_colour(condition),
-            markersize=3.5,
-            elinewidth=0.9,
-            alpha=0.85,
-        )
-        ax.set(xlim=(low, high), ylim=(low, high), box_aspect=1)
+        truths: list[float] = []
+        reach: list[float] = []
+        printed: list[tuple[published.MeanSD, dict[str, Any]]] = []
+        for condition, look in looks:
+            cases = study.of(condition.name)
+            truth = [true_value(case.truth, name) for case in cases]
+            estimate = [case.identified.fit.values[name] for case in cases]
+            sem = [case.identified.fit.sem[name] for case in cases]
+            truths += truth
+            reach += estimate
+            ax.errorbar(
+                truth,
+                estimate,
+                np.where(np.isfinite(sem), sem, 0),
+                fmt=look["marker"],
+                color=look["color"],
+                markersize=3.5,
+                elinewidth=0.8,
+                alpha=0.85,
+            )
+            mean_sd = published_or_nan(published.parameter, condition.name, name)
+            if np.isfinite(mean_sd.mean):
+                printed.append((mean_sd, look))
+                reach += [mean_sd.mean - mean_sd.sd, mean_sd.mean + mean_sd.sd]
+        (left, high), (bottom, top) = _padded(truths), _padded([*truths, *reach])
+        ax.plot((left, high), (left, high), **{**TRUE, "linewidth": 1})
+        place_width = 0.11 * (high - left)
+        right = high + place_width * (len(printed) + 0.6) if printed else high
+        any_printed |= bool(printed)
+        ax.axvspan(high, right, color=PALE, alpha=0.35, linewidth=0)
+        for place, (one, look) in enumerate(printed, start=1):
+            x = high + (place - 0.2) * place_width
+            ax.errorbar(x, one.mean, one.sd, fmt=look["marker"], color=PUBLISHED["color"], markersize=3.5)
+        ax.set(xlim=(left, right), ylim=(bottom, top), box_aspect=1)
         ax.set_title(f"{parameter_symbol(name)} [{unit(name)}]")
         for axis in (ax.xaxis, ax.yaxis):
             axis.set_major_locator(MaxNLocator(3))
@@ -295,12 +337,11 @@ def parameters(study: StudyResult, condition: Condition) -> Figure:
         ax.set_visible(False)
     figure.supxlabel("true", fontsize=9)
     figure.supylabel("estimated", fontsize=9)
-    _legend(
-        figure,
-        Line2D([], [], color=_colour(condition), marker="o", linestyle="", label="one person ± SEM"),
-        Line2D([], [], label="estimated = true", **{**TRUE, "linewidth": 1}),
-        Patch(facecolor=PUBLISHED["color"], alpha=0.35, label="published mean ± SD"),
-    )
+    handles = [Line2D([], [], linestyle="", label=condition.name, **look) for condition, look in looks]
+    handles.append(Line2D([], [], label="estimated = true", **{**TRUE, "linewidth": 1}))
+    if any_printed:
+        handles.append(Line2D([], [], marker="o", linestyle="", label="published mean ± SD", **PUBLISHED))
+    _legend(figure, *handles)
     return figure
 
 
@@ -330,7 +371,7 @@ def overview(study: StudyResult, *, subject: int = 0) -> Figure:
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
     for condition in (study.protocol.condition(name) for name in ("PT7.5", "RT7.5")):
         identification = study.of(condition.name)[subject].identified
-        spectra, colour = identification.spectra, _colour(condition)
+        spectra, colour = identification.spectra, COLOURS[condition.task]
         fitted = np.abs(arm_admittance(identification.fit.arm, FREQUENCY))
         for element, panel in enumerate(panels):
             panel.loglog(FREQUENCY, fitted[:, element, element], color=colour, linewidth=1.8)
@@ -353,13 +394,22 @@ def parameter_symbol(name: str) -> str:
     return f"${letter}_{{\\mathrm{{{','.join(filter(None, (more, place)))}}}}}$"
 
 
-def _single_trials(trials: xr.Dataset) -> list[SpectralEstimate]:
-    """Spectra of each trial alone, averaged over adjacent lines only."""
-    return [estimate_spectra(line_spectra(trials.isel(trial=[trial]))) for trial in range(trials.sizes["trial"])]
+def _padded(values: list[float]) -> tuple[float, float]:
+    """Limits of an axis around values; a tenth to each side if they are all one."""
+    low, high = min(values), max(values)
+    margin = 0.1 * (high - low) or 0.1 * abs(high) or 1.0
+    return low - margin, high + margin
 
 
-def _colour(condition: Condition) -> str:
-    return COLOURS[condition.task]
+def _looks(study: StudyResult, task: str) -> list[tuple[Condition, dict[str, Any]]]:
+    """Conditions of a task with their colours and markers: shades of the task's colour, darker for larger movements."""
+    conditions = by_task(study)[task]
+    return [
+        (condition, {"color": colour, "marker": marker})
+        for condition, colour, marker in zip(
+            conditions, shades(COLOURS[task], len(conditions)), itertools.cycle("osD^v"), strict=False
+        )
+    ]
 
 
 def _admittance_panels() -> tuple[Figure, dict[Element, tuple[Axes, Axes]]]:
@@ -401,6 +451,11 @@ def _plot_admittance(
         phase_ax.plot(*_within_turn(frequency, np.angle(element)), **look)
 
 
+def _plot_mean(panels: dict[Element, tuple[Axes, Axes]], mean: MeanAdmittance, look: dict[str, Any]) -> None:
+    """Draw gain and phase of each element of a mean admittance."""
+    _plot_admittance(panels, mean.frequency, mean.gain * np.exp(1j * mean.phase), **look)
+
+
 def _within_turn(frequency: Array, phase: Array, *others: Array) -> list[Array]:
     """Phases [rad] in degrees within `PHASES`, with a gap wherever they leave it on one side and return on the other.
 
@@ -429,4 +484,4 @@ def _label_frequency(ax: Axes, **text: Any) -> None:
 
 def _legend(figure: Figure, *handles: Line2D | Patch) -> None:
     """One legend for the whole figure, above its panels."""
-    figure.legend(handles=list(handles), loc="outside upper center", ncols=len(handles))
+    figure.legend(handles=list(handles), loc="outside upper center", ncols=min(len(handles), 6))

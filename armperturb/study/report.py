@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from armperturb.files import written_whole
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.study import figures
+from armperturb.study.admittance import by_task, main_conditions
 from armperturb.study.runner import StudyResult
 from armperturb.study.style import save_svg
 from armperturb.study.tables import Row, write_tables
@@ -114,16 +115,18 @@ def _draw(study: StudyResult, folder: Path) -> tuple[dict[str, Picture], dict[st
     """Draw every figure that the study allows into a folder; pictures by name, and why another is missing."""
     folder.mkdir(parents=True, exist_ok=True)
     drawings: dict[str, Callable[[], Figure]] = {}
-    present = {condition: study.of(condition.name) for condition in study.conditions}
-    if present:
-        drawings["perturbation"] = partial(figures.perturbation, next(iter(present.values()))[0])
+    main = {task: study.of(condition.name)[0] for task, condition in main_conditions(study).items()}
+    if main:
+        drawings["perturbation"] = partial(figures.perturbation, next(iter(main.values())))
         drawings["admittance_by_task"] = partial(figures.admittance_by_task, study)
         drawings["coherence"] = partial(figures.coherence, study)
-    for condition, (first, *_) in present.items():
-        drawings[f"admittance_{condition.name}"] = partial(figures.admittance_of_trials, first)
-        drawings[f"fit_{condition.name}"] = partial(figures.fit, first)
-        drawings[f"prediction_{condition.name}"] = partial(figures.prediction, first)
-        drawings[f"parameters_{condition.name}"] = partial(figures.parameters, study, condition)
+    for task, first in main.items():
+        if len(by_task(study)[task]) > 1:
+            drawings[f"admittance_by_amplitude_{task}"] = partial(figures.admittance_by_amplitude, study, task)
+        drawings[f"admittance_{task}"] = partial(figures.admittance_of_trials, first)
+        drawings[f"fit_{task}"] = partial(figures.fit, first)
+        drawings[f"prediction_{task}"] = partial(figures.prediction, first)
+        drawings[f"parameters_{task}"] = partial(figures.parameters, study, task)
     pictures, not_drawn = {name: _embed(draw(), folder / f"{name}.svg") for name, draw in drawings.items()}, {}
     try:
         pictures["rig"] = _embed(figures.rig(study), folder / "rig.svg")
@@ -153,7 +156,8 @@ def _page(
     environment.filters.update(digits=digits, fixed=fixed, mean_sd=mean_sd, symbol=symbol)
     environment.globals.update(
         study=study,
-        present=study.conditions,
+        main={task: study.of(condition.name)[0] for task, condition in main_conditions(study).items()},
+        tasks=by_task(study),
         pictures=pictures,
         not_drawn=not_drawn,
         multisine={"period": PERIOD, "lines": CLUSTERS.size, "clusters": len(CLUSTERS)},

@@ -6,6 +6,7 @@ stopped, killed and started again, and be shared out over processes and machines
 
 import hashlib
 import importlib.metadata
+import math
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager, closing
@@ -19,6 +20,7 @@ import xarray as xr
 from tqdm import tqdm
 
 from armperturb.analysis.identify import Identification, identify
+from armperturb.analysis.spectra import SpectralEstimate, estimate_spectra, line_spectra
 from armperturb.cohort import Person, draw_cohort
 from armperturb.environment import Environment
 from armperturb.envs.experiment import Trial, run_experiment
@@ -26,7 +28,7 @@ from armperturb.envs.instruments import Instruments
 from armperturb.files import write_durably
 from armperturb.perturbations import Multisine
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.recording import encode_recording, load_recording
+from armperturb.recording import REQUIRED_SIGNALS, encode_recording, load_recording
 from armperturb.study.practice import practise
 from armperturb.study.protocol import FORCES, THESIS, Condition, Protocol, load_protocol
 from armperturb.study.store import StudyFolder, cannot_write, open_study
@@ -97,6 +99,10 @@ class Case:
       recording: path of the subject's recording.
       identification: what the analysis made of it; None if it could not be identified.
       left_out: reasons why trials were left out, or why nothing was identified.
+      single_trials: spectra of each trial behind the identification, averaged over adjacent lines only.
+      force: RMS force of the multisine per axis in the window of the analysis, pooled over axes and trials [N]; NaN if
+        not identified.
+      displacement: RMS displacement, likewise [m].
     """
 
     condition: Condition
@@ -104,6 +110,9 @@ class Case:
     recording: Path
     identification: Identification | None
     left_out: tuple[str, ...]
+    single_trials: tuple[SpectralEstimate, ...] = ()
+    force: float = math.nan
+    displacement: float = math.nan
 
     @property
     def model(self) -> str:
@@ -461,7 +470,7 @@ def _stage(content: bytes, staging: Path, name: str) -> Path:
 def _identify(unit: tuple[Person, Path, Protocol]) -> tuple[str, list[Case]]:
     """Identify a person in every condition that has a multisine."""
     person, path, protocol = unit
-    recording = load_recording(path)
+    recording = load_recording(path)[list(REQUIRED_SIGNALS)]  # EMG takes most of the memory
     return person.name, [
         _identify_condition(condition, person.subjects[condition.task], recording, path, protocol)
         for condition in protocol.conditions
@@ -481,6 +490,8 @@ def _identify_condition(
     inside = _inside(mine)
     lasts = protocol.multisine_duration if condition.pulse_levels else protocol.trial_duration
     identification = None
+    single_trials: tuple[SpectralEstimate, ...] = ()
+    force = displacement = math.nan
     if lasts < WINDOW_START + PERIOD:
         left_out.append(
             f"{truth.name} in {condition.name} was not identified: the multisine lasts {lasts:g} s, and the analysis "
@@ -489,11 +500,29 @@ def _identify_condition(
     elif inside.sizes["trial"]:
         try:
             identification = identify(inside, MODELS[condition.task], start=WINDOW_START)
+            single_trials = tuple(
+                estimate_spectra(line_spectra(inside.isel(trial=[trial]), start=WINDOW_START))
+                for trial in range(inside.sizes["trial"])
+            )
+            force, displacement = (_rms(inside[name]) for name in ("perturbation", "displacement"))
         except ValueError as error:  # must not cost the other subjects their results
             left_out.append(f"{truth.name} in {condition.name} was not identified: {error}")
     return Case(
-        condition=condition, truth=truth, recording=path, identification=identification, left_out=tuple(left_out)
+        condition=condition,
+        truth=truth,
+        recording=path,
+        identification=identification,
+        left_out=tuple(left_out),
+        single_trials=single_trials,
+        force=force,
+        displacement=displacement,
     )
+
+
+def _rms(signal: xr.DataArray) -> float:
+    """RMS per axis over the window of the analysis, pooled over axes and trials."""
+    inside = (signal["time"] >= WINDOW_START) & (signal["time"] < WINDOW_START + PERIOD - 1e-9)
+    return float(np.sqrt(np.mean(signal.values[:, inside.values] ** 2)))
 
 
 def _of_condition(recording: xr.Dataset, condition: Condition) -> xr.Dataset:

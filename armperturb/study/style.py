@@ -8,6 +8,8 @@ from typing import Any
 
 import matplotlib
 import matplotlib.style
+import numpy as np
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 
 from armperturb.files import written_whole
@@ -74,6 +76,13 @@ def in_style() -> Iterator[None]:
     """
     with _LOCK, matplotlib.style.context("default"), matplotlib.rc_context(_SETTINGS):
         yield
+
+
+def shades(colour: str, n: int) -> list[str]:
+    """n shades of a colour from light to dark; the colour itself in the middle."""
+    base = np.array(to_rgb(colour))
+    towards = np.linspace(-0.55, 0.5, n) if n > 1 else np.zeros(1)
+    return [to_hex(base * (1 - abs(share)) + (abs(share) if share < 0 else 0.0)) for share in towards]
 
 
 def new_figure(height: float, width: float = WIDTH) -> Figure:

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from armperturb.analysis.export import fit_summary, write_csv
 from armperturb.analysis.structures import unit
@@ -83,22 +82,26 @@ def fit_rows(study: StudyResult) -> list[Row]:
 
 
 def condition_rows(study: StudyResult) -> list[Row]:
-    """Force and displacement of the multisine per condition, per axis, beside table 2.1."""
+    """What was run, and force and displacement of the multisine, per axis, beside table 2.1."""
     rows = []
-    for condition in study.conditions:
-        recordings = [case.trials() for case in study.of(condition.name)]
+    for condition in study.protocol.conditions:
+        cases = study.of(condition.name)
         force, displacement = (
             published_or_nan(source, condition.name) for source in (published.applied_force, published.rms_displacement)
         )
         rows.append(
             {
                 "condition": condition.name,
+                "task": condition.task,
+                "trials": study.n_trials(condition.name),
+                "pulse_levels": " ".join(f"{level:g}" for level in condition.pulse_levels),
                 "published_force_N_mean": force.mean,
                 "published_force_N_sd": force.sd,
-                **_mean_sd("force_N", [_rms(recording["perturbation"]) for recording in recordings]),
+                **_mean_sd("force_N", [case.force for case in cases]),
+                "intended_displacement_m": condition.rms_displacement if condition.has_multisine else math.nan,
                 "published_displacement_m_mean": displacement.mean,
                 "published_displacement_m_sd": displacement.sd,
-                **_mean_sd("displacement_m", [_rms(recording["displacement"]) for recording in recordings]),
+                **_mean_sd("displacement_m", [case.displacement for case in cases]),
             }
         )
     return rows
@@ -110,14 +113,14 @@ def summary_rows(study: StudyResult, of_parameters: list[Row], of_fits: list[Row
     for condition in study.conditions:
         fits = [row for row in of_fits if row["condition"] == condition.name]
         errors = [abs(row["error_percent"]) for row in of_parameters if row["condition"] == condition.name]
-        left_out = sum(len(case.left_out) for case in study.cases if case.condition.name == condition.name)
+        used = sum(len(case.single_trials) for case in study.of(condition.name))
         rows.append(
             {
                 "condition": condition.name,
                 "subjects": study.settings.subjects,
                 "identified": len(fits),
                 "trials": study.n_trials(condition.name),
-                "trials_left_out": left_out,
+                "trials_used": used,
                 "model": study.of(condition.name)[0].model,
                 "median_abs_error_percent": float(np.median(errors)),
                 "VAF_x_mean": _mean(row["VAF_x"] for row in fits),
@@ -169,14 +172,9 @@ def published_or_nan(source: Callable[..., published.MeanSD], *names: str) -> pu
         return published.MeanSD(math.nan, math.nan)
 
 
-def _rms(signal: xr.DataArray) -> float:
-    """RMS per axis, pooled over axes and trials, over the period that the spectra use."""
-    return float(np.sqrt((signal.sel(time=slice(8.0, 8.0 + 20.48 - 1e-9)) ** 2).mean()))
-
-
 def _mean_sd(name: str, values: Sequence[float]) -> Row:
-    sd = float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
-    return {f"{name}_mean": float(np.mean(values)), f"{name}_sd": sd}
+    sd = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
+    return {f"{name}_mean": _mean(values), f"{name}_sd": sd}
 
 
 def _mean(values: Iterable[float | None]) -> float:
