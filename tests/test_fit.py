@@ -181,18 +181,35 @@ def test_what_the_data_say_nothing_about_is_said_and_has_an_infinite_error():
     structure = STRUCTURES["1"].freeing(kv_s=(-50.0, 0.0, 50.0), Td_s=(0.01, 0.03, 0.05))
     start = {name: getattr(RELAX, name) for name in structure.free}
     admittance = arm_admittance(RELAX, FREQUENCY)
-    result = fit_admittance(FREQUENCY, admittance, RELAX, structure, ENVIRONMENT, start=start, only_start=True)
+    result = fit_admittance(FREQUENCY, admittance, RELAX, structure, ENVIRONMENT, start=start, as_published=True)
     assert result.unidentified == ("Td_s",)
     assert result.status.endswith("; the data say nothing about Td_s")
     assert result.sem["Td_s"] == np.inf
     assert np.isfinite(result.sem["k_s"])
 
 
-def test_only_the_given_start_is_tried_when_asked():
-    admittance = arm_admittance(POSITION, FREQUENCY)
-    result = fit_admittance(FREQUENCY, admittance, POSITION, "3b", ENVIRONMENT, only_start=True)
+@pytest.mark.parametrize("use_penalty", [False, True])
+def test_as_published_is_lsqnonlin_on_the_modulus_from_one_start(use_penalty):
+    rng, structure = np.random.default_rng(8), STRUCTURES["3b"]
+    admittance = arm_admittance(POSITION, FREQUENCY, "pade") * np.exp(0.4 * rng.normal(size=(len(FREQUENCY), 2, 2)))
+    start = np.array(list(structure.start.values()))
+    lower, upper = np.array(list(structure.bounds.values())).T / start[:, None].T
+
+    def error(v):
+        arm = structure.arm(POSITION, v * start)
+        penalty = penalty_factor(largest_real_pole(arm, ENVIRONMENT)) if use_penalty else 1.0
+        return np.abs(np.log(admittance / arm_admittance(arm, FREQUENCY, "pade"))).ravel() * penalty
+
+    expected = optimize.least_squares(
+        error, np.ones(13), bounds=(lower, upper), diff_step=1e-6, ftol=1e-5, xtol=1e-6, gtol=None, max_nfev=428
+    )
+    result = fit_admittance(
+        FREQUENCY, admittance, POSITION, "3b", ENVIRONMENT, as_published=True, use_penalty=use_penalty, delay="pade"
+    )
     assert (result.n_starts, result.n_starts_agree) == (1, 1)
-    assert worst_error(result, truth_of(POSITION, "3b")) < 1e-3
+    assert result.criterion * 72 == pytest.approx(2 * expected.cost, rel=1e-3)
+    best = fit_admittance(FREQUENCY, admittance, POSITION, "3b", ENVIRONMENT, use_penalty=use_penalty, delay="pade")
+    assert best.criterion <= result.criterion
 
 
 @pytest.mark.parametrize("model", ["2", "3", "4", "5", "6", "3a"])

@@ -21,6 +21,9 @@ from armperturb.subject import Subject
 
 MAX_EVALUATIONS = 1000
 
+PUBLISHED_EVALUATIONS = 6000
+"""MaxFunEvals of appendix C, which counts those for numerical derivatives: one per parameter and step."""
+
 AT_BOUND = 1e-6
 """A parameter sits on a bound when it is closer to it than this share of the distance between its bounds."""
 
@@ -106,7 +109,7 @@ def fit_admittance(
     *,
     coherence: ArrayLike | None = None,
     start: Mapping[str, float] | None = None,
-    only_start: bool = False,
+    as_published: bool = False,
     use_penalty: bool = True,
     delay: Delay = "exact",
 ) -> AdmittanceFit:
@@ -126,7 +129,8 @@ def fit_admittance(
       environment: what the hand held, for the stability of the whole.
       coherence: multiple coherence [-], (frequency, output); one if not given.
       start: values of free parameters to start from, SI; the published start where not given.
-      only_start: try no other start and penalise from the first step on, as appendices C to E do.
+      as_published: optimise as appendices C to E do: from the given start only, on the modulus, penalised from the
+        first step on, and with their tolerances. It mostly stops short of the minimum, where the data say little.
       use_penalty: whether to push the fit away from instability (eq. 2.21).
       delay: "exact", or the thesis's "pade".
 
@@ -141,8 +145,8 @@ def fit_admittance(
     problem = _checked(frequency, admittance, coherence, body, structure, environment, delay)
     first = _checked_start(structure, start)
     problem.require_identifiable(first)
-    if only_start:
-        solution = _minimise(problem, first, with_penalty=use_penalty)
+    if as_published:
+        solution = _minimise_as_published(problem, first, with_penalty=use_penalty)
         return problem.judge(
             solution, use_penalty=use_penalty, n_starts=1, n_starts_agree=1, n_evaluations=solution.nfev
         )
@@ -183,6 +187,39 @@ def _minimise(problem: "_Problem", start: NDArray[np.float64], *, with_penalty: 
         ftol=1e-12,
         gtol=1e-12,
         max_nfev=MAX_EVALUATIONS,
+    )
+    solution.x = np.clip(solution.x * scale, lower, upper)
+    return solution
+
+
+def _minimise_as_published(
+    problem: "_Problem", start: NDArray[np.float64], *, with_penalty: bool
+) -> optimize.OptimizeResult:
+    """What lsqnonlin did with the options of appendix C, but for the derivatives, which are exact here."""
+    scale = np.where(start != 0, np.abs(start), 1.0)
+    lower, upper = problem.bounds
+
+    def residual(v: NDArray[np.float64]) -> NDArray[np.float64]:
+        modulus = np.abs(problem.log_error(v * scale))
+        return modulus * problem.penalty(v * scale) if with_penalty else modulus
+
+    def jacobian(v: NDArray[np.float64]) -> NDArray[np.float64]:
+        values = v * scale
+        modulus, slope = _modulus(problem.log_error(values), problem.log_error_slope(values))
+        if with_penalty:
+            factor, gradient = problem.penalty_and_gradient(values)
+            slope = slope * factor + np.outer(modulus, gradient)
+        return slope * scale
+
+    solution = optimize.least_squares(
+        residual,
+        np.clip(start, lower, upper) / scale,
+        jacobian,
+        bounds=(lower / scale, upper / scale),
+        xtol=1e-6,
+        ftol=1e-5,
+        gtol=None,
+        max_nfev=PUBLISHED_EVALUATIONS // (1 + len(start)),
     )
     solution.x = np.clip(solution.x * scale, lower, upper)
     return solution
@@ -241,19 +278,21 @@ class _Problem:
         jacobian = _stack(self.log_error_slope(values))
         if not with_penalty:
             return jacobian
-        factor = self.penalty(values)
+        factor, gradient = self.penalty_and_gradient(values)
         if factor - 1.0 < NEGLIGIBLE_PENALTY:
-            return np.vstack([jacobian, np.zeros(len(values))])
-        error, gradient = self.residual(values, False), self._penalty_gradient(values, factor)
+            return np.vstack([jacobian, gradient])
+        error = self.residual(values, False)
         curvature = np.linalg.norm(error) * np.sqrt(factor / (factor - 1.0)) * gradient
         return np.vstack([jacobian * factor + np.outer(error, gradient), curvature])
 
-    def _penalty_gradient(self, values: NDArray[np.float64], factor: float) -> NDArray[np.float64]:
+    def penalty_and_gradient(self, values: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        """Penalty and its derivative, (parameter,), which is zero where the penalty is one or out of all bounds."""
         pole = self.largest_pole(values)
-        if factor >= penalty_factor(np.inf):
-            return np.zeros(len(values))
+        factor = penalty_factor(pole.real)
+        if factor - 1.0 < NEGLIGIBLE_PENALTY or factor >= penalty_factor(np.inf):
+            return factor, np.zeros(len(values))
         slope = self.model.pole_gradient(self.parameters(values), self.environment, pole).real @ self.structure.mixing
-        return np.asarray((factor - 1.0) * 10.0 * np.log(10.0) * slope)
+        return factor, np.asarray((factor - 1.0) * 10.0 * np.log(10.0) * slope)
 
     def require_identifiable(self, start: NDArray[np.float64]) -> None:
         """Refuse a structure in which some direction of the parameters changes no response.
@@ -366,6 +405,15 @@ def _silent_directions(jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(basis[np.count_nonzero(singular > UNIDENTIFIED * singular[0]) :])
 
 
+def _modulus(
+    error: NDArray[np.complex128], slope: NDArray[np.complex128]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Modulus of a complex error, (n,), and its derivative, (n, parameter)."""
+    modulus = np.abs(error)
+    aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
+    return modulus, (aligned[:, None] * slope).real
+
+
 def _standard_error(error: NDArray[np.complex128], slope: NDArray[np.complex128]) -> NDArray[np.float64]:
     """Eq. 2.22 for the modulus of the error; infinite for columns that share in a direction without effect.
 
@@ -373,9 +421,7 @@ def _standard_error(error: NDArray[np.complex128], slope: NDArray[np.complex128]
       error: complex log error, (n,).
       slope: its derivative, (n, parameter).
     """
-    modulus = np.abs(error)
-    aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
-    jacobian = (aligned[:, None] * slope).real
+    modulus, jacobian = _modulus(error, slope)
     silent = np.abs(_silent_directions(jacobian)).max(axis=0, initial=0.0) > 1e-6
     known = jacobian[:, ~silent]
     scale = np.linalg.norm(known, axis=0)

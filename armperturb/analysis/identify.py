@@ -7,7 +7,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from armperturb.analysis.arm_model import Delay, simulate_linear
+from armperturb.analysis.arm_model import Delay, largest_real_pole, simulate_linear
 from armperturb.analysis.fit import AdmittanceFit, fit_admittance
 from armperturb.analysis.spectra import LineSpectra, SpectralEstimate, estimate_spectra, line_spectra
 from armperturb.analysis.structures import Structure
@@ -96,7 +96,7 @@ def identify(
 
     Args:
       recording: the trials; `recording.sel` or `.isel` picks them from a larger recording.
-      model: structure or its name, "1" or "3b".
+      model: structure or its name, see `structures.STRUCTURES`.
       start: of the spectral window [s].
       period: of the disturbance [s].
       lines_per_average: see `estimate_spectra`.
@@ -126,7 +126,8 @@ def identify(
         use_penalty=use_penalty,
         delay=delay,
     )
-    return Identification(spectra=spectra, environment=environment, fit=fit, vaf=_mean_vaf(recording, fit, environment))
+    vaf = prediction_vaf(recording, fit.arm, environment).mean(axis=0)
+    return Identification(spectra=spectra, environment=environment, fit=fit, vaf=vaf)
 
 
 def body_of(recording: xr.Dataset) -> Subject:
@@ -150,15 +151,21 @@ def body_of(recording: xr.Dataset) -> Subject:
     return replace(POSITION if found["task"] == "PT" else RELAX, name=name, **found)
 
 
-def _mean_vaf(recording: xr.Dataset, fit: AdmittanceFit, environment: Environment) -> NDArray[np.float64]:
-    """VAF up to the pulse; minus infinity for an unstable model, whose simulation has no bound."""
-    if not fit.stable:
-        return np.full(2, -np.inf)
+def prediction_vaf(recording: xr.Dataset, arm: Subject, environment: Environment) -> NDArray[np.float64]:
+    """VAF of the linear model's displacement up to the pulse [%], (trial, axis).
+
+    Args:
+      recording: the trials that are predicted.
+      arm: the model; minus infinity if it is unstable, as its response has no bound.
+      environment: what the hand held.
+    """
+    vaf = np.full((recording.sizes["trial"], 2), -np.inf)
+    if largest_real_pole(arm, environment) >= 0:
+        return vaf
     rate = float(recording.attrs["rate"])
-    vaf = []
-    for trial in range(recording.sizes["trial"]):
+    for trial in range(len(vaf)):
         onset = float(recording["pulse_onset"].values[trial])
         n = recording.sizes["time"] if np.isnan(onset) else round(onset * rate)
         d, x = recording["perturbation"].values[trial, :n], recording["displacement"].values[trial, :n]
-        vaf.append(variance_accounted_for(x, simulate_linear(fit.arm, environment, d, rate).displacement, rate))
-    return np.mean(vaf, axis=0)
+        vaf[trial] = variance_accounted_for(x, simulate_linear(arm, environment, d, rate).displacement, rate)
+    return vaf
