@@ -155,6 +155,7 @@ class Estimate:
       largest_real_pole: of arm and environment, over the conditions [1/s].
       chi2: of what the disturbance explains of the residual, see `likelihood.LackOfFit`.
       dof: its degrees of freedom.
+      objective: minus twice the logarithm of the likelihood, but for a constant that the trials and the method set.
       n_rounds: Gauss-Newton steps.
     """
 
@@ -171,12 +172,18 @@ class Estimate:
     largest_real_pole: float
     chi2: float
     dof: int
+    objective: float
     n_rounds: int
 
     @property
     def p_value(self) -> float:
         """Chance of so large a `chi2` if the structure is right and the person linear [-]."""
         return LackOfFit(self.chi2, self.dof).p_value
+
+    @property
+    def is_suspicious(self) -> bool:
+        """Whether the trials say that the structure is wrong, or the person not linear."""
+        return self.p_value < SUSPICIOUS
 
     @property
     def dispersion(self) -> float:
@@ -191,7 +198,7 @@ class Estimate:
     def remarks(self) -> tuple[str, ...]:
         """What a reader must know before trusting the values, a sentence each."""
         said = []
-        if self.p_value < SUSPICIOUS:
+        if self.is_suspicious:
             said.append(
                 f"the disturbance explains more of the movement than the model does (chi2 / dof = "
                 f"{self.chi2 / self.dof:.2f}, p = {self.p_value:.1g}): the structure is wrong, or the person is not linear"
@@ -235,9 +242,18 @@ class _Problem:
             if not lower < upper:
                 raise ValueError(f"bounds of the shared {name} cross ({lower:g} to {upper:g}); expected some overlap")
 
-    def start(self) -> Array:
-        """Mean over the groups of where linear least squares would start."""
-        return self._mean([group.start for group in self.groups])
+    def start(self, given: Mapping[str, float]) -> Array:
+        """Given values, and where there is none the mean over the groups of where linear least squares would start."""
+        values = self._mean([group.start for group in self.groups])
+        for name, value in given.items():
+            if name not in self.names:
+                raise ValueError(f"start: unknown parameter {name!r}; expected {', '.join(self.names)}")
+            column = self.names.index(name)
+            lower, upper = self.lower[column], self.upper[column]
+            if not lower <= value <= upper:
+                raise ValueError(f"start: {name} = {value!r}; expected {lower:g} to {upper:g} {unit(name.split()[0])}")
+            values[column] = value
+        return values
 
     def _mean(self, of_groups: Sequence[ArrayLike]) -> Array:
         total, count = np.zeros(len(self.names)), np.zeros(len(self.names))
@@ -317,17 +333,24 @@ class _Search(NamedTuple):
     n_rounds: int
 
 
-def estimate(groups: Sequence[Group], method: Method = "record", *, share: Sequence[str] = ()) -> Estimate:
+def estimate(
+    groups: Sequence[Group],
+    method: Method = "record",
+    *,
+    share: Sequence[str] = (),
+    start: Mapping[str, float] | None = None,
+) -> Estimate:
     """Estimate the arm of one person from the trials of one or several conditions.
 
     Args:
       groups: trials, one group per condition.
       method: "frequency" (mean periods; fast) or "record" (all of each trial; best, started from the former).
       share: parameters that are the same in all conditions: names of parameters, or of `SHARES`.
+      start: values to start from, named as in `Estimate.values`, SI; linear least squares for those not given.
 
     Raises:
-      ValueError: there is no group, groups differ in person or posture, a shared name is unknown, or the structure cannot
-        be identified from any data; the message names the direction.
+      ValueError: there is no group, groups differ in person or posture, a shared name is unknown, a start is unknown or
+        outside its bounds, or the structure cannot be identified from any data; the message names the direction.
     """
     if method not in get_args(Method):
         raise ValueError(f"method = {method!r}; expected one of {', '.join(get_args(Method))}")
@@ -335,7 +358,7 @@ def estimate(groups: Sequence[Group], method: Method = "record", *, share: Seque
         raise ValueError("groups is empty; expected the trials of at least one condition")
     _require_one_person(groups)
     problem = _Problem(groups, "frequency", share)
-    search = _search(problem, problem.stabilised(problem.start()))
+    search = _search(problem, problem.stabilised(problem.start(start or {})))
     if not search.converged or problem.lack_of_fit(search.values).p_value < SUSPICIOUS:
         other = _search(problem, problem.published())
         if problem.objective(other.values) < problem.objective(search.values):
@@ -426,7 +449,7 @@ def _bounded_step(normal: Normal, scale: Array, damping: float, lower: Array, up
 
 def _judge(problem: _Problem, method: Method, search: _Search) -> Estimate:
     values, names = search.values, problem.names
-    problem.weigh(values)
+    objective = problem.objective(values)
     fit = problem.lack_of_fit(values)
     scale = np.sqrt(np.diag(search.information))
     scale[scale == 0.0] = np.nan
@@ -453,6 +476,7 @@ def _judge(problem: _Problem, method: Method, search: _Search) -> Estimate:
         largest_real_pole=pole,
         chi2=fit.chi2,
         dof=fit.dof,
+        objective=objective,
         n_rounds=search.n_rounds,
     )
 

@@ -22,6 +22,7 @@ from armperturb.controllers.reflex import activate, initial_activation, reflex_g
 from armperturb.controllers.remnant import HumanNoise
 from armperturb.environment import Environment
 from armperturb.envs.instruments import Instruments
+from armperturb.envs.linear import linear_signals
 from armperturb.models import JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, build_model, history_length
 from armperturb.perturbations import Perturbation, Pulse, check_bandwidth
 from armperturb.recording import make_recording
@@ -99,6 +100,7 @@ def run_experiment(
     timestep: float = 1e-3,
     rate: float = 200.0,
     rope: str = "ideal",
+    linear: bool = False,
     instruments: Instruments | None = None,
     n_threads: int = 0,
     progress: Callable[[float], object] | None = None,
@@ -116,6 +118,8 @@ def run_experiment(
       timestep: of the simulation [s].
       rate: of the recording [Hz]; a whole number of simulation steps must fit into a sample.
       rope: "ideal" or "pendulum", see `build_model`.
+      linear: whether the arm is the linear one of `analysis.arm_model`, at its posture wherever it moves, instead of
+        MuJoCo's; for judging an analysis whose model it is. Its rope is ideal.
       instruments: what the signals pass on their way into the recording; None records the truth.
       n_threads: 0 takes all cores; the recording does not depend on it.
       progress: called with the simulated seconds (all trials together) since the last call.
@@ -139,6 +143,8 @@ def run_experiment(
         raise ValueError(
             f"run_experiment: rate = {rate!r} Hz; expected the simulation's {1 / timestep:g} Hz over a whole number"
         )
+    if linear and rope != "ideal":
+        raise ValueError(f"run_experiment: rope = {rope!r}; expected 'ideal', the only one that the linear arm has")
     lowpass = instruments.lowpass(timestep, rate) if instruments else None
     for subject in dict.fromkeys(trial.subject for trial in trials):
         require_stable(subject, environment)
@@ -152,9 +158,12 @@ def run_experiment(
     for subject in dict.fromkeys(subjects):  # as varied: the person on average may be slow enough where this is not
         _require_integrable(subject, environment, timestep)
     emg = instruments.emg if instruments else None
-    truth = _simulate(
-        trials, subjects, environment, timestep, decimation, rope, lowpass, emg is not None, n_threads, progress
-    )
+    if linear:
+        truth = _simulate_linear(trials, subjects, environment, timestep, decimation, lowpass, n_threads, progress)
+    else:
+        truth = _simulate(
+            trials, subjects, environment, timestep, decimation, rope, lowpass, emg is not None, n_threads, progress
+        )
     excitation = truth.pop("excitation")
     limit_time = truth.pop("limit_time")
     signals: dict[str, NDArray] = dict(truth)
@@ -267,6 +276,49 @@ def _held(perturbation: Perturbation, timestep: float, n_steps: int) -> Array:
     """
     middle = perturbation.sample(1.0 / timestep, n_steps + 2, -timestep / 2)
     return middle[1:-1] - np.diff(middle, n=2, axis=0) / 24.0
+
+
+def _simulate_linear(
+    trials: Sequence[Trial],
+    subjects: Sequence[Subject],
+    environment: Environment,
+    timestep: float,
+    decimation: int,
+    lowpass: Array | None,
+    n_threads: int,
+    progress: Callable[[float], object] | None,
+) -> dict[str, Array]:
+    """The same as `_simulate` gives, of linear arms."""
+    n_samples = max(round(trial.perturbation.duration / (timestep * decimation)) for trial in trials)
+    n_steps = n_samples * decimation
+
+    def run(i: int) -> tuple[Array, Array, float]:
+        force = trials[i].perturbation.sample(1.0 / timestep, n_steps, 0.0)
+        torque = _noise_torque(trials[i], timestep, n_steps)
+        signals = linear_signals(subjects[i], environment, force, torque, timestep)
+        reached = np.flatnonzero(np.abs(signals[::decimation, :2]).max(axis=1) >= environment.workspace)
+        # The spindles see what no instrument does.
+        matrices = [subjects[i].joint_matrix(quantity) for quantity in ("kv", "kp")]
+        stretch = signals[:, 2:4]
+        excitation = np.gradient(stretch, timestep, axis=0) @ matrices[0] + stretch @ matrices[1]
+        every = np.concatenate([force, signals], axis=1)
+        if lowpass is not None:
+            every = signal.sosfilt(lowpass, every, axis=0)
+        if progress is not None:
+            progress(n_steps * timestep)
+        limit = reached[0] * decimation * timestep if len(reached) else np.nan
+        return every[::decimation], excitation[::decimation], limit
+
+    every, excitation, limit_time = zip(*_in_threads(run, range(len(trials)), n_threads), strict=True)
+    stacked = np.stack(every)
+    return {
+        "perturbation": stacked[..., 0:2],
+        "displacement": stacked[..., 2:4],
+        "joint_angle": stacked[..., 4:6] + np.array([subject.posture for subject in subjects])[:, None],
+        "force": stacked[..., 6:8],
+        "limit_time": np.array(limit_time),
+        "excitation": np.stack(excitation),
+    }
 
 
 def _simulate(
