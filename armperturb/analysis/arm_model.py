@@ -37,6 +37,9 @@ _VELOCITIES, _POSITIONS = [0, 1, 4, 5], [2, 3, 6, 7]
 _PADE = np.array([[8, 11], [9, 12], [10, 13]])  # derivative, joint
 _ACTIVE_DOT, _ACTIVE = np.array([14, 16]), np.array([15, 17])
 _ROWS = np.array([0, 1])
+_INTEGRATORS = np.zeros((N_STATES, N_STATES))
+_INTEGRATORS[_Q, _Q_DOT] = _INTEGRATORS[_X, _X_DOT] = np.eye(2)
+_INTEGRATORS[_PADE[0], _PADE[1]] = _INTEGRATORS[_PADE[1], _PADE[2]] = _INTEGRATORS[_ACTIVE, _ACTIVE_DOT] = 1.0
 
 _TRIPLES = ("b", "k", "kv", "kp", "ka", "kf")
 PARAMETERS = (
@@ -208,6 +211,7 @@ class LinearArm:
         self._left = self.jacobian[:, :, None]
         self._right = self.jacobian.T[:, :, None]
         self._eye = np.eye(2)[:, :, None]
+        self._deflection = np.hstack([-self.jacobian, np.eye(2)])
 
     def joint_impedance(self, values: Array) -> Response:
         """Joint impedance Z from angle to torque [Nm/rad], (frequency, joint, joint)."""
@@ -264,41 +268,35 @@ class LinearArm:
 
     def _force_and_dynamics(self, values: Array, environment: Environment) -> tuple[Array, Array]:
         """Hand reaction force f, (2, 18), and matrix A, (18, 18), of `StateSpace`."""
-        matrix = {quantity: values[index] for quantity, index in _MATRIX.items()}
-        mass = values[0] * self._inertias[0] + values[1] * self._inertias[1]
-        grip = np.hstack([-self.jacobian, np.eye(2)])
-        force = np.zeros((2, N_STATES))
-        force[:, _VELOCITIES], force[:, _POSITIONS] = values[_GRIP_DAMPING] * grip, values[_GRIP_STIFFNESS] * grip
-
         muscle = np.zeros((2, N_STATES))
-        muscle[:, _Q_DOT], muscle[:, _Q] = matrix["b"], matrix["k"]
+        muscle[:, _Q_DOT], muscle[:, _Q] = values[_MATRIX["b"]], values[_MATRIX["k"]]
         muscle[_ROWS, _ACTIVE] = 1.0
+        force = np.zeros((2, N_STATES))
+        force[:, _VELOCITIES] = values[_GRIP_DAMPING] * self._deflection
+        force[:, _POSITIONS] = values[_GRIP_STIFFNESS] * self._deflection
+        mass = values[0] * self._inertias[0] + values[1] * self._inertias[1]
         acceleration = np.linalg.solve(mass, self.jacobian.T @ force - muscle)
 
-        excitation = matrix["ka"] @ acceleration + matrix["kf"] @ muscle
-        excitation[:, _Q_DOT] += matrix["kv"]
-        excitation[:, _Q] += matrix["kp"]
+        excitation = values[_MATRIX["ka"]] @ acceleration + values[_MATRIX["kf"]] @ muscle
+        excitation[:, _Q_DOT] += values[_MATRIX["kv"]]
+        excitation[:, _Q] += values[_MATRIX["kp"]]
 
         delay, omega = values[_DELAYS], 2 * np.pi * values[_CUTOFFS]
         first, second, third = _PADE
-        a = np.zeros((N_STATES, N_STATES))
-        a[first, second] = a[second, third] = 1.0
+        a = _INTEGRATORS.copy()
         a[third] = excitation
         a[third, first] -= 120 / delay**3
         a[third, second] -= 60 / delay**2
         a[third, third] -= 12 / delay
-        delayed = -excitation
-        delayed[_ROWS, first] += 240 / delay**3
-        delayed[_ROWS, third] += 24 / delay
-        a[_ACTIVE_DOT] = (omega**2)[:, None] * delayed
+        excitation[_ROWS, first] -= 240 / delay**3
+        excitation[_ROWS, third] -= 24 / delay
+        a[_ACTIVE_DOT] = -(omega**2)[:, None] * excitation
         a[_ACTIVE_DOT, _ACTIVE_DOT] -= 2 * self._zeta * omega
         a[_ACTIVE_DOT, _ACTIVE] -= omega**2
-        a[_ACTIVE, _ACTIVE_DOT] = 1.0
         a[_Q_DOT] = acceleration
-        a[_Q, _Q_DOT] = a[_X, _X_DOT] = np.eye(2)
         a[_X_DOT] = -force / environment.m_env
-        a[_X_DOT, _X_DOT] -= environment.b_env / environment.m_env * np.eye(2)
-        a[_X_DOT, _X] -= environment.k_env / environment.m_env * np.eye(2)
+        a[_ROWS + 4, _ROWS + 4] -= environment.b_env / environment.m_env
+        a[_ROWS + 4, _ROWS + 6] -= environment.k_env / environment.m_env
         return force, a
 
     def _share(self, arm: Response, environment: Environment) -> Response:

@@ -7,7 +7,7 @@ information, and with the sum of squares over N = 4 n_f they are twice the scatt
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import get_args
 
 import numpy as np
@@ -65,6 +65,7 @@ class AdmittanceFit:
       status: why the fit stopped, in words.
       converged: whether it stopped at a minimum.
       criterion: V of eq. 2.19, penalty included.
+      n_errors: N of eq. 2.19: four per frequency.
       penalty: factor p of eq. 2.21 at the estimate; one means that it did not act.
       stable: whether arm and environment are stable together.
       largest_real_pole: of arm and environment [1/s].
@@ -82,6 +83,7 @@ class AdmittanceFit:
     status: str
     converged: bool
     criterion: float
+    n_errors: int
     penalty: float
     stable: bool
     largest_real_pole: float
@@ -205,7 +207,7 @@ def _minimise_as_published(
 
     def jacobian(v: NDArray[np.float64]) -> NDArray[np.float64]:
         values = v * scale
-        modulus, slope = _modulus(problem.log_error(values), problem.log_error_slope(values))
+        modulus, slope = _modulus(*problem.log_error_and_slope(values))
         if with_penalty:
             factor, gradient = problem.penalty_and_gradient(values)
             slope = slope * factor + np.outer(modulus, gradient)
@@ -236,6 +238,7 @@ class _Problem:
     structure: Structure
     environment: Environment
     model: LinearArm
+    latest_pole: dict[bytes, complex] = field(default_factory=dict)
 
     @property
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -249,19 +252,25 @@ class _Problem:
         return penalty_factor(self.largest_pole(values).real)
 
     def largest_pole(self, values: NDArray[np.float64]) -> complex:
-        poles = self.model.poles(self.parameters(values), self.environment)
-        return complex(poles[np.argmax(poles.real)])
+        # An optimiser asks for the derivative where it has just asked for the residual.
+        key = values.tobytes()
+        if key not in self.latest_pole:
+            poles = self.model.poles(self.parameters(values), self.environment)
+            self.latest_pole.clear()
+            self.latest_pole[key] = complex(poles[np.argmax(poles.real)])
+        return self.latest_pole[key]
 
     def log_error(self, values: NDArray[np.float64]) -> NDArray[np.complex128]:
         """Weighted complex log error, (4 frequency,)."""
         error = self.weight * np.log(self.admittance / self.model.admittance(self.parameters(values)))
         return np.asarray(error.ravel())
 
-    def log_error_slope(self, values: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """Derivative of `log_error`, (4 frequency, parameter)."""
+    def log_error_and_slope(self, values: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """`log_error` and its derivative, (4 frequency,) and (4 frequency, parameter)."""
         model, gradient = self.model.admittance_and_gradient(self.parameters(values))
         slope = (gradient @ self.structure.mixing) * (-self.weight / model)[..., None]
-        return np.asarray(slope.reshape(-1, slope.shape[-1]))
+        error = self.weight * np.log(self.admittance / model)
+        return np.asarray(error.ravel()), np.asarray(slope.reshape(-1, slope.shape[-1]))
 
     def residual(self, values: NDArray[np.float64], with_penalty: bool) -> NDArray[np.float64]:
         """Weighted complex log error, real then imaginary parts; with penalty and then a zero, (8 frequency [+ 1],)."""
@@ -275,15 +284,14 @@ class _Problem:
         the second derivative of the penalty, most of its curvature, to the Gauss-Newton step: without it the optimiser
         creeps along the border of stability.
         """
-        jacobian = _stack(self.log_error_slope(values))
+        error, slope = map(_stack, self.log_error_and_slope(values))
         if not with_penalty:
-            return jacobian
+            return slope
         factor, gradient = self.penalty_and_gradient(values)
         if factor - 1.0 < NEGLIGIBLE_PENALTY:
-            return np.vstack([jacobian, gradient])
-        error = self.residual(values, False)
+            return np.vstack([slope, gradient])
         curvature = np.linalg.norm(error) * np.sqrt(factor / (factor - 1.0)) * gradient
-        return np.vstack([jacobian * factor + np.outer(error, gradient), curvature])
+        return np.vstack([slope * factor + np.outer(error, gradient), curvature])
 
     def penalty_and_gradient(self, values: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         """Penalty and its derivative, (parameter,), which is zero where the penalty is one or out of all bounds."""
@@ -306,7 +314,7 @@ class _Problem:
         rng = np.random.default_rng(0)
         lower, upper = self.bounds
         places = [start, *(start + share * (rng.uniform(lower, upper) - start) for share in (0.1, 0.3))]
-        slopes = [_stack(self.log_error_slope(values)) for values in places]
+        slopes = [_stack(self.log_error_and_slope(values)[1]) for values in places]
         nothing = [_silent_directions(slope) for slope in slopes]
         if all(directions.size for directions in nothing):
             effect = np.linalg.norm(slopes[-1], axis=0)
@@ -365,7 +373,7 @@ class _Problem:
         arm = self.structure.arm(self.body, values)
         pole = self.largest_pole(values).real
         factor = penalty_factor(pole) if use_penalty else 1.0
-        error, slope = self.log_error(values), self.log_error_slope(values)
+        error, slope = self.log_error_and_slope(values)
         sem = _standard_error(error, slope)
         lower, upper = self.bounds
         near = np.minimum(values - lower, upper - values) <= AT_BOUND * (upper - lower)
@@ -383,6 +391,7 @@ class _Problem:
             status=status,
             converged=solution.status > 0,
             criterion=float(np.mean(np.abs(error) ** 2)) * factor**2,
+            n_errors=len(error),
             penalty=factor,
             stable=pole < 0,
             largest_real_pole=pole,

@@ -40,12 +40,61 @@ def parameter(condition: str, name: str) -> MeanSD:
     """
     if condition not in PARAMETER_TABLES:
         raise KeyError(f"no published parameters in {condition}; there are some in {', '.join(PARAMETER_TABLES)}")
-    wanted = PARAMETER_TABLES[condition]
+    return estimate(name, **PARAMETER_TABLES[condition])
+
+
+def estimate(name: str, table: str, *, model: str, start: str = "", quantity: str = "parameter") -> MeanSD:
+    """An entry of one of the tables of appendices C to E.
+
+    Args:
+      name: of the parameter.
+      table: as printed, e.g. "E.3".
+      model: number of the structure.
+      start: "theta_i1" to "theta_i6" in appendix D, "vartheta_i1" to "vartheta_i6" in appendix E.
+      quantity: "parameter", its "SEM", or where the fit started, "initial", whose SD is NaN.
+
+    Raises:
+      KeyError: there is none.
+    """
+    wanted = {"parameter": name, "table": table, "model": model, "start": start, "quantity": quantity}
     for row in _rows("parameters"):
-        if row["parameter"] == name and row["quantity"] == "parameter" and all(row[k] == v for k, v in wanted.items()):
+        if all(row[key] == value for key, value in wanted.items()):
             factor = SI.get(row["unit"], 1.0)
-            return MeanSD(factor * float(row["mean"]), factor * float(row["sd"]))
-    raise KeyError(f"table {wanted['table']} has no {name}")
+            return MeanSD(factor * float(row["mean"]), factor * float(row["sd"] or "nan"))
+    raise KeyError(f"table {table} has no {quantity} of {name} for model {model} {start}".rstrip())
+
+
+def bounds(name: str, table: str) -> tuple[float, float]:
+    """Lower and upper bound of a parameter in table "C.2", "D.2" or "E.2", SI.
+
+    Raises:
+      KeyError: there are none.
+    """
+    for row in _rows("bounds"):
+        if (row["table"], row["parameter"]) == (table, name) and row["lower"]:
+            factor = SI.get(row["unit"], 1.0)
+            return factor * float(row["lower"]), factor * float(row["upper"])
+    raise KeyError(f"table {table} has no bounds of {name}")
+
+
+def goodness_of_fit(quantity: str, table: str, *, model: str, start: str = "", condition: str = "PT7.5") -> float:
+    """Mean over trials of how well a structure fits (tables C.5 to E.5).
+
+    Args:
+      quantity: "criterion" [-], "VAF_x" or "VAF_y" [%], or the number of trials "N_pos" or "N_stab".
+      table: as printed, e.g. "E.5".
+      model: number of the structure.
+      start: as in `estimate`.
+      condition: of the trials.
+
+    Raises:
+      KeyError: there is none.
+    """
+    wanted = {"quantity": quantity, "table": table, "model": model, "start": start, "condition": condition}
+    for row in _rows("goodness_of_fit"):
+        if all(row[key] == value for key, value in wanted.items()):
+            return float(row["mean"])
+    raise KeyError(f"table {table} has no {quantity} for model {model} {start} in {condition}")
 
 
 def applied_force(condition: str) -> MeanSD:
