@@ -198,19 +198,22 @@ def _differences(name: str, before: Any, wanted: Any) -> Iterator[str]:
             else:
                 yield from _differences(inner, before[key], wanted[key])
     elif before != wanted:
-        entries = [_by_name(before), _by_name(wanted)]
-        # The same entries in another order, or no names: both lists as they are.
-        if all(entries) and entries[0] != entries[1]:
+        entries = [_by_label(value) for value in (before, wanted)]
+        # Else they are no lists, lists of numbers that differ in length, or the same entries in another order.
+        if all(entries) and entries[0] != entries[1] and (len(before) == len(wanted) or "[0]" not in entries[0]):
             yield from _differences(name, *entries)
         else:
             yield f"{name} is {_shown(before)} there and {_shown(wanted)} now"
 
 
-def _by_name(values: Any) -> dict[str, Any]:
-    """The entries of a list by "[their name]"; nothing if it is no list of such."""
+def _by_label(values: Any) -> dict[str, Any]:
+    """The entries of a list by their name, else by their place, in brackets; nothing if it is no list."""
     if not isinstance(values, list):
         return {}
-    return {f"[{value['name']}]": value for value in values if isinstance(value, dict) and "name" in value}
+    return {
+        f"[{value.get('name', place) if isinstance(value, dict) else place}]": value
+        for place, value in enumerate(values)
+    }
 
 
 def _shown(value: Any) -> str:
