@@ -72,6 +72,15 @@ def test_a_checksum_without_its_file_is_an_unfinished_subject(tmp_path):
             {"protocol": {"forces": "practice", "conditions": [{"name": "A", "levels": [1, 2]}]}},
             "protocol.conditions[A].levels is [1] there and [1, 2] now",
         ),
+        (
+            {"protocol": {"forces": "practice", "conditions": [{"name": "B", "levels": list(range(40))}]}},
+            'protocol.conditions[A] is {"name": "A", "levels": [1]} there and missing now; protocol.conditions[B] is '
+            'missing there and {"name": "B", "levels": [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10... now',
+        ),
+        (
+            {"protocol": {"forces": "practice", "conditions": [{"name": "A", "levels": [2]}]}},
+            "protocol.conditions[A].levels[0] is 1 there and 2 now",
+        ),
         ({"ideal": True}, "ideal is missing there and true now"),
         ({"subjects": 3, "seed": 4}, "subjects is 2 there and 3 now; seed is 0 there and 4 now"),
     ],

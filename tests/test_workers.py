@@ -2,13 +2,21 @@
 
 import logging
 import os
+import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import joblib
+import psutil
 import pytest
+from joblib.externals.loky import ProcessPoolExecutor
 
 from armperturb.study import workers
 from armperturb.study.workers import DaskCluster, LocalProcesses, completed, workers_for
+
+ROOT = Path(__file__).parent.parent
 
 
 def square(number):
@@ -72,6 +80,39 @@ def test_closing_stops_at_once():
     with pytest.raises(KeyboardInterrupt):
         next(results)
     assert time.monotonic() - start < 10.0  # the start of the processes included, on a busy machine
+
+
+def ctrl_c_is_blocked(_):
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def test_ctrl_c_does_not_reach_the_processes():
+    # In a process of its own: what the pool leaves running in this one would hide how the first one starts.
+    code = (
+        "from tests.test_workers import *\n"
+        "crew = LocalProcesses(3)\n"
+        "print(set(completed(ctrl_c_is_blocked, range(9), crew)), flush=True)\n"
+        "crew.stop()\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert run.stdout == "{True}\n"
+
+
+def test_ctrl_c_waits_until_the_processes_have_started(monkeypatch):
+    def start(self):
+        signal.raise_signal(signal.SIGINT)
+        begin(self)
+        started.append(len(self._processes))
+
+    started, begin = [], ProcessPoolExecutor._adjust_process_count
+    monkeypatch.setattr(ProcessPoolExecutor, "_adjust_process_count", start)
+    crew = LocalProcesses(2)
+    with pytest.raises(KeyboardInterrupt):
+        crew.submit(square, 1)
+    assert started == [2]
+    processes = [psutil.Process(pid) for pid in crew._executor._processes]
+    crew.stop()
+    assert psutil.wait_procs(processes, timeout=10.0)[1] == []
 
 
 def test_cores_are_shared_out(monkeypatch):

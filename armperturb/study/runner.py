@@ -573,7 +573,8 @@ class _Progress(AbstractContextManager["_Progress"]):
             self._draw()
 
     def _draw(self) -> None:
-        n_done = self._n_before + self._seconds / self._duration
+        # Not a rounding error more than all, which tqdm would complain about.
+        n_done = min(self._n_before + self._seconds / self._duration, self._n_trials)
         speed = self._seconds / (time.monotonic() - self._start)
         # Set by hand, as tqdm's own counts are whole numbers; it then bases the time left on the mean speed.
         self._bar.n = n_done

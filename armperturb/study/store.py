@@ -32,6 +32,9 @@ SUMS = "SHA256SUMS"
 LOCK = ".lock"
 STAGING = ".staging"
 
+MAX_SHOWN = 60
+"""How long a value may be in a message [characters]."""
+
 
 class StudyFolder:
     """A study folder that this process alone writes to; made by `open_study`.
@@ -184,23 +187,39 @@ def _agree(root: Path, manifest: Mapping[str, Any]) -> None:
 
 
 def _differences(name: str, before: Any, wanted: Any) -> Iterator[str]:
-    """One text per value that differs."""
+    """One text per value that differs; entries of a list that have a name, such as conditions, go by it."""
     if isinstance(before, dict) and isinstance(wanted, dict):
         for key in dict.fromkeys([*before, *wanted]):
-            inner = f"{name}.{key}" if name else key
+            inner = key if not name else f"{name}{key}" if key.startswith("[") else f"{name}.{key}"
             if key not in before:
-                yield f"{inner} is missing there and {json.dumps(wanted[key])} now"
+                yield f"{inner} is missing there and {_shown(wanted[key])} now"
             elif key not in wanted:
-                yield f"{inner} is {json.dumps(before[key])} there and missing now"
+                yield f"{inner} is {_shown(before[key])} there and missing now"
             else:
                 yield from _differences(inner, before[key], wanted[key])
-    elif isinstance(before, list) and isinstance(wanted, list) and len(before) == len(wanted):
-        for i, (a, b) in enumerate(zip(before, wanted, strict=True)):
-            # An entry with a name, such as a condition, goes by it.
-            label = a.get("name", i) if isinstance(a, dict) else i
-            yield from _differences(f"{name}[{label}]", a, b)
     elif before != wanted:
-        yield f"{name} is {json.dumps(before)} there and {json.dumps(wanted)} now"
+        entries = [_by_label(value) for value in (before, wanted)]
+        # Else they are no lists, lists of numbers that differ in length, or the same entries in another order.
+        if all(entries) and entries[0] != entries[1] and (len(before) == len(wanted) or "[0]" not in entries[0]):
+            yield from _differences(name, *entries)
+        else:
+            yield f"{name} is {_shown(before)} there and {_shown(wanted)} now"
+
+
+def _by_label(values: Any) -> dict[str, Any]:
+    """The entries of a list by their name, else by their place, in brackets; nothing if it is no list."""
+    if not isinstance(values, list):
+        return {}
+    return {
+        f"[{value.get('name', place) if isinstance(value, dict) else place}]": value
+        for place, value in enumerate(values)
+    }
+
+
+def _shown(value: Any) -> str:
+    """A value as JSON, cut short if it is long."""
+    text = json.dumps(value, ensure_ascii=False)
+    return text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
 
 
 def _sweep(root: Path) -> None:

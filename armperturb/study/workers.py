@@ -14,6 +14,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from typing import Protocol, TypeVar
 
 import joblib
@@ -71,22 +72,18 @@ class LocalProcesses:
 
     def submit(self, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
         """Hand out a unit, to processes that are started if there are none."""
-        if self._executor is None:
-            # Libraries with a pool of their own (BLAS) must not take every core in every process.
-            names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-            threads = str(self.threads(0, self.count))
-            self._executor = ProcessPoolExecutor(
-                self.count,
-                initializer=_end_with,
-                initargs=(os.getpid(),),
-                env={**dict.fromkeys(names, threads), **MALLOC},
-            )
-        # Processes that start here never see a Ctrl-C, which a terminal sends to all: this process stops them.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
+        with _ctrl_c_held_back():
+            if self._executor is None:
+                # Libraries with a pool of their own (BLAS) must not take every core in every process.
+                names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+                threads = str(self.threads(0, self.count))
+                self._executor = ProcessPoolExecutor(
+                    self.count,
+                    initializer=_end_with,
+                    initargs=(os.getpid(),),
+                    env={**dict.fromkeys(names, threads), **MALLOC},
+                )
             return self._executor.submit(function, unit)
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     def at_once(self) -> int:
         """Two for each process, so that none waits for work."""
@@ -100,9 +97,14 @@ class LocalProcesses:
 
     def stop(self) -> None:
         """Kill the processes."""
-        executor, self._executor = self._executor, None
-        if executor is not None:
-            executor.shutdown(wait=True, kill_workers=True)
+        with _ctrl_c_held_back():
+            executor, self._executor = self._executor, None
+            if executor is not None:
+                executor.shutdown(wait=True, kill_workers=True)
+                for thread in threading.enumerate():
+                    # Cut off by the end of this process, it would leave a lock that the pool's helper complains about.
+                    if thread.name == "QueueFeederThread":
+                        thread.join(timeout=0.5)
 
 
 class DaskCluster:
@@ -237,6 +239,30 @@ def completed(
         finally:
             if not ended_well:
                 workers.stop()
+
+
+@contextmanager
+def _ctrl_c_held_back() -> Iterator[None]:
+    """Let a Ctrl-C take effect only after the block, and never in processes that start in it.
+
+    A terminal sends it to all processes, but it is this one that stops the others; and a pool that is interrupted while
+    its processes start loses count of them.
+    """
+    # The pool would start this helper of its own, which unblocks the signal.
+    resource_tracker.ensure_running()
+    pressed: list[int] = []
+    in_main = threading.current_thread() is threading.main_thread()
+    # Blocking alone is passed on to processes, but here another thread (BLAS) may take the signal in.
+    before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number)) if in_main else None
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if in_main:
+            signal.signal(signal.SIGINT, before)
+        if pressed:
+            signal.raise_signal(signal.SIGINT)
 
 
 def _on_its_own(function: Callable[[Unit], Result], unit: Unit) -> Result:
