@@ -99,7 +99,8 @@ def main() -> None:
         within.append(1 / FACTOR <= ratio <= FACTOR)
         print(
             f"{name:9} {np.mean(mine):10.2f} {np.mean(printed):10.2f} {ratio:6.2f} {np.mean(plain):10.2f} "
-            f"{np.mean(plain) * root:7.2f} {100 * np.median(spread[:, i]):15.0f} % {100 * np.median(left[:, i]):13.1f} %"
+            f"{np.mean(plain) * root:7.2f} {100 * np.median(spread[:, i]):15.0f} % "
+            f"{100 * np.median(left[:, i]):13.1f} %"
         )
     print(f"SEM over value within a factor {FACTOR:g} of the published: {sum(within)} of {len(within)} parameters")
     for words, values in (("as published", spread), ("at the minimum", left)):

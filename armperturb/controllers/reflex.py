@@ -45,13 +45,7 @@ def reflex_gains(subjects: Sequence[Subject], timestep: float) -> ReflexGains:
     Args:
       subjects: who is perturbed, one per trial.
       timestep: of the simulation [s].
-
-    Raises:
-      ValueError: a subject has force or acceleration feedback, which the simulated reflexes do not.
     """
-    for subject in subjects:
-        if any(subject.joint_triple("ka") + subject.joint_triple("kf")):
-            raise ValueError(f"subject {subject.name!r} has force or acceleration feedback; expected ka_* = kf_* = 0")
     filters: dict[tuple[float, float], tuple[Array, Array]] = {}
     numerator, denominator = np.empty((2, 3, len(subjects), 2))
     for trial, subject in enumerate(subjects):
@@ -93,6 +87,70 @@ def spindle_excitation(gains: ReflexGains, angle: Array, velocity: Array) -> Arr
     excitation += gains.position[:, :, 0] * stretch[:, :1]
     excitation += gains.position[:, :, 1] * stretch[:, 1:]
     return excitation
+
+
+class MemoryReflexes:
+    """Acceleration and force feedback: what needs to know of past steps (the law of `analysis.arm_model`).
+
+    Each step, `add_excitation` comes first and `remember` with that step's active torque last. The acceleration is the
+    backward difference of the velocities, drawn on over the half step that it lags. The torque that acts now left the
+    activation filter one neural delay ago; between steps it runs straight, as in MuJoCo's delayed motors.
+    """
+
+    def __init__(self, subjects: Sequence[Subject], timestep: float) -> None:
+        """Begin at rest.
+
+        Args:
+          subjects: who is perturbed, one per trial.
+          timestep: of the simulation [s]; no delay is shorter.
+        """
+        self._trials = np.flatnonzero([any(s.joint_triple("ka") + s.joint_triple("kf")) for s in subjects])
+        own = [subjects[trial] for trial in self._trials]
+        self._posture = np.array([subject.posture for subject in own])
+        self._gains = {
+            quantity: np.array([subject.joint_matrix(quantity) for subject in own])
+            for quantity in ("b", "k", "ka", "kf")
+        }
+        delay = np.array([[subject.Td_s, subject.Td_e] for subject in own]).reshape(len(own), 2) / timestep
+        self._steps = np.floor(delay).astype(int)
+        self._share = delay - self._steps
+        self._active = np.zeros((self._steps.max(initial=0) + 1, len(own), 2))
+        self._row, self._joint = np.ogrid[: len(own), :2]
+        self._step, self._timestep = 0, timestep
+        self._velocity = self._slope = np.zeros((len(own), 2))
+
+    @property
+    def needed(self) -> bool:
+        """Whether any trial has such feedback."""
+        return len(self._trials) > 0
+
+    def add_excitation(self, excitation: Array, angle: Array, velocity: Array) -> None:
+        """Add Ka q'' + Kf tau to the reflexive excitation of the trials that have it.
+
+        Args:
+          excitation: of the spindles [Nm], (trial, joint).
+          angle: of the joints [rad], (trial, joint).
+          velocity: of the joints [rad/s], (trial, joint).
+        """
+        stretch, speed = angle[self._trials] - self._posture, velocity[self._trials]
+        slope = (speed - self._velocity) / self._timestep
+        acceleration = 1.5 * slope - 0.5 * self._slope
+        self._velocity, self._slope = speed, slope
+        newer = self._active[(self._step - self._steps) % len(self._active), self._row, self._joint]
+        older = self._active[(self._step - self._steps - 1) % len(self._active), self._row, self._joint]
+        muscle = (1.0 - self._share) * newer + self._share * older
+        muscle += _times(self._gains["b"], speed) + _times(self._gains["k"], stretch)
+        excitation[self._trials] += _times(self._gains["ka"], acceleration) + _times(self._gains["kf"], muscle)
+
+    def remember(self, active: Array) -> None:
+        """Keep the active torque of this step [Nm], (trial, joint), for when its delay is over."""
+        self._active[self._step % len(self._active)] = active[self._trials]
+        self._step += 1
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    """Product per trial, (trial, joint); not @, as BLAS may add in another order."""
+    return matrix[:, :, 0] * vector[:, :1] + matrix[:, :, 1] * vector[:, 1:]
 
 
 def activate(gains: ReflexGains, state: Array, excitation: Array) -> tuple[Array, Array]:

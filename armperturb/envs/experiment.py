@@ -18,7 +18,13 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from armperturb.analysis.arm_model import fastest_pole, hand_jacobian, largest_real_pole, require_stable
-from armperturb.controllers.reflex import activate, initial_activation, reflex_gains, spindle_excitation
+from armperturb.controllers.reflex import (
+    MemoryReflexes,
+    activate,
+    initial_activation,
+    reflex_gains,
+    spindle_excitation,
+)
 from armperturb.controllers.remnant import HumanNoise
 from armperturb.environment import Environment
 from armperturb.envs.instruments import Instruments
@@ -381,6 +387,7 @@ def _simulate(
     limit_time = np.full(n_trials, np.nan)
     gains = reflex_gains(subjects, timestep)
     activation = initial_activation(n_trials)
+    memory = MemoryReflexes(subjects, timestep)
 
     batch = Batch(model, n_trials, n_threads)
     batch.set_models([models[subject] for subject in subjects])
@@ -391,7 +398,11 @@ def _simulate(
     with _silent_simulator():
         for step in range(n_steps):
             excitation = spindle_excitation(gains, angle, velocity)
+            if memory.needed:
+                memory.add_excitation(excitation, angle, velocity)
             active, activation = activate(gains, activation, excitation)
+            if memory.needed:
+                memory.remember(active)
             np.negative(active, out=ctrl[:, motor])
             applied[:, slide] = held[step]
             if torque is not None:
