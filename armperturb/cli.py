@@ -11,13 +11,12 @@ import tyro
 import xarray as xr
 
 from armperturb.analysis.export import write_identification
-from armperturb.analysis.identify import Identification
-from armperturb.analysis.identify import identify as identify_recording
+from armperturb.analysis.identify import Identification, identify_conditions
 from armperturb.environment import Environment
 from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.perturbations import load_csv
-from armperturb.recording import load_recording, save_recording
+from armperturb.recording import join_recordings, load_recording, save_recording
 from armperturb.subject import Subject
 
 
@@ -72,22 +71,29 @@ class Simulate:
 class Identify:
     """Estimate the admittance from a recording and fit an arm model to it."""
 
-    recording: Annotated[Path, tyro.conf.Positional]
-    """Recording to read (netCDF4)."""
-    model: Literal["1", "3b"]
-    """Model structure: 1 intrinsic and grip; 3b total mass and reflexes, with grip, delay and cut-off fixed."""
+    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Recordings of one person to read (netCDF4); the trials of a condition are identified together."""
+    model: Literal["1", "2", "3", "4", "5", "6", "3a", "3b"]
+    """Model structure: 1 intrinsic and grip; 2 with velocity, 3 with velocity and position feedback; 4, 5 and 6 with
+    force, acceleration or both besides; 3a and 3b total mass and reflexes, with grip, delay and cut-off fixed, 3b
+    without negative gains."""
     out: Path
     """Folder for admittance.csv, parameters.csv and fit.json."""
+    estimator: Literal["thesis", "frequency", "record"] = "record"
+    """Greatest likelihood over whole records or over mean periods (frequency), or the thesis's trial by trial."""
+    share: str | None = None
+    """Parameters that are the same in all conditions, e.g. mass,grip,k_s; of greatest likelihood only."""
     subject: str | None = None
     """Which subject, if the recording holds several."""
     condition: str | None = None
-    """Which condition, if the recording holds several."""
+    """Which condition alone; by default all that have a multisine."""
     start: float = 8.0
     """Start of the spectral window [s]."""
     period: float = 20.48
     """Period of the disturbance [s]."""
     lines_per_average: int = 4
-    """Adjacent excited lines that are averaged; 1 keeps every line and needs several trials."""
+    """Adjacent excited lines that are averaged in admittance.csv and by the thesis's estimator; 1 keeps every line and
+    needs several trials."""
 
 
 def study(settings: Study) -> Path:
@@ -149,32 +155,40 @@ def simulate(settings: Simulate) -> xr.Dataset:
     return recording
 
 
-def identify(settings: Identify) -> Identification:
-    """Identify the arm from a recording, write the results and return them.
+def identify(settings: Identify) -> dict[str, Identification]:
+    """Identify the arm from recordings, write the results and return them by condition.
 
     Raises:
-      ValueError: the recording is refused or cannot be identified.
+      ValueError: a recording is refused or cannot be identified.
       OSError: a file cannot be read or written.
     """
-    recording = load_recording(settings.recording)
+    named = ", ".join(map(str, settings.recordings))
+    if not settings.recordings:
+        raise ValueError("recordings is empty; expected at least one file")
+    recording = join_recordings([load_recording(path) for path in settings.recordings], named)
     for name in ("subject", "condition"):
         wanted = getattr(settings, name)
         if wanted is not None:
             found = recording[name].values
             if wanted not in found:
                 held = ", ".join(dict.fromkeys(found.tolist()))
-                raise ValueError(f"{settings.recording}: no {name} {wanted!r}; expected one of {held}")
+                raise ValueError(f"{named}: no {name} {wanted!r}; expected one of {held}")
             recording = recording.isel(trial=np.flatnonzero(found == wanted))
+    tasks = list(dict.fromkeys(recording["task"].values.tolist()))
+    if len(tasks) > 1:
+        raise ValueError(f"{named}: trials of the tasks {' and '.join(tasks)}; expected one (choose a --condition)")
     try:
-        result = identify_recording(
+        result = identify_conditions(
             recording,
             settings.model,
+            estimator=settings.estimator,
+            share=() if settings.share is None else tuple(settings.share.split(",")),
             start=settings.start,
             period=settings.period,
             lines_per_average=settings.lines_per_average,
         )
     except ValueError as error:
-        raise ValueError(f"{settings.recording}: {error}") from None
+        raise ValueError(f"{named}: {error}") from None
     write_identification(result, settings.out)
     return result
 
@@ -202,8 +216,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             simulate(command)
             print(f"recording: {command.out}")
         else:
-            result = identify(command)
-            print(f"{result.fit.status}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %; results: {command.out}")
+            for condition, result in identify(command).items():
+                fit, vaf = result.fit, result.vaf
+                print(f"{condition}: {fit.status}; VAF x {vaf[0]:.1f} %, y {vaf[1]:.1f} %")
+                for remark in fit.remarks:
+                    print(f"{condition}: {remark}")
+            print(f"results: {command.out}")
     except (ValueError, TypeError, OSError, RuntimeError, ArithmeticError, MemoryError) as error:
         message = " ".join(str(error).split())
         print(f"armperturb: error: {message}", file=sys.stderr)

@@ -17,7 +17,7 @@ every variable has its `units`. On disk it is netCDF4. EMG is in single precisio
 """
 
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -131,6 +131,35 @@ def make_recording(
     )
     check_recording(dataset)
     return dataset
+
+
+def join_recordings(recordings: Sequence[xr.Dataset], source: str = "recordings") -> xr.Dataset:
+    """The trials of several recordings in one, without EMG and markers, which not all may have.
+
+    Args:
+      recordings: at least one; of the same rate and duration.
+      source: where they come from, for the message.
+
+    Raises:
+      ValueError: rates or durations differ.
+    """
+    clocks = {(float(one.attrs["rate"]), one.sizes["time"]) for one in recordings}
+    if len(clocks) > 1:
+        found = " and ".join(f"{n / rate:g} s at {rate:g} Hz" for rate, n in sorted(clocks))
+        raise ValueError(f"{source}: trials of {found}; expected one rate and duration")
+    names = [*REQUIRED_SIGNALS, *(name for name in OPTIONAL_COORDINATES if all(name in one for one in recordings))]
+    common = [one[[*REQUIRED_SIGNALS]] for one in recordings]
+    for index, one in enumerate(common):
+        common[index] = one.drop_vars([name for name in OPTIONAL_COORDINATES if name in one and name not in names])
+    return xr.concat(
+        common,
+        dim="trial",
+        data_vars="minimal",
+        coords="minimal",
+        compat="equals",
+        join="exact",
+        combine_attrs="drop_conflicts",
+    )
 
 
 def _describe(units: str, description: str) -> dict[str, Any]:

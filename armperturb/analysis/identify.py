@@ -1,18 +1,62 @@
-"""From a recording to the arm: admittance, environment, fitted model and how well it predicts (thesis 2.6, 2.7)."""
+"""From a recording to the arm: admittance, environment, arm model and how well it predicts (thesis 2.6, 2.7)."""
 
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
-from scipy import signal
+from numpy.typing import NDArray
 
-from armperturb.analysis.arm_model import Delay, largest_real_pole, simulate_linear
-from armperturb.analysis.fit import AdmittanceFit, fit_admittance
-from armperturb.analysis.spectra import LineSpectra, SpectralEstimate, estimate_spectra, line_spectra
-from armperturb.analysis.structures import Structure
+from armperturb.analysis.arm_model import arm_admittance, largest_real_pole
+from armperturb.analysis.body import body_of
+from armperturb.analysis.maximum_likelihood import Estimate, Group, estimate
+from armperturb.analysis.spectra import SpectralEstimate, estimate_spectra, line_spectra
+from armperturb.analysis.structures import STRUCTURES, Structure
+from armperturb.analysis.thesis import ThesisEstimate, fit_trials
+from armperturb.analysis.vaf import prediction_vaf
 from armperturb.environment import Environment
-from armperturb.subject import POSITION, RELAX, TASKS, Subject
+from armperturb.subject import Subject
+
+Estimator = Literal["thesis", "frequency", "record"]
+"""The thesis's (each trial alone, averaged), or greatest likelihood over mean periods, or over whole records."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ArmFit:
+    """The arm of one person in one condition, as an estimator gives it.
+
+    Attributes:
+      estimator: which.
+      structure: name of the model structure.
+      arm: the estimated arm, fixed parameters included.
+      values: estimate of each free parameter, SI.
+      standard_error: of each, SI; infinite where the data say nothing. For "thesis", the mean over trials of the SEM
+        (eq. 2.22).
+      at_bound: free parameters that sit on a bound; for "thesis", in any trial.
+      status: how the search ended, in words.
+      converged: whether it ended at an optimum.
+      stable: whether arm and environment are stable together.
+      largest_real_pole: of arm and environment [1/s].
+      criterion: V of eq. 2.19, without penalty, of the arm against the averaged spectra.
+      remarks: what a reader must know before trusting the values, a sentence each.
+      detail: the estimator's own result.
+    """
+
+    estimator: Estimator
+    structure: str
+    arm: Subject
+    values: Mapping[str, float]
+    standard_error: Mapping[str, float]
+    at_bound: tuple[str, ...]
+    status: str
+    converged: bool
+    stable: bool
+    largest_real_pole: float
+    criterion: float
+    remarks: tuple[str, ...]
+    detail: Estimate | ThesisEstimate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,144 +72,175 @@ class Identification:
 
     spectra: SpectralEstimate
     environment: Environment
-    fit: AdmittanceFit
+    fit: ArmFit
     vaf: NDArray[np.float64]
-
-
-def fit_environment(lines: LineSpectra) -> Environment:
-    """Mass, damping and stiffness that the manipulator really showed (as C.1-C.3, from every line).
-
-    At each line, D - F = (M s^2 + B s + K) X, whatever the arm does. As X is noisy, the equations are not solved by
-    least squares, which would bias M, but by instrumental variables made from D.
-
-    Raises:
-      ValueError: no positive mass comes out, as happens when the sign of the force is wrong.
-    """
-    s = 2j * np.pi * lines.frequency[:, None, None]
-    powers = np.concatenate([s**2, s, np.ones_like(s)], axis=-1)
-    regressors = (powers * lines.displacement[..., None]).reshape(-1, 3)
-    target = (lines.perturbation - lines.force).ravel()
-    # D through a rough environment: the weights fade with frequency as the displacement does.
-    rough = Environment()
-    instruments = (
-        powers
-        * (lines.perturbation / (rough.m_env * s[..., 0] ** 2 + rough.b_env * s[..., 0] + rough.k_env))[..., None]
-    )
-    instruments = instruments.reshape(-1, 3).conj().T
-    mass, damping, stiffness = np.linalg.solve((instruments @ regressors).real, (instruments @ target).real)
-    if mass <= 0:
-        raise ValueError(
-            f"the environment's mass comes out at {mass:.3g} kg; expected a positive mass (force must be the reaction "
-            "force that the handle exerts on the hand, so that the environment sees perturbation - force)"
-        )
-    return Environment(m_env=float(mass), b_env=max(float(damping), 0.0), k_env=max(float(stiffness), 0.0))
-
-
-def variance_accounted_for(
-    recorded: ArrayLike, predicted: ArrayLike, rate: float, *, highpass: float | None = 0.40
-) -> NDArray[np.float64]:
-    """Share of the recorded displacement's variance that a prediction accounts for [%], (..., axis).
-
-    Args:
-      recorded: displacement [m], (..., time, axis).
-      predicted: the same, by the model.
-      rate: sampling rate [Hz].
-      highpass: cut-off of the third-order Butterworth high-pass, run forth and back, that takes voluntary
-        interventions out of both [Hz]; None leaves them in.
-
-    Source: eq. 2.23 and the text below it.
-    """
-    x, model = np.asarray(recorded, dtype=float), np.asarray(predicted, dtype=float)
-    if highpass is not None:
-        sections = signal.butter(3, highpass, "highpass", fs=rate, output="sos")
-        x, model = (signal.sosfiltfilt(sections, values, axis=-2) for values in (x, model))
-    return 100.0 * (1.0 - np.sum((x - model) ** 2, axis=-2) / np.sum(x**2, axis=-2))
 
 
 def identify(
     recording: xr.Dataset,
     model: Structure | str,
     *,
+    estimator: Estimator = "record",
     start: float = 8.0,
     period: float = 20.48,
     lines_per_average: int = 4,
-    use_penalty: bool = True,
-    delay: Delay = "exact",
 ) -> Identification:
-    """Admittance, environment, fitted arm model and its VAF from the trials of one subject in one condition.
+    """Admittance, environment, arm model and its VAF from the trials of one subject in one condition.
 
     Args:
-      recording: the trials; `recording.sel` or `.isel` picks them from a larger recording.
+      recording: the trials, each from rest at its first sample; `recording.sel` or `.isel` picks them from a larger
+        one.
       model: structure or its name, see `structures.STRUCTURES`.
-      start: of the spectral window [s].
+      estimator: "thesis", "frequency" or "record".
+      start: of the window of whole periods, after the transient has gone [s].
       period: of the disturbance [s].
-      lines_per_average: see `estimate_spectra`.
-      use_penalty: see `fit_admittance`.
-      delay: see `fit_admittance`.
+      lines_per_average: of the spectra, see `estimate_spectra`; estimates of greatest likelihood use every line.
 
     Raises:
       ValueError: the recording is refused, holds several subjects, conditions or postures, or gives no spectra.
     """
-    body = body_of(recording)
-    lines = line_spectra(recording, start=start, period=period)
-    spectra = estimate_spectra(lines, lines_per_average=lines_per_average)
-    environment = fit_environment(lines)
-    slowest = np.trace(spectra.arm[0]).real / 2
-    if slowest <= 0:
-        raise ValueError(
-            f"the arm's admittance at {spectra.frequency[0]:.3g} Hz is {slowest:.3g} m/N; expected it above 0, like "
-            "a spring's (force must be the reaction force that the handle exerts on the hand)"
-        )
-    fit = fit_admittance(
-        spectra.frequency,
-        spectra.arm,
-        body,
-        model,
-        environment,
-        coherence=spectra.coherence,
-        use_penalty=use_penalty,
-        delay=delay,
+    body_of(recording)
+    found = identify_conditions(
+        recording, model, estimator=estimator, start=start, period=period, lines_per_average=lines_per_average
     )
-    vaf = prediction_vaf(recording, fit.arm, environment).mean(axis=0)
-    return Identification(spectra=spectra, environment=environment, fit=fit, vaf=vaf)
+    return next(iter(found.values()))
 
 
-def body_of(recording: xr.Dataset) -> Subject:
-    """Task, segment lengths and posture of the one person in a recording, in a subject whose muscles do not matter.
-
-    Raises:
-      ValueError: trials differ in subject, condition or posture, or the task is unknown.
-    """
-    found = {}
-    for name in ("subject", "task", "condition", "l_h", "l_f", "theta_s_deg", "theta_e_deg"):
-        values = list(dict.fromkeys(recording[name].values.tolist()))
-        if len(values) > 1:
-            raise ValueError(
-                f"the recording holds several values of {name} ({', '.join(map(str, values))}); expected one"
-            )
-        found[name] = values[0]
-    if found["task"] not in TASKS:
-        raise ValueError(f"task = {found['task']!r}; expected one of {', '.join(TASKS)}")
-    found.pop("condition")
-    name = found.pop("subject")
-    return replace(POSITION if found["task"] == "PT" else RELAX, name=name, **found)
-
-
-def prediction_vaf(recording: xr.Dataset, arm: Subject, environment: Environment) -> NDArray[np.float64]:
-    """VAF of the linear model's displacement up to the pulse [%], (trial, axis).
+def identify_conditions(
+    recording: xr.Dataset,
+    model: Structure | str,
+    *,
+    estimator: Estimator = "record",
+    share: Sequence[str] = (),
+    start: float = 8.0,
+    period: float = 20.48,
+    lines_per_average: int = 4,
+) -> dict[str, Identification]:
+    """The same of one subject in every condition of a recording, parameters being shared where asked for.
 
     Args:
-      recording: the trials that are predicted.
-      arm: the model; minus infinity if it is unstable, as its response has no bound.
-      environment: what the hand held.
+      recording: trials of one subject; a condition's have the same posture.
+      model: as in `identify`.
+      estimator: as in `identify`.
+      share: parameters that are the same in all conditions, see `maximum_likelihood.estimate`.
+      start: as in `identify`.
+      period: as in `identify`.
+      lines_per_average: as in `identify`.
+
+    Returns:
+      Condition to what it yields, in the order of the recording; those in which nothing perturbs the window, as where
+      there are pulses alone, are left out if there are others.
+
+    Raises:
+      ValueError: as `identify`; or the thesis's estimator is to share, which it cannot.
     """
-    vaf = np.full((recording.sizes["trial"], 2), -np.inf)
-    if largest_real_pole(arm, environment) >= 0:
-        return vaf
-    rate = float(recording.attrs["rate"])
-    for trial in range(len(vaf)):
-        onset = float(recording["pulse_onset"].values[trial])
-        n = recording.sizes["time"] if np.isnan(onset) else round(onset * rate)
-        d, x = recording["perturbation"].values[trial, :n], recording["displacement"].values[trial, :n]
-        vaf[trial] = variance_accounted_for(x, simulate_linear(arm, environment, d, rate).displacement, rate)
-    return vaf
+    if estimator not in get_args(Estimator):
+        raise ValueError(f"estimator = {estimator!r}; expected one of {', '.join(get_args(Estimator))}")
+    if isinstance(model, str):
+        if model not in STRUCTURES:
+            raise ValueError(f"model = {model!r}; expected one of {', '.join(STRUCTURES)}")
+        model = STRUCTURES[model]
+    if estimator == "thesis" and share:
+        raise ValueError(
+            f"share = {', '.join(share)}; expected nothing with the thesis's estimator, which shares nothing"
+        )
+    parts = _conditions(recording, start, period)
+    spectra = {
+        label: _spectra(part, start=start, period=period, lines_per_average=lines_per_average)
+        for label, part in parts.items()
+    }
+    if estimator == "thesis":
+        fits = {
+            label: _thesis_fit(fit_trials(part, model, start=start, period=period), part, model, spectra[label])
+            for label, part in parts.items()
+        }
+    else:
+        groups = [Group.prepare(part, body_of(part), model, start=start, period=period) for part in parts.values()]
+        found = estimate(groups, estimator, share=share)
+        fits = {group.label: _likely_fit(found, group, spectra[group.label]) for group in groups}
+    return {
+        label: Identification(
+            spectra=spectra[label],
+            environment=environment,
+            fit=fit,
+            vaf=prediction_vaf(parts[label], fit.arm, environment).mean(axis=0),
+        )
+        for label, (fit, environment) in fits.items()
+    }
+
+
+def _conditions(recording: xr.Dataset, start: float, period: float) -> dict[str, xr.Dataset]:
+    """The trials of each condition whose window is perturbed; of all if none is."""
+    labels = recording["condition"].values
+    parts = {
+        str(label): recording.isel(trial=np.flatnonzero(labels == label)) for label in dict.fromkeys(labels.tolist())
+    }
+    perturbed = {
+        label: part
+        for label, part in parts.items()
+        if part["perturbation"].sel(time=slice(start, start + period)).values.any(axis=(1, 2)).all()
+    }
+    return perturbed or parts
+
+
+def _spectra(recording: xr.Dataset, *, start: float, period: float, lines_per_average: int) -> SpectralEstimate:
+    body_of(recording)
+    lines = line_spectra(recording, start=start, period=period)
+    return estimate_spectra(lines, lines_per_average=lines_per_average)
+
+
+def _thesis_fit(
+    found: ThesisEstimate, recording: xr.Dataset, structure: Structure, spectra: SpectralEstimate
+) -> tuple[ArmFit, Environment]:
+    """Means over trials, as published."""
+    names, n_trials = found.parameters, len(found.fits)
+    values, errors = found.values.mean(axis=0), found.sem.mean(axis=0)
+    arm = structure.arm(body_of(recording), values)
+    pole = largest_real_pole(arm, found.environment)
+    remarks = [f"{name} sits on a bound in {count} of {n_trials} trials" for name, count in found.at_bound.items()]
+    if found.n_stable < n_trials:
+        remarks.append(f"{n_trials - found.n_stable} of {n_trials} trials give an unstable arm")
+    fit = ArmFit(
+        estimator="thesis",
+        structure=found.structure,
+        arm=arm,
+        values=dict(zip(names, values.tolist(), strict=True)),
+        standard_error=dict(zip(names, errors.tolist(), strict=True)),
+        at_bound=tuple(found.at_bound),
+        status=", ".join(f"{count} of {n_trials} trials {word}" for word, count in found.status.items()),
+        converged=all(one.converged for one in found.fits),
+        stable=pole < 0.0,
+        largest_real_pole=pole,
+        criterion=_criterion(arm, spectra),
+        remarks=tuple(remarks),
+        detail=found,
+    )
+    return fit, found.environment
+
+
+def _likely_fit(found: Estimate, group: Group, spectra: SpectralEstimate) -> tuple[ArmFit, Environment]:
+    """One condition's part of an estimate over several."""
+    label = {name: name if name in found.values else f"{name} [{group.label}]" for name in group.structure.free}
+    arm = found.arms[group.label]
+    pole = largest_real_pole(arm, group.environment)
+    fit = ArmFit(
+        estimator=found.method,
+        structure=group.structure.name,
+        arm=arm,
+        values={name: found.values[label[name]] for name in label},
+        standard_error={name: found.standard_error[label[name]] for name in label},
+        at_bound=tuple(name for name in label if label[name] in found.at_bound),
+        status=found.status,
+        converged=found.converged,
+        stable=pole < 0.0,
+        largest_real_pole=pole,
+        criterion=_criterion(arm, spectra),
+        remarks=found.remarks(),
+        detail=found,
+    )
+    return fit, group.environment
+
+
+def _criterion(arm: Subject, spectra: SpectralEstimate) -> float:
+    error = np.abs(np.log(spectra.arm / arm_admittance(arm, spectra.frequency))) ** 2
+    return float(np.mean(spectra.coherence[:, :, None] * error)) if np.isfinite(error).all() else math.inf

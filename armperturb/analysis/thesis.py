@@ -22,9 +22,11 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.arm_model import Delay
 from armperturb.analysis.fit import AdmittanceFit, fit_admittance
-from armperturb.analysis.identify import body_of, fit_environment, prediction_vaf
+from armperturb.analysis.body import body_of
+from armperturb.analysis.displacement import Balance
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.structures import STRUCTURES, Structure, unit
+from armperturb.analysis.vaf import prediction_vaf
 from armperturb.environment import Environment
 
 
@@ -166,7 +168,9 @@ def fit_trials(
       ValueError: the recording is refused or gives no spectra, or structure or initial are refused.
     """
     lines = line_spectra(recording, start=start, period=period)
-    environment = environment or fit_environment(lines)
+    if environment is None:
+        signals = (recording[name].values for name in ("perturbation", "force", "displacement"))
+        environment, _ = Balance(*signals, float(recording.attrs["rate"])).fit()
     fits, vaf = [], []
     for trial in range(recording.sizes["trial"]):
         own = recording.isel(trial=[trial])

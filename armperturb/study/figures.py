@@ -12,7 +12,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocat
 from numpy.typing import NDArray
 
 from armperturb.analysis.arm_model import arm_admittance, simulate_linear
-from armperturb.analysis.identify import variance_accounted_for
+from armperturb.analysis.vaf import variance_accounted_for
 from armperturb.analysis.spectra import LineSpectra, line_spectra
 from armperturb.analysis.structures import unit
 from armperturb.cohort import draw_cohort

@@ -16,7 +16,7 @@ from scipy import stats
 
 from armperturb.analysis.arm_model import parameter_vector
 from armperturb.analysis.fit import fit_admittance
-from armperturb.analysis.identify import body_of
+from armperturb.analysis.body import body_of
 from armperturb.analysis.maximum_likelihood import Group, Method, estimate
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.structures import STRUCTURES, Structure, unit
