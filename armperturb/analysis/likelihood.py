@@ -1,25 +1,26 @@
 """How likely trials are under an arm model: in the frequency domain over one period, or over the whole record.
 
-In both, x = P(theta) d + v, where x is the displacement that encoders and gauge together tell (`displacement`), d the known
-disturbance, and v what the person and the instruments add: noise of an unknown, smooth spectrum, the same in all trials of
-a condition. At each frequency the residual v = x - P d is then complex normal, and trials are the more likely the less
+In both, x = P(theta) d + v, where x is the displacement that encoders and gauge together tell (`displacement`), d the
+known disturbance, and v what the person and the instruments add: noise of an unknown, smooth spectrum, the same in all
+trials of a condition. At each frequency the residual v = x - P d is then complex normal, and trials are the more likely
+the less
 
-    sum over trials and frequencies of v^H Phi_vv^-1 v    (Whittle).
+    sum over trials and frequencies of v^H Phi_vv^-1 v    (Whittle 1953, Ark. Mat. 2).
 
 Phi_vv is estimated from the residual itself. It has the arm's own resonance, and what smooths it must not: so it is the
 spectrum of the hand force u = P^-1 v that would move the handle like that which is smoothed.
 
-A finite record lets the strong low frequencies leak into the weak high ones. Both likelihoods therefore filter x and P d
-with the same two poles less, so that what is left is nearly white, before they are transformed.
+A finite record lets the strong low frequencies leak into the weak high ones. Both likelihoods therefore filter x and
+P d with the same two zeros, so that what is left is nearly white, before they are transformed.
 """
 
 import itertools
 from collections.abc import Iterator
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, stats
+from scipy import fft, sparse, stats
 
 from armperturb.analysis.arm_model import LinearArm
 from armperturb.environment import Environment
@@ -38,10 +39,13 @@ RELATIVE_WIDTH = 0.05
 """Half the band over which the spectrum of the noise is averaged at least, over its frequency [-]."""
 
 TAPER = 2.0
-"""Length over which a record fades out before it is transformed [s]; it begins at rest and needs no fading in."""
+"""Length over which a record fades out before it is transformed [s]; one that begins at rest needs no fading in."""
 
 EXCITED = 1e-3
 """Share of the strongest frequency's power from which on a frequency counts as excited."""
+
+ROUND_OFF = 1e-12
+"""Noise cannot be less: amplitude over that of the strongest disturbance, power in one direction over all [-]."""
 
 
 class Normal(NamedTuple):
@@ -75,25 +79,6 @@ class LackOfFit(NamedTuple):
         return float(stats.chi2.sf(self.chi2, self.dof))
 
 
-class Likelihood(Protocol):
-    """Likelihood of the trials of one condition. Parameters of an arm are in the order of `arm_model.PARAMETERS`."""
-
-    def weigh(self, values: Array) -> None:
-        """Estimate the noise that is left by an arm with these parameters; it holds until the next call."""
-
-    def objective(self, values: Array) -> float:
-        """Minus twice the logarithm of the likelihood, but for a constant, the noise being that which the arm leaves."""
-
-    def cost(self, values: Array) -> float:
-        """`Normal.cost` of an arm."""
-
-    def normal(self, values: Array, mixing: Array) -> Normal:
-        """Least squares with respect to free parameters; mixing is (arm parameter, free parameter)."""
-
-    def lack_of_fit(self, values: Array) -> LackOfFit:
-        """Whether the arm leaves something that the disturbance explains."""
-
-
 def whitening(frequency: Array, rate: float) -> Response:
     """Frequency response of the filter that makes displacements nearly white, (frequency,)."""
     pole = _pole(rate)
@@ -111,16 +96,19 @@ def _pole(rate: float) -> float:
     return float(np.exp(-2 * np.pi * CORNER / rate))
 
 
-class _Whittle:
-    """What both likelihoods share: residuals at evenly spaced frequencies, their noise, and what follows.
+class Likelihood:
+    """Likelihood of the trials of one condition; subclasses say how an arm answers the disturbance.
+
+    Values are the parameters of an arm in the order of `arm_model.PARAMETERS`.
 
     Args:
       body: gives segment lengths, posture and damping of the activation filter.
       environment: what the hand holds.
-      frequency: of the residual [Hz], (frequency,).
+      frequency: of the residual, evenly spaced [Hz], (frequency,).
       rate: of the samples [Hz].
       force: DFT of d at these frequencies, (trial, axis, frequency).
       observed: DFT of the whitened displacement, (trial, axis, frequency).
+      answering: indices of the frequencies at which an arm answers at all.
     """
 
     def __init__(
@@ -131,70 +119,82 @@ class _Whittle:
         rate: float,
         force: Response,
         observed: Response,
+        answering: NDArray[np.intp] | slice,
     ) -> None:
         self._arm, self._environment = LinearArm(body, frequency), environment
         self._filter = whitening(frequency, rate)
-        self._force, self._observed = force, observed
+        self._force, self._observed, self._answering = force, observed, answering
+        self._bands, self._smoother = _bands(frequency, force), _smoother(len(frequency), len(force))
+        self._least = float(ROUND_OFF * np.abs(force).max()) ** 2
         self._white = np.zeros((2, 2, len(frequency)), dtype=complex)
+        self._latest: tuple[bytes, Response] = b"", observed
 
     def _predicted(self, values: Array) -> Response:
         """DFT of the whitened P d, (trial, axis, frequency)."""
         raise NotImplementedError
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[Response]:
-        """Per trial the derivatives of `_predicted` by free parameters, (parameter, axis, frequency)."""
+        """Per trial the derivatives of `_predicted` by free parameters where it answers, (parameter, axis, answer)."""
         raise NotImplementedError
+
+    def _residual(self, values: Array) -> Response:
+        # A search asks three times in a row about the same arm: cost, weights, slope.
+        key, residual = self._latest
+        if key != values.tobytes():
+            residual = self._observed - self._predicted(values)
+            self._latest = values.tobytes(), residual
+        return residual
 
     def weigh(self, values: Array) -> None:
         """Estimate the noise that is left by an arm with these parameters; it holds until the next call."""
         total = self._arm.total_admittance(values, self._environment) * self._filter[:, None, None]
-        to_force = np.moveaxis(np.linalg.inv(total), 0, -1)
-        force = _applied(to_force, self._observed - self._predicted(values))
-        root = np.linalg.inv(np.linalg.cholesky(np.moveaxis(_smoothed_power(force), -1, 0)))
+        to_force = np.asarray(np.linalg.inv(total), dtype=complex)
+        force = _applied(np.moveaxis(to_force, 0, -1), self._residual(values))
+        power = np.einsum("taf,tbf->fab", force, force.conj()) / len(force)
+        power = (self._smoother @ power.reshape(-1, 4)).reshape(power.shape)
+        floor = self._least + ROUND_OFF * np.trace(power, axis1=1, axis2=2).real
+        root = np.linalg.cholesky(power + floor[:, None, None] * np.eye(2))
         # Real and imaginary part of the residual have half its power each.
-        self._white = np.sqrt(2.0) * np.einsum("fab,bcf->acf", root, to_force)
+        self._white = np.moveaxis(np.sqrt(2.0) * np.linalg.solve(root, to_force), 0, -1)
 
     def objective(self, values: Array) -> float:
-        """Minus twice the logarithm of the likelihood, but for a constant, the noise being that which the arm leaves."""
+        """Minus twice the log likelihood, but for a constant, the noise being that which the arm leaves [-]."""
         self.weigh(values)
-        _, logarithm = np.linalg.slogdet(np.moveaxis(self._white, -1, 0))
-        return self.cost(values) - 4.0 * len(self._force) * float(np.sum(logarithm))
+        (a, b), (c, d) = self._white
+        return self.cost(values) - 4.0 * len(self._force) * float(np.sum(np.log(np.abs(a * d - b * c))))
 
     def cost(self, values: Array) -> float:
         """`Normal.cost` of an arm."""
-        return float(np.sum(np.abs(_applied(self._white, self._observed - self._predicted(values))) ** 2))
+        return float(np.sum(np.abs(_applied(self._white, self._residual(values))) ** 2))
 
     def normal(self, values: Array, mixing: Array) -> Normal:
         """Least squares with respect to free parameters; mixing is (arm parameter, free parameter)."""
-        residual = _applied(self._white, self._observed - self._predicted(values))
+        white = self._white[..., self._answering]
+        residual = _applied(white, self._residual(values)[..., self._answering])
         n = mixing.shape[1]
         slope, information = np.zeros(n), np.zeros((n, n))
         for left, of_trial in zip(residual, self._slopes(values, mixing), strict=True):
-            white = _real(_applied(self._white, of_trial).reshape(n, -1))
-            slope += white @ _real(left.ravel())
-            information += white @ white.T
-        return Normal(float(np.sum(np.abs(residual) ** 2)), slope, information)
+            rows = _real(_applied(white, of_trial).reshape(n, -1))
+            slope += rows @ _real(left.ravel())
+            information += rows @ rows.T
+        return Normal(self.cost(values), slope, information)
 
     def lack_of_fit(self, values: Array) -> LackOfFit:
-        """Whether the arm leaves something that the disturbance explains.
+        """Whether the arm leaves something that the disturbance explains, the noise being as last weighed.
 
         In each band of excited frequencies the white residual is regressed on what a change of P, the same all over the
         band, would add. Each regression has as many real parameters as P has numbers: eight.
         """
-        residual = _applied(self._white, self._observed - self._predicted(values))
-        chi2, bands = 0.0, _bands(self._arm.frequency, self._force)
-        for band in bands:
-            columns = []
-            for output, input_ in np.ndindex(2, 2):
-                change = np.zeros_like(self._force[..., band])
-                change[:, output] = self._force[:, input_, band] * self._filter[band]
-                columns.append(_applied(self._white[..., band], change).ravel())
-            basis, _ = np.linalg.qr(np.stack(columns, axis=1))
+        residual = _applied(self._white, self._residual(values))
+        changes = np.einsum("aof,tif->tafoi", self._white * self._filter, self._force)
+        chi2 = 0.0
+        for band in self._bands:
+            basis, _ = np.linalg.qr(changes[:, :, band].reshape(-1, 4))
             chi2 += float(np.sum(np.abs(basis.conj().T @ residual[..., band].ravel()) ** 2))
-        return LackOfFit(chi2, 8 * len(bands))
+        return LackOfFit(chi2, 8 * len(self._bands))
 
 
-class PeriodLikelihood(_Whittle):
+class PeriodLikelihood(Likelihood):
     """Likelihood of the mean of whole periods, in which the response to the disturbance is periodic.
 
     Args:
@@ -227,28 +227,26 @@ class PeriodLikelihood(_Whittle):
         force = spectrum(perturbation)
         power = np.sum(np.abs(force) ** 2, axis=(0, 1))
         # Lines without disturbance hold noise alone, which is why they are here.
-        self._excited = np.flatnonzero(power > EXCITED * power.max())
+        excited = np.flatnonzero(power > EXCITED * power.max())
         force[..., power <= EXCITED * power.max()] = 0.0
-        super().__init__(body, environment, frequency[used], rate, force, spectrum(displacement))
-        self._model = LinearArm(body, frequency[used][self._excited])
-        self._load = force[..., self._excited] * self._filter[self._excited]
+        super().__init__(body, environment, frequency[used], rate, force, spectrum(displacement), excited)
+        self._model = LinearArm(body, frequency[used][excited])
+        self._load = force[..., excited] * self._filter[excited]
 
     def _predicted(self, values: Array) -> Response:
         total = np.moveaxis(self._model.total_admittance(values, self._environment), 0, -1)
         predicted = np.zeros_like(self._observed)
-        predicted[..., self._excited] = _applied(total, self._load)
+        predicted[..., self._answering] = _applied(total, self._load)
         return predicted
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[Response]:
         gradient = _mixed(self._model.total_and_gradient(values, self._environment)[1], mixing)
         for load in self._load:
-            slopes = np.zeros((*gradient.shape[:2], self._observed.shape[-1]), dtype=complex)
-            slopes[..., self._excited] = gradient[:, :, 0] * load[0] + gradient[:, :, 1] * load[1]
-            yield slopes
+            yield gradient[:, :, 0] * load[0] + gradient[:, :, 1] * load[1]
 
 
-class RecordLikelihood(_Whittle):
-    """Likelihood of the whole record, from rest at its first sample.
+class RecordLikelihood(Likelihood):
+    """Likelihood of the whole record.
 
     Args:
       perturbation: d [N], (trial, time, axis).
@@ -257,7 +255,8 @@ class RecordLikelihood(_Whittle):
       environment: what the hand holds.
       rate: of the samples [Hz].
       top: highest frequency that counts [Hz].
-      settle: time within which the arm's response dies away [s].
+      settle: time at the start that is not judged [s]; 0 for records that start at rest. A response to what came before
+        the record must have died away by then.
     """
 
     def __init__(
@@ -272,9 +271,14 @@ class RecordLikelihood(_Whittle):
     ) -> None:
         n_samples, n_taper = perturbation.shape[1], round(TAPER * rate)
         self._n_samples = n_samples
-        self._n_padded = fft.next_fast_len(n_samples + round(settle * rate), real=True)
+        self._n_padded = fft.next_fast_len(2 * n_samples, real=True)
+        fade = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_taper) + 0.5) / n_taper)
         self._taper = np.ones(n_samples)
-        self._taper[-n_taper:] = 0.5 + 0.5 * np.cos(np.pi * (np.arange(n_taper) + 0.5) / n_taper)
+        self._taper[-n_taper:] = fade[::-1]
+        if settle > 0.0:
+            first = round(settle * rate)
+            self._taper[:first] = 0.0
+            self._taper[first : first + n_taper] *= fade
         frequency = fft.rfftfreq(n_samples, 1.0 / rate)
         self._used = slice(1, int(np.searchsorted(frequency, top)))
         super().__init__(
@@ -284,6 +288,7 @@ class RecordLikelihood(_Whittle):
             rate,
             self._spectrum(perturbation.swapaxes(1, 2)),
             self._spectrum(displacement.swapaxes(1, 2)),
+            slice(None),
         )
         fine = fft.rfftfreq(self._n_padded, 1.0 / rate)
         fine = fine[: np.searchsorted(fine, min(1.3 * top, 0.5 * rate))]
@@ -327,15 +332,12 @@ def _real(values: Response) -> Array:
     return np.concatenate([values.real, values.imag], axis=-1)
 
 
-def _smoothed_power(values: Response) -> Response:
-    """Mean over trials and neighbouring frequencies of v v^H for v (trial, axis, frequency), (axis, axis, frequency)."""
-    n_trials, _, n = values.shape
-    power = np.einsum("taf,tbf->abf", values, values.conj()) / n_trials
-    total = np.concatenate([np.zeros((2, 2, 1)), np.cumsum(power, axis=-1)], axis=-1)
+def _smoother(n: int, n_trials: int) -> sparse.csr_array:
+    """Matrix that averages over nearby frequencies, the same of each of n_trials trials, (frequency, frequency)."""
     index = np.arange(n)
     half = np.maximum(int(np.ceil(N_SMOOTH / n_trials / 2)), (RELATIVE_WIDTH * index).astype(int))
-    first, last = np.maximum(index - half, 0), np.minimum(index + half + 1, n)
-    return np.asarray((total[..., last] - total[..., first]) / (last - first))
+    near = np.abs(index - index[:, None]) <= half[:, None]
+    return sparse.csr_array(near / near.sum(axis=1, keepdims=True))
 
 
 def _bands(frequency: Array, force: Response) -> list[slice]:

@@ -1,8 +1,8 @@
 """A start for a fit that needs no guess: bounded linear least squares on the joint impedance.
 
-With H the admittance of arm and grip, G that of the grip and J the Jacobian, J^T (H - G)^-1 J is the joint impedance, which
-is linear in masses, damping, stiffness and feedback gains once grip, force feedback, delay and cut-off are set. A few
-delays and cut-offs are tried where they are free; grip and force feedback have their default start.
+With H the admittance of arm and grip, G that of the grip and J the Jacobian, J^T (H - G)^-1 J is the joint impedance,
+which is linear in masses, damping, stiffness and feedback gains once grip, force feedback, delay and cut-off are set. A
+few delays and cut-offs are tried where they are free; grip and force feedback have their default start.
 """
 
 import itertools
@@ -37,7 +37,7 @@ def linear_start(
     """
     arm, measured = LinearArm(body, frequency, delay), np.asarray(admittance, dtype=complex)
     rows = [PARAMETERS.index(name) for name in _NONLINEAR]
-    linear = ~structure.mixing[rows].any(axis=0)
+    linear = np.asarray(~structure.mixing[rows].any(axis=0))
     best, least = np.array([]), np.inf
     for guess in _guesses(structure):
         values = _with_linear(arm, measured, body, structure, guess, linear)

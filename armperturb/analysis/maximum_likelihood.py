@@ -1,8 +1,9 @@
 """Arm parameters of greatest likelihood, from any number of trials, conditions and tasks of one person at once.
 
-The start comes from linear least squares (`linear_start`), so none has to be guessed; Gauss-Newton steps within the bounds
-follow, the noise being weighed anew before each (`likelihood`). Steps that lead to an unstable arm or uphill are shortened.
-Standard errors are those of the Fisher information, which the Cramer-Rao bound says cannot be beaten.
+The start comes from linear least squares (`linear_start`), so none has to be guessed; Gauss-Newton steps within the
+bounds follow, the noise being weighed anew before each (`likelihood`). Steps that lead to an unstable arm, or to a less
+likely one, are shortened. Standard errors are those of the Fisher information, which the Cramer-Rao bound says cannot
+be beaten.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,16 +13,18 @@ from typing import Literal, NamedTuple, Self, get_args
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg, optimize, stats
+from scipy import optimize, stats
 
 from armperturb.analysis.arm_model import largest_real_pole
-from armperturb.analysis.displacement import EDGE, Balance, NoiseLevels
+from armperturb.analysis.body import body_of
+from armperturb.analysis.displacement import EDGE, Balance, NoiseLevels, Skew
 from armperturb.analysis.likelihood import LackOfFit, Likelihood, Normal, PeriodLikelihood, RecordLikelihood, whitened
 from armperturb.analysis.linear_start import linear_start
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.structures import Structure, unit
 from armperturb.environment import Environment
 from armperturb.subject import Subject
+from armperturb.validation import require_number
 
 Array = NDArray[np.float64]
 
@@ -29,6 +32,9 @@ Method = Literal["frequency", "record"]
 """Whether the mean period of each trial is used, or all of it from its start."""
 
 MAX_ROUNDS = 60
+
+WEIGHED_ROUNDS = 20
+"""A search that has not ended by then goes in circles, noise and arm changing in turn: from then on noise is held."""
 
 SETTLED = 0.01
 """A step this small in units of the standard error ends the search [-]."""
@@ -41,6 +47,15 @@ AT_BOUND = 1e-6
 
 SINGULAR = 1e-12
 """Least eigenvalue of the scaled information with which a structure can be identified [-]."""
+
+PART_OF = 1e-3
+"""Share of a direction of parameters from which on a parameter belongs to it [-]."""
+
+SKEWED = 2e-4
+"""Skew between force and displacement that is remarked upon, if it is beyond three standard errors [s]."""
+
+NOT_PERIODIC = 0.01
+"""RMS of what changes from period to period over that of the perturbation from which on it is not periodic [-]."""
 
 SUSPICIOUS, UNCERTAIN, ALIKE = 0.01, 0.5, 0.95
 """From when on remarks are made: chance of the lack of fit, error over value, and correlation of errors [-]."""
@@ -77,6 +92,7 @@ class Group:
       structure: what is free.
       environment: what the hand held, as identified from these trials.
       noise: of the instruments, as identified from these trials.
+      skew: of the clocks of force and displacement, as seen in these trials.
       n_trials: how many there are.
       start: values of the free parameters near the best fit, (parameter,).
       period: likelihood of the mean periods.
@@ -88,6 +104,7 @@ class Group:
     structure: Structure
     environment: Environment
     noise: NoiseLevels
+    skew: Skew
     n_trials: int
     start: Array
     period: Likelihood
@@ -95,33 +112,50 @@ class Group:
 
     @classmethod
     def prepare(
-        cls, recording: xr.Dataset, body: Subject, structure: Structure, *, start: float = 8.0, period: float = 20.48
+        cls,
+        recording: xr.Dataset,
+        body: Subject,
+        structure: Structure,
+        *,
+        start: float = 8.0,
+        period: float = 20.48,
+        settle: float = 0.0,
     ) -> Self:
-        """Prepare trials.
+        """Prepare trials. Of trials with pulses, what is before the earliest is used.
 
         Args:
-          recording: trials of one person in one condition, each from rest at its first sample.
-          body: the person, see `identify.body_of`.
+          recording: trials of one person in one condition.
+          body: the person, see `body.body_of`.
           structure: what is to be estimated.
           start: of the window of whole periods, after the transient has gone [s].
           period: of the disturbance [s].
+          settle: time at the start of the records that "record" does not judge [s]: 0 where they start at rest, some 8
+            s where they start amid the perturbation, so that the response to what is not recorded has died away.
 
         Raises:
-          ValueError: the recording is refused, or gives no spectra.
+          ValueError: the recording is refused, gives no spectra, is of another person, task or posture than body, its
+            perturbation is not periodic, or settle leaves less than a period.
         """
+        found = body_of(recording)
+        for field in _BODY:
+            if getattr(found, field) != getattr(body, field):
+                raise ValueError(
+                    f"{field} = {getattr(found, field)!r} in the recording; expected {getattr(body, field)!r} (body)"
+                )
         lines = line_spectra(recording, start=start, period=period)
         rate = float(recording.attrs["rate"])
         signals = (recording[name].values for name in ("perturbation", "force", "displacement"))
         d, f, x = (np.asarray(values, dtype=float) for values in signals)
+        n_period, first = round(period * rate), round(start * rate)
+        _require_periodic(d, first, n_period, rate)
         balance = Balance(d, f, x, rate)
         environment, noise = balance.fit()
         spectra = estimate_spectra(lines)
-        values = linear_start(spectra.frequency, spectra.arm, body, structure)
         white = whitened(balance.displacement(environment, noise), rate)
         onset = float(np.nanmin([*recording["pulse_onset"].values, np.inf]))
         end = min(round(min(onset, d.shape[1] / rate) * rate), d.shape[1] - round(EDGE * rate))
+        require_number("Group", "settle", settle, at_least=0.0, at_most=end / rate - period)
         top = min(1.1 * float(lines.frequency[-1]), 0.45 * rate)
-        n_period, first = round(period * rate), round(start * rate)
         last = first + n_period * max(1, (end - first) // n_period)
         return cls(
             label=str(recording["condition"].values[0]),
@@ -129,10 +163,11 @@ class Group:
             structure=structure,
             environment=environment,
             noise=noise,
+            skew=balance.skew(environment, noise),
             n_trials=len(d),
-            start=values,
+            start=linear_start(spectra.frequency, spectra.arm, body, structure),
             period=PeriodLikelihood(d[:, first:last], white[:, first:last], body, environment, rate, n_period, top),
-            record=RecordLikelihood(d[:, :end], white[:, :end], body, environment, rate, top, settle=end / rate),
+            record=RecordLikelihood(d[:, :end], white[:, :end], body, environment, rate, top, settle),
         )
 
 
@@ -148,7 +183,6 @@ class Estimate:
       correlation: of the estimates' errors, (parameter, parameter), in the order of `values`.
       at_bound: parameters that sit on a bound; their errors are not normal.
       arms: condition to the arm, fixed parameters included.
-      groups: the trials.
       status: how the search ended, in words.
       converged: whether it ended at a maximum.
       stable: whether arm and environment are stable together in every condition.
@@ -157,6 +191,7 @@ class Estimate:
       dof: its degrees of freedom.
       objective: minus twice the logarithm of the likelihood, but for a constant that the trials and the method set.
       n_rounds: Gauss-Newton steps.
+      skew: condition to the skew between the clocks of force and displacement.
     """
 
     method: Method
@@ -165,7 +200,6 @@ class Estimate:
     correlation: Array
     at_bound: tuple[str, ...]
     arms: Mapping[str, Subject]
-    groups: tuple[Group, ...]
     status: str
     converged: bool
     stable: bool
@@ -174,6 +208,7 @@ class Estimate:
     dof: int
     objective: float
     n_rounds: int
+    skew: Mapping[str, Skew]
 
     @property
     def p_value(self) -> float:
@@ -198,11 +233,23 @@ class Estimate:
     def remarks(self) -> tuple[str, ...]:
         """What a reader must know before trusting the values, a sentence each."""
         said = []
+        if not self.converged:
+            said.append(f"the search did not end at a maximum ({self.status})")
+        if not self.stable:
+            said.append(
+                f"arm and environment are unstable: largest real part of a pole {self.largest_real_pole:.2g} 1/s"
+            )
         if self.is_suspicious:
             said.append(
-                f"the disturbance explains more of the movement than the model does (chi2 / dof = "
-                f"{self.chi2 / self.dof:.2f}, p = {self.p_value:.1g}): the structure is wrong, or the person is not linear"
+                "the disturbance explains more of the movement than the model does (chi2 / dof = "
+                f"{self.chi2 / self.dof:.2f}, p = {self.p_value:.1g}): wrong structure, or a person who is not linear"
             )
+        for label, (time, error) in self.skew.items():
+            if abs(time) > max(SKEWED, 3.0 * error):
+                said.append(
+                    f"{label}: force is recorded {1e3 * time:.2f} ms later than displacement (standard error "
+                    f"{1e3 * error:.2f} ms); expected clocks that agree, as skew turns inertia into damping"
+                )
         for name in self.at_bound:
             said.append(f"{name} sits on a bound")
         for name, error in self.standard_error.items():
@@ -211,7 +258,8 @@ class Estimate:
         names = list(self.values)
         for i, j in zip(*np.nonzero(np.triu(np.abs(self.correlation) > ALIKE, 1)), strict=True):
             said.append(
-                f"{names[i]} and {names[j]} can hardly be told apart: their errors correlate with {self.correlation[i, j]:.2f}"
+                f"{names[i]} and {names[j]} can hardly be told apart: their errors correlate, "
+                f"{self.correlation[i, j]:.2f}"
             )
         return tuple(said)
 
@@ -316,13 +364,42 @@ class _Problem:
         return self._mean([[group.structure.start[name] for name in group.structure.free] for group in self.groups])
 
     def stabilised(self, values: Array) -> Array:
-        """The values moved towards the structures' default starts until every arm is stable."""
+        """The values moved towards the structures' default starts until every arm is stable, or all the way."""
         published = self.published()
         for share in STABILISING:
             mixed = (1.0 - share) * values + share * published
             if self.pole(mixed) < 0.0:
-                return mixed
-        raise ValueError("the structure's default start is unstable on this environment; expected a stable arm")
+                break
+        return mixed
+
+    def require_identifiable(self, values: Array) -> None:
+        """Refuse structures in which some direction of the parameters changes no movement.
+
+        What has no effect at these values may have some elsewhere, as a delay has none without gains: only what has
+        none at the structures' default starts either is refused.
+
+        Raises:
+          ValueError: there is such a direction.
+        """
+        information = np.zeros((len(self.names), len(self.names)))
+        for place in (values, self.published()):
+            self.weigh(place)
+            information += self.normal(place).information
+            scale, power, directions = _scaled(information)
+            if power[0] > SINGULAR:
+                return
+        silent = [name for name, size in zip(self.names, np.diag(information), strict=True) if not size > 0.0]
+        if silent:
+            raise ValueError(
+                f"{', '.join(silent)} cannot be identified: no effect on the movement; expected fixed values"
+            )
+        weak = directions[:, 0] / scale
+        weak /= np.abs(weak).max()
+        terms = [f"{w:+.2g} {name}" for w, name in zip(weak, self.names, strict=True) if abs(w) > PART_OF]
+        raise ValueError(
+            f"the structure cannot be identified: a change of {' '.join(terms)} leaves the movement as it is; "
+            "expected one of them fixed"
+        )
 
 
 class _Search(NamedTuple):
@@ -358,9 +435,11 @@ def estimate(
         raise ValueError("groups is empty; expected the trials of at least one condition")
     _require_one_person(groups)
     problem = _Problem(groups, "frequency", share)
-    search = _search(problem, problem.stabilised(problem.start(start or {})))
+    first = problem.stabilised(problem.start(start or {}))
+    problem.require_identifiable(first)
+    search = _search(problem, first)
     if not search.converged or problem.lack_of_fit(search.values).p_value < SUSPICIOUS:
-        other = _search(problem, problem.published())
+        other = _search(problem, problem.stabilised(problem.published()))
         if problem.objective(other.values) < problem.objective(search.values):
             search = other
     if method == "record":
@@ -369,23 +448,26 @@ def estimate(
     return _judge(problem, method, search)
 
 
-def profile(found: Estimate, name: str, points: Sequence[float], *, share: Sequence[str] = ()) -> Array:
+def profile(
+    groups: Sequence[Group], found: Estimate, name: str, points: Sequence[float], *, share: Sequence[str] = ()
+) -> Array:
     """Profile likelihood of a parameter: how much less likely the trials are if it is held, all others fitted anew.
 
     Args:
+      groups: the trials.
       found: the estimate around which to look.
       name: of the parameter, as in `Estimate.values`.
       points: values at which to hold it, SI.
       share: as it was for the estimate.
 
     Returns:
-      Twice the logarithm of the likelihood ratio [-], (point,), with the noise as weighed at the estimate. A point belongs
-      to the 95 % interval if it is below 3.84.
+      Twice the logarithm of the likelihood ratio [-], (point,), with the noise as weighed at the estimate. A point
+      belongs to the 95 % interval if it is below 3.84 (times `Estimate.dispersion`).
 
     Raises:
       ValueError: the parameter is unknown, or a point is outside its bounds.
     """
-    problem = _Problem(found.groups, found.method, share)
+    problem = _Problem(groups, found.method, share)
     if name not in problem.names:
         raise ValueError(f"no parameter {name!r}; expected one of {', '.join(problem.names)}")
     column = problem.names.index(name)
@@ -407,43 +489,56 @@ def profile(found: Estimate, name: str, points: Sequence[float], *, share: Seque
 
 
 def _search(problem: _Problem, values: Array, *, weigh: bool = True) -> _Search:
-    """Gauss-Newton steps within bounds from a stable start, the noise weighed anew before each unless told otherwise."""
+    """Gauss-Newton steps within bounds, the noise being weighed anew before each unless told otherwise.
+
+    No step leads to an unstable arm, or from an unstable start to one that is less stable.
+    """
     damping = 0.0
-    normal = None
+    limit = max(0.0, problem.pole(values))
     for n_rounds in range(1, MAX_ROUNDS + 1):
-        if weigh:
+        if weigh and n_rounds <= WEIGHED_ROUNDS:
             problem.weigh(values)
         normal = problem.normal(values)
-        scale = np.sqrt(np.diag(normal.information))
-        if n_rounds == 1:
-            _require_identifiable(problem, normal.information)
-        scale[scale == 0.0] = 1.0
         room = problem.lower - values, problem.upper - values
-        if np.max(np.abs(_bounded_step(normal, scale, 0.0, *room)) * scale) < SETTLED:
+        reason = "no smaller step leads to more likely values"
+        if _size(normal, _bounded_step(normal, 0.0, *room)) < SETTLED:
             return _Search(values, normal.information, "converged: steps are far below the errors", True, n_rounds)
         while True:
-            step = _bounded_step(normal, scale, damping, *room)
-            after = np.clip(values + step, problem.lower, problem.upper)
-            if problem.pole(after) < 0.0 and problem.cost(after) < normal.cost:
+            after = np.clip(values + _bounded_step(normal, damping, *room), problem.lower, problem.upper)
+            if not problem.pole(after) < limit:
+                reason = "at the border of stability"
+            elif problem.cost(after) < normal.cost:
                 break
             damping = max(10.0 * damping, 1e-3)
             if damping > 1e8:
-                return _Search(values, normal.information, "not converged: no step leads uphill", False, n_rounds)
+                return _Search(values, normal.information, f"not converged: {reason}", False, n_rounds)
         values, damping = after, damping / 10.0 if damping > 1e-6 else 0.0
-    assert normal is not None
     return _Search(values, normal.information, f"not converged: {MAX_ROUNDS} steps were not enough", False, MAX_ROUNDS)
 
 
-def _bounded_step(normal: Normal, scale: Array, damping: float, lower: Array, upper: Array) -> Array:
+def _scaled(information: Array) -> tuple[Array, Array, Array]:
+    """Scale that gives the information a diagonal of ones, its eigenvalues then, rising, and its directions."""
+    scale = np.sqrt(np.diag(information))
+    scale[scale == 0.0] = 1.0
+    power, directions = np.linalg.eigh(information / np.outer(scale, scale))
+    return scale, np.asarray(power), np.asarray(directions)
+
+
+def _size(normal: Normal, step: Array) -> float:
+    """Largest change of a parameter in units of its error, were all others known."""
+    return float(np.max(np.abs(step) * np.sqrt(np.diag(normal.information))))
+
+
+def _bounded_step(normal: Normal, damping: float, lower: Array, upper: Array) -> Array:
     """Levenberg-Marquardt step that stays within bounds."""
-    information = normal.information / np.outer(scale, scale)
-    information[np.diag_indices_from(information)] += damping + 1e-13
-    root = np.linalg.cholesky(information)
-    target = linalg.solve_triangular(root, normal.slope / scale, lower=True)
+    scale, power, directions = _scaled(normal.information)
+    root = np.sqrt(np.maximum(power, 0.0) + damping + SINGULAR)
+    target = directions.T @ (normal.slope / scale) / root
+    design = root[:, None] * directions.T
     free = upper > lower
     step = np.zeros(len(scale))
     bounds = lower[free] * scale[free], upper[free] * scale[free]
-    step[free] = optimize.lsq_linear(root.T[:, free], target, bounds, method="bvls").x
+    step[free] = optimize.lsq_linear(design[:, free], target, bounds, method="bvls").x
     return step / scale
 
 
@@ -451,15 +546,16 @@ def _judge(problem: _Problem, method: Method, search: _Search) -> Estimate:
     values, names = search.values, problem.names
     objective = problem.objective(values)
     fit = problem.lack_of_fit(values)
-    scale = np.sqrt(np.diag(search.information))
-    scale[scale == 0.0] = np.nan
-    try:
-        covariance = np.linalg.inv(search.information / np.outer(scale, scale))
-        error = np.sqrt(np.diag(covariance)) / scale
-        correlation = covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
-    except np.linalg.LinAlgError:
-        error, correlation = np.full(len(names), np.inf), np.eye(len(names))
-    error = np.where(np.isfinite(error), error * np.sqrt(max(1.0, fit.chi2 / fit.dof)), np.inf)
+    scale, power, directions = _scaled(search.information)
+    known = power > SINGULAR
+    covariance = (directions[:, known] / power[known]) @ directions[:, known].T
+    error = np.sqrt(np.diag(covariance)) / scale * np.sqrt(max(1.0, fit.chi2 / fit.dof))
+    unknown = np.abs(directions[:, ~known]).max(axis=1, initial=0.0) > PART_OF
+    error[unknown] = np.inf
+    correlation = np.eye(len(names))
+    rest = np.ix_(~unknown, ~unknown)
+    spread = np.sqrt(np.diag(covariance))[~unknown]
+    correlation[rest] = covariance[rest] / np.outer(spread, spread)
     near = np.minimum(values - problem.lower, problem.upper - values) <= AT_BOUND * (problem.upper - problem.lower)
     pole = problem.pole(values)
     return Estimate(
@@ -469,7 +565,6 @@ def _judge(problem: _Problem, method: Method, search: _Search) -> Estimate:
         correlation=correlation,
         at_bound=tuple(name for name, hit in zip(names, near, strict=True) if hit),
         arms={group.label: arm for group, arm in zip(problem.groups, problem.arms(values), strict=True)},
-        groups=problem.groups,
         status=search.status,
         converged=search.converged,
         stable=pole < 0.0,
@@ -478,6 +573,7 @@ def _judge(problem: _Problem, method: Method, search: _Search) -> Estimate:
         dof=fit.dof,
         objective=objective,
         n_rounds=search.n_rounds,
+        skew={group.label: group.skew for group in problem.groups},
     )
 
 
@@ -492,31 +588,32 @@ def _shared_names(groups: Sequence[Group], share: Sequence[str]) -> set[str]:
     return shared
 
 
+_BODY = ("name", "task", "l_h", "l_f", "theta_s_deg", "theta_e_deg")
+
+
 def _require_one_person(groups: Sequence[Group]) -> None:
     labels = [group.label for group in groups]
-    for field in ("name", "l_h", "l_f", "theta_s_deg", "theta_e_deg"):
+    for field in _BODY:
         found = {getattr(group.body, field) for group in groups}
-        if len(found) > 1:
+        if len(found) > 1 and field != "task":
             raise ValueError(
-                f"the conditions {', '.join(labels)} differ in {field} ({', '.join(map(str, sorted(found)))}); expected "
-                "one person in one posture"
+                f"the conditions {', '.join(labels)} differ in {field} ({', '.join(map(str, sorted(found)))}); "
+                "expected one person in one posture"
             )
     for label in labels:
         if labels.count(label) > 1:
             raise ValueError(f"the condition {label!r} comes twice; expected each once (its trials in one group)")
 
 
-def _require_identifiable(problem: _Problem, information: Array) -> None:
-    scale = np.sqrt(np.diag(information))
-    silent = [name for name, size in zip(problem.names, scale, strict=True) if not size > 0.0]
-    if silent:
-        raise ValueError(f"{', '.join(silent)} cannot be identified: no effect on the movement; expected them fixed")
-    power, direction = np.linalg.eigh(information / np.outer(scale, scale))
-    if power[0] < SINGULAR:
-        weak = direction[:, 0] / scale
-        weak /= np.abs(weak).max()
-        terms = [f"{w:+.2g} {name}" for w, name in zip(weak, problem.names, strict=True) if abs(w) > 1e-3]
+def _require_periodic(perturbation: Array, first: int, n_period: int, rate: float) -> None:
+    """Refuse a perturbation that is another before and in the window than a period later."""
+    n = min(n_period, first // 2)
+    earlier, later = perturbation[:, first - n : first], perturbation[:, first - n + n_period : first + n_period]
+    change = np.sqrt(np.mean((later - earlier) ** 2, axis=(1, 2))) if n else np.zeros(len(perturbation))
+    rms = np.sqrt(np.mean(perturbation[:, first : first + n_period] ** 2, axis=(1, 2)))
+    worst = int(np.argmax(change / rms))
+    if change[worst] > NOT_PERIODIC * rms[worst]:
         raise ValueError(
-            f"the structure cannot be identified: a change of {' '.join(terms)} leaves the movement as it is; expected one "
-            "of them fixed"
+            f"the perturbation of trial {worst} changes by {change[worst] / rms[worst]:.0%} of its RMS from one period "
+            f"of {n_period / rate:g} s to the next; expected a periodic one (another period?)"
         )

@@ -1,4 +1,4 @@
-"""The linear arm of the analysis as the one that is perturbed: where an estimator is judged, its model is exactly right.
+"""The linear arm of the analysis as the one that is perturbed: an estimator is judged where its model is exactly right.
 
 The response is exact for forces and torques without content above half the simulation's rate: frequency responses with
 pure delays, over a time long enough for everything to die away.
