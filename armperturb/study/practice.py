@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import optimize
 
 from armperturb.analysis.arm_model import total_admittance
 from armperturb.cohort import Person
@@ -44,8 +45,8 @@ N_CANDIDATES = 500
 _LARGEST_STEP = math.log(4.0)
 """Of the logarithm of the force from one round to the next."""
 
-_SLOPES = (0.25, 4.0)
-"""Bounds for the slope of log displacement over log force [-] when a secant is drawn: 1 is a linear arm."""
+_EXPONENTS = (0.1, 8.0)
+"""Between which the exponent of the response is looked for [-]: 1 is a linear arm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -223,8 +224,9 @@ def adjust(
 ) -> Adjustment:
     """Find the force at which each cell's displacement is as intended.
 
-    Assumes only that more force moves the handle further. The first correction is that of a linear arm; then a secant
-    through the last two rounds, on logarithms, as far as it agrees with what is known to be too much and too little.
+    Assumes that more force moves the handle further. The first correction is that of a linear arm; then a power law
+    above a noise runs through the last rounds (`_model_solution`), as far as it agrees with what is known to be too
+    much and too little; otherwise the middle of these is tried.
 
     Args:
       target: intended RMS displacement [m], > 0, (cell,).
@@ -265,12 +267,36 @@ def _next_try(tried: Sequence[tuple[float, float]]) -> float:
     above = min((point for point in tried if point[1] > 0.0), default=None)
     if math.isinf(error):
         return 0.5 * (below[0] + last) if below else last - math.log(2.0)
-    slope = 1.0
-    if len(tried) > 1 and math.isfinite(tried[-2][1]) and last != tried[-2][0]:
-        slope = min(max((error - tried[-2][1]) / (last - tried[-2][0]), _SLOPES[0]), _SLOPES[1])
-    guess = last - min(max(error / slope, -_LARGEST_STEP), _LARGEST_STEP)
+    guess = _model_solution([point for point in dict.fromkeys(tried) if math.isfinite(point[1])])
+    guess = last + min(max((last - error if guess is None else guess) - last, -_LARGEST_STEP), _LARGEST_STEP)
     if below is None or above is None or below[0] < guess < above[0]:
         return guess
-    if math.isinf(above[1]):
-        return 0.5 * (below[0] + above[0])
-    return below[0] + (above[0] - below[0]) * below[1] / (below[1] - above[1])
+    return 0.5 * (below[0] + above[0])
+
+
+def _model_solution(points: Sequence[tuple[float, float]]) -> float | None:
+    """Where y^2 = n^2 + (c F)^2p, the power of a noise and of a response to the force F, meets the target.
+
+    The last three points tell n, c and p; two tell n and c of a linear response (p = 1), one c alone.
+
+    Returns:
+      Logarithm of the force; None if no such law runs through the points.
+    """
+    if len(points) < 2:
+        return None
+    force, power = np.array(points[-3:]).T
+    force, power = force - force[-1], np.exp(2.0 * power)
+    exponent = 1.0
+    if len(points) > 2:
+        rise = (power[0] - power[2]) / (power[1] - power[2]) if power[1] != power[2] else math.nan
+
+        def excess(p: float) -> float:
+            return float(np.expm1(2.0 * p * force[0]) / np.expm1(2.0 * p * force[1]) - rise)
+
+        if math.isfinite(rise) and excess(_EXPONENTS[0]) * excess(_EXPONENTS[1]) < 0.0:
+            exponent = float(optimize.brentq(excess, *_EXPONENTS))
+    response = (power[-2] - power[-1]) / np.expm1(2.0 * exponent * force[-2])
+    noise = power[-1] - response
+    if not (response > 0.0 and noise < 1.0):
+        return None
+    return float(points[-1][0] + math.log((1.0 - noise) / response) / (2.0 * exponent))
