@@ -96,6 +96,38 @@ class Identify:
     needs several trials."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Validate:
+    """Judge the estimators on synthetic trials whose truth is known: bias, error over Cramer-Rao bound, coverage."""
+
+    out: Path
+    """Folder for tables/validation.csv, tables/validation_summary.csv, figures/validation.svg and settings.json."""
+    task: Literal["PT", "RT"] = "PT"
+    """Whose mean arm is perturbed, as in PT7.5 or RT7.5."""
+    subject: Path | None = None
+    """TOML file of the person who is perturbed instead."""
+    model: Literal["1", "2", "3", "4", "5", "6", "3a", "3b"] = "3b"
+    """Model structure that is fitted; what it fixes is fixed at the truth."""
+    groups: int = 40
+    """How often it all is repeated."""
+    trials: int = 8
+    """Number of trials that are identified together."""
+    estimators: tuple[Literal["thesis", "frequency", "record"], ...] = ("thesis", "frequency", "record")
+    """Which are judged."""
+    noise: float = 1.0
+    """Factor on the person's noise; 0 leaves that of the instruments."""
+    force: float | None = None
+    """RMS force per axis [N]; by default the published one of the task."""
+    wrong: Literal["nothing", "delay", "force-feedback", "grip"] = "nothing"
+    """What is wrong on purpose: the delay 10 ms too long, the person's force feedback left out, the grip too soft."""
+    multibody: bool = False
+    """Perturb MuJoCo's arm, which moves in a circle, and not the linear one, for which the structure is exact."""
+    seed: int = 0
+    """Of everything random."""
+    workers: int | None = None
+    """Number of processes; by default one per core. No effect on the files."""
+
+
 def study(settings: Study) -> Path:
     """Run a study, or go on with one, and return the path of its report, or of the folder if there is none.
 
@@ -193,6 +225,26 @@ def identify(settings: Identify) -> dict[str, Identification]:
     return result
 
 
+def validate(settings: Validate) -> str:
+    """Judge the estimators, write tables and figure, and return a summary to print.
+
+    Raises:
+      TypeError: a setting has the wrong type.
+      ValueError: a setting is out of its range, subject and model do not go together, or the arm is unstable.
+      RuntimeError: workers die again and again.
+      OSError: a file cannot be read or written.
+    """
+    # Here, so that the other commands start without the drawing library.
+    from armperturb.study.validate import ValidateSettings
+    from armperturb.study.validate import validate as judge
+    from armperturb.study.validate_report import summary_text, write_validation
+
+    what = {name: value for name, value in vars(settings).items() if name not in ("out", "workers")}
+    result = judge(ValidateSettings(**what), workers=settings.workers)
+    write_validation(result, settings.out)
+    return summary_text(result)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line and run it.
 
@@ -203,7 +255,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
       The exit status: 0, 1 for an input that is refused (one line on stderr says why), 130 for Ctrl-C.
     """
     command = tyro.cli(
-        Study | Simulate | Identify,
+        Study | Simulate | Identify | Validate,
         prog="armperturb",
         description="Human-arm perturbation experiments on synthetic people in MuJoCo, and their analysis.",
         args=arguments,
@@ -215,6 +267,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif isinstance(command, Simulate):
             simulate(command)
             print(f"recording: {command.out}")
+        elif isinstance(command, Validate):
+            print(validate(command))
+            print(f"results: {command.out}")
         else:
             for condition, result in identify(command).items():
                 fit, vaf = result.fit, result.vaf

@@ -1,41 +1,44 @@
 """Monte-Carlo judgement of the estimators, on synthetic people whose truth is known.
 
-Groups of trials are simulated and identified again and again. What an estimator gives is compared with the truth, its error
-with the Cramer-Rao bound (of all that the trials hold), and its intervals with how often they hold the truth.
+Groups of trials are simulated and identified again and again. What an estimator gives is compared with the truth, its
+error with the Cramer-Rao bound (of all that the trials hold), and its intervals with how often they hold the truth.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import joblib
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
+from tqdm import tqdm
 
 from armperturb.analysis.arm_model import parameter_vector
-from armperturb.analysis.fit import fit_admittance
 from armperturb.analysis.body import body_of
+from armperturb.analysis.identify import Estimator
 from armperturb.analysis.maximum_likelihood import Group, Method, estimate
-from armperturb.analysis.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.structures import STRUCTURES, Structure, unit
+from armperturb.analysis.thesis import MODEL_3_WIDE, fit_trials
 from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
-from armperturb.environment import Environment
 from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.perturbations import Multisine
 from armperturb.study.protocol import trial_seed
+from armperturb.study.workers import completed, workers_for
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import require_number
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
 
-Wrong = Literal["nothing", "delay", "force feedback", "grip"]
+Wrong = Literal["nothing", "delay", "force-feedback", "grip"]
 """What is wrong on purpose with the structure that is fitted."""
 
-ESTIMATORS = ("thesis", "frequency", "record")
+ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
 
 RMS_FORCE = {"PT": 5.4, "RT": 0.9}
 """Published RMS force per axis in PT7.5 and RT7.5 [N] (table 2.1)."""
@@ -53,7 +56,13 @@ FORCE_FEEDBACK = -0.5
 """Gain of the inhibition by tendon organs that the structure leaves out [-]; the published ones are near it (C.8)."""
 
 SAME_OPTIMUM = 0.5
-"""Twice the log likelihood by which a fit may miss the one that starts at the truth [-]: far below what any datum tells."""
+"""Twice the log likelihood by which a fit may miss the one that starts at the truth [-]; a datum tells about one."""
+
+SAME_CRITERION = 0.01
+"""Share by which the thesis's criterion may exceed its least value and the minimum still count as found [-]."""
+
+BIASED = 2.0
+"""From how many standard errors on the mean error of a parameter makes a run a biased one [-]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +72,8 @@ class ValidateSettings:
     Attributes:
       task: "PT" or "RT": whose preset is perturbed, in the manner of PT7.5 or RT7.5.
       subject: TOML file of who is perturbed instead; its task is used.
-      model: structure that is fitted, see `armperturb.analysis.structures`; what it fixes is fixed at the truth.
+      model: structure that is fitted, see `armperturb.analysis.structures`; what it fixes is fixed at the truth. Delay
+        and cut-off, where free, have the bounds of table D.2: the cut-off of 3.5 Hz is beyond those of table C.2.
       groups: how often it all is repeated.
       trials: that are identified together.
       estimators: of `ESTIMATORS`, those that are judged.
@@ -84,7 +94,7 @@ class ValidateSettings:
     model: str = "3b"
     groups: int = 40
     trials: int = 8
-    estimators: tuple[str, ...] = ESTIMATORS
+    estimators: tuple[Estimator, ...] = ESTIMATORS
     noise: float = 1.0
     force: float | None = None
     wrong: Wrong = "nothing"
@@ -96,8 +106,13 @@ class ValidateSettings:
             raise ValueError(f"validate: task = {self.task!r}; expected one of {', '.join(TASKS)}")
         if self.model not in STRUCTURES:
             raise ValueError(f"validate: model = {self.model!r}; expected one of {', '.join(STRUCTURES)}")
-        for name in ("groups", "trials"):
-            require_number("validate", name, getattr(self, name), at_least=1)
+        for name, least in (("groups", 1), ("trials", 1), ("seed", 0)):
+            value = getattr(self, name)
+            require_number("validate", name, value, at_least=least)
+            if not isinstance(value, int):
+                raise TypeError(f"validate: {name} = {value!r}; expected a whole number")
+        if not self.estimators or len(set(self.estimators)) < len(self.estimators):
+            raise ValueError(f"validate: estimators = {self.estimators!r}; expected at least one, each once")
         for name in self.estimators:
             if name not in ESTIMATORS:
                 raise ValueError(f"validate: estimators = {name!r}; expected some of {', '.join(ESTIMATORS)}")
@@ -106,7 +121,6 @@ class ValidateSettings:
             require_number("validate", "force", self.force, above=0.0)
         if self.wrong not in get_args(Wrong):
             raise ValueError(f"validate: wrong = {self.wrong!r}; expected one of {', '.join(get_args(Wrong))}")
-        require_number("validate", "seed", self.seed, at_least=0)
 
     def truth(self) -> Subject:
         """Who is perturbed.
@@ -116,21 +130,41 @@ class ValidateSettings:
           OSError: the file cannot be read.
         """
         subject = Subject.load(self.subject) if self.subject else {"PT": POSITION, "RT": RELAX}[self.task]
-        if self.wrong == "force feedback":
+        if self.wrong == "force-feedback":
             subject = replace(subject, kf_s=FORCE_FEEDBACK, kf_e=FORCE_FEEDBACK)
         return subject
 
     def structure(self) -> Structure:
-        """What is fitted: the model, with what it fixes at the truth but for what is wrong on purpose."""
+        """What is fitted: the model, with what it fixes at the truth but for what is wrong on purpose.
+
+        Raises:
+          ValueError: as `truth`; or the truth is outside the model's bounds, or what is to be wrong has no effect.
+        """
         truth, structure = self.truth(), STRUCTURES[self.model]
-        values = {name: getattr(truth, name) for name in structure.fixed[truth.task]}
+        wide = {
+            name: (MODEL_3_WIDE.bounds[name][0], structure.start[name], MODEL_3_WIDE.bounds[name][1])
+            for name in structure.free
+            if name.startswith(("Td_", "fact_"))
+        }
+        structure = at_truth(structure.freeing(**wide), truth)
         if self.wrong == "delay":
-            values |= {name: getattr(truth, name) + WRONG_DELAY for name in ("Td_s", "Td_e")}
-        elif self.wrong == "force feedback":
-            values |= {name: 0.0 for name in ("kf_s", "kf_se", "kf_e")}
+            if not any(getattr(truth, f"{gain}_{joint}") for gain in ("kv", "kp", "ka") for joint in ("s", "se", "e")):
+                raise ValueError(
+                    f"validate: wrong = {self.wrong!r}; expected another for {truth.name!r}, in whom nothing is delayed"
+                )
+            structure = structure.fixing(**{name: getattr(truth, name) + WRONG_DELAY for name in ("Td_s", "Td_e")})
+        elif self.wrong == "force-feedback":
+            structure = structure.fixing(kf_s=0.0, kf_se=0.0, kf_e=0.0)
         elif self.wrong == "grip":
-            values["k_h"] = WRONG_GRIP * truth.k_h
-        return structure.fixing(**values).named(structure.name) if values else structure
+            structure = structure.fixing(k_h=WRONG_GRIP * truth.k_h)
+        for name, value in zip(structure.free, true_values(truth, structure), strict=True):
+            lower, upper = structure.bounds[name]
+            if not lower <= value <= upper:
+                raise ValueError(
+                    f"validate: {name} = {value:g} {unit(name)} in {truth.name!r}; expected {lower:g} to {upper:g}, "
+                    f"the bounds of model {self.model}"
+                )
+        return structure.named(self.model)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,18 +175,19 @@ class Judged:
       values: estimates, (parameter,), SI.
       error: standard errors, (parameter,), SI.
       covered: whether the 95 % intervals hold the truth, (parameter,).
-      converged: whether the search ended at an optimum.
-      stable: whether the arm is stable.
-      is_global: whether no better optimum is found from the truth.
+      converged: share of the fits that ended at an optimum [-]: of one, or for "thesis" of those of all trials.
+      stable: share of them that give a stable arm [-].
+      is_global: share of them than which no better optimum is known [-]: none that is found from the truth; for
+        "thesis" none from several starts carried to their minima, for the first trial alone.
       suspicious: whether the estimator itself says that the structure is wrong; None if it cannot.
     """
 
     values: Array
     error: Array
     covered: NDArray[np.bool_]
-    converged: bool
-    stable: bool
-    is_global: bool
+    converged: float
+    stable: float
+    is_global: float
     suspicious: bool | None
 
 
@@ -172,11 +207,16 @@ class Validation:
     names: tuple[str, ...]
     truth: Array
     bound: Array
-    judged: dict[str, tuple[Judged, ...]]
+    judged: dict[Estimator, tuple[Judged, ...]]
 
     def rows(self) -> list[Row]:
-        """Bias, error, bound and coverage per estimator and parameter."""
+        """Bias, error, bound and coverage per estimator and parameter.
+
+        Low and high are a 95 % interval of the RMS error over its bound, from the number of groups (chi2 distribution).
+        """
         rows = []
+        n = self.settings.groups
+        spread = np.sqrt(n / stats.chi2.ppf([0.975, 0.025], n))
         for estimator, judged in self.judged.items():
             deviation = np.array([one.values for one in judged]) - self.truth
             rms = np.sqrt(np.mean(deviation**2, axis=0))
@@ -193,6 +233,8 @@ class Validation:
                         "rms_error_percent": float(scale * rms[column]),
                         "bound": float(self.bound[column]),
                         "rms_error_over_bound": float(rms[column] / self.bound[column]),
+                        "rms_error_over_bound_low": float(rms[column] / self.bound[column] * spread[0]),
+                        "rms_error_over_bound_high": float(rms[column] / self.bound[column] * spread[1]),
                         "mean_standard_error": float(np.mean([one.error[column] for one in judged])),
                         "coverage_percent": 100.0 * float(np.mean([one.covered[column] for one in judged])),
                     }
@@ -200,12 +242,17 @@ class Validation:
         return rows
 
     def summary(self) -> list[Row]:
-        """How the fits went, per estimator."""
+        """How the fits went, per estimator.
+
+        A run counts as biased if the mean error of some parameter, over all groups, is above `BIASED` of the standard
+        errors that the run itself gives.
+        """
         rows = []
         for estimator, judged in self.judged.items():
             deviation = np.array([one.values for one in judged]) - self.truth
-            biased = np.max(np.abs(deviation) / np.array([one.error for one in judged]), axis=1) > 2.0
-            flagged = [one.suspicious for one in judged]
+            error = np.array([one.error for one in judged])
+            biased = np.any(np.abs(deviation.mean(axis=0)) > BIASED * error, axis=1)
+            flagged = np.array([np.nan if one.suspicious is None else one.suspicious for one in judged], dtype=float)
             rows.append(
                 {
                     "estimator": estimator,
@@ -213,20 +260,45 @@ class Validation:
                     "converged_percent": 100.0 * float(np.mean([one.converged for one in judged])),
                     "stable_percent": 100.0 * float(np.mean([one.stable for one in judged])),
                     "global_percent": 100.0 * float(np.mean([one.is_global for one in judged])),
-                    "pooled_coverage_percent": 100.0 * float(np.mean([one.covered for one in judged])),
+                    "coverage_percent": 100.0 * float(np.mean([one.covered for one in judged])),
                     "median_error_over_bound": float(np.median(np.sqrt(np.mean(deviation**2, axis=0)) / self.bound)),
-                    "flagged_percent": 100.0 * float(np.mean([bool(one) for one in flagged]))
-                    if None not in flagged
-                    else np.nan,
-                    "flagged_of_biased_percent": 100.0 * float(np.mean(np.array(flagged, dtype=bool)[biased]))
-                    if None not in flagged and biased.any()
-                    else np.nan,
+                    "flagged_percent": 100.0 * float(flagged.mean()),
+                    "biased_percent": 100.0 * float(biased.mean()),
+                    "flagged_of_biased_percent": 100.0 * float(flagged[biased].mean()) if biased.any() else np.nan,
                 }
             )
         return rows
 
 
-def run_group(settings: ValidateSettings, number: int) -> tuple[int, dict[str, Judged], Array]:
+def validate(settings: ValidateSettings, *, workers: int | None = None, show_progress: bool = True) -> Validation:
+    """Judge the estimators.
+
+    Args:
+      settings: what to do; they alone determine the result.
+      workers: number of processes; by default one per core.
+      show_progress: whether to draw a progress bar even where there is no terminal.
+
+    Raises:
+      TypeError: workers is not a number.
+      ValueError: subject, structure or workers are refused, or the arm is unstable.
+      OSError: the subject's file cannot be read.
+    """
+    settings.structure()
+    if workers is None:
+        workers = joblib.cpu_count()
+    require_number("validate", "workers", workers, at_least=1)
+    units, do, results = range(settings.groups), partial(run_group, settings), []
+    with (
+        workers_for(min(workers, settings.groups), None) as crew,
+        tqdm(total=len(units), desc="validate", unit="group", disable=None if show_progress else True) as bar,
+    ):
+        for result in map(do, units) if crew is None else completed(do, units, crew, bar.refresh):
+            results.append(result)
+            bar.update()
+    return collect(settings, results)
+
+
+def run_group(settings: ValidateSettings, number: int) -> tuple[int, dict[Estimator, Judged], Array]:
     """Simulate and identify one group of trials.
 
     Args:
@@ -235,6 +307,10 @@ def run_group(settings: ValidateSettings, number: int) -> tuple[int, dict[str, J
 
     Returns:
       The number, estimator to what it made of the group, and the Fisher information at the truth.
+
+    Raises:
+      ValueError: as `ValidateSettings.structure`, or the arm is unstable.
+      OSError: the subject's file cannot be read.
     """
     truth, structure = settings.truth(), settings.structure()
     recording = run_experiment(
@@ -246,25 +322,31 @@ def run_group(settings: ValidateSettings, number: int) -> tuple[int, dict[str, J
     body = body_of(recording)
     group = Group.prepare(recording, body, structure)
     values = true_values(truth, structure)
-    group.record.weigh(structure.parameters(truth.task, values))
-    information = group.record.normal(structure.parameters(truth.task, values), structure.mixing).information
-    judged = {}
-    for estimator in settings.estimators:
-        if estimator == "thesis":
-            judged[estimator] = _by_thesis(recording, body, structure, group.environment, values)
-        else:
-            judged[estimator] = _by_likelihood(group, estimator, values)
+    right = at_truth(structure, truth).parameters(truth.task, values)
+    group.record.weigh(right)
+    information = group.record.normal(right, structure.mixing).information
+    judged = {
+        estimator: _by_thesis(recording, structure, values)
+        if estimator == "thesis"
+        else _by_likelihood(group, estimator, values)
+        for estimator in settings.estimators
+    }
     return number, judged, information
+
+
+def at_truth(structure: Structure, truth: Subject) -> Structure:
+    """The structure with all that it fixes as it is in an arm."""
+    return structure.fixing(**{name: getattr(truth, name) for name in structure.fixed[truth.task]})
 
 
 def true_values(truth: Subject, structure: Structure) -> Array:
     """Values of a structure's free parameters that are nearest to an arm, (parameter,), SI."""
     fixed = structure.parameters(truth.task, np.zeros(len(structure.free)))
     free = structure.mixing.any(axis=1)
-    return np.linalg.lstsq(structure.mixing[free], (parameter_vector(truth) - fixed)[free], rcond=None)[0]
+    return np.asarray(np.linalg.lstsq(structure.mixing[free], (parameter_vector(truth) - fixed)[free], rcond=None)[0])
 
 
-def collect(settings: ValidateSettings, results: Sequence[tuple[int, dict[str, Judged], Array]]) -> Validation:
+def collect(settings: ValidateSettings, results: Sequence[tuple[int, dict[Estimator, Judged], Array]]) -> Validation:
     """What `run_group` gave of every group, together."""
     ordered = sorted(results, key=lambda result: result[0])
     structure = settings.structure()
@@ -302,45 +384,31 @@ def _scaled(noise: HumanNoise, factor: float) -> HumanNoise:
 
 def _by_likelihood(group: Group, method: Method, truth: Array) -> Judged:
     found = estimate([group], method)
-    lower, upper = np.array(list(group.structure.bounds.values())).T
     names = group.structure.free
-    inside = {name: float(value) for name, value in zip(names, np.clip(truth, lower, upper), strict=True)}
-    from_truth = estimate([group], method, start=inside)
-    values, error = np.array([*found.values.values()]), np.array([*found.standard_error.values()])
+    from_truth = estimate([group], method, start=dict(zip(names, truth.tolist(), strict=True)))
+    intervals = [found.interval(name) for name in names]
     return Judged(
-        values=values,
-        error=error,
-        covered=np.array(
-            [found.interval(name).lower <= true <= found.interval(name).upper for name, true in zip(names, truth, strict=True)]
-        ),
-        converged=found.converged,
-        stable=found.stable,
-        is_global=found.objective <= from_truth.objective + SAME_OPTIMUM,
+        values=np.array([*found.values.values()]),
+        error=np.array([*found.standard_error.values()]),
+        covered=np.array([one.lower <= true <= one.upper for one, true in zip(intervals, truth, strict=True)]),
+        converged=float(found.converged),
+        stable=float(found.stable),
+        is_global=float(found.objective <= from_truth.objective + SAME_OPTIMUM),
         suspicious=found.is_suspicious,
     )
 
 
-def _by_thesis(
-    recording: xr.Dataset, body: Subject, structure: Structure, environment: Environment, truth: Array
-) -> Judged:
+def _by_thesis(recording: xr.Dataset, structure: Structure, truth: Array) -> Judged:
     """Each trial alone, averaged as published; intervals from the mean of the standard errors of eq. 2.22."""
-    fits = []
-    for trial in range(recording.sizes["trial"]):
-        spectra = estimate_spectra(line_spectra(recording.isel(trial=[trial])))
-        fits.append(
-            fit_admittance(
-                spectra.frequency, spectra.arm, body, structure, environment, coherence=spectra.coherence, delay="pade"
-            )
-        )
-    values = np.mean([[*fit.values.values()] for fit in fits], axis=0)
-    error = np.mean([[*fit.sem.values()] for fit in fits], axis=0)
-    half = stats.norm.ppf(0.975) * error
+    found = fit_trials(recording, structure)
+    least = fit_trials(recording.isel(trial=[0]), structure, as_published=False)
+    values, error = found.values.mean(axis=0), found.sem.mean(axis=0)
     return Judged(
         values=values,
         error=error,
-        covered=np.abs(values - truth) <= half,
-        converged=all(fit.converged for fit in fits),
-        stable=all(fit.stable for fit in fits),
-        is_global=all(fit.n_starts_agree == fit.n_starts for fit in fits),
+        covered=np.abs(values - truth) <= stats.norm.ppf(0.975) * error,
+        converged=float(np.mean([fit.converged for fit in found.fits])),
+        stable=float(found.stable.mean()),
+        is_global=float(found.criterion[0] <= (1.0 + SAME_CRITERION) * least.criterion[0]),
         suspicious=None,
     )
