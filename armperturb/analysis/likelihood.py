@@ -269,17 +269,15 @@ class RecordLikelihood(Likelihood):
         top: float,
         settle: float,
     ) -> None:
-        n_samples, n_taper = perturbation.shape[1], round(TAPER * rate)
-        self._n_samples = n_samples
-        self._n_padded = fft.next_fast_len(2 * n_samples, real=True)
+        n_taper = round(TAPER * rate)
+        self._judged = slice(round(settle * rate), perturbation.shape[1])
+        self._n_padded = fft.next_fast_len(2 * perturbation.shape[1], real=True)
         fade = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_taper) + 0.5) / n_taper)
-        self._taper = np.ones(n_samples)
+        self._taper = np.ones(self._judged.stop - self._judged.start)
         self._taper[-n_taper:] = fade[::-1]
         if settle > 0.0:
-            first = round(settle * rate)
-            self._taper[:first] = 0.0
-            self._taper[first : first + n_taper] *= fade
-        frequency = fft.rfftfreq(n_samples, 1.0 / rate)
+            self._taper[:n_taper] *= fade
+        frequency = fft.rfftfreq(len(self._taper), 1.0 / rate)
         self._used = slice(1, int(np.searchsorted(frequency, top)))
         super().__init__(
             body,
@@ -298,12 +296,12 @@ class RecordLikelihood(Likelihood):
         self._load = load * whitening(fine, rate)
 
     def _spectrum(self, values: Array) -> Response:
-        """DFT of records (..., time), faded out, at the frequencies that count."""
-        return np.asarray(fft.rfft(values * self._taper, axis=-1)[..., self._used])
+        """DFT of what is judged of records (..., time), faded out, at the frequencies that count."""
+        return np.asarray(fft.rfft(values[..., self._judged] * self._taper, axis=-1)[..., self._used])
 
     def _cut(self, spectrum: Response) -> Response:
         """The same of signals that are given by their DFT over the padded time."""
-        return self._spectrum(fft.irfft(spectrum, self._n_padded, axis=-1)[..., : self._n_samples])
+        return self._spectrum(fft.irfft(spectrum, self._n_padded, axis=-1))
 
     def _predicted(self, values: Array) -> Response:
         total = np.moveaxis(self._model.total_admittance(values, self._environment), 0, -1)

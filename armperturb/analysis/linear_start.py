@@ -79,11 +79,13 @@ def _with_linear(
     others = structure.parameters(body.task, values)
     b_h, k_h = (others[PARAMETERS.index(name)] for name in ("b_h", "k_h"))
     grip = 1.0 / (2j * np.pi * arm.frequency * b_h + k_h)
-    muscle = np.linalg.inv(measured - grip[:, None, None] * np.eye(2))
-    impedance = arm.jacobian.T @ muscle @ arm.jacobian
+    muscle = measured - grip[:, None, None] * np.eye(2)
+    impedance = arm.jacobian.T @ np.linalg.inv(muscle) @ arm.jacobian
     rest = impedance - arm.joint_impedance(others)
     basis = arm.joint_impedance_gradient(others) @ structure.mixing[:, linear]
-    relative = 1.0 / np.linalg.norm(impedance, axis=(1, 2))
+    # Where the grip yields more than the arm, an error of either admittance is a large one of the impedance.
+    share = np.linalg.norm(muscle, axis=(1, 2)) / (np.linalg.norm(measured, axis=(1, 2)) + np.abs(grip))
+    relative = share / np.linalg.norm(impedance, axis=(1, 2))
     design, target = basis * relative[:, None, None, None], rest * relative[:, None, None]
     rows = np.concatenate([design.real, design.imag]).reshape(-1, int(linear.sum()))
     scale = np.linalg.norm(rows, axis=0)
