@@ -125,7 +125,7 @@ def test_slope_and_information_are_the_derivatives_that_differences_show(kind):
 @pytest.mark.parametrize("kind", [by_period, by_record])
 def test_residual_of_the_right_arm_is_white_and_its_lack_of_fit_chi_square(kind):
     fits, costs, wrong = [], [], []
-    for seed in range(25):
+    for seed in range(16):
         likelihood = noisy(RELAX, seed, kind)
         likelihood.weigh(parameter_vector(RELAX))
         fits.append(likelihood.lack_of_fit(parameter_vector(RELAX)))
