@@ -36,6 +36,9 @@ BAND = (0.2, 0.25)
 ROUNDS = 3
 """How often environment and noise levels are estimated in turn: the former hardly depends on the latter."""
 
+LEFT_OVER = 0.2
+"""Share of the load's power at low frequencies from which on there is no balance [-]; noise leaves under 0.01."""
+
 ROUND_OFF = 1e-12
 """No instrument is known to be less noisy than this share of its RMS signal [-]."""
 
@@ -124,22 +127,27 @@ class Balance:
         """Mass, damping and stiffness that the manipulator really showed, and the noise of the instruments.
 
         Raises:
-          ValueError: no positive mass comes out, as happens when the sign of the force is wrong.
+          ValueError: no positive mass comes out, or none that balances, as when the sign of the force is wrong.
 
         Source: errors in variables, as above; the thesis's values are eqs C.1-C.3.
         """
         # Low frequencies first, where noise hardly matters.
-        slow = self._roots[: max(20, len(self._roots) // 5), :, :4].reshape(-1, 4)
+        n_slow = max(20, len(self._roots) // 5)
+        slow = self._roots[:n_slow, :, :4].reshape(-1, 4)
         values = np.asarray(np.linalg.lstsq(slow[:, 1:], -slow[:, 0], rcond=None)[0], dtype=float)
         levels = self._levels(values)
         for _ in range(ROUNDS):
             values = self._most_likely(values, levels)
             levels = self._levels(values)
         mass, damping, stiffness = map(float, values)
+        sign = "force must be the reaction force that the handle exerts on the hand: the environment sees d - f"
         if not mass > 0.0:
+            raise ValueError(f"the environment's mass comes out at {mass:.3g} kg; expected a positive mass ({sign})")
+        left = float(np.sum(self._noise(values)[:n_slow] ** 2) / np.sum(slow[:, 0] ** 2))
+        if left > LEFT_OVER:
             raise ValueError(
-                f"the environment's mass comes out at {mass:.3g} kg; expected a positive mass (force must be the "
-                "reaction force that the handle exerts on the hand, so that the environment sees perturbation - force)"
+                f"mass, damping and stiffness leave {left:.0%} of the load on the environment unexplained; expected less "
+                f"than {LEFT_OVER:.0%} ({sign})"
             )
         return Environment(m_env=mass, b_env=max(damping, 0.0), k_env=max(stiffness, 0.0)), levels
 

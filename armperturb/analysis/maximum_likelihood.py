@@ -143,6 +143,7 @@ class Group:
                     f"{field} = {getattr(found, field)!r} in the recording; expected {getattr(body, field)!r} (body)"
                 )
         lines = line_spectra(recording, start=start, period=period)
+        spectra = estimate_spectra(lines)
         rate = float(recording.attrs["rate"])
         signals = (recording[name].values for name in ("perturbation", "force", "displacement"))
         d, f, x = (np.asarray(values, dtype=float) for values in signals)
@@ -150,7 +151,6 @@ class Group:
         _require_periodic(d, first, n_period, rate)
         balance = Balance(d, f, x, rate)
         environment, noise = balance.fit()
-        spectra = estimate_spectra(lines)
         white = whitened(balance.displacement(environment, noise), rate)
         onset = float(np.nanmin([*recording["pulse_onset"].values, np.inf]))
         end = min(round(min(onset, d.shape[1] / rate) * rate), d.shape[1] - round(EDGE * rate))
