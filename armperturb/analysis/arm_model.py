@@ -20,7 +20,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import signal
+from scipy import linalg
 
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -81,9 +81,9 @@ class LinearResponse(NamedTuple):
     """Response of the linear model in time.
 
     Attributes:
-      displacement: of the handle [m], (time, axis).
-      force: hand reaction force f [N], (time, axis).
-      joint_angle: deviation from the posture [rad], (time, joint).
+      displacement: of the handle [m], (..., time, axis).
+      force: hand reaction force f [N], (..., time, axis).
+      joint_angle: deviation from the posture [rad], (..., time, joint).
     """
 
     displacement: Array
@@ -549,15 +549,27 @@ def fastest_pole(subject: Subject, environment: Environment) -> float:
 
 
 def simulate_linear(subject: Subject, environment: Environment, perturbation: ArrayLike, rate: float) -> LinearResponse:
-    """Response of the linear model, from rest, to a sampled disturbance that runs straight between its samples.
+    """Response of the linear model, from rest, to sampled disturbances that run straight between their samples.
 
     Args:
       subject: the arm.
       environment: what the hand holds.
-      perturbation: d [N], (time, axis).
+      perturbation: d [N], (..., time, axis).
       rate: of the samples [Hz].
     """
     force = np.asarray(perturbation, dtype=float)
-    time = np.arange(len(force)) / rate
-    _, y, _ = signal.lsim(tuple(state_space(subject, environment)), force, time)
-    return LinearResponse(y[:, 0:2], y[:, 2:4], y[:, 4:6])
+    system = state_space(subject, environment)
+    # Exponential of a sample's time of state, force and the force's rise within the sample.
+    generator = np.zeros((N_STATES + 4, N_STATES + 4))
+    generator[:N_STATES] = np.hstack([system.a / rate, system.b / rate, np.zeros((N_STATES, 2))])
+    generator[N_STATES : N_STATES + 2, N_STATES + 2 :] = np.eye(2)
+    step, of_force, of_rise = np.split(linalg.expm(generator)[:N_STATES].T, [N_STATES, N_STATES + 2])
+    state = np.zeros((*force.shape[:-1], N_STATES))
+    state[..., 1:, :] = force[..., :-1, :] @ of_force + np.diff(force, axis=-2) @ of_rise
+    # x_i = sum over k of step^k w_(i - k): each pass doubles the number of terms.
+    terms = 1
+    while terms < force.shape[-2]:
+        state[..., terms:, :] = state[..., terms:, :] + state[..., :-terms, :] @ step
+        step, terms = step @ step, 2 * terms
+    y = state @ system.c.T
+    return LinearResponse(y[..., 0:2], y[..., 2:4], y[..., 4:6])
