@@ -20,9 +20,6 @@ from armperturb.recording import LABELS
 
 AXES = LABELS["axis"]
 
-NORMAL_95 = 1.96
-"""Half a 95 % confidence interval over the standard error [-]."""
-
 
 def write_csv(rows: Iterable[Mapping[str, Any]], path: str | Path) -> None:
     """Write rows as CSV with a header line, numbers in full precision.
@@ -65,9 +62,9 @@ def parameter_rows(identification: Identification) -> list[dict[str, Any]]:
         {
             "parameter": name,
             "value": value,
-            "sem": fit.standard_error[name],
-            "lower_95": value - NORMAL_95 * fit.standard_error[name],
-            "upper_95": value + NORMAL_95 * fit.standard_error[name],
+            "standard_error": fit.standard_error[name],
+            "lower_95": fit.interval(name).lower,
+            "upper_95": fit.interval(name).upper,
             "unit": unit(name),
             "at_bound": str(name in fit.at_bound).lower(),
         }

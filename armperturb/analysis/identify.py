@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.arm_model import arm_admittance, largest_real_pole
 from armperturb.analysis.body import body_of
-from armperturb.analysis.maximum_likelihood import Estimate, Group, estimate
+from armperturb.analysis.maximum_likelihood import Estimate, Group, Interval, estimate
 from armperturb.analysis.spectra import SpectralEstimate, estimate_spectra, line_spectra
 from armperturb.analysis.structures import STRUCTURES, Structure
 from armperturb.analysis.thesis import ThesisEstimate, fit_trials
@@ -21,6 +21,9 @@ from armperturb.subject import Subject
 
 Estimator = Literal["thesis", "frequency", "record"]
 """The thesis's (each trial alone, averaged), or greatest likelihood over mean periods, or over whole records."""
+
+NORMAL_95 = 1.96
+"""Half a 95 % confidence interval over the standard error [-]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,6 +60,11 @@ class ArmFit:
     criterion: float
     remarks: tuple[str, ...]
     detail: Estimate | ThesisEstimate
+
+    def interval(self, name: str) -> Interval:
+        """95 % confidence interval of a free parameter, SI; for "thesis" as if its SEM were a standard error."""
+        half = NORMAL_95 * self.standard_error[name]
+        return Interval(self.values[name] - half, self.values[name] + half)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

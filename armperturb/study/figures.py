@@ -12,9 +12,9 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocat
 from numpy.typing import NDArray
 
 from armperturb.analysis.arm_model import arm_admittance, simulate_linear
-from armperturb.analysis.vaf import variance_accounted_for
 from armperturb.analysis.spectra import LineSpectra, line_spectra
 from armperturb.analysis.structures import unit
+from armperturb.analysis.vaf import variance_accounted_for
 from armperturb.cohort import draw_cohort
 from armperturb.envs.camera import render
 from armperturb.models import build_model
@@ -25,6 +25,7 @@ from armperturb.study.admittance import MeanAdmittance, by_task, main_conditions
 from armperturb.study.protocol import Condition
 from armperturb.study.runner import Case, StudyResult
 from armperturb.study.style import (
+    BESIDE,
     COLOURS,
     FITTED,
     GREY,
@@ -287,7 +288,10 @@ def prediction(case: Case, *, trial: int = 0, start: float = 20.0, span: float =
 
 @in_style()
 def parameters(study: StudyResult, task: str) -> Figure:
-    """Estimated against true parameters of all subjects in a task's conditions, beside the published mean and SD."""
+    """Estimated against true parameters of all subjects in a task's conditions, beside the published mean and SD.
+
+    Bars are 95 % intervals; what the thesis's estimator gives beyond a panel is drawn at its edge.
+    """
     looks = _looks(study, task)
     names = tuple(study.of(looks[0][0].name)[0].identified.fit.values)
     n_columns = 5
@@ -298,29 +302,34 @@ def parameters(study: StudyResult, task: str) -> Figure:
     for ax, name in zip(panels.flat, names, strict=False):
         truths: list[float] = []
         reach: list[float] = []
+        of_thesis: list[tuple[float, float]] = []
         printed: list[tuple[published.MeanSD, dict[str, Any]]] = []
         for condition, look in looks:
             cases = study.of(condition.name)
             truth = [true_value(case.truth, name) for case in cases]
-            estimate = [case.identified.fit.values[name] for case in cases]
-            sem = [case.identified.fit.sem[name] for case in cases]
+            fits = [case.identified.fit for case in cases]
+            estimate = [fit.values[name] for fit in fits]
+            half = np.array([fit.interval(name).upper - fit.values[name] for fit in fits])
             truths += truth
             reach += estimate
             ax.errorbar(
                 truth,
                 estimate,
-                np.where(np.isfinite(sem), sem, 0),
+                np.where(np.isfinite(half), half, 0),
                 fmt=look["marker"],
                 color=look["color"],
                 markersize=3.5,
                 elinewidth=0.8,
                 alpha=0.85,
             )
+            of_thesis += [(true_value(case.truth, name), case.thesis.fit.values[name]) for case in cases if case.thesis]
             mean_sd = published_or_nan(published.parameter, condition.name, name)
             if np.isfinite(mean_sd.mean):
                 printed.append((mean_sd, look))
                 reach += [mean_sd.mean - mean_sd.sd, mean_sd.mean + mean_sd.sd]
         (left, high), (bottom, top) = _padded(truths), _padded([*truths, *reach])
+        for true, found in of_thesis:
+            ax.plot(true, np.clip(found, bottom, top), **BESIDE, clip_on=False, zorder=1.5)
         ax.plot((left, high), (left, high), **{**TRUE, "linewidth": 1})
         place_width = 0.11 * (high - left)
         right = high + place_width * (len(printed) + 0.6) if printed else high
@@ -338,6 +347,7 @@ def parameters(study: StudyResult, task: str) -> Figure:
     figure.supxlabel("true", fontsize=9)
     figure.supylabel("estimated", fontsize=9)
     handles = [Line2D([], [], linestyle="", label=condition.name, **look) for condition, look in looks]
+    handles.append(Line2D([], [], label="thesis's estimator", **BESIDE))
     handles.append(Line2D([], [], label="estimated = true", **{**TRUE, "linewidth": 1}))
     if any_printed:
         handles.append(Line2D([], [], marker="o", linestyle="", label="published mean ± SD", **PUBLISHED))

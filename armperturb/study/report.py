@@ -13,6 +13,7 @@ import jinja2
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from armperturb.analysis.maximum_likelihood import SUSPICIOUS
 from armperturb.files import written_whole
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.study import figures
@@ -77,7 +78,7 @@ def write_report(study: StudyResult, out: Path) -> Path:
         Section(title="Method", template="method", context={}),
         Section(title="Conditions", template="conditions", context={"rows": rows["conditions"]}),
         Section(title="Admittance", template="admittance", context={}),
-        Section(title="Fits", template="fits", context={"rows": rows["fits"]}),
+        Section(title="Fits", template="fits", context={"rows": rows["fits"], "remarks": remarks(study)}),
         Section(title="Parameters", template="parameters", context={"rows": rows["parameters_summary"]}),
         Section(title="What was left out", template="left_out", context={"lists": left_out(study, rows["fits"])}),
     )
@@ -98,10 +99,10 @@ def left_out(study: StudyResult, fits: list[Row]) -> dict[str, list[str]]:
         "Trials and people that were left out": [reason for case in study.cases for reason in case.left_out],
         "Fits that did not converge": those(lambda row: "" if row["converged"] else row["status"]),
         "Fits with a parameter at its bound": those(lambda row: row["at_bound"]),
-        "Fits whose starts ended in different minima": those(
+        "Fits whose trials say that the model is wrong, or the person not linear": those(
             lambda row: (
-                f"{row['n_starts_agree']} of {row['n_starts']} in the best"
-                if row["n_starts_agree"] < row["n_starts"]
+                f"chi2 / dof {row['chi2'] / row['dof']:.2f}, p = {row['p_value']:.1g}"
+                if row["p_value"] < SUSPICIOUS
                 else ""
             )
         ),
@@ -109,6 +110,18 @@ def left_out(study: StudyResult, fits: list[Row]) -> dict[str, list[str]]:
             lambda row: "" if row["stable"] else f"largest real part of a pole {row['largest_real_pole_per_s']:.3g} 1/s"
         ),
     }
+
+
+def remarks(study: StudyResult) -> dict[str, dict[str, list[str]]]:
+    """Condition to person to what to know before trusting their estimates, the thesis's estimator's last."""
+    said: dict[str, dict[str, list[str]]] = {}
+    for case in study.cases:
+        if case.identification is not None:
+            lines = list(case.identified.fit.remarks)
+            lines += [f"thesis's estimator: {line}" for line in (case.thesis.fit.remarks if case.thesis else ())]
+            if lines:
+                said.setdefault(case.condition.name, {})[case.truth.name] = lines
+    return {condition.name: said[condition.name] for condition in study.conditions if condition.name in said}
 
 
 def _draw(study: StudyResult, folder: Path) -> tuple[dict[str, Picture], dict[str, str]]:
@@ -153,7 +166,7 @@ def _page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(digits=digits, fixed=fixed, mean_sd=mean_sd, symbol=symbol)
+    environment.filters.update(chance=chance, digits=digits, fixed=fixed, mean_sd=mean_sd, symbol=symbol)
     environment.globals.update(
         study=study,
         main={task: study.of(condition.name)[0] for task, condition in main_conditions(study).items()},
@@ -184,6 +197,11 @@ def fixed(value: float | None, decimals: int) -> str:
     if value is None or not math.isfinite(value):
         return MISSING
     return f"{value:.{decimals}f}".replace("-", "−")
+
+
+def chance(p_value: float) -> str:
+    """A p value; what is small is said to be."""
+    return "< 0.001" if p_value < 1e-3 else fixed(p_value, 3)
 
 
 def mean_sd(mean: float, sd: float) -> str:

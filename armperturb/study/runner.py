@@ -20,6 +20,7 @@ import xarray as xr
 from tqdm import tqdm
 
 from armperturb.analysis.identify import Identification, identify
+from armperturb.analysis.maximum_likelihood import Estimate
 from armperturb.analysis.spectra import SpectralEstimate, estimate_spectra, line_spectra
 from armperturb.cohort import Person, draw_cohort
 from armperturb.environment import Environment
@@ -97,8 +98,10 @@ class Case:
       condition: what was run.
       truth: the subject that was simulated.
       recording: path of the subject's recording.
-      identification: what the analysis made of it; None if it could not be identified.
-      left_out: reasons why trials were left out, or why nothing was identified.
+      identification: what the analysis made of it, by greatest likelihood over whole records; None if it could not be
+        identified.
+      thesis: what the thesis's estimator makes of the same trials; None if it cannot.
+      left_out: reasons why trials were left out, or why an estimator gave nothing.
       single_trials: spectra of each trial behind the identification, averaged over adjacent lines only.
       force: RMS force of the multisine per axis in the window of the analysis, pooled over axes and trials [N]; NaN if
         not identified.
@@ -110,6 +113,7 @@ class Case:
     recording: Path
     identification: Identification | None
     left_out: tuple[str, ...]
+    thesis: Identification | None = None
     single_trials: tuple[SpectralEstimate, ...] = ()
     force: float = math.nan
     displacement: float = math.nan
@@ -124,6 +128,12 @@ class Case:
         """The identification of a case that `StudyResult.of` gives, which has one."""
         assert self.identification is not None
         return self.identification
+
+    @property
+    def estimate(self) -> Estimate:
+        """What the greatest likelihood gives of such a case beside the arm: intervals, correlations, lack of fit."""
+        assert isinstance(self.identified.fit.detail, Estimate)
+        return self.identified.fit.detail
 
     def trials(self) -> xr.Dataset:
         """The recorded trials behind the identification."""
@@ -489,7 +499,7 @@ def _identify_condition(
     ]
     inside = _inside(mine)
     lasts = protocol.multisine_duration if condition.pulse_levels else protocol.trial_duration
-    identification = None
+    identification = thesis = None
     single_trials: tuple[SpectralEstimate, ...] = ()
     force = displacement = math.nan
     if lasts < WINDOW_START + PERIOD:
@@ -507,12 +517,18 @@ def _identify_condition(
             force, displacement = (_rms(inside[name]) for name in ("perturbation", "displacement"))
         except ValueError as error:  # must not cost the other subjects their results
             left_out.append(f"{truth.name} in {condition.name} was not identified: {error}")
+    if identification is not None:
+        try:
+            thesis = identify(inside, MODELS[condition.task], estimator="thesis", start=WINDOW_START)
+        except ValueError as error:
+            left_out.append(f"{truth.name} in {condition.name} was not identified by the thesis's estimator: {error}")
     return Case(
         condition=condition,
         truth=truth,
         recording=path,
         identification=identification,
         left_out=tuple(left_out),
+        thesis=thesis,
         single_trials=single_trials,
         force=force,
         displacement=displacement,

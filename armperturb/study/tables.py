@@ -23,13 +23,15 @@ def true_value(subject: Subject, parameter: str) -> float:
 
 
 def parameter_rows(study: StudyResult) -> list[Row]:
-    """Every estimated parameter of every subject beside its truth."""
+    """Every estimated parameter of every subject beside its truth, and what the thesis's estimator gives."""
     rows = []
     for condition in study.conditions:
         for case in study.of(condition.name):
-            fit = case.identified.fit
+            fit, thesis = case.identified.fit, case.thesis.fit if case.thesis else None
             for name, estimate in fit.values.items():
                 truth = true_value(case.truth, name)
+                interval = fit.interval(name)
+                of_thesis = thesis.values[name] if thesis else math.nan
                 rows.append(
                     {
                         "condition": condition.name,
@@ -38,16 +40,21 @@ def parameter_rows(study: StudyResult) -> list[Row]:
                         "unit": unit(name),
                         "true": truth,
                         "estimated": estimate,
-                        "sem": fit.sem[name],
+                        "standard_error": fit.standard_error[name],
+                        "lower_95": interval.lower,
+                        "upper_95": interval.upper,
                         "error_percent": 100.0 * (estimate / truth - 1.0),
                         "at_bound": str(name in fit.at_bound).lower(),
+                        "thesis_estimated": of_thesis,
+                        "thesis_sem": thesis.standard_error[name] if thesis else math.nan,
+                        "thesis_error_percent": 100.0 * (of_thesis / truth - 1.0),
                     }
                 )
     return rows
 
 
 def parameter_summary_rows(of_subjects: list[Row]) -> list[Row]:
-    """Published mean (SD), true and estimated mean (SD) over subjects, and the median error, per parameter."""
+    """Published mean (SD), true and estimated mean (SD) over subjects, and how well they agree, per parameter."""
     rows = []
     for condition in dict.fromkeys(row["condition"] for row in of_subjects):
         mine = [row for row in of_subjects if row["condition"] == condition]
@@ -63,22 +70,64 @@ def parameter_summary_rows(of_subjects: list[Row]) -> list[Row]:
                     "published_sd": printed.sd,
                     **_mean_sd("true", [row["true"] for row in values]),
                     **_mean_sd("estimated", [row["estimated"] for row in values]),
-                    "median_abs_error_percent": float(np.median([abs(row["error_percent"]) for row in values])),
+                    **_mean_sd("thesis", _existing(row["thesis_estimated"] for row in values)),
+                    **_judgement(values),
                 }
             )
     return rows
 
 
-def fit_rows(study: StudyResult) -> list[Row]:
-    """How each fit went."""
+def correlation_rows(study: StudyResult) -> list[Row]:
+    """How the errors of each pair of parameters of every subject correlate, as the likelihood has it."""
     rows = []
     for condition in study.conditions:
         for case in study.of(condition.name):
-            summary = fit_summary(case.identified)
-            environment = summary.pop("environment")
-            summary["at_bound"] = " ".join(summary["at_bound"])
-            rows.append({"condition": condition.name, "subject": case.truth.name, **summary, **environment})
+            estimate = case.estimate
+            names = tuple(estimate.values)
+            rows += [
+                {
+                    "condition": condition.name,
+                    "subject": case.truth.name,
+                    "parameter": names[i],
+                    "other": names[j],
+                    "correlation": float(estimate.correlation[i, j]),
+                }
+                for i, j in zip(*np.triu_indices(len(names), 1), strict=True)
+            ]
     return rows
+
+
+def fit_rows(study: StudyResult) -> list[Row]:
+    """How each fit went, and in the columns that begin with thesis_ how that of the thesis's estimator did."""
+    rows = []
+    for condition in study.conditions:
+        for case in study.of(condition.name):
+            summary = _flat(fit_summary(case.identified))
+            del summary["correlation"]
+            environment = summary.pop("environment")
+            beside = _flat(fit_summary(case.thesis)) if case.thesis else {}
+            rows.append(
+                {
+                    "condition": condition.name,
+                    "subject": case.truth.name,
+                    **summary,
+                    **{f"thesis_{name}": beside.get(name) for name in _BESIDE},
+                    **environment,
+                }
+            )
+    return rows
+
+
+_BESIDE = (
+    *("status", "converged", "criterion", "VAF_x", "VAF_y", "stable", "largest_real_pole_per_s", "at_bound", "remarks"),
+    *("n_trials", "n_stable", "n_positive_VAF"),
+)
+"""What is told of a fit of the thesis's estimator."""
+
+
+def _flat(summary: Row) -> Row:
+    """A summary in which lists are text."""
+    return {**summary, "at_bound": " ".join(summary["at_bound"]), "remarks": "; ".join(summary["remarks"])}
 
 
 def condition_rows(study: StudyResult) -> list[Row]:
@@ -112,7 +161,6 @@ def summary_rows(study: StudyResult, of_parameters: list[Row], of_fits: list[Row
     rows = []
     for condition in study.conditions:
         fits = [row for row in of_fits if row["condition"] == condition.name]
-        errors = [abs(row["error_percent"]) for row in of_parameters if row["condition"] == condition.name]
         used = sum(len(case.single_trials) for case in study.of(condition.name))
         rows.append(
             {
@@ -122,12 +170,16 @@ def summary_rows(study: StudyResult, of_parameters: list[Row], of_fits: list[Row
                 "trials": study.n_trials(condition.name),
                 "trials_used": used,
                 "model": study.of(condition.name)[0].model,
-                "median_abs_error_percent": float(np.median(errors)),
-                "VAF_x_mean": _mean(row["VAF_x"] for row in fits),
-                "VAF_y_mean": _mean(row["VAF_y"] for row in fits),
-                "stable": sum(row["stable"] for row in fits),
-                "converged": sum(row["converged"] for row in fits),
-                "at_bound": sum(bool(row["at_bound"]) for row in fits),
+                **_judgement([row for row in of_parameters if row["condition"] == condition.name]),
+                **{
+                    f"{name}_mean": _mean(row[name] for row in fits)
+                    for name in ("VAF_x", "VAF_y", "thesis_VAF_x", "thesis_VAF_y", "criterion", "thesis_criterion")
+                },
+                **{
+                    name: sum(bool(row[name]) for row in fits)
+                    for name in ("stable", "thesis_stable", "converged", "at_bound", "thesis_at_bound")
+                },
+                "suspicious": sum(case.estimate.is_suspicious for case in study.of(condition.name)),
             }
         )
     return rows
@@ -153,6 +205,7 @@ def write_tables(study: StudyResult, folder: Path) -> dict[str, list[Row]]:
     tables = {
         "parameters": of_parameters,
         "parameters_summary": parameter_summary_rows(of_parameters),
+        "correlations": correlation_rows(study),
         "fits": of_fits,
         "conditions": condition_rows(study),
         "summary": summary_rows(study, of_parameters, of_fits),
@@ -172,12 +225,33 @@ def published_or_nan(source: Callable[..., published.MeanSD], *names: str) -> pu
         return published.MeanSD(math.nan, math.nan)
 
 
+def _judgement(values: list[Row]) -> Row:
+    """How rows of parameters agree with the truth."""
+    held = [row["lower_95"] <= row["true"] <= row["upper_95"] for row in values]
+    return {
+        "median_abs_error_percent": _median(abs(row["error_percent"]) for row in values),
+        "thesis_median_abs_error_percent": _median(abs(row["thesis_error_percent"]) for row in values),
+        "coverage_95_percent": 100.0 * float(np.mean(held)),
+    }
+
+
 def _mean_sd(name: str, values: Sequence[float]) -> Row:
     sd = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
     return {f"{name}_mean": _mean(values), f"{name}_sd": sd}
 
 
+def _existing(values: Iterable[float | None]) -> list[float]:
+    """The values that are numbers."""
+    return [value for value in values if value is not None and not math.isnan(value)]
+
+
 def _mean(values: Iterable[float | None]) -> float:
     """Mean of the values that exist; NaN if none does."""
-    there = [value for value in values if value is not None]
+    there = _existing(values)
     return float(np.mean(there)) if there else math.nan
+
+
+def _median(values: Iterable[float | None]) -> float:
+    """Median of the values that exist; NaN if none does."""
+    there = _existing(values)
+    return float(np.median(there)) if there else math.nan
