@@ -276,7 +276,7 @@ def validate(settings: ValidateSettings, *, workers: int | None = None, show_pro
     Args:
       settings: what to do; they alone determine the result.
       workers: number of processes; by default one per core.
-      show_progress: whether to draw a progress bar even where there is no terminal.
+      show_progress: whether to draw a progress bar where there is a terminal.
 
     Raises:
       TypeError: workers is not a number.
@@ -298,6 +298,22 @@ def validate(settings: ValidateSettings, *, workers: int | None = None, show_pro
     return collect(settings, results)
 
 
+def simulate_group(settings: ValidateSettings, number: int) -> xr.Dataset:
+    """The recording of one group of trials, counted from 0.
+
+    Raises:
+      ValueError: the subject is refused, or the arm is unstable.
+      OSError: the subject's file cannot be read.
+    """
+    truth = settings.truth()
+    return run_experiment(
+        [_trial(settings, truth, number, trial) for trial in range(settings.trials)],
+        linear=not settings.multibody,
+        instruments=Instruments(marker_noise=None, emg=None),
+        n_threads=1,
+    )
+
+
 def run_group(settings: ValidateSettings, number: int) -> tuple[int, dict[Estimator, Judged], Array]:
     """Simulate and identify one group of trials.
 
@@ -312,13 +328,7 @@ def run_group(settings: ValidateSettings, number: int) -> tuple[int, dict[Estima
       ValueError: as `ValidateSettings.structure`, or the arm is unstable.
       OSError: the subject's file cannot be read.
     """
-    truth, structure = settings.truth(), settings.structure()
-    recording = run_experiment(
-        [_trial(settings, truth, number, trial) for trial in range(settings.trials)],
-        linear=not settings.multibody,
-        instruments=Instruments(marker_noise=None, emg=None),
-        n_threads=1,
-    )
+    truth, structure, recording = settings.truth(), settings.structure(), simulate_group(settings, number)
     body = body_of(recording)
     group = Group.prepare(recording, body, structure)
     values = true_values(truth, structure)

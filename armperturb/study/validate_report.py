@@ -38,7 +38,7 @@ def title(validation: Validation) -> str:
     parts = [
         f"{truth.name!r} ({truth.task})",
         f"model {settings.model}",
-        f"{settings.groups} groups of {settings.trials} trial{'' if settings.trials == 1 else 's'}",
+        f"{_counted(settings.groups, 'group')} of {_counted(settings.trials, 'trial')}",
         "MuJoCo's arm" if settings.multibody else "linear arm",
     ]
     if settings.noise != 1.0:
@@ -48,6 +48,10 @@ def title(validation: Validation) -> str:
     if settings.wrong != "nothing":
         parts.append(f"wrong: {settings.wrong}")
     return ", ".join(parts)
+
+
+def _counted(number: int, thing: str) -> str:
+    return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
 def summary_text(validation: Validation) -> str:
@@ -98,7 +102,7 @@ def error_figure(validation: Validation) -> Figure:
     rows = validation.rows()
     figure = new_figure(1.35 + ROW * len(names))
     ax = figure.subplots()
-    ax.axvline(1.0, color=INK, linewidth=1.0)
+    ax.axvline(1.0, color=INK, linewidth=1.0, zorder=1.5)
     for number, estimator in enumerate(estimators):
         mine = [row for row in rows if row["estimator"] == estimator]
         ratio = [row["rms_error_over_bound"] for row in mine]
@@ -108,7 +112,7 @@ def error_figure(validation: Validation) -> Figure:
         ax.hlines(place, low, high, color=look["color"], linewidth=1.1)
         ax.plot(ratio, place, linestyle="none", label=NAMES[estimator], **look)
     for index in range(len(names) - 1):
-        ax.axhline(index + 0.5, color="#e6e8eb", linewidth=0.7)
+        ax.axhline(index + 0.5, color="#e6e8eb", linewidth=0.7, zorder=0.5)
     ax.set_xscale("log")
     least, most = ax.get_xlim()
     ax.set_xlim(min(least, 0.5), max(most, 2.0))
@@ -121,7 +125,7 @@ def error_figure(validation: Validation) -> Figure:
         ax.set_xticks([0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0])
         ax.set_xlim(min(least, 0.5), max(most, 2.0))
         ax.xaxis.set_minor_locator(NullLocator())
-    ax.set_xlabel("RMS error over Cramér-Rao bound (lines: 95 % intervals)")
+    ax.set_xlabel("RMS error over Cramér-Rao bound, with 95 % interval (names: true value ± bound)")
     figure.suptitle(title(validation), fontsize=9)
     figure.legend(loc="outside lower center", ncols=len(estimators))
     ax.text(1.0, 1.005, "bound", transform=ax.get_xaxis_transform(), ha="center", va="bottom", fontsize=8, color=GREY)
