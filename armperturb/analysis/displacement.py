@@ -146,8 +146,8 @@ class Balance:
         left = float(np.sum(self._noise(values)[:n_slow] ** 2) / np.sum(slow[:, 0] ** 2))
         if left > LEFT_OVER:
             raise ValueError(
-                f"mass, damping and stiffness leave {left:.0%} of the load on the environment unexplained; expected less "
-                f"than {LEFT_OVER:.0%} ({sign})"
+                f"mass, damping and stiffness leave {left:.0%} of the load on the environment unexplained; expected "
+                f"less than {LEFT_OVER:.0%} ({sign})"
             )
         return Environment(m_env=mass, b_env=max(damping, 0.0), k_env=max(stiffness, 0.0)), levels
 

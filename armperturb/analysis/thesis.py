@@ -21,9 +21,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from armperturb.analysis.arm_model import Delay
-from armperturb.analysis.fit import AdmittanceFit, fit_admittance
 from armperturb.analysis.body import body_of
 from armperturb.analysis.displacement import Balance
+from armperturb.analysis.fit import AdmittanceFit, fit_admittance
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.structures import STRUCTURES, Structure, unit
 from armperturb.analysis.vaf import prediction_vaf
@@ -169,8 +169,8 @@ def fit_trials(
     """
     lines = line_spectra(recording, start=start, period=period)
     if environment is None:
-        signals = (recording[name].values for name in ("perturbation", "force", "displacement"))
-        environment, _ = Balance(*signals, float(recording.attrs["rate"])).fit()
+        d, f, x = (recording[name].values for name in ("perturbation", "force", "displacement"))
+        environment, _ = Balance(d, f, x, float(recording.attrs["rate"])).fit()
     fits, vaf = [], []
     for trial in range(recording.sizes["trial"]):
         own = recording.isel(trial=[trial])

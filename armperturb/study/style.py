@@ -31,7 +31,7 @@ RECORDED: dict[str, Any] = {"color": GREY, "linewidth": 2.2}
 TRUE: dict[str, Any] = {"color": "#009E73", "linewidth": 1.3, "linestyle": (0, (4, 2.2))}
 """Line of the simulated person's own admittance (bluish green, dashed)."""
 
-BESIDE: dict[str, Any] = {"color": GREY, "marker": "x", "linestyle": "", "markersize": 3.5, "alpha": 0.75}
+BESIDE: dict[str, Any] = {"color": GREY, "marker": "x", "linestyle": "", "markersize": 3.5, "alpha": 0.55}
 """What the thesis's estimator makes of the same trials."""
 
 PUBLISHED: dict[str, Any] = {"color": "#CC79A7"}
