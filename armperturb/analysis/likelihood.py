@@ -108,7 +108,8 @@ class Likelihood:
       rate: of the samples [Hz].
       force: DFT of d at these frequencies, (trial, axis, frequency).
       observed: DFT of the whitened displacement, (trial, axis, frequency).
-      answering: indices of the frequencies at which an arm answers at all.
+      answering: indices of the frequencies at which an arm answers at all; the others hold noise alone, and tell how
+        strong it is.
     """
 
     def __init__(
@@ -123,18 +124,29 @@ class Likelihood:
     ) -> None:
         self._arm, self._environment = LinearArm(body, frequency), environment
         self._filter = whitening(frequency, rate)
-        self._force, self._observed, self._answering = force, observed, answering
-        self._bands, self._smoother = _bands(frequency, force), _smoother(len(frequency), len(force))
+        self._answering = answering
+        self._force, self._observed = force[..., answering], observed[..., answering]
+        self._quiet = np.ones(len(frequency), dtype=bool)
+        self._quiet[answering] = False
+        noise = observed[..., self._quiet]
+        self._noise_power = np.einsum("taf,tbf->abf", noise, noise.conj()) / len(noise)
+        index = np.arange(len(frequency))[answering]
+        # Bands as places among those that answer.
+        self._bands = [
+            slice(int(np.searchsorted(index, run.start)), int(np.searchsorted(index, run.stop)))
+            for run in _bands(frequency, force)
+        ]
+        self._smoother = _smoother(len(frequency), len(force))[index]
         self._least = float(ROUND_OFF * np.abs(force).max()) ** 2
-        self._white = np.zeros((2, 2, len(frequency)), dtype=complex)
-        self._latest: tuple[bytes, Response] = b"", observed
+        self._white = np.zeros((2, 2, len(index)), dtype=complex)
+        self._latest: tuple[bytes, Response] = b"", self._observed
 
     def _predicted(self, values: Array) -> Response:
-        """DFT of the whitened P d, (trial, axis, frequency)."""
+        """DFT of the whitened P d where the arm answers, (trial, axis, answer)."""
         raise NotImplementedError
 
-    def _slopes(self, values: Array, mixing: Array) -> Iterator[Response]:
-        """Per trial the derivatives of `_predicted` by free parameters where it answers, (parameter, axis, answer)."""
+    def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, Response]]:
+        """Some trials and the derivatives of `_predicted` there, (free parameter, trial, axis, answer)."""
         raise NotImplementedError
 
     def _residual(self, values: Array) -> Response:
@@ -148,14 +160,19 @@ class Likelihood:
     def weigh(self, values: Array) -> None:
         """Estimate the noise that is left by an arm with these parameters; it holds until the next call."""
         total = self._arm.total_admittance(values, self._environment) * self._filter[:, None, None]
-        to_force = np.asarray(np.linalg.inv(total), dtype=complex)
-        force = _applied(np.moveaxis(to_force, 0, -1), self._residual(values))
-        power = np.einsum("taf,tbf->fab", force, force.conj()) / len(force)
-        power = (self._smoother @ power.reshape(-1, 4)).reshape(power.shape)
-        floor = self._least + ROUND_OFF * np.trace(power, axis1=1, axis2=2).real
-        root = np.linalg.cholesky(power + floor[:, None, None] * np.eye(2))
+        to_force = np.moveaxis(np.asarray(np.linalg.inv(total), dtype=complex), 0, -1)
+        answers = to_force[..., self._answering]
+        force = _applied(answers, self._residual(values))
+        power = np.empty(to_force.shape, dtype=complex)
+        power[..., self._answering] = np.einsum("taf,tbf->abf", force, force.conj()) / len(force)
+        quiet = to_force[..., self._quiet]
+        half = np.einsum("acf,cdf->adf", quiet, self._noise_power)
+        power[..., self._quiet] = np.einsum("adf,bdf->abf", half, quiet.conj())
+        smooth = np.asarray(self._smoother @ power.reshape(4, -1).T).reshape(-1, 2, 2)
+        floor = self._least + ROUND_OFF * np.trace(smooth, axis1=1, axis2=2).real
+        root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(2))
         # Real and imaginary part of the residual have half its power each.
-        self._white = np.moveaxis(np.sqrt(2.0) * np.linalg.solve(root, to_force), 0, -1)
+        self._white = np.moveaxis(np.sqrt(2.0) * np.linalg.solve(root, np.moveaxis(answers, -1, 0)), 0, -1)
 
     def objective(self, values: Array) -> float:
         """Minus twice the log likelihood, but for a constant, the noise being that which the arm leaves [-]."""
@@ -169,15 +186,14 @@ class Likelihood:
 
     def normal(self, values: Array, mixing: Array) -> Normal:
         """Least squares with respect to free parameters; mixing is (arm parameter, free parameter)."""
-        white = self._white[..., self._answering]
-        residual = _applied(white, self._residual(values)[..., self._answering])
+        residual = _applied(self._white, self._residual(values))
         n = mixing.shape[1]
         slope, information = np.zeros(n), np.zeros((n, n))
-        for left, of_trial in zip(residual, self._slopes(values, mixing), strict=True):
-            rows = _real(_applied(white, of_trial).reshape(n, -1))
-            slope += rows @ _real(left.ravel())
+        for trials, derivatives in self._slopes(values, mixing):
+            rows = _real(_applied(self._white, derivatives).reshape(n, -1))
+            slope += rows @ _real(residual[trials].ravel())
             information += rows @ rows.T
-        return Normal(self.cost(values), slope, information)
+        return Normal(float(np.sum(np.abs(residual) ** 2)), slope, information)
 
     def lack_of_fit(self, values: Array) -> LackOfFit:
         """Whether the arm leaves something that the disturbance explains, the noise being as last weighed.
@@ -186,7 +202,7 @@ class Likelihood:
         band, would add. Each regression has as many real parameters as P has numbers: eight.
         """
         residual = _applied(self._white, self._residual(values))
-        changes = np.einsum("aof,tif->tafoi", self._white * self._filter, self._force)
+        changes = np.einsum("aof,tif->tafoi", self._white * self._filter[self._answering], self._force)
         chi2 = 0.0
         for band in self._bands:
             basis, _ = np.linalg.qr(changes[:, :, band].reshape(-1, 4))
@@ -234,15 +250,12 @@ class PeriodLikelihood(Likelihood):
         self._load = force[..., excited] * self._filter[excited]
 
     def _predicted(self, values: Array) -> Response:
-        total = np.moveaxis(self._model.total_admittance(values, self._environment), 0, -1)
-        predicted = np.zeros_like(self._observed)
-        predicted[..., self._answering] = _applied(total, self._load)
-        return predicted
+        return _applied(np.moveaxis(self._model.total_admittance(values, self._environment), 0, -1), self._load)
 
-    def _slopes(self, values: Array, mixing: Array) -> Iterator[Response]:
-        gradient = _mixed(self._model.total_and_gradient(values, self._environment)[1], mixing)
-        for load in self._load:
-            yield gradient[:, :, 0] * load[0] + gradient[:, :, 1] * load[1]
+    def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, Response]]:
+        gradient = _mixed(self._model.total_and_gradient(values, self._environment)[1], mixing)[:, None]
+        first, second = self._load[:, 0, None], self._load[:, 1, None]
+        yield slice(None), gradient[:, :, :, 0] * first + gradient[:, :, :, 1] * second
 
 
 class RecordLikelihood(Likelihood):
@@ -307,10 +320,11 @@ class RecordLikelihood(Likelihood):
         total = np.moveaxis(self._model.total_admittance(values, self._environment), 0, -1)
         return self._cut(_applied(total, self._load))
 
-    def _slopes(self, values: Array, mixing: Array) -> Iterator[Response]:
+    def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, Response]]:
         gradient = _mixed(self._model.total_and_gradient(values, self._environment)[1], mixing)
-        for load in self._load:
-            yield self._cut(gradient[:, :, 0] * load[0] + gradient[:, :, 1] * load[1])
+        for trial, load in enumerate(self._load):  # one at a time, for the sake of memory
+            derivatives = self._cut(gradient[:, :, 0] * load[0] + gradient[:, :, 1] * load[1])
+            yield slice(trial, trial + 1), derivatives[:, None]
 
 
 def _applied(matrix: Response, values: Response) -> Response:
