@@ -2,13 +2,15 @@
 
 import pytest
 
+from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.instruments import Instruments
 from armperturb.perturbations import Multisine, MultisineThenPulse
 from armperturb.study.runner import StudySettings, run_study
 from armperturb.subject import POSITION, RELAX
 
 
-def perturbed(subject, rms, n_trials, **options):
+def perturbed(subject, rms, n_trials, noise=None, **options):
     trials = [
         Trial(
             subject=subject,
@@ -19,6 +21,7 @@ def perturbed(subject, rms, n_trials, **options):
             repetition=seed,
             pulse_level=1.0,
             seed=seed,
+            noise=noise,
         )
         for seed in range(n_trials)
     ]
@@ -35,6 +38,14 @@ def relax_recording():
 def position_recording():
     """Four ideal trials of the preset that keeps position."""
     return perturbed(POSITION, 3.0, 4)
+
+
+@pytest.fixture(scope="session")
+def noisy_relax_recording():
+    """Six noisy trials of the relaxed preset, in two conditions that differ in name alone."""
+    recording = perturbed(RELAX, 0.9, 6, noise=HUMAN_NOISE["RT"], instruments=Instruments(emg=None))
+    labels = ["RT7.5"] * 3 + ["RT22.5"] * 3
+    return recording.assign_coords(condition=("trial", labels), repetition=("trial", [0, 1, 2] * 2))
 
 
 SHORT = """

@@ -47,7 +47,7 @@ def test_simulate_then_identify(inputs, capsys):
     with (inputs / "results" / "admittance.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == [
-        "frequency_hz", "output", "input", "real", "imag", "gain_m_per_N", "phase_deg", "coherence",
+        "frequency_hz", "output", "input", "real", "imag", "gain_m_per_N", "phase_deg", "coherence", "condition",
     ]  # fmt: skip
     assert len(rows) == 18 * 4
     for row in rows:
@@ -57,11 +57,22 @@ def test_simulate_then_identify(inputs, capsys):
         assert 0 <= float(row["coherence"]) <= 1
     with (inputs / "results" / "parameters.csv").open() as file:
         parameters = {row["parameter"]: row for row in csv.DictReader(file)}
-    assert list(parameters["m_tot"]) == ["parameter", "value", "sem", "unit", "at_bound"]
-    assert float(parameters["m_tot"]["value"]) == pytest.approx(3.38, rel=0.05)
+    assert list(parameters["m_tot"]) == [
+        "parameter", "value", "standard_error", "lower_95", "upper_95", "unit", "at_bound", "condition",
+    ]  # fmt: skip
+    assert float(parameters["m_tot"]["value"]) == pytest.approx(3.38, rel=0.01)
+    for row in parameters.values():
+        half = 1.96 * float(row["standard_error"])
+        assert float(row["lower_95"]) == pytest.approx(float(row["value"]) - half)
+        assert float(row["upper_95"]) == pytest.approx(float(row["value"]) + half)
     assert parameters["k_s"]["unit"] == "Nm/rad"
     fit = json.loads((inputs / "results" / "fit.json").read_text())
-    assert {"status", "criterion", "VAF_x", "VAF_y", "stable"} <= set(fit)
+    assert {"status", "criterion", "VAF_x", "VAF_y", "stable", "remarks", "chi2", "dof", "p_value"} <= set(fit)
+    assert fit["estimator"] == "record"
+    assert fit["correlation"]["parameters"] == list(parameters)
+    matrix = np.array(fit["correlation"]["matrix"])
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-9)
+    np.testing.assert_allclose(np.diag(matrix), 1.0)
     assert fit["stable"] is True
     assert fit["VAF_x"] > 98
 
@@ -167,6 +178,59 @@ def test_subject_and_condition_are_picked(relax_recording, tmp_path, capsys):
     assert run(*common, "--subject", "relax", "--condition", "RT7.5", "--lines-per-average", 1) == 0
 
 
+@pytest.fixture
+def two_recordings(noisy_relax_recording, tmp_path):
+    """Both conditions of a person, each in a file of its own."""
+    paths = [tmp_path / "a.nc", tmp_path / "b.nc"]
+    for path, part in zip(paths, (slice(3), slice(3, 6)), strict=True):
+        save_recording(noisy_relax_recording.isel(trial=part), path)
+    return paths
+
+
+def test_several_recordings_are_identified_together(two_recordings, tmp_path, capsys):
+    common = ("identify", *two_recordings, "--model", "1", "--out", tmp_path / "r")
+    assert run(*common, "--estimator", "frequency", "--share", "mass,grip") == 0
+    printed = capsys.readouterr().out
+    assert "RT7.5: converged" in printed
+    assert "RT22.5: converged" in printed
+    with (tmp_path / "r" / "parameters.csv").open() as file:
+        rows = {(row["condition"], row["parameter"]): row["value"] for row in csv.DictReader(file)}
+    assert len(rows) == 20
+    names = {name for _, name in rows}
+    assert {n for n in names if rows["RT7.5", n] == rows["RT22.5", n]} == {"m_h", "m_f", "b_h", "k_h"}
+    fits = json.loads((tmp_path / "r" / "fit.json").read_text())
+    assert list(fits) == ["RT7.5", "RT22.5"]
+    assert fits["RT7.5"]["estimator"] == "frequency"
+    assert len(fits["RT7.5"]["correlation"]["parameters"]) == 16
+
+
+def test_the_thesis_estimator_can_be_asked_for(two_recordings, tmp_path, capsys):
+    assert run(
+        "identify", two_recordings[0], "--model", "1", "--estimator", "thesis", "--out", tmp_path / "r"
+    ) == 0  # fmt: skip
+    assert "of 3 trials" in capsys.readouterr().out
+    fit = json.loads((tmp_path / "r" / "fit.json").read_text())
+    assert (fit["estimator"], fit["n_trials"]) == ("thesis", 3)
+    assert "chi2" not in fit
+
+
+def test_what_cannot_be_identified_together_is_refused(two_recordings, position_recording, tmp_path, capsys):
+    save_recording(position_recording, tmp_path / "p.nc")
+    save_recording(position_recording.isel(time=slice(5800)), tmp_path / "short.nc")
+    out = ("--out", tmp_path / "r")
+    a, b = two_recordings
+    line = refused(capsys, "identify", a, tmp_path / "p.nc", "--model", "1", *out)
+    assert "expected one rate and duration" in line or "trials of the tasks RT and PT; expected one" in line
+    line = refused(capsys, "identify", tmp_path / "p.nc", tmp_path / "short.nc", "--model", "3b", *out)
+    assert "p.nc" in line
+    assert "expected one rate and duration" in line
+    line = refused(capsys, "identify", a, b, "--model", "1", "--estimator", "thesis", "--share", "mass", *out)
+    assert "share = mass; expected nothing with the thesis's estimator" in line
+    line = refused(capsys, "identify", a, b, "--model", "1", "--share", "k_x", *out)
+    assert "share: 'k_x' is no free parameter" in line
+    assert not (tmp_path / "r").exists()
+
+
 def test_a_result_that_cannot_be_written_leaves_the_others_as_they_were(position_recording, tmp_path, capsys):
     save_recording(position_recording.isel(trial=[0]), tmp_path / "r.nc")
     (tmp_path / "results" / "parameters.csv").mkdir(parents=True)
@@ -180,8 +244,11 @@ def test_bad_study_settings_are_refused(tmp_path, capsys):
     assert not (tmp_path / "s").exists()
 
 
+UNKNOWN = ["identify", "r.nc", "--model", "1", "--estimator", "guess", "--out", "x"]
+
+
 def test_usage_errors_leave_with_a_status(capsys):
-    for arguments in ([], ["fly"], ["identify", "r.nc", "--model", "2", "--out", "x"]):
+    for arguments in ([], ["fly"], ["identify", "r.nc", "--model", "9", "--out", "x"], UNKNOWN):
         with pytest.raises(SystemExit) as caught:
             cli.main(arguments)
         assert caught.value.code != 0

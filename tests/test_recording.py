@@ -10,6 +10,7 @@ from armperturb.recording import (
     MUSCLES,
     REQUIRED_SIGNALS,
     check_recording,
+    join_recordings,
     load_recording,
     make_recording,
     save_recording,
@@ -193,6 +194,23 @@ def with_units(recording):
 def test_bad_recordings_are_named(recording, damage, message):
     with pytest.raises(ValueError, match=message):
         check_recording(damage(recording), source="r.nc")
+
+
+def test_recordings_join_without_what_not_all_have(recording, whole_recording):
+    joined = join_recordings([recording.isel(trial=[0]), whole_recording])
+    check_recording(joined)
+    assert joined["subject"].values.tolist() == ["A", "A", "B"]
+    assert set(joined.data_vars) == set(REQUIRED_SIGNALS)
+    assert "order" not in joined
+    np.testing.assert_array_equal(joined["force"].values[1:], whole_recording["force"].values)
+    assert joined.attrs["rate"] == 200.0
+    both = join_recordings([whole_recording, whole_recording])
+    assert both["order"].values.tolist() == [7, 3, 7, 3]
+
+
+def test_recordings_of_different_clocks_do_not_join(recording):
+    with pytest.raises(ValueError, match=r"a and b: trials of 0.15 s at 200 Hz and 0.25 s at 200 Hz; expected one"):
+        join_recordings([recording, recording.isel(time=slice(30))], "a and b")
 
 
 def test_unreadable_files_are_named(tmp_path):

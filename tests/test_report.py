@@ -9,19 +9,22 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
+from markupsafe import escape
 
 from armperturb.study import figures, report
 from armperturb.study.protocol import Condition, Protocol
-from armperturb.study.report import digits, left_out, mean_sd, symbol, write_report
+from armperturb.study.report import chance, digits, left_out, mean_sd, symbol, write_report
 from armperturb.study.style import COLOURS, save_svg, shades
 from armperturb.study.tables import fit_rows
 
 HEADERS = {
     "summary": "condition,subjects,identified,trials,trials_used,model,median_abs_error_percent",
     "task_effect": "quantity,study,published",
-    "parameters": "condition,subject,parameter,unit,true,estimated,sem,error_percent,at_bound",
+    "parameters": "condition,subject,parameter,unit,true,estimated,standard_error,lower_95,upper_95,error_percent,"
+    "at_bound,thesis_estimated,thesis_sem,thesis_error_percent",
     "parameters_summary": "condition,parameter,unit,published_mean,published_sd,true_mean,true_sd,estimated_mean",
-    "fits": "condition,subject,model,status,converged",
+    "correlations": "condition,subject,parameter,other,correlation",
+    "fits": "condition,subject,model,estimator,status,converged",
     "conditions": "condition,task,trials,pulse_levels,published_force_N_mean,published_force_N_sd,force_N_mean",
 }
 OF_A_TASK = ("admittance", "admittance_by_amplitude", "fit", "prediction", "parameters")
@@ -135,20 +138,48 @@ def test_summary_shows_its_table(page, out):
         assert shown[0] == row["condition"]
         assert shown[2] == "2 of 2"
         assert shown[3] == f"{row['trials_used']} of {row['trials']}"
-        assert number(shown[4]) == pytest.approx(float(row["median_abs_error_percent"]), rel=0.06)  # two digits
-        assert number(shown[5]) == pytest.approx(float(row["VAF_x_mean"]), abs=0.051)
-        assert number(shown[6]) == pytest.approx(float(row["VAF_y_mean"]), abs=0.051)
+        for place, name, off in (
+            (4, "median_abs_error_percent", {"rel": 0.06}),  # two digits
+            (5, "VAF_x_mean", {"abs": 0.051}),
+            (6, "VAF_y_mean", {"abs": 0.051}),
+        ):
+            mine, of_thesis = (number(part) for part in shown[place].rstrip(")").split(" ("))
+            assert mine == pytest.approx(float(row[name]), **off)
+            assert of_thesis == pytest.approx(float(row[f"thesis_{name}"]), **off)
+        assert shown[7] == f"{row['at_bound']} ({row['thesis_at_bound']})"
+        assert number(shown[8]) == pytest.approx(float(row["coverage_95_percent"]), abs=0.51)
+        assert shown[9] == row["suspicious"]
+
+
+def test_fits_and_remarks_are_shown(study, written, page, out):
+    table = rows(out, "fits")
+    cells = page.tables["fits"][1:]
+    assert len(cells) == len(table) == 8
+    for shown, row in zip(cells, table, strict=True):
+        assert shown[:2] == [row["condition"], row["subject"]]
+        assert number(shown[6]) == pytest.approx(float(row["chi2"]) / float(row["dof"]), abs=0.0051)
+        assert shown[7] == chance(float(row["p_value"]))
+        assert shown[9] == row["status"]
+    text = written.read_text(encoding="utf-8")
+    assert any(row["remarks"] or row["thesis_remarks"] for row in table)
+    for condition, people in report.remarks(study).items():
+        assert f"{condition}: remarks on {len(people)} of 2 people" in text
+        for lines in people.values():
+            assert all(str(escape(line)) in text for line in lines)
 
 
 def test_parameters_show_their_table(page, out):
-    cells, table = page.tables["parameters_summary"][1:], rows(out, "parameters_summary")
+    cells, table = page.tables["parameters_summary"][2:], rows(out, "parameters_summary")
     assert len(cells) == len(table) == 46
     for shown, row in zip(cells, table, strict=True):
         assert shown[0] == row["condition"]
         assert shown[2] == row["unit"]
         if row["condition"] == "PT2.5":
             assert shown[3] == report.MISSING
-        for text, name in zip(shown[3:6], ("published", "true", "estimated"), strict=True):
+        assert number(shown[7]) == pytest.approx(float(row["median_abs_error_percent"]), rel=0.06)
+        assert number(shown[8]) == pytest.approx(float(row["thesis_median_abs_error_percent"]), rel=0.06)
+        assert shown[9] == f"{float(row['coverage_95_percent']):.0f}"
+        for text, name in zip(shown[3:7], ("published", "true", "estimated", "thesis"), strict=True):
             if text != report.MISSING and float(row[f"{name}_sd"]) > 1e-9 * float(row[f"{name}_mean"]):
                 mean, sd = (number(part) for part in text.split(" ± "))
                 assert mean == pytest.approx(float(row[f"{name}_mean"]), abs=0.06 * float(row[f"{name}_sd"]) + 0.5)
@@ -215,15 +246,26 @@ def without_pictures(model, *args, **options):
 
 def test_reports_what_went_badly(study, tmp_path, monkeypatch):
     position = study.of("PT7.5")[0]
-    fit = replace(position.identified.fit, stable=False, at_bound=("k_s",), converged=False, status="gave up")
+    fit = replace(
+        position.identified.fit,
+        stable=False,
+        at_bound=("k_s",),
+        converged=False,
+        status="gave up",
+        remarks=("k_s <sits>",),
+        detail=replace(position.estimate, chi2=3.0 * position.estimate.dof),
+    )
     unstable = replace(position.identified, fit=fit, vaf=position.identified.vaf * -math.inf)
-    bad = replace(position, identification=unstable)
+    bad = replace(position, identification=unstable, thesis=None)
     relax = study.of("RT7.5")[0]
     reason = "trial 0 of S01 in RT7.5 reached the <limit> at 9.000 s"
     gone = replace(relax, identification=None, left_out=(reason,), single_trials=())
     badly = replace(study, settings=replace(study.settings, subjects=1), cases=(bad, gone))
     lists = left_out(badly, fit_rows(badly))
     assert lists["Fits with a parameter at its bound"] == ["S01 in PT7.5: k_s"]
+    assert [
+        line.split(",")[0] for line in lists["Fits whose trials say that the model is wrong, or the person not linear"]
+    ] == ["S01 in PT7.5: chi2 / dof 3.00"]
     assert lists["Fits that did not converge"] == ["S01 in PT7.5: gave up"]
     assert lists["Trials and people that were left out"] == [reason]
     assert [line.split(":")[0] for line in lists["Fits that are unstable on the manipulator, and so have no VAF"]] == [
@@ -237,8 +279,9 @@ def test_reports_what_went_badly(study, tmp_path, monkeypatch):
     assert "reached the &lt;limit&gt; at 9.000 s" in text
     shown = Page(text).tables["summary"][1:]
     assert [row[0] for row in shown] == ["PT7.5"]
-    assert shown[0][5] == report.MISSING
-    assert shown[0][7] == "0 of 1"
+    assert shown[0][5] == f"{report.MISSING} ({report.MISSING})"
+    assert shown[0][9] == "1"
+    assert "<dd>k_s &lt;sits&gt;</dd>" in text
     assert not (tmp_path / "tables" / "task_effect.csv").exists()
 
 
@@ -314,6 +357,10 @@ def test_digits(value, text):
 )
 def test_mean_sd(mean, sd, text):
     assert mean_sd(mean, sd) == text
+
+
+def test_small_chances_are_called_small():
+    assert [chance(value) for value in (0.5, 0.0123, 1e-9)] == ["0.500", "0.012", "< 0.001"]
 
 
 def test_symbol_is_escaped_markup():

@@ -7,14 +7,23 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.arm_model import arm_admittance
+from armperturb.analysis.identify import identify
 from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.perturbations import Pulse
 from armperturb.recording import load_recording, save_recording
-from armperturb.study import published
+from armperturb.study import published, runner
 from armperturb.study.admittance import by_task, main_conditions, task_effect
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.runner import StudySettings, _identify_condition, run_study
-from armperturb.study.tables import condition_rows, parameter_rows, parameter_summary_rows, summary_rows, write_tables
+from armperturb.study.tables import (
+    condition_rows,
+    correlation_rows,
+    fit_rows,
+    parameter_rows,
+    parameter_summary_rows,
+    summary_rows,
+    write_tables,
+)
 from armperturb.subject import RELAX
 
 RT = Condition(name="RT7.5", task="RT", rms_displacement=0.0075, published_force=0.9)
@@ -29,9 +38,11 @@ def ideal(short_protocol, tmp_path_factory):
 def test_ideal_study_recovers_its_people(ideal):
     errors = {(row["condition"], row["parameter"]): row["error_percent"] for row in parameter_rows(ideal)}
     for (condition, name), error in errors.items():
-        # Averages over clusters blur the admittance also without noise; stiffness and position feedback of the position
-        # task are all but exchangeable.
-        if name[0] in "bm" or name.startswith("kv_") or condition.startswith("RT"):
+        # Model 3b fixes grip, delay and cut-off, which in these people are others. Model 1 fixes nothing that they have,
+        # but the geometry of the arm changes on the way.
+        if condition.startswith("RT"):
+            assert abs(error) < 5, (condition, name)
+        elif name[0] in "bm" or name.startswith("kv_"):
             assert abs(error) < 10, (condition, name)
     for case in ideal.cases:
         spectra, fit = case.identified.spectra, case.identified.fit
@@ -39,6 +50,65 @@ def test_ideal_study_recovers_its_people(ideal):
         assert np.median(off) < 0.03
         assert fit.stable
         assert min(case.identified.vaf) > 98
+
+
+def test_both_estimators_stand_beside_each_other(study):
+    for case in study.cases:
+        assert case.identified.fit.estimator == "record"
+        assert case.thesis.fit.estimator == "thesis"
+        assert case.estimate.dof > 50
+    rows = parameter_rows(study)
+    for row in rows:
+        case = next(case for case in study.of(row["condition"]) if case.truth.name == row["subject"])
+        assert row["thesis_estimated"] == case.thesis.fit.values[row["parameter"]]
+        assert row["thesis_sem"] == case.thesis.fit.standard_error[row["parameter"]]
+        assert row["lower_95"] < row["estimated"] < row["upper_95"]
+        assert row["upper_95"] - row["estimated"] == pytest.approx(1.96 * row["standard_error"])
+    medians = [np.median([abs(row[f"{who}error_percent"]) for row in rows]) for who in ("", "thesis_")]
+    assert medians[0] < 0.5 * medians[1]
+
+
+def test_intervals_of_relaxed_people_hold_the_truth(study):
+    rows = [row for row in parameter_rows(study) if row["condition"].startswith("RT")]
+    held = [row["lower_95"] <= row["true"] <= row["upper_95"] for row in rows]
+    assert np.mean(held) > 0.75
+    summary = {row["condition"]: row for row in summary_rows(study, parameter_rows(study), fit_rows(study))}
+    of_two = [summary[name]["coverage_95_percent"] for name in ("RT7.5", "RT22.5")]
+    assert np.mean(of_two) == pytest.approx(100 * np.mean(held))
+
+
+def test_fits_and_correlations_are_told(study):
+    rows = fit_rows(study)
+    assert len(rows) == len(study.cases)
+    for row, case in zip(rows, [case for c in study.conditions for case in study.of(c.name)], strict=True):
+        assert row["chi2"] / row["dof"] == pytest.approx(case.estimate.chi2 / case.estimate.dof)
+        assert row["p_value"] == case.estimate.p_value
+        assert row["estimator"] == "record"
+        assert (row["VAF_x"], row["thesis_VAF_x"]) == (case.identified.vaf[0], case.thesis.vaf[0])
+        assert row["remarks"] == "; ".join(case.identified.fit.remarks)
+        assert row["thesis_n_trials"] == len(case.single_trials)
+    pairs = correlation_rows(study)
+    assert len(pairs) == 4 * 13 * 12 // 2 + 4 * 10 * 9 // 2
+    assert all(abs(row["correlation"]) <= 1 + 1e-9 for row in pairs)
+    first = study.of("PT7.5")[0].estimate
+    row = next(row for row in pairs if (row["parameter"], row["other"]) == ("k_s", "kp_s"))
+    names = list(first.values)
+    assert row["correlation"] == first.correlation[names.index("k_s"), names.index("kp_s")]
+
+
+def test_a_thesis_fit_that_fails_costs_nothing_else(relax_recording, tmp_path, monkeypatch):
+    def failing(recording, model, *, estimator="record", **options):
+        if estimator == "thesis":
+            raise ValueError("no fit")
+        return identify(recording, model, estimator=estimator, **options)
+
+    monkeypatch.setattr(runner, "identify", failing)
+    long = Protocol(conditions=(RT,), trial_duration=29.0, multisine_duration=28.6)
+    case = _identify_condition(RT, RELAX, relax_recording, tmp_path / "r.nc", long)
+    assert case.thesis is None
+    assert case.left_out == ("relax in RT7.5 was not identified by the thesis's estimator: no fit",)
+    assert case.identified.fit.converged
+    assert len(case.single_trials) == 4
 
 
 def test_noise_lowers_coherence_and_vaf_and_leaves_the_admittance_unbiased(study, ideal):
@@ -123,10 +193,12 @@ def test_published_values_of_table_2_1_are_those_of_the_protocol():
 
 
 def test_summary_counts_people_and_trials(study):
-    rows = {row["condition"]: row for row in summary_rows(study, parameter_rows(study), [])}
+    rows = {row["condition"]: row for row in summary_rows(study, parameter_rows(study), fit_rows(study))}
     assert (rows["PT7.5"]["subjects"], rows["PT7.5"]["trials"], rows["PT7.5"]["trials_used"]) == (2, 4, 4)
     errors = [abs(row["error_percent"]) for row in parameter_rows(study) if row["condition"] == "PT7.5"]
     assert rows["PT7.5"]["median_abs_error_percent"] == pytest.approx(np.median(errors))
+    assert rows["PT7.5"]["converged"] == rows["PT7.5"]["stable"] == 2
+    assert rows["PT7.5"]["suspicious"] == sum(case.estimate.p_value < 0.01 for case in study.of("PT7.5"))
 
 
 def test_relaxed_people_give_way_many_times_more(study):

@@ -105,7 +105,7 @@ class MemoryReflexes:
           timestep: of the simulation [s]; no delay is shorter.
         """
         self._trials = np.flatnonzero([any(s.joint_triple("ka") + s.joint_triple("kf")) for s in subjects])
-        own = [subjects[trial] for trial in self._trials]
+        own = [subjects[int(trial)] for trial in self._trials]
         self._posture = np.array([subject.posture for subject in own])
         self._gains = {
             quantity: np.array([subject.joint_matrix(quantity) for subject in own])
