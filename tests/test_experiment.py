@@ -17,8 +17,8 @@ from armperturb.analysis.arm_model import (
     simulate_linear,
     total_admittance,
 )
-from armperturb.analysis.vaf import variance_accounted_for
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
+from armperturb.analysis.vaf import variance_accounted_for
 from armperturb.controllers.reflex import activate, initial_activation, reflex_gains, spindle_excitation
 from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
 from armperturb.environment import Environment
