@@ -38,8 +38,8 @@ def ideal(short_protocol, tmp_path_factory):
 def test_ideal_study_recovers_its_people(ideal):
     errors = {(row["condition"], row["parameter"]): row["error_percent"] for row in parameter_rows(ideal)}
     for (condition, name), error in errors.items():
-        # Model 3b takes the humerus for 49 % of the mass, which in these people is more. Model 1 fixes nothing that they
-        # have, but the geometry of the arm changes on the way.
+        # Model 3b takes the humerus for 49 % of the mass, which in these people is more. Model 1 fixes nothing that
+        # they have, but the geometry of the arm changes on the way.
         if condition.startswith("RT"):
             assert abs(error) < 5, (condition, name)
         elif name[0] in "bm" or name.startswith("kv_"):
