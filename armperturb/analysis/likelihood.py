@@ -160,7 +160,8 @@ class Likelihood:
     def weigh(self, values: Array) -> None:
         """Estimate the noise that is left by an arm with these parameters; it holds until the next call."""
         total = self._arm.total_admittance(values, self._environment) * self._filter[:, None, None]
-        to_force = np.moveaxis(np.asarray(np.linalg.inv(total), dtype=complex), 0, -1)
+        (a, b), (c, d) = np.moveaxis(total, 0, -1)
+        to_force = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
         answers = to_force[..., self._answering]
         force = _applied(answers, self._residual(values))
         power = np.empty(to_force.shape, dtype=complex)

@@ -437,15 +437,16 @@ def estimate(
     problem = _Problem(groups, "frequency", share)
     first = problem.stabilised(problem.start(start or {}))
     problem.require_identifiable(first)
-    search = _search(problem, first)
-    if not search.converged or problem.lack_of_fit(search.values).p_value < SUSPICIOUS:
-        other = _search(problem, problem.stabilised(problem.published()))
-        if problem.objective(other.values) < problem.objective(search.values):
-            search = other
-    if method == "record":
-        problem = _Problem(groups, "record", share)
-        search = _search(problem, problem.stabilised(search.values))
-    return _judge(problem, method, search)
+    found = _judge(problem, "frequency", _search(problem, first))
+    if not found.converged or found.is_suspicious:
+        other = _judge(problem, "frequency", _search(problem, problem.stabilised(problem.published())))
+        if other.objective < found.objective:
+            found = other
+    if method == "frequency":
+        return found
+    problem = _Problem(groups, "record", share)
+    start_of_record = problem.stabilised(np.array(list(found.values.values())))
+    return _judge(problem, "record", _search(problem, start_of_record))
 
 
 def profile(
