@@ -436,8 +436,9 @@ def estimate(
     _require_one_person(groups)
     problem = _Problem(groups, "frequency", share)
     first = problem.stabilised(problem.start(start or {}))
-    problem.require_identifiable(first)
     found = _judge(problem, "frequency", _search(problem, first))
+    if not np.isfinite(list(found.standard_error.values())).all():
+        problem.require_identifiable(first)
     if not found.converged or found.is_suspicious:
         other = _judge(problem, "frequency", _search(problem, problem.stabilised(problem.published())))
         if other.objective < found.objective:
