@@ -147,12 +147,14 @@ def join_recordings(recordings: Sequence[xr.Dataset], source: str = "recordings"
     if len(clocks) > 1:
         found = " and ".join(f"{n / rate:g} s at {rate:g} Hz" for rate, n in sorted(clocks))
         raise ValueError(f"{source}: trials of {found}; expected one rate and duration")
-    names = [*REQUIRED_SIGNALS, *(name for name in OPTIONAL_COORDINATES if all(name in one for one in recordings))]
-    common = [one[[*REQUIRED_SIGNALS]] for one in recordings]
-    for index, one in enumerate(common):
-        common[index] = one.drop_vars([name for name in OPTIONAL_COORDINATES if name in one and name not in names])
+    partial = [name for name in OPTIONAL_COORDINATES if not all(name in one.coords for one in recordings)]
+    return stack_trials([one[list(REQUIRED_SIGNALS)].drop_vars(partial, errors="ignore") for one in recordings])
+
+
+def stack_trials(recordings: Sequence[xr.Dataset]) -> xr.Dataset:
+    """The trials of recordings with the same signals and times in one; attributes that differ are lost."""
     return xr.concat(
-        common,
+        recordings,
         dim="trial",
         data_vars="minimal",
         coords="minimal",

@@ -29,7 +29,7 @@ from armperturb.envs.instruments import Instruments
 from armperturb.files import write_durably
 from armperturb.perturbations import Multisine
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.recording import REQUIRED_SIGNALS, encode_recording, load_recording
+from armperturb.recording import REQUIRED_SIGNALS, encode_recording, load_recording, stack_trials
 from armperturb.study.practice import practise
 from armperturb.study.protocol import FORCES, THESIS, Condition, Protocol, load_protocol
 from armperturb.study.store import StudyFolder, cannot_write, open_study
@@ -448,17 +448,7 @@ def _simulate(trials: Sequence[Trial], unit: _Unit, progress: Callable[[float], 
         )
         for first in range(0, len(trials), unit.block)
     ]
-    if len(pieces) == 1:
-        return pieces[0]
-    return xr.concat(
-        pieces,
-        dim="trial",
-        data_vars="minimal",
-        coords="minimal",
-        compat="equals",
-        join="exact",
-        combine_attrs="identical",
-    )
+    return pieces[0] if len(pieces) == 1 else stack_trials(pieces)
 
 
 def _write(recording: xr.Dataset, name: str, staging: Path | None) -> _Finished:
