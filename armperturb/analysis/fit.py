@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 
-from armperturb.analysis.arm_model import PARAMETERS, Delay, LinearArm
+from armperturb.analysis.arm_model import Delay, LinearArm
+from armperturb.analysis.linear_start import with_linear_part
 from armperturb.analysis.structures import STRUCTURES, Structure, unit
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -38,9 +39,6 @@ NEGLIGIBLE_PENALTY = 1e-9
 
 UNIDENTIFIED = 1e-10
 """Directions of the parameters, each scaled by its effect, whose effect is this small beside the largest have none."""
-
-_NOT_LINEAR = [name.startswith(("kf_", "Td_", "fact_", "b_h", "k_h")) for name in PARAMETERS]
-"""Parameters in which the joint impedance is not linear, or that are no part of it."""
 
 _WHY_STOPPED = {
     0: "not converged: limit of evaluations reached",
@@ -152,7 +150,7 @@ def fit_admittance(
         return problem.judge(
             solution, use_penalty=use_penalty, n_starts=1, n_starts_agree=1, n_evaluations=solution.nfev
         )
-    starts = [first, problem.linear_start(first)]
+    starts = [first, with_linear_part(problem.model, problem.admittance, body, structure, first)]
     solutions = [_minimise(problem, values, with_penalty=False) for values in starts]
     best = min(solutions, key=lambda solution: solution.cost)
     if use_penalty and problem.penalty(best.x) > 1.0 + 1e-6:
@@ -330,34 +328,6 @@ class _Problem:
                 f"model {self.structure.name} cannot be identified from {len(self.frequency)} frequencies: "
                 f"{', '.join(parts)} change no response; expected fewer free parameters"
             )
-
-    def linear_start(self, guess: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Parameters from bounded linear least squares on the joint impedance J^T (H - G)^-1 J.
-
-        It is linear in all but delays, cut-offs, force feedback and the grip G, which are taken from the guess, so that
-        no start has to be guessed for the others. It is the guess where H - G has no inverse.
-        """
-        parameters = self.parameters(guess)
-        arm = self.structure.arm(self.body, guess)
-        jacobian = self.model.jacobian
-        grip = 1.0 / (arm.b_h * 2j * np.pi * self.frequency + arm.k_h)
-        try:
-            impedance = jacobian.T @ np.linalg.solve(self.admittance - grip[:, None, None] * np.eye(2), jacobian)
-        except np.linalg.LinAlgError:
-            return guess
-        basis = self.model.joint_impedance_gradient(parameters) @ self.structure.mixing
-        linear = ~self.structure.mixing[_NOT_LINEAR].any(axis=0)
-        # What the fixed and the other parameters contribute.
-        rest = self.model.joint_impedance(parameters) - basis[..., linear] @ guess[linear]
-        relative = 1.0 / np.linalg.norm(impedance, axis=(1, 2))[:, None, None]
-        design = _stack((basis[..., linear] * relative[..., None]).reshape(-1, linear.sum()))
-        scale = np.linalg.norm(design, axis=0)
-        scale[scale == 0] = 1.0
-        lower, upper = (bound[linear] * scale for bound in self.bounds)
-        solution = optimize.lsq_linear(design / scale, _stack(((impedance - rest) * relative).ravel()), (lower, upper))
-        values = guess.copy()
-        values[linear] = np.clip(solution.x, lower, upper) / scale
-        return values
 
     def judge(
         self,

@@ -20,7 +20,9 @@ Array = NDArray[np.float64]
 N_TRIED = 3
 """Delays, and cut-offs, that are tried between their bounds."""
 
-_NONLINEAR = ("b_h", "k_h", "kf_s", "kf_se", "kf_e", "Td_s", "Td_e", "fact_s", "fact_e")
+_NONLINEAR = [
+    PARAMETERS.index(name) for name in ("b_h", "k_h", "kf_s", "kf_se", "kf_e", "Td_s", "Td_e", "fact_s", "fact_e")
+]
 
 
 def linear_start(
@@ -36,11 +38,9 @@ def linear_start(
       delay: "exact" or "pade".
     """
     arm, measured = LinearArm(body, frequency, delay), np.asarray(admittance, dtype=complex)
-    rows = [PARAMETERS.index(name) for name in _NONLINEAR]
-    linear = np.asarray(~structure.mixing[rows].any(axis=0))
     best, least = np.array([]), np.inf
     for guess in _guesses(structure):
-        values = _with_linear(arm, measured, body, structure, guess, linear)
+        values = with_linear_part(arm, measured, body, structure, guess)
         error = np.log(measured / arm.admittance(structure.parameters(body.task, values)))
         if (criterion := float(np.sum(np.abs(error) ** 2))) < least:
             best, least = values, criterion
@@ -66,21 +66,28 @@ def _guesses(structure: Structure) -> list[Array]:
     return guesses
 
 
-def _with_linear(
-    arm: LinearArm,
-    measured: NDArray[np.complex128],
-    body: Subject,
-    structure: Structure,
-    guess: Array,
-    linear: NDArray[np.bool_],
+def with_linear_part(
+    arm: LinearArm, measured: NDArray[np.complex128], body: Subject, structure: Structure, guess: Array
 ) -> Array:
-    """The guess with the parameters in which the impedance is linear put to their bounded least squares."""
+    """A guess with its linear parameters put to their bounded least squares, (parameter,), SI.
+
+    Args:
+      arm: responses at the frequencies of the admittance.
+      measured: estimated H_xf [m/N], (frequency, output, input).
+      body: gives the task.
+      structure: what is free.
+      guess: values of the free parameters, (parameter,); it is the answer where H - G has no inverse.
+    """
+    linear = np.asarray(~structure.mixing[_NONLINEAR].any(axis=0))
     values = np.where(linear, 0.0, guess)
     others = structure.parameters(body.task, values)
     b_h, k_h = (others[PARAMETERS.index(name)] for name in ("b_h", "k_h"))
     grip = 1.0 / (2j * np.pi * arm.frequency * b_h + k_h)
     muscle = measured - grip[:, None, None] * np.eye(2)
-    impedance = arm.jacobian.T @ np.linalg.inv(muscle) @ arm.jacobian
+    try:
+        impedance = arm.jacobian.T @ np.linalg.inv(muscle) @ arm.jacobian
+    except np.linalg.LinAlgError:
+        return guess
     rest = impedance - arm.joint_impedance(others)
     basis = arm.joint_impedance_gradient(others) @ structure.mixing[:, linear]
     # Where the grip yields more than the arm, an error of either admittance is a large one of the impedance.
