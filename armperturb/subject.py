@@ -3,13 +3,14 @@
 import math
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 import tomli_w
 
+from armperturb.muscle_law import MuscleLaw
 from armperturb.validation import require_number
 
 TASKS = ("PT", "RT")
@@ -21,7 +22,7 @@ HUMERUS_MASS_SHARE = 0.49
 _POSITIVE = ("m_h", "m_f", "l_h", "l_f", "k_h", "Td_s", "Td_e", "fact_s", "fact_e", "zeta_act")
 _NON_NEGATIVE = ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e", "b_h")
 _FINITE = tuple(f"{quantity}_{joint}" for quantity in ("kv", "kp", "ka", "kf") for joint in ("s", "se", "e"))
-_OPTIONAL = ("ka_s", "ka_se", "ka_e", "kf_s", "kf_se", "kf_e", "zeta_act", "name")
+_OPTIONAL = ("ka_s", "ka_se", "ka_e", "kf_s", "kf_se", "kf_e", "zeta_act", "muscle", "name")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,11 +66,13 @@ class Subject:
       theta_e_deg: elbow angle of the start posture, relative to the humerus [deg].
       zeta_act: relative damping of the activation filter [-]. The thesis calls the filter both "critically damped" (1)
         and "Butterworth" (1 / sqrt 2, the default).
+      muscle: how the muscles depart from linear ones; None is linear.
       name: what the person is called in recordings and tables.
 
     Raises:
-      TypeError: a parameter is not a number, or name is not text.
-      ValueError: a parameter is not finite or out of its range, or the task is unknown.
+      TypeError: a parameter is not a number, muscle no `MuscleLaw`, or name is not text.
+      ValueError: a parameter is not finite or out of its range, the task is unknown, or the damping of a muscle group
+        would give energy.
     """
 
     task: str
@@ -104,6 +107,7 @@ class Subject:
     theta_s_deg: float = 22.5
     theta_e_deg: float = 82.3
     zeta_act: float = 1.0 / math.sqrt(2.0)
+    muscle: MuscleLaw | None = None
     name: str = "subject"
 
     def __post_init__(self) -> None:
@@ -125,6 +129,19 @@ class Subject:
             require_number("Subject", field, getattr(self, field), at_least=0.01, at_most=1000.0)
         # A straight or folded elbow is singular: no joint motion moves the hand along the arm.
         require_number("Subject", "theta_e_deg", self.theta_e_deg, at_least=5.0, at_most=175.0)
+        if self.muscle is None:
+            return
+        if not isinstance(self.muscle, MuscleLaw):
+            raise TypeError(f"Subject: muscle = {self.muscle!r}; expected MuscleLaw or None")
+        if min(self.muscle.of_elements("thinning_velocity")) == math.inf:
+            return
+        for field in ("b_s", "b_e"):
+            # Linear dampers with a negative one among them may be one passive matrix; dampers that thin apart may not.
+            if getattr(self, field) < self.b_se:
+                raise ValueError(
+                    f"Subject: {field} = {getattr(self, field)!r}; expected at least b_se = {self.b_se!r} with damping "
+                    "that thins: below it the single-joint group's own damping is negative and gives energy"
+                )
 
     @property
     def posture(self) -> np.ndarray:
@@ -145,12 +162,27 @@ class Subject:
         s, se, e = self.joint_triple(quantity)
         return s - se, se, e - se
 
+    @property
+    def linear_arms(self) -> tuple[Self, ...]:
+        """The linear arms between which a nonlinear one works: large movements, and small ones if they are stiffer.
+
+        Large movements have yielded, and leave the subject's own parameters; in small ones all short-range stiffness is
+        intact. A linear arm is the only one of itself.
+        """
+        if self.muscle is None:
+            return (self,)
+        large = replace(self, muscle=None)
+        s, se, e = self.muscle.of_elements("short_range_stiffness")
+        if not s + se + e:
+            return (large,)
+        return large, replace(large, k_s=self.k_s + s + se, k_se=self.k_se + se, k_e=self.k_e + e + se)
+
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], source: str = "subject") -> Self:
-        """A subject from its parameters by name; `zeta_act`, `name` and the gains ka_* and kf_* may be left out.
+        """A subject from its parameters by name; `zeta_act`, `muscle`, `name`, ka_* and kf_* may be left out.
 
         Args:
-          values: parameter name to value, SI units, angles in degrees.
+          values: parameter name to value, SI units, angles in degrees; `muscle` to a table, see `MuscleLaw`.
           source: where the values come from, for the message.
 
         Raises:
@@ -165,13 +197,18 @@ class Subject:
         if missing:
             raise ValueError(f"{source}: missing key {missing[0]!r}; expected keys are {', '.join(known)}")
         try:
+            if values.get("muscle") is not None:
+                values = {**values, "muscle": MuscleLaw.from_dict(values["muscle"])}
             return cls(**values)
         except (TypeError, ValueError) as error:
             raise type(error)(f"{source}: {error}") from None
 
     def to_dict(self) -> dict[str, Any]:
-        """Parameter name to value, as `from_dict` reads it."""
-        return asdict(self)
+        """Parameter name to value, as `from_dict` reads it; without `muscle` if that is None, which TOML cannot say."""
+        values = asdict(self)
+        if self.muscle is None:
+            del values["muscle"]
+        return values
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -190,6 +227,29 @@ class Subject:
     def save(self, path: str | Path) -> None:
         """Write the subject to a TOML file that `load` reads back exactly."""
         Path(path).write_text(tomli_w.dumps(self.to_dict()), encoding="utf-8")
+
+
+def at_level(subject: Subject, level: float) -> Subject:
+    """The subject at another level of co-contraction: all muscle torques in proportion to it.
+
+    Intrinsic damping, stiffness and short-range stiffness and the gains of velocity, position and acceleration feedback
+    are multiplied. Force feedback is a share of the muscles' torque, and stays.
+
+    Args:
+      subject: the person at level 1.
+      level: of activation, as a multiple of the subject's own [-], >= 0.
+
+    Raises:
+      TypeError: level is no number.
+      ValueError: level is negative or not finite.
+    """
+    require_number("at_level", "level", level, at_least=0.0)
+    changes: dict[str, Any] = {
+        f"{quantity}_{joint}": level * value
+        for quantity in ("b", "k", "kv", "kp", "ka")
+        for joint, value in zip(("s", "se", "e"), subject.joint_triple(quantity), strict=True)
+    }
+    return replace(subject, muscle=subject.muscle and subject.muscle.scaled(level), **changes)
 
 
 RELAX = Subject(

@@ -10,17 +10,18 @@ import pytest
 import armperturb
 
 ROOT = Path(armperturb.__file__).parent
-BASE = {"validation", "files", "subject", "environment", "recording"}
+BASE = {"validation", "files", "muscle_law", "subject", "environment", "recording"}
 ARROWS = {
     "validation": set(),
     "files": set(),
-    "subject": {"validation"},
+    "muscle_law": {"validation"},
+    "subject": {"validation", "muscle_law"},
     "environment": {"validation"},
     "recording": {"files"},
     "perturbations": {"validation", "files"},
     "analysis": BASE,
     "cohort": BASE | {"analysis"},
-    "controllers": {"subject", "validation"},
+    "controllers": {"muscle_law", "subject", "validation"},
     "models": {"subject", "environment", "validation"},
     "envs": BASE | {"models", "controllers", "perturbations", "analysis"},
     "study": BASE | {"cohort", "models", "controllers", "perturbations", "analysis", "envs"},

@@ -12,6 +12,7 @@ for it (eq. 2.8 holds Kv and Kp only). With it, the joint impedance from q to to
     Z(s) = I s^2 + (1 - R Kf)^-1 (B s + K + R (Ka s^2 + Kv s + Kp)),
 
 and the endpoint admittance from f to x is that of the arm in series with the grip, J Z^-1 J^T + 1 / (b_h s + k_h).
+Of a subject with a muscle law, responses are those of its linear parameters; only poles look at the law.
 """
 
 import copy
@@ -524,9 +525,13 @@ def state_space(subject: Subject, environment: Environment) -> StateSpace:
 def largest_real_pole(subject: Subject, environment: Environment) -> float:
     """Largest real part of the poles of arm and environment [1/s]; the system is stable if it is negative.
 
+    Of a nonlinear arm, the largest among its `Subject.linear_arms`.
+
     Source: sigma_max of eq. 2.21.
     """
-    return float(LinearArm(subject, ()).poles(parameter_vector(subject), environment).real.max())
+    return max(
+        float(LinearArm(arm, ()).poles(parameter_vector(arm), environment).real.max()) for arm in subject.linear_arms
+    )
 
 
 def require_stable(subject: Subject, environment: Environment) -> None:
@@ -544,8 +549,13 @@ def require_stable(subject: Subject, environment: Environment) -> None:
 
 
 def fastest_pole(subject: Subject, environment: Environment) -> float:
-    """Largest modulus of the poles of arm and environment without reflexes [1/s]; it sets the step of a simulation."""
-    return float(np.abs(np.linalg.eigvals(state_space(subject, environment).a[:8, :8])).max())
+    """Largest modulus of the poles of arm and environment without reflexes [1/s]; it sets the step of a simulation.
+
+    Of a nonlinear arm, the largest among its `Subject.linear_arms`.
+    """
+    return max(
+        float(np.abs(np.linalg.eigvals(state_space(arm, environment).a[:8, :8])).max()) for arm in subject.linear_arms
+    )
 
 
 def simulate_linear(subject: Subject, environment: Environment, perturbation: ArrayLike, rate: float) -> LinearResponse:

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from armperturb.controllers.muscle import element_motion, joint_torque
+from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import Subject
 
 Array = NDArray[np.float64]
@@ -89,6 +91,61 @@ def spindle_excitation(gains: ReflexGains, angle: Array, velocity: Array) -> Arr
     return excitation
 
 
+class NonlinearSpindles:
+    """Spindles whose velocity response saturates or favours one direction, in the trials that have them.
+
+    Each muscle element answers its own velocity, with the velocity feedback of its muscle group (eq. 2.10).
+    """
+
+    def __init__(self, subjects: Sequence[Subject]) -> None:
+        """Select the trials with such spindles.
+
+        Args:
+          subjects: who is perturbed, one per trial.
+        """
+        self._trials = np.flatnonzero([_has_nonlinear_spindles(subject) for subject in subjects])
+        own = [subject for subject in subjects if _has_nonlinear_spindles(subject)]
+        laws = [subject.muscle or MuscleLaw() for subject in own]
+        self._gains = np.array([subject.muscle_groups("kv") for subject in own])
+        self._saturation = np.array([law.of_elements("spindle_saturation") for law in laws])
+        self._direction = np.array([law.of_elements("spindle_direction") for law in laws])
+
+    @property
+    def needed(self) -> bool:
+        """Whether any trial has such spindles."""
+        return len(self._trials) > 0
+
+    def correct_excitation(self, excitation: Array, velocity: Array) -> None:
+        """Take from the excitation what these spindles do not answer.
+
+        Args:
+          excitation: of linear spindles [Nm], (trial, joint); changed in place.
+          velocity: of the joints [rad/s], (trial, joint).
+        """
+        speed = element_motion(velocity[self._trials])
+        answered = velocity_response(speed, self._saturation, self._direction)
+        excitation[self._trials] += joint_torque(self._gains * (answered - speed))
+
+
+def _has_nonlinear_spindles(subject: Subject) -> bool:
+    law = subject.muscle
+    return law is not None and (
+        min(law.of_elements("spindle_saturation")) < np.inf or any(law.of_elements("spindle_direction"))
+    )
+
+
+def velocity_response(velocity: Array, saturation: Array, direction: Array) -> Array:
+    """Velocity that linear spindles would have to see to fire as these do [rad/s], same shape as the arguments.
+
+    Args:
+      velocity: of the element [rad/s].
+      saturation: speed at which the response is half of the linear one [rad/s]; inf is linear.
+      direction: -1 to 1; movement against its sign is answered by 1 - |direction| of the response.
+    """
+    response = velocity / (1.0 + np.abs(velocity) / saturation)
+    return np.where(velocity * direction < 0.0, (1.0 - np.abs(direction)) * response, response)
+
+
 class MemoryReflexes:
     """Acceleration and force feedback: what needs to know of past steps (the law of `analysis.arm_model`).
 
@@ -105,7 +162,7 @@ class MemoryReflexes:
           timestep: of the simulation [s]; no delay is shorter.
         """
         self._trials = np.flatnonzero([any(s.joint_triple("ka") + s.joint_triple("kf")) for s in subjects])
-        own = [subjects[int(trial)] for trial in self._trials]
+        own = [subjects[trial] for trial in self._trials.tolist()]
         self._posture = np.array([subject.posture for subject in own])
         self._gains = {
             quantity: np.array([subject.joint_matrix(quantity) for subject in own])
@@ -124,13 +181,14 @@ class MemoryReflexes:
         """Whether any trial has such feedback."""
         return len(self._trials) > 0
 
-    def add_excitation(self, excitation: Array, angle: Array, velocity: Array) -> None:
+    def add_excitation(self, excitation: Array, angle: Array, velocity: Array, nonlinear: Array | None = None) -> None:
         """Add Ka q'' + Kf tau to the reflexive excitation of the trials that have it.
 
         Args:
           excitation: of the spindles [Nm], (trial, joint).
           angle: of the joints [rad], (trial, joint).
           velocity: of the joints [rad/s], (trial, joint).
+          nonlinear: torque of the intrinsic muscles beside spring and damper [Nm], (trial, joint); None is none.
         """
         stretch, speed = angle[self._trials] - self._posture, velocity[self._trials]
         slope = (speed - self._velocity) / self._timestep
@@ -140,6 +198,8 @@ class MemoryReflexes:
         older = self._active[(self._step - self._steps - 1) % len(self._active), self._row, self._joint]
         muscle = (1.0 - self._share) * newer + self._share * older
         muscle += _times(self._gains["b"], speed) + _times(self._gains["k"], stretch)
+        if nonlinear is not None:
+            muscle += nonlinear[self._trials]
         excitation[self._trials] += _times(self._gains["ka"], acceleration) + _times(self._gains["kf"], muscle)
 
     def remember(self, active: Array) -> None:

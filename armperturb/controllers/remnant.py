@@ -49,7 +49,7 @@ class HumanNoise:
       voluntary_cutoff: of the corrections' fourth-order low-pass [Hz], > 0. At 0.3 Hz, 97 % of their power is below the
         0.40 Hz from which on the thesis takes the VAF (2.7).
       spread_b: SD over trials of the logarithm of one factor on all intrinsic damping [-], >= 0.
-      spread_k: the same of intrinsic stiffness [-], >= 0.
+      spread_k: the same of intrinsic stiffness, long-range and short-range [-], >= 0.
       spread_kv: the same of velocity feedback [-], >= 0.
       spread_kp: the same of position feedback [-], >= 0.
 
@@ -100,7 +100,7 @@ class HumanNoise:
                 for quantity, factor in zip(_VARIED, factors, strict=True)
                 for joint, value in zip(("s", "se", "e"), subject.joint_triple(quantity), strict=True)
             }
-            drawn = replace(subject, **changes)
+            drawn = replace(subject, muscle=subject.muscle and subject.muscle.scaled(float(factors[1])), **changes)
             if accept(drawn):
                 return drawn
         raise RuntimeError(f"no stable variation of subject {subject.name!r} in {MAX_REDRAWS} draws with {self}")

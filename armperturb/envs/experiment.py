@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from armperturb.analysis.arm_model import fastest_pole, hand_jacobian, largest_real_pole, require_stable
+from armperturb.controllers.muscle import NonlinearMuscles
 from armperturb.controllers.reflex import (
     MemoryReflexes,
+    NonlinearSpindles,
     activate,
     initial_activation,
     reflex_gains,
@@ -124,8 +126,8 @@ def run_experiment(
       timestep: of the simulation [s].
       rate: of the recording [Hz]; a whole number of simulation steps must fit into a sample.
       rope: "ideal" or "pendulum", see `build_model`.
-      linear: whether the arm is the linear one of `analysis.arm_model`, at its posture wherever it moves, instead of
-        MuJoCo's; for judging an analysis whose model it is. Its rope is ideal.
+      linear: whether the arm is the linear one of `analysis.arm_model`, at its posture wherever it moves and without
+        its muscle law, instead of MuJoCo's; for judging an analysis whose model it is. Its rope is ideal.
       instruments: what the signals pass on their way into the recording; None records the truth.
       n_threads: 0 takes all cores; the recording does not depend on it.
       progress: called with the simulated seconds (all trials together) since the last call.
@@ -388,6 +390,9 @@ def _simulate(
     gains = reflex_gains(subjects, timestep)
     activation = initial_activation(n_trials)
     memory = MemoryReflexes(subjects, timestep)
+    spindles = NonlinearSpindles(subjects)
+    muscles = NonlinearMuscles(subjects, timestep)
+    yielding, yielded = np.ix_(muscles.trials, hinges), None
 
     batch = Batch(model, n_trials, n_threads)
     batch.set_models([models[subject] for subject in subjects])
@@ -398,15 +403,20 @@ def _simulate(
     with _silent_simulator():
         for step in range(n_steps):
             excitation = spindle_excitation(gains, angle, velocity)
+            if spindles.needed:
+                spindles.correct_excitation(excitation, velocity)
+            if torque is not None:
+                applied[:, hinge] = torque[step]
+            if muscles.needed:
+                held_muscle, yielded = muscles.torque(angle, velocity)
+                applied[yielding] = -held_muscle if torque is None else torque[step, muscles.trials] - held_muscle
             if memory.needed:
-                memory.add_excitation(excitation, angle, velocity)
+                memory.add_excitation(excitation, angle, velocity, yielded)
             active, activation = activate(gains, activation, excitation)
             if memory.needed:
                 memory.remember(active)
             np.negative(active, out=ctrl[:, motor])
             applied[:, slide] = held[step]
-            if torque is not None:
-                applied[:, hinge] = torque[step]
             sample, rest = divmod(step, decimation)
             if not rest:
                 reached = np.abs(handle).max(axis=1) >= environment.workspace

@@ -1,0 +1,209 @@
+"""The nonlinear part of intrinsic muscle: short-range stiffness that yields and wears off, damping that thins.
+
+What is linear stands in the MJCF model; the torque of this law comes on top of it. Equations, symbols and literature
+stand in docs/muscle.md. Only elementwise arithmetic is used, summed over parts in a fixed order: it gives the same bits
+for one trial as for many.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from armperturb.muscle_law import MuscleLaw
+from armperturb.subject import Subject
+
+Array = NDArray[np.float64]
+
+NEVER = 1e6
+"""Stands for an elastic limit that is infinite [rad], where infinity times a vanished stiffness would be undefined."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MuscleParameters:
+    """What differs between trials and elements, as arrays; made by `muscle_parameters`.
+
+    Attributes:
+      stiffness: short-range stiffness of one part, (trial, element) [Nm/rad].
+      limit: elastic limits of the parts at rest, (part, trial, element) [rad].
+      limit_slope: their growth with speed, (part, trial, element) [s].
+      loss: inverse of the angle of loss, (trial, element) [1/rad].
+      kept: share of what was lost that is still lost a step later, (trial, element) [-].
+      damping: linear damping of the element's muscle group, (trial, element) [Nms/rad].
+      thinning: inverse of the thinning velocity, (trial, element) [s/rad].
+    """
+
+    stiffness: Array
+    limit: Array
+    limit_slope: Array
+    loss: Array
+    kept: Array
+    damping: Array
+    thinning: Array
+
+
+class MuscleState(NamedTuple):
+    """What the muscles remember from step to step.
+
+    Attributes:
+      bond: torque of each elasto-plastic part over its stiffness [rad], (part, trial, element).
+      intact: share of the short-range stiffness that is intact [-], (trial, element), above 0 to 1.
+      stretch: of the elements at the last step [rad], (trial, element).
+    """
+
+    bond: Array
+    intact: Array
+    stretch: Array
+
+
+def elastic_limit_shape(spread: float, parts: int) -> Array:
+    """Elastic limits over their mean [-], (part,): middle quantiles of a log-normal distribution, scaled to mean one.
+
+    Args:
+      spread: SD over mean of the distribution [-], >= 0.
+      parts: how many quantiles.
+    """
+    middle = (np.arange(parts) + 0.5) / parts
+    shape = np.exp(np.sqrt(np.log1p(spread**2)) * special.ndtri(middle))
+    return np.ones(parts) if spread == 0 else shape / shape.mean()
+
+
+def element_motion(motion: Array) -> Array:
+    """What joint angles or velocities are for the elements (shoulder, two-joint, elbow), (trial, element)."""
+    return np.stack([motion[:, 0], motion[:, 0] + motion[:, 1], motion[:, 1]], axis=1)
+
+
+def joint_torque(torque: Array) -> Array:
+    """What torques of the elements are for the joints, (trial, joint)."""
+    return torque[:, [0, 2]] + torque[:, 1:2]
+
+
+def muscle_parameters(subjects: Sequence[Subject], timestep: float) -> MuscleParameters:
+    """Parameters of one subject per trial; a subject without a law gets one that adds nothing.
+
+    Args:
+      subjects: who is perturbed, one per trial.
+      timestep: of the simulation [s].
+    """
+    laws = [subject.muscle or MuscleLaw() for subject in subjects]
+
+    def each(field: str) -> Array:
+        return np.array([law.of_elements(field) for law in laws])
+
+    # Parts that a trial does not have yield at once.
+    shape = np.zeros((max(law.parts for law in laws), len(laws), 3))
+    for trial, law in enumerate(laws):
+        for element, spread in enumerate(law.of_elements("elastic_limit_spread")):
+            shape[: law.parts, trial, element] = elastic_limit_shape(spread, law.parts)
+    return MuscleParameters(
+        stiffness=each("short_range_stiffness") / np.array([[law.parts] for law in laws]),
+        limit=shape * np.minimum(np.radians(each("elastic_limit_deg")), NEVER),
+        limit_slope=shape * each("elastic_limit_slope"),
+        loss=1.0 / np.radians(each("loss_angle_deg")),
+        kept=np.exp(-timestep / each("recovery_time")),
+        damping=np.array([subject.muscle_groups("b") for subject in subjects]),
+        thinning=1.0 / each("thinning_velocity"),
+    )
+
+
+def rested(parameters: MuscleParameters) -> MuscleState:
+    """State of muscles that have been at rest for long, at zero stretch."""
+    return MuscleState(
+        np.zeros_like(parameters.limit), np.ones_like(parameters.stiffness), np.zeros_like(parameters.stiffness)
+    )
+
+
+def muscle_torque(
+    parameters: MuscleParameters, state: MuscleState, stretch: Array, velocity: Array
+) -> tuple[Array, MuscleState]:
+    """One step of the law: the torque with which elements oppose stretch, beside the linear spring and damper.
+
+    Bonds that movement breaks let go of their torque; bonds that rest forms are unstrained, so that recovery changes
+    no torque. The stored energy, the sum over parts of stiffness x bond^2 / (2 x intact), never grows by more than the
+    work that is done on the element and its linear damper.
+
+    Args:
+      parameters: of each trial.
+      state: after the step before.
+      stretch: of the elements at this step [rad], (trial, element).
+      velocity: of the elements at this step [rad/s], (trial, element).
+
+    Returns:
+      The torque [Nm], (trial, element), and the state for the next step.
+
+    Source: Iwan (1966) for the parallel elasto-plastic parts, thesis F.1 for limits that grow with speed; the rest in
+    docs/muscle.md.
+    """
+    move = stretch - state.stretch
+    speed = np.abs(velocity)
+    survival = 1.0 / (1.0 + np.abs(move) * parameters.loss)
+    intact = state.intact * survival
+    limit = parameters.limit_slope * speed
+    limit += parameters.limit
+    limit *= intact
+    bond = state.bond * survival
+    bond += intact * move
+    np.minimum(bond, limit, out=bond)
+    np.maximum(bond, np.negative(limit, out=limit), out=bond)
+    torque = np.zeros_like(stretch)
+    for part in bond:  # not sum(), whose order depends on the shape
+        torque += part
+    torque *= parameters.stiffness
+    thinned = speed * parameters.thinning
+    torque -= parameters.damping * velocity * (thinned / (1.0 + thinned))
+    return torque, MuscleState(bond, 1.0 - (1.0 - intact) * parameters.kept, stretch)
+
+
+class NonlinearMuscles:
+    """The trials of a batch whose subjects have a law: `torque`, once per step, and once only."""
+
+    def __init__(self, subjects: Sequence[Subject], timestep: float) -> None:
+        """Begin at rest.
+
+        Args:
+          subjects: who is perturbed, one per trial.
+          timestep: of the simulation [s].
+        """
+        self.trials = np.flatnonzero([subject.muscle is not None for subject in subjects])
+        if not self.needed:
+            return
+        own = [subject for subject in subjects if subject.muscle is not None]
+        self._posture = np.array([subject.posture for subject in own])
+        self._parameters = muscle_parameters(own, timestep)
+        self._state = rested(self._parameters)
+        self._velocity = np.zeros((len(own), 2))
+        self._torque = np.zeros((len(own), 2))
+        self._at_start = np.zeros((len(subjects), 2))
+        self._timestep = timestep
+
+    @property
+    def needed(self) -> bool:
+        """Whether any trial has a law."""
+        return len(self.trials) > 0
+
+    def torque(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
+        """Torque with which the muscles of `trials` oppose movement, beside their linear part.
+
+        A torque that is held over a step acts at its middle: the law sees the motion drawn on to there.
+
+        Args:
+          angle: of the joints at the start of the step [rad], (trial, joint) of the batch.
+          velocity: of the joints [rad/s], the same.
+
+        Returns:
+          The torque to hold over the step [Nm], (trial, joint) of `trials`, and the one at the step's start [Nm],
+          (trial, joint) of the batch, zero where there is no law.
+        """
+        speed = velocity[self.trials]
+        middle = 1.5 * speed - 0.5 * self._velocity
+        stretch = angle[self.trials] - self._posture + (0.5 * self._timestep) * speed
+        torque, self._state = muscle_torque(
+            self._parameters, self._state, element_motion(stretch), element_motion(middle)
+        )
+        held = joint_torque(torque)
+        self._at_start[self.trials] = 0.5 * (held + self._torque)
+        self._velocity, self._torque = speed, held
+        return held, self._at_start

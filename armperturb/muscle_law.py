@@ -1,0 +1,117 @@
+"""How muscle departs from a linear spring, damper and reflex: the parameters of `controllers.muscle` and their ranges.
+
+Equations, symbols and literature: docs/muscle.md.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from numbers import Integral
+from typing import Any, Self
+
+from armperturb.validation import require_number
+
+PerElement = float | tuple[float, float, float]
+"""One number for all muscle elements, or three: single-joint shoulder, two-joint, single-joint elbow."""
+
+MAX_PARTS = 64
+"""Most parts of a distribution: more cost time and change nothing."""
+
+_RANGES: dict[str, dict[str, float]] = {
+    "short_range_stiffness": {"at_least": 0.0},
+    "elastic_limit_deg": {"at_least": 0.0},
+    "elastic_limit_spread": {"at_least": 0.0, "at_most": 3.0},
+    "elastic_limit_slope": {"at_least": 0.0, "at_most": 10.0},
+    "loss_angle_deg": {"above": 0.0},
+    "recovery_time": {"above": 0.0},
+    "thinning_velocity": {"above": 0.0},
+    "spindle_saturation": {"above": 0.0},
+    "spindle_direction": {"at_least": -1.0, "at_most": 1.0},
+}
+_MAY_BE_INFINITE = ("elastic_limit_deg", "loss_angle_deg", "recovery_time", "thinning_velocity", "spindle_saturation")
+_ELEMENTS = ("shoulder", "two-joint", "elbow")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MuscleLaw:
+    """What three muscle elements add to the linear muscle of a `Subject`; by default nothing.
+
+    The elements are the muscle groups of eq. 2.10: single-joint shoulder, two-joint, single-joint elbow, each stretched
+    by its own angle: q_s, q_s + q_e, q_e. A number stands for all three and is kept as three equal ones. Each mechanism
+    is off, exactly, at its default.
+
+    Attributes:
+      short_range_stiffness: of each element, beside the long-range stiffness of the subject [Nm/rad], >= 0.
+      elastic_limit_deg: mean over the parts of the stretch at which they yield [deg], >= 0; inf never yields.
+      elastic_limit_spread: SD over mean of the elastic limits, which are distributed log-normally [-], 0 to 3.
+      elastic_limit_slope: growth of the mean elastic limit with speed [rad per rad/s], 0 to 10 (thesis F.1).
+      parts: elasto-plastic parts by which the distribution is represented, 1 to 64.
+      loss_angle_deg: movement that leaves 1 / e of the short-range stiffness, were there no recovery [deg], > 0; inf
+        loses none.
+      recovery_time: time constant with which rest brings back what was lost [s], > 0; inf brings back nothing.
+      thinning_velocity: speed at which damping has fallen to half of the subject's [rad/s], > 0; inf is linear.
+      spindle_saturation: speed at which the velocity response of the spindles has fallen to half of the linear one
+        [rad/s], > 0; inf is linear. The response itself approaches the gain times this.
+      spindle_direction: -1 to 1 [-]. Movement towards its sign has the subject's velocity feedback, movement the other
+        way 1 - |spindle_direction| of it: 0 responds both ways, 1 to increasing angles only.
+
+    Raises:
+      TypeError: a value is no number (or three), or parts is no whole number.
+      ValueError: a value is out of its range.
+    """
+
+    short_range_stiffness: PerElement = 0.0
+    elastic_limit_deg: PerElement = math.inf
+    elastic_limit_spread: PerElement = 0.0
+    elastic_limit_slope: PerElement = 0.0
+    parts: int = 8
+    loss_angle_deg: PerElement = math.inf
+    recovery_time: PerElement = 1.0
+    thinning_velocity: PerElement = math.inf
+    spindle_saturation: PerElement = math.inf
+    spindle_direction: PerElement = 0.0
+
+    def __post_init__(self) -> None:
+        require_number("MuscleLaw", "parts", self.parts, at_least=1, at_most=MAX_PARTS)
+        if not isinstance(self.parts, Integral):
+            raise TypeError(f"MuscleLaw: parts = {self.parts!r}; expected a whole number")
+        for field, bounds in _RANGES.items():
+            value = getattr(self, field)
+            values = tuple(value) if isinstance(value, tuple | list) else (value,) * 3
+            if len(values) != 3:
+                raise TypeError(
+                    f"MuscleLaw: {field} = {value!r}; expected a number, or three for {', '.join(_ELEMENTS)}"
+                )
+            for own in values:
+                if not (field in _MAY_BE_INFINITE and own == math.inf):
+                    require_number("MuscleLaw", field, own, **bounds)
+            object.__setattr__(self, field, tuple(float(own) for own in values))
+
+    def scaled(self, factor: float) -> Self:
+        """The law with `factor` times the short-range stiffness; limits, times and speeds stay."""
+        s, se, e = self.of_elements("short_range_stiffness")
+        return replace(self, short_range_stiffness=(factor * s, factor * se, factor * e))
+
+    def of_elements(self, field: str) -> tuple[float, float, float]:
+        """Values (shoulder, two-joint, elbow) of a field."""
+        return getattr(self, field)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """A law from its parameters by name; what is left out is off.
+
+        Raises:
+          ValueError: a key is unknown, or a value is refused.
+          TypeError: `values` is no table, or a value has the wrong type.
+        """
+        if not isinstance(values, Mapping):
+            raise TypeError(f"MuscleLaw = {values!r}; expected a table of parameters by name")
+        known = [field.name for field in fields(cls)]
+        unknown = [key for key in values if key not in known]
+        if unknown:
+            raise ValueError(f"MuscleLaw: unknown key {unknown[0]!r}; expected keys are {', '.join(known)}")
+        return cls(**values)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Parameter name to value, as `from_dict` reads it."""
+        return asdict(self)
