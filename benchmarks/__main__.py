@@ -1,7 +1,25 @@
 """Runs every benchmark."""
 
-from benchmarks import batch_overhead, estimators, multisine_crest, study_kills, study_speed, thesis_fit, thesis_sem
+from benchmarks import (
+    batch_overhead,
+    estimators,
+    multisine_crest,
+    muscle_law,
+    study_kills,
+    study_speed,
+    thesis_fit,
+    thesis_sem,
+)
 
-for module in (batch_overhead, multisine_crest, thesis_fit, thesis_sem, estimators, study_speed, study_kills):
+for module in (
+    batch_overhead,
+    muscle_law,
+    multisine_crest,
+    thesis_fit,
+    thesis_sem,
+    estimators,
+    study_speed,
+    study_kills,
+):
     print(f"== {module.__name__}")
     module.main()

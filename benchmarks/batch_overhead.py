@@ -14,16 +14,16 @@ from mujoco.batch import Batch
 from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.models import build_model
 from armperturb.perturbations import Multisine
-from armperturb.subject import POSITION, RELAX
+from armperturb.subject import POSITION, RELAX, Subject
 
 N_TRIALS, DURATION, TIMESTEP, REPEATS = 320, 2.0, 1e-3, 5
 
 
-def experiment() -> Callable[[], object]:
-    """The whole experiment, from perturbations to recording: half of the trials relaxed, half keeping position."""
+def experiment(people: tuple[Subject, Subject] = (RELAX, POSITION)) -> Callable[[], object]:
+    """The whole experiment, from perturbations to recording: half of the trials on each of two people."""
     trials = [
         Trial(
-            subject=(RELAX, POSITION)[number % 2],
+            subject=people[number % 2],
             perturbation=Multisine.draw(seed=number, rms=1.0, duration=DURATION, crested=False),
         )
         for number in range(N_TRIALS)
