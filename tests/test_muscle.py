@@ -145,6 +145,26 @@ def test_recovery_changes_no_torque_and_stores_no_energy():
     assert intact[-1] > 2 * intact[310]
 
 
+def test_worn_muscle_yields_at_the_same_stretch_and_at_less_torque():
+    law = replace(BIPHASIC, loss_angle_deg=5.0)
+    torque, intact = stretched(law, ramp_and_hold(10.0, 3.0, 0.29))
+    yielded = np.radians(0.7) * 10.0 * intact
+    # The share intact is that after the step's recovery.
+    np.testing.assert_allclose(torque[100:], yielded[100:], rtol=2e-3)
+    assert torque[-1] < 0.8 * torque[70]
+
+
+def test_damping_that_has_thinned_away_leaves_the_undamped_arm():
+    # The model's own damper is taken back by a held torque: as large as it is, and not late.
+    damped = replace(RELAX, b_s=6.0, b_se=3.0, b_e=6.0)
+    thinned = replace(damped, muscle=MuscleLaw(thinning_velocity=1e-7))
+    undamped = replace(damped, b_s=0.0, b_se=0.0, b_e=0.0)
+    moves = moved([thinned, undamped, damped])["displacement"].values
+    off = np.abs(moves - moves[1]).max(axis=(1, 2)) / np.abs(moves[1]).max()
+    assert off[0] < 2e-3
+    assert off[2] > 0.5
+
+
 def test_damping_thins_to_half_at_its_velocity_and_to_a_constant_torque_beyond():
     subject, thinning = replace(RELAX, muscle=MuscleLaw(thinning_velocity=(0.1, 0.2, 0.3))), np.array([0.1, 0.2, 0.3])
     parameters = muscle_parameters([subject], DT)
