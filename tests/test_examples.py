@@ -18,3 +18,9 @@ def test_example_runs(tmp_path, capfd):
     runpy.run_path(str(ROOT / "examples" / "simulate_and_identify.py"))["main"](tmp_path / "folder")
     assert "m_tot" in capfd.readouterr().out
     assert (tmp_path / "folder" / "identified" / "fit.json").is_file()
+
+
+def test_muscle_law_is_drawn(tmp_path, capsys):
+    runpy.run_path(str(ROOT / "examples" / "muscle_law.py"))["main"](tmp_path / "law.png")
+    assert (tmp_path / "law.png").read_bytes().startswith(b"\x89PNG")
+    assert "wrote" in capsys.readouterr().out
