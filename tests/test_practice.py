@@ -64,6 +64,17 @@ def test_noisy_people_move_as_far_as_intended(people):
     assert np.abs(displacement(people[:1], found, noisy=True) - 1.0).max() < TOLERANCE
 
 
+def test_conditions_that_differ_in_co_contraction_get_forces_of_their_own(people):
+    half, whole, same = (
+        replace(THESIS.condition("PT7.5"), name=name, co_contraction=level)
+        for name, level in (("half", 0.5), ("whole", 1.0), ("same", 1.0))
+    )
+    protocol = replace(THESIS, conditions=(half, whole, same), pulse_unit_condition="whole")
+    (found,) = practise(people[:1], protocol, SEED, noisy=False)
+    assert found["half"] < 0.8 * found["whole"]
+    assert found["same"] == found["whole"]
+
+
 def test_pulse_unit_is_ten_times_the_force_of_pt7_5(forces):
     for own in forces:
         assert list(own) == ["PT7.5", "RT7.5", PULSE_UNIT]

@@ -21,7 +21,7 @@ from armperturb.environment import Environment
 from armperturb.perturbations import Multisine, MultisineThenPulse, Pulse
 from armperturb.study import published
 from armperturb.study.protocol import PULSE_UNIT, THESIS, Condition, Protocol, load_protocol
-from armperturb.subject import POSITION, RELAX
+from armperturb.subject import POSITION, RELAX, at_level
 
 THESIS_FILE = Path(armperturb.study.__file__).parent / "thesis.toml"
 FORCES = THESIS.given_forces()
@@ -144,6 +144,18 @@ def test_multisine_without_pulse_lasts_the_whole_trial(people):
     assert sorted(trial.repetition for trial in trials) == [0, 1]
 
 
+def test_co_contraction_of_a_condition_is_that_of_its_trials(people):
+    conditions = tuple(
+        Condition(name=name, task=name[:2], rms_displacement=0.01, co_contraction=level)
+        for name, level in (("PTa", 0.5), ("PTb", 1.0), ("RT", 1.0))
+    )
+    forces = {"PTa": 1.5, "PTb": 1.5, "RT": 1.5, PULSE_UNIT: 1.0}
+    trials = {trial.condition: trial for trial in Protocol(conditions=conditions).trials(people[0], forces, 0, 0)}
+    assert trials["PTa"].subject == at_level(people[0].subjects["PT"], 0.5)
+    assert trials["PTb"].subject == people[0].subjects["PT"] != trials["PTa"].subject
+    assert trials["RT"].subject == people[0].subjects["RT"]
+
+
 def test_users_protocol_from_a_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(
@@ -179,6 +191,8 @@ def test_a_protocol_survives_its_file(tmp_path):
         ("rms_displacement = 0.0025", 'rms_displacement = "2.5 mm"', "rms_displacement = '2.5 mm'; expected a number"),
         ("repetitions = 2", "repetitions = 0", "repetitions = 0; expected a finite number at least 1"),
         ("repetitions = 2", "repetitions = 1.5", "repetitions = 1.5; expected a whole number"),
+        ('task = "PT"', 'task = "PT"\nco_contraction = -0.5', "'PT0': co_contraction = -0.5; expected a .* above 0"),
+        ('task = "RT"', 'task = "RT"\nco_contraction = 0.5', "'RT0': co_contraction = 0.5; expected 1 in RT"),
         ("pulse_levels = [1, 2]", "pulse_levels = [1, -2]", "pulse_levels = -2.0; expected a finite number above 0"),
         ("pulse_levels = [1, 2]", "pulse_levels = [2, 2]", "pulse_levels holds 2.0 twice"),
         ("pulse_levels = [1, 2]", "pulse_levels = 2", "pulse_levels = 2; expected a list of numbers"),

@@ -101,11 +101,11 @@ def practise(
         return tuple(protocol.given_forces() for _ in people)
     environment = environment or Environment()
     # Conditions that are alike need the same force.
-    wanted: dict[tuple[str, float], Condition] = {}
+    wanted: dict[tuple[str, float, float], Condition] = {}
     for condition in protocol.conditions:
         if condition.has_multisine:
             wanted.setdefault(_need(condition), condition)
-    cells = [(person.subjects[c.task], c) for person in people for c in wanted.values()]
+    cells = [(c.subject_of(person), c) for person in people for c in wanted.values()]
     found = _adjust_cells(cells, seed, environment, n_threads, noisy, progress).force.tolist() if cells else []
     forces = []
     for number, _ in enumerate(people):
@@ -118,8 +118,8 @@ def practise(
     return tuple(forces)
 
 
-def _need(condition: Condition) -> tuple[str, float]:
-    return condition.task, condition.rms_displacement
+def _need(condition: Condition) -> tuple[str, float, float]:
+    return condition.task, condition.rms_displacement, condition.co_contraction
 
 
 def _adjust_cells(

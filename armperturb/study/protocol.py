@@ -16,7 +16,7 @@ from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.experiment import Trial
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, draw_onset
-from armperturb.subject import TASKS
+from armperturb.subject import TASKS, Subject, at_level
 from armperturb.validation import require_number
 
 FORCES = ("practice", "published")
@@ -27,6 +27,9 @@ PULSE_UNIT = "pulse_unit"
 
 PULSE_WIDTH = 0.08
 """Duration of a pulse [s] (thesis 2.4)."""
+
+MOST_CO_CONTRACTION = 10.0
+"""Highest level of co-contraction [-]: anything more is a slip in a file."""
 
 LARGEST_RMS_DISPLACEMENT = 0.1
 """A multisine that moves the handle further, per axis [m], takes it out of the workspace; refuses millimetres."""
@@ -43,6 +46,8 @@ class Condition:
       published_force: RMS force of the multisine per axis [N], >= 0, for those who do not practise.
       pulse_levels: peak forces of the pulses, in pulse units, > 0 [-]; each is applied in every direction.
       repetitions: of each pulse level and direction; of the multisine if there are no pulses.
+      co_contraction: level of everyone's muscles and reflexes, as a multiple of their own (see `subject.at_level`) [-],
+        above 0 to 10; 1 in RT, as relaxed people do not adapt.
 
     Raises:
       TypeError: a value has the wrong type.
@@ -55,6 +60,7 @@ class Condition:
     published_force: float = 0.0
     pulse_levels: tuple[float, ...] = ()
     repetitions: int = 1
+    co_contraction: float = 1.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():
@@ -69,6 +75,11 @@ class Condition:
         require_number(owner, "repetitions", self.repetitions, at_least=1)
         if not isinstance(self.repetitions, Integral):
             raise TypeError(f"{owner}: repetitions = {self.repetitions!r}; expected a whole number")
+        require_number(owner, "co_contraction", self.co_contraction, above=0.0, at_most=MOST_CO_CONTRACTION)
+        if self.task == "RT" and self.co_contraction != 1.0:
+            raise ValueError(
+                f"{owner}: co_contraction = {self.co_contraction!r}; expected 1 in RT, as relaxed people do not adapt"
+            )
         levels = _numbers(owner, "pulse_levels", self.pulse_levels)
         for level in levels:
             require_number(owner, "pulse_levels", level, above=0.0)
@@ -87,6 +98,14 @@ class Condition:
     def has_multisine(self) -> bool:
         """Whether the handle is perturbed all the time, not by a pulse alone."""
         return self.rms_displacement > 0.0
+
+    def subject_of(self, person: Person) -> Subject:
+        """The person in this condition's task, at its level of co-contraction.
+
+        Raises:
+          KeyError: the person lacks the task.
+        """
+        return at_level(person.subjects[self.task], self.co_contraction)
 
 
 class Cell(NamedTuple):
@@ -300,7 +319,7 @@ class Protocol:
         order = _generator(seed, "order", number).permutation(len(cells)).tolist()
         return [
             Trial(
-                subject=person.subjects[cell.condition.task],
+                subject=cell.condition.subject_of(person),
                 perturbation=self._perturbation(
                     cell,
                     forces,

@@ -472,7 +472,7 @@ def _identify(unit: tuple[Person, Path, Protocol]) -> tuple[str, list[Case]]:
     person, path, protocol = unit
     recording = load_recording(path)[list(REQUIRED_SIGNALS)]  # EMG takes most of the memory
     return person.name, [
-        _identify_condition(condition, person.subjects[condition.task], recording, path, protocol)
+        _identify_condition(condition, condition.subject_of(person), recording, path, protocol)
         for condition in protocol.conditions
         if condition.has_multisine
     ]
