@@ -153,6 +153,56 @@ def headline(name: str) -> float:
     raise KeyError(f"no headline number {name!r}")
 
 
+def conditions() -> tuple[str, ...]:
+    """Names of the thesis's conditions, in the order of table 2.1."""
+    return tuple(dict.fromkeys(row["condition"] for row in _rows("conditions")))
+
+
+def pulse_levels(condition: str) -> tuple[str, ...]:
+    """Names of a condition's pulse levels, "min" (1) and "max" (2); empty for no condition of the thesis."""
+    return tuple(row["pulse_level_name"] for row in _rows("conditions") if row["condition"] == condition)
+
+
+def peak_displacement(condition: str, level: str) -> MeanSD:
+    """Peak displacement after a pulse, both directions pooled [m] (table 2.1).
+
+    Args:
+      condition: e.g. "PT7.5".
+      level: of the pulse, "min" or "max".
+
+    Raises:
+      KeyError: the thesis prints none.
+    """
+    for row in _rows("conditions"):
+        if (row["condition"], row["pulse_level_name"]) == (condition, level):
+            mean, sd = (1e-2 * float(row[f"pulse_peak_displacement_cm_{name}"]) for name in ("mean", "sd"))
+            return MeanSD(mean, sd)
+    raise KeyError(f"table 2.1 has no peak displacement of level {level} in {condition}")
+
+
+class JointMotion(NamedTuple):
+    """An entry of tables F.2 to F.6; its fields are as the arguments of `joint_motion`.
+
+    Attributes:
+      table: as printed, e.g. "F.2".
+      condition: e.g. "PT7.5".
+      pulse: "none", "min", "max", "left" or "right".
+      joint: "s" or "e".
+      quantity: e.g. "rms_rotation".
+    """
+
+    table: str
+    condition: str
+    pulse: str
+    joint: str
+    quantity: str
+
+
+def joint_motions() -> tuple[JointMotion, ...]:
+    """All entries of tables F.2 to F.6, as printed."""
+    return tuple(JointMotion(*(row[name] for name in JointMotion._fields)) for row in _rows("joint_kinematics"))
+
+
 def _condition(condition: str, column: str, factor: float) -> MeanSD:
     for row in _rows("conditions"):
         if row["condition"] == condition and row[f"{column}_mean"] and row[f"{column}_sd"]:
