@@ -1,14 +1,18 @@
 """Synthetic people: draws around the thesis's mean arms, and cohorts of people who do both tasks."""
 
+import functools
+import math
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from importlib import resources
 from typing import Any
 
 import numpy as np
 
 from armperturb.analysis.arm_model import largest_real_pole
 from armperturb.environment import Environment
-from armperturb.subject import HUMERUS_MASS_SHARE, POSITION, PRESETS, RELAX, Subject
+from armperturb.subject import HUMERUS_MASS_SHARE, POSITION, PRESETS, RELAX, TASKS, Subject, at_level
 from armperturb.validation import require_number
 
 SPREAD = {
@@ -62,9 +66,10 @@ MAX_DEVIATION = 2.5
 UPPER_ARM_LENGTH = 0.186
 """Shoulder to elbow over height [-] (Winter 2009, fig. 4.1)."""
 
-ELBOW_TO_GRIP = 0.146 + 0.506 * 0.108
-"""Elbow to the middle of the grip over height [-]: forearm, and the part of the hand up to its centre of mass, which
-lies in the palm, where the handle does (Winter 2009, fig. 4.1 and table 4.1)."""
+ELBOW_TO_GRIP = 0.146 + 0.037
+"""Elbow to the middle of the grip over height [-]: forearm (Winter 2009, fig. 4.1), and the part of the hand up to its
+centre of mass, which lies in the palm, where the handle does: 0.506 of the way from the wrist to the second knuckle of
+the middle finger (table 4.1), which itself is some 0.073 of the height away."""
 
 UPPER_ARM_MASS = 0.028
 """Over body mass [-] (Winter 2009, table 4.1)."""
@@ -82,6 +87,18 @@ SHOULDER_ANGLE_DEG = (22.5, 0.7)
 ELBOW_ANGLE_DEG = (82.3, 0.68)
 """Mean and SD over the thesis's subjects of the elbow angle at the start [deg] (section 2.2)."""
 
+MUSCLES = ("nonlinear", "linear")
+"""What people's muscles may be: those of the calibrated law, or the linear ones of the thesis's mean arms."""
+
+SPREAD_ALIKE = {"PT": 0.15, "RT": 0.15}
+"""Task to the SD over people of the logarithm of one factor on all torques of their muscles and reflexes [-]."""
+
+SPREAD_OWN = {"PT": 0.20, "RT": 0.20}
+"""Task to the SD over people of the logarithm of a factor of its own on each muscle group's parameters [-]."""
+
+SPREAD_LEVEL = 0.10
+"""SD over people of the logarithm of a factor on each condition's level of co-contraction [-]."""
+
 BODY = ("m_h", "m_f", "m_tot")
 """Parameters of a preset's spread that a person's body sets, instead of a draw."""
 
@@ -95,6 +112,8 @@ class Person:
       height: [m].
       mass: of the whole body [kg].
       subjects: the arm in each task, "PT" and "RT"; lengths, masses and posture are the same in both.
+      levels: condition of the position task to the person's level of co-contraction in it, as a multiple of the
+        subject's own [-], > 0; 1 in conditions that are not named.
 
     Raises:
       TypeError: a value is not a number.
@@ -105,6 +124,7 @@ class Person:
     height: float
     mass: float
     subjects: Mapping[str, Subject] = field(hash=False)
+    levels: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         require_number("Person", "height", self.height, above=0.0)
@@ -112,6 +132,8 @@ class Person:
         for task, subject in self.subjects.items():
             if subject.task != task:
                 raise ValueError(f"Person: subjects[{task!r}] has the task {subject.task!r}; expected {task!r}")
+        for condition, level in self.levels.items():
+            require_number("Person", f"levels[{condition!r}]", level, above=0.0)
 
 
 def draw(
@@ -140,63 +162,136 @@ def draw(
     return _draw_around(start, SPREAD[preset], np.random.default_rng(seed), environment or Environment())
 
 
-def draw_person(seed: int, number: int, environment: Environment | None = None) -> Person:
-    """A person with a body drawn from anthropometry and, per task, muscles and reflexes drawn around the preset.
+@functools.cache
+def average_person() -> Person:
+    """The person around whom cohorts of nonlinear people are drawn, as `armperturb calibrate` found it."""
+    text = resources.files("armperturb").joinpath("average_person.toml").read_text(encoding="utf-8")
+    values = tomllib.loads(text)
+    subjects = {task: Subject.from_dict(values[task], f"average_person.toml, {task}") for task in TASKS}
+    height, mass = _average_build()
+    return Person(name="average", height=height, mass=mass, subjects=subjects, levels=values["levels"])
+
+
+def average_body() -> dict[str, float]:
+    """Segment lengths, masses and posture of an average person, as fields of a `Subject`."""
+    return _body(*_average_build(), SHOULDER_ANGLE_DEG[0], ELBOW_ANGLE_DEG[0])
+
+
+def _average_build() -> tuple[float, float]:
+    """Height [m] and mass [kg]."""
+    return HEIGHT[0], BODY_MASS_INDEX[0] * HEIGHT[0] ** 2
+
+
+def _body(height: float, mass: float, shoulder_deg: float, elbow_deg: float) -> dict[str, float]:
+    return {
+        "l_h": UPPER_ARM_LENGTH * height,
+        "l_f": ELBOW_TO_GRIP * height,
+        "m_h": UPPER_ARM_MASS * mass,
+        "m_f": FOREARM_HAND_MASS * mass + CUFF_AND_HANDLE_MASS,
+        "theta_s_deg": shoulder_deg,
+        "theta_e_deg": elbow_deg,
+    }
+
+
+def draw_person(
+    seed: int, number: int, environment: Environment | None = None, *, muscles: str = "nonlinear"
+) -> Person:
+    """A person with a body drawn from anthropometry and, per task, muscles and reflexes drawn around an average.
 
     Segment lengths and masses are the fractions of height and body mass in Winter (2009), posture has the published
-    mean and SD. Muscle, reflex and grip parameters are drawn as `draw` does, on this body; what has no published
-    spread (grip, delay and cut-off in PT) is the preset's.
+    mean and SD. Nonlinear muscles are drawn around the calibrated average person: each parameter times a factor of its
+    own and one that all share, both log-normal; so are the levels of co-contraction. Linear muscles, reflexes and grip
+    are drawn as `draw` does, on this body; what has no published spread (grip, delay and cut-off in PT) is the
+    preset's.
 
     Args:
       seed: of the cohort.
       number: of the person in the cohort, from 0.
       environment: on which the person has to be stable in both tasks; the thesis's manipulator if not given.
+      muscles: "nonlinear" or "linear".
 
     Returns:
       The person, who depends on these arguments only.
 
     Raises:
       TypeError: an argument is no number.
-      ValueError: seed or number is negative.
+      ValueError: seed or number is negative, or muscles is something else.
       RuntimeError: no stable person was found, which only an odd environment can cause.
     """
     require_number("cohort", "seed", seed, at_least=0)
     require_number("cohort", "number", number, at_least=0)
+    if muscles not in MUSCLES:
+        raise ValueError(f"cohort: muscles = {muscles!r}; expected one of {', '.join(MUSCLES)}")
     environment = environment or Environment()
-    body_rng, *task_rngs = (
+    body_rng, *task_rngs, level_rng = (
         # A stream of its own for each purpose: the draws of one task do not move those of the other.
         np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*b"cohort", number, stream)))
-        for stream in range(1 + len(PRESETS))
+        for stream in range(2 + len(PRESETS))
     )
     height = _ordinary(body_rng, *HEIGHT)
     mass = _ordinary(body_rng, *BODY_MASS_INDEX) * height**2
-    name = f"S{number + 1:02d}"
-    body: dict[str, Any] = {
-        "name": name,
-        "l_h": UPPER_ARM_LENGTH * height,
-        "l_f": ELBOW_TO_GRIP * height,
-        "m_h": UPPER_ARM_MASS * mass,
-        "m_f": FOREARM_HAND_MASS * mass + CUFF_AND_HANDLE_MASS,
-        "theta_s_deg": _ordinary(body_rng, *SHOULDER_ANGLE_DEG),
-        "theta_e_deg": _ordinary(body_rng, *ELBOW_ANGLE_DEG),
-    }
-    subjects = {}
-    for (preset, mean), rng in zip((("position", POSITION), ("relax", RELAX)), task_rngs, strict=True):
-        spread = {key: sd for key, sd in SPREAD[preset].items() if key not in BODY}
-        subjects[mean.task] = _draw_around(replace(mean, **body), spread, rng, environment)
-    return Person(name=name, height=height, mass=mass, subjects=subjects)
+    posture = _ordinary(body_rng, *SHOULDER_ANGLE_DEG), _ordinary(body_rng, *ELBOW_ANGLE_DEG)
+    body: dict[str, Any] = {"name": f"S{number + 1:02d}", **_body(height, mass, *posture)}
+    subjects, levels = {}, {}
+    if muscles == "linear":
+        for (preset, mean), rng in zip((("position", POSITION), ("relax", RELAX)), task_rngs, strict=True):
+            spread = {key: sd for key, sd in SPREAD[preset].items() if key not in BODY}
+            subjects[mean.task] = _draw_around(replace(mean, **body), spread, rng, environment)
+    else:
+        average = average_person()
+        levels = {
+            condition: level * math.exp(_ordinary(level_rng, 0.0, SPREAD_LEVEL))
+            for condition, level in average.levels.items()
+        }
+        for task, rng in zip(TASKS, task_rngs, strict=True):
+            own = {name: level for name, level in levels.items() if name.startswith(task)}
+            subjects[task] = _draw_nonlinear(replace(average.subjects[task], **body), own, rng, environment)
+    return Person(name=body["name"], height=height, mass=mass, subjects=subjects, levels=levels)
 
 
-def draw_cohort(n: int, seed: int, environment: Environment | None = None) -> tuple[Person, ...]:
+def draw_cohort(
+    n: int, seed: int, environment: Environment | None = None, *, muscles: str = "nonlinear"
+) -> tuple[Person, ...]:
     """The first `n` people of a cohort, see `draw_person`: a larger cohort begins with the same people.
 
     Raises:
       TypeError: an argument is no number.
-      ValueError: n is not positive, or seed is negative.
+      ValueError: n is not positive, seed is negative, or muscles is neither "nonlinear" nor "linear".
       RuntimeError: no stable person was found, which only an odd environment can cause.
     """
     require_number("cohort", "n", n, at_least=1)
-    return tuple(draw_person(seed, number, environment) for number in range(n))
+    return tuple(draw_person(seed, number, environment, muscles=muscles) for number in range(n))
+
+
+def _draw_nonlinear(
+    mean: Subject, levels: Mapping[str, float], rng: np.random.Generator, environment: Environment
+) -> Subject:
+    """`mean` with all muscle parameters times log-normal factors, redrawn until stable at every level."""
+    for _ in range(MAX_REDRAWS):
+        alike = _ordinary(rng, 0.0, SPREAD_ALIKE[mean.task])
+
+        def factors(shared: float, rng: np.random.Generator = rng) -> tuple[float, float, float]:
+            s, se, e = (math.exp(shared + _ordinary(rng, 0.0, SPREAD_OWN[mean.task])) for _ in range(3))
+            return s, se, e
+
+        drawn: dict[str, Any] = {}
+        for quantity in ("b", "k", "kv", "kp"):
+            s, se, e = (
+                factor * group for factor, group in zip(factors(alike), mean.muscle_groups(quantity), strict=True)
+            )
+            drawn |= {f"{quantity}_s": s + se, f"{quantity}_se": se, f"{quantity}_e": e + se}
+        law = mean.muscle
+        if law is not None:
+            changed: dict[str, Any] = {
+                name: tuple(f * own for f, own in zip(factors(shared), law.of_elements(name), strict=True))
+                for name, shared in (("short_range_stiffness", alike), ("elastic_limit_deg", 0.0))
+            }
+            law = replace(law, **changed)
+        subject = replace(mean, muscle=law, **drawn)
+        at_all = [at_level(subject, level) for level in {1.0, *levels.values()}]
+        if all(largest_real_pole(a, environment) < -STABILITY_MARGIN for s in at_all for a in s.linear_arms):
+            return subject
+    raise RuntimeError(f"no stable subject around {mean.name!r} ({mean.task}) in {MAX_REDRAWS} draws on {environment}")
 
 
 def _draw_around(

@@ -3,7 +3,8 @@
 import functools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,9 +75,10 @@ def practise(
     noisy: bool = False,
     progress: Callable[[float], object] | None = None,
 ) -> tuple[dict[str, float], ...]:
-    """Forces for every person, each condition's adjusted until the handle moves as far as intended.
+    """Forces for every person, each condition's adjusted until the handle moves as far as it shall.
 
-    All people and conditions are measured together, round after round; a cell that is settled leaves. With
+    That is as far as intended, times what people reach of it (`Condition.reached`). All people and conditions are
+    measured together, round after round; a cell that is settled leaves. With
     `forces = "published"` nobody practises. A person's forces depend on the person, the protocol and the seed, not on
     who else is there.
 
@@ -100,17 +102,17 @@ def practise(
     if protocol.forces == "published":
         return tuple(protocol.given_forces() for _ in people)
     environment = environment or Environment()
-    # Conditions that are alike need the same force.
-    wanted: dict[tuple[str, float, float], Condition] = {}
-    for condition in protocol.conditions:
-        if condition.has_multisine:
-            wanted.setdefault(_need(condition), condition)
-    cells = [(c.subject_of(person), c) for person in people for c in wanted.values()]
-    found = _adjust_cells(cells, seed, environment, n_threads, noisy, progress).force.tolist() if cells else []
+    # Who is alike and shall move as far needs the same force.
+    cells: dict[_Cell, None] = {}
+    needs: list[dict[str, _Cell]] = []
+    for person in people:
+        needs.append({c.name: _Cell.of(person, c, seed) for c in protocol.conditions if c.has_multisine})
+        cells.update(dict.fromkeys(needs[-1].values()))
+    found = _adjust_cells(list(cells), seed, environment, n_threads, noisy, progress).force.tolist() if cells else []
+    force_of = dict(zip(cells, found, strict=True))
     forces = []
-    for number, _ in enumerate(people):
-        mine = dict(zip(wanted, found[number * len(wanted) :], strict=False))
-        of_person = {c.name: mine[_need(c)] for c in protocol.conditions if c.has_multisine}
+    for need in needs:
+        of_person = {name: force_of[cell] for name, cell in need.items()}
         unit = protocol.pulse_unit
         if protocol.pulse_unit_condition:
             unit = protocol.pulse_unit_factor * of_person[protocol.pulse_unit_condition]
@@ -118,38 +120,51 @@ def practise(
     return tuple(forces)
 
 
-def _need(condition: Condition) -> tuple[str, float, float]:
-    return condition.task, condition.rms_displacement, condition.co_contraction
+@dataclass(frozen=True)
+class _Cell:
+    """Who shall move the handle how far; `condition` names one in which that is so, and makes no difference."""
+
+    subject: Subject
+    displacement: float
+    condition: str = field(compare=False)
+
+    @classmethod
+    def of(cls, person: Person, condition: Condition, seed: int) -> Self:
+        share = condition.reached
+        if condition.reached_spread:
+            rng = np.random.default_rng(random_stream(seed, f"reached {person.name} {condition.name}"))
+            share *= math.exp(condition.reached_spread * float(np.clip(rng.normal(), -2.0, 2.0)))
+        return cls(condition.subject_of(person), share * condition.rms_displacement, condition.name)
 
 
 def _adjust_cells(
-    cells: Sequence[tuple[Subject, Condition]],
+    cells: Sequence[_Cell],
     seed: int,
     environment: Environment,
     n_threads: int,
     noisy: bool,
     progress: Callable[[float], object] | None,
 ) -> Adjustment:
-    """The force of each cell (who, under what).
+    """The force of each cell.
 
     Raises:
       RuntimeError: a cell was not settled.
     """
     multisine = practice_multisine(seed)
-    per_newton = [linear_displacement(subject, environment, multisine) for subject, _ in cells]
-    targets = np.array([condition.rms_displacement for _, condition in cells])
+    per_newton = [linear_displacement(cell.subject, environment, multisine) for cell in cells]
+    targets = np.array([cell.displacement for cell in cells])
 
     def measure(numbers: NDArray[np.int_], force: Array) -> Array:
         trials = [
             Trial(
-                subject=cells[number][0],
+                subject=cell.subject,
                 perturbation=replace(multisine, rms=newton),
-                condition=cells[number][1].name,
+                condition=cell.condition,
                 # The same noise in every round, or the session would chase it.
-                seed=trial_seed(seed, f"practice {cells[number][0].name} {cells[number][1].name}"),
-                noise=HUMAN_NOISE[cells[number][1].task] if noisy else None,
+                seed=trial_seed(seed, f"practice {cell.subject.name} {cell.condition}"),
+                noise=HUMAN_NOISE[cell.subject.task] if noisy else None,
             )
-            for number, newton in zip(numbers.tolist(), force.tolist(), strict=True)
+            for cell, newton in zip([cells[number] for number in numbers.tolist()], force.tolist(), strict=True)
         ]
         return np.concatenate(
             [
@@ -162,9 +177,8 @@ def _adjust_cells(
     off = np.abs(found.displacement / targets - 1.0)
     worst = int(np.argmax(np.where(np.isnan(off), np.inf, off)))
     if not off[worst] <= TOLERANCE:
-        subject, condition = cells[worst]
         raise RuntimeError(
-            f"practice of {subject.name!r} in {condition.name}: RMS displacement = "
+            f"practice of {cells[worst].subject.name!r} in {cells[worst].condition}: RMS displacement = "
             f"{1e3 * found.displacement[worst]:.4g} mm at an RMS force of {found.force[worst]:.4g} N after "
             f"{found.rounds[worst]} rounds; expected {1e3 * targets[worst]:g} mm within {TOLERANCE:.0%}"
         )

@@ -46,8 +46,11 @@ class Condition:
       published_force: RMS force of the multisine per axis [N], >= 0, for those who do not practise.
       pulse_levels: peak forces of the pulses, in pulse units, > 0 [-]; each is applied in every direction.
       repetitions: of each pulse level and direction; of the multisine if there are no pulses.
-      co_contraction: level of everyone's muscles and reflexes, as a multiple of their own (see `subject.at_level`) [-],
-        above 0 to 10; 1 in RT, as relaxed people do not adapt.
+      co_contraction: level of everyone's muscles and reflexes, as a multiple of their own in this condition (see
+        `Person.levels` and `subject.at_level`) [-], above 0 to 10; 1 in RT, as relaxed people do not adapt.
+      reached: how many times as far as intended people move the handle in the experiment [-], 0.1 to 10: between the
+        practice session and the experiment, people change.
+      reached_spread: SD over people of the logarithm of that [-], 0 to 1.
 
     Raises:
       TypeError: a value has the wrong type.
@@ -61,6 +64,8 @@ class Condition:
     pulse_levels: tuple[float, ...] = ()
     repetitions: int = 1
     co_contraction: float = 1.0
+    reached: float = 1.0
+    reached_spread: float = 0.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():
@@ -76,6 +81,8 @@ class Condition:
         if not isinstance(self.repetitions, Integral):
             raise TypeError(f"{owner}: repetitions = {self.repetitions!r}; expected a whole number")
         require_number(owner, "co_contraction", self.co_contraction, above=0.0, at_most=MOST_CO_CONTRACTION)
+        require_number(owner, "reached", self.reached, at_least=0.1, at_most=10.0)
+        require_number(owner, "reached_spread", self.reached_spread, at_least=0.0, at_most=1.0)
         if self.task == "RT" and self.co_contraction != 1.0:
             raise ValueError(
                 f"{owner}: co_contraction = {self.co_contraction!r}; expected 1 in RT, as relaxed people do not adapt"
@@ -105,7 +112,7 @@ class Condition:
         Raises:
           KeyError: the person lacks the task.
         """
-        return at_level(person.subjects[self.task], self.co_contraction)
+        return at_level(person.subjects[self.task], self.co_contraction * person.levels.get(self.name, 1.0))
 
 
 class Cell(NamedTuple):
