@@ -37,11 +37,11 @@ class Environment:
 class Strap:
     """A belt that gives way: the shoulder moves in the horizontal plane, on a spring and damper to the seat.
 
-    Belt, trunk and shoulder girdle are one mass, spring and damper, the same in all directions; the trunk does not turn.
-    The thesis saw in its movies that the shoulder moved, more so for larger perturbations in the position task (chapter
-    4), but prints no numbers. The defaults are assumed: pulses of some 100 N move the shoulder of `POSITION` by about a
-    centimetre, the mass is about half a thorax (0.216 of the body's: Winter 2009, Biomechanics and Motor Control of Human
-    Movement, 4th ed., table 4.1), and the damping is 0.4 of critical.
+    Belt, trunk and shoulder girdle are one mass, spring and damper, the same in all directions; the trunk does not
+    turn. The thesis saw in its movies that the shoulder moved, more so for larger perturbations in the position task
+    (chapter 4), but prints no numbers. The defaults are assumed: pulses of 54 and 108 N (levels 1 and 2) then move the
+    shoulder of `POSITION` by 7 and 14 mm; the mass is half a thorax (0.216 of the body's: Winter 2009, Biomechanics and
+    Motor Control of Human Movement, 4th ed., table 4.1), the damping 0.4 of critical.
 
     Attributes:
       stiffness: force per translation of the shoulder [N/m], > 0.

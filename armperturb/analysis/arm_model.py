@@ -598,9 +598,9 @@ def require_stable(subject: Subject, environment: Environment, strap: Strap | No
     """
     pole = largest_real_pole(subject, environment, strap)
     if not pole < 0:
-        held = "the environment" if strap is None else "the environment and the strap"
+        held = " and the environment" if strap is None else ", the environment and the strap"
         raise ValueError(
-            f"subject {subject.name!r} and {held} are unstable: largest real part of a pole = {pole:.3g} 1/s; "
+            f"subject {subject.name!r}{held} are unstable: largest real part of a pole = {pole:.3g} 1/s; "
             "expected below 0 (smaller feedback gains or delays)"
         )
 
@@ -613,7 +613,9 @@ def fastest_pole(subject: Subject, environment: Environment, strap: Strap | None
     if strap is not None:
         passive = np.r_[:8, N_STATES : N_STATES + 4]
         return max(
-            float(np.abs(np.linalg.eigvals(_strapped_dynamics(arm, environment, strap)[np.ix_(passive, passive)])).max())
+            float(
+                np.abs(np.linalg.eigvals(_strapped_dynamics(arm, environment, strap)[np.ix_(passive, passive)])).max()
+            )
             for arm in subject.linear_arms
         )
     return max(

@@ -262,7 +262,9 @@ def _pulse(trial: Trial) -> Pulse | None:
 def _require_integrable(subject: Subject, environment: Environment, strap: Strap | None, timestep: float) -> None:
     pole = fastest_pole(subject, environment, strap)
     if pole * timestep > RK4_LIMIT:
-        parts, large = ("arm and environment", "grip") if strap is None else ("arm, environment and strap", "grip, strap")
+        parts, large = (
+            ("arm and environment", "grip") if strap is None else ("arm, environment and strap", "grip, strap")
+        )
         raise ValueError(
             f"subject {subject.name!r}: fastest pole of {parts} = {pole:.4g} 1/s; expected at most "
             f"{RK4_LIMIT / timestep:.4g} 1/s at a step of {timestep:g} s ({large} or damping too large for the masses)"

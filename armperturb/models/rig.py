@@ -123,7 +123,7 @@ def build_model(
     spec = _parsed_rig().copy()
     spec.option.timestep = timestep
     _set_arm(spec, subject)
-    _set_strap(spec, strap)
+    _set_strap(spec, subject, strap)
     _set_rope(spec, subject, rope)
     _set_manipulator(spec, subject, environment)
     for name, delay in zip(REFLEXES, (subject.Td_s, subject.Td_e), strict=True):
@@ -190,13 +190,15 @@ def _set_arm(spec: mujoco.MjSpec, subject: Subject) -> None:
     biarticular.springlength = [subject.posture.sum()] * 2
 
 
-def _set_strap(spec: mujoco.MjSpec, strap: Strap | None) -> None:
+def _set_strap(spec: mujoco.MjSpec, subject: Subject, strap: Strap | None) -> None:
     """Spring, damper and mass between shoulder and seat; slides are deleted where the shoulder is held in place."""
-    for name in STRAP:
+    cosine, sine = math.cos(subject.posture[0]), math.sin(subject.posture[0])
+    for name, axis in zip(STRAP, ([cosine, -sine, 0.0], [sine, cosine, 0.0]), strict=True):
         slide = spec.joint(name)
         if strap is None:
             spec.delete(slide)
         else:
+            slide.axis = axis  # world axes in the frame of the humerus
             slide.stiffness[0], slide.damping[0], slide.armature = strap.stiffness, strap.damping, strap.mass
 
 
