@@ -231,7 +231,7 @@ def test_a_trial_is_the_same_alone_and_together_at_any_number_of_threads():
 
 
 def rotations(recording: xr.Dataset, path: xr.DataArray) -> np.ndarray:
-    """What a laboratory makes of the path of a hand [m] seen from the acromion: joint rotations [rad], (time, joint)."""
+    """Joint rotations [rad], (time, joint), that a laboratory computes from the hand's path [m] about the acromion."""
     l_h, l_f = float(recording["l_h"]), float(recording["l_f"])
     s, e = np.radians([float(recording[f"theta_{joint}_deg"]) for joint in "se"])
     hand = l_h * np.exp(1j * s) + l_f * np.exp(1j * (s + e)) + path.values @ [1.0, 1j]
