@@ -109,11 +109,13 @@ def build_model(
 
     Raises:
       ValueError: a delay is shorter than timestep, rope is unknown, or timestep or n_history is out of range.
-      TypeError: timestep or n_history is no number.
+      TypeError: timestep or n_history is no number, or strap no `Strap`.
     """
     needed = history_length(subject, timestep)
     if rope not in ROPES:
         raise ValueError(f"build_model: rope = {rope!r}; expected one of {', '.join(ROPES)}")
+    if strap is not None and not isinstance(strap, Strap):
+        raise TypeError(f"build_model: strap = {strap!r}; expected Strap or None")
     if n_history is None:
         n_history = needed
     if isinstance(n_history, bool) or not isinstance(n_history, int | np.integer):
