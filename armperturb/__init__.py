@@ -7,6 +7,7 @@ from armperturb.analysis.arm_model import arm_admittance as arm_admittance
 from armperturb.analysis.identify import identify as identify
 from armperturb.cohort import draw as draw
 from armperturb.environment import Environment as Environment
+from armperturb.environment import Strap as Strap
 from armperturb.perturbations import Multisine as Multisine
 from armperturb.perturbations import MultisineThenPulse as MultisineThenPulse
 from armperturb.perturbations import Pulse as Pulse

@@ -1,4 +1,4 @@
-"""What the hand holds: the virtual mass, spring and damper of the manipulator (thesis 2.2)."""
+"""What the hand holds and what holds the trunk: manipulator and seat belt (thesis 2.2)."""
 
 from dataclasses import dataclass
 
@@ -31,3 +31,33 @@ class Environment:
             require_number("Environment", name, getattr(self, name), above=0.0)
         for name in ("b_env", "k_env"):
             require_number("Environment", name, getattr(self, name), at_least=0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Strap:
+    """A belt that gives way: the shoulder moves in the horizontal plane, on a spring and damper to the seat.
+
+    Belt, trunk and shoulder girdle are one mass, spring and damper, the same in all directions; the trunk does not
+    turn. The thesis saw in its movies that the shoulder moved, more so for larger perturbations in the position task
+    (chapter 4), but prints no numbers. The defaults are assumed: pulses of 54 and 108 N (levels 1 and 2) then move the
+    shoulder of `POSITION` by 7 and 14 mm; the mass is half a thorax (0.216 of the body's: Winter 2009, Biomechanics and
+    Motor Control of Human Movement, 4th ed., table 4.1), the damping 0.4 of critical.
+
+    Attributes:
+      stiffness: force per translation of the shoulder [N/m], > 0.
+      damping: force per velocity of the shoulder [Ns/m], >= 0.
+      mass: that moves with the shoulder, beside the arm [kg], > 0.
+
+    Raises:
+      TypeError: a value is not a number.
+      ValueError: a value is not finite or out of its range.
+    """
+
+    stiffness: float = 5000.0
+    damping: float = 160.0
+    mass: float = 8.0
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "mass"):
+            require_number("Strap", name, getattr(self, name), above=0.0)
+        require_number("Strap", "damping", self.damping, at_least=0.0)

@@ -310,6 +310,7 @@ def test_refuses_a_delay_shorter_than_a_step(field):
     ("settings", "error", "message"),
     [
         ({"rope": "elastic"}, ValueError, "rope = 'elastic'; expected one of ideal, pendulum"),
+        ({"strap": 5000.0}, TypeError, r"strap = 5000\.0; expected Strap or None"),
         ({"timestep": 0.0}, ValueError, r"timestep = 0\.0; expected .* above 0"),
         ({"timestep": "1 ms"}, TypeError, "timestep = '1 ms'; expected a number"),
         ({"n_history": 30}, ValueError, "n_history = 30; expected .* at least 31"),

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from armperturb.analysis.arm_model import total_admittance
 from armperturb.cohort import draw_cohort
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import Environment
+from armperturb.environment import Environment, Strap
 from armperturb.envs.experiment import Trial
 from armperturb.perturbations import Multisine
 from armperturb.study import practice
@@ -39,7 +39,7 @@ def forces(people):
     return practise(people, BOTH, SEED)
 
 
-def displacement(people, forces, noisy=False):
+def displacement(people, forces, noisy=False, strap=None):
     """What each person's handle does at the practised forces, over what is intended, (person, condition)."""
     trials = [
         Trial(
@@ -52,7 +52,7 @@ def displacement(people, forces, noisy=False):
         for condition in BOTH.conditions
     ]
     targets = np.array([condition.rms_displacement for condition in BOTH.conditions])
-    return measured_displacement(trials, Environment()).reshape(len(people), -1) / targets
+    return measured_displacement(trials, Environment(), strap=strap).reshape(len(people), -1) / targets
 
 
 def test_linear_people_move_as_far_as_intended(people, forces):
@@ -62,6 +62,12 @@ def test_linear_people_move_as_far_as_intended(people, forces):
 def test_noisy_people_move_as_far_as_intended(people):
     found = practise(people[:1], BOTH, SEED, noisy=True)
     assert np.abs(displacement(people[:1], found, noisy=True) - 1.0).max() < TOLERANCE
+
+
+def test_people_practise_under_the_strap_of_the_protocol(people, forces):
+    found = practise(people[:1], replace(BOTH, strap=Strap()), SEED)
+    assert np.abs(displacement(people[:1], found, strap=Strap()) - 1.0).max() < TOLERANCE
+    assert found[0]["PT7.5"] < 0.98 * forces[0]["PT7.5"]
 
 
 def test_conditions_that_differ_in_co_contraction_get_forces_of_their_own(people):

@@ -17,7 +17,7 @@ from armperturb.analysis.arm_model import (
     total_admittance,
 )
 from armperturb.cohort import draw_cohort
-from armperturb.environment import Environment
+from armperturb.environment import Environment, Strap
 from armperturb.perturbations import Multisine, MultisineThenPulse, Pulse
 from armperturb.study import published
 from armperturb.study.protocol import PULSE_UNIT, THESIS, Condition, Protocol, load_protocol
@@ -176,6 +176,19 @@ def test_a_protocol_survives_its_file(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("table", "strap"),
+    [("", None), ("[strap]", Strap()), ("[strap]\nstiffness = 8000\nmass = 5.5", Strap(stiffness=8000, mass=5.5))],
+)
+def test_a_strap_is_a_table_of_the_protocol(tmp_path, table, strap):
+    path = tmp_path / "strapped.toml"
+    path.write_text(f"{THESIS_FILE.read_text()}\n{table}\n")
+    protocol = load_protocol(path)
+    assert protocol == replace(THESIS, strap=strap)
+    path.write_text(tomli_w.dumps(protocol.to_dict()))
+    assert load_protocol(path) == protocol
+
+
+@pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         ("trial_duration", "trial_lenght", "unknown key 'trial_lenght'; expected keys are conditions, forces"),
@@ -210,6 +223,13 @@ def test_a_protocol_survives_its_file(tmp_path):
         ("onset_window = [5.0, 20.0]", "onset_window = [5.0]", "onset_window = \\[5.0\\]; expected"),
         ("trial_duration = 36.0", "trial_duration = 32.0", "multisine_duration = 32.0; expected at most 31.92 s"),
         ("trial_duration = 36.0", "trial_duration = -1", "trial_duration = -1; expected a finite number above 0"),
+        (
+            "[[conditions]]",
+            "[strap]\nstiff = 1\n[[conditions]]",
+            "strap: unknown key 'stiff'; expected keys are stiffness",
+        ),
+        ("[[conditions]]", "[strap]\nmass = 0\n[[conditions]]", "Strap: mass = 0; expected a finite number above 0"),
+        ("[[conditions]]", "strap = 5000\n[[conditions]]", "strap = 5000; expected a table that begins with .strap."),
         ("[[conditions]]", "[conditions", "not a TOML file"),
     ],
 )

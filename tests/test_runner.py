@@ -354,6 +354,19 @@ def test_identification_is_the_same_in_worker_processes(tmp_path):
         assert a.recording == b.recording
 
 
+def test_a_protocol_with_a_strap_records_shoulders_that_move(tmp_path):
+    path, farthest = tmp_path / "p.toml", {}
+    for name, table in (("fixed", ""), ("strapped", "[strap]\nstiffness = 4000.0\n")):
+        path.write_text(f"{PROTOCOL}\n{table}")
+        settings = StudySettings(subjects=1, seed=3, protocol=path)
+        (file,) = record_study(settings, tmp_path / name, show_progress=False)
+        farthest[name] = np.abs(load_recording(file)["shoulder_marker"].values).max(axis=(1, 2))
+    assert farthest["fixed"].max() < 5e-3
+    assert farthest["strapped"].max() > 6e-3
+    with pytest.raises(ValueError, match=r"protocol\.strap"):
+        record_study(settings, tmp_path / "fixed", show_progress=False)
+
+
 def test_a_short_multisine_is_left_out_with_its_reason(settings, tmp_path):
     result = run_study(settings, tmp_path, show_progress=False)
     assert [case.condition.name for case in result.cases] == ["PT7.5"] * N_SUBJECTS

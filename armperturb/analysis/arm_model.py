@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from armperturb.environment import Environment
+from armperturb.environment import Environment, Strap
 from armperturb.subject import Subject
 
 Array = NDArray[np.float64]
@@ -106,11 +106,17 @@ def hand_jacobian(subject: Subject) -> Array:
     return np.column_stack([humerus + forearm, forearm])
 
 
-def _segment_inertias(subject: Subject) -> tuple[Array, Array]:
-    """Derivatives of the joint mass matrix with respect to m_h and m_f [m^2], (joint, joint) each."""
+def _segment_jacobians(subject: Subject) -> tuple[Array, Array]:
+    """Jacobians from joint angles to the middles of humerus and forearm [m/rad], (axis, joint) each."""
     humerus, forearm = _segment_velocities(subject)
     t_h = np.column_stack([0.5 * humerus, np.zeros(2)])
     t_f = np.column_stack([humerus + 0.5 * forearm, 0.5 * forearm])
+    return t_h, t_f
+
+
+def _segment_inertias(subject: Subject) -> tuple[Array, Array]:
+    """Derivatives of the joint mass matrix with respect to m_h and m_f [m^2], (joint, joint) each."""
+    t_h, t_f = _segment_jacobians(subject)
     return t_h.T @ t_h, t_f.T @ t_f
 
 
@@ -522,37 +528,96 @@ def state_space(subject: Subject, environment: Environment) -> StateSpace:
     return StateSpace(a, b, np.vstack([select[_X], force, select[_Q]]), np.zeros((6, 2)))
 
 
-def largest_real_pole(subject: Subject, environment: Environment) -> float:
+def _strapped_dynamics(subject: Subject, environment: Environment, strap: Strap) -> Array:
+    """Matrix A of arm and environment, with a shoulder that its strap lets move.
+
+    Returns:
+      (22, 22); states are those of `StateSpace`, then velocity and displacement of the shoulder (two each).
+
+    Source: the arm's segments in the frame of the shoulder (eq. B.2), whose position p joins the coordinates:
+    mass p'' + damping p' + stiffness p = f - (momentum of the segments)'. The trunk does not turn, so muscles do not
+    drive it.
+    """
+    arm, values = LinearArm(subject, ()), parameter_vector(subject)
+    fixed_force, fixed = arm._force_and_dynamics(values, environment)
+    of_arm, shoulder = slice(0, N_STATES), slice(N_STATES, N_STATES + 4)
+    p_dot, p = slice(N_STATES, N_STATES + 2), slice(N_STATES + 2, N_STATES + 4)
+    force = np.hstack([fixed_force, -subject.b_h * np.eye(2), -subject.k_h * np.eye(2)])
+    mass, (t_h, t_f) = mass_matrix(subject), _segment_jacobians(subject)
+    coupling = subject.m_h * t_h + subject.m_f * t_f
+    moved = (strap.mass + subject.m_h + subject.m_f) * np.eye(2)
+
+    torque = arm.jacobian.T @ force
+    torque[:, of_arm] = mass @ fixed[_Q_DOT]
+    push = force.copy()
+    push[:, p_dot] -= strap.damping * np.eye(2)
+    push[:, p] -= strap.stiffness * np.eye(2)
+    acceleration = np.linalg.solve(np.block([[mass, coupling.T], [coupling, moved]]), np.vstack([torque, push]))
+
+    a = np.zeros((N_STATES + 4, N_STATES + 4))
+    a[of_arm, of_arm] = fixed
+    a[_X_DOT, shoulder] = -force[:, shoulder] / environment.m_env
+    a[p_dot], a[p, p_dot] = acceleration[2:], np.eye(2)
+    # What the shoulder adds to the joints' acceleration, acceleration feedback sees too.
+    added = acceleration[:2]
+    added[:, of_arm] -= fixed[_Q_DOT]
+    excitation = subject.joint_matrix("ka") @ added
+    a[_Q_DOT] += added
+    a[_PADE[2]] += excitation
+    a[_ACTIVE_DOT] -= (2 * np.pi * values[_CUTOFFS, None]) ** 2 * excitation
+    return a
+
+
+def largest_real_pole(subject: Subject, environment: Environment, strap: Strap | None = None) -> float:
     """Largest real part of the poles of arm and environment [1/s]; the system is stable if it is negative.
 
     Of a nonlinear arm, the largest among its `Subject.linear_arms`.
 
+    Args:
+      subject: the arm.
+      environment: what the hand holds.
+      strap: what lets the shoulder move; None holds it in place.
+
     Source: sigma_max of eq. 2.21.
     """
+    if strap is not None:
+        return max(
+            float(np.linalg.eigvals(_strapped_dynamics(arm, environment, strap)).real.max())
+            for arm in subject.linear_arms
+        )
     return max(
         float(LinearArm(arm, ()).poles(parameter_vector(arm), environment).real.max()) for arm in subject.linear_arms
     )
 
 
-def require_stable(subject: Subject, environment: Environment) -> None:
-    """Refuse a subject whose arm is unstable on this environment.
+def require_stable(subject: Subject, environment: Environment, strap: Strap | None = None) -> None:
+    """Refuse a subject whose arm is unstable on this environment, and under this strap if there is one.
 
     Raises:
       ValueError: the largest real part of a pole is not negative.
     """
-    pole = largest_real_pole(subject, environment)
+    pole = largest_real_pole(subject, environment, strap)
     if not pole < 0:
+        held = " and the environment" if strap is None else ", the environment and the strap"
         raise ValueError(
-            f"subject {subject.name!r} and the environment are unstable: largest real part of a pole = {pole:.3g} 1/s; "
+            f"subject {subject.name!r}{held} are unstable: largest real part of a pole = {pole:.3g} 1/s; "
             "expected below 0 (smaller feedback gains or delays)"
         )
 
 
-def fastest_pole(subject: Subject, environment: Environment) -> float:
+def fastest_pole(subject: Subject, environment: Environment, strap: Strap | None = None) -> float:
     """Largest modulus of the poles of arm and environment without reflexes [1/s]; it sets the step of a simulation.
 
-    Of a nonlinear arm, the largest among its `Subject.linear_arms`.
+    Of a nonlinear arm, the largest among its `Subject.linear_arms`. With a strap, also of its poles.
     """
+    if strap is not None:
+        passive = np.r_[:8, N_STATES : N_STATES + 4]
+        return max(
+            float(
+                np.abs(np.linalg.eigvals(_strapped_dynamics(arm, environment, strap)[np.ix_(passive, passive)])).max()
+            )
+            for arm in subject.linear_arms
+        )
     return max(
         float(np.abs(np.linalg.eigvals(state_space(arm, environment).a[:8, :8])).max()) for arm in subject.linear_arms
     )

@@ -22,7 +22,8 @@ def render(
 
     Args:
       model: from `armperturb.models.build_model`, with its visuals.
-      qpos: joint angles [rad] and handle displacements [m] to draw, (nq,); default: the start posture.
+      qpos: joint angles [rad] and handle displacements [m] to draw, before them those of a shoulder that moves [m],
+        (nq,); default: the start posture.
       camera: "oblique" or "top" (x right, y up in the picture).
       width: of the picture [pixel].
       height: of the picture [pixel].

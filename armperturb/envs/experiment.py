@@ -28,10 +28,10 @@ from armperturb.controllers.reflex import (
     spindle_excitation,
 )
 from armperturb.controllers.remnant import HumanNoise
-from armperturb.environment import Environment
+from armperturb.environment import Environment, Strap
 from armperturb.envs.instruments import Instruments
 from armperturb.envs.linear import linear_signals
-from armperturb.models import JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, build_model, history_length
+from armperturb.models import JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, STRAP, build_model, history_length
 from armperturb.perturbations import Perturbation, Pulse, check_bandwidth
 from armperturb.recording import make_recording
 from armperturb.subject import Subject
@@ -108,6 +108,7 @@ def run_experiment(
     timestep: float = 1e-3,
     rate: float = 200.0,
     rope: str = "ideal",
+    strap: Strap | None = None,
     linear: bool = False,
     instruments: Instruments | None = None,
     n_threads: int = 0,
@@ -126,17 +127,21 @@ def run_experiment(
       timestep: of the simulation [s].
       rate: of the recording [Hz]; a whole number of simulation steps must fit into a sample.
       rope: "ideal" or "pendulum", see `build_model`.
+      strap: what lets everyone's shoulder move; None holds it in place.
       linear: whether the arm is the linear one of `analysis.arm_model`, at its posture wherever it moves and without
-        its muscle law, instead of MuJoCo's; for judging an analysis whose model it is. Its rope is ideal.
+        its muscle law, instead of MuJoCo's; for judging an analysis whose model it is. Its rope is ideal, and its
+        shoulder fixed.
       instruments: what the signals pass on their way into the recording; None records the truth.
       n_threads: 0 takes all cores; the recording does not depend on it.
       progress: called with the simulated seconds (all trials together) since the last call.
 
     Returns:
       A recording (see `armperturb.recording`) with signals `perturbation`, `force`, `displacement`, `joint_angle`, and
-      `shoulder_marker` and `emg` if the instruments have them. Joint angles are true, but as late as the others.
+      `shoulder_marker` and `emg` if the instruments have them. Joint angles are true, but as late as the others; the
+      truth about a shoulder that a strap lets move is `shoulder_marker` without instruments.
 
     Raises:
+      TypeError: strap is something else.
       ValueError: no trials, a subject that is unstable on the environment or too fast for the step, a perturbation with
         content above 45 % of the simulation rate, too short or too long, or rates that do not fit.
       RuntimeError: MuJoCo could not integrate a trial that stayed inside the workspace.
@@ -153,24 +158,38 @@ def run_experiment(
         )
     if linear and rope != "ideal":
         raise ValueError(f"run_experiment: rope = {rope!r}; expected 'ideal', the only one that the linear arm has")
+    if strap is not None and not isinstance(strap, Strap):
+        raise TypeError(f"run_experiment: strap = {strap!r}; expected Strap or None")
+    if linear and strap is not None:
+        raise ValueError(f"run_experiment: strap = {strap!r}; expected None, as the linear arm's shoulder is fixed")
     lowpass = instruments.lowpass(timestep, rate) if instruments else None
     for subject in dict.fromkeys(trial.subject for trial in trials):
-        require_stable(subject, environment)
+        require_stable(subject, environment, strap)
     for perturbation in {id(trial.perturbation): trial.perturbation for trial in trials}.values():
         check_bandwidth(perturbation, 1.0 / timestep)
         name = f"duration of a {type(perturbation).__name__}"
         require_number("run_experiment", name, perturbation.duration, at_least=2.0 / rate, at_most=MAX_DURATION)
 
     n_threads = n_threads or os.cpu_count() or 1
-    subjects = [_subject_in(trial, environment) for trial in trials]
+    subjects = [_subject_in(trial, environment, strap) for trial in trials]
     for subject in dict.fromkeys(subjects):  # as varied: the person on average may be slow enough where this is not
-        _require_integrable(subject, environment, timestep)
+        _require_integrable(subject, environment, strap, timestep)
     emg = instruments.emg if instruments else None
     if linear:
         truth = _simulate_linear(trials, subjects, environment, timestep, decimation, lowpass, n_threads, progress)
     else:
         truth = _simulate(
-            trials, subjects, environment, timestep, decimation, rope, lowpass, emg is not None, n_threads, progress
+            trials,
+            subjects,
+            environment,
+            timestep,
+            decimation,
+            rope,
+            strap,
+            lowpass,
+            emg is not None,
+            n_threads,
+            progress,
         )
     excitation = truth.pop("excitation")
     limit_time = truth.pop("limit_time")
@@ -181,11 +200,16 @@ def run_experiment(
         for trial, force in zip(trials, signals["force"], strict=True):
             force[:] = instruments.read_force(force, np.random.default_rng(trial.seed))
         if instruments.marker_noise is not None:
-            # The belt holds the shoulder: what the movies show is the camera's noise.
-            rest = np.zeros(signals["displacement"].shape[1:])
+            # Where the belt holds the shoulder, what the movies show is the camera's noise.
+            shoulder = signals.get("shoulder_marker", np.zeros_like(signals["displacement"]))
             signals["shoulder_marker"] = np.stack(
-                [instruments.read_marker(rest, trial.generator(MARKER)) for trial in trials]
+                [
+                    instruments.read_marker(position, trial.generator(MARKER))
+                    for position, trial in zip(shoulder, trials, strict=True)
+                ]
             )
+        else:
+            signals.pop("shoulder_marker", None)
     if emg is not None:
         clock = {"emg_rate": emg.rate, "adc_step": emg.adc_step}
         readings = _in_threads(
@@ -207,13 +231,13 @@ def _in_threads(function: Callable[[int], T], indices: Sequence[int], n_threads:
         yield from pool.map(function, indices)
 
 
-def _subject_in(trial: Trial, environment: Environment) -> Subject:
+def _subject_in(trial: Trial, environment: Environment, strap: Strap | None = None) -> Subject:
     """The person as it is in this trial."""
     if trial.noise is None:
         return trial.subject
-    bound = MARGIN_KEPT * largest_real_pole(trial.subject, environment)
+    bound = MARGIN_KEPT * largest_real_pole(trial.subject, environment, strap)
     stream = trial.generator(HUMAN).spawn(2)[0]
-    return trial.noise.vary(trial.subject, stream, lambda drawn: largest_real_pole(drawn, environment) <= bound)
+    return trial.noise.vary(trial.subject, stream, lambda drawn: largest_real_pole(drawn, environment, strap) <= bound)
 
 
 def _noise_torque(trial: Trial, timestep: float, n_steps: int) -> Array | None:
@@ -235,12 +259,15 @@ def _pulse(trial: Trial) -> Pulse | None:
     return perturbation if isinstance(perturbation, Pulse) else getattr(perturbation, "pulse", None)
 
 
-def _require_integrable(subject: Subject, environment: Environment, timestep: float) -> None:
-    pole = fastest_pole(subject, environment)
+def _require_integrable(subject: Subject, environment: Environment, strap: Strap | None, timestep: float) -> None:
+    pole = fastest_pole(subject, environment, strap)
     if pole * timestep > RK4_LIMIT:
+        parts, large = (
+            ("arm and environment", "grip") if strap is None else ("arm, environment and strap", "grip, strap")
+        )
         raise ValueError(
-            f"subject {subject.name!r}: fastest pole of arm and environment = {pole:.4g} 1/s; expected at most "
-            f"{RK4_LIMIT / timestep:.4g} 1/s at a step of {timestep:g} s (grip or damping too large for the masses)"
+            f"subject {subject.name!r}: fastest pole of {parts} = {pole:.4g} 1/s; expected at most "
+            f"{RK4_LIMIT / timestep:.4g} 1/s at a step of {timestep:g} s ({large} or damping too large for the masses)"
         )
 
 
@@ -336,6 +363,7 @@ def _simulate(
     timestep: float,
     decimation: int,
     rope: str,
+    strap: Strap | None,
     lowpass: Array | None,
     log_excitation: bool,
     n_threads: int,
@@ -348,12 +376,15 @@ def _simulate(
     """
     n_history = max(history_length(subject, timestep) for subject in subjects)
     models = {
-        subject: build_model(subject, environment, timestep=timestep, rope=rope, n_history=n_history, visual=False)
+        subject: build_model(
+            subject, environment, timestep=timestep, rope=rope, strap=strap, n_history=n_history, visual=False
+        )
         for subject in dict.fromkeys(subjects)
     }
     model = models[subjects[0]]
     hinges = [model.joint(name).qposadr[0] for name in JOINTS]
     slides = [model.joint(name).qposadr[0] for name in SLIDES]
+    straps = [model.joint(name).qposadr[0] for name in STRAP] if strap is not None else []
     motors = [model.actuator(name).id for name in REFLEXES]
     gauge = model.sensor(STRAIN_GAUGE).adr[0]
     hinge, slide, motor = (slice(ids[0], ids[-1] + 1) for ids in (hinges, slides, motors))
@@ -380,11 +411,12 @@ def _simulate(
 
     list(_in_threads(prepare, range(n_trials), n_threads))
 
-    # Handle, joint angles, force. A filter starts at rest and gets angles as deviations from the posture.
-    log = np.empty((n_samples, n_trials, 6))
+    # Handle, joint angles, force, shoulder. A filter starts at rest and gets angles as deviations from the posture.
+    width = 6 + len(straps)
+    log = np.empty((n_samples, n_trials, width))
     posture = np.array([subject.posture for subject in subjects])
-    chunk = np.empty((CHUNK * decimation if lowpass is not None else 0, n_trials, 6))
-    state = None if lowpass is None else np.zeros((len(lowpass), 2, n_trials, 6))
+    chunk = np.empty((CHUNK * decimation if lowpass is not None else 0, n_trials, width))
+    state = None if lowpass is None else np.zeros((len(lowpass), 2, n_trials, width))
     excitation_log = np.empty((n_samples if log_excitation else 0, n_trials, 2))
     limit_time = np.full(n_trials, np.nan)
     gains = reflex_gains(subjects, timestep)
@@ -432,6 +464,8 @@ def _simulate(
             elif not rest:
                 row = log[sample]
                 row[:, 0:2], row[:, 2:4] = handle, angle
+            if row is not None and straps:
+                row[:, 6:8] = qpos[:, straps]
             batch.step()
             # The sensors describe the state before the step, at which the other signals were taken.
             if row is not None:
@@ -456,7 +490,7 @@ def _simulate(
     def trial_first(values: Array) -> Array:
         return np.ascontiguousarray(values.swapaxes(0, 1))
 
-    return {
+    truth = {
         "perturbation": recorded,
         "force": trial_first(log[:, :, 4:6]),
         "displacement": trial_first(log[:, :, 0:2]),
@@ -464,3 +498,6 @@ def _simulate(
         "limit_time": limit_time,
         "excitation": trial_first(excitation_log),
     }
+    if straps:
+        truth["shoulder_marker"] = trial_first(log[:, :, 6:8])
+    return truth

@@ -14,5 +14,6 @@ from armperturb.models.rig import ROPE as ROPE
 from armperturb.models.rig import ROPES as ROPES
 from armperturb.models.rig import SLIDES as SLIDES
 from armperturb.models.rig import STRAIN_GAUGE as STRAIN_GAUGE
+from armperturb.models.rig import STRAP as STRAP
 from armperturb.models.rig import build_model as build_model
 from armperturb.models.rig import history_length as history_length

@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from armperturb.environment import Environment
+from armperturb.environment import Environment, Strap
 from armperturb.subject import Subject
 from armperturb.validation import require_number
 
@@ -19,6 +19,9 @@ JOINTS = ("shoulder", "elbow")
 
 SLIDES = ("carriage_x", "carriage_y")
 """Slides of the manipulator: qpos is the displacement of the handle from its start [m]."""
+
+STRAP = ("strap_x", "strap_y")
+"""Slides of the shoulder on the seat, where a strap lets it move: qpos is its displacement from its start [m]."""
 
 REFLEXES = ("reflex_shoulder", "reflex_elbow")
 """Motors: ctrl is the torque added at the joint [Nm], which acts after the neural delay of that joint."""
@@ -78,6 +81,7 @@ def build_model(
     *,
     timestep: float = 0.001,
     rope: str = "ideal",
+    strap: Strap | None = None,
     n_history: int | None = None,
     visual: bool = True,
 ) -> mujoco.MjModel:
@@ -93,21 +97,25 @@ def build_model(
       timestep: step of the simulation [s], > 0.
       rope: "ideal" (the hinges carry the arm's weight W and the rope only shows), or "pendulum" (a rope of length
         h = 2 m carries W over the middle of the forearm, and pulls it back with W / h per displacement).
+      strap: what lets the shoulder move; None holds it in place. The slides of `STRAP` come before the other joints.
       n_history: past controls kept per motor, at least `history_length(subject, timestep)`, which is the default. More
         changes no trajectory.
       visual: False leaves out all that only draws (geoms, cameras, lights, an ideal rope): a step costs less, and
         trajectories stay the same to the last bit.
 
     Returns:
-      The model. Models of different people have the same sizes if n_history, rope and visual agree.
+      The model. Models of different people have the same sizes if n_history, rope, visual and whether there
+      is a strap agree.
 
     Raises:
       ValueError: a delay is shorter than timestep, rope is unknown, or timestep or n_history is out of range.
-      TypeError: timestep or n_history is no number.
+      TypeError: timestep or n_history is no number, or strap no `Strap`.
     """
     needed = history_length(subject, timestep)
     if rope not in ROPES:
         raise ValueError(f"build_model: rope = {rope!r}; expected one of {', '.join(ROPES)}")
+    if strap is not None and not isinstance(strap, Strap):
+        raise TypeError(f"build_model: strap = {strap!r}; expected Strap or None")
     if n_history is None:
         n_history = needed
     if isinstance(n_history, bool) or not isinstance(n_history, int | np.integer):
@@ -117,6 +125,7 @@ def build_model(
     spec = _parsed_rig().copy()
     spec.option.timestep = timestep
     _set_arm(spec, subject)
+    _set_strap(spec, subject, strap)
     _set_rope(spec, subject, rope)
     _set_manipulator(spec, subject, environment)
     for name, delay in zip(REFLEXES, (subject.Td_s, subject.Td_e), strict=True):
@@ -181,6 +190,18 @@ def _set_arm(spec: mujoco.MjSpec, subject: Subject) -> None:
     biarticular = spec.tendon(BIARTICULAR)
     biarticular.stiffness[0], biarticular.damping[0] = k_se, b_se
     biarticular.springlength = [subject.posture.sum()] * 2
+
+
+def _set_strap(spec: mujoco.MjSpec, subject: Subject, strap: Strap | None) -> None:
+    """Spring, damper and mass between shoulder and seat; slides are deleted where the shoulder is held in place."""
+    cosine, sine = math.cos(subject.posture[0]), math.sin(subject.posture[0])
+    for name, axis in zip(STRAP, ([cosine, -sine, 0.0], [sine, cosine, 0.0]), strict=True):
+        slide = spec.joint(name)
+        if strap is None:
+            spec.delete(slide)
+        else:
+            slide.axis = axis  # world axes in the frame of the humerus
+            slide.stiffness[0], slide.damping[0], slide.armature = strap.stiffness, strap.damping, strap.mass
 
 
 def _set_rope(spec: mujoco.MjSpec, subject: Subject, rope: str) -> None:

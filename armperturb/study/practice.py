@@ -13,7 +13,7 @@ from scipy import optimize
 from armperturb.analysis.arm_model import total_admittance
 from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import Environment
+from armperturb.environment import Environment, Strap
 from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.perturbations import Multisine
 from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD
@@ -108,7 +108,9 @@ def practise(
     for person in people:
         needs.append({c.name: _Cell.of(person, c, seed) for c in protocol.conditions if c.has_multisine})
         cells.update(dict.fromkeys(needs[-1].values()))
-    found = _adjust_cells(list(cells), seed, environment, n_threads, noisy, progress).force.tolist() if cells else []
+    found = []
+    if cells:
+        found = _adjust_cells(list(cells), seed, environment, protocol.strap, n_threads, noisy, progress).force.tolist()
     force_of = dict(zip(cells, found, strict=True))
     forces = []
     for need in needs:
@@ -141,6 +143,7 @@ def _adjust_cells(
     cells: Sequence[_Cell],
     seed: int,
     environment: Environment,
+    strap: Strap | None,
     n_threads: int,
     noisy: bool,
     progress: Callable[[float], object] | None,
@@ -168,7 +171,7 @@ def _adjust_cells(
         ]
         return np.concatenate(
             [
-                measured_displacement(trials[first : first + TRIALS_PER_BATCH], environment, n_threads, progress)
+                measured_displacement(trials[first : first + TRIALS_PER_BATCH], environment, n_threads, progress, strap)
                 for first in range(0, len(trials), TRIALS_PER_BATCH)
             ]
         )
@@ -221,12 +224,13 @@ def measured_displacement(
     environment: Environment,
     n_threads: int = 0,
     progress: Callable[[float], object] | None = None,
+    strap: Strap | None = None,
 ) -> Array:
     """RMS displacement from the start, pooled over both axes, from 8 s to 28.48 s [m], (trial,).
 
     Infinite where the handle reached the workspace limit before the end, or the simulation diverged.
     """
-    recording = run_experiment(trials, environment, n_threads=n_threads, progress=progress)
+    recording = run_experiment(trials, environment, strap=strap, n_threads=n_threads, progress=progress)
     first, last = (round(time * recording.attrs["rate"]) for time in (SETTLE, SETTLE + PERIOD))
     inside = recording["displacement"].values[:, first:last]
     rms = np.sqrt(np.mean(inside**2, axis=(1, 2)))

@@ -14,6 +14,7 @@ import numpy as np
 
 from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
+from armperturb.environment import Strap
 from armperturb.envs.experiment import Trial
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, draw_onset
 from armperturb.subject import TASKS, Subject, at_level
@@ -146,6 +147,7 @@ class Protocol:
         multisine lasts until the end of the trial.
       trial_duration: duration of every trial [s].
       onset_window: earliest and latest onset of a pulse without a multisine [s].
+      strap: what lets everyone's shoulder move; None holds it in place.
 
     Raises:
       TypeError: a value has the wrong type.
@@ -161,6 +163,7 @@ class Protocol:
     multisine_duration: float = 32.0
     trial_duration: float = 36.0
     onset_window: tuple[float, float] = (5.0, 20.0)
+    strap: Strap | None = None
 
     def __post_init__(self) -> None:
         owner = "protocol"
@@ -170,6 +173,8 @@ class Protocol:
         _require_different(owner, "conditions", [condition.name for condition in self.conditions])
         if self.forces not in FORCES:
             raise ValueError(f"{owner}: forces = {self.forces!r}; expected one of {', '.join(FORCES)}")
+        if self.strap is not None and not isinstance(self.strap, Strap):
+            raise TypeError(f"{owner}: strap = {self.strap!r}; expected Strap or None")
         for name in ("pulse_unit", "pulse_unit_factor", "trial_duration", "multisine_duration"):
             require_number(owner, name, getattr(self, name), above=0.0)
         self._check_pulses(owner)
@@ -221,7 +226,7 @@ class Protocol:
         """A protocol from its fields by name, as in a TOML file; what is left out is as in `Protocol`.
 
         Args:
-          values: field name to value; "conditions" is a list of such mappings.
+          values: field name to value; "conditions" is a list of such mappings, "strap" is one.
           source: where the values come from, for the message.
 
         Raises:
@@ -240,14 +245,23 @@ class Protocol:
                 conditions.append(Condition(**table))
             except (TypeError, ValueError) as error:
                 raise type(error)(f"{place}: {error}") from None
+        given = {**values, "conditions": tuple(conditions)}
+        if "strap" in values:
+            if not isinstance(values["strap"], Mapping):
+                raise TypeError(f"{source}: strap = {values['strap']!r}; expected a table that begins with [strap]")
+            _check_keys(Strap, f"{source}, strap", values["strap"])
         try:
-            return cls(**{**values, "conditions": tuple(conditions)})
+            if "strap" in values:
+                given["strap"] = Strap(**values["strap"])
+            return cls(**given)
         except (TypeError, ValueError) as error:
             raise type(error)(f"{source}: {error}") from None
 
     def to_dict(self) -> dict[str, Any]:
-        """Field name to value, as `from_dict` reads it; numbers, texts and lists only."""
+        """Field name to value, as `from_dict` reads it; numbers, texts, lists and tables only."""
         values = asdict(self)
+        if self.strap is None:  # TOML has nothing for it
+            del values["strap"]
         for table in (values, *values["conditions"]):
             table.update({key: list(value) for key, value in table.items() if isinstance(value, tuple)})
         return values
@@ -400,7 +414,7 @@ def _realisation(seed: int, cell: int) -> Multisine:
 
 def _check_keys(cls: type, source: str, values: Mapping[str, Any]) -> None:
     known = [field.name for field in fields(cls)]
-    required = ("conditions",) if cls is Protocol else ("name", "task")
+    required = {Protocol: ("conditions",), Condition: ("name", "task")}.get(cls, ())
     for key in values:
         if key not in known:
             raise ValueError(f"{source}: unknown key {key!r}; expected keys are {', '.join(known)}")

@@ -442,6 +442,7 @@ def _simulate(trials: Sequence[Trial], unit: _Unit, progress: Callable[[float], 
         run_experiment(
             trials[first : first + unit.block],
             unit.environment,
+            strap=unit.protocol.strap,
             instruments=None if unit.ideal else Instruments(),
             n_threads=unit.n_threads,
             progress=progress,
