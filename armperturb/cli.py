@@ -136,8 +136,9 @@ class Score:
     """Folder of the study; nothing in it but the results is changed."""
     out: Path | None = None
     """Folder for score.csv, headlines.csv and score.txt; by default DIR/score."""
-    quick: bool = False
-    """Leave out the tables of appendix C, which take a minute per person and core."""
+    appendix_c: bool = False
+    """Fill the tables of appendix C too: six structures fitted to every trial, which takes a core some two minutes per
+    person."""
     workers: int | None = None
     """Number of processes; by default about one per core. No effect on the files."""
 
@@ -272,7 +273,7 @@ def score(settings: Score) -> str:
     from armperturb.study.score import score as compare
     from armperturb.study.score import score_text, write_score
 
-    result = compare(settings.folder, fits=not settings.quick, workers=settings.workers)
+    result = compare(settings.folder, appendix_c=settings.appendix_c, workers=settings.workers)
     write_score(result, settings.out or settings.folder / "score")
     return score_text(result)
 

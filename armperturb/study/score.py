@@ -39,6 +39,9 @@ Result = TypeVar("Result")
 LIMITS = (0.5, 1.0, 2.0)
 """Within how many published SDs cells are counted."""
 
+NOT_ASKED = "appendix C was not asked for"
+"""Why its tables are empty unless they are wanted."""
+
 WITHOUT_PENALTY = ("C.3", "C.4", "C.5", "C.13", "C.14", "C.15")
 """Tables of the first step of appendix C."""
 
@@ -103,12 +106,12 @@ class Share(NamedTuple):
     sd_ratio: float
 
 
-def score(folder: Path, *, fits: bool = True, workers: int | None = None, show_progress: bool = True) -> Score:
+def score(folder: Path, *, appendix_c: bool = False, workers: int | None = None, show_progress: bool = True) -> Score:
     """Compare the recordings of a study with the published tables.
 
     Args:
       folder: of the study, which may be incomplete; nothing in it is changed.
-      fits: whether to fill the tables of appendix C, which takes a minute per person and core.
+      appendix_c: whether to fill the tables of appendix C too, which takes a core some two minutes per person.
       workers: number of processes; None for about one per core. No effect on the result.
       show_progress: whether to draw progress bars on the terminal.
 
@@ -132,7 +135,7 @@ def score(folder: Path, *, fits: bool = True, workers: int | None = None, show_p
         cells = _measured_cells(people)
         first: Estimates | None = None
         second: Estimates | None = None
-        if fits:
+        if appendix_c:
             first = _by_task(each(fit_first, paths, "fit, step 1"), remarks)
             starts = {(condition[:2], model): estimate.start() for (condition, model), estimate in first.items()}
             second = _by_task(each(fit_second, [(path, starts) for path in paths], "fit, step 2"), remarks)
@@ -182,7 +185,7 @@ def _fitted_cell(entry: FitEntry, fits: Estimates | None, people: Sequence[Perso
     ours, reason = MeanSD(math.nan, math.nan), ""
     step_1 = next(condition for task, condition in FIRST_STEP.items() if entry.condition.startswith(task))
     if fits is None:
-        reason = "appendix C was not asked for"
+        reason = NOT_ASKED
     elif (entry.condition, entry.model) in fits:
         ours = _fitted_value(entry, fits[entry.condition, entry.model])
         reason = "" if math.isfinite(ours.mean) else "no trial gives a finite value"
@@ -261,18 +264,24 @@ def score_text(result: Score) -> str:
     """Shares, headline numbers and what is missing, for a terminal."""
     lines = [f"{result.people} people beside the published tables; SDs are the published ones", ""]
     lines.append(f"{'table':14} {'cells':>9} {'0.5 SD':>12} {'1 SD':>12} {'2 SD':>12} {'SD ratio':>9}")
+    skipped = {cell.cell.table for cell in result.cells if cell.reason == NOT_ASKED}
     for name, one in shares(result).items():
-        counts = [f"{n} ({100.0 * n / one.computed:.0f} %)" if one.computed else "-" for n in one.within]
-        of = f"{one.computed}/{one.published}"
-        lines.append(f"{name:14} {of:>9} " + " ".join(f"{count:>12}" for count in counts) + f" {one.sd_ratio:9.2f}")
+        if name not in skipped:
+            counts = [f"{n} ({100.0 * n / one.computed:.0f} %)" if one.computed else "-" for n in one.within]
+            of = f"{one.computed}/{one.published}"
+            lines.append(f"{name:14} {of:>9} " + " ".join(f"{count:>12}" for count in counts) + f" {one.sd_ratio:9.2f}")
     lines += ["", f"{'number of the text':46} {'published':>14} {'ours':>9}  unit"]
     for line in result.headlines:
         remark = f"  ({line.remark})" if line.remark else ""
         lines.append(f"{line.name:46} {line.published:>14} {line.ours:9.3g}  {line.unit}{remark}")
-    missing = Counter((cell.cell.table, cell.cell.condition, cell.reason) for cell in result.cells if cell.reason)
+    missing = Counter(
+        (cell.reason, "C.3 to C.22" if cell.reason == NOT_ASKED else f"{cell.cell.table}, {cell.cell.condition}")
+        for cell in result.cells
+        if cell.reason
+    )
     if missing:
         lines += ["", "cells that could not be computed:"]
-        lines += [f"  {table}, {condition}: {n}: {reason}" for (table, condition, reason), n in missing.items()]
+        lines += [f"  {where}: {n} cells: {reason}" for (reason, where), n in missing.items()]
     if result.remarks:
         lines += ["", "left out:", *(f"  {remark}" for remark in result.remarks)]
     return "\n".join(lines)
