@@ -26,7 +26,7 @@ def test_two_conditions_are_a_dependent_t_test(values):
 
 def test_anova_by_hand():
     """Sums of squares: 12 between conditions, 12 left over, with 2 and 10 degrees of freedom; so F = 5."""
-    y = np.array(list(itertools.permutations([-1.0, 0.0, 1.0]))) + [0.0, 1.0, 2.0]
+    y = np.array(list(itertools.permutations([-1.0, 0.0, 1.0]))) + np.arange(3.0)
     assert effect_of_condition(y) == ("ANOVA", pytest.approx(stats.f.sf(5.0, 2, 10)))
 
 
