@@ -128,6 +128,21 @@ class Validate:
     """Number of processes; by default one per core. No effect on the files."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """Compare a study with the published tables: shares of cells within 0.5, 1 and 2 SD, and the headline numbers."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """Folder of the study; nothing in it but the results is changed."""
+    out: Path | None = None
+    """Folder for score.csv, headlines.csv and score.txt; by default DIR/score."""
+    appendix_c: bool = False
+    """Fill the tables of appendix C too: six structures fitted to every trial, which takes a core some two minutes per
+    person."""
+    workers: int | None = None
+    """Number of processes; by default about one per core. No effect on the files."""
+
+
 def study(settings: Study) -> Path:
     """Run a study, or go on with one, and return the path of its report, or of the folder if there is none.
 
@@ -245,6 +260,24 @@ def validate(settings: Validate) -> str:
     return summary_text(result)
 
 
+def score(settings: Score) -> str:
+    """Compare a study with the published tables, write the results and return them to print.
+
+    Raises:
+      TypeError: a setting has the wrong type.
+      ValueError: a setting is out of its range, or a file is no recording of one person.
+      RuntimeError: workers die again and again.
+      OSError: a file cannot be read or written.
+    """
+    # Here, so that the other commands start without what a study needs.
+    from armperturb.study.score import score as compare
+    from armperturb.study.score import score_text, write_score
+
+    result = compare(settings.folder, appendix_c=settings.appendix_c, workers=settings.workers)
+    write_score(result, settings.out or settings.folder / "score")
+    return score_text(result)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line and run it.
 
@@ -255,7 +288,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
       The exit status: 0, 1 for an input that is refused (one line on stderr says why), 130 for Ctrl-C.
     """
     command = tyro.cli(
-        Study | Simulate | Identify | Validate,
+        Study | Simulate | Identify | Validate | Score,
         prog="armperturb",
         description="Human-arm perturbation experiments on synthetic people in MuJoCo, and their analysis.",
         args=arguments,
@@ -267,6 +300,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif isinstance(command, Simulate):
             simulate(command)
             print(f"recording: {command.out}")
+        elif isinstance(command, Score):
+            print(score(command))
+            print(f"results: {command.out or command.folder / 'score'}")
         elif isinstance(command, Validate):
             print(validate(command))
             print(f"results: {command.out}")

@@ -204,6 +204,26 @@ def fit_trials(
     )
 
 
+def join_estimates(estimates: Sequence[ThesisEstimate]) -> ThesisEstimate:
+    """The trials of several estimates of one structure in one, with the first's environment.
+
+    Args:
+      estimates: at least one.
+
+    Raises:
+      ValueError: structures differ.
+    """
+    structures = list(dict.fromkeys(one.structure for one in estimates))
+    if len(structures) != 1:
+        raise ValueError(f"estimates of structures {', '.join(structures) or 'none'}; expected one structure")
+    return replace(
+        estimates[0],
+        subjects=tuple(name for one in estimates for name in one.subjects),
+        fits=tuple(fit for one in estimates for fit in one.fits),
+        vaf=np.concatenate([one.vaf for one in estimates]),
+    )
+
+
 def appendix_c(
     first: xr.Dataset,
     conditions: Mapping[str, xr.Dataset],

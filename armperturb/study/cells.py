@@ -79,11 +79,9 @@ def published_cells() -> Mapping[Cell, MeanSD]:
     """All cells of tables 2.1 and F.2 to F.6, mean (SD) over the thesis's subjects, SI."""
     cells = {}
     for condition in published.conditions():
-        for name, source in (("rms_force", published.applied_force), ("rms_displacement", published.rms_displacement)):
-            try:
-                cells[Cell("2.1", condition, name)] = source(condition)
-            except KeyError:  # without a multisine
-                continue
+        if published.has_multisine(condition):
+            cells[Cell("2.1", condition, "rms_force")] = published.applied_force(condition)
+            cells[Cell("2.1", condition, "rms_displacement")] = published.rms_displacement(condition)
         for level in published.pulse_levels(condition):
             cells[Cell("2.1", condition, f"peak_displacement_{level}")] = published.peak_displacement(condition, level)
     for entry in published.joint_motions():
@@ -119,7 +117,7 @@ def measure(recording: xr.Dataset, *, start: float = WINDOW_START, period: float
     wanted, pools = published_cells(), dict[Cell, dict[str, list[float]]]()
     for trial, condition in enumerate(inside["condition"].values.tolist()):
         parts: list[Callable[[], Iterator[_Value]]] = []
-        if Cell("2.1", condition, "rms_force") in wanted:
+        if published.has_multisine(condition):
             parts.append(partial(_multisine_values, path, trial, start, period))
         if published.pulse_levels(condition) and not np.isnan(inside["pulse_onset"].values[trial]):
             parts.append(partial(_pulse_values, path, trial))

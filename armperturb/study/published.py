@@ -141,21 +141,70 @@ def joint_motion(condition: str, joint: str, quantity: str, pulse: str = "none")
     raise KeyError(f"tables F.2 to F.6 have no {quantity} of joint {joint} in {condition} with pulse {pulse}")
 
 
-def headline(name: str) -> float:
-    """A number of the running text by its name in `headline.csv`, in the unit that stands there.
+class FitEntry(NamedTuple):
+    """An entry of tables C.3 to C.22.
+
+    Attributes:
+      table: as printed, e.g. "C.8".
+      condition: whose trials were fitted.
+      model: number of the structure.
+      quantity: "parameter", "SEM", "criterion" [-], "VAF_x" or "VAF_y" [%], or as shares of the trials [-] "N_pos" or
+        "N_stab".
+      parameter: name of the parameter; empty for the others.
+      value: mean (SD), SI; a share has no SD.
+    """
+
+    table: str
+    condition: str
+    model: str
+    quantity: str
+    parameter: str
+    value: MeanSD
+
+
+def appendix_c() -> tuple[FitEntry, ...]:
+    """All entries of tables C.3 to C.22, in the order of the tables."""
+    entries = []
+    for row in (*_rows("parameters"), *_rows("goodness_of_fit")):
+        if not row["table"].startswith("C."):
+            continue
+        factor = 1.0 / float(row["max_count"]) if row.get("max_count") else SI.get(row["unit"], 1.0)
+        value = MeanSD(factor * float(row["mean"]), factor * float(row["sd"] or "nan"))
+        entries.append(
+            FitEntry(row["table"], row["condition"], row["model"], row["quantity"], row.get("parameter") or "", value)
+        )
+    return tuple(sorted(entries, key=lambda entry: int(entry.table.removeprefix("C."))))
+
+
+def headline_text(name: str) -> str:
+    """An entry of `headline.csv` as it stands there: a number, or "ns" for not significant.
 
     Raises:
       KeyError: there is none of that name.
     """
     for row in _rows("headline"):
         if row["name"] == name:
-            return float(row["value"])
+            return row["value"]
     raise KeyError(f"no headline number {name!r}")
+
+
+def headline(name: str) -> float:
+    """A number of the running text by its name in `headline.csv`, in the unit that stands there.
+
+    Raises:
+      KeyError: there is none of that name.
+    """
+    return float(headline_text(name))
 
 
 def conditions() -> tuple[str, ...]:
     """Names of the thesis's conditions, in the order of table 2.1."""
     return tuple(dict.fromkeys(row["condition"] for row in _rows("conditions")))
+
+
+def has_multisine(condition: str) -> bool:
+    """Whether table 2.1 has a multisine in a condition."""
+    return any(row["condition"] == condition and float(row["intended_rms_mm"]) > 0.0 for row in _rows("conditions"))
 
 
 def pulse_levels(condition: str) -> tuple[str, ...]:

@@ -137,7 +137,7 @@ class Case:
 
     def trials(self) -> xr.Dataset:
         """The recorded trials behind the identification."""
-        return _inside(_of_condition(load_recording(self.recording), self.condition))
+        return inside_workspace(of_condition(load_recording(self.recording), self.condition.name))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -230,7 +230,7 @@ def run_study(
     units = [(person, path, protocol) for person, path in zip(people, paths, strict=True)]
     cases: dict[str, list[Case]] = {}
     with (
-        workers_for(_count(workers, len(units)), None) as local,
+        workers_for(worker_count(workers, len(units)), None) as local,
         tqdm(total=len(units), desc="identify", unit="subject", disable=None if show_progress else True) as bar,
     ):
         results = map(_identify, units) if local is None else completed(_identify, units, local, bar.refresh)
@@ -292,7 +292,7 @@ def record_study(
         if missing:
             n_trials = len(protocol.cells())
             with (
-                workers_for(_count(workers, len(missing)), dask) as crew,
+                workers_for(worker_count(workers, len(missing)), dask) as crew,
                 _Progress(len(people) * n_trials, len(done) * n_trials, protocol.trial_duration, show_progress) as bar,
             ):
                 units = _units(missing, settings, protocol, environment, folder, crew, block)
@@ -304,8 +304,8 @@ def record_study(
         return [folder.recording(name) for name in names]
 
 
-def _count(workers: int | None, n_subjects: int) -> int:
-    """Number of processes: no more than there is work for."""
+def worker_count(workers: int | None, n_subjects: int) -> int:
+    """Number of processes, None standing for about one per core: no more than there is work for."""
     if workers is None:
         cores = joblib.cpu_count()
         # One process in four more than cores costs little, and is worth it if then none is idle in the last round.
@@ -482,13 +482,13 @@ def _identify(unit: tuple[Person, Path, Protocol]) -> tuple[str, list[Case]]:
 def _identify_condition(
     condition: Condition, truth: Subject, recording: xr.Dataset, path: Path, protocol: Protocol
 ) -> Case:
-    mine = _of_condition(recording, condition)
+    mine = of_condition(recording, condition.name)
     limits = mine["limit_time"].values
     left_out = [
         f"trial {trial} of {truth.name} in {condition.name} reached the workspace limit at {limits[trial]:.3f} s"
         for trial in np.flatnonzero(np.isfinite(limits))
     ]
-    inside = _inside(mine)
+    inside = inside_workspace(mine)
     lasts = protocol.multisine_duration if condition.pulse_levels else protocol.trial_duration
     identification = thesis = None
     single_trials: tuple[SpectralEstimate, ...] = ()
@@ -532,11 +532,12 @@ def _rms(signal: xr.DataArray) -> float:
     return float(np.sqrt(np.mean(signal.values[:, inside.values] ** 2)))
 
 
-def _of_condition(recording: xr.Dataset, condition: Condition) -> xr.Dataset:
-    return recording.isel(trial=np.flatnonzero(recording["condition"].values == condition.name))
+def of_condition(recording: xr.Dataset, condition: str) -> xr.Dataset:
+    """Trials of the condition of that name."""
+    return recording.isel(trial=np.flatnonzero(recording["condition"].values == condition))
 
 
-def _inside(recording: xr.Dataset) -> xr.Dataset:
+def inside_workspace(recording: xr.Dataset) -> xr.Dataset:
     """Trials that stayed off the workspace limit."""
     return recording.isel(trial=np.flatnonzero(np.isnan(recording["limit_time"].values)))
 

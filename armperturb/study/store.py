@@ -140,6 +140,42 @@ def open_study(root: Path, manifest: Mapping[str, Any]) -> Iterator[StudyFolder]
         os.close(lock)
 
 
+def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
+    """Recordings that are there and whole, of a study that has ended or not; nothing is changed.
+
+    A folder without a manifest or checksums, as a laboratory may make one, counts as whole.
+
+    Args:
+      root: the folder.
+
+    Returns:
+      Their paths in the order of their names, and one line for each that is missing or damaged.
+
+    Raises:
+      OSError: there is no recording.
+      ValueError: none is whole, or the manifest cannot be read.
+    """
+    found, sums = sorted((root / RECORDINGS).glob("*.nc")), _read_sums(root / RECORDINGS / SUMS)
+    if not found:
+        raise FileNotFoundError(f"{root}: holds no {RECORDINGS}/*.nc; expected the folder of a study")
+    whole, remarks = [], []
+    for path in found:
+        if sums and sums.get(path.stem) != digest(path):
+            remarks.append(f"{path.name} does not match its checksum; it is left out")
+        else:
+            whole.append(path)
+    if not whole:
+        raise ValueError(f"{root}: no recording matches its checksum; expected one that does")
+    if (root / MANIFEST).is_file():
+        try:
+            wanted = int(json.loads((root / MANIFEST).read_text(encoding="utf-8"))["subjects"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"{root / MANIFEST}: no number of subjects ({error}); expected what a run wrote") from None
+        if len(whole) < wanted:
+            remarks.append(f"the study is incomplete: {wanted - len(whole)} of {wanted} people have no whole recording")
+    return whole, remarks
+
+
 def digest(path: Path) -> str:
     """SHA-256 of a file, in hexadecimal digits."""
     with path.open("rb") as file:

@@ -1,0 +1,211 @@
+"""What the thesis reports of one person, from the person's recordings: cells of tables, admittance, pulses, fits."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from armperturb.analysis.pulse import predicted_peaks, pulse_peaks
+from armperturb.analysis.spectra import estimate_spectra, line_spectra
+from armperturb.analysis.thesis import VARTHETA, ThesisEstimate, fit_trials
+from armperturb.recording import REQUIRED_SIGNALS, load_recording
+from armperturb.study import published
+from armperturb.study.cells import LEVELS, Cell, measure
+from armperturb.study.runner import MODELS, WINDOW_START, inside_workspace, of_condition
+
+Array = NDArray[np.float64]
+
+STARTS = {"PT": VARTHETA[published.PARAMETER_TABLES["PT7.5"]["start"]], "RT": None}
+"""Task to where the fit starts whose prediction of pulses counts (thesis E.5); None for the structure's own start."""
+
+N_LOW = 2
+"""How many of the lowest frequency points tell the low-frequency gain (thesis 3.1)."""
+
+FIRST_STEP = {"PT": "PT7.5", "RT": "RT7.5"}
+"""Task to the condition of the first step of appendix C."""
+
+APPENDIX_C_MODELS = tuple("123456")
+
+
+class PulseMeans(NamedTuple):
+    """A person's responses to the pulses of a condition and level, as means over trials.
+
+    Attributes:
+      displacement: peak [m].
+      admittance: pulse admittance [m/N].
+      prediction: predicted over recorded peak displacement [%]; NaN if there is no model.
+      excess: recorded over predicted peak displacement [-]; likewise.
+    """
+
+    displacement: float
+    admittance: float
+    prediction: float
+    excess: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PersonMeasures:
+    """What a person's recordings tell.
+
+    Attributes:
+      name: of the person.
+      conditions: that were recorded.
+      cells: of tables 2.1 and F.2 to F.6 to the person's values, SI.
+      low_gain: condition to the gain of the diagonal of the admittance at the lowest frequencies [m/N], (frequency,
+        axis).
+      pulses: condition and level ("min", "max") to the responses.
+      left_out: why trials, or parts of them, tell nothing; one line each.
+    """
+
+    name: str
+    conditions: tuple[str, ...]
+    cells: Mapping[Cell, float]
+    low_gain: Mapping[str, Array]
+    pulses: Mapping[tuple[str, str], PulseMeans]
+    left_out: tuple[str, ...]
+
+
+class Fits(NamedTuple):
+    """Structures fitted to every trial of a person.
+
+    Attributes:
+      name: of the person.
+      estimates: condition and structure to the estimate.
+      left_out: why there is none; one line each.
+    """
+
+    name: str
+    estimates: dict[tuple[str, str], ThesisEstimate]
+    left_out: tuple[str, ...]
+
+
+def load_signals(path: Path) -> xr.Dataset:
+    """The required signals of a recording; EMG takes most of the memory."""
+    return load_recording(path)[list(REQUIRED_SIGNALS)]
+
+
+def measure_person(path: Path) -> PersonMeasures:
+    """All that needs one fit per trial.
+
+    Raises:
+      ValueError: the file is no recording of one person.
+      OSError: the file cannot be read.
+    """
+    recording = load_signals(path)
+    try:
+        cells, told = measure(recording)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    name = str(recording["subject"].values[0])
+    left_out = [f"{name}: {line}" for line in told]
+    conditions = tuple(dict.fromkeys(recording["condition"].values.tolist()))
+    low_gain: dict[str, Array] = {}
+    pulses: dict[tuple[str, str], PulseMeans] = {}
+    for condition in published.conditions():
+        mine = of_condition(recording, condition)
+        if not mine.sizes["trial"]:
+            continue
+        inside, estimate = inside_workspace(mine), None
+        if published.has_multisine(condition) and inside.sizes["trial"]:
+            try:
+                spectra = estimate_spectra(line_spectra(inside, start=WINDOW_START))
+                low_gain[condition] = np.abs(np.diagonal(spectra.arm, axis1=1, axis2=2))[:N_LOW]
+                task = str(inside["task"].values[0])
+                estimate = fit_trials(inside, MODELS[task], initial=STARTS[task], start=WINDOW_START)
+            except ValueError as error:
+                left_out.append(f"{name} in {condition} was not fitted: {error}")
+        if estimate is not None:
+            left_out += [f"{name}, {line}" for line in _unstable(estimate, condition)]
+        for level, means in _pulses(mine, estimate).items():
+            pulses[condition, level] = means
+    return PersonMeasures(
+        name=name,
+        conditions=conditions,
+        cells=cells,
+        low_gain=low_gain,
+        pulses=pulses,
+        left_out=tuple(left_out),
+    )
+
+
+def _unstable(estimate: ThesisEstimate, condition: str) -> list[str]:
+    n = len(estimate.fits) - estimate.n_stable
+    if not n:
+        return []
+    return [
+        f"{condition}, model {estimate.structure}: {n} of {len(estimate.fits)} fits diverged (unstable on the "
+        "manipulator in spite of the penalty) and are left out"
+    ]
+
+
+def _pulses(recording: xr.Dataset, estimate: ThesisEstimate | None) -> dict[str, PulseMeans]:
+    """Level to the means over its trials; each trial inside the workspace is predicted by its own fit."""
+    peaks = pulse_peaks(recording)
+    predicted = np.full(len(peaks.displacement), np.nan)
+    if estimate is not None:
+        fitted = np.flatnonzero(np.isnan(recording["limit_time"].values))
+        for trial, fit in zip(fitted, estimate.fits, strict=True):
+            if fit.stable:
+                predicted[trial] = predicted_peaks(recording.isel(trial=[trial]), fit.arm, estimate.environment)[0]
+    found = {}
+    for name, level in LEVELS.items():
+        its = np.flatnonzero((np.abs(recording["pulse_level"].values) == level) & np.isfinite(peaks.displacement))
+        if len(its):
+            ratio = predicted[its] / peaks.displacement[its]
+            known = ratio[np.isfinite(ratio)]
+            found[name] = PulseMeans(
+                displacement=float(peaks.displacement[its].mean()),
+                admittance=float(peaks.admittance[its].mean()),
+                prediction=100.0 * float(known.mean()) if len(known) else float("nan"),
+                excess=float((1.0 / known).mean()) if len(known) else float("nan"),
+            )
+    return found
+
+
+def fit_first(path: Path) -> Fits:
+    """Step 1 of appendix C for one person: all six structures without penalty, from their own starts."""
+    return _fit(path, {(condition, model): None for condition in FIRST_STEP.values() for model in APPENDIX_C_MODELS})
+
+
+def fit_second(unit: tuple[Path, Mapping[tuple[str, str], Mapping[str, float]]]) -> Fits:
+    """Step 2 for one person: with penalty, from the group's means.
+
+    Args:
+      unit: path of the recording, and task and structure to the start.
+    """
+    path, starts = unit
+    return _fit(
+        path,
+        {
+            (condition, model): start
+            for condition in published.conditions()
+            if published.has_multisine(condition)
+            for (task, model), start in starts.items()
+            if condition.startswith(task)
+        },
+        use_penalty=True,
+    )
+
+
+def _fit(
+    path: Path, wanted: Mapping[tuple[str, str], Mapping[str, float] | None], *, use_penalty: bool = False
+) -> Fits:
+    recording = load_signals(path)
+    name = str(recording["subject"].values[0])
+    estimates: dict[tuple[str, str], ThesisEstimate] = {}
+    left_out = []
+    for (condition, model), initial in wanted.items():
+        inside = inside_workspace(of_condition(recording, condition))
+        if not inside.sizes["trial"]:
+            continue
+        try:
+            estimates[condition, model] = fit_trials(
+                inside, model, initial=initial, use_penalty=use_penalty, start=WINDOW_START
+            )
+        except ValueError as error:
+            left_out.append(f"{name} in {condition}, model {model}, was not fitted: {error}")
+    return Fits(name, estimates, tuple(left_out))

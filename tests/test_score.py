@@ -1,0 +1,273 @@
+"""A study beside the published tables: every cell, the headline numbers, and what cannot be computed and why."""
+
+import csv
+import json
+import math
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armperturb.analysis.thesis import fit_trials, join_estimates
+from armperturb.cli import main
+from armperturb.recording import load_recording
+from armperturb.study import measure, published
+from armperturb.study.cells import Cell, measured_cells, published_cells
+from armperturb.study.headlines import PULSED, headlines
+from armperturb.study.measure import PersonMeasures, PulseMeans, measure_person
+from armperturb.study.published import MeanSD
+from armperturb.study.runner import inside_workspace, of_condition
+from armperturb.study.score import NOT_ASKED, Score, ScoredCell, score, score_text, share, shares, write_score
+from armperturb.study.store import find_recordings
+
+HEADER = "table,condition,quantity,published_mean,published_sd,ours,ours_sd,z"
+
+
+@pytest.fixture(scope="module")
+def folder(study):
+    return study.of("PT7.5")[0].recording.parents[1]
+
+
+@pytest.fixture(scope="module")
+def result(folder):
+    return score(folder, workers=1, show_progress=False)
+
+
+@pytest.fixture(scope="module")
+def fitted(folder):
+    """With appendix C, of its first structure alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measure, "APPENDIX_C_MODELS", ("1",))
+        return score(folder, appendix_c=True, workers=1, show_progress=False)
+
+
+def of(result):
+    return {one.cell: one for one in result.cells}
+
+
+def named(result):
+    return {one.name: one for one in result}
+
+
+def test_every_published_cell_is_there_once(result):
+    assert len(result.cells) == len(of(result)) == 126 + 2108
+    assert published_cells().keys() <= of(result).keys()
+    assert all(math.isfinite(one.ours.mean) != bool(one.reason) for one in result.cells)
+
+
+def test_cells_are_means_over_people(study, result):
+    each = [measured_cells(load_recording(case.recording)) for case in study.of("PT7.5")]
+    for cell in (Cell("2.1", "PT7.5", "rms_displacement"), Cell("F.3", "PT7.5", "peak_velocity_max_e")):
+        values = [cells[cell] for cells in each]
+        one = of(result)[cell]
+        assert one.ours == pytest.approx((np.mean(values), np.std(values, ddof=1)))
+        assert one.z == pytest.approx((np.mean(values) - one.published.mean) / one.published.sd)
+
+
+def test_what_is_missing_has_a_reason(result):
+    reasons = {cell: one.reason for cell, one in of(result).items() if one.reason}
+    assert reasons[Cell("F.2", "RT2.5", "rms_velocity_s")] == "RT2.5 was not recorded"
+    assert reasons[Cell("2.1", "PT0", "peak_displacement_max")] == "nobody's trials give it"
+    assert reasons[Cell("C.8", "PT7.5", "k_s model 3")] == NOT_ASKED
+    text = score_text(result)
+    assert "2.1, RT2.5: 3 cells: RT2.5 was not recorded" in text
+    assert f"C.3 to C.22: 2108 cells: {NOT_ASKED}" in text
+    assert "S01: trial" in text
+    assert "after its pulse began; expected more than 1 s in RT" in text
+
+
+def test_files(result, tmp_path):
+    path = write_score(result, tmp_path / "new" / "score")
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert ",".join(rows[0]) == HEADER
+    assert len(rows) == len(result.cells)
+    for row, one in zip(rows, result.cells, strict=True):
+        assert Cell(row["table"], row["condition"], row["quantity"]) == one.cell
+        assert float(row["z"]) == pytest.approx(one.z, nan_ok=True)
+    assert (path.parent / "headlines.csv").read_text().startswith("name,published,ours,unit,remark\n")
+    assert (path.parent / "score.txt").read_text() == score_text(result) + "\n"
+
+
+def test_appendix_c_is_what_the_estimator_gives(study, fitted):
+    def trials(condition):
+        return [inside_workspace(of_condition(load_recording(case.recording), condition)) for case in study.of("PT7.5")]
+
+    first = join_estimates([fit_trials(one, "1", use_penalty=False) for one in trials("RT7.5")])
+    second = join_estimates([fit_trials(one, "1", initial=first.start()) for one in trials("RT22.5")])
+    cells = of(fitted)
+    place = first.parameters.index("k_se")
+    for table, condition, estimate in (("C.13", "RT7.5", first), ("C.20", "RT22.5", second)):
+        mean, sd = estimate.over_subjects(estimate.values)
+        assert cells[Cell(table, condition, "k_se model 1")].ours == pytest.approx((mean[place], sd[place]))
+        sem = estimate.over_subjects(estimate.sem)[0][place]
+        next_table = f"C.{int(table[2:]) + 1}"
+        assert cells[Cell(next_table, condition, "SEM k_se model 1")].ours.mean == pytest.approx(sem)
+    criterion = second.criterion
+    assert cells[Cell("C.22", "RT22.5", "criterion model 1")].ours == pytest.approx(
+        (criterion.mean(), criterion.std(ddof=1))
+    )
+    assert cells[Cell("C.22", "RT22.5", "VAF_y model 1")].ours.mean == pytest.approx(second.mean_vaf()[0][1])
+    assert cells[Cell("C.22", "RT22.5", "N_pos model 1")].ours.mean == second.n_positive / 2
+    assert (
+        cells[Cell("C.15", "RT7.5", "N_stab model 1")].published.mean
+        == published.goodness_of_fit("N_stab", "C.15", model="1", condition="RT7.5") / 40
+    )
+
+
+def test_appendix_c_says_what_is_missing(fitted):
+    cells = of(fitted)
+    assert cells[Cell("C.16", "RT2.5", "k_s model 1")].reason == "RT2.5 was not recorded"
+    assert cells[Cell("C.18", "RT7.5", "k_s model 2")].reason == "nobody's trials could be fitted"
+    assert NOT_ASKED not in score_text(fitted)
+
+
+def test_workers_change_nothing(folder, result):
+    assert score_text(score(folder, workers=2, show_progress=False)) == score_text(result)
+
+
+def test_shares():
+    def cell(z, sd=1.0, ours_sd=1.0, table="2.1"):
+        return ScoredCell(
+            cell=Cell(table, "PT7.5", f"{z}"), published=MeanSD(10.0, sd), ours=MeanSD(10.0 + z * sd, ours_sd)
+        )
+
+    missing = ScoredCell(
+        cell=Cell("2.1", "PT0", "a"), published=MeanSD(1.0, 1.0), ours=MeanSD(math.nan, math.nan), reason="gone"
+    )
+    without_sd = cell(0.0, sd=math.nan)
+    cells = (cell(0.4), cell(-0.6, ours_sd=3.0), cell(1.5, sd=2.0), cell(-7.0), missing, without_sd)
+    assert share(cells) == (5, 4, (1, 2, 3), 1.0)
+    result = Score(people=1, cells=(*cells, cell(0.1, table="C.8")), headlines=(), remarks=())
+    found = shares(result)
+    assert found["2.1 and F"] == found["2.1 and F, PT"] == found["2.1"]
+    assert found["2.1 and F, RT"][:2] == (0, 0)
+    assert found["C"].within == (1, 1, 1)
+    assert found["total"][:2] == (6, 5)
+    assert share([missing]).within == (0, 0, 0)
+
+
+def person(name, factor=1.0, **changes):
+    """Somebody whose numbers are those of the text."""
+    admittance = {
+        **{("PT0", "min"): 1.0, ("PT0", "max"): 1.3, ("PT2.5", "max"): 1.2, ("PT7.5", "min"): 0.6},
+        **{("PT7.5", "max"): 0.9, ("PT22.5", "max"): 0.8},
+        **{("RT0", "min"): 4.0, ("RT2.5", "min"): 4.1, ("RT7.5", "min"): 4.6, ("RT22.5", "min"): 5.4},
+    }
+    draw = np.random.default_rng(sum(map(ord, name)))
+    measured = PersonMeasures(
+        name=name,
+        conditions=tuple(published.conditions()),
+        cells={},
+        low_gain={
+            condition: factor * gain * np.array([[1.0, 2.0], [3.0, 4.0]])
+            for condition, gain in {
+                **{"PT2.5": 1.5, "PT7.5": 1.2, "PT22.5": 1.0},
+                **{"RT2.5": 10.0, "RT7.5": 21.6, "RT22.5": 38.0},
+            }.items()
+        },
+        pulses={
+            (condition, level): PulseMeans(
+                displacement=factor * (0.21 if condition.startswith("RT") else 0.06),
+                admittance=factor * value * (1.0 + 0.02 * draw.standard_normal()),
+                prediction={"PT2.5": 40.0, "RT22.5": 80.0}.get(condition, 50.0),
+                excess={"PT2.5": 2.5, "RT22.5": 1.25}.get(condition, 2.0),
+            )
+            for (condition, level), value in admittance.items()
+        },
+        left_out=(),
+    )
+    return replace(measured, **changes)
+
+
+def test_headlines_of_people_who_are_as_the_text_says():
+    found = named(
+        headlines([person(name, factor) for name, factor in zip("ABCDE", (0.5, 1.0, 1.5, 2.0, 1.2), strict=True)])
+    )
+    for name in ("admittance_ratio_rt7.5_pt7.5", "admittance_amplitude_factor_pt", "admittance_amplitude_factor_rt"):
+        assert found[name].ours == pytest.approx(float(found[name].published))
+    assert found["pulse_admittance_ratio_max_min_pt0"].ours == pytest.approx(1.3, rel=0.05)
+    assert found["pulse_admittance_ratio_max_min_pt7.5"].ours == pytest.approx(1.5, rel=0.05)
+    assert found["p_pulse_admittance_level_pt7.5"].ours < 0.05
+    assert found["peak_displacement_ratio_rt_pt_min_level"].ours == pytest.approx(3.5)
+    assert found["pulse_prediction_low"].ours == pytest.approx(40.0)
+    assert found["pulse_prediction_high"].ours == pytest.approx(80.0)
+    assert found["pulse_excess_max"].ours == pytest.approx(2.5)
+    assert found["pulse_underprediction_factor"].ours == pytest.approx((2.5 + 1.25 + 5 * 2.0) / 7)
+    assert found["pulse_prediction_increase_rt2.5_rt22.5_min"].ours == pytest.approx(30.0)
+    assert found["pulse_admittance_PT22.5_over_PT0"].ours < 1 < found["pulse_admittance_RT2.5_over_RT0"].ours
+    assert found["p_pulse_admittance_anova_rt"].ours < 0.05
+    assert found["p_pulse_admittance_pt0_pt2.5"].published == "ns"
+    assert all(math.isfinite(one.ours) for one in found.values())
+
+
+def test_headlines_say_what_they_lack():
+    lonely = person("A", pulses={}, low_gain={})
+    found = headlines([lonely])
+    assert all(math.isnan(one.ours) and one.remark for one in found)
+    assert len(found) == len(headlines([person("A")]))
+    few = named(headlines([person("A"), person("B"), lonely]))
+    assert few["p_pulse_admittance_anova_pt"].remark == "fewer than 3 people"
+    assert math.isfinite(few["pulse_admittance_PT2.5_over_PT0"].ours)
+    none = person("C")
+    none = replace(none, pulses={key: value for key, value in none.pulses.items() if key != PULSED["RT"][1]})
+    some = named(headlines([none]))
+    assert some["p_pulse_admittance_anova_rt"].remark == "nobody has all of RT0, RT2.5, RT7.5, RT22.5"
+    assert "1 of 7 conditions are missing" in some["pulse_underprediction_factor"].remark
+
+
+def test_pulses_of_a_person(study):
+    case = study.of("PT7.5")[0]
+    measured = measure_person(case.recording)
+    assert measured.name == "S01"
+    assert measured.pulses.keys() == {("PT0", "min"), ("PT7.5", "min"), ("PT7.5", "max")}
+    assert math.isnan(measured.pulses["PT0", "min"].prediction)
+    for level in ("min", "max"):
+        pulse = measured.pulses["PT7.5", level]
+        assert 50 < pulse.prediction < 200  # a linear person
+        assert pulse.excess == pytest.approx(100.0 / pulse.prediction)  # of one trial
+        assert pulse.displacement == pytest.approx(measured.cells[Cell("2.1", "PT7.5", f"peak_displacement_{level}")])
+    assert measured.low_gain.keys() == {"PT2.5", "PT7.5", "RT7.5", "RT22.5"}
+    arm = case.identified.spectra.arm[:2]
+    np.testing.assert_allclose(measured.low_gain["PT7.5"], np.abs(np.diagonal(arm, axis1=1, axis2=2)))
+
+
+def test_a_study_that_is_not_finished(folder, tmp_path):
+    copy = tmp_path / "study"
+    shutil.copytree(folder, copy)
+    (copy / "recordings" / "S02.nc").unlink()
+    partial = score(copy, show_progress=False)
+    assert partial.people == 1
+    assert partial.remarks[0] == "the study is incomplete: 1 of 2 people have no whole recording"
+    assert math.isnan(of(partial)[Cell("2.1", "PT7.5", "rms_force")].ours.sd)
+    shutil.copy(copy / "recordings" / "S01.nc", copy / "recordings" / "S02.nc")
+    paths, remarks = find_recordings(copy)
+    assert [path.stem for path in paths] == ["S01"]
+    assert remarks[0] == "S02.nc does not match its checksum; it is left out"
+    (copy / "manifest.json").write_text(json.dumps({}))
+    with pytest.raises(ValueError, match=r"manifest\.json: no number of subjects"):
+        find_recordings(copy)
+    for name in ("manifest.json", "recordings/SHA256SUMS"):
+        (copy / name).unlink()
+    assert find_recordings(copy) == (sorted((copy / "recordings").glob("*.nc")), [])
+    (copy / "recordings" / "SHA256SUMS").write_text("")
+    assert len(find_recordings(copy)[0]) == 2
+
+
+def test_command(folder, result, tmp_path, capsys):
+    before = sorted(folder.rglob("*"))
+    assert main(["score", str(folder), "--out", str(tmp_path / "out"), "--workers", "1"]) == 0
+    assert capsys.readouterr().out == f"{score_text(result)}\nresults: {tmp_path / 'out'}\n"
+    assert (tmp_path / "out" / "score.csv").is_file()
+    assert sorted(folder.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [([], "holds no recordings/*.nc; expected the folder of a study"), (["--workers", "0"], "workers = 0; expected")],
+)
+def test_command_refuses(tmp_path, capsys, arguments, message):
+    assert main(["score", str(tmp_path), *arguments]) == 1
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
