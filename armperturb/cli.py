@@ -17,7 +17,7 @@ from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.perturbations import load_csv
 from armperturb.recording import join_recordings, load_recording, save_recording
-from armperturb.subject import Subject
+from armperturb.subject import TASKS, Subject
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,6 +141,20 @@ class Score:
     person."""
     workers: int | None = None
     """Number of processes; by default about one per core. No effect on the files."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrate:
+    """Find the average person around whom cohorts are drawn, from the published tables 2.1, F.2, F.3 and F.4."""
+
+    out: Path
+    """TOML file to write; the package's own is armperturb/average_person.toml."""
+    laws: tuple[Literal["linear", "short-range", "full"], ...] = ("full",)
+    """Muscle laws to calibrate; the person that is written is that of the full law, the others are for comparison."""
+    seed: int = 0
+    """Of the multisines."""
+    iterations: int = 20
+    """At most as many steps of the search."""
 
 
 def study(settings: Study) -> Path:
@@ -278,6 +292,39 @@ def score(settings: Score) -> str:
     return score_text(result)
 
 
+def calibrate(settings: Calibrate) -> str:
+    """Calibrate, write the average person, and return a summary to print.
+
+    Raises:
+      TypeError: a setting has the wrong type.
+      ValueError: a setting is out of its range, or the full law is left out.
+      RuntimeError: a search ended with a person who leaves the workspace.
+      OSError: the file cannot be written.
+    """
+    # Here, so that the other commands start without what a study needs.
+    from armperturb.study.calibrate import calibrate as search
+    from armperturb.study.calibrate import save_calibrations, summary
+
+    if "full" not in settings.laws:
+        raise ValueError(f"laws = {settings.laws!r}; expected 'full' among them, as its person is written")
+    if not settings.out.parent.is_dir():
+        raise FileNotFoundError(f"{settings.out}: folder {settings.out.parent} does not exist; expected one that does")
+    found = []
+    for law in dict.fromkeys(settings.laws):
+        for task in TASKS:
+
+            def tell(line: str, name: str = f"{law}, {task}") -> None:
+                print(f"{name}: {line}", file=sys.stderr, flush=True)
+
+            found.append(search(task, law, seed=settings.seed, max_iterations=settings.iterations, progress=tell))
+    save_calibrations(settings.out, found)
+    return "\n".join(
+        f"{row['law']}, {row['task']}, {row['n']} cells {row['cells']}: {row['within_0.5_sd']:.0%} within 0.5, "
+        f"{row['within_1_sd']:.0%} within 1, {row['within_2_sd']:.0%} within 2 SD; RMS {row['rms_deviation']:.2f} SD"
+        for row in summary(found)
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line and run it.
 
@@ -288,7 +335,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
       The exit status: 0, 1 for an input that is refused (one line on stderr says why), 130 for Ctrl-C.
     """
     command = tyro.cli(
-        Study | Simulate | Identify | Validate | Score,
+        Study | Simulate | Identify | Validate | Calibrate | Score,
         prog="armperturb",
         description="Human-arm perturbation experiments on synthetic people in MuJoCo, and their analysis.",
         args=arguments,
@@ -306,6 +353,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif isinstance(command, Validate):
             print(validate(command))
             print(f"results: {command.out}")
+        elif isinstance(command, Calibrate):
+            print(calibrate(command))
+            print(f"average person: {command.out}")
         else:
             for condition, result in identify(command).items():
                 fit, vaf = result.fit, result.vaf

@@ -2,8 +2,9 @@
 
 The objective, in the unknowns' logarithms: squared deviations of the calibrated cells from their published means, in
 published standard deviations, plus squared deviations of the unknowns from what is typical, in the factors that the
-literature leaves open. The average person is simulated without noise under the published mean forces; nothing else of
-the thesis is seen. It is minimised by trust regions (Gauss-Newton); all slopes of an iteration are one batch.
+literature leaves open, plus how much nearer to instability than others the person is. The average person is simulated
+without noise under the published mean forces; nothing else of the thesis is seen. The objective is minimised by trust
+regions (Gauss-Newton); all slopes of an iteration are one batch.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +19,7 @@ from scipy import optimize
 
 from armperturb.analysis.arm_model import largest_real_pole
 from armperturb.analysis.pulse import WINDOWS
-from armperturb.cohort import Person, average_body
+from armperturb.cohort import STABILITY_MARGIN, Person, average_body
 from armperturb.environment import Environment
 from armperturb.envs.experiment import run_experiment
 from armperturb.files import written_whole
@@ -48,8 +49,12 @@ SLOPE_STEP = 0.03
 WIDEST = 3.0
 """Unknowns stay within this many of their factors [-]."""
 
-MARGIN = 0.3
-"""Poles of the linear arms between which a candidate works lie left of minus this [1/s]."""
+MARGIN = STABILITY_MARGIN
+"""Poles of the linear arms between which a candidate works should lie left of minus this [1/s], as those of drawn
+people do. A condition in which one lies to the right of it adds to the objective."""
+
+MARGIN_SD = 0.25
+"""How far to the right counts as one standard deviation [1/s]."""
 
 TOLERANCE = 2e-3
 """The search ends when an iteration lowers the objective by less than this share."""
@@ -69,14 +74,16 @@ class Unknown(NamedTuple):
 
     Attributes:
       name: in a person's dictionary of unknowns.
-      typical: value that the literature makes likely, where the search starts.
+      typical: value that the literature makes likely.
       factor: one standard deviation of it, as a factor.
+      start: where the search starts, if not there: people with typical values of everything may be unstable.
       slope_down: whether slopes are taken towards smaller values, as larger ones may be unstable.
     """
 
     name: str
     typical: float
     factor: float
+    start: float | None = None
     slope_down: bool = False
 
 
@@ -98,40 +105,40 @@ _TYPICAL: dict[str, tuple[Unknown, ...]] = {
         Unknown("b_s", 0.75, 2.0),
         Unknown("b_se", 1.4, 2.0),
         Unknown("b_e", 0.5, 2.0),
-        Unknown("S_s", 11.0, 1.8),
-        Unknown("S_se", 8.0, 1.8),
-        Unknown("S_e", 11.0, 1.8),
-        Unknown("L", 0.55, 1.8),
-        Unknown("c", 0.7, 2.0),
+        Unknown("S_s", 11.0, 2.5),
+        Unknown("S_se", 11.0, 2.5),
+        Unknown("S_e", 11.0, 2.5),
+        Unknown("L", 0.7, 2.5),
+        Unknown("c", 0.5, 2.0),
         Unknown("A", 30.0, 2.7),
         Unknown("T", 1.7, 3.3),
         Unknown("w", 0.13, 2.2),
     ),
     "PT": (
-        Unknown("k_s", 30.0, 2.2),
-        Unknown("k_se", 60.0, 2.2),
-        Unknown("k_e", 50.0, 2.2),
-        Unknown("b_s", 4.0, 2.2),
-        Unknown("b_se", 5.0, 2.2),
-        Unknown("b_e", 6.0, 2.2),
-        Unknown("kv_s", 5.0, 2.2),
-        Unknown("kv_se", 12.0, 2.2),
-        Unknown("kv_e", 10.0, 2.2),
+        Unknown("k_s", 30.0, 2.2, start=20.0),
+        Unknown("k_se", 60.0, 2.2, start=50.0),
+        Unknown("k_e", 50.0, 2.2, start=35.0),
+        Unknown("b_s", 2.5, 2.7),
+        Unknown("b_se", 3.0, 2.7, start=3.5),
+        Unknown("b_e", 4.0, 2.7, start=5.0),
+        Unknown("kv_s", 5.0, 2.2, start=2.0),
+        Unknown("kv_se", 12.0, 2.2, start=5.0),
+        Unknown("kv_e", 10.0, 2.2, start=4.0),
         Unknown("kp_s", 5.0, 2.7),
-        Unknown("kp_se", 15.0, 2.7),
-        Unknown("kp_e", 15.0, 2.7),
+        Unknown("kp_se", 15.0, 2.7, start=12.0),
+        Unknown("kp_e", 15.0, 2.7, start=10.0),
         Unknown("S_s", 40.0, 2.2),
         Unknown("S_se", 60.0, 2.2),
         Unknown("S_e", 40.0, 2.2),
         Unknown("L", 0.8, 1.8),
-        Unknown("c", 0.7, 2.0),
+        Unknown("c", 0.5, 2.0),
         Unknown("A", 40.0, 2.7),
         Unknown("T", 1.7, 2.7),
-        Unknown("w", 1.0, 2.7),
+        Unknown("w", 1.5, 2.7),
         Unknown("w_s", 1.5, 2.7),
-        Unknown("level PT0", 0.5, 1.6, True),
-        Unknown("level PT2.5", 0.5, 1.6, True),
-        Unknown("level PT22.5", 1.5, 1.4, True),
+        Unknown("level PT0", 0.5, 1.6, slope_down=True),
+        Unknown("level PT2.5", 0.5, 1.6, slope_down=True),
+        Unknown("level PT22.5", 1.5, 1.4, slope_down=True),
     ),
 }
 
@@ -247,10 +254,10 @@ def simulated_cells(
       progress: called with the simulated seconds since the last call.
 
     Returns:
-      Per candidate its cells, SI; None for one that is unstable, or near to it, or leaves the workspace.
+      Per candidate its cells, SI; None for one that is unstable or leaves the workspace.
     """
     environment = environment or Environment()
-    able = [number for number, candidate in enumerate(candidates) if _is_steady(candidate, environment)]
+    able = [number for number, candidate in enumerate(candidates) if poles(candidate, environment).max() < 0]
     found: dict[int, dict[Cell, float]] = {number: {} for number in able}
     if able:
         continuous, alone = schedules(candidates[0].subject.task)
@@ -278,14 +285,15 @@ def simulated_cells(
     ]
 
 
-def _is_steady(candidate: Candidate, environment: Environment) -> bool:
-    arms = (
-        arm
-        for protocol in schedules(candidate.subject.task)
-        for condition in protocol.conditions
-        for arm in condition.subject_of(candidate.person).linear_arms
+def poles(candidate: Candidate, environment: Environment) -> Array:
+    """Largest real part over the linear arms between which the candidate works, per condition [1/s], (condition,)."""
+    return np.array(
+        [
+            max(largest_real_pole(arm, environment) for arm in condition.subject_of(candidate.person).linear_arms)
+            for protocol in schedules(candidate.subject.task)
+            for condition in protocol.conditions
+        ]
     )
-    return all(largest_real_pole(arm, environment) < -MARGIN for arm in arms)
 
 
 def _cells(task: str, tables: Sequence[str]) -> dict[Cell, MeanSD]:
@@ -383,7 +391,7 @@ def calibrate(
         n_threads=n_threads,
         progress=progress or (lambda line: None),
     )
-    start = np.zeros(len(sought))
+    start = np.array([np.log((u.start or u.typical) / u.typical) / np.log(u.factor) for u in sought])
     if search.residuals([start])[0] is None:
         raise RuntimeError(f"calibrate: the typical person in {task} is unstable or leaves the workspace")
     solution = optimize.least_squares(
@@ -426,24 +434,33 @@ class _Search:
             for unknown, step in zip(self.unknowns, point, strict=True)
         }
 
+    @property
+    def n_residuals(self) -> int:
+        """Cells, unknowns and conditions."""
+        n_conditions = sum(len(protocol.conditions) for protocol in schedules(self.task))
+        return len(_cells(self.task, CALIBRATED)) + len(self.unknowns) + n_conditions
+
     def residuals(self, points: Sequence[Array]) -> list[Array | None]:
-        """Deviations of cells and of unknowns, in their standard deviations; None where nothing can be simulated."""
+        """Deviations of cells, unknowns and poles, in standard deviations; None where nothing can be simulated."""
         candidates = [Candidate.of(self.task, self.values(point)) for point in points]
         answers = simulated_cells(candidates, self.seeds, environment=self.environment, n_threads=self.n_threads)
         wanted = _cells(self.task, CALIBRATED)
-        return [
-            None
-            if cells is None
-            else np.array([*((cells[cell] - value.mean) / value.sd for cell, value in wanted.items()), *point])
-            for cells, point in zip(answers, points, strict=True)
-        ]
+        found: list[Array | None] = []
+        for candidate, cells, point in zip(candidates, answers, points, strict=True):
+            if cells is None:
+                found.append(None)
+                continue
+            deviations = [(cells[cell] - value.mean) / value.sd for cell, value in wanted.items()]
+            too_far = np.maximum(poles(candidate, self.environment) + MARGIN, 0.0) / MARGIN_SD
+            found.append(np.concatenate([deviations, point, too_far]))
+        return found
 
     def one(self, point: Array) -> Array:
         """Residuals at a point; infinite where nothing can be simulated, so that the search turns back."""
         found = self.residuals([point])[0]
         if found is None:
             self.progress("unstable, or out of the workspace: a smaller step")
-            return np.full(len(_cells(self.task, CALIBRATED)) + len(point), np.inf)
+            return np.full(self.n_residuals, np.inf)
         self.progress(f"objective {np.sum(found**2):.2f}")
         return found
 
