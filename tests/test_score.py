@@ -117,6 +117,11 @@ def test_appendix_c_is_what_the_estimator_gives(study, fitted):
     )
 
 
+def test_estimates_that_cannot_be_joined():
+    with pytest.raises(ValueError, match="estimates of structures none; expected one structure"):
+        join_estimates([])
+
+
 def test_appendix_c_says_what_is_missing(fitted):
     cells = of(fitted)
     assert cells[Cell("C.16", "RT2.5", "k_s model 1")].reason == "RT2.5 was not recorded"
