@@ -29,7 +29,7 @@ def pulsed(task, **options):
     return Trial(
         subject=replace(task, **options),
         perturbation=MultisineThenPulse.join(
-            Multisine.draw(seed=1, rms=5.4 if task is POSITION else 0.9, duration=10.0, crested=False),
+            Multisine.draw(seed=1, rms=5.4 if task is POSITION else 0.9, duration=4.0, crested=False),
             peak=100.0 if task is POSITION else 50.0,
             direction_deg=20.0,
             tail=1.5,

@@ -25,8 +25,39 @@ def test_units_are_si():
         lambda: published.joint_motion("PT0", "s", "rms_rotation"),
         lambda: published.parameter("PT2.5", "k_s"),
         lambda: published.parameter("PT7.5", "kf_s"),
+        lambda: published.peak_displacement("RT0", "max"),
+        lambda: published.headline_text("no such number"),
     ],
 )
 def test_what_is_not_printed_is_a_key_error(call):
     with pytest.raises(KeyError, match=r"no "):
         call()
+
+
+def test_conditions_are_those_of_table_2_1():
+    assert published.conditions() == ("PT0", "PT2.5", "PT7.5", "PT22.5", "RT0", "RT2.5", "RT7.5", "RT22.5")
+    assert [name for name in published.conditions() if not published.has_multisine(name)] == ["PT0", "RT0"]
+    assert published.pulse_levels("PT7.5") == ("min", "max")
+    assert published.pulse_levels("RT22.5") == ("min",)
+    assert published.pulse_levels("PT5") == ()
+    assert published.peak_displacement("PT7.5", "max") == pytest.approx((0.0914, 0.0118))
+
+
+def test_entries_are_all_there():
+    assert len(published.joint_motions()) == len(set(published.joint_motions())) == 104
+    entries = published.appendix_c()
+    assert [int(entry.table[2:]) for entry in entries] == sorted(int(entry.table[2:]) for entry in entries)
+    assert len(entries) == 2108
+    for entry in entries[::50]:
+        if entry.parameter:
+            expected = published.estimate(entry.parameter, entry.table, model=entry.model, quantity=entry.quantity)
+            assert entry.value == expected
+    shares = [entry.value for entry in entries if entry.quantity.startswith("N_")]
+    assert len(shares) == 60
+    assert all(0.0 < value.mean <= 1.0 and math.isnan(value.sd) for value in shares)
+
+
+def test_headlines_stand_as_printed():
+    assert published.headline_text("p_pulse_admittance_anova_rt") == "0.000"
+    assert published.headline_text("p_pulse_admittance_pt0_pt2.5") == "ns"
+    assert published.headline("pulse_underprediction_factor") == 1.7

@@ -11,13 +11,13 @@ import pytest
 
 from armperturb.analysis.thesis import fit_trials, join_estimates
 from armperturb.cli import main
-from armperturb.recording import load_recording
+from armperturb.recording import load_recording, save_recording
 from armperturb.study import measure, published
 from armperturb.study.cells import Cell, measured_cells, published_cells
 from armperturb.study.headlines import PULSED, headlines
-from armperturb.study.measure import PersonMeasures, PulseMeans, measure_person
+from armperturb.study.measure import PersonMeasures, PulseMeans, measure_person, multisine_part
 from armperturb.study.published import MeanSD
-from armperturb.study.runner import inside_workspace, of_condition
+from armperturb.study.runner import of_condition
 from armperturb.study.score import NOT_ASKED, Score, ScoredCell, score, score_text, share, shares, write_score
 from armperturb.study.store import find_recordings
 
@@ -92,7 +92,8 @@ def test_files(result, tmp_path):
 
 def test_appendix_c_is_what_the_estimator_gives(study, fitted):
     def trials(condition):
-        return [inside_workspace(of_condition(load_recording(case.recording), condition)) for case in study.of("PT7.5")]
+        recordings = [load_recording(case.recording) for case in study.of("PT7.5")]
+        return [multisine_part(of_condition(recording, condition))[0] for recording in recordings]
 
     first = join_estimates([fit_trials(one, "1", use_penalty=False) for one in trials("RT7.5")])
     second = join_estimates([fit_trials(one, "1", initial=first.start()) for one in trials("RT22.5")])
@@ -114,6 +115,11 @@ def test_appendix_c_is_what_the_estimator_gives(study, fitted):
         cells[Cell("C.15", "RT7.5", "N_stab model 1")].published.mean
         == published.goodness_of_fit("N_stab", "C.15", model="1", condition="RT7.5") / 40
     )
+
+
+def test_estimates_that_cannot_be_joined():
+    with pytest.raises(ValueError, match="estimates of structures none; expected one structure"):
+        join_estimates([])
 
 
 def test_appendix_c_says_what_is_missing(fitted):
@@ -231,6 +237,26 @@ def test_pulses_of_a_person(study):
     assert measured.low_gain.keys() == {"PT2.5", "PT7.5", "RT7.5", "RT22.5"}
     arm = case.identified.spectra.arm[:2]
     np.testing.assert_allclose(measured.low_gain["PT7.5"], np.abs(np.diagonal(arm, axis1=1, axis2=2)))
+
+
+def test_a_limit_harms_what_comes_after_it_alone(study, tmp_path):
+    recording = load_recording(study.of("PT7.5")[0].recording)[["perturbation", "force", "displacement"]]
+    whole = measure_person(study.of("PT7.5")[0].recording)
+    limits = recording["limit_time"].values.copy()
+    first, second = np.flatnonzero(recording["condition"].values == "RT7.5")
+    limits[first], limits[second] = 28.7, 20.0  # in the pulse, in the multisine
+    changed = recording.assign_coords(limit_time=("trial", limits))
+    part, kept = multisine_part(of_condition(changed, "RT7.5"))
+    assert kept.tolist() == [0]
+    assert part.sizes["time"] == round(28.6 * 200.0)
+    save_recording(changed, tmp_path / "S01.nc")
+    measured = measure_person(tmp_path / "S01.nc")
+    assert measured.low_gain.keys() == whole.low_gain.keys()
+    assert not np.allclose(measured.low_gain["RT7.5"], whole.low_gain["RT7.5"])
+    np.testing.assert_array_equal(measured.low_gain["PT7.5"], whole.low_gain["PT7.5"])
+    assert "S01 in RT7.5: a trial reached the workspace limit at 20.000 s, before its pulse; it is in no fit" in (
+        measured.left_out
+    )
 
 
 def test_a_study_that_is_not_finished(folder, tmp_path):

@@ -15,7 +15,7 @@ from armperturb.analysis.thesis import VARTHETA, ThesisEstimate, fit_trials
 from armperturb.recording import REQUIRED_SIGNALS, load_recording
 from armperturb.study import published
 from armperturb.study.cells import LEVELS, Cell, measure
-from armperturb.study.runner import MODELS, WINDOW_START, inside_workspace, of_condition
+from armperturb.study.runner import MODELS, WINDOW_START, of_condition
 
 Array = NDArray[np.float64]
 
@@ -88,6 +88,20 @@ def load_signals(path: Path) -> xr.Dataset:
     return load_recording(path)[list(REQUIRED_SIGNALS)]
 
 
+def multisine_part(recording: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int64]]:
+    """What comes before the first pulse, of the trials that stay inside the workspace until then, and which these are.
+
+    A pulse may well take the handle to the limit: that does not harm the multisine before it.
+    """
+    onsets, limits = recording["pulse_onset"].values, recording["limit_time"].values
+    end = recording.sizes["time"]
+    if np.isfinite(onsets).any():
+        end = min(end, round(float(np.nanmin(onsets)) * float(recording.attrs["rate"])))
+    kept = np.flatnonzero(~(limits * float(recording.attrs["rate"]) < end))
+    part = recording.isel(trial=kept, time=slice(0, end))
+    return part.assign_coords(limit_time=("trial", np.full(len(kept), np.nan))), kept
+
+
 def measure_person(path: Path) -> PersonMeasures:
     """All that needs one fit per trial.
 
@@ -109,18 +123,25 @@ def measure_person(path: Path) -> PersonMeasures:
         mine = of_condition(recording, condition)
         if not mine.sizes["trial"]:
             continue
-        inside, estimate = inside_workspace(mine), None
-        if published.has_multisine(condition) and inside.sizes["trial"]:
+        estimate, fitted = None, np.empty(0, dtype=int)
+        if published.has_multisine(condition):
+            part, fitted = multisine_part(mine)
+            left_out += [
+                f"{name} in {condition}: a trial reached the workspace limit at {limit:.3f} s, before its pulse; it is "
+                "in no fit"
+                for limit in np.delete(mine["limit_time"].values, fitted)
+            ]
             try:
-                spectra = estimate_spectra(line_spectra(inside, start=WINDOW_START))
-                low_gain[condition] = np.abs(np.diagonal(spectra.arm, axis1=1, axis2=2))[:N_LOW]
-                task = str(inside["task"].values[0])
-                estimate = fit_trials(inside, MODELS[task], initial=STARTS[task], start=WINDOW_START)
+                if len(fitted):
+                    spectra = estimate_spectra(line_spectra(part, start=WINDOW_START))
+                    low_gain[condition] = np.abs(np.diagonal(spectra.arm, axis1=1, axis2=2))[:N_LOW]
+                    task = str(part["task"].values[0])
+                    estimate = fit_trials(part, MODELS[task], initial=STARTS[task], start=WINDOW_START)
             except ValueError as error:
                 left_out.append(f"{name} in {condition} was not fitted: {error}")
         if estimate is not None:
             left_out += [f"{name}, {line}" for line in _unstable(estimate, condition)]
-        for level, means in _pulses(mine, estimate).items():
+        for level, means in _pulses(mine, estimate, fitted).items():
             pulses[condition, level] = means
     return PersonMeasures(
         name=name,
@@ -142,12 +163,11 @@ def _unstable(estimate: ThesisEstimate, condition: str) -> list[str]:
     ]
 
 
-def _pulses(recording: xr.Dataset, estimate: ThesisEstimate | None) -> dict[str, PulseMeans]:
-    """Level to the means over its trials; each trial inside the workspace is predicted by its own fit."""
+def _pulses(recording: xr.Dataset, estimate: ThesisEstimate | None, fitted: NDArray[np.int64]) -> dict[str, PulseMeans]:
+    """Level to the means over its trials; each trial that was fitted is predicted by its own fit."""
     peaks = pulse_peaks(recording)
     predicted = np.full(len(peaks.displacement), np.nan)
     if estimate is not None:
-        fitted = np.flatnonzero(np.isnan(recording["limit_time"].values))
         for trial, fit in zip(fitted, estimate.fits, strict=True):
             if fit.stable:
                 predicted[trial] = predicted_peaks(recording.isel(trial=[trial]), fit.arm, estimate.environment)[0]
@@ -199,12 +219,12 @@ def _fit(
     estimates: dict[tuple[str, str], ThesisEstimate] = {}
     left_out = []
     for (condition, model), initial in wanted.items():
-        inside = inside_workspace(of_condition(recording, condition))
-        if not inside.sizes["trial"]:
+        part, fitted = multisine_part(of_condition(recording, condition))
+        if not len(fitted):
             continue
         try:
             estimates[condition, model] = fit_trials(
-                inside, model, initial=initial, use_penalty=use_penalty, start=WINDOW_START
+                part, model, initial=initial, use_penalty=use_penalty, start=WINDOW_START
             )
         except ValueError as error:
             left_out.append(f"{name} in {condition}, model {model}, was not fitted: {error}")

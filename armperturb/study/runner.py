@@ -137,7 +137,7 @@ class Case:
 
     def trials(self) -> xr.Dataset:
         """The recorded trials behind the identification."""
-        return inside_workspace(of_condition(load_recording(self.recording), self.condition.name))
+        return _inside(of_condition(load_recording(self.recording), self.condition.name))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -488,7 +488,7 @@ def _identify_condition(
         f"trial {trial} of {truth.name} in {condition.name} reached the workspace limit at {limits[trial]:.3f} s"
         for trial in np.flatnonzero(np.isfinite(limits))
     ]
-    inside = inside_workspace(mine)
+    inside = _inside(mine)
     lasts = protocol.multisine_duration if condition.pulse_levels else protocol.trial_duration
     identification = thesis = None
     single_trials: tuple[SpectralEstimate, ...] = ()
@@ -537,7 +537,7 @@ def of_condition(recording: xr.Dataset, condition: str) -> xr.Dataset:
     return recording.isel(trial=np.flatnonzero(recording["condition"].values == condition))
 
 
-def inside_workspace(recording: xr.Dataset) -> xr.Dataset:
+def _inside(recording: xr.Dataset) -> xr.Dataset:
     """Trials that stayed off the workspace limit."""
     return recording.isel(trial=np.flatnonzero(np.isnan(recording["limit_time"].values)))
 
