@@ -29,14 +29,16 @@ from armperturb.subject import TASKS
 
 
 def typical(task, law="full"):
-    return {unknown.name: unknown.start or unknown.typical for unknown in unknowns(task, law)}
+    return {unknown.name: unknown.start for unknown in unknowns(task, law)}
 
 
 @pytest.fixture(scope="module")
 def linear():
-    """A linear candidate in RT and its cells."""
+    """A linear candidate in RT, and its cells without noise."""
     candidate = Candidate.of("RT", typical("RT", "linear"))
-    return candidate, simulated_cells([candidate], [3])[0]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_STEADY", {"RT": None})
+        return candidate, simulated_cells([candidate], [3])[0]
 
 
 @pytest.fixture(scope="module")
@@ -113,12 +115,21 @@ def test_linear_person_moves_as_theory_says(linear):
         assert cells[Cell("2.1", condition, "rms_force")] == pytest.approx(force, rel=1e-6)
 
 
-def test_candidates_are_the_same_alone_and_together(linear):
+def test_candidates_are_the_same_alone_and_together(linear, monkeypatch):
+    monkeypatch.setattr(module, "_STEADY", {"RT": None})
     candidate, cells = linear
     other = Candidate.of("RT", {**typical("RT", "linear"), "k_s": 6.0})
     together = simulated_cells([other, candidate], [3])
     assert together[1] == cells
     assert together[0] != cells
+
+
+def test_noise_moves_people_further(linear):
+    candidate, silent = linear
+    (noisy,) = simulated_cells([candidate], [3])
+    for condition in ("RT2.5", "RT7.5", "RT22.5"):
+        cell = Cell("2.1", condition, "rms_displacement")
+        assert 1.0 < noisy[cell] / silent[cell] < 1.5
 
 
 def test_unstable_candidates_have_no_cells():

@@ -156,19 +156,19 @@ def _unit_lowpass(order: int, cutoff: float, timestep: float) -> Array:
 
 HUMAN_NOISE = {
     "PT": HumanNoise(
-        remnant_share=0.51,
-        remnant_floor=0.70,
+        remnant_share=0.40,
+        remnant_floor=0.25,
         remnant_cutoff=1.5,
-        voluntary_share=0.20,
-        voluntary_floor=0.10,
+        voluntary_share=0.16,
+        voluntary_floor=0.08,
         spread_b=0.08,
         spread_k=0.08,
         spread_kv=0.08,
         spread_kp=0.08,
     ),
     "RT": HumanNoise(
-        remnant_share=0.92,
-        remnant_floor=0.06,
+        remnant_share=0.30,
+        remnant_floor=0.05,
         remnant_cutoff=8.0,
         spread_b=0.08,
         spread_k=0.08,
