@@ -38,7 +38,7 @@ class Study:
     """Where the forces come from, instead of what the protocol says: each person's practice session, or the protocol's
     own, the same for everyone."""
     muscles: Literal["nonlinear", "linear"] = "nonlinear"
-    """Whether people's muscles yield, around a calibrated average person, or are linear, so that estimates can be judged
+    """People around a calibrated average person, whose muscles yield, or linear ones, so that estimates can be judged
     by true values."""
     workers: int | None = None
     """Number of processes; by default about one per core. No effect on the files, nor have the next two."""

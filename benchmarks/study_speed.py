@@ -1,7 +1,7 @@
 """How long the simulation of the whole study takes, how much memory, and how much a plain loop would have taken.
 
 Run `python -m benchmarks.study_speed [--workers N] [--practice]`; about two minutes. The study is the thesis's (10
-people, 32 trials of 36 s) with published forces, noisy people with linear muscles and all instruments, from drawing people to files;
+linear people, 32 trials of 36 s) with published forces, noise and all instruments, from drawing people to files;
 `--practice` adds the practice session. Targets: at most 60 s on 4 cores (120 s on 2), less than 2 GiB, and at least 15
 times faster than the loop with 4 cores.
 

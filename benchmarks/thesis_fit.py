@@ -1,7 +1,7 @@
 """Time of the thesis's fit against scipy's `least_squares` with numerical derivatives on a plain loop over frequencies.
 
 Run by `python -m benchmarks.thesis_fit`; about 1 min. All minimise the criterion of eq. 2.19 (with penalty and Pade
-delay), model 3b from vartheta_i5, on the same noisy admittances of drawn people with linear muscles. "plain" and "published" do it on the
+delay), model 3b from vartheta_i5, on the same noisy admittances of linear people. "plain" and "published" do it on the
 modulus with the tolerances of appendix C; "fit" is `fit_admittance` as it comes, which goes on to the minimum. Time is
 that of the processor, as others may use the machine.
 """

@@ -1,6 +1,6 @@
 """Standard errors of the thesis's estimator on synthetic people against the published ones, and why it fails.
 
-Run by `python -m benchmarks.thesis_sem`; about 3 min. People of a cohort with noise, linear muscles, true instruments and practised
+Run by `python -m benchmarks.thesis_sem`; about 3 min. Linear people with noise, true instruments and practised
 forces do PT7.5; every trial is fitted as appendix E does, and by the same criterion carried to its minimum.
 
 Published SEMs exceed the values, and published estimates depend on their start. Both come back. SEMs are those of
