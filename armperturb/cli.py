@@ -37,6 +37,9 @@ class Study:
     forces: Literal["practice", "published"] | None = None
     """Where the forces come from, instead of what the protocol says: each person's practice session, or the protocol's
     own, the same for everyone."""
+    muscles: Literal["nonlinear", "linear"] = "nonlinear"
+    """People around a calibrated average person, whose muscles yield, or linear ones, so that estimates can be judged
+    by true values."""
     workers: int | None = None
     """Number of processes; by default about one per core. No effect on the files, nor have the next two."""
     dask: str | None = None
@@ -175,6 +178,7 @@ def study(settings: Study) -> Path:
         protocol=settings.protocol,
         ideal=settings.ideal,
         forces=settings.forces,
+        muscles=settings.muscles,
     )
     if settings.record_only:
         record_study(what, settings.out, workers=settings.workers, dask=settings.dask, block=settings.block)

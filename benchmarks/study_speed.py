@@ -1,7 +1,7 @@
 """How long the simulation of the whole study takes, how much memory, and how much a plain loop would have taken.
 
 Run `python -m benchmarks.study_speed [--workers N] [--practice]`; about two minutes. The study is the thesis's (10
-people, 32 trials of 36 s) with published forces, noisy people and all instruments, from drawing people to files;
+linear people, 32 trials of 36 s) with published forces, noise and all instruments, from drawing people to files;
 `--practice` adds the practice session. Targets: at most 60 s on 4 cores (120 s on 2), less than 2 GiB, and at least 15
 times faster than the loop with 4 cores.
 
@@ -76,7 +76,7 @@ def looped(trial: Trial, seconds: float) -> tuple[np.ndarray, float]:
 
 def loop_time() -> tuple[float, float]:
     """Time that the loop would take for all trials [s], and how far it is off the batch [-]."""
-    person = draw_cohort(1, 0)[0]
+    person = draw_cohort(1, 0, muscles="linear")[0]
     trials = THESIS.trials(person, THESIS.given_forces(), 0, 0, noisy=False)
     chosen = [
         trial for task in ("PT", "RT") for trial in trials if trial.subject.task == task and "0" not in trial.condition
@@ -126,7 +126,8 @@ def main(arguments: list[str] | None = None) -> None:
     memory.start()
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        record_study(StudySettings(subjects=N_SUBJECTS, forces=forces), Path(folder), workers=options.workers)
+        settings = StudySettings(subjects=N_SUBJECTS, forces=forces, muscles="linear")
+        record_study(settings, Path(folder), workers=options.workers)
         took = time.perf_counter() - start
     memory.stop()
     usage = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]

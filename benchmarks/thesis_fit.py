@@ -1,7 +1,7 @@
 """Time of the thesis's fit against scipy's `least_squares` with numerical derivatives on a plain loop over frequencies.
 
 Run by `python -m benchmarks.thesis_fit`; about 1 min. All minimise the criterion of eq. 2.19 (with penalty and Pade
-delay), model 3b from vartheta_i5, on the same noisy admittances of drawn people. "plain" and "published" do it on the
+delay), model 3b from vartheta_i5, on the same noisy admittances of linear people. "plain" and "published" do it on the
 modulus with the tolerances of appendix C; "fit" is `fit_admittance` as it comes, which goes on to the minimum. Time is
 that of the processor, as others may use the machine.
 """
@@ -86,7 +86,7 @@ def main() -> None:
     rng = np.random.default_rng(0)
     spent = {"plain": 0.0, "published": 0.0, "fit": 0.0}
     print(f"{'person':8}" + "".join(f"{name + ': V':>14} {'time':>9} {'ratio':>6}" for name in spent))
-    for person in draw_cohort(N_PEOPLE, 0):
+    for person in draw_cohort(N_PEOPLE, 0, muscles="linear"):
         arm = person.subjects["PT"]
         noise = rng.normal(size=(2, len(FREQUENCY), 2, 2))
         admittance = arm_admittance(arm, FREQUENCY, "pade") * np.exp(NOISE * (noise[0] + 1j * noise[1]))
@@ -106,7 +106,7 @@ def main() -> None:
     for name in ("published", "fit"):
         print(f"all together, {name}: {spent['plain'] / spent[name]:.0f} times faster than plain")
 
-    arm = draw_cohort(1, 0)[0].subjects["PT"]
+    arm = draw_cohort(1, 0, muscles="linear")[0].subjects["PT"]
     problem = prepared(FREQUENCY, arm_admittance(arm, FREQUENCY), None, arm, STRUCTURE, ENVIRONMENT, "pade")
     plain_error = error_in_a_loop(arm_admittance(arm, FREQUENCY), arm)
     ours = seconds(lambda: (problem.residual(START, True), problem.jacobian(START, True)))

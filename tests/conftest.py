@@ -99,6 +99,6 @@ def short_protocol(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def study(short_protocol, tmp_path_factory):
-    """Two noisy people who went through the short protocol."""
-    settings = StudySettings(subjects=2, seed=3, protocol=short_protocol)
+    """Two noisy people with linear muscles who went through the short protocol."""
+    settings = StudySettings(subjects=2, seed=3, protocol=short_protocol, muscles="linear")
     return run_study(settings, tmp_path_factory.mktemp("study"), show_progress=False)

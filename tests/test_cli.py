@@ -9,6 +9,7 @@ import pytest
 from armperturb import cli
 from armperturb.perturbations import Multisine, Pulse, save_csv
 from armperturb.recording import load_recording, save_recording
+from armperturb.study import runner
 from armperturb.subject import POSITION, RELAX
 
 
@@ -244,11 +245,21 @@ def test_bad_study_settings_are_refused(tmp_path, capsys):
     assert not (tmp_path / "s").exists()
 
 
+@pytest.mark.parametrize("muscles", [None, "nonlinear", "linear"])
+def test_study_draws_the_people_that_are_asked_for(tmp_path, monkeypatch, muscles):
+    asked = []
+    monkeypatch.setattr(runner, "record_study", lambda settings, out, **options: asked.append(settings.muscles))
+    options = () if muscles is None else ("--muscles", muscles)
+    assert run("study", "--out", tmp_path / "s", "--record-only", *options) == 0
+    assert asked == [muscles or "nonlinear"]
+
+
 UNKNOWN = ["identify", "r.nc", "--model", "1", "--estimator", "guess", "--out", "x"]
 
 
 def test_usage_errors_leave_with_a_status(capsys):
-    for arguments in ([], ["fly"], ["identify", "r.nc", "--model", "9", "--out", "x"], UNKNOWN):
+    no_muscles = ["study", "--out", "x", "--muscles", "soft"]
+    for arguments in ([], ["fly"], ["identify", "r.nc", "--model", "9", "--out", "x"], UNKNOWN, no_muscles):
         with pytest.raises(SystemExit) as caught:
             cli.main(arguments)
         assert caught.value.code != 0

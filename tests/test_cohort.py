@@ -1,6 +1,7 @@
-"""Draws around the presets, and people with a body."""
+"""Draws around the presets, and people with a body, whose muscles are linear or yield."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +12,15 @@ from armperturb.cohort import (
     CUFF_AND_HANDLE_MASS,
     ELBOW_ANGLE_DEG,
     MAX_DEVIATION,
+    MUSCLES,
     SHOULDER_ANGLE_DEG,
     SPREAD,
+    SPREAD_ALIKE,
+    SPREAD_LEVEL,
+    SPREAD_OWN,
     STABILITY_MARGIN,
     Person,
+    average_person,
     draw,
     draw_cohort,
     draw_person,
@@ -22,7 +28,7 @@ from armperturb.cohort import (
 from armperturb.environment import Environment
 from armperturb.study import published
 from armperturb.study.tables import true_value
-from armperturb.subject import PRESETS
+from armperturb.subject import PRESETS, at_level
 
 
 @pytest.mark.parametrize(("preset", "condition"), [("relax", "RT7.5"), ("position", "PT7.5")])
@@ -55,18 +61,21 @@ def test_unknown_preset_is_named():
         draw("tense", 0)
 
 
-def test_person_depends_on_seed_and_number_only():
-    cohort = draw_cohort(4, 7)
-    assert cohort[:2] == draw_cohort(2, 7)
-    assert cohort[3] == draw_person(7, 3)
-    assert len({person.height for person in cohort} | {person.height for person in draw_cohort(4, 8)}) == 8
+@pytest.mark.parametrize("muscles", MUSCLES)
+def test_person_depends_on_seed_and_number_only(muscles):
+    cohort = draw_cohort(4, 7, muscles=muscles)
+    assert cohort[:2] == draw_cohort(2, 7, muscles=muscles)
+    assert cohort[3] == draw_person(7, 3, muscles=muscles)
+    other = draw_cohort(4, 8, muscles=muscles)
+    assert len({person.height for person in cohort + other}) == 8
     assert [person.name for person in cohort] == ["S01", "S02", "S03", "S04"]
     assert pickle.loads(pickle.dumps(cohort)) == cohort
     assert len({hash(person) for person in cohort}) == 4
 
 
-def test_one_body_in_both_tasks_and_own_muscles_in_each():
-    for person in draw_cohort(20, 0):
+@pytest.mark.parametrize("muscles", MUSCLES)
+def test_one_body_in_both_tasks_and_own_muscles_in_each(muscles):
+    for person in draw_cohort(20, 0, muscles=muscles):
         position, relax = person.subjects["PT"], person.subjects["RT"]
         assert (position.task, relax.task) == ("PT", "RT")
         for name in ("name", "l_h", "l_f", "m_h", "m_f", "theta_s_deg", "theta_e_deg"):
@@ -77,13 +86,62 @@ def test_one_body_in_both_tasks_and_own_muscles_in_each():
         assert 0.146 * person.height < position.l_f < (0.146 + 0.108) * person.height
         assert position.m_h == pytest.approx(0.028 * person.mass)
         assert position.m_f == pytest.approx(0.022 * person.mass + CUFF_AND_HANDLE_MASS)
-        assert position.k_s > 5 * relax.k_s
+        assert position.k_s > (5 if muscles == "linear" else 2) * relax.k_s
         for subject in (position, relax):
-            assert largest_real_pole(subject, Environment()) < -STABILITY_MARGIN
+            assert (subject.muscle is None) == (muscles == "linear")
+            assert largest_real_pole(replace(subject, muscle=None), Environment()) < -STABILITY_MARGIN
+
+
+def test_muscles_change_no_body():
+    linear, nonlinear = (draw_cohort(3, 5, muscles=muscles) for muscles in ("linear", "nonlinear"))
+    assert draw_cohort(3, 5) == nonlinear
+    for one, other in zip(linear, nonlinear, strict=True):
+        assert (one.height, one.mass, one.subjects["PT"].posture.tolist()) == (
+            other.height, other.mass, other.subjects["PT"].posture.tolist(),
+        )  # fmt: skip
+        assert not one.levels
+
+
+def test_people_whose_muscles_yield_are_stable_at_their_levels_with_and_without_short_range_stiffness():
+    for person in draw_cohort(20, 2):
+        assert person.levels.keys() == average_person().levels.keys()
+        assert min(person.levels.values()) > 0
+        for task, subject in person.subjects.items():
+            own = [level for condition, level in person.levels.items() if condition.startswith(task)]
+            for level in (1.0, *own):
+                arms = at_level(subject, level).linear_arms
+                assert len(arms) == 2
+                for arm in arms:
+                    assert largest_real_pole(arm, Environment()) < -STABILITY_MARGIN
+
+
+def test_people_whose_muscles_yield_differ_around_the_average():
+    people, average = draw_cohort(60, 3), average_person()
+    for condition, level in average.levels.items():
+        own = np.array([person.levels[condition] for person in people])
+        assert len(np.unique(own)) == len(people)
+        assert np.median(own / level) == pytest.approx(1.0, abs=0.8 * SPREAD_LEVEL)
+    for task, mean in average.subjects.items():
+        subjects = [person.subjects[task] for person in people]
+        for quantity in ("b", "k"):
+            ratio = np.array([subject.muscle_groups(quantity) for subject in subjects]) / mean.muscle_groups(quantity)
+            assert len(np.unique(ratio)) == ratio.size
+            # Redrawing shifts and narrows the distribution, by less than half an SD and half of the spread.
+            sd = np.hypot(SPREAD_ALIKE[task], SPREAD_OWN[task])
+            assert np.abs(np.log(ratio).mean(axis=0)).max() < 0.5 * sd + 3 * sd / np.sqrt(len(people))
+            assert (np.log(ratio).std(axis=0) > 0.5 * sd).all()
+            assert (np.log(ratio).std(axis=0) < 1.4 * sd).all()
+        for name in ("short_range_stiffness", "elastic_limit_deg"):
+            values = np.array([subject.muscle.of_elements(name) for subject in subjects])
+            assert len(np.unique(values)) == values.size
+        for name in ("loss_angle_deg", "recovery_time", "thinning_velocity", "spindle_saturation"):
+            assert {subject.muscle.of_elements(name) for subject in subjects} == {mean.muscle.of_elements(name)}
+        for name in ("b_h", "k_h", "Td_s", "fact_e"):
+            assert {getattr(subject, name) for subject in subjects} == {getattr(mean, name)}
 
 
 def test_cohort_is_spread_as_published():
-    people = draw_cohort(300, 1)
+    people = draw_cohort(300, 1, muscles="linear")
     arms = [person.subjects["PT"] for person in people]
     # Draws are cut at 2.5 SD, which takes 6 % off the SD; 0.2 SD is more than three standard errors of either.
     for field, (mean, sd) in {"theta_s_deg": SHOULDER_ANGLE_DEG, "theta_e_deg": ELBOW_ANGLE_DEG}.items():
@@ -110,6 +168,21 @@ def test_cohort_is_spread_as_published():
 def test_impossible_cohort_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         draw_cohort(*arguments)
+
+
+@pytest.mark.parametrize("draw_some", [draw_cohort, draw_person])
+def test_unknown_muscles_are_refused(draw_some):
+    with pytest.raises(ValueError, match="cohort: muscles = 'soft'; expected one of nonlinear, linear"):
+        draw_some(1, 0, muscles="soft")
+
+
+@pytest.mark.parametrize(
+    ("level", "error"),
+    [(0.0, ValueError), (-0.5, ValueError), (np.inf, ValueError), (np.nan, ValueError), ("1", TypeError)],
+)
+def test_impossible_levels_are_refused(level, error):
+    with pytest.raises(error, match=r"Person: levels\['PT0'\] = .*; expected a"):
+        Person(name="A", height=1.8, mass=75.0, subjects={}, levels={"PT2.5": 1.0, "PT0": level})
 
 
 def test_subject_of_another_task_is_refused():

@@ -1,6 +1,7 @@
 """The practice session hits what is intended, whoever practises."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from armperturb.analysis.arm_model import total_admittance
 from armperturb.cohort import draw_cohort
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment, Strap
-from armperturb.envs.experiment import Trial
+from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.perturbations import Multisine
 from armperturb.study import practice
 from armperturb.study.practice import (
@@ -31,7 +32,7 @@ SEED = 1
 
 @pytest.fixture(scope="module")
 def people():
-    return draw_cohort(2, SEED)
+    return draw_cohort(2, SEED, muscles="linear")
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +69,52 @@ def test_people_practise_under_the_strap_of_the_protocol(people, forces):
     found = practise(people[:1], replace(BOTH, strap=Strap()), SEED)
     assert np.abs(displacement(people[:1], found, strap=Strap()) - 1.0).max() < TOLERANCE
     assert found[0]["PT7.5"] < 0.98 * forces[0]["PT7.5"]
+
+
+def drifting(**fields):
+    return replace(BOTH, conditions=tuple(replace(condition, **fields) for condition in BOTH.conditions))
+
+
+def test_people_whose_muscles_yield_move_as_far_as_they_change_before_the_experiment(monkeypatch):
+    moved = {}
+
+    def measure(trials, environment, n_threads, progress, strap):
+        # A step at which this takes seconds, and differs by next to nothing.
+        monkeypatch.setattr(practice, "run_experiment", partial(run_experiment, timestep=2.5e-3))
+        found = measured_displacement(trials, environment, n_threads, progress, strap)
+        moved.update({(t.subject, t.perturbation.rms): x for t, x in zip(trials, found, strict=True)})
+        return found
+
+    monkeypatch.setattr(practice, "measured_displacement", measure)
+    (person,) = draw_cohort(1, SEED)
+    lax = replace(person, levels={"PT7.5": 0.5 * person.levels.get("PT7.5", 1.0)})
+    protocol = drifting(reached=1.2)
+    found = practise((person, lax), protocol, SEED, n_threads=1)
+    for one, own in zip((person, lax), found, strict=True):
+        for condition in protocol.conditions:
+            intended = 1.2 * condition.rms_displacement
+            assert moved[condition.subject_of(one), own[condition.name]] == pytest.approx(intended, rel=TOLERANCE)
+    assert found[1]["PT7.5"] < 0.9 * found[0]["PT7.5"]
+    assert found[1]["RT7.5"] == found[0]["RT7.5"]
+
+
+def test_how_far_people_change_is_each_ones_and_each_conditions_own(monkeypatch):
+    def measure(trials, environment, *_):
+        return np.array([linear_displacement(trial.subject, environment, trial.perturbation) for trial in trials])
+
+    monkeypatch.setattr(practice, "measured_displacement", measure)
+    crowd, protocol = draw_cohort(40, SEED, muscles="linear"), drifting(reached=0.8, reached_spread=0.2)
+    straight, found = practise(crowd, BOTH, SEED), practise(crowd, protocol, SEED)
+    # The arms are linear: forces grow as displacements do.
+    reached = np.array(
+        [[own[c.name] / on[c.name] for c in BOTH.conditions] for own, on in zip(found, straight, strict=True)]
+    )
+    assert np.abs(np.log(reached / 0.8)).max() < 2 * 0.2 + TOLERANCE
+    assert np.log(reached / 0.8).std() == pytest.approx(0.2, rel=0.2)
+    assert np.exp(np.log(reached).mean()) == pytest.approx(0.8, rel=0.08)
+    assert abs(np.corrcoef(reached.T)[0, 1]) < 0.4
+    assert practise(crowd[7:8], protocol, SEED) == found[7:8]
+    assert practise(crowd[7:8], protocol, SEED + 1) != found[7:8]
 
 
 def test_conditions_that_differ_in_co_contraction_get_forces_of_their_own(people):
@@ -125,7 +172,7 @@ def test_ten_nonlinear_people_in_six_rounds(monkeypatch, arm):
         return arm(np.array(linear))
 
     monkeypatch.setattr(practice, "measured_displacement", measure)
-    crowd = draw_cohort(10, SEED)
+    crowd = draw_cohort(10, SEED, muscles="linear")
     found = practise(crowd, THESIS, SEED)
     assert batches[0] == 60
     assert len(batches) <= MAX_ROUNDS
@@ -191,7 +238,7 @@ def test_practice_multisine_moves_people_as_realisations_do_on_average():
     rng = np.random.default_rng(0)
     another = replace(of_practice, phases=rng.uniform(-np.pi, np.pi, (2, 72)))
     errors = {"practice": [], "another": []}
-    for person in draw_cohort(20, 9):
+    for person in draw_cohort(20, 9, muscles="linear"):
         for subject in person.subjects.values():
             # On average over phases, a line's displacement has the power of both forces' on their own.
             gain = np.sum(np.abs(total_admittance(subject, environment, another.frequencies)) ** 2, axis=(1, 2))
@@ -204,7 +251,7 @@ def test_practice_multisine_moves_people_as_realisations_do_on_average():
 
 
 def test_linear_displacement_is_what_is_measured():
-    subject = draw_cohort(1, 4)[0].subjects["PT"]
+    subject = draw_cohort(1, 4, muscles="linear")[0].subjects["PT"]
     multisine = Multisine.draw(seed=3, rms=2.0, crested=False)
     trial = Trial(subject=subject, perturbation=multisine)
     expected = linear_displacement(subject, Environment(), multisine)

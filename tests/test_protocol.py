@@ -30,7 +30,7 @@ MULTISINE_CONDITIONS = ("PT2.5", "PT7.5", "PT22.5", "RT2.5", "RT7.5", "RT22.5")
 
 @pytest.fixture(scope="module")
 def people():
-    return draw_cohort(2, 0)
+    return draw_cohort(2, 0, muscles="linear")
 
 
 @pytest.fixture(scope="module")
@@ -156,6 +156,27 @@ def test_co_contraction_of_a_condition_is_that_of_its_trials(people):
     assert trials["RT"].subject == people[0].subjects["RT"]
 
 
+def test_a_persons_level_in_a_condition_is_that_of_its_trials(people, multisines):
+    person = replace(people[0], levels={"PT2.5": 0.5, "PT0": 0.4})
+    subjects = {t.condition: t.subject for t in THESIS.trials(person, FORCES, 5, 0, multisines=multisines)}
+    position, relax = person.subjects["PT"], person.subjects["RT"]
+    levels = {condition.name: person.levels.get(condition.name, 1.0) for condition in THESIS.conditions}
+    assert subjects == {
+        name: at_level(position, level) if name.startswith("PT") else relax for name, level in levels.items()
+    }
+    # The protocol's level is a multiple of the person's.
+    both = replace(THESIS.condition("PT2.5"), co_contraction=3.0)
+    assert both.subject_of(person) == at_level(position, 1.5)
+
+
+def test_people_whose_muscles_yield_come_at_their_own_levels():
+    person = draw_cohort(1, 0)[0]
+    for name, level in person.levels.items():
+        subject = THESIS.condition(name).subject_of(person)
+        assert subject == at_level(person.subjects[name[:2]], level)
+        assert subject.muscle.short_range_stiffness != person.subjects[name[:2]].muscle.short_range_stiffness
+
+
 def test_users_protocol_from_a_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(
@@ -206,6 +227,11 @@ def test_a_strap_is_a_table_of_the_protocol(tmp_path, table, strap):
         ("repetitions = 2", "repetitions = 1.5", "repetitions = 1.5; expected a whole number"),
         ('task = "PT"', 'task = "PT"\nco_contraction = -0.5', "'PT0': co_contraction = -0.5; expected a .* above 0"),
         ('task = "RT"', 'task = "RT"\nco_contraction = 0.5', "'RT0': co_contraction = 0.5; expected 1 in RT"),
+        ("repetitions = 2", "repetitions = 2\nreached = 0.05", "'PT0': reached = 0.05; expected .* at least 0.1"),
+        ("repetitions = 2", "repetitions = 2\nreached = 11", "'PT0': reached = 11; expected .* at most 10"),
+        ("repetitions = 2", "repetitions = 2\nreached = nan", "'PT0': reached = nan; expected a finite number"),
+        ("repetitions = 2", "repetitions = 2\nreached_spread = -0.1", "reached_spread = -0.1; expected .* at least 0"),
+        ("repetitions = 2", "repetitions = 2\nreached_spread = 1.5", "reached_spread = 1.5; expected .* at most 1"),
         ("pulse_levels = [1, 2]", "pulse_levels = [1, -2]", "pulse_levels = -2.0; expected a finite number above 0"),
         ("pulse_levels = [1, 2]", "pulse_levels = [2, 2]", "pulse_levels holds 2.0 twice"),
         ("pulse_levels = [1, 2]", "pulse_levels = 2", "pulse_levels = 2; expected a list of numbers"),

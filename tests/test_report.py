@@ -6,15 +6,18 @@ import math
 import re
 import sys
 from dataclasses import replace
+from functools import partial
 from html.parser import HTMLParser
 
 import pytest
 from markupsafe import escape
 
-from armperturb.study import figures, report
-from armperturb.study.protocol import Condition, Protocol
+from armperturb.envs.experiment import run_experiment
+from armperturb.study import figures, report, runner
+from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.report import chance, digits, left_out, mean_sd, symbol, write_report
-from armperturb.study.style import COLOURS, save_svg, shades
+from armperturb.study.runner import StudySettings, run_study
+from armperturb.study.style import COLOURS, TRUE, save_svg, shades
 from armperturb.study.tables import fit_rows
 
 HEADERS = {
@@ -117,6 +120,11 @@ def test_every_figure_is_embedded(page, out):
     assert files.keys() - {"rig"} == DRAWN  # the rig needs a GL library
     embedded = {base64.b64decode(link.partition(",")[2]) for link in page.links}
     assert embedded == {path.read_bytes() for path in files.values()}
+
+
+def test_truth_is_drawn_of_linear_people(written, out):
+    for name in ("admittance_PT", "admittance_RT", "fit_PT", "fit_RT", "parameters_PT"):
+        assert TRUE["color"].lower() in (out / "figures" / f"{name}.svg").read_text(encoding="utf-8")
 
 
 def test_figures_ask_for_nothing_outside_themselves(out):
@@ -283,6 +291,78 @@ def test_reports_what_went_badly(study, tmp_path, monkeypatch):
     assert shown[0][9] == "1"
     assert "<dd>k_s &lt;sits&gt;</dd>" in text
     assert not (tmp_path / "tables" / "task_effect.csv").exists()
+
+
+YIELDING = """
+forces = "published"
+trial_duration = 28.6
+multisine_duration = 28.5
+
+[[conditions]]
+name = "PT2.5"
+task = "PT"
+rms_displacement = 0.0025
+published_force = 1.2
+
+[[conditions]]
+name = "PT7.5"
+task = "PT"
+rms_displacement = 0.0075
+published_force = 5.4
+"""
+
+
+@pytest.fixture(scope="module")
+def yielding(tmp_path_factory):
+    """A person whose muscles yield, in two trials."""
+    out = tmp_path_factory.mktemp("yielding")
+    (out / "p.toml").write_text(YIELDING)
+    with pytest.MonkeyPatch.context() as patch:
+        # A step at which this takes seconds; nothing here depends on it.
+        patch.setattr(runner, "run_experiment", partial(run_experiment, timestep=2.5e-3))
+        return run_study(StudySettings(subjects=1, protocol=out / "p.toml"), out / "s", show_progress=False)
+
+
+def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path, monkeypatch):
+    monkeypatch.setattr(figures, "render", without_pictures)
+    assert all(case.identification is not None and case.truth.muscle is not None for case in yielding.cases)
+    written = write_report(yielding, tmp_path)
+    text = re.sub(r'"data:[^"]*"', "", written.read_text(encoding="utf-8"))
+    assert not re.search(
+        r"\b(nan|truth|true|error of a parameter)\b", re.sub(r"<(style|script)>.*?</\1>", "", text, flags=re.S), re.I
+    )
+    assert "muscles\nyield, so that an estimated arm is linear around that condition's movement" in text
+    assert "--muscles linear" in text
+    assert "figure-parameters_PT" not in text
+    drawn = {path.stem: path.read_text(encoding="utf-8") for path in (tmp_path / "figures").iterdir()}
+    assert drawn.keys() == {name for name in DRAWN if "RT" not in name} - {"parameters_PT"}
+    for name in ("admittance_PT", "fit_PT"):
+        assert TRUE["color"].lower() not in drawn[name]
+
+    tables = Page(written.read_text(encoding="utf-8")).tables
+    for name, n_columns in (("summary", 8), ("parameters_summary", 6)):
+        assert {len(row) for row in tables[name][-2:]} == {n_columns}
+    for shown, row in zip(tables["parameters_summary"][2:], rows(tmp_path, "parameters_summary"), strict=True):
+        assert number(shown[4]) == pytest.approx(float(row["estimated_mean"]), rel=0.006, abs=1e-6)
+        assert number(shown[5]) == pytest.approx(float(row["thesis_mean"]), rel=0.006, abs=1e-6)
+    of_parameters = rows(tmp_path, "parameters")
+    assert list(of_parameters[0]) == HEADERS["parameters"].split(",")
+    for row in of_parameters:
+        for name in ("true", "error_percent", "thesis_error_percent"):
+            assert math.isnan(float(row[name]))
+        assert float(row["lower_95"]) <= float(row["estimated"]) <= float(row["upper_95"])
+    assert all(math.isnan(float(row["coverage_95_percent"])) for row in rows(tmp_path, "summary"))
+
+
+def test_tells_how_far_people_change_after_practice(study, tmp_path, monkeypatch):
+    monkeypatch.setattr(figures, "render", without_pictures)
+    changing = replace(THESIS, conditions=tuple(replace(c, reached=1.25 * c.reached) for c in THESIS.conditions))
+    for protocol, told in ((THESIS, False), (changing, True)):
+        text = write_report(replace(study, protocol=protocol, cases=()), tmp_path).read_text(encoding="utf-8")
+        assert "until the displacement is as intended" in text
+        assert ("as people change before the experiment" in text) == told
+        assert ("1.2 in PT2.5" in text) == told
+    assert "in PT0," not in text
 
 
 def test_reports_a_study_without_anybody_and_without_a_rig(study, tmp_path, monkeypatch):

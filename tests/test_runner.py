@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,10 +29,10 @@ multisine_duration = 1.5
 onset_window = [0.3, 0.8]
 
 [[conditions]]
-name = "PT7.5"
+name = "PT2.5"
 task = "PT"
-rms_displacement = 0.0075
-published_force = 5.4
+rms_displacement = 0.0025
+published_force = 1.2
 pulse_levels = [1]
 
 [[conditions]]
@@ -116,7 +117,7 @@ def test_files_hold_every_trial_in_order(settings, undisturbed, tmp_path):
     recording = load_recording(tmp_path / "S02.nc")
     assert recording.sizes["trial"] == N_TRIALS
     assert set(recording["subject"].values) == {"S02"}
-    assert sorted(recording["condition"].values) == ["PT7.5", "PT7.5", "RT0", "RT0"]
+    assert sorted(recording["condition"].values) == ["PT2.5", "PT2.5", "RT0", "RT0"]
     assert recording["order"].values.tolist() == list(range(N_TRIALS))
 
 
@@ -294,6 +295,17 @@ def test_another_protocol_in_the_same_file_is_refused(settings, tmp_path):
         record_study(mine, tmp_path / "s", show_progress=False)
 
 
+def test_other_muscles_are_other_files_and_refused(settings, undisturbed, tmp_path):
+    linear = replace(settings, subjects=1, muscles="linear")
+    (path,) = record_study(linear, tmp_path / "s", show_progress=False)
+    (tmp_path / "nonlinear.nc").write_bytes(undisturbed["S01.nc"])
+    mine, other = (load_recording(file) for file in (path, tmp_path / "nonlinear.nc"))
+    assert mine["perturbation"].equals(other["perturbation"])
+    assert not np.allclose(mine["displacement"], other["displacement"], rtol=0.1)
+    with pytest.raises(ValueError, match=r'muscles is "linear" there and "nonlinear" now'):
+        record_study(replace(linear, muscles="nonlinear"), tmp_path / "s", show_progress=False)
+
+
 def test_progress_shows_trials_speed_and_time_left(settings, tmp_path, monkeypatch):
     class Terminal(io.StringIO):
         def isatty(self):
@@ -326,6 +338,8 @@ def test_bad_numbers_are_refused(settings, tmp_path):
             record_study(settings, tmp_path / "s", **options)
     with pytest.raises(ValueError, match="forces = 'none'; expected one of practice, published"):
         StudySettings(forces="none")
+    with pytest.raises(ValueError, match="study: muscles = 'soft'; expected one of nonlinear, linear"):
+        StudySettings(muscles="soft")
     assert not (tmp_path / "s").exists()
 
 
@@ -369,9 +383,9 @@ def test_a_protocol_with_a_strap_records_shoulders_that_move(tmp_path):
 
 def test_a_short_multisine_is_left_out_with_its_reason(settings, tmp_path):
     result = run_study(settings, tmp_path, show_progress=False)
-    assert [case.condition.name for case in result.cases] == ["PT7.5"] * N_SUBJECTS
-    assert result.of("PT7.5") == []
-    assert "S01 in PT7.5 was not identified: the multisine lasts 1.5 s" in result.cases[0].left_out[0]
+    assert [case.condition.name for case in result.cases] == ["PT2.5"] * N_SUBJECTS
+    assert result.of("PT2.5") == []
+    assert "S01 in PT2.5 was not identified: the multisine lasts 1.5 s" in result.cases[0].left_out[0]
 
 
 def test_digest_file_is_that_of_the_files(undisturbed):

@@ -31,7 +31,7 @@ RT = Condition(name="RT7.5", task="RT", rms_displacement=0.0075, published_force
 
 @pytest.fixture(scope="module")
 def ideal(short_protocol, tmp_path_factory):
-    settings = StudySettings(subjects=1, seed=3, protocol=short_protocol, ideal=True)
+    settings = StudySettings(subjects=1, seed=3, protocol=short_protocol, ideal=True, muscles="linear")
     return run_study(settings, tmp_path_factory.mktemp("ideal"), show_progress=False)
 
 

@@ -15,7 +15,7 @@ from armperturb.analysis.arm_model import arm_admittance, simulate_linear
 from armperturb.analysis.spectra import LineSpectra, line_spectra
 from armperturb.analysis.structures import unit
 from armperturb.analysis.vaf import variance_accounted_for
-from armperturb.cohort import draw_cohort
+from armperturb.cohort import draw_person
 from armperturb.envs.camera import render
 from armperturb.models import build_model
 from armperturb.perturbations import MultisineThenPulse
@@ -61,7 +61,7 @@ def rig(study: StudyResult) -> Figure:
     Raises:
       RuntimeError: this machine cannot draw; the message names what to install.
     """
-    person = draw_cohort(1, study.settings.seed, study.environment)[0]
+    person = draw_person(study.settings.seed, 0, study.environment, muscles=study.settings.muscles)
     model = build_model(person.subjects[study.protocol.conditions[0].task], study.environment)
     figure = new_figure(3.95)
     for ax, camera in zip(figure.subplots(1, 2), ("top", "oblique"), strict=True):
@@ -132,19 +132,17 @@ def _draw_density(ax: Axes, lines: LineSpectra, rate: float) -> None:
 
 @in_style()
 def admittance_of_trials(case: Case) -> Figure:
-    """Admittance of one subject, from each trial and from all (thesis fig. 3.1)."""
+    """Admittance of one subject, from each trial and from all, and a linear one's own (thesis fig. 3.1)."""
     spectra = case.identified.spectra
-    truth = arm_admittance(case.truth, FREQUENCY)
     figure, panels = _admittance_panels()
     for trial in case.single_trials:
         _plot_admittance(panels, trial.frequency, trial.arm, color=GREY, linewidth=0.7, alpha=0.6)
     _plot_admittance(panels, spectra.frequency, spectra.arm, color=INK, linewidth=1.5)
-    _plot_admittance(panels, FREQUENCY, truth, **TRUE)
     _legend(
         figure,
         Line2D([], [], color=GREY, linewidth=0.9, alpha=0.6, label="single trials"),
         Line2D([], [], color=INK, linewidth=1.5, label="spectra averaged over trials"),
-        Line2D([], [], label="true", **TRUE),
+        *_plot_truth(panels, case),
     )
     return figure
 
@@ -232,20 +230,19 @@ def _draw_coherence(column: NDArray[np.object_], cases: list[Case]) -> None:
 
 @in_style()
 def fit(case: Case) -> Figure:
-    """Arm model fitted to the admittance of one subject (thesis figs 3.7, 3.8)."""
+    """Arm model fitted to the admittance of one subject, and a linear one's own (thesis figs 3.7, 3.8)."""
     identification = case.identified
     spectra = identification.spectra
-    truth, model = (arm_admittance(arm, FREQUENCY) for arm in (case.truth, identification.fit.arm))
+    model = arm_admittance(identification.fit.arm, FREQUENCY)
     estimated: dict[str, Any] = {**RECORDED, "marker": "o", "markersize": 4.5}
     figure, panels = _admittance_panels()
     _plot_admittance(panels, spectra.frequency, spectra.arm, **estimated)
     _plot_admittance(panels, FREQUENCY, model, **FITTED)
-    _plot_admittance(panels, FREQUENCY, truth, **TRUE)
     _legend(
         figure,
         Line2D([], [], label="estimated", **estimated),
         Line2D([], [], label=f"fitted model {identification.fit.structure}", **FITTED),
-        Line2D([], [], label="true", **TRUE),
+        *_plot_truth(panels, case),
     )
     return figure
 
@@ -288,7 +285,7 @@ def prediction(case: Case, *, trial: int = 0, start: float = 20.0, span: float =
 
 @in_style()
 def parameters(study: StudyResult, task: str) -> Figure:
-    """Estimated against true parameters of all subjects in a task's conditions, beside the published mean and SD.
+    """Estimated against true parameters of linear people in a task's conditions, beside the published mean and SD.
 
     Bars are 95 % intervals; what the thesis's estimator gives beyond a panel is drawn at its edge.
     """
@@ -359,7 +356,7 @@ def parameters(study: StudyResult, task: str) -> Figure:
 def overview(study: StudyResult, *, subject: int = 0) -> Figure:
     """The rig, and the admittance of one person in both tasks with the fitted models; for the head of a page.
 
-    `docs/overview.png` is the second person of seed 0, saved with `save_png`.
+    `docs/overview.png` is the second person of seed 0 with linear muscles, saved with `save_png`.
 
     Args:
       study: in which the person was identified in PT7.5 and RT7.5.
@@ -459,6 +456,14 @@ def _plot_admittance(
         element = admittance[:, output, input_]
         gain_ax.plot(frequency, np.abs(element), **look)
         phase_ax.plot(*_within_turn(frequency, np.angle(element)), **look)
+
+
+def _plot_truth(panels: dict[Element, tuple[Axes, Axes]], case: Case) -> list[Line2D]:
+    """Draw a linear person's own admittance, and return its entry in the legend; others have neither."""
+    if case.truth.muscle is not None:
+        return []
+    _plot_admittance(panels, FREQUENCY, arm_admittance(case.truth, FREQUENCY), **TRUE)
+    return [Line2D([], [], label="true", **TRUE)]
 
 
 def _plot_mean(panels: dict[Element, tuple[Axes, Axes]], mean: MeanAdmittance, look: dict[str, Any]) -> None:

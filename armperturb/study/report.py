@@ -18,6 +18,7 @@ from armperturb.files import written_whole
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.study import figures
 from armperturb.study.admittance import by_task, main_conditions
+from armperturb.study.protocol import Condition
 from armperturb.study.runner import StudyResult
 from armperturb.study.style import save_svg
 from armperturb.study.tables import Row, write_tables
@@ -76,7 +77,9 @@ def write_report(study: StudyResult, out: Path) -> Path:
             title="Summary", template="summary", context={"rows": rows["summary"], "task_effect": rows["task_effect"]}
         ),
         Section(title="Method", template="method", context={}),
-        Section(title="Conditions", template="conditions", context={"rows": rows["conditions"]}),
+        Section(
+            title="Conditions", template="conditions", context={"rows": rows["conditions"], "drifting": drifting(study)}
+        ),
         Section(title="Admittance", template="admittance", context={}),
         Section(title="Fits", template="fits", context={"rows": rows["fits"], "remarks": remarks(study)}),
         Section(title="Parameters", template="parameters", context={"rows": rows["parameters_summary"]}),
@@ -87,6 +90,11 @@ def write_report(study: StudyResult, out: Path) -> Path:
     with written_whole(report) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return report
+
+
+def drifting(study: StudyResult) -> list[Condition]:
+    """Conditions in which people shall move further, or less far, in the experiment than in practice."""
+    return [c for c in study.protocol.conditions if c.has_multisine and (c.reached != 1.0 or c.reached_spread)]
 
 
 def left_out(study: StudyResult, fits: list[Row]) -> dict[str, list[str]]:
@@ -139,7 +147,8 @@ def _draw(study: StudyResult, folder: Path) -> tuple[dict[str, Picture], dict[st
         drawings[f"admittance_{task}"] = partial(figures.admittance_of_trials, first)
         drawings[f"fit_{task}"] = partial(figures.fit, first)
         drawings[f"prediction_{task}"] = partial(figures.prediction, first)
-        drawings[f"parameters_{task}"] = partial(figures.parameters, study, task)
+        if study.has_truth:
+            drawings[f"parameters_{task}"] = partial(figures.parameters, study, task)
     pictures, not_drawn = {name: _embed(draw(), folder / f"{name}.svg") for name, draw in drawings.items()}, {}
     try:
         pictures["rig"] = _embed(figures.rig(study), folder / "rig.svg")

@@ -22,7 +22,7 @@ from tqdm import tqdm
 from armperturb.analysis.identify import Identification, identify
 from armperturb.analysis.maximum_likelihood import Estimate
 from armperturb.analysis.spectra import SpectralEstimate, estimate_spectra, line_spectra
-from armperturb.cohort import Person, draw_cohort
+from armperturb.cohort import MUSCLES, Person, draw_cohort
 from armperturb.environment import Environment
 from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.envs.instruments import Instruments
@@ -60,6 +60,7 @@ class StudySettings:
       protocol: file of what everyone goes through, see `armperturb.study.protocol`; the thesis's if None.
       ideal: whether people and instruments are free of noise.
       forces: "practice" or "published", whatever the protocol says; None for what it says.
+      muscles: "nonlinear" or "linear" people, see `armperturb.cohort.draw_person`.
 
     Raises:
       TypeError: a value is not a number.
@@ -71,12 +72,15 @@ class StudySettings:
     protocol: Path | None = None
     ideal: bool = False
     forces: str | None = None
+    muscles: str = "nonlinear"
 
     def __post_init__(self) -> None:
         require_number("study", "subjects", self.subjects, at_least=1)
         require_number("study", "seed", self.seed, at_least=0)
         if self.forces is not None and self.forces not in FORCES:
             raise ValueError(f"study: forces = {self.forces!r}; expected one of {', '.join(FORCES)}")
+        if self.muscles not in MUSCLES:
+            raise ValueError(f"study: muscles = {self.muscles!r}; expected one of {', '.join(MUSCLES)}")
 
     def load_protocol(self) -> Protocol:
         """The protocol that they name, with their `forces`.
@@ -88,6 +92,14 @@ class StudySettings:
         """
         protocol = THESIS if self.protocol is None else load_protocol(self.protocol)
         return protocol if self.forces is None else replace(protocol, forces=self.forces)
+
+    def draw_people(self, environment: Environment) -> tuple[Person, ...]:
+        """The people that they name, each stable on the environment.
+
+        Raises:
+          RuntimeError: no stable person was found, which only an odd environment can cause.
+        """
+        return draw_cohort(self.subjects, self.seed, environment, muscles=self.muscles)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -155,6 +167,11 @@ class StudyResult:
     protocol: Protocol
     environment: Environment
     cases: tuple[Case, ...]
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the people are linear, so that what is fitted to them has true values."""
+        return self.settings.muscles == "linear"
 
     @property
     def conditions(self) -> tuple[Condition, ...]:
@@ -226,7 +243,7 @@ def run_study(
     """
     protocol, environment = settings.load_protocol(), Environment()
     paths = record_study(settings, out, workers=workers, dask=dask, block=block, show_progress=show_progress)
-    people = draw_cohort(settings.subjects, settings.seed, environment)
+    people = settings.draw_people(environment)
     units = [(person, path, protocol) for person, path in zip(people, paths, strict=True)]
     cases: dict[str, list[Case]] = {}
     with (
@@ -282,7 +299,7 @@ def record_study(
     if workers is not None:
         require_number("study", "workers", workers, at_least=1)
     protocol, environment = settings.load_protocol(), Environment()
-    people = draw_cohort(settings.subjects, settings.seed, environment)
+    people = settings.draw_people(environment)
     names = [person.name for person in people]
     with open_study(out, _manifest(settings, protocol)) as folder:
         done, damaged = folder.check(names)
@@ -319,6 +336,7 @@ def _manifest(settings: StudySettings, protocol: Protocol) -> dict[str, Any]:
         "subjects": settings.subjects,
         "seed": settings.seed,
         "ideal": settings.ideal,
+        "muscles": settings.muscles,
         "protocol": protocol.to_dict(),
     }
 

@@ -18,12 +18,17 @@ Row = dict[str, Any]
 
 
 def true_value(subject: Subject, parameter: str) -> float:
-    """Value of a model parameter in a simulated subject, SI."""
+    """Value of a model parameter in a simulated subject, SI; NaN if its muscles are not linear.
+
+    What is fitted to such a person is an arm that is linear around the person's movement, and no part of the person.
+    """
+    if subject.muscle is not None:
+        return math.nan
     return subject.m_h + subject.m_f if parameter == "m_tot" else float(getattr(subject, parameter))
 
 
 def parameter_rows(study: StudyResult) -> list[Row]:
-    """Every estimated parameter of every subject beside its truth, and what the thesis's estimator gives."""
+    """Every estimated parameter of every subject beside its truth (if any), and what the thesis's estimator gives."""
     rows = []
     for condition in study.conditions:
         for case in study.of(condition.name):
@@ -226,12 +231,12 @@ def published_or_nan(source: Callable[..., published.MeanSD], *names: str) -> pu
 
 
 def _judgement(values: list[Row]) -> Row:
-    """How rows of parameters agree with the truth."""
-    held = [row["lower_95"] <= row["true"] <= row["upper_95"] for row in values]
+    """How rows of parameters agree with the truth; NaN where there is none."""
+    held = [float(row["lower_95"] <= row["true"] <= row["upper_95"]) for row in values if not math.isnan(row["true"])]
     return {
         "median_abs_error_percent": _median(abs(row["error_percent"]) for row in values),
         "thesis_median_abs_error_percent": _median(abs(row["thesis_error_percent"]) for row in values),
-        "coverage_95_percent": 100.0 * float(np.mean(held)),
+        "coverage_95_percent": 100.0 * _mean(held),
     }
 
 
