@@ -301,7 +301,7 @@ def record_study(
     protocol, environment = settings.load_protocol(), Environment()
     people = settings.draw_people(environment)
     names = [person.name for person in people]
-    with open_study(out, _manifest(settings, protocol)) as folder:
+    with open_study(out, _manifest(settings, protocol, people)) as folder:
         done, damaged = folder.check(names)
         for path in damaged:
             LOG.warning("%s does not match its checksum: set aside, and its subject is done again", path)
@@ -330,13 +330,15 @@ def worker_count(workers: int | None, n_subjects: int) -> int:
     return min(workers, n_subjects)
 
 
-def _manifest(settings: StudySettings, protocol: Protocol) -> dict[str, Any]:
+def _manifest(settings: StudySettings, protocol: Protocol, people: Sequence[Person]) -> dict[str, Any]:
     return {
         "versions": {name: importlib.metadata.version(name) for name in ("armperturb", "mujoco", "numpy", "scipy")},
         "subjects": settings.subjects,
         "seed": settings.seed,
         "ideal": settings.ideal,
         "muscles": settings.muscles,
+        # Another calibration, or other spreads, make other people of the same seed.
+        "people": hashlib.sha256(repr(people).encode()).hexdigest(),
         "protocol": protocol.to_dict(),
     }
 
