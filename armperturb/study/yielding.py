@@ -8,6 +8,7 @@ their force: what differs between two of them is their doing.
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from armperturb.analysis.arm_model import largest_real_pole
 from armperturb.analysis.kinematics import start_posture
 from armperturb.analysis.pulse import WINDOWS, pulse_peaks
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
-from armperturb.cohort import Person
+from armperturb.cohort import Person, draw_cohort
 from armperturb.controllers.muscle import element_motion, muscle_parameters, muscle_torque, rested
 from armperturb.environment import Environment
 from armperturb.envs.experiment import Trial, run_experiment
@@ -27,7 +28,7 @@ from armperturb.perturbations.multisine import PERIOD
 from armperturb.study import published
 from armperturb.study.cells import Cell, published_cells
 from armperturb.study.protocol import THESIS, Condition, Protocol
-from armperturb.study.runner import WINDOW_START
+from armperturb.study.runner import WINDOW_START, StudyResult
 from armperturb.subject import Subject
 
 Array = NDArray[np.float64]
@@ -128,15 +129,17 @@ class Yielding:
 
         Mean over the lowest two frequencies and the diagonal, as in `admittance.task_effect`.
         """
-        pair = [self.responses.get((variant, condition)) for condition in (above, below)]
-        high, low = (None if one is None else one.low_gain for one in pair)
-        return math.nan if high is None or low is None else float(np.mean(high / low))
+        pair = self._pair(variant, above, below)
+        return float(np.mean(pair[0].low_gain / pair[1].low_gain)) if pair else math.nan
 
     def pulse_rise(self, variant: str) -> float:
         """Pulse admittance in RT22.5 over that in RT0 [-]; NaN if a response is missing."""
-        pair = [self.responses.get((variant, condition)) for condition in ("RT22.5", "RT0")]
-        moved, rest = (None if one is None else one.pulse_admittance for one in pair)
-        return math.nan if moved is None or rest is None else moved / rest
+        pair = self._pair(variant, "RT22.5", "RT0")
+        return pair[0].pulse_admittance / pair[1].pulse_admittance if pair else math.nan
+
+    def _pair(self, variant: str, one: str, other: str) -> tuple[Response, Response] | None:
+        first, second = (self.responses.get((variant, condition)) for condition in (one, other))
+        return (first, second) if first and second else None
 
     def rows(self) -> list[Row]:
         """A row per variant, and the published means of people; NaN where an arm is unstable or nothing published."""
@@ -175,6 +178,11 @@ class Loop(NamedTuple):
     torque: Array
 
 
+def first_person(study: StudyResult) -> Person:
+    """The first person of a study's cohort."""
+    return draw_cohort(1, study.settings.seed, study.environment)[0]
+
+
 def has_law(person: Person) -> bool:
     """Whether the person's muscles are nonlinear in any task."""
     return any(subject.muscle is not None for subject in person.subjects.values())
@@ -188,9 +196,9 @@ def variants(person: Person) -> dict[str, Person]:
     """
     if not has_law(person):
         raise ValueError(f"person {person.name!r} has linear muscles; expected a muscle law")
-    found = {WHOLE: person, LINEAR: _with_laws(person, lambda law: None)}
+    found = {WHOLE: person, LINEAR: _with_laws(person, lambda _: None)}
     for name, off in MECHANISMS.items():
-        changed = _with_laws(person, lambda law, off=off: replace(law, **off))
+        changed = _with_laws(person, partial(replace, **off))
         if changed.subjects != person.subjects:
             found[name] = changed
     if len(set(person.levels.values()) | {1.0}) > 1:
@@ -211,7 +219,7 @@ def why_people_yield(
     environment: Environment | None = None,
     *,
     seed: int = 0,
-    n_multisines: int = 2,
+    n_multisines: int = 1,
     n_threads: int = 0,
     progress: Callable[[float], object] | None = None,
 ) -> Yielding:

@@ -1,0 +1,174 @@
+"""Why people yield: arms with and without each mechanism of the muscle law."""
+
+import runpy
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armperturb.cohort import average_person, draw_cohort
+from armperturb.muscle_law import MuscleLaw
+from armperturb.study import yielding as why
+from armperturb.study import yielding_figures
+from armperturb.study.style import save_svg
+from armperturb.study.yielding import (
+    AMPLITUDES,
+    CONDITIONS,
+    LINEAR,
+    MECHANISMS,
+    ONE_LEVEL,
+    WHOLE,
+    intrinsic_loop,
+    variants,
+    why_people_yield,
+)
+
+ROOT = Path(__file__).parent.parent
+ALL_ON = MuscleLaw(
+    short_range_stiffness=10.0,
+    elastic_limit_deg=0.7,
+    elastic_limit_spread=0.5,
+    elastic_limit_slope=0.02,
+    loss_angle_deg=20.0,
+    thinning_velocity=1.0,
+    spindle_saturation=1.0,
+    spindle_direction=0.5,
+)
+
+
+def with_law(law, **levels):
+    average = average_person()
+    subjects = {task: replace(subject, muscle=law) for task, subject in average.subjects.items()}
+    return replace(average, subjects=subjects, levels=levels)
+
+
+def test_each_arm_lacks_one_mechanism():
+    person = with_law(ALL_ON, PT0=0.5)
+    arms = variants(person)
+    assert list(arms) == [WHOLE, LINEAR, *MECHANISMS, ONE_LEVEL]
+    assert arms[WHOLE] == person
+    assert arms[ONE_LEVEL] == replace(person, levels={})
+    off = asdict(MuscleLaw())
+    for name, fields in MECHANISMS.items():
+        for task, subject in person.subjects.items():
+            expected = {**asdict(ALL_ON), **{field: off[field] for field in fields}}
+            assert arms[name].subjects[task] == replace(subject, muscle=MuscleLaw(**expected))
+    assert all(subject.muscle is None for subject in arms[LINEAR].subjects.values())
+
+
+def test_mechanisms_that_a_person_lacks_are_not_switched_off():
+    assert list(variants(with_law(MuscleLaw(thinning_velocity=1.0)))) == [WHOLE, LINEAR, "damping does not thin"]
+
+
+def test_linear_people_do_not_yield():
+    with pytest.raises(ValueError, match="'S01' has linear muscles; expected a muscle law"):
+        why_people_yield(draw_cohort(1, 0, muscles="linear")[0])
+
+
+def test_linear_muscle_knows_no_amplitude(yielding):
+    assert yielding.rise(LINEAR, "RT22.5", "RT2.5") == pytest.approx(1.0, abs=0.02)
+    assert yielding.rise(LINEAR, "PT2.5", "PT22.5") == pytest.approx(1.0, abs=0.02)
+    assert yielding.rise(WHOLE, "RT22.5", "RT2.5") > 1.2
+
+
+def test_a_law_that_is_off_is_linear_muscle(yielding):
+    assert yielding.variants == (WHOLE, LINEAR, "no short-range stiffness")
+    assert not yielding.unstable
+    for condition in CONDITIONS:
+        off, linear = (yielding.responses[name, condition] for name in (yielding.variants[2], LINEAR))
+        np.testing.assert_array_equal(off.gain, linear.gain)
+        np.testing.assert_array_equal(off.distance, linear.distance)
+
+
+def test_arms_that_are_the_same_are_simulated_once(yielding):
+    for condition in AMPLITUDES["PT"]:
+        assert len({id(yielding.responses[name, condition]) for name in yielding.variants}) == 1
+
+
+def test_rows_tell_responses_and_people(yielding):
+    *rows, people = yielding.rows()
+    assert [row["arm"] for row in rows] == list(yielding.variants)
+    whole = rows[0]
+    assert whole["peak_RT22.5_m"] == yielding.responses[WHOLE, "RT22.5"].peak
+    assert whole["RT_rise"] == yielding.rise(WHOLE, "RT22.5", "RT2.5")
+    assert whole["pulse_admittance_RT22.5_over_RT0"] > 1.0
+    assert (people["RT_rise"], people["PT_fall"]) == (3.8, 1.5)
+    assert people["peak_RT0_m"] == pytest.approx(0.1938)
+    assert people.keys() == whole.keys()
+
+
+def test_unstable_arms_are_told(monkeypatch):
+    # Damping that thins at once leaves the reflexes alone with their delay, unless they saturate too.
+    law = MuscleLaw(thinning_velocity=0.02, spindle_saturation=0.02)
+    person = with_law(law)
+    monkeypatch.setattr(why, "STEP", 5e-3)
+    monkeypatch.setattr(why, "CONDITIONS", ("PT7.5",))
+    monkeypatch.setattr(why, "CALM", 5.0)
+    found = why_people_yield(person)
+    name = "spindles do not saturate"
+    assert (name, "PT7.5") not in found.responses
+    assert found.unstable[name, "PT7.5"].startswith(("leaves the workspace", "still swings"))
+
+
+def test_arms_without_stable_poles_are_told_and_not_simulated(monkeypatch):
+    person = with_law(MuscleLaw(spindle_saturation=1.0))
+    position = replace(person.subjects["PT"], **{f"kv_{joint}": 1e3 for joint in ("s", "e")})
+    monkeypatch.setattr(why, "CONDITIONS", ("PT2.5", "PT7.5"))
+    found = why_people_yield(replace(person, subjects={"PT": position}))
+    assert not found.responses
+    assert set(found.unstable) == {(name, condition) for name in found.variants for condition in ("PT2.5", "PT7.5")}
+    assert set(found.unstable.values()) == {"unstable for small or for large movements"}
+    rows = found.rows()
+    assert rows[0]["unstable_in"] == "PT2.5 PT7.5"
+    assert np.isnan([rows[0]["PT_fall"], rows[0]["RT_rise"], rows[0]["peak_PT7.5_m"]]).all()
+
+
+def test_loops_of_linear_muscle_are_spring_and_damper():
+    subject = average_person().subjects["RT"]
+    amplitude, frequency = np.array([0.01, 0.05, 0.1]), 1.25
+    loop = intrinsic_loop(replace(subject, muscle=None), amplitude, frequency=frequency)
+    k, b = (np.array(subject.muscle_groups(quantity)) for quantity in "kb")
+    phase = np.arcsin(loop.stretch[1:100, 0] / amplitude[0])[:70]
+    assert len(loop.stretch) == 321
+    np.testing.assert_allclose(loop.stretch[0], loop.stretch[-1], atol=1e-12)
+    np.testing.assert_allclose(np.ptp(loop.stretch, axis=0), 2.0 * amplitude)
+    expected = k * amplitude * np.sin(phase)[:, None]
+    expected += b * amplitude * 2.0 * np.pi * frequency * np.cos(phase)[:, None]
+    np.testing.assert_allclose(loop.torque[1:71], expected, rtol=1e-9)
+
+
+def test_loops_of_muscle_that_yields_soften_and_lose():
+    subject = average_person().subjects["RT"]
+    law = MuscleLaw(short_range_stiffness=10.0, elastic_limit_deg=0.7)
+    still = replace(subject, b_s=0.0, b_se=0.0, b_e=0.0)
+    small, large = (
+        intrinsic_loop(replace(still, muscle=law), np.full(3, np.radians(degrees))) for degrees in (0.5, 5.0)
+    )
+    stiffness = np.array(subject.muscle_groups("k"))
+    for loop, share in ((small, 1.0), (large, 0.7 / 5.0)):
+        top = loop.stretch.argmax(axis=0)[0]
+        np.testing.assert_allclose(loop.torque[top] / loop.stretch[top], stiffness + 10.0 * share, rtol=0.02)
+    lost = [np.trapezoid(loop.torque, loop.stretch, axis=0) for loop in (small, large)]
+    limit = np.radians(0.7)
+    np.testing.assert_allclose(lost[0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(lost[1], 4.0 * 10.0 * limit * (np.radians(5.0) - limit), rtol=0.02)
+
+
+def test_figures_do_without_arms_that_are_unstable(yielding, tmp_path):
+    nothing = replace(yielding, responses={})
+    one = replace(yielding, responses={(WHOLE, "RT2.5"): yielding.responses[WHOLE, "RT2.5"]})
+    for number, found in enumerate((yielding, one, nothing)):
+        for draw in (yielding_figures.loops, yielding_figures.admittance, yielding_figures.pulses):
+            path = tmp_path / f"{draw.__name__}{number}.svg"
+            save_svg(draw(found), path)
+            assert path.stat().st_size > 1000
+
+
+def test_example_draws_and_tells(yielding, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(why, "why_people_yield", lambda person: yielding)
+    runpy.run_path(str(ROOT / "examples" / "why_people_yield.py"))["main"](tmp_path / "folder")
+    assert {path.name for path in (tmp_path / "folder").iterdir()} == {
+        f"yielding_{name}.png" for name in ("loops", "admittance", "pulses")
+    }
+    assert "people, published mean" in capsys.readouterr().out
