@@ -110,7 +110,7 @@ def study(short_protocol, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def yielding():
+def explained():
     """Somebody with short-range stiffness in RT alone, and one level of co-contraction; with and without it."""
     average = average_person()
     law = MuscleLaw(short_range_stiffness=10.0, elastic_limit_deg=0.7)

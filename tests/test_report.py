@@ -11,13 +11,11 @@ from html.parser import HTMLParser
 import pytest
 from markupsafe import escape
 
-from armperturb.cohort import draw_cohort
 from armperturb.study import figures, report
 from armperturb.study.protocol import Condition, Protocol
 from armperturb.study.report import chance, digits, left_out, mean_sd, symbol, write_report
 from armperturb.study.style import COLOURS, save_svg, shades
 from armperturb.study.tables import fit_rows
-from armperturb.study.yielding import has_law
 
 HEADERS = {
     "summary": "condition,subjects,identified,trials,trials_used,model,median_abs_error_percent",
@@ -70,10 +68,10 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _says_nothing_of_the_muscle_law():
-    """What a person's law does takes long to simulate; the test that shows it has it simulated already."""
+def _without_the_muscle_law():
+    """What a law does takes long to simulate; tests/test_yielding.py has it in a report."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(report, "has_law", lambda person: False)
+        patch.setattr(report, "first_person", lambda study: None)
         yield
 
 
@@ -221,44 +219,6 @@ def test_task_effect_is_the_ratio_of_the_gains(study, written, out):
     effect = float(rows(out, "task_effect")[0]["study"])
     assert effect == pytest.approx(sum(gains) / 4)
     assert f'id="task-effect">{digits(effect)}<' in written.read_text(encoding="utf-8")
-
-
-def test_says_why_the_first_person_yields(study, yielding, written, tmp_path, monkeypatch):
-    assert "Why people yield" not in written.read_text(encoding="utf-8")
-    monkeypatch.setattr(figures, "render", without_pictures)
-    monkeypatch.setattr(report, "has_law", has_law)
-    asked = []
-    monkeypatch.setattr(report, "why_people_yield", lambda *given, **named: asked.append((given, named)) or yielding)
-    text = write_report(study, tmp_path).read_text(encoding="utf-8")
-    assert asked == [((draw_cohort(1, 3)[0], study.environment), {"seed": 3})]
-    assert text.index('id="parameters"') < text.index('id="yielding"') < text.index('id="left_out"')
-    assert {path.stem for path in (tmp_path / "figures").iterdir()} - DRAWN == {
-        f"yielding_{name}" for name in ("loops", "admittance", "pulses")
-    }
-    cells, table = Page(text).tables["yielding"][2:], rows(tmp_path, "yielding")
-    for shown, row in zip(cells, table, strict=True):
-        assert shown[0] == row["arm"]
-        assert number(shown[1]) == pytest.approx(100.0 * float(row["peak_RT0_m"]), rel=0.006)
-        assert number(shown[4]) == pytest.approx(float(row["RT_rise"]), rel=0.006)
-
-
-def test_says_which_arms_are_unstable(study, yielding, tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "render", without_pictures)
-    monkeypatch.setattr(report, "has_law", has_law)
-    gone = {key: "still <swings>" for key in yielding.responses if key[0] != "whole law"}
-    left = {key: response for key, response in yielding.responses.items() if key not in gone}
-    odd = replace(yielding, responses=left, unstable=gone)
-    monkeypatch.setattr(report, "why_people_yield", lambda *given, **named: odd)
-    text = write_report(study, tmp_path).read_text(encoding="utf-8")
-    assert "Linear muscle, RT22.5: still &lt;swings&gt;." in text
-    assert Page(text).tables["yielding"][3][1:] == [report.MISSING] * 6
-
-
-def test_says_nothing_of_the_law_of_linear_people(study, tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "render", without_pictures)
-    monkeypatch.setattr(report, "has_law", has_law)
-    monkeypatch.setattr(report, "first_person", lambda study: draw_cohort(1, 3, muscles="linear")[0])
-    assert 'id="yielding"' not in write_report(study, tmp_path).read_text(encoding="utf-8")
 
 
 def test_same_study_same_bytes(study, tmp_path):

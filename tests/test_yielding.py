@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 
 from armperturb.cohort import average_person, draw_cohort
+from armperturb.environment import Environment
 from armperturb.muscle_law import MuscleLaw
+from armperturb.study import figures, report, yielding_figures
 from armperturb.study import yielding as why
-from armperturb.study import yielding_figures
-from armperturb.study.style import save_svg
+from armperturb.study.protocol import THESIS
+from armperturb.study.report import write_report
+from armperturb.study.runner import Case, StudyResult, StudySettings
 from armperturb.study.yielding import (
     AMPLITUDES,
     CONDITIONS,
@@ -19,6 +22,7 @@ from armperturb.study.yielding import (
     MECHANISMS,
     ONE_LEVEL,
     WHOLE,
+    first_person,
     intrinsic_loop,
     variants,
     why_people_yield,
@@ -66,33 +70,34 @@ def test_linear_people_do_not_yield():
         why_people_yield(draw_cohort(1, 0, muscles="linear")[0])
 
 
-def test_linear_muscle_knows_no_amplitude(yielding):
-    assert yielding.rise(LINEAR, "RT22.5", "RT2.5") == pytest.approx(1.0, abs=0.02)
-    assert yielding.rise(LINEAR, "PT2.5", "PT22.5") == pytest.approx(1.0, abs=0.02)
-    assert yielding.rise(WHOLE, "RT22.5", "RT2.5") > 1.2
+def test_linear_muscle_knows_no_amplitude(explained):
+    assert explained.rise(LINEAR, "RT22.5", "RT2.5") == pytest.approx(1.0, abs=0.02)
+    assert explained.rise(LINEAR, "PT2.5", "PT22.5") == pytest.approx(1.0, abs=0.02)
+    assert explained.rise(WHOLE, "RT22.5", "RT2.5") > 1.2
 
 
-def test_a_law_that_is_off_is_linear_muscle(yielding):
-    assert yielding.variants == (WHOLE, LINEAR, "no short-range stiffness")
-    assert not yielding.unstable
+def test_a_law_that_is_off_is_linear_muscle(explained):
+    assert explained.variants == (WHOLE, LINEAR, "no short-range stiffness")
+    assert not explained.unstable
     for condition in CONDITIONS:
-        off, linear = (yielding.responses[name, condition] for name in (yielding.variants[2], LINEAR))
+        off, linear = (explained.responses[name, condition] for name in (explained.variants[2], LINEAR))
         np.testing.assert_array_equal(off.gain, linear.gain)
         np.testing.assert_array_equal(off.distance, linear.distance)
 
 
-def test_arms_that_are_the_same_are_simulated_once(yielding):
+def test_arms_that_are_the_same_are_simulated_once(explained):
     for condition in AMPLITUDES["PT"]:
-        assert len({id(yielding.responses[name, condition]) for name in yielding.variants}) == 1
+        assert len({id(explained.responses[name, condition]) for name in explained.variants}) == 1
 
 
-def test_rows_tell_responses_and_people(yielding):
-    *rows, people = yielding.rows()
-    assert [row["arm"] for row in rows] == list(yielding.variants)
+def test_rows_tell_responses_and_people(explained):
+    *rows, people = explained.rows()
+    assert [row["arm"] for row in rows] == list(explained.variants)
     whole = rows[0]
-    assert whole["peak_RT22.5_m"] == yielding.responses[WHOLE, "RT22.5"].peak
-    assert whole["RT_rise"] == yielding.rise(WHOLE, "RT22.5", "RT2.5")
-    assert whole["pulse_admittance_RT22.5_over_RT0"] > 1.0
+    assert whole["peak_RT22.5_m"] == explained.responses[WHOLE, "RT22.5"].peak
+    assert whole["RT_rise"] == explained.rise(WHOLE, "RT22.5", "RT2.5")
+    after, before = (explained.responses[WHOLE, name].pulse_admittance for name in ("RT22.5", "RT0"))
+    assert whole["pulse_admittance_RT22.5_over_RT0"] == after / before
     assert (people["RT_rise"], people["PT_fall"]) == (3.8, 1.5)
     assert people["peak_RT0_m"] == pytest.approx(0.1938)
     assert people.keys() == whole.keys()
@@ -118,7 +123,7 @@ def test_arms_without_stable_poles_are_told_and_not_simulated(monkeypatch):
     found = why_people_yield(replace(person, subjects={"PT": position}))
     assert not found.responses
     assert set(found.unstable) == {(name, condition) for name in found.variants for condition in ("PT2.5", "PT7.5")}
-    assert set(found.unstable.values()) == {"unstable for small or for large movements"}
+    assert set(found.unstable.values()) == {"is unstable for small or for large movements"}
     rows = found.rows()
     assert rows[0]["unstable_in"] == "PT2.5 PT7.5"
     assert np.isnan([rows[0]["PT_fall"], rows[0]["RT_rise"], rows[0]["peak_PT7.5_m"]]).all()
@@ -129,13 +134,10 @@ def test_loops_of_linear_muscle_are_spring_and_damper():
     amplitude, frequency = np.array([0.01, 0.05, 0.1]), 1.25
     loop = intrinsic_loop(replace(subject, muscle=None), amplitude, frequency=frequency)
     k, b = (np.array(subject.muscle_groups(quantity)) for quantity in "kb")
-    phase = np.arcsin(loop.stretch[1:100, 0] / amplitude[0])[:70]
-    assert len(loop.stretch) == 321
-    np.testing.assert_allclose(loop.stretch[0], loop.stretch[-1], atol=1e-12)
-    np.testing.assert_allclose(np.ptp(loop.stretch, axis=0), 2.0 * amplitude)
-    expected = k * amplitude * np.sin(phase)[:, None]
-    expected += b * amplitude * 2.0 * np.pi * frequency * np.cos(phase)[:, None]
-    np.testing.assert_allclose(loop.torque[1:71], expected, rtol=1e-9)
+    phase = np.linspace(0.0, 2.0 * np.pi, len(loop.stretch))[:, None]
+    np.testing.assert_allclose(loop.stretch, amplitude * np.sin(phase), atol=1e-12)
+    velocity = amplitude * 2.0 * np.pi * frequency * np.cos(phase)
+    np.testing.assert_allclose(loop.torque, k * loop.stretch + b * velocity, atol=1e-9)
 
 
 def test_loops_of_muscle_that_yields_soften_and_lose():
@@ -155,20 +157,85 @@ def test_loops_of_muscle_that_yields_soften_and_lose():
     np.testing.assert_allclose(lost[1], 4.0 * 10.0 * limit * (np.radians(5.0) - limit), rtol=0.02)
 
 
-def test_figures_do_without_arms_that_are_unstable(yielding, tmp_path):
-    nothing = replace(yielding, responses={})
-    one = replace(yielding, responses={(WHOLE, "RT2.5"): yielding.responses[WHOLE, "RT2.5"]})
-    for number, found in enumerate((yielding, one, nothing)):
-        for draw in (yielding_figures.loops, yielding_figures.admittance, yielding_figures.pulses):
-            path = tmp_path / f"{draw.__name__}{number}.svg"
-            save_svg(draw(found), path)
-            assert path.stat().st_size > 1000
+def test_figures_do_without_arms_that_are_unstable(explained):
+    one = {(WHOLE, "RT2.5"): explained.responses[WHOLE, "RT2.5"]}
+    for responses, n_lines in ((one, (3, 2, 0)), ({}, (0, 0, 0))):
+        found = replace(explained, responses=responses)
+        for draw, expected in zip(
+            (yielding_figures.loops, yielding_figures.admittance, yielding_figures.pulses), n_lines, strict=True
+        ):
+            assert sum(len(ax.lines) for ax in draw(found).axes) == expected
 
 
-def test_example_draws_and_tells(yielding, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(why, "why_people_yield", lambda person: yielding)
+def test_example_draws_and_tells(explained, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(why, "why_people_yield", lambda person: explained)
     runpy.run_path(str(ROOT / "examples" / "why_people_yield.py"))["main"](tmp_path / "folder")
     assert {path.name for path in (tmp_path / "folder").iterdir()} == {
         f"yielding_{name}.png" for name in ("loops", "admittance", "pulses")
     }
     assert "people, published mean" in capsys.readouterr().out
+
+
+def study_of(person):
+    """A study of which nothing but who took part is known."""
+    cases = (
+        Case(
+            condition=THESIS.condition(name),
+            truth=THESIS.condition(name).subject_of(person),
+            recording=Path("none.nc"),
+            identification=None,
+            left_out=(),
+        )
+        for name in ("PT7.5", "RT7.5")
+    )
+    return StudyResult(
+        settings=StudySettings(subjects=1, seed=3), protocol=THESIS, environment=Environment(), cases=tuple(cases)
+    )
+
+
+def without_pictures(*args, **options):
+    raise RuntimeError("no OpenGL context")
+
+
+@pytest.fixture
+def reported(explained, tmp_path, monkeypatch):
+    """The text of the report on somebody, and how `why_people_yield` was asked."""
+    monkeypatch.setattr(figures, "render", without_pictures)
+
+    def write(person, found=explained):
+        asked = []
+        monkeypatch.setattr(report, "why_people_yield", lambda *given, **named: asked.append((given, named)) or found)
+        return write_report(study_of(person), tmp_path).read_text(encoding="utf-8"), asked
+
+    return write
+
+
+def test_report_says_why_the_first_person_yields(reported, explained, tmp_path):
+    person = draw_cohort(1, 3)[0]
+    assert first_person(study_of(person)) == person
+    text, asked = reported(person)
+    assert asked == [((person, Environment()), {"seed": 3})]
+    assert text.index('<section id="parameters"') < text.index('<section id="yielding"')
+    assert text.index('<section id="yielding"') < text.index('<section id="left_out"')
+    for name in ("loops", "admittance", "pulses"):
+        assert f'id="figure-yielding_{name}"' in text
+        assert (tmp_path / "figures" / f"yielding_{name}.svg").is_file()
+    assert (tmp_path / "tables" / "yielding.csv").read_text(encoding="utf-8").startswith("arm,peak_RT0_m,peak_RT22.5_m")
+    for row in explained.rows():
+        assert f"<th>{row['arm']}</th>" in text
+        assert f"<td>{report.digits(row['RT_rise'])}</td>" in text
+    assert "Not shown" not in text
+
+
+def test_report_says_which_arms_are_not_shown(reported, explained):
+    gone = {key: "still <swings>" for key in explained.responses if key[0] != WHOLE}
+    kept = {key: response for key, response in explained.responses.items() if key not in gone}
+    text, _ = reported(draw_cohort(1, 3)[0], replace(explained, responses=kept, unstable=gone))
+    assert "Linear muscle in RT22.5 still &lt;swings&gt;." in text
+    assert f"<th>{LINEAR}</th>\n" + 3 * f"<td>{report.MISSING}</td>" in text
+
+
+def test_report_says_nothing_of_the_law_of_linear_people(reported):
+    text, asked = reported(draw_cohort(1, 3, muscles="linear")[0])
+    assert not asked
+    assert "yielding" not in text

@@ -22,7 +22,7 @@ from armperturb.study.admittance import by_task, main_conditions
 from armperturb.study.runner import StudyResult
 from armperturb.study.style import save_svg
 from armperturb.study.tables import Row, write_tables
-from armperturb.study.yielding import PULSES, Yielding, first_person, has_law, why_people_yield
+from armperturb.study.yielding import PULSES, Yielding, first_person, why_people_yield
 
 MISSING = "–"
 
@@ -86,7 +86,7 @@ def write_report(study: StudyResult, out: Path) -> Path:
         Section(title="Parameters", template="parameters", context={"rows": rows["parameters_summary"]}),
         Section(title="What was left out", template="left_out", context={"lists": left_out(study, rows["fits"])}),
     ]
-    if study.conditions and has_law(person := first_person(study)):
+    if person := first_person(study):
         yielding = why_people_yield(person, study.environment, seed=study.settings.seed)
         pictures |= _draw_yielding(yielding, out / "figures")
         write_csv(yielding.rows(), out / "tables" / "yielding.csv")

@@ -57,7 +57,7 @@ CONDITIONS = ("RT0", *(condition for conditions in AMPLITUDES.values() for condi
 """All that are simulated."""
 
 STEP = 2.5e-3
-"""Of the simulation [s], as in `calibrate.STEP`."""
+"""Of the simulation [s], as in `calibrate.STEP`; with a longer one, arms that are nearly unstable may be so."""
 
 REST = 0.5
 """Time before a pulse that comes alone [s]."""
@@ -76,6 +76,9 @@ LOOP_FREQUENCY = 0.5
 
 LOOP_CYCLES = 12
 """So many of them, until the loops repeat themselves; the last is kept."""
+
+LOOP_SAMPLES = 200
+"""Of a cycle."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -178,14 +181,11 @@ class Loop(NamedTuple):
     torque: Array
 
 
-def first_person(study: StudyResult) -> Person:
-    """The first person of a study's cohort."""
+def first_person(study: StudyResult) -> Person | None:
+    """The first person of a study's cohort; None if its people have linear muscles."""
+    if all(case.truth.muscle is None for case in study.cases):
+        return None
     return draw_cohort(1, study.settings.seed, study.environment)[0]
-
-
-def has_law(person: Person) -> bool:
-    """Whether the person's muscles are nonlinear in any task."""
-    return any(subject.muscle is not None for subject in person.subjects.values())
 
 
 def variants(person: Person) -> dict[str, Person]:
@@ -194,7 +194,7 @@ def variants(person: Person) -> dict[str, Person]:
     Raises:
       ValueError: the person has no muscle law.
     """
-    if not has_law(person):
+    if all(subject.muscle is None for subject in person.subjects.values()):
         raise ValueError(f"person {person.name!r} has linear muscles; expected a muscle law")
     found = {WHOLE: person, LINEAR: _with_laws(person, lambda _: None)}
     for name, off in MECHANISMS.items():
@@ -244,7 +244,7 @@ def why_people_yield(
         for condition in CONDITIONS
     }
     wrong = {
-        subject: "unstable for small or for large movements"
+        subject: "is unstable for small or for large movements"
         for subject in subjects.values()
         if largest_real_pole(subject, environment) >= 0.0
     }
@@ -382,15 +382,15 @@ def intrinsic_loop(subject: Subject, amplitude: Sequence[float] | Array, *, freq
     Returns:
       One cycle, closed, after `LOOP_CYCLES` of them: muscle remembers how it was moved.
     """
-    n_cycle = round(1.0 / (frequency * STEP))
-    phase = 2.0 * np.pi * np.arange(LOOP_CYCLES * n_cycle + 1)[:, None] / n_cycle
+    timestep = 1.0 / (frequency * LOOP_SAMPLES)
+    phase = 2.0 * np.pi * np.arange(LOOP_CYCLES * LOOP_SAMPLES + 1)[:, None] / LOOP_SAMPLES
     stretch = np.asarray(amplitude, dtype=float) * np.sin(phase)
-    velocity = np.asarray(amplitude, dtype=float) * (2.0 * np.pi / (n_cycle * STEP)) * np.cos(phase)
-    parameters = muscle_parameters([subject], STEP)
+    velocity = np.asarray(amplitude, dtype=float) * (2.0 * np.pi * frequency) * np.cos(phase)
+    parameters = muscle_parameters([subject], timestep)
     state, law = rested(parameters), np.empty_like(stretch)
     for step in range(len(stretch)):
         torque, state = muscle_torque(parameters, state, stretch[step : step + 1], velocity[step : step + 1])
         law[step] = torque[0]
     linear = np.array(subject.muscle_groups("k")) * stretch + np.array(subject.muscle_groups("b")) * velocity
-    last = slice(-n_cycle - 1, None)
+    last = slice(-LOOP_SAMPLES - 1, None)
     return Loop(stretch[last], (linear + law)[last])
