@@ -262,7 +262,7 @@ def why_people_yield(
     # Arms that are the same are simulated once: most mechanisms change the arm of one task, or of a few conditions.
     found: dict[tuple[str, Subject], Response | str] = {}
     steady: dict[Subject, str] = {}
-    for (_, condition), subject in subjects.items():
+    for (_, condition), subject in sorted(subjects.items(), key=lambda item: item[0][1] != "RT0"):
         if subject not in wrong:
             steady.setdefault(subject, condition)
     for condition, subject, recording in recorded(_alone(), ((name, subject) for subject, name in steady.items())):
