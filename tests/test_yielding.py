@@ -17,9 +17,9 @@ from armperturb.study.report import write_report
 from armperturb.study.runner import Case, StudyResult, StudySettings
 from armperturb.study.yielding import (
     AMPLITUDES,
-    CONDITIONS,
     LINEAR,
     MECHANISMS,
+    NEEDED,
     ONE_LEVEL,
     WHOLE,
     first_person,
@@ -71,6 +71,10 @@ def test_linear_people_do_not_yield():
 
 
 def test_linear_muscle_knows_no_amplitude(explained):
+    rest, moved = (explained.responses[LINEAR, name] for name in ("RT0", "RT22.5"))
+    assert moved.peak / rest.peak == pytest.approx(1.0, abs=0.03)
+    # What is left of the multisine is part of the largest force.
+    assert explained.pulse_rise(LINEAR) == pytest.approx(1.0, abs=0.1)
     assert explained.rise(LINEAR, "RT22.5", "RT2.5") == pytest.approx(1.0, abs=0.02)
     assert explained.rise(LINEAR, "PT2.5", "PT22.5") == pytest.approx(1.0, abs=0.02)
     assert explained.rise(WHOLE, "RT22.5", "RT2.5") > 1.2
@@ -79,7 +83,7 @@ def test_linear_muscle_knows_no_amplitude(explained):
 def test_a_law_that_is_off_is_linear_muscle(explained):
     assert explained.variants == (WHOLE, LINEAR, "no short-range stiffness")
     assert not explained.unstable
-    for condition in CONDITIONS:
+    for condition in NEEDED:
         off, linear = (explained.responses[name, condition] for name in (explained.variants[2], LINEAR))
         np.testing.assert_array_equal(off.gain, linear.gain)
         np.testing.assert_array_equal(off.distance, linear.distance)
@@ -231,7 +235,7 @@ def test_report_says_which_arms_are_not_shown(reported, explained):
     gone = {key: "still <swings>" for key in explained.responses if key[0] != WHOLE}
     kept = {key: response for key, response in explained.responses.items() if key not in gone}
     text, _ = reported(draw_cohort(1, 3)[0], replace(explained, responses=kept, unstable=gone))
-    assert "Linear muscle in RT22.5 still &lt;swings&gt;." in text
+    assert "Linear muscle, RT22.5: still &lt;swings&gt;." in text
     assert f"<th>{LINEAR}</th>\n" + 3 * f"<td>{report.MISSING}</td>" in text
 
 

@@ -2,7 +2,8 @@
 
 The person is simulated without noise under the published forces, with the whole law, with linear muscle, and with one
 mechanism switched off at a time. All arms of a condition get the same multisines, and so do all conditions but for
-their force: what differs between two of them is their doing.
+their force: what differs between two of them is their doing. A multisine is ended by a pulse to either side, so that
+the movement at the onset, which one pulse takes further and the other back, hardly counts in the mean.
 """
 
 import math
@@ -56,6 +57,9 @@ PULSES = {"RT0": 1.0, "RT22.5": 1.0, "PT7.5": 2.0}
 CONDITIONS = ("RT0", *(condition for conditions in AMPLITUDES.values() for condition in conditions))
 """All that are simulated."""
 
+NEEDED = ("RT0", "RT2.5", "RT22.5", "PT2.5", "PT7.5", "PT22.5")
+"""Those that are compared between all arms."""
+
 STEP = 2.5e-3
 """Of the simulation [s], as in `calibrate.STEP`; with a longer one, arms that are nearly unstable may be so."""
 
@@ -87,20 +91,20 @@ class Response:
 
     Attributes:
       subject: the arm, at its level of co-contraction.
-      time: after the onset of a pulse [s], (time,).
+      time: after the onset of a pulse [s], (time,); none without a pulse.
       distance: of the handle from its start, mean over trials [m], (time,).
-      peak: largest distance, mean over trials [m].
-      pulse_admittance: mean over trials [m/N].
+      peak: largest distance, mean over trials [m]; NaN without a pulse.
+      pulse_admittance: peak over the largest hand reaction force, mean over trials [m/N]; NaN without a pulse.
       frequency: [Hz], (frequency,); none without a multisine.
       gain: of the admittance [m/N], (frequency, output, input).
       stretch: RMS stretch of the muscle elements under the multisine [rad], (element,).
     """
 
     subject: Subject
-    time: Array
-    distance: Array
-    peak: float
-    pulse_admittance: float
+    time: Array = field(default_factory=lambda: np.empty(0))
+    distance: Array = field(default_factory=lambda: np.empty(0))
+    peak: float = math.nan
+    pulse_admittance: float = math.nan
     frequency: Array = field(default_factory=lambda: np.empty(0))
     gain: Array = field(default_factory=lambda: np.empty((0, 2, 2)))
     stretch: Array = field(default_factory=lambda: np.zeros(3))
@@ -219,7 +223,7 @@ def why_people_yield(
     environment: Environment | None = None,
     *,
     seed: int = 0,
-    n_multisines: int = 1,
+    n_multisines: int = 2,
     n_threads: int = 0,
     progress: Callable[[float], object] | None = None,
 ) -> Yielding:
@@ -229,7 +233,7 @@ def why_people_yield(
       person: who has a muscle law, in both tasks.
       environment: what the hand holds; the thesis's manipulator if not given.
       seed: of the multisines.
-      n_multisines: realisations per direction of the pulses, behind each admittance.
+      n_multisines: realisations behind each admittance.
       n_threads: 0 takes all cores; no effect on the result.
       progress: called with the simulated seconds (all trials together) since the last call.
 
@@ -242,6 +246,7 @@ def why_people_yield(
         (name, condition): THESIS.condition(condition).subject_of(arm)
         for name, arm in arms.items()
         for condition in CONDITIONS
+        if condition in NEEDED or name in (WHOLE, LINEAR)
     }
     wrong = {
         subject: "is unstable for small or for large movements"
@@ -255,9 +260,10 @@ def why_people_yield(
             return
         everything = [trial for own in trials.values() for trial in own]
         recording = run_experiment(everything, environment, timestep=STEP, n_threads=n_threads, progress=progress)
-        n_own = len(everything) // len(trials)
-        for number, (condition, subject) in enumerate(trials):
-            yield condition, subject, recording.isel(trial=slice(number * n_own, (number + 1) * n_own))
+        first = 0
+        for (condition, subject), own in trials.items():
+            yield condition, subject, recording.isel(trial=slice(first, first + len(own)))
+            first += len(own)
 
     # Arms that are the same are simulated once: most mechanisms change the arm of one task, or of a few conditions.
     found: dict[tuple[str, Subject], Response | str] = {}
@@ -288,22 +294,31 @@ def why_people_yield(
 def _alone() -> Protocol:
     """Every condition without its multisine, and long enough to see whether an arm comes to rest."""
     conditions = [
-        replace(THESIS.condition(name), rms_displacement=0.0, published_force=0.0, **_one_pulse(name, 1))
+        replace(
+            THESIS.condition(name),
+            rms_displacement=0.0,
+            published_force=0.0,
+            pulse_levels=(PULSES.get(name, 1.0),),
+            repetitions=1,
+        )
         for name in CONDITIONS
     ]
     return _with_published_forces(conditions, REST, REST + CALM)
 
 
 def _continuous(n_multisines: int) -> Protocol:
-    """The conditions with a multisine, each ending in pulses."""
-    names = [name for name in CONDITIONS if THESIS.condition(name).has_multisine]
-    conditions = [replace(THESIS.condition(name), **_one_pulse(name, n_multisines)) for name in names]
+    """The conditions with a multisine; with pulses at its end where they are shown."""
+    conditions = [
+        replace(
+            THESIS.condition(name),
+            pulse_levels=(PULSES[name],) if name in PULSES else (),
+            repetitions=n_multisines,
+        )
+        for name in CONDITIONS
+        if THESIS.condition(name).has_multisine
+    ]
     onset = WINDOW_START + PERIOD
     return _with_published_forces(conditions, onset, onset + max(WINDOWS.values()) + 0.1)
-
-
-def _one_pulse(condition: str, repetitions: int) -> dict[str, Any]:
-    return {"pulse_levels": (PULSES.get(condition, 1.0),), "repetitions": repetitions}
 
 
 def _with_published_forces(conditions: Sequence[Condition], onset: float, duration: float) -> Protocol:
@@ -319,10 +334,12 @@ def _with_published_forces(conditions: Sequence[Condition], onset: float, durati
 
 
 def _trials(protocol: Protocol, condition: str, subject: Subject, seed: int) -> list[Trial]:
-    """The trials of one condition; alone in its protocol, it has the multisines that the others have."""
+    """The trials of one condition, whose multisines are those of all conditions, and of both directions."""
     own = replace(protocol, conditions=(protocol.condition(condition),))
+    drawn = own.draw_multisines(seed, range(own.conditions[0].repetitions))
+    multisines = {number: drawn[cell.repetition] for number, cell in enumerate(own.cells()) if drawn}
     person = Person(name=subject.name, height=1.0, mass=1.0, subjects={subject.task: subject})
-    return own.trials(person, own.given_forces(), seed, 0, noisy=False)
+    return own.trials(person, own.given_forces(), seed, 0, noisy=False, multisines=multisines)
 
 
 def _left_workspace(recording: xr.Dataset) -> str:
@@ -346,23 +363,26 @@ def _restless(recording: xr.Dataset) -> str:
 def _response(recording: xr.Dataset, subject: Subject) -> Response:
     """What one arm's trials in one condition show."""
     rate = float(recording.attrs["rate"])
-    onset = round(float(recording["pulse_onset"].values[0]) * rate)
-    shown = slice(onset, onset + round(WINDOWS[subject.task] * rate) + 1)
-    distance = np.linalg.norm(recording["displacement"].values[:, shown], axis=-1)
-    peaks = pulse_peaks(recording)
-    response = Response(
-        subject=subject,
-        time=np.arange(distance.shape[1]) / rate,
-        distance=distance.mean(axis=0),
-        peak=float(peaks.displacement.mean()),
-        pulse_admittance=float(peaks.admittance.mean()),
-    )
-    start = round(WINDOW_START * rate)
-    if onset < start:
+    response = Response(subject=subject)
+    pulse_onset = float(recording["pulse_onset"].values[0])
+    if math.isfinite(pulse_onset):
+        onset = round(pulse_onset * rate)
+        shown = slice(onset, onset + round(WINDOWS[subject.task] * rate) + 1)
+        distance = np.linalg.norm(recording["displacement"].values[:, shown], axis=-1)
+        peaks = pulse_peaks(recording)
+        response = replace(
+            response,
+            time=np.arange(distance.shape[1]) / rate,
+            distance=distance.mean(axis=0),
+            peak=float(peaks.displacement.mean()),
+            pulse_admittance=float(peaks.displacement.mean() / peaks.force.mean()),
+        )
+    if pulse_onset < WINDOW_START:
         return response
     spectra = estimate_spectra(line_spectra(recording, start=WINDOW_START))
     rotation = recording["joint_angle"].values - start_posture(recording)[:, None]
-    stretch = element_motion(rotation[:, start:onset].reshape(-1, 2))
+    window = slice(round(WINDOW_START * rate), round((WINDOW_START + PERIOD) * rate))
+    stretch = element_motion(rotation[:, window].reshape(-1, 2))
     return replace(
         response,
         frequency=spectra.frequency,
