@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from armperturb.cohort import average_person, draw_cohort
 from armperturb.environment import Environment
@@ -118,6 +119,19 @@ def test_unstable_arms_are_told(monkeypatch):
     name = "spindles do not saturate"
     assert (name, "PT7.5") not in found.responses
     assert found.unstable[name, "PT7.5"].startswith(("leaves the workspace", "still swings"))
+
+
+@pytest.mark.parametrize(
+    ("rate_of_decay", "told"),
+    [(0.0, "still swings 8 s after a pulse"), (-0.5, "still swings 8 s after a pulse"), (0.4, ""), (5.0, "")],
+)
+def test_arms_that_do_not_come_to_rest_are_told(rate_of_decay, told):
+    time = np.arange(0.0, 8.5, 0.005)
+    swing = 0.1 * np.exp(-rate_of_decay * time) * np.sin(2.0 * np.pi * 3.0 * time)
+    handle = np.stack([np.zeros((2, len(time))), [swing, 0.0 * swing]], axis=-1)
+    assert (
+        why._restless(xr.Dataset({"displacement": (("trial", "time", "axis"), handle)}, attrs={"rate": 200.0})) == told
+    )
 
 
 def test_arms_without_stable_poles_are_told_and_not_simulated(monkeypatch):
@@ -242,4 +256,4 @@ def test_report_says_which_arms_are_not_shown(reported, explained):
 def test_report_says_nothing_of_the_law_of_linear_people(reported):
     text, asked = reported(draw_cohort(1, 3, muscles="linear")[0])
     assert not asked
-    assert "yielding" not in text
+    assert 'id="yielding"' not in text
