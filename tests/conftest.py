@@ -1,11 +1,16 @@
 """Recordings and studies that several tests read."""
 
+from dataclasses import replace
+
 import pytest
 
+from armperturb.cohort import average_person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.envs.instruments import Instruments
+from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse
+from armperturb.study import yielding as why
 from armperturb.study.runner import StudySettings, run_study
 from armperturb.subject import POSITION, RELAX
 
@@ -102,3 +107,17 @@ def study(short_protocol, tmp_path_factory):
     """Two noisy people with linear muscles who went through the short protocol."""
     settings = StudySettings(subjects=2, seed=3, protocol=short_protocol, muscles="linear")
     return run_study(settings, tmp_path_factory.mktemp("study"), show_progress=False)
+
+
+@pytest.fixture(scope="session")
+def explained():
+    """Somebody with short-range stiffness in RT alone, and one level of co-contraction; with and without it."""
+    average = average_person()
+    law = MuscleLaw(short_range_stiffness=10.0, elastic_limit_deg=0.7)
+    subjects = {
+        "PT": replace(average.subjects["PT"], muscle=None),
+        "RT": replace(average.subjects["RT"], muscle=law),
+    }
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(why, "STEP", 5e-3)  # for speed
+        return why.why_people_yield(replace(average, subjects=subjects, levels={}))

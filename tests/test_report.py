@@ -70,6 +70,14 @@ class Page(HTMLParser):
             self._cell += data
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _without_the_muscle_law():
+    """What a law does takes long to simulate; tests/test_yielding.py has it in a report."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report, "first_person", lambda study: None)
+        yield
+
+
 @pytest.fixture(scope="module")
 def out(tmp_path_factory):
     return tmp_path_factory.mktemp("report")

@@ -2,7 +2,7 @@
 
 import base64
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
@@ -13,15 +13,17 @@ import jinja2
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from armperturb.analysis.export import write_csv
 from armperturb.analysis.maximum_likelihood import SUSPICIOUS
 from armperturb.files import written_whole
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
-from armperturb.study import figures
+from armperturb.study import figures, yielding_figures
 from armperturb.study.admittance import by_task, main_conditions
 from armperturb.study.protocol import Condition
 from armperturb.study.runner import StudyResult
 from armperturb.study.style import save_svg
 from armperturb.study.tables import Row, write_tables
+from armperturb.study.yielding import PULSES, Yielding, first_person, why_people_yield
 
 MISSING = "–"
 
@@ -58,6 +60,8 @@ class Picture(NamedTuple):
 def write_report(study: StudyResult, out: Path) -> Path:
     """Write `tables/*.csv`, `figures/*.svg` and `report.html`, which needs neither of them nor a network.
 
+    If the first person has a muscle law, some more trials are simulated to show what it does.
+
     Without a GL library, the picture of the rig is left out and the report says so.
 
     Args:
@@ -72,7 +76,7 @@ def write_report(study: StudyResult, out: Path) -> Path:
     """
     rows = write_tables(study, out / "tables")
     pictures, not_drawn = _draw(study, out / "figures")
-    sections = (
+    sections = [
         Section(
             title="Summary", template="summary", context={"rows": rows["summary"], "task_effect": rows["task_effect"]}
         ),
@@ -84,7 +88,12 @@ def write_report(study: StudyResult, out: Path) -> Path:
         Section(title="Fits", template="fits", context={"rows": rows["fits"], "remarks": remarks(study)}),
         Section(title="Parameters", template="parameters", context={"rows": rows["parameters_summary"]}),
         Section(title="What was left out", template="left_out", context={"lists": left_out(study, rows["fits"])}),
-    )
+    ]
+    if person := first_person(study):
+        yielding = why_people_yield(person, study.environment, seed=study.settings.seed)
+        pictures |= _draw_yielding(yielding, out / "figures")
+        write_csv(yielding.rows(), out / "tables" / "yielding.csv")
+        sections.insert(-1, _yielding_section(yielding))
     page = _page(study, sections, pictures, not_drawn)
     report = out / "report.html"
     with written_whole(report) as temporary:
@@ -157,6 +166,23 @@ def _draw(study: StudyResult, folder: Path) -> tuple[dict[str, Picture], dict[st
     return pictures, not_drawn
 
 
+def _draw_yielding(yielding: Yielding, folder: Path) -> dict[str, Picture]:
+    drawings = {
+        "yielding_loops": yielding_figures.loops,
+        "yielding_admittance": yielding_figures.admittance,
+        "yielding_pulses": yielding_figures.pulses,
+    }
+    return {name: _embed(draw(yielding), folder / f"{name}.svg") for name, draw in drawings.items()}
+
+
+def _yielding_section(yielding: Yielding) -> Section:
+    return Section(
+        title="Why people yield",
+        template="yielding",
+        context={"person": yielding.person, "rows": yielding.rows(), "pulses": PULSES, "unstable": yielding.unstable},
+    )
+
+
 def _embed(figure: Figure, path: Path) -> Picture:
     """Write a figure to a file, and return what the report shows of it."""
     save_svg(figure, path)
@@ -166,7 +192,7 @@ def _embed(figure: Figure, path: Path) -> Picture:
 
 
 def _page(
-    study: StudyResult, sections: tuple[Section, ...], pictures: dict[str, Picture], not_drawn: dict[str, str]
+    study: StudyResult, sections: Sequence[Section], pictures: dict[str, Picture], not_drawn: dict[str, str]
 ) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("armperturb.study"),
