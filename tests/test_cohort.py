@@ -13,6 +13,7 @@ from armperturb.cohort import (
     ELBOW_ANGLE_DEG,
     MAX_DEVIATION,
     MUSCLES,
+    NONLINEAR_MARGIN,
     SHOULDER_ANGLE_DEG,
     SPREAD,
     SPREAD_ALIKE,
@@ -112,7 +113,7 @@ def test_people_whose_muscles_yield_are_stable_at_their_levels_with_and_without_
                 arms = at_level(subject, level).linear_arms
                 assert len(arms) == 2
                 for arm in arms:
-                    assert largest_real_pole(arm, Environment()) < -STABILITY_MARGIN
+                    assert largest_real_pole(arm, Environment()) < -NONLINEAR_MARGIN
 
 
 def test_people_whose_muscles_yield_differ_around_the_average():

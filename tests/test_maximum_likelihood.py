@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -151,6 +152,12 @@ def test_profile_is_zero_at_the_estimate_and_384_at_the_limits_of_the_interval(p
             assert deviance[3] == pytest.approx(4 * 3.84, rel=0.25)
 
 
+def late_by(remarks):
+    """Skew that is remarked upon [ms]."""
+    (found,) = [re.search(r"RT7.5: force is recorded ([\d.]+) ms later", remark) for remark in remarks]
+    return float(found[1])
+
+
 def test_skew_of_the_clocks_is_remarked_upon(relax, relax_group):
     assert not any("later than" in remark for remark in estimate([relax_group], "frequency").remarks())
     late = relax.copy(deep=True)
@@ -160,7 +167,7 @@ def test_skew_of_the_clocks_is_remarked_upon(relax, relax_group):
         spectrum *= np.exp(-2j * np.pi * frequency * 1e-3)[:, None]
         late[name].values[:] = np.fft.irfft(spectrum, 12000, axis=1)[:, : relax.sizes["time"]]
     remarks = estimate([group_of(late, "1")], "frequency").remarks()
-    assert any("RT7.5: force is recorded 1.0" in remark for remark in remarks)
+    assert late_by(remarks) == pytest.approx(1.0, abs=0.05)
 
 
 def test_records_that_start_amid_movement_are_judged_after_they_settle(position):

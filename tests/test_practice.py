@@ -26,7 +26,10 @@ from armperturb.study.practice import (
 )
 from armperturb.study.protocol import PULSE_UNIT, THESIS, trial_seed
 
-BOTH = replace(THESIS, conditions=(THESIS.condition("PT7.5"), THESIS.condition("RT7.5")))
+AS_INTENDED = replace(
+    THESIS, conditions=tuple(replace(condition, reached=1.0, reached_spread=0.0) for condition in THESIS.conditions)
+)
+BOTH = replace(AS_INTENDED, conditions=(AS_INTENDED.condition("PT7.5"), AS_INTENDED.condition("RT7.5")))
 SEED = 1
 
 
@@ -119,10 +122,10 @@ def test_how_far_people_change_is_each_ones_and_each_conditions_own(monkeypatch)
 
 def test_conditions_that_differ_in_co_contraction_get_forces_of_their_own(people):
     half, whole, same = (
-        replace(THESIS.condition("PT7.5"), name=name, co_contraction=level)
+        replace(AS_INTENDED.condition("PT7.5"), name=name, co_contraction=level)
         for name, level in (("half", 0.5), ("whole", 1.0), ("same", 1.0))
     )
-    protocol = replace(THESIS, conditions=(half, whole, same), pulse_unit_condition="whole")
+    protocol = replace(AS_INTENDED, conditions=(half, whole, same), pulse_unit_condition="whole")
     (found,) = practise(people[:1], protocol, SEED, noisy=False)
     assert found["half"] < 0.8 * found["whole"]
     assert found["same"] == found["whole"]
@@ -140,13 +143,15 @@ def test_a_persons_forces_do_not_depend_on_the_others(people, forces):
 
 
 def test_published_forces_are_everyones(people):
-    found = practise(people, replace(THESIS, forces="published"), SEED)
+    found = practise(people, replace(AS_INTENDED, forces="published"), SEED)
     wanted = {"PT2.5": 1.2, "PT7.5": 5.4, "PT22.5": 16.6, "RT2.5": 0.6, "RT7.5": 0.9, "RT22.5": 1.8, PULSE_UNIT: 53.9}
     assert found == (wanted,) * 2
 
 
 def test_pulses_alone_need_no_practice(people):
-    protocol = replace(THESIS, conditions=(THESIS.condition("RT0"),), pulse_unit_condition="", pulse_unit=40.0)
+    protocol = replace(
+        AS_INTENDED, conditions=(AS_INTENDED.condition("RT0"),), pulse_unit_condition="", pulse_unit=40.0
+    )
     assert practise(people, protocol, SEED) == ({PULSE_UNIT: 40.0},) * 2
 
 
@@ -173,11 +178,11 @@ def test_ten_nonlinear_people_in_six_rounds(monkeypatch, arm):
 
     monkeypatch.setattr(practice, "measured_displacement", measure)
     crowd = draw_cohort(10, SEED, muscles="linear")
-    found = practise(crowd, THESIS, SEED)
+    found = practise(crowd, AS_INTENDED, SEED)
     assert batches[0] == 60
     assert len(batches) <= MAX_ROUNDS
     for person, own in zip(crowd, found, strict=True):
-        for condition in THESIS.conditions:
+        for condition in AS_INTENDED.conditions:
             if condition.has_multisine:
                 perturbation = replace(practice_multisine(SEED), rms=own[condition.name])
                 linear = linear_displacement(person.subjects[condition.task], Environment(), perturbation)

@@ -364,8 +364,11 @@ def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path, monk
 
 def test_tells_how_far_people_change_after_practice(study, tmp_path, monkeypatch):
     monkeypatch.setattr(figures, "render", without_pictures)
-    changing = replace(THESIS, conditions=tuple(replace(c, reached=1.25 * c.reached) for c in THESIS.conditions))
-    for protocol, told in ((THESIS, False), (changing, True)):
+    steady, changing = (
+        replace(THESIS, conditions=tuple(replace(c, reached=reached, reached_spread=0.0) for c in THESIS.conditions))
+        for reached in (1.0, 1.25)
+    )
+    for protocol, told in ((steady, False), (changing, True)):
         text = write_report(replace(study, protocol=protocol, cases=()), tmp_path).read_text(encoding="utf-8")
         assert "until the displacement is as intended" in text
         assert ("as people change before the experiment" in text) == told
