@@ -348,7 +348,6 @@ class Calibration:
         published = _cells(self.task, CALIBRATED + HELD_OUT)
         return [
             {
-                "law": self.law,
                 "table": cell.table,
                 "condition": cell.condition,
                 "quantity": cell.quantity,
@@ -510,7 +509,7 @@ def summary(calibrations: Sequence[Calibration]) -> list[dict[str, Any]]:
 
 
 def save_calibrations(path: str | Path, calibrations: Sequence[Calibration]) -> None:
-    """Write the average person, and how well it and the persons of other laws fit, to a TOML file.
+    """Write the average person, its cells, and how well it and the persons of other laws fit, to a TOML file.
 
     The person is that of the full law, as `armperturb.cohort.average_person` reads it.
 
@@ -534,7 +533,7 @@ def save_calibrations(path: str | Path, calibrations: Sequence[Calibration]) -> 
         **person,
         "levels": levels,
         "summary": summary(calibrations),
-        "cells": [row for found in calibrations for row in found.rows()],
+        "cells": [row for found in full.values() for row in found.rows()],
     }
     with written_whole(path) as temporary:
         temporary.write_text(tomli_w.dumps(_rounded(document)), encoding="utf-8")
