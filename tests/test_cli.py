@@ -257,6 +257,14 @@ def test_study_draws_the_people_that_are_asked_for(tmp_path, monkeypatch, muscle
 UNKNOWN = ["identify", "r.nc", "--model", "1", "--estimator", "guess", "--out", "x"]
 
 
+def test_calibrations_that_could_not_be_written_are_refused_before_they_run(tmp_path, capsys):
+    message = refused(capsys, "calibrate", "--out", tmp_path / "person.toml", "--laws", "linear")
+    assert "laws = ('linear',); expected 'full' among them" in message
+    message = refused(capsys, "calibrate", "--out", tmp_path / "nowhere" / "person.toml")
+    assert f"folder {tmp_path / 'nowhere'} does not exist" in message
+    assert not list(tmp_path.iterdir())
+
+
 def test_usage_errors_leave_with_a_status(capsys):
     no_muscles = ["study", "--out", "x", "--muscles", "soft"]
     for arguments in ([], ["fly"], ["identify", "r.nc", "--model", "9", "--out", "x"], UNKNOWN, no_muscles):
