@@ -136,12 +136,9 @@ class Score:
     """Compare a study with the published tables: shares of cells within 0.5, 1 and 2 SD, and the headline numbers."""
 
     folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of the study; nothing in it but the results is changed."""
+    """Folder of the study, whole or not; its recordings stay as they are."""
     out: Path | None = None
     """Folder for score.csv, headlines.csv and score.txt; by default DIR/score."""
-    appendix_c: bool = False
-    """Fill the tables of appendix C too: six structures fitted to every trial, which takes a core some two minutes per
-    person."""
     workers: int | None = None
     """Number of processes; by default about one per core. No effect on the files."""
 
@@ -170,7 +167,7 @@ def study(settings: Study) -> Path:
       OSError: a file cannot be read or written, or no Dask scheduler answers.
     """
     # Here, so that the other commands start without the drawing library.
-    from armperturb.study.runner import StudySettings, record_study, run_study
+    from armperturb.study.runner import StudySettings, record_study
 
     what = StudySettings(
         subjects=settings.subjects,
@@ -184,9 +181,10 @@ def study(settings: Study) -> Path:
         record_study(what, settings.out, workers=settings.workers, dask=settings.dask, block=settings.block)
         return settings.out
     from armperturb.study.report import write_report
+    from armperturb.study.results import run_study
 
     result = run_study(what, settings.out, workers=settings.workers, dask=settings.dask, block=settings.block)
-    return write_report(result, settings.out)
+    return write_report(result, settings.out, workers=settings.workers)
 
 
 def simulate(settings: Simulate) -> xr.Dataset:
@@ -288,10 +286,11 @@ def score(settings: Score) -> str:
       OSError: a file cannot be read or written.
     """
     # Here, so that the other commands start without what a study needs.
+    from armperturb.study.results import analyse_study
     from armperturb.study.score import score as compare
     from armperturb.study.score import score_text, write_score
 
-    result = compare(settings.folder, appendix_c=settings.appendix_c, workers=settings.workers)
+    result = compare(analyse_study(settings.folder, workers=settings.workers))
     write_score(result, settings.out or settings.folder / "score")
     return score_text(result)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armperturb.study.protocol import Condition
-from armperturb.study.runner import StudyResult
+from armperturb.study.results import StudyResult
 from armperturb.subject import TASKS
 
 Array = NDArray[np.float64]

@@ -26,10 +26,10 @@ from armperturb.envs.experiment import run_experiment
 from armperturb.files import written_whole
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.multisine import PERIOD
+from armperturb.study.cases import WINDOW_START
 from armperturb.study.cells import Cell, measured_cells, published_cells
 from armperturb.study.protocol import THESIS, Protocol
 from armperturb.study.published import MeanSD
-from armperturb.study.runner import WINDOW_START
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import require_number
 

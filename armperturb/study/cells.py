@@ -36,8 +36,8 @@ from armperturb.analysis.pulse import peak_norm, pulse_span
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.recording import REQUIRED_SIGNALS, check_recording
 from armperturb.study import published
+from armperturb.study.cases import WINDOW_START
 from armperturb.study.published import MeanSD
-from armperturb.study.runner import WINDOW_START
 
 Array = NDArray[np.float64]
 

@@ -15,15 +15,15 @@ from armperturb.analysis.arm_model import arm_admittance, simulate_linear
 from armperturb.analysis.spectra import LineSpectra, line_spectra
 from armperturb.analysis.structures import unit
 from armperturb.analysis.vaf import variance_accounted_for
-from armperturb.cohort import draw_person
 from armperturb.envs.camera import render
 from armperturb.models import build_model
 from armperturb.perturbations import MultisineThenPulse
 from armperturb.perturbations.multisine import CLUSTERS, FULL_BAND, PERIOD
 from armperturb.study import published
 from armperturb.study.admittance import MeanAdmittance, by_task, main_conditions, mean_admittance
+from armperturb.study.cases import Case
 from armperturb.study.protocol import Condition
-from armperturb.study.runner import Case, StudyResult
+from armperturb.study.results import StudyResult
 from armperturb.study.style import (
     BESIDE,
     COLOURS,
@@ -61,8 +61,7 @@ def rig(study: StudyResult) -> Figure:
     Raises:
       RuntimeError: this machine cannot draw; the message names what to install.
     """
-    person = draw_person(study.settings.seed, 0, study.environment, muscles=study.settings.muscles)
-    model = build_model(person.subjects[study.protocol.conditions[0].task], study.environment)
+    model = build_model(study.cohort[0].subjects[study.protocol.conditions[0].task], study.environment)
     figure = new_figure(3.95)
     for ax, camera in zip(figure.subplots(1, 2), ("top", "oblique"), strict=True):
         ax.imshow(render(model, camera=camera, width=840, height=840), interpolation="none")
@@ -165,7 +164,7 @@ def admittance_by_task(study: StudyResult) -> Figure:
             phase_ax.fill_between(frequency, phase - spread, phase + spread, **band)
         _plot_mean(panels, mean, look)
         handles.append(Line2D([], [], label=condition.name, **look))
-    if study.settings.subjects > 1:
+    if study.n_people > 1:
         handles.append(Patch(facecolor=GREY, alpha=0.3, label="± 1 SD over people"))
     _legend(figure, *handles)
     return figure
@@ -359,7 +358,7 @@ def overview(study: StudyResult, *, subject: int = 0) -> Figure:
     `docs/overview.png` is the second person of seed 0 with linear muscles, saved with `save_png`.
 
     Args:
-      study: in which the person was identified in PT7.5 and RT7.5.
+      study: of known people, in which the person was identified in PT7.5 and RT7.5.
       subject: number of the person, from 0.
 
     Raises:
@@ -370,7 +369,7 @@ def overview(study: StudyResult, *, subject: int = 0) -> Figure:
     figure.set_layout_engine("constrained", rect=(beside, 0, 1 - beside, 1))
     ax = figure.add_axes((0, 0, beside - 0.02, 1))
     ax.set_axis_off()
-    model = build_model(study.of("PT7.5")[subject].truth, study.environment)
+    model = build_model(study.cohort[subject].subjects["PT"], study.environment)
     picture = ax.imshow(render(model, camera="oblique", width=1412, height=1380), aspect="auto")
     corners = FancyBboxPatch((0.03, 0.03), 0.94, 0.94, boxstyle="round,pad=0.03", transform=ax.transAxes)
     picture.set_clip_path(corners)
@@ -460,7 +459,7 @@ def _plot_admittance(
 
 def _plot_truth(panels: dict[Element, tuple[Axes, Axes]], case: Case) -> list[Line2D]:
     """Draw a linear person's own admittance, and return its entry in the legend; others have neither."""
-    if case.truth.muscle is not None:
+    if case.truth is None or case.truth.muscle is not None:
         return []
     _plot_admittance(panels, FREQUENCY, arm_admittance(case.truth, FREQUENCY), **TRUE)
     return [Line2D([], [], label="true", **TRUE)]

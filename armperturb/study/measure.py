@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,10 +11,9 @@ from numpy.typing import NDArray
 from armperturb.analysis.pulse import predicted_peaks, pulse_peaks
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.thesis import VARTHETA, ThesisEstimate, fit_trials
-from armperturb.recording import REQUIRED_SIGNALS, load_recording
 from armperturb.study import published
+from armperturb.study.cases import MODELS, WINDOW_START, of_condition
 from armperturb.study.cells import LEVELS, Cell, measure
-from armperturb.study.runner import MODELS, WINDOW_START, of_condition
 
 Array = NDArray[np.float64]
 
@@ -24,11 +22,6 @@ STARTS = {"PT": VARTHETA[published.PARAMETER_TABLES["PT7.5"]["start"]], "RT": No
 
 N_LOW = 2
 """How many of the lowest frequency points tell the low-frequency gain (thesis 3.1)."""
-
-FIRST_STEP = {"PT": "PT7.5", "RT": "RT7.5"}
-"""Task to the condition of the first step of appendix C."""
-
-APPENDIX_C_MODELS = tuple("123456")
 
 
 class PulseMeans(NamedTuple):
@@ -58,6 +51,7 @@ class PersonMeasures:
       low_gain: condition to the gain of the diagonal of the admittance at the lowest frequencies [m/N], (frequency,
         axis).
       pulses: condition and level ("min", "max") to the responses.
+      estimates: condition to the fits of its trials that predict them.
       left_out: why trials, or parts of them, tell nothing; one line each.
     """
 
@@ -66,26 +60,8 @@ class PersonMeasures:
     cells: Mapping[Cell, float]
     low_gain: Mapping[str, Array]
     pulses: Mapping[tuple[str, str], PulseMeans]
+    estimates: Mapping[str, ThesisEstimate]
     left_out: tuple[str, ...]
-
-
-class Fits(NamedTuple):
-    """Structures fitted to every trial of a person.
-
-    Attributes:
-      name: of the person.
-      estimates: condition and structure to the estimate.
-      left_out: why there is none; one line each.
-    """
-
-    name: str
-    estimates: dict[tuple[str, str], ThesisEstimate]
-    left_out: tuple[str, ...]
-
-
-def load_signals(path: Path) -> xr.Dataset:
-    """The required signals of a recording; EMG takes most of the memory."""
-    return load_recording(path)[list(REQUIRED_SIGNALS)]
 
 
 def multisine_part(recording: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int64]]:
@@ -102,23 +78,22 @@ def multisine_part(recording: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int64]
     return part.assign_coords(limit_time=("trial", np.full(len(kept), np.nan))), kept
 
 
-def measure_person(path: Path) -> PersonMeasures:
+def measure_person(recording: xr.Dataset) -> PersonMeasures:
     """All that needs one fit per trial.
 
+    Args:
+      recording: the person's trials.
+
     Raises:
-      ValueError: the file is no recording of one person.
-      OSError: the file cannot be read.
+      ValueError: the recording is refused, or holds several people.
     """
-    recording = load_signals(path)
-    try:
-        cells, told = measure(recording)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+    cells, told = measure(recording)
     name = str(recording["subject"].values[0])
     left_out = [f"{name}: {line}" for line in told]
     conditions = tuple(dict.fromkeys(recording["condition"].values.tolist()))
     low_gain: dict[str, Array] = {}
     pulses: dict[tuple[str, str], PulseMeans] = {}
+    estimates: dict[str, ThesisEstimate] = {}
     for condition in published.conditions():
         mine = of_condition(recording, condition)
         if not mine.sizes["trial"]:
@@ -140,6 +115,7 @@ def measure_person(path: Path) -> PersonMeasures:
             except ValueError as error:
                 left_out.append(f"{name} in {condition} was not fitted: {error}")
         if estimate is not None:
+            estimates[condition] = estimate
             left_out += [f"{name}, {line}" for line in _unstable(estimate, condition)]
         for level, means in _pulses(mine, estimate, fitted).items():
             pulses[condition, level] = means
@@ -149,6 +125,7 @@ def measure_person(path: Path) -> PersonMeasures:
         cells=cells,
         low_gain=low_gain,
         pulses=pulses,
+        estimates=estimates,
         left_out=tuple(left_out),
     )
 
@@ -184,48 +161,3 @@ def _pulses(recording: xr.Dataset, estimate: ThesisEstimate | None, fitted: NDAr
                 excess=float((1.0 / known).mean()) if len(known) else float("nan"),
             )
     return found
-
-
-def fit_first(path: Path) -> Fits:
-    """Step 1 of appendix C for one person: all six structures without penalty, from their own starts."""
-    return _fit(path, {(condition, model): None for condition in FIRST_STEP.values() for model in APPENDIX_C_MODELS})
-
-
-def fit_second(unit: tuple[Path, Mapping[tuple[str, str], Mapping[str, float]]]) -> Fits:
-    """Step 2 for one person: with penalty, from the group's means.
-
-    Args:
-      unit: path of the recording, and task and structure to the start.
-    """
-    path, starts = unit
-    return _fit(
-        path,
-        {
-            (condition, model): start
-            for condition in published.conditions()
-            if published.has_multisine(condition)
-            for (task, model), start in starts.items()
-            if condition.startswith(task)
-        },
-        use_penalty=True,
-    )
-
-
-def _fit(
-    path: Path, wanted: Mapping[tuple[str, str], Mapping[str, float] | None], *, use_penalty: bool = False
-) -> Fits:
-    recording = load_signals(path)
-    name = str(recording["subject"].values[0])
-    estimates: dict[tuple[str, str], ThesisEstimate] = {}
-    left_out = []
-    for (condition, model), initial in wanted.items():
-        part, fitted = multisine_part(of_condition(recording, condition))
-        if not len(fitted):
-            continue
-        try:
-            estimates[condition, model] = fit_trials(
-                part, model, initial=initial, use_penalty=use_penalty, start=WINDOW_START
-            )
-        except ValueError as error:
-            left_out.append(f"{name} in {condition}, model {model}, was not fitted: {error}")
-    return Fits(name, estimates, tuple(left_out))

@@ -142,12 +142,13 @@ def joint_motion(condition: str, joint: str, quantity: str, pulse: str = "none")
 
 
 class FitEntry(NamedTuple):
-    """An entry of tables C.3 to C.22.
+    """An entry of tables C.3 to C.22, D.3 to D.5 or E.3 to E.5.
 
     Attributes:
       table: as printed, e.g. "C.8".
       condition: whose trials were fitted.
       model: number of the structure.
+      start: where the fit started, in appendices D and E, e.g. "theta_i1"; empty in C.
       quantity: "parameter", "SEM", "criterion" [-], "VAF_x" or "VAF_y" [%], or as shares of the trials [-] "N_pos" or
         "N_stab".
       parameter: name of the parameter; empty for the others.
@@ -157,23 +158,29 @@ class FitEntry(NamedTuple):
     table: str
     condition: str
     model: str
+    start: str
     quantity: str
     parameter: str
     value: MeanSD
 
 
-def appendix_c() -> tuple[FitEntry, ...]:
-    """All entries of tables C.3 to C.22, in the order of the tables."""
+@functools.cache
+def fit_entries() -> tuple[FitEntry, ...]:
+    """All results in tables C.3 to C.22, D.3 to D.5 and E.3 to E.5, in the order of the tables."""
     entries = []
     for row in (*_rows("parameters"), *_rows("goodness_of_fit")):
-        if not row["table"].startswith("C."):
+        if row["quantity"] == "initial":  # where a fit started is no result
             continue
         factor = 1.0 / float(row["max_count"]) if row.get("max_count") else SI.get(row["unit"], 1.0)
         value = MeanSD(factor * float(row["mean"]), factor * float(row["sd"] or "nan"))
-        entries.append(
-            FitEntry(row["table"], row["condition"], row["model"], row["quantity"], row.get("parameter") or "", value)
-        )
-    return tuple(sorted(entries, key=lambda entry: int(entry.table.removeprefix("C."))))
+        names = {name: row.get(name) or "" for name in FitEntry._fields[:-1]}
+        entries.append(FitEntry(**names, value=value))
+
+    def place(entry: FitEntry) -> tuple[str, int]:
+        appendix, _, number = entry.table.partition(".")
+        return appendix, int(number)
+
+    return tuple(sorted(entries, key=place))
 
 
 def headline_text(name: str) -> str:

@@ -20,7 +20,7 @@ from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.study import figures, yielding_figures
 from armperturb.study.admittance import by_task, main_conditions
 from armperturb.study.protocol import Condition
-from armperturb.study.runner import StudyResult
+from armperturb.study.results import StudyResult
 from armperturb.study.style import save_svg
 from armperturb.study.tables import Row, write_tables
 from armperturb.study.yielding import PULSES, Yielding, first_person, why_people_yield
@@ -90,7 +90,7 @@ def write_report(study: StudyResult, out: Path) -> Path:
         Section(title="What was left out", template="left_out", context={"lists": left_out(study, rows["fits"])}),
     ]
     if person := first_person(study):
-        yielding = why_people_yield(person, study.environment, seed=study.settings.seed)
+        yielding = why_people_yield(person, study.environment, seed=study.seed)
         pictures |= _draw_yielding(yielding, out / "figures")
         write_csv(yielding.rows(), out / "tables" / "yielding.csv")
         sections.insert(-1, _yielding_section(yielding))
@@ -137,7 +137,7 @@ def remarks(study: StudyResult) -> dict[str, dict[str, list[str]]]:
             lines = list(case.identified.fit.remarks)
             lines += [f"thesis's estimator: {line}" for line in (case.thesis.fit.remarks if case.thesis else ())]
             if lines:
-                said.setdefault(case.condition.name, {})[case.truth.name] = lines
+                said.setdefault(case.condition.name, {})[case.name] = lines
     return {condition.name: said[condition.name] for condition in study.conditions if condition.name in said}
 
 

@@ -1,50 +1,37 @@
-"""Runs the study: draws people, lets them practise, perturbs them, records, identifies.
+"""Runs the experiments of a study: draws people, lets them practise, perturbs them, records.
 
 Everything that a subject's file holds follows from the settings and the subject's number alone, so a study may be
 stopped, killed and started again, and be shared out over processes and machines, without any effect on the files.
 """
 
 import hashlib
-import importlib.metadata
-import math
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import joblib
 import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from armperturb.analysis.identify import Identification, identify
-from armperturb.analysis.maximum_likelihood import Estimate
-from armperturb.analysis.spectra import SpectralEstimate, estimate_spectra, line_spectra
 from armperturb.cohort import MUSCLES, Person, draw_cohort
 from armperturb.environment import Environment
 from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.files import write_durably
 from armperturb.perturbations import Multisine
-from armperturb.perturbations.multisine import PERIOD
-from armperturb.recording import REQUIRED_SIGNALS, encode_recording, load_recording, stack_trials
+from armperturb.recording import encode_recording, stack_trials
+from armperturb.study.manifest import Manifest
 from armperturb.study.practice import practise
-from armperturb.study.protocol import FORCES, THESIS, Condition, Protocol, load_protocol
+from armperturb.study.protocol import FORCES, THESIS, Protocol, load_protocol
 from armperturb.study.store import StudyFolder, cannot_write, open_study
 from armperturb.study.workers import LOG, Workers, completed, workers_for
-from armperturb.subject import Subject
 from armperturb.validation import require_number
 
 BLOCK = 96
 """How many trials are simulated side by side unless told otherwise: more hardly gains speed, but takes memory."""
-
-MODELS = {"PT": "3b", "RT": "1"}
-"""Task to the structure that is fitted, see `armperturb.analysis.structures`."""
-
-WINDOW_START = 8.0
-"""Time from which on a trial is analysed [s]: the transient has gone by then."""
 
 PROGRESS_INTERVAL = 0.2
 """How often a worker tells how far it is [s]."""
@@ -103,92 +90,6 @@ class StudySettings:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Case:
-    """One subject in one condition.
-
-    Attributes:
-      condition: what was run.
-      truth: the subject that was simulated.
-      recording: path of the subject's recording.
-      identification: what the analysis made of it, by greatest likelihood over whole records; None if it could not be
-        identified.
-      thesis: what the thesis's estimator makes of the same trials; None if it cannot.
-      left_out: reasons why trials were left out, or why an estimator gave nothing.
-      single_trials: spectra of each trial behind the identification, averaged over adjacent lines only.
-      force: RMS force of the multisine per axis in the window of the analysis, pooled over axes and trials [N]; NaN if
-        not identified.
-      displacement: RMS displacement, likewise [m].
-    """
-
-    condition: Condition
-    truth: Subject
-    recording: Path
-    identification: Identification | None
-    left_out: tuple[str, ...]
-    thesis: Identification | None = None
-    single_trials: tuple[SpectralEstimate, ...] = ()
-    force: float = math.nan
-    displacement: float = math.nan
-
-    @property
-    def model(self) -> str:
-        """Structure that is fitted, see `armperturb.analysis.structures`."""
-        return MODELS[self.condition.task]
-
-    @property
-    def identified(self) -> Identification:
-        """The identification of a case that `StudyResult.of` gives, which has one."""
-        assert self.identification is not None
-        return self.identification
-
-    @property
-    def estimate(self) -> Estimate:
-        """What the greatest likelihood gives of such a case beside the arm: intervals, correlations, lack of fit."""
-        assert isinstance(self.identified.fit.detail, Estimate)
-        return self.identified.fit.detail
-
-    def trials(self) -> xr.Dataset:
-        """The recorded trials behind the identification."""
-        return _inside(of_condition(load_recording(self.recording), self.condition.name))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StudyResult:
-    """A finished study.
-
-    Attributes:
-      settings: what determined it.
-      protocol: what everyone went through.
-      environment: what the hands held.
-      cases: one per subject and condition that has a multisine, subjects in order.
-    """
-
-    settings: StudySettings
-    protocol: Protocol
-    environment: Environment
-    cases: tuple[Case, ...]
-
-    @property
-    def has_truth(self) -> bool:
-        """Whether the people are linear, so that what is fitted to them has true values."""
-        return self.settings.muscles == "linear"
-
-    @property
-    def conditions(self) -> tuple[Condition, ...]:
-        """Conditions in which somebody was identified, in the protocol's order."""
-        return tuple(condition for condition in self.protocol.conditions if self.of(condition.name))
-
-    def n_trials(self, condition: str) -> int:
-        """Trials of everyone in a condition."""
-        of_one = sum(cell.condition.name == condition for cell in self.protocol.cells())
-        return self.settings.subjects * of_one
-
-    def of(self, condition: str) -> list[Case]:
-        """The identified cases of one condition."""
-        return [case for case in self.cases if case.condition.name == condition and case.identification is not None]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _Unit:
     """Some people's whole experiment, to be done in one go; all that a worker needs to know."""
 
@@ -217,49 +118,6 @@ class _Finished:
     name: str
     content: Path | bytes
     sha256: str
-
-
-def run_study(
-    settings: StudySettings,
-    out: Path,
-    *,
-    workers: int | None = 1,
-    dask: str | None = None,
-    block: int = BLOCK,
-    show_progress: bool = True,
-) -> StudyResult:
-    """Draw the cohort, record every trial as `record_study` does, and identify every subject in every condition.
-
-    Args:
-      settings: what determines the study.
-      out: the study folder, see `armperturb.study.store`.
-      workers: number of processes, also for the identification; None for about one per core.
-      dask: address of a Dask scheduler whose workers simulate.
-      block: number of trials that a worker simulates side by side.
-      show_progress: whether to draw progress bars on the terminal.
-
-    Raises:
-      Exception: as `record_study`.
-    """
-    protocol, environment = settings.load_protocol(), Environment()
-    paths = record_study(settings, out, workers=workers, dask=dask, block=block, show_progress=show_progress)
-    people = settings.draw_people(environment)
-    units = [(person, path, protocol) for person, path in zip(people, paths, strict=True)]
-    cases: dict[str, list[Case]] = {}
-    with (
-        workers_for(worker_count(workers, len(units)), None) as local,
-        tqdm(total=len(units), desc="identify", unit="subject", disable=None if show_progress else True) as bar,
-    ):
-        results = map(_identify, units) if local is None else completed(_identify, units, local, bar.refresh)
-        for name, of_subject in results:
-            cases[name] = of_subject
-            bar.update()
-    return StudyResult(
-        settings=settings,
-        protocol=protocol,
-        environment=environment,
-        cases=tuple(case for person in people for case in cases[person.name]),
-    )
 
 
 def record_study(
@@ -301,7 +159,8 @@ def record_study(
     protocol, environment = settings.load_protocol(), Environment()
     people = settings.draw_people(environment)
     names = [person.name for person in people]
-    with open_study(out, _manifest(settings, protocol, people)) as folder:
+    made = Manifest.of(people, protocol, seed=settings.seed, ideal=settings.ideal, muscles=settings.muscles)
+    with open_study(out, made.to_dict()) as folder:
         done, damaged = folder.check(names)
         for path in damaged:
             LOG.warning("%s does not match its checksum: set aside, and its subject is done again", path)
@@ -328,19 +187,6 @@ def worker_count(workers: int | None, n_subjects: int) -> int:
         # One process in four more than cores costs little, and is worth it if then none is idle in the last round.
         workers = next((count for count in range(cores, cores + cores // 4 + 1) if n_subjects % count == 0), cores)
     return min(workers, n_subjects)
-
-
-def _manifest(settings: StudySettings, protocol: Protocol, people: Sequence[Person]) -> dict[str, Any]:
-    return {
-        "versions": {name: importlib.metadata.version(name) for name in ("armperturb", "mujoco", "numpy", "scipy")},
-        "subjects": settings.subjects,
-        "seed": settings.seed,
-        "ideal": settings.ideal,
-        "muscles": settings.muscles,
-        # Another calibration, or other spreads, make other people of the same seed.
-        "people": hashlib.sha256(repr(people).encode()).hexdigest(),
-        "protocol": protocol.to_dict(),
-    }
 
 
 def _units(
@@ -486,80 +332,6 @@ def _stage(content: bytes, staging: Path, name: str) -> Path:
     except OSError as error:
         raise cannot_write(path, error) from None
     return path
-
-
-def _identify(unit: tuple[Person, Path, Protocol]) -> tuple[str, list[Case]]:
-    """Identify a person in every condition that has a multisine."""
-    person, path, protocol = unit
-    recording = load_recording(path)[list(REQUIRED_SIGNALS)]  # EMG takes most of the memory
-    return person.name, [
-        _identify_condition(condition, condition.subject_of(person), recording, path, protocol)
-        for condition in protocol.conditions
-        if condition.has_multisine
-    ]
-
-
-def _identify_condition(
-    condition: Condition, truth: Subject, recording: xr.Dataset, path: Path, protocol: Protocol
-) -> Case:
-    mine = of_condition(recording, condition.name)
-    limits = mine["limit_time"].values
-    left_out = [
-        f"trial {trial} of {truth.name} in {condition.name} reached the workspace limit at {limits[trial]:.3f} s"
-        for trial in np.flatnonzero(np.isfinite(limits))
-    ]
-    inside = _inside(mine)
-    lasts = protocol.multisine_duration if condition.pulse_levels else protocol.trial_duration
-    identification = thesis = None
-    single_trials: tuple[SpectralEstimate, ...] = ()
-    force = displacement = math.nan
-    if lasts < WINDOW_START + PERIOD:
-        left_out.append(
-            f"{truth.name} in {condition.name} was not identified: the multisine lasts {lasts:g} s, and the analysis "
-            f"needs {WINDOW_START + PERIOD:g} s"
-        )
-    elif inside.sizes["trial"]:
-        try:
-            identification = identify(inside, MODELS[condition.task], start=WINDOW_START)
-            single_trials = tuple(
-                estimate_spectra(line_spectra(inside.isel(trial=[trial]), start=WINDOW_START))
-                for trial in range(inside.sizes["trial"])
-            )
-            force, displacement = (_rms(inside[name]) for name in ("perturbation", "displacement"))
-        except ValueError as error:  # must not cost the other subjects their results
-            left_out.append(f"{truth.name} in {condition.name} was not identified: {error}")
-    if identification is not None:
-        try:
-            thesis = identify(inside, MODELS[condition.task], estimator="thesis", start=WINDOW_START)
-        except ValueError as error:
-            left_out.append(f"{truth.name} in {condition.name} was not identified by the thesis's estimator: {error}")
-    return Case(
-        condition=condition,
-        truth=truth,
-        recording=path,
-        identification=identification,
-        left_out=tuple(left_out),
-        thesis=thesis,
-        single_trials=single_trials,
-        force=force,
-        displacement=displacement,
-    )
-
-
-def _rms(signal: xr.DataArray) -> float:
-    """RMS per axis over the window of the analysis, pooled over axes and trials."""
-    inside = (signal["time"] >= WINDOW_START) & (signal["time"] < WINDOW_START + PERIOD - 1e-9)
-    return float(np.sqrt(np.mean(signal.values[:, inside.values] ** 2)))
-
-
-def of_condition(recording: xr.Dataset, condition: str) -> xr.Dataset:
-    """Trials of the condition of that name."""
-    return recording.isel(trial=np.flatnonzero(recording["condition"].values == condition))
-
-
-def _inside(recording: xr.Dataset) -> xr.Dataset:
-    """Trials that stayed off the workspace limit."""
-    return recording.isel(trial=np.flatnonzero(np.isnan(recording["limit_time"].values)))
 
 
 class _Progress(AbstractContextManager["_Progress"]):

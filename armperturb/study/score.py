@@ -1,46 +1,35 @@
 """How near a study comes to the thesis's published tables: every cell beside ours, and the headline numbers.
 
 A cell's z is the difference of the means over people, in published SDs. Cells are those of tables 2.1 and F.2 to F.6
-(`armperturb.study.cells`) and of C.3 to C.22, which the thesis's own estimator fills: all six structures, first without
-penalty (C.3 to C.5, C.13 to C.15), then from the group's means with it. In tables of criterion and VAF, mean and SD are
-over trials, and N_pos and N_stab are shares of them. With the penalty, fits that end unstable all the same have
-diverged and count nowhere; standard errors that are infinite count nowhere either.
+(`armperturb.study.cells`) and those that the thesis's own estimator fills: C.3 to C.22, all six structures, first
+without penalty (C.3 to C.5, C.13 to C.15), then from the group's means with it, and D.3 to E.5, one structure from
+several starts. In tables of criterion and VAF, mean and SD are over trials, and N_pos and N_stab are shares of them.
+With the penalty, fits that end unstable all the same have diverged and count nowhere; standard errors that are infinite
+count nowhere either. A cell that cannot be computed is not reproduced: it counts as one that is far.
 """
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from tqdm import tqdm
 
 from armperturb.analysis.export import write_csv
-from armperturb.analysis.thesis import ThesisEstimate, join_estimates
+from armperturb.analysis.thesis import ThesisEstimate
 from armperturb.files import written_whole
 from armperturb.study import published
 from armperturb.study.cells import Cell, published_cells
+from armperturb.study.fits import FIRST_STEP, STARTS_OF, Appendices
 from armperturb.study.headlines import Headline, headlines
-from armperturb.study.measure import FIRST_STEP, Fits, PersonMeasures, fit_first, fit_second, measure_person
+from armperturb.study.measure import PersonMeasures
 from armperturb.study.published import FitEntry, MeanSD
-from armperturb.study.runner import worker_count
-from armperturb.study.store import find_recordings
-from armperturb.study.workers import Workers, completed, workers_for
-from armperturb.validation import require_number
-
-Array = NDArray[np.float64]
-Estimates = Mapping[tuple[str, str], ThesisEstimate]
-Unit = TypeVar("Unit")
-Result = TypeVar("Result")
+from armperturb.study.results import StudyResult
 
 LIMITS = (0.5, 1.0, 2.0)
 """Within how many published SDs cells are counted."""
-
-NOT_ASKED = "appendix C was not asked for"
-"""Why its tables are empty unless they are wanted."""
 
 WITHOUT_PENALTY = ("C.3", "C.4", "C.5", "C.13", "C.14", "C.15")
 """Tables of the first step of appendix C."""
@@ -105,66 +94,22 @@ class Share(NamedTuple):
     within: tuple[int, ...]
     sd_ratio: float
 
-
-def score(folder: Path, *, appendix_c: bool = False, workers: int | None = None, show_progress: bool = True) -> Score:
-    """Compare the recordings of a study with the published tables.
-
-    Args:
-      folder: of the study, which may be incomplete; nothing in it is changed.
-      appendix_c: whether to fill the tables of appendix C too, which takes a core some two minutes per person.
-      workers: number of processes; None for about one per core. No effect on the result.
-      show_progress: whether to draw progress bars on the terminal.
-
-    Raises:
-      TypeError: workers is no number.
-      ValueError: workers is below 1, or a file is no recording of one person.
-      RuntimeError: workers die again and again.
-      OSError: the folder holds no recording, or a file cannot be read.
-    """
-    if workers is not None:
-        require_number("score", "workers", workers, at_least=1)
-    paths, remarks = find_recordings(folder)
-    with workers_for(worker_count(workers, len(paths)), None) as crew:
-
-        def each(function: Callable[[Unit], Result], units: Sequence[Unit], label: str) -> list[Result]:
-            return _each(function, units, crew, label, show_progress)
-
-        people = sorted(each(measure_person, paths, "measure"), key=lambda person: person.name)
-        for person in people:
-            remarks += person.left_out
-        cells = _measured_cells(people)
-        first: Estimates | None = None
-        second: Estimates | None = None
-        if appendix_c:
-            first = _by_task(each(fit_first, paths, "fit, step 1"), remarks)
-            starts = {(condition[:2], model): estimate.start() for (condition, model), estimate in first.items()}
-            second = _by_task(each(fit_second, [(path, starts) for path in paths], "fit, step 2"), remarks)
-    for entry in published.appendix_c():
-        of_step = first if entry.table in WITHOUT_PENALTY else second
-        cells.append(_fitted_cell(entry, of_step, people))
-    if second is not None:
-        remarks += _diverged(second)
-    return Score(people=len(people), cells=tuple(cells), headlines=headlines(people), remarks=tuple(remarks))
+    @property
+    def parts(self) -> tuple[float, ...]:
+        """Share within each of `LIMITS` [-]; a cell that cannot be computed is not within."""
+        return tuple(n / self.published for n in self.within)
 
 
-def _each(
-    function: Callable[[Unit], Result], units: Sequence[Unit], crew: Workers | None, label: str, show_progress: bool
-) -> list[Result]:
-    results = []
-    with tqdm(total=len(units), desc=label, unit="subject", disable=None if show_progress else True) as bar:
-        for result in map(function, units) if crew is None else completed(function, units, crew, bar.refresh):
-            results.append(result)
-            bar.update()
-    return results
-
-
-def _by_task(fits: Iterable[Fits], remarks: list[str]) -> Estimates:
-    """Condition and structure to the fits of all people, who stand in one order however they come; adds remarks."""
-    people = sorted(fits, key=lambda person: person.name)
-    for person in people:
-        remarks += person.left_out
-    keys = dict.fromkeys(key for person in people for key in person.estimates)
-    return {key: join_estimates([one.estimates[key] for one in people if key in one.estimates]) for key in keys}
+def score(study: StudyResult) -> Score:
+    """Compare an analysed study with the published tables."""
+    cells = _measured_cells(study.people)
+    cells += [_fitted_cell(entry, study.appendices, study.people) for entry in published.fit_entries()]
+    return Score(
+        people=len(study.people),
+        cells=tuple(cells),
+        headlines=headlines(study.people),
+        remarks=(*study.remarks, *_diverged(study.appendices)),
+    )
 
 
 def _measured_cells(people: Sequence[PersonMeasures]) -> list[ScoredCell]:
@@ -179,23 +124,30 @@ def _measured_cells(people: Sequence[PersonMeasures]) -> list[ScoredCell]:
     return scored
 
 
-def _fitted_cell(entry: FitEntry, fits: Estimates | None, people: Sequence[PersonMeasures]) -> ScoredCell:
+def _fitted_cell(entry: FitEntry, fits: Appendices, people: Sequence[PersonMeasures]) -> ScoredCell:
     what = {"parameter": entry.parameter, "SEM": f"SEM {entry.parameter}"}.get(entry.quantity, entry.quantity)
-    cell = Cell(entry.table, entry.condition, f"{what} model {entry.model}")
+    cell = Cell(entry.table, entry.condition, f"{what} model {entry.model} {entry.start}".rstrip())
     ours, reason = MeanSD(math.nan, math.nan), ""
-    step_1 = next(condition for task, condition in FIRST_STEP.items() if entry.condition.startswith(task))
-    if fits is None:
-        reason = NOT_ASKED
-    elif (entry.condition, entry.model) in fits:
-        ours = _fitted_value(entry, fits[entry.condition, entry.model])
+    estimate = _estimate(entry, fits)
+    step_1 = FIRST_STEP[entry.condition[:2]]
+    if estimate is not None:
+        ours = _fitted_value(entry, estimate)
         reason = "" if math.isfinite(ours.mean) else "no trial gives a finite value"
     elif not any(entry.condition in person.conditions for person in people):
         reason = f"{entry.condition} was not recorded"
-    elif entry.table not in WITHOUT_PENALTY and not any(step_1 in person.conditions for person in people):
+    elif not any(step_1 in person.conditions for person in people):
         reason = f"{step_1} was not recorded, from which the fits start"
     else:
         reason = "nobody's trials could be fitted"
     return ScoredCell(cell=cell, published=entry.value, ours=ours, reason=reason)
+
+
+def _estimate(entry: FitEntry, fits: Appendices) -> ThesisEstimate | None:
+    """Everybody's fits of which an entry tells."""
+    if entry.start:
+        return fits.starts.get(entry.start)
+    step = fits.first if entry.table in WITHOUT_PENALTY else fits.second
+    return step.get((entry.condition, entry.model))
 
 
 def _fitted_value(entry: FitEntry, estimate: ThesisEstimate) -> MeanSD:
@@ -218,11 +170,13 @@ def _fitted_value(entry: FitEntry, estimate: ThesisEstimate) -> MeanSD:
     return _mean_sd([float(values[counts & (names == name)].mean()) for name in dict.fromkeys(names[counts].tolist())])
 
 
-def _diverged(fits: Estimates) -> list[str]:
+def _diverged(fits: Appendices) -> list[str]:
+    named = {f"{condition}, model {model}": estimate for (condition, model), estimate in fits.second.items()}
+    named |= {f"{STARTS_OF}, start {start}": estimate for start, estimate in fits.starts.items()}
     return [
-        f"{condition}, model {model}: {len(estimate.fits) - estimate.n_stable} of {len(estimate.fits)} fits diverged "
-        "(unstable on the manipulator in spite of the penalty) and are left out of appendix C"
-        for (condition, model), estimate in fits.items()
+        f"{name}: {len(estimate.fits) - estimate.n_stable} of {len(estimate.fits)} fits diverged (unstable on the "
+        "manipulator in spite of the penalty) and are left out"
+        for name, estimate in named.items()
         if estimate.n_stable < len(estimate.fits)
     ]
 
@@ -246,40 +200,41 @@ def share(cells: Iterable[ScoredCell]) -> Share:
 
 
 def shares(result: Score) -> dict[str, Share]:
-    """Share of each table, and of groups of them: measured (2.1 and F, and of these each task) and fitted (C)."""
+    """Share of each table, and of groups of them: measured (2.1 and F, and of these each task) and fitted (C to E)."""
     tables = dict.fromkeys(one.cell.table for one in result.cells)
     of = {table: share(one for one in result.cells if one.cell.table == table) for table in tables}
-    measured = [one for one in result.cells if not one.cell.table.startswith("C")]
+    measured = [one for one in result.cells if one.cell.table.startswith(("2", "F"))]
     groups = {
         "2.1 and F, PT": [one for one in measured if one.cell.condition.startswith("PT")],
         "2.1 and F, RT": [one for one in measured if one.cell.condition.startswith("RT")],
         "2.1 and F": measured,
-        "C": [one for one in result.cells if one.cell.table.startswith("C")],
+        **{
+            appendix: [one for one in result.cells if one.cell.table.startswith(appendix)]
+            for appendix in ("C", "D", "E")
+        },
         "total": list(result.cells),
     }
     return of | {name: share(cells) for name, cells in groups.items()}
+
+
+def missing_cells(result: Score) -> dict[tuple[str, str], int]:
+    """How many cells could not be computed, by reason and by table and condition."""
+    return Counter((one.reason, f"{one.cell.table}, {one.cell.condition}") for one in result.cells if one.reason)
 
 
 def score_text(result: Score) -> str:
     """Shares, headline numbers and what is missing, for a terminal."""
     lines = [f"{result.people} people beside the published tables; SDs are the published ones", ""]
     lines.append(f"{'table':14} {'cells':>9} {'0.5 SD':>12} {'1 SD':>12} {'2 SD':>12} {'SD ratio':>9}")
-    skipped = {cell.cell.table for cell in result.cells if cell.reason == NOT_ASKED}
     for name, one in shares(result).items():
-        if name not in skipped:
-            counts = [f"{n} ({100.0 * n / one.computed:.0f} %)" if one.computed else "-" for n in one.within]
-            of = f"{one.computed}/{one.published}"
-            lines.append(f"{name:14} {of:>9} " + " ".join(f"{count:>12}" for count in counts) + f" {one.sd_ratio:9.2f}")
+        counts = [f"{n} ({100.0 * part:.0f} %)" for n, part in zip(one.within, one.parts, strict=True)]
+        of = f"{one.computed}/{one.published}"
+        lines.append(f"{name:14} {of:>9} " + " ".join(f"{count:>12}" for count in counts) + f" {one.sd_ratio:9.2f}")
     lines += ["", f"{'number of the text':46} {'published':>14} {'ours':>9}  unit"]
     for line in result.headlines:
         remark = f"  ({line.remark})" if line.remark else ""
         lines.append(f"{line.name:46} {line.published:>14} {line.ours:9.3g}  {line.unit}{remark}")
-    missing = Counter(
-        (cell.reason, "C.3 to C.22" if cell.reason == NOT_ASKED else f"{cell.cell.table}, {cell.cell.condition}")
-        for cell in result.cells
-        if cell.reason
-    )
-    if missing:
+    if missing := missing_cells(result):
         lines += ["", "cells that could not be computed:"]
         lines += [f"  {where}: {n} cells: {reason}" for (reason, where), n in missing.items()]
     if result.remarks:
@@ -309,8 +264,9 @@ def write_score(result: Score, folder: Path) -> Path:
             "published_mean": one.published.mean,
             "published_sd": one.published.sd,
             "ours": one.ours.mean,
-            "ours_sd": one.ours.sd,
             "z": one.z,
+            "ours_sd": one.ours.sd,
+            "reason": one.reason,
         }
         for one in result.cells
     ]

@@ -143,17 +143,17 @@ def open_study(root: Path, manifest: Mapping[str, Any]) -> Iterator[StudyFolder]
 def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
     """Recordings that are there and whole, of a study that has ended or not; nothing is changed.
 
-    A folder without a manifest or checksums, as a laboratory may make one, counts as whole.
+    A folder without checksums, as a laboratory may make one, counts as whole.
 
     Args:
       root: the folder.
 
     Returns:
-      Their paths in the order of their names, and one line for each that is missing or damaged.
+      Their paths in the order of their names, and one line for each that is damaged.
 
     Raises:
       OSError: there is no recording.
-      ValueError: none is whole, or the manifest cannot be read.
+      ValueError: none is whole.
     """
     found, sums = sorted((root / RECORDINGS).glob("*.nc")), _read_sums(root / RECORDINGS / SUMS)
     if not found:
@@ -166,13 +166,6 @@ def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
             whole.append(path)
     if not whole:
         raise ValueError(f"{root}: no recording matches its checksum; expected one that does")
-    if (root / MANIFEST).is_file():
-        try:
-            wanted = int(json.loads((root / MANIFEST).read_text(encoding="utf-8"))["subjects"])
-        except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"{root / MANIFEST}: no number of subjects ({error}); expected what a run wrote") from None
-        if len(whole) < wanted:
-            remarks.append(f"the study is incomplete: {wanted - len(whole)} of {wanted} people have no whole recording")
     return whole, remarks
 
 

@@ -11,18 +11,18 @@ from armperturb.analysis.export import fit_summary, write_csv
 from armperturb.analysis.structures import unit
 from armperturb.study import published
 from armperturb.study.admittance import task_effect
-from armperturb.study.runner import StudyResult
+from armperturb.study.results import StudyResult
 from armperturb.subject import Subject
 
 Row = dict[str, Any]
 
 
-def true_value(subject: Subject, parameter: str) -> float:
-    """Value of a model parameter in a simulated subject, SI; NaN if its muscles are not linear.
+def true_value(subject: Subject | None, parameter: str) -> float:
+    """Value of a model parameter in a simulated subject, SI; NaN if it is unknown, or its muscles are not linear.
 
     What is fitted to such a person is an arm that is linear around the person's movement, and no part of the person.
     """
-    if subject.muscle is not None:
+    if subject is None or subject.muscle is not None:
         return math.nan
     return subject.m_h + subject.m_f if parameter == "m_tot" else float(getattr(subject, parameter))
 
@@ -40,7 +40,7 @@ def parameter_rows(study: StudyResult) -> list[Row]:
                 rows.append(
                     {
                         "condition": condition.name,
-                        "subject": case.truth.name,
+                        "subject": case.name,
                         "parameter": name,
                         "unit": unit(name),
                         "true": truth,
@@ -92,7 +92,7 @@ def correlation_rows(study: StudyResult) -> list[Row]:
             rows += [
                 {
                     "condition": condition.name,
-                    "subject": case.truth.name,
+                    "subject": case.name,
                     "parameter": names[i],
                     "other": names[j],
                     "correlation": float(estimate.correlation[i, j]),
@@ -114,7 +114,7 @@ def fit_rows(study: StudyResult) -> list[Row]:
             rows.append(
                 {
                     "condition": condition.name,
-                    "subject": case.truth.name,
+                    "subject": case.name,
                     **summary,
                     **{f"thesis_{name}": beside.get(name) for name in _BESIDE},
                     **environment,
@@ -170,7 +170,7 @@ def summary_rows(study: StudyResult, of_parameters: list[Row], of_fits: list[Row
         rows.append(
             {
                 "condition": condition.name,
-                "subjects": study.settings.subjects,
+                "subjects": study.n_people,
                 "identified": len(fits),
                 "trials": study.n_trials(condition.name),
                 "trials_used": used,

@@ -20,16 +20,17 @@ from armperturb.analysis.arm_model import largest_real_pole
 from armperturb.analysis.kinematics import start_posture
 from armperturb.analysis.pulse import WINDOWS, pulse_peaks
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
-from armperturb.cohort import Person, draw_cohort
+from armperturb.cohort import Person
 from armperturb.controllers.muscle import element_motion, muscle_parameters, muscle_torque, rested
 from armperturb.environment import Environment
 from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study import published
+from armperturb.study.cases import WINDOW_START
 from armperturb.study.cells import Cell, published_cells
 from armperturb.study.protocol import THESIS, Condition, Protocol
-from armperturb.study.runner import WINDOW_START, StudyResult
+from armperturb.study.results import StudyResult
 from armperturb.subject import Subject
 
 Array = NDArray[np.float64]
@@ -186,10 +187,10 @@ class Loop(NamedTuple):
 
 
 def first_person(study: StudyResult) -> Person | None:
-    """The first person of a study's cohort; None if its people have linear muscles."""
-    if all(case.truth.muscle is None for case in study.cases):
+    """The first person of a study's cohort; None if its people are unknown or have linear muscles."""
+    if not study.cohort or all(subject.muscle is None for subject in study.cohort[0].subjects.values()):
         return None
-    return draw_cohort(1, study.settings.seed, study.environment)[0]
+    return study.cohort[0]
 
 
 def variants(person: Person) -> dict[str, Person]:

@@ -1,0 +1,324 @@
+"""A study that was recorded, and all that the analysis makes of it.
+
+| file | |
+|---|---|
+| `analysis/NAME.json.gz` | what a person's recording tells, so that nothing has to be computed twice |
+| `analysis/NAME-step-2.json.gz` | step 2 of appendix C, which depends on everybody |
+
+They are made anew when the recording, the protocol or this package has changed, and mean nothing beside the recordings.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+from tqdm import tqdm
+
+from armperturb.cohort import Person
+from armperturb.environment import Environment
+from armperturb.study.archive import code_digest, read_archive, write_archive
+from armperturb.study.cases import Case, identify_person, load_signals
+from armperturb.study.fits import Appendices, Fits, Key, SecondStep, fit_person, fit_second_step, joined, means_of
+from armperturb.study.manifest import Manifest, current_versions, read_manifest
+from armperturb.study.measure import PersonMeasures, measure_person
+from armperturb.study.protocol import THESIS, Condition, Protocol
+from armperturb.study.runner import BLOCK, StudySettings, record_study, worker_count
+from armperturb.study.store import RECORDINGS, digest, find_recordings
+from armperturb.study.workers import LOG, Workers, completed, workers_for
+from armperturb.validation import require_number
+
+ANALYSIS = "analysis"
+
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
+
+
+class PersonResults(NamedTuple):
+    """What one person's recording tells.
+
+    Attributes:
+      cases: the person in each condition that has a multisine.
+      measures: what the thesis reports of a person.
+      fits: of appendices C to E, but for step 2 of C.
+      missing: what the protocol has and the recording lacks, one line each.
+    """
+
+    cases: tuple[Case, ...]
+    measures: PersonMeasures
+    fits: Fits
+    missing: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StudyResult:
+    """An analysed study.
+
+    Attributes:
+      made: how its recordings were made; None if nobody says, as of a laboratory's.
+      protocol: what everyone went through, or was to.
+      environment: what the hands held.
+      cohort: the people who were simulated; empty if nobody knows.
+      cases: one per person who was recorded and condition that has a multisine, people in order.
+      people: what the thesis reports of each person.
+      appendices: fits of appendices C to E.
+      remarks: what the folder lacks, and why parts of it were left out; one line each.
+    """
+
+    made: Manifest | None
+    protocol: Protocol
+    environment: Environment
+    cohort: tuple[Person, ...]
+    cases: tuple[Case, ...]
+    people: tuple[PersonMeasures, ...] = ()
+    appendices: Appendices = field(default_factory=Appendices)
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def n_people(self) -> int:
+        """How many people were to be recorded; who was, if nobody says."""
+        return self.made.subjects if self.made else len(self.names)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Everyone who was recorded."""
+        return tuple(dict.fromkeys([*(person.name for person in self.people), *(case.name for case in self.cases)]))
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the people are known and linear, so that what is fitted to them has true values."""
+        truths = [case.truth for case in self.cases]
+        return bool(truths) and all(truth is not None and truth.muscle is None for truth in truths)
+
+    @property
+    def seed(self) -> int:
+        """Of everything random that is drawn for the report."""
+        return self.made.seed if self.made else 0
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether people and instruments are free of noise."""
+        return self.made is not None and self.made.ideal
+
+    @cached_property
+    def conditions(self) -> tuple[Condition, ...]:
+        """Conditions in which somebody was identified, in the protocol's order."""
+        return tuple(condition for condition in self.protocol.conditions if self.of(condition.name))
+
+    def n_trials(self, condition: str) -> int:
+        """Trials of everyone in a condition."""
+        return self.n_people * sum(cell.condition.name == condition for cell in self.protocol.cells())
+
+    def of(self, condition: str) -> list[Case]:
+        """The identified cases of one condition."""
+        return [case for case in self.cases if case.condition.name == condition and case.identification is not None]
+
+
+def run_study(
+    settings: StudySettings,
+    out: Path,
+    *,
+    workers: int | None = 1,
+    dask: str | None = None,
+    block: int = BLOCK,
+    show_progress: bool = True,
+) -> StudyResult:
+    """Record a study as `record_study` does, and analyse it.
+
+    Args:
+      settings: what determines the study.
+      out: the study folder, see `armperturb.study.store`.
+      workers: number of processes, also for the analysis; None for about one per core.
+      dask: address of a Dask scheduler whose workers simulate.
+      block: number of trials that a worker simulates side by side.
+      show_progress: whether to draw progress bars on the terminal.
+
+    Raises:
+      Exception: as `record_study`.
+    """
+    record_study(settings, out, workers=workers, dask=dask, block=block, show_progress=show_progress)
+    return analyse_study(out, workers=workers, show_progress=show_progress)
+
+
+def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool = True) -> StudyResult:
+    """Analyse the recordings in a study folder; what an earlier call has found there is used again.
+
+    A folder that is incomplete, or was made by another version, is analysed as far as it goes. Without a manifest, the
+    protocol is taken to be the thesis's, and nothing is known of the people.
+
+    Args:
+      root: the folder.
+      workers: number of processes; None for about one per core. No effect on the result.
+      show_progress: whether to draw a progress bar on the terminal.
+
+    Raises:
+      TypeError: workers is no number.
+      ValueError: workers is below 1, no recording is whole, or one is refused or not of one person.
+      RuntimeError: workers die again and again.
+      OSError: the folder holds no recording, or a file cannot be read.
+    """
+    if workers is not None:
+        require_number("analysis", "workers", workers, at_least=1)
+    paths, remarks = find_recordings(root)
+    made = _manifest(root, remarks)
+    protocol, environment = made.protocol if made else THESIS, Environment()
+    cohort = _cohort(made, environment, remarks)
+    truths = {person.name: person for person in cohort}
+    if made and len(paths) < made.subjects:
+        missing = sorted(truths.keys() - {path.stem for path in paths})
+        named = f" ({', '.join(missing)})" if missing else ""
+        lacking = made.subjects - len(paths)
+        remarks.append(f"the study is incomplete: {lacking} of {made.subjects} people have no whole recording{named}")
+    keys = {path: _key(digest(path), protocol) for path in paths}
+    with (
+        workers_for(worker_count(workers, len(paths)), None) as crew,
+        tqdm(total=2 * len(paths), desc="analyse", unit="step", disable=None if show_progress else True) as bar,
+    ):
+        units = [_Unit(path, protocol, keys[path], _file(root, path)) for path in paths]
+        found = sorted(_each(_analyse, units, crew, bar), key=lambda one: one.measures.name)
+        first, starts = (joined(getattr(one.fits, name) for one in found) for name in ("first", "starts"))
+        means = means_of(first)
+        # Step 2 follows from everybody's step 1.
+        second_key = hashlib.sha256("".join(sorted(keys.values())).encode()).hexdigest()
+        later = [_LaterUnit(path, means, second_key, _file(root, path, "-step-2")) for path in paths]
+        second = _each(_analyse_later, later, crew, bar)
+    for one in found:
+        remarks += [*one.missing, *one.measures.left_out, *one.fits.left_out]
+    remarks += [line for one in second for line in one.left_out]
+    return StudyResult(
+        made=made,
+        protocol=protocol,
+        environment=environment,
+        cohort=cohort,
+        cases=tuple(
+            replace(
+                case,
+                recording=root / case.recording,
+                truth=case.condition.subject_of(truths[case.name]) if case.name in truths else None,
+            )
+            for one in found
+            for case in one.cases
+        ),
+        people=tuple(one.measures for one in found),
+        appendices=Appendices(first=first, second=joined(one.estimates for one in second), starts=starts),
+        remarks=tuple(remarks),
+    )
+
+
+def _manifest(root: Path, remarks: list[str]) -> Manifest | None:
+    try:
+        made = read_manifest(root)
+    except ValueError as error:
+        remarks.append(f"how the recordings were made is not known, so the thesis's protocol is assumed: {error}")
+        return None
+    if made is not None:
+        now = current_versions()
+        others = [f"{name} {made.versions.get(name, '?')}, now {now[name]}" for name in now]
+        others = [text for name, text in zip(now, others, strict=True) if made.versions.get(name) != now[name]]
+        if others:
+            remarks.append(f"the recordings were made with other versions: {'; '.join(others)}")
+    return made
+
+
+def _cohort(made: Manifest | None, environment: Environment, remarks: list[str]) -> tuple[Person, ...]:
+    """Those who were simulated, where that is known."""
+    people = made.draw_people(environment) if made else ()
+    if people is None:
+        remarks.append(
+            "this version draws other people than those who were recorded: their true parameters are unknown"
+        )
+    return people or ()
+
+
+class _Unit(NamedTuple):
+    """A recording to be analysed, and where the result is kept."""
+
+    path: Path
+    protocol: Protocol
+    key: str
+    kept: Path
+
+
+class _LaterUnit(NamedTuple):
+    """A recording for step 2 of appendix C."""
+
+    path: Path
+    means: Mapping[Key, Mapping[str, float]]
+    key: str
+    kept: Path
+
+
+def _analyse(unit: _Unit) -> PersonResults:
+    recording = load_signals(unit.path)
+    try:
+        return PersonResults(
+            cases=identify_person(recording, Path(RECORDINGS, unit.path.name), unit.protocol),
+            measures=measure_person(recording),
+            fits=fit_person(recording),
+            missing=tuple(_missing(recording, unit.protocol)),
+        )
+    except ValueError as error:
+        raise ValueError(f"{unit.path}: {error}") from None
+
+
+def _analyse_later(unit: _LaterUnit) -> SecondStep:
+    return fit_second_step(load_signals(unit.path), unit.means)
+
+
+def _missing(recording: Any, protocol: Protocol) -> list[str]:
+    """What a person's recording lacks, and what it has besides."""
+    name = str(recording["subject"].values[0])
+    there = recording["condition"].values.tolist()
+    wanted = [cell.condition.name for cell in protocol.cells()]
+    lines = [
+        f"{name} has {there.count(condition)} of {wanted.count(condition)} trials in {condition}"
+        for condition in dict.fromkeys(wanted)
+        if there.count(condition) < wanted.count(condition)
+    ]
+    other = [condition for condition in dict.fromkeys(there) if condition not in wanted]
+    return lines + [f"{name} was recorded in {condition}, which the protocol lacks" for condition in other]
+
+
+def _each(
+    function: Callable[[Any], Result], units: Sequence[_Unit | _LaterUnit], crew: Workers | None, bar: tqdm
+) -> list[Result]:
+    """The result of each unit, in their order: kept from an earlier call, or computed and kept."""
+    results: dict[int, Result] = {}
+    for number, unit in enumerate(units):
+        kept = read_archive(unit.kept, unit.key)
+        if kept is not None:
+            results[number] = kept
+            bar.update()
+    missing = [(number, function, unit) for number, unit in enumerate(units) if number not in results]
+    done = map(_numbered, missing) if crew is None else completed(_numbered, missing, crew, bar.refresh)
+    for number, result in done:
+        results[number] = result
+        _keep(units[number], result)
+        bar.update()
+    return [results[number] for number in range(len(units))]
+
+
+def _numbered(work: tuple[int, Callable[[Any], Result], Any]) -> tuple[int, Result]:
+    number, function, unit = work
+    return number, function(unit)
+
+
+def _keep(unit: _Unit | _LaterUnit, result: Any) -> None:
+    try:
+        unit.kept.parent.mkdir(exist_ok=True)
+        write_archive(unit.kept, unit.key, result)
+    except OSError as error:  # a folder that cannot be written to can be analysed all the same
+        LOG.warning("%s cannot be written (%s): it will be computed again next time", unit.kept, error.strerror)
+
+
+def _file(root: Path, recording: Path, suffix: str = "") -> Path:
+    return root / ANALYSIS / f"{recording.stem}{suffix}.json.gz"
+
+
+def _key(sha256: str, protocol: Protocol) -> str:
+    """What a result depends on: recording, protocol and this package."""
+    text = json.dumps([sha256, protocol.to_dict(), code_digest()])
+    return hashlib.sha256(text.encode()).hexdigest()
