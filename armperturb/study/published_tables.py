@@ -119,8 +119,14 @@ def _table(number: str, cells: list[ScoredCell]) -> PublishedTable:
 
 
 def _entry(one: ScoredCell, factor: float) -> Entry:
-    values = (factor * value for value in (*one.published, *one.ours))
-    return Entry(*values, z=one.z, reason=one.reason)
+    return Entry(
+        published=factor * one.published.mean,
+        published_sd=factor * one.published.sd,
+        ours=factor * one.ours.mean,
+        ours_sd=factor * one.ours.sd,
+        z=one.z,
+        reason=one.reason,
+    )
 
 
 def _measured_place(one: ScoredCell) -> _Place:
