@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from armperturb.analysis.statistics import FEWEST, adjacent_effects, effect_of_condition, paired_t, post_hoc
+from armperturb.analysis.statistics import ALPHA, FEWEST, adjacent_effects, effect_of_condition, paired_t, post_hoc
 from armperturb.study import published
 from armperturb.study.admittance import by_task
 from armperturb.study.headlines import POST_HOC, PULSED
@@ -51,6 +51,14 @@ class AdmittanceEffect(NamedTuple):
     frequency: Array
     p: Array
     counts: NDArray[np.bool_]
+
+    def where(self, output: int, input_: int) -> list[str]:
+        """Frequencies at which the effect on an element counts, in words."""
+        return [f"{one:.2g}" for one in self.frequency[self.counts[:, output, input_]]]
+
+    def alone(self, output: int, input_: int) -> list[str]:
+        """Frequencies at which it is significant, in words, be it alone."""
+        return [f"{one:.2g}" for one in self.frequency[self.p[:, output, input_] < ALPHA]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
