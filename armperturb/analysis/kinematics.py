@@ -142,10 +142,7 @@ def joint_rotations(recording: xr.Dataset, *, shoulder: ArrayLike | None = None)
     Raises:
       ValueError: a handle is out of reach, or shoulder has another shape.
     """
-    start = start_posture(recording)
-    lengths = (recording[name].values[:, None] for name in ("l_h", "l_f"))
-    angle = joint_angles(hand_path(recording, shoulder=shoulder), *lengths, flexed=np.sin(start[:, 1:]) >= 0.0)
-    return _shorter_way(angle - start[:, None])
+    return _rotations(recording, hand_path(recording, shoulder=shoulder))
 
 
 def kinematics_error(recording: xr.Dataset, *, shoulder: ArrayLike | None = None) -> KinematicsError:
@@ -161,19 +158,13 @@ def kinematics_error(recording: xr.Dataset, *, shoulder: ArrayLike | None = None
     if "joint_angle" not in recording:
         raise ValueError("the recording has no joint_angle; expected one that was simulated")
     time = np.arange(recording.sizes["time"]) / float(recording.attrs["rate"])
-    counts = ~(time >= recording["limit_time"].values[:, None])
-    inside = recording.assign(
-        displacement=recording["displacement"].where(xr.DataArray(counts, dims=("trial", "time")), 0.0)
-    )
-    if shoulder is not None:
-        shoulder = np.where(counts[..., None], np.asarray(shoulder, dtype=float), 0.0)
-    true = _shorter_way(recording["joint_angle"].values - start_posture(recording)[:, None])
-    error = np.abs(joint_rotations(inside, shoulder=shoulder) - true)
-    error[~counts] = 0.0
-    return KinematicsError(
-        np.sqrt(np.sum(error**2, axis=1) / counts.sum(axis=1, keepdims=True)),
-        error.max(axis=1),
-    )
+    counts = ~(time >= recording["limit_time"].values[:, None])[..., None]
+    path = hand_path(recording, shoulder=shoulder)
+    found = _rotations(recording, np.where(counts, path, path[:, :1]))
+    true = recording["joint_angle"].values - start_posture(recording)[:, None]
+    error = np.where(counts, _shorter_way(found - true), 0.0)
+    rms = np.sqrt(np.sum(error**2, axis=1) / counts.sum(axis=1))
+    return KinematicsError(rms, np.abs(error).max(axis=1))
 
 
 def joint_velocities(rotation: ArrayLike, rate: float, *, cutoff: float | None = CUTOFF) -> Array:
@@ -196,6 +187,13 @@ def joint_velocities(rotation: ArrayLike, rate: float, *, cutoff: float | None =
         sections = signal.butter(ORDER, cutoff, fs=rate, output="sos")
         smooth = signal.sosfiltfilt(sections, smooth, axis=-2)
     return np.asarray(np.gradient(smooth, 1.0 / rate, axis=-2, edge_order=2))
+
+
+def _rotations(recording: xr.Dataset, path: Array) -> Array:
+    """Rotations from the start posture that a path from the shoulder tells [rad], (trial, time, joint)."""
+    start = start_posture(recording)
+    lengths = (recording[name].values[:, None] for name in ("l_h", "l_f"))
+    return _shorter_way(joint_angles(path, *lengths, flexed=np.sin(start[:, 1:]) >= 0.0) - start[:, None])
 
 
 def _shorter_way(angle: Array) -> Array:
