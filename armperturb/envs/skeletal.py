@@ -1,0 +1,222 @@
+"""The nonlinear skeletal model: the arm of the linear model, with true geometry and inertia (thesis 2.7, eq. 2.17).
+
+It is MuJoCo's arm with the linear muscle, driven by what was recorded and free of noise, instruments and muscle law. So
+what it predicts beside the linear model is the effect of geometry, centripetal and Coriolis forces alone. Its state at
+the onset of a pulse is the linear model's (figure 2.9): joint angles and their velocities, displacement and velocity of
+the handle, and what spindles have sent on its way. In the linear model the hand is then where J q has it, in this one
+where the joints put it: what the two differ by deflects the grip from the onset on.
+
+A recorded disturbance runs straight between its samples, as in `analysis.arm_model.simulate_linear`. Delays are exact
+here and third-order Pade approximations there, which for the low-pass of muscle activation is the same.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from mujoco import MjData, mj_initCtrlHistory
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+from scipy import signal
+
+from armperturb.analysis.arm_model import fastest_pole, require_stable, state_space
+from armperturb.controllers.reflex import ReflexGains, activate, reflex_gains, spindle_excitation
+from armperturb.environment import Environment
+from armperturb.envs.experiment import DIVERGED, silent_simulator
+from armperturb.models import JOINTS, REFLEXES, SLIDES, build_model, history_length
+from armperturb.subject import Subject
+from armperturb.validation import require_number
+
+Array = NDArray[np.float64]
+
+STEP = 2.5e-3
+"""Longest step of the simulation [s]; docs/method.md has the error that it makes."""
+
+STEP_LIMIT = 1.0
+"""Largest product of the fastest pole's modulus and the step [-]; a faster arm takes smaller steps."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prediction:
+    """What one arm is asked to predict.
+
+    Attributes:
+      arm: the model; its muscle law does not matter.
+      environment: what the hand holds.
+      perturbation: disturbance as recorded d [N], (time, axis).
+      onset: sample at which the skeletal model takes over from the linear one, which has run from rest; at 0 it starts
+        from rest itself.
+
+    Raises:
+      TypeError: onset is no whole number.
+      ValueError: the perturbation has the wrong shape or is not finite, onset is not one of its samples, the arm has
+        force or acceleration feedback, which the model of eq. 2.17 has not, or is unstable on the environment.
+    """
+
+    arm: Subject
+    environment: Environment
+    perturbation: Array
+    onset: int = 0
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.perturbation)
+        if len(shape) != 2 or shape[0] < 2 or shape[1] != 2:
+            raise ValueError(f"Prediction: perturbation of shape {shape}; expected (n, 2) with at least 2 samples")
+        if not np.isfinite(self.perturbation).all():
+            raise ValueError("Prediction: perturbation is not finite; expected finite forces")
+        if isinstance(self.onset, bool) or not isinstance(self.onset, int | np.integer):
+            raise TypeError(f"Prediction: onset = {self.onset!r}; expected a whole number")
+        require_number("Prediction", "onset", int(self.onset), at_least=0, at_most=shape[0] - 1)
+        if any(self.arm.joint_triple("ka") + self.arm.joint_triple("kf")):
+            raise ValueError(
+                f"Prediction: subject {self.arm.name!r} has acceleration or force feedback; expected velocity and "
+                "position feedback only"
+            )
+        require_stable(self.arm, self.environment)
+
+
+class _Start(NamedTuple):
+    """State of an arm at the onset.
+
+    Attributes:
+      linear: states of the linear model, (state,); first q', q, x', x.
+      filters: of the activation, (2, joint).
+      active: torque that reflexes have sent in the steps before, oldest first [Nm], (step, joint).
+    """
+
+    linear: Array
+    filters: Array
+    active: Array
+
+
+def simulate_skeletal(predictions: Sequence[Prediction], rate: float, *, n_threads: int = 1) -> list[Array]:
+    """Displacement of the handle from the onset on, as the nonlinear skeletal model has it [m], (time, axis) each.
+
+    All arms with the same step are simulated side by side, and none knows of the others. From the sample on at which a
+    handle reaches the workspace limit, or an arm cannot be integrated, its displacement is NaN.
+
+    Args:
+      predictions: what to simulate.
+      rate: of the recordings [Hz].
+      n_threads: 0 takes all cores; the result does not depend on it.
+
+    Raises:
+      TypeError: rate is no number.
+      ValueError: rate is not positive, or a delay of an arm with reflexes is shorter than its step.
+    """
+    require_number("simulate_skeletal", "rate", rate, above=0.0)
+    n_steps = [_steps_per_sample(one, rate) for one in predictions]
+    results: list[Array] = [np.empty((0, 2))] * len(predictions)
+    for decimation in sorted(set(n_steps)):
+        places = [place for place, own in enumerate(n_steps) if own == decimation]
+        simulated = _simulate([predictions[place] for place in places], rate, decimation, n_threads)
+        for place, displacement in zip(places, simulated, strict=True):
+            results[place] = displacement
+    return results
+
+
+def _steps_per_sample(one: Prediction, rate: float) -> int:
+    pole = max(fastest_pole(one.arm, one.environment) / STEP_LIMIT, 1.0 / STEP)
+    return math.ceil(round(pole / rate, 9))
+
+
+def _simulate(predictions: Sequence[Prediction], rate: float, decimation: int, n_threads: int) -> list[Array]:
+    """`simulate_skeletal` with the same number of steps in each sample of all arms."""
+    timestep = 1.0 / (rate * decimation)
+    arms = [one.arm for one in predictions]
+    n_history = max(history_length(arm, timestep) for arm in arms)
+    models = [
+        build_model(one.arm, one.environment, timestep=timestep, n_history=n_history, visual=False)
+        for one in predictions
+    ]
+    gains = reflex_gains(arms, timestep)
+    starts = [_start(one, gains, trial, timestep, decimation, n_history) for trial, one in enumerate(predictions)]
+
+    n_samples = [len(one.perturbation) - one.onset for one in predictions]
+    longest = max(n_samples)
+    held = np.zeros(((longest - 1) * decimation, len(arms), 2))
+    for trial, one in enumerate(predictions):
+        own = _held(one.perturbation[one.onset :], decimation)
+        held[: len(own), trial] = own
+
+    batch = Batch(models[0], len(arms), n_threads)
+    batch.set_models(models)
+    batch.reset()
+    hinge, slide = (
+        slice(models[0].joint(names[0]).qposadr[0], models[0].joint(names[1]).qposadr[0] + 1)
+        for names in (JOINTS, SLIDES)
+    )
+    motor = slice(models[0].actuator(REFLEXES[0]).id, models[0].actuator(REFLEXES[1]).id + 1)
+    qpos, qvel, ctrl, history = (batch.bind(name) for name in ("qpos", "qvel", "ctrl", "history"))
+    applied = batch.bind("qfrc_applied")
+    angle, velocity, handle = qpos[:, hinge], qvel[:, hinge], qpos[:, slide]
+    linear = np.array([start.linear for start in starts])
+    velocity[:], angle[:] = linear[:, 0:2], gains.posture + linear[:, 2:4]
+    qvel[:, slide], handle[:] = linear[:, 4:6], linear[:, 6:8]
+    for trial, (model, start) in enumerate(zip(models, starts, strict=True)):
+        data = MjData(model)
+        for joint, name in enumerate(REFLEXES):
+            mj_initCtrlHistory(model, data, model.actuator(name).id, None, -start.active[:, joint])
+        history[trial] = data.history
+
+    workspace = np.array([[one.environment.workspace] for one in predictions])
+    activation = np.stack([start.filters for start in starts], axis=1)
+    displacement = np.full((len(arms), longest, 2), np.nan)
+    inside = np.ones(len(arms), dtype=bool)
+    with silent_simulator():
+        for sample in range(longest):
+            inside &= (np.abs(handle) < workspace).all(axis=1) & ~(batch.warning[:, DIVERGED, 1] > 0).any(axis=1)
+            displacement[inside, sample] = handle[inside]
+            for step in range(sample * decimation, min((sample + 1) * decimation, len(held))):
+                active, activation = activate(gains, activation, spindle_excitation(gains, angle, velocity))
+                np.negative(active, out=ctrl[:, motor])
+                applied[:, slide] = held[step]
+                batch.step()
+    return [one[:n] for one, n in zip(displacement, n_samples, strict=True)]
+
+
+def _held(force: Array, decimation: int) -> Array:
+    """Force to hold over each step so that the handle feels a force that runs straight between samples [N], (step, axis).
+
+    Its mean over a step gives the velocity; holding it, the handle is ahead of the true force by its rise over twelve
+    m_env / step^2 at the ends of the steps, which the second difference takes back.
+    """
+    sample = np.arange((len(force) - 1) * decimation + 1) / decimation
+    fine = np.stack([np.interp(sample, np.arange(len(force)), axis) for axis in force.T], axis=1)
+    mean = (fine[1:] + fine[:-1]) / 2
+    # Before the start is no rise: what came until then is in the state.
+    return mean - np.diff(np.concatenate([mean[:1], mean, mean[-1:]]), n=2, axis=0) / 12.0
+
+
+def _start(
+    one: Prediction, gains: ReflexGains, trial: int, timestep: float, decimation: int, n_history: int
+) -> _Start:
+    """Where the linear model is at the onset, and what its spindles have sent until then.
+
+    Args:
+      one: what is to be predicted.
+      gains: of all trials.
+      trial: which of them it is.
+      timestep: of the simulation [s].
+      decimation: steps per sample.
+      n_history: steps of the past that are needed.
+    """
+    system = state_space(one.arm, one.environment)
+    sample = np.arange(one.onset * decimation + 1) / decimation
+    force = np.stack(
+        [np.interp(sample, np.arange(len(one.perturbation)), axis) for axis in one.perturbation.T], axis=1
+    )
+    if one.onset:
+        states = signal.lsim(system, force, np.arange(len(force)) * timestep)[2]
+    else:
+        states = np.zeros((1, len(system.a)))
+    excitation = states[:-1, 0:2] @ gains.velocity[trial].T + states[:-1, 2:4] @ gains.position[trial].T
+    active, filters = np.zeros((n_history, 2)), np.zeros((2, 2))
+    n = min(n_history, len(excitation))
+    for joint in range(2):
+        coefficients = gains.numerator[:, trial, joint], gains.denominator[:, trial, joint]
+        sent, filters[:, joint] = signal.lfilter(*coefficients, excitation[:, joint], zi=np.zeros(2))
+        active[n_history - n :, joint] = sent[len(sent) - n :]
+    return _Start(states[-1], filters, active)
