@@ -12,7 +12,7 @@ here and third-order Pade approximations there, which for the low-pass of muscle
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 from scipy import signal
 
-from armperturb.analysis.arm_model import fastest_pole, require_stable, state_space
+from armperturb.analysis.arm_model import N_STATES, fastest_pole, require_stable, state_space
 from armperturb.controllers.reflex import ReflexGains, activate, reflex_gains, spindle_excitation
 from armperturb.environment import Environment
 from armperturb.envs.experiment import DIVERGED, silent_simulator
@@ -131,8 +131,8 @@ def _simulate(predictions: Sequence[Prediction], rate: float, decimation: int, n
         build_model(one.arm, one.environment, timestep=timestep, n_history=n_history, visual=False)
         for one in predictions
     ]
-    gains = reflex_gains(arms, timestep)
-    starts = [_start(one, gains, trial, timestep, decimation, n_history) for trial, one in enumerate(predictions)]
+    gains = _gains(arms, timestep)
+    starts = _starts(predictions, gains, timestep, decimation, n_history)
 
     n_samples = [len(one.perturbation) - one.onset for one in predictions]
     longest = max(n_samples)
@@ -177,46 +177,71 @@ def _simulate(predictions: Sequence[Prediction], rate: float, decimation: int, n
     return [one[:n] for one, n in zip(displacement, n_samples, strict=True)]
 
 
-def _held(force: Array, decimation: int) -> Array:
-    """Force to hold over each step so that the handle feels a force that runs straight between samples [N], (step, axis).
-
-    Its mean over a step gives the velocity; holding it, the handle is ahead of the true force by its rise over twelve
-    m_env / step^2 at the ends of the steps, which the second difference takes back.
-    """
+def _between(force: Array, decimation: int) -> Array:
+    """A force that runs straight between samples, at every step [N], (step, axis)."""
     sample = np.arange((len(force) - 1) * decimation + 1) / decimation
-    fine = np.stack([np.interp(sample, np.arange(len(force)), axis) for axis in force.T], axis=1)
+    return np.stack([np.interp(sample, np.arange(len(force)), of_axis) for of_axis in force.T], axis=1)
+
+
+def _held(force: Array, decimation: int) -> Array:
+    """What to hold over each step for a handle to feel a force that runs straight between samples [N], (step, axis).
+
+    The mean over a step brings the handle to the right velocity, but too far by its rise times step^2 / (12 m_env); the
+    second difference takes that back.
+    """
+    fine = _between(force, decimation)
     mean = (fine[1:] + fine[:-1]) / 2
     # Before the start is no rise: what came until then is in the state.
     return mean - np.diff(np.concatenate([mean[:1], mean, mean[-1:]]), n=2, axis=0) / 12.0
 
 
-def _start(
-    one: Prediction, gains: ReflexGains, trial: int, timestep: float, decimation: int, n_history: int
-) -> _Start:
-    """Where the linear model is at the onset, and what its spindles have sent until then.
+def _gains(arms: Sequence[Subject], timestep: float) -> ReflexGains:
+    """`reflex_gains` whose filters make up for straight lines between steps.
 
-    Args:
-      one: what is to be predicted.
-      gains: of all trials.
-      trial: which of them it is.
-      timestep: of the simulation [s].
-      decimation: steps per sample.
-      n_history: steps of the past that are needed.
+    Running straight between steps, as the filter's input and the delayed torque do, a signal loses (omega step)^2 / 12.
     """
-    system = state_space(one.arm, one.environment)
-    sample = np.arange(one.onset * decimation + 1) / decimation
-    force = np.stack(
-        [np.interp(sample, np.arange(len(one.perturbation)), axis) for axis in one.perturbation.T], axis=1
-    )
-    if one.onset:
-        states = signal.lsim(system, force, np.arange(len(force)) * timestep)[2]
-    else:
-        states = np.zeros((1, len(system.a)))
-    excitation = states[:-1, 0:2] @ gains.velocity[trial].T + states[:-1, 2:4] @ gains.position[trial].T
-    active, filters = np.zeros((n_history, 2)), np.zeros((2, 2))
-    n = min(n_history, len(excitation))
-    for joint in range(2):
-        coefficients = gains.numerator[:, trial, joint], gains.denominator[:, trial, joint]
-        sent, filters[:, joint] = signal.lfilter(*coefficients, excitation[:, joint], zi=np.zeros(2))
-        active[n_history - n :, joint] = sent[len(sent) - n :]
-    return _Start(states[-1], filters, active)
+    gains = reflex_gains(arms, timestep)
+    numerator = np.empty_like(gains.numerator)
+    for trial, arm in enumerate(arms):
+        for joint, cutoff in enumerate((arm.fact_s, arm.fact_e)):
+            omega = 2 * np.pi * cutoff
+            continuous = ([-((omega * timestep) ** 2) / 6, 0.0, omega**2], [1.0, 2 * arm.zeta_act * omega, omega**2])
+            numerator[:, trial, joint] = np.ravel(signal.cont2discrete(continuous, timestep, method="foh")[0])
+    return replace(gains, numerator=numerator)
+
+
+def _starts(
+    predictions: Sequence[Prediction], gains: ReflexGains, timestep: float, decimation: int, n_history: int
+) -> list[_Start]:
+    """Where the linear models are at the onsets, and what their spindles have sent in the `n_history` steps before."""
+    # With the state itself as output, y = state + rise @ input: hold and output are exact for inputs that run straight.
+    eye, none = np.eye(N_STATES), np.zeros((N_STATES, 2))
+    discrete = [
+        signal.cont2discrete((system.a, system.b, eye, none), timestep, method="foh")
+        for system in (state_space(one.arm, one.environment) for one in predictions)
+    ]
+    step, of_force, _, of_rise, _ = (np.stack(parts) for parts in zip(*discrete, strict=True))
+    n_steps = [one.onset * decimation for one in predictions]
+    force = np.zeros((max(n_steps) + 1, len(predictions), 2))
+    for trial, one in enumerate(predictions):
+        force[: n_steps[trial] + 1, trial] = _between(one.perturbation[: one.onset + 1], decimation)
+    driven = np.einsum("tij,ntj->nti", of_force, force)
+    risen = np.einsum("tij,ntj->nti", of_rise, force)
+    states = np.empty_like(driven)
+    states[0] = -risen[0]
+    for n in range(max(n_steps)):
+        np.add((step @ states[n, :, :, None])[..., 0], driven[n], out=states[n + 1])
+    states += risen
+
+    starts = []
+    for trial, n in enumerate(n_steps):
+        past = states[:n, trial]
+        excitation = past[:, 0:2] @ gains.velocity[trial].T + past[:, 2:4] @ gains.position[trial].T
+        active, filters = np.zeros((n_history, 2)), np.zeros((2, 2))
+        for joint in range(2):
+            coefficients = gains.numerator[:, trial, joint], gains.denominator[:, trial, joint]
+            sent, filters[:, joint] = signal.lfilter(*coefficients, excitation[:, joint], zi=np.zeros(2))
+            kept = sent[-n_history:]
+            active[n_history - len(kept) :, joint] = kept
+        starts.append(_Start(states[n, trial], filters, active))
+    return starts
