@@ -1,6 +1,7 @@
 """Pictures of the rig, drawn by MuJoCo."""
 
 import numpy as np
+import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
@@ -39,6 +40,53 @@ def _draw_directions(ax: Axes) -> None:
     for tip, label, place in (((0.18, 0.06), "x", (0.205, 0.06)), ((0.06, 0.18), "y", (0.06, 0.205))):
         ax.annotate("", tip, (0.06, 0.06), xycoords="axes fraction", arrowprops=arrow)
         ax.text(*place, label, transform=ax.transAxes, ha="center", va="center", weight="bold")
+
+
+@in_style()
+def stills(person: Person, environment: Environment, pulses: Sequence[xr.Dataset]) -> Figure:
+    """A person from above during and after pulses, with the path of the handle so far.
+
+    Args:
+      person: who was recorded.
+      environment: what the hand held.
+      pulses: single trials with a pulse and with joint angles, a row each.
+
+    Raises:
+      RuntimeError: this machine cannot draw; the message names what to install.
+    """
+    times = [TIMES[str(trial["task"].values[0])] for trial in pulses]
+    figure = new_figure(1.78 * len(pulses))
+    panels = figure.subplots(len(pulses), max(map(len, times)), squeeze=False)
+    for row, trial, after in zip(panels, pulses, times, strict=True):
+        task, rate = str(trial["task"].values[0]), float(trial.attrs["rate"])
+        model = build_model(person.subjects[task], environment)
+        onset = round(float(trial["pulse_onset"].values[0]) * rate)
+        displacement, angle = (trial[name].values[0] for name in ("displacement", "joint_angle"))
+        start = hand_position(person.subjects[task].posture, person.subjects[task].l_h, person.subjects[task].l_f)
+        direction = np.radians(float(trial["pulse_direction"].values[0]))
+        for ax, since in zip(row, after, strict=True):
+            now = onset + round(since * rate)
+            _draw_still(ax, render(model, [*angle[now], *displacement[now]], "top", width=PIXELS, height=PIXELS))
+            path = start + displacement[onset : now + 1]
+            ax.plot(*path.T, color=COLOURS["RT"], linewidth=1.6)
+            ax.plot(*path[-1], "o", color=COLOURS["RT"], markersize=3)
+            tip = start + 0.22 * np.array([np.cos(direction), np.sin(direction)])
+            if since == 0:
+                ax.annotate("", tip, start, arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 2.0, "shrinkA": 0})
+            ax.set_title(f"+ {1e3 * since:.0f} ms" if since else "onset")
+        row[0].set_ylabel(f"{trial['condition'].values[0]}, pulse at {np.degrees(direction):.0f}°")
+    return figure
+
+
+def _draw_still(ax: Axes, picture: npt.NDArray[np.uint8]) -> None:
+    """A picture from above, cropped, on axes in metres."""
+    left, right, bottom, top = SEEN
+    n_rows, n_columns = picture.shape[:2]
+    columns = [round((x - left) / (right - left) * n_columns) for x in CROP[:2]]
+    rows = [round((top - y) / (top - bottom) * n_rows) for y in CROP[:1:-1]]
+    ax.imshow(picture[slice(*rows), slice(*columns)], extent=CROP, interpolation="none")
+    ax.set(xlim=CROP[:2], ylim=CROP[2:], xticks=(), yticks=())
+    ax.grid(visible=False)
 
 
 @in_style()
