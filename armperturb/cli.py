@@ -132,6 +132,16 @@ class Validate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Report:
+    """Analyse the recordings of a study, whole or not, and write its report."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """Folder of the study; its recordings stay as they are."""
+    workers: int | None = None
+    """Number of processes; by default about one per core. No effect on the files."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Score:
     """Compare a study with the published tables: shares of cells within 0.5, 1 and 2 SD, and the headline numbers."""
 
@@ -184,7 +194,23 @@ def study(settings: Study) -> Path:
     from armperturb.study.results import run_study
 
     result = run_study(what, settings.out, workers=settings.workers, dask=settings.dask, block=settings.block)
-    return write_report(result, settings.out, workers=settings.workers)
+    return write_report(result, settings.out)
+
+
+def report(settings: Report) -> Path:
+    """Analyse a study folder as far as it goes, and return the path of the report.
+
+    Raises:
+      TypeError: a setting has the wrong type.
+      ValueError: a setting is out of its range, or a file is no recording of one person.
+      RuntimeError: workers die again and again.
+      OSError: a file cannot be read or written.
+    """
+    # Here, so that the other commands start without the drawing library.
+    from armperturb.study.report import write_report
+    from armperturb.study.results import analyse_study
+
+    return write_report(analyse_study(settings.folder, workers=settings.workers), settings.folder)
 
 
 def simulate(settings: Simulate) -> xr.Dataset:
@@ -338,7 +364,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
       The exit status: 0, 1 for an input that is refused (one line on stderr says why), 130 for Ctrl-C.
     """
     command = tyro.cli(
-        Study | Simulate | Identify | Validate | Calibrate | Score,
+        Study | Report | Score | Simulate | Identify | Validate | Calibrate,
         prog="armperturb",
         description="Human-arm perturbation experiments on synthetic people in MuJoCo, and their analysis.",
         args=arguments,
@@ -347,6 +373,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if isinstance(command, Study):
             print(f"{'recordings' if command.record_only else 'report'}: {study(command)}")
+        elif isinstance(command, Report):
+            print(f"report: {report(command)}")
         elif isinstance(command, Simulate):
             simulate(command)
             print(f"recording: {command.out}")

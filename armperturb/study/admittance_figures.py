@@ -11,13 +11,18 @@ from numpy.typing import NDArray
 
 from armperturb.study import published
 from armperturb.study.admittance import by_task, main_conditions, mean_admittance
-from armperturb.study.axes import (FREQUENCY, Element, Marks, marks_legend, plot_marks,
+from armperturb.study.axes import (
     AXES,
+    FREQUENCY,
+    Element,
+    Marks,
     admittance_panels,
     label_frequency,
     legend,
     looks,
+    marks_legend,
     plot_admittance,
+    plot_marks,
     plot_mean,
     plot_truth,
     within_turn,
@@ -144,8 +149,9 @@ def gain_linear_scale(study: StudyResult, marks: Mapping[str, Marks] | None = No
             for values, (_, look) in zip(of_element, drawn, strict=True):
                 ax.plot(frequency, values, **{**look, "markersize": 3})
             if marks and element in marks.get(task, {}):
-                masks = (mask[shown] for mask in marks[task][element])
-                plot_marks(ax, frequency, of_element.max(axis=0) + 0.06 * gain.max(), tuple(masks))
+                differs, clearly = marks[task][element]
+                height = of_element.max(axis=0) + 0.06 * gain.max()
+                plot_marks(ax, frequency, height, (differs[shown], clearly[shown]))
             if element[0] == element[1] and [condition.name for condition, _ in drawn[:: len(drawn) - 1 or 1]] == [
                 f"{task}2.5",
                 f"{task}22.5",

@@ -12,16 +12,21 @@ import hashlib
 import importlib
 import io
 import json
+import logging
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from armperturb.files import written_whole
+
+LOG = logging.getLogger(__name__)
+
+Value = TypeVar("Value")
 
 PACKAGE = "armperturb"
 
@@ -53,6 +58,31 @@ def read_archive(path: Path, key: str) -> Any:
         return _restored(found["value"]) if found["key"] == key else None
     except (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, ImportError):
         return None
+
+
+def recalled(path: Path, key: str, compute: Callable[[], Value]) -> Value:
+    """What was computed earlier with that key; else it is computed now, and kept.
+
+    Args:
+      path: of the file; its folder is made if needed.
+      key: what the value is made from.
+      compute: gives the value.
+    """
+    kept = read_archive(path, key)
+    if kept is not None:
+        return kept
+    value = compute()
+    keep(path, key, value)
+    return value
+
+
+def keep(path: Path, key: str, value: Any) -> None:
+    """As `write_archive`, into a folder that is made if needed; a folder that cannot be written to is only told of."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_archive(path, key, value)
+    except OSError as error:
+        LOG.warning("%s cannot be written (%s): it will be computed again next time", path, error.strerror or error)
 
 
 @functools.cache

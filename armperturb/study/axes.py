@@ -17,7 +17,7 @@ from armperturb.study.admittance import MeanAdmittance, by_task
 from armperturb.study.cases import Case
 from armperturb.study.protocol import Condition
 from armperturb.study.results import StudyResult
-from armperturb.study.style import COLOURS, TRUE, new_figure, shades
+from armperturb.study.style import COLOURS, INK, TRUE, new_figure, shades
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from armperturb.study.bars import CONDITIONS, MODELS, UNKNOWN, Bar, any_printed,
 from armperturb.study.cases import Case
 from armperturb.study.measure import TrialMeasures
 from armperturb.study.results import StudyResult
-from armperturb.study.style import COLOURS, FITTED, PUBLISHED, RECORDED, in_style, new_figure
+from armperturb.study.style import COLOURS, FITTED, INK, PUBLISHED, RECORDED, in_style, new_figure
 
 Array = NDArray[np.float64]
 
@@ -116,8 +116,11 @@ def vaf(study: StudyResult) -> Figure:
             drawn.append(groups)
             draw_groups(ax, groups)
             ax.set(ylim=(0, 100), ylabel=f"VAF along {AXES[axis]} [%]" if task == tasks[0] else "")
-    legend(figure, *(Patch(color=look["color"], label=f"{name} model") for name, look in MODELS.items()), *(
-        [printed_handle("published mean ± SD, linear model")] if any_printed(drawn) else []))
+    legend(
+        figure,
+        *(Patch(color=look["color"], label=f"{name} model") for name, look in MODELS.items()),
+        *([printed_handle("published mean ± SD, linear model")] if any_printed(drawn) else []),
+    )
     return figure
 
 

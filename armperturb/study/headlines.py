@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armperturb.analysis.statistics import FEWEST, effect_of_condition, paired_p, post_hoc
+from armperturb.analysis.statistics import FEWEST, effect_of_condition, paired_t, post_hoc
 from armperturb.study import published
 from armperturb.study.measure import PersonMeasures, PulseMeans
 
@@ -160,7 +160,7 @@ def _levels(people: Sequence[PersonMeasures]) -> list[Headline]:
         if len(values) < FEWEST:
             found.append(_missing(test, published.headline_text(test), f"fewer than {FEWEST} people"))
         else:
-            p = paired_p(values[:, 0], values[:, 1])
+            p = paired_t(values[:, 0], values[:, 1]).p
             found.append(
                 Headline(name=test, published=published.headline_text(test), ours=p, remark="dependent t-test")
             )
@@ -192,7 +192,9 @@ def _before(people: Sequence[PersonMeasures], task: str) -> list[Headline]:
     )
     for name, pair in POST_HOC[task].items():
         text = published.headline_text(name)
-        found.append(Headline(name=name, published=text, ours=pairs[pair], remark="dependent t-test, Bonferroni"))
+        found.append(
+            Headline(name=name, published=text, ours=pairs[pair].p_bonferroni, remark="dependent t-test, Bonferroni")
+        )
     return found
 
 

@@ -113,7 +113,7 @@ def parameters(study: StudyResult, task: str) -> Figure:
 
 @in_style()
 def joint_parameters(study: StudyResult, task: str, p: Mapping[str, float] | None = None) -> Figure:
-    """Joint parameters and their SEM, mean and SD over people of means over trials (thesis figs 3.12, 3.13).
+    """Joint parameters and their SEM, mean and SD over people of means over stable trials (thesis figs 3.12, 3.13).
 
     Estimates and SEMs are those of the thesis's estimator, trial by trial.
 
@@ -152,10 +152,10 @@ def joint_parameters(study: StudyResult, task: str, p: Mapping[str, float] | Non
 
 @in_style()
 def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] | None = None) -> Figure:
-    """Parameters of muscle groups, mean and SD over people of means over trials (thesis fig. 3.14).
+    """Parameters of muscle groups, mean and SD over people of means over stable trials (thesis fig. 3.14).
 
-    Those of one-joint muscles are the joint's less the two-joint muscles' (eq. 2.10); of the former the published tables
-    give the mean alone.
+    Those of one-joint muscles are the joint's less the two-joint muscles' (eq. 2.10); of these the published tables give
+    the mean alone.
 
     Args:
       study: with estimates in a task, see `estimated`.
@@ -172,7 +172,9 @@ def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] |
             groups = {
                 place: [
                     Bar(
-                        mean_sd(_muscle(partial(_mean, estimate), quantity, joint) for estimate in estimates[condition]),
+                        mean_sd(
+                            _muscle(partial(_mean, estimate), quantity, joint) for estimate in estimates[condition]
+                        ),
                         _printed_muscle(condition, quantity, joint),
                         colour,
                     )
@@ -207,9 +209,9 @@ def _quantities(estimates: Estimates) -> list[str]:
 
 
 def _mean(estimate: ThesisEstimate, name: str, *, sem: bool = False) -> float:
-    """A person's mean over trials of a parameter, or of its SEM."""
-    per_trial = estimate.sem if sem else estimate.values
-    return float(per_trial[:, estimate.parameters.index(name)].mean())
+    """A person's mean over stable trials of a parameter, or of its SEM; NaN without any."""
+    per_trial = (estimate.sem if sem else estimate.values)[estimate.stable, estimate.parameters.index(name)]
+    return float(per_trial.mean()) if len(per_trial) else math.nan
 
 
 def _muscle(value: Callable[[str], float], quantity: str, joint: str) -> float:

@@ -1,7 +1,6 @@
 """Figures of the perturbations (thesis figures 2.3 to 2.5)."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -117,9 +116,8 @@ def pulse_directions(arms: Sequence[Subject], directions_deg: Sequence[float]) -
 
     figure = new_figure(4.0)
     ax = figure.subplots()
-    body = {"color": PALE, "linewidth": 0}
-    ax.add_patch(Ellipse((-0.19, -0.02), 0.44, 0.2, **body))
-    ax.add_patch(Ellipse((-0.19, 0.0), 0.15, 0.19, **{**body, "color": GREY}))
+    ax.add_patch(Ellipse((-0.19, -0.02), 0.44, 0.2, color=PALE, linewidth=0))
+    ax.add_patch(Ellipse((-0.19, 0.0), 0.15, 0.19, color=GREY, linewidth=0))
     for start, end in (((0.0, 0.0), hinge), (hinge, hand)):
         ax.plot(*zip(start, end, strict=True), color=PALE, linewidth=17, solid_capstyle="round")
     ax.plot(*zip((0.0, 0.0), hinge, hand, strict=True), color=INK, linewidth=1.4)
@@ -130,7 +128,7 @@ def pulse_directions(arms: Sequence[Subject], directions_deg: Sequence[float]) -
         (hinge, "elbow", (0, -18)),
         (hand, "handle", (-8, 14)),
     ):
-        ax.annotate(text, place, offset, textcoords="offset points", ha="center", va="center")
+        ax.annotate(text, tuple(place), offset, textcoords="offset points", ha="center", va="center")
 
     for angle, base, name in (
         (shoulder, np.zeros(2), rf"$\theta_s$ = {np.degrees(shoulder):.1f}°"),
@@ -141,20 +139,20 @@ def pulse_directions(arms: Sequence[Subject], directions_deg: Sequence[float]) -
         ax.plot(*zip(base, end, strict=True), color=GREY, linewidth=0.9, linestyle="--")
         ax.add_patch(Arc(tuple(base), 0.2, 0.2, theta1=np.degrees(start), theta2=np.degrees(start + angle), color=GREY))
         middle = base + 0.13 * np.array([np.cos(start + angle / 2), np.sin(start + angle / 2)])
-        ax.annotate(name, middle, (4, 0), textcoords="offset points", va="center", fontsize=8)
+        ax.annotate(name, tuple(middle), (4, 0), textcoords="offset points", va="center", fontsize=8)
 
     axis = np.array([0.3, 0.0])
     ax.plot(*zip(hand - axis, hand + axis, strict=True), color=GREY, linewidth=0.9, linestyle="--")
-    ax.annotate("fronto-parallel axis", hand - axis, (0, -4), textcoords="offset points", va="top", fontsize=8)
+    ax.annotate("fronto-parallel axis", tuple(hand - axis), (0, -4), textcoords="offset points", va="top", fontsize=8)
     for angle in directions_deg:
         along = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
         arrow = {"arrowstyle": "-|>", "color": COLOURS["RT"], "linewidth": 2.2, "shrinkA": 5, "shrinkB": 0}
-        ax.annotate("", hand + 0.24 * along, hand, arrowprops={**arrow, "mutation_scale": 14})
+        ax.annotate("", tuple(hand + 0.24 * along), tuple(hand), arrowprops={**arrow, "mutation_scale": 14})
         size = 0.26 if angle < 180 else 0.3
         ax.add_patch(Arc(tuple(hand), size, size, theta1=0.0, theta2=angle, color=COLOURS["RT"], linewidth=0.9))
         ax.annotate(
             f"{angle:g}°",
-            hand + 0.27 * along,
+            tuple(hand + 0.27 * along),
             ha="center",
             va="center",
             color=COLOURS["RT"],

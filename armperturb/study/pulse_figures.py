@@ -1,6 +1,6 @@
 """Figures of the responses to pulses: peaks and their prediction (thesis figures 3.15, 3.16, 3.19)."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -82,9 +82,7 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
 @in_style()
 def pulse_prediction(study: StudyResult) -> Figure:
     """Predicted over recorded peak displacement of both models, mean and SD over trials (thesis fig. 3.19)."""
-    found = {
-        model: pulsed_trials(study, lambda trial, model=model: predicted_share(trial, model)) for model in MODELS
-    }
+    found = {model: pulsed_trials(study, lambda trial, model=model: predicted_share(trial, model)) for model in MODELS}
     tasks = found["linear"]
     groups = {
         task: {

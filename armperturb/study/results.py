@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from armperturb.cohort import Person
 from armperturb.environment import Environment
-from armperturb.study.archive import code_digest, read_archive, write_archive
+from armperturb.study.archive import code_digest, keep, read_archive
 from armperturb.study.cases import Case, identify_person, load_signals
 from armperturb.study.fits import Appendices, Fits, Key, SecondStep, fit_person, fit_second_step, joined, means_of
 from armperturb.study.manifest import Manifest, current_versions, read_manifest
@@ -28,7 +28,7 @@ from armperturb.study.measure import PersonMeasures, measure_person
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.runner import BLOCK, StudySettings, record_study, worker_count
 from armperturb.study.store import RECORDINGS, digest, find_recordings
-from armperturb.study.workers import LOG, Workers, completed, workers_for
+from armperturb.study.workers import Workers, completed, workers_for
 from armperturb.validation import require_number
 
 ANALYSIS = "analysis"
@@ -296,7 +296,7 @@ def _each(
     done = map(_numbered, missing) if crew is None else completed(_numbered, missing, crew, bar.refresh)
     for number, result in done:
         results[number] = result
-        _keep(units[number], result)
+        keep(units[number].kept, units[number].key, result)
         bar.update()
     return [results[number] for number in range(len(units))]
 
@@ -304,14 +304,6 @@ def _each(
 def _numbered(work: tuple[int, Callable[[Any], Result], Any]) -> tuple[int, Result]:
     number, function, unit = work
     return number, function(unit)
-
-
-def _keep(unit: _Unit | _LaterUnit, result: Any) -> None:
-    try:
-        unit.kept.parent.mkdir(exist_ok=True)
-        write_archive(unit.kept, unit.key, result)
-    except OSError as error:  # a folder that cannot be written to can be analysed all the same
-        LOG.warning("%s cannot be written (%s): it will be computed again next time", unit.kept, error.strerror)
 
 
 def _file(root: Path, recording: Path, suffix: str = "") -> Path:

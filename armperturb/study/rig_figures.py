@@ -1,20 +1,35 @@
 """Pictures of the rig, drawn by MuJoCo."""
 
+from collections.abc import Sequence
+
 import numpy as np
+import numpy.typing as npt
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
-from numpy.typing import NDArray
 
 from armperturb.analysis.arm_model import arm_admittance
+from armperturb.analysis.kinematics import hand_position
+from armperturb.cohort import Person
+from armperturb.environment import Environment
 from armperturb.envs.camera import render
 from armperturb.models import build_model
 from armperturb.study.axes import AXES, FREQUENCY, label_frequency
 from armperturb.study.results import StudyResult
 from armperturb.study.style import COLOURS, INK, in_style, new_figure
 
-Array = NDArray[np.float64]
+TIMES = {"PT": (0.0, 0.05, 0.1, 0.2, 0.3), "RT": (0.0, 0.1, 0.3, 0.6, 1.0)}
+"""Task to the times after a pulse's onset that stills show [s]."""
+
+SEEN = (-0.644, 0.764, -0.484, 0.924)
+"""Left, right, bottom and top of a square picture from above, at the height of the arm, from the shoulder [m]."""
+
+CROP = (-0.35, 0.6, -0.3, 0.65)
+"""What stills show of it."""
+
+PIXELS = 380
+"""Width of a picture before it is cropped."""
 
 
 @in_style()
@@ -72,7 +87,9 @@ def stills(person: Person, environment: Environment, pulses: Sequence[xr.Dataset
             ax.plot(*path[-1], "o", color=COLOURS["RT"], markersize=3)
             tip = start + 0.22 * np.array([np.cos(direction), np.sin(direction)])
             if since == 0:
-                ax.annotate("", tip, start, arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 2.0, "shrinkA": 0})
+                ax.annotate(
+                    "", tip, start, arrowprops={"arrowstyle": "-|>", "color": INK, "linewidth": 2.0, "shrinkA": 0}
+                )
             ax.set_title(f"+ {1e3 * since:.0f} ms" if since else "onset")
         row[0].set_ylabel(f"{trial['condition'].values[0]}, pulse at {np.degrees(direction):.0f}°")
     return figure

@@ -1,0 +1,215 @@
+"""The sections of the report: what each one's template is given."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from armperturb.analysis.maximum_likelihood import SUSPICIOUS
+from armperturb.study.effects import Effects
+from armperturb.study.formats import digits
+from armperturb.study.headlines import Headline
+from armperturb.study.protocol import Condition
+from armperturb.study.published_tables import published_tables
+from armperturb.study.results import StudyResult
+from armperturb.study.score import Score, missing_cells, shares
+from armperturb.study.tables import Row
+from armperturb.study.yielding import PULSES, Yielding
+
+NEAR = 0.15
+"""A headline number this close to the published one is near [-]."""
+
+FACTORS = {
+    "admittance_ratio_rt7.5_pt7.5": "admittance when relaxing over that when holding position",
+    "admittance_amplitude_factor_pt": "fall of the admittance with amplitude, holding position",
+    "admittance_amplitude_factor_rt": "rise of the admittance with amplitude, relaxing",
+    "pulse_underprediction_factor": "recorded over predicted peak of pulse responses",
+    "peak_displacement_ratio_rt_pt_min_level": "peak of pulse responses, relaxing over holding position",
+    "pulse_admittance_ratio_max_min_pt0": "pulse admittance, level 2 over level 1, PT0",
+    "pulse_admittance_ratio_max_min_pt7.5": "pulse admittance, level 2 over level 1, PT7.5",
+    "pulse_prediction_low": "smallest share of a pulse that is predicted [%]",
+    "pulse_prediction_high": "largest share of a pulse that is predicted [%]",
+}
+"""Headline numbers of the summary, in words."""
+
+GROUPS = {
+    "2.1 and F": "movements: tables 2.1, F.2 to F.6",
+    "C": "six structures: tables C.3 to C.22",
+    "D": "six starts: tables D.3 to D.5",
+    "E": "the final structure: tables E.3 to E.5",
+    "total": "all",
+}
+"""Groups of tables of the summary, in words."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """One section of the report.
+
+    Attributes:
+      title: its heading.
+      template: file in `templates/`, which is also its anchor.
+      context: what the template shows beside what all sections know.
+    """
+
+    title: str
+    template: str
+    context: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Factor(NamedTuple):
+    """A headline number of the summary.
+
+    Attributes:
+      label: in words.
+      published: as printed.
+      ours: NaN if it cannot be computed.
+      near: whether ours is within `NEAR` of the printed one.
+      remark: how it was computed, or why it was not.
+    """
+
+    label: str
+    published: str
+    ours: float
+    near: bool
+    remark: str
+
+
+def sections(
+    study: StudyResult,
+    score: Score | None,
+    effects: Effects,
+    rows: Mapping[str, list[Row]],
+    yielding: Yielding | None,
+) -> list[Section]:
+    """All sections that a study has content for, in order.
+
+    Args:
+      study: analysed.
+      score: beside the published tables; None if nothing of them was recorded.
+      effects: tests within people.
+      rows: tables by name.
+      yielding: what the first person's muscles do; None if they are linear.
+    """
+    found = [
+        Section(title="Summary", template="summary", context={"rows": rows["summary"], **_summary(score)}),
+        Section(title="Method", template="method"),
+        Section(
+            title="Conditions", template="conditions", context={"rows": rows["conditions"], "drifting": drifting(study)}
+        ),
+        Section(title="Admittance", template="admittance", context={"effects": effects}),
+        Section(
+            title="Fits",
+            template="fits",
+            context={"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study)},
+        ),
+        Section(title="Parameters", template="parameters", context={"rows": rows["parameters_summary"]}),
+    ]
+    if any(person.pulses for person in study.people):
+        found.append(
+            Section(title="Pulse response", template="pulses", context={"headlines": score and _of_pulses(score)})
+        )
+    if effects.rows or effects.admittance:
+        found.append(Section(title="Statistics", template="statistics", context={"effects": effects}))
+    if yielding is not None:
+        context = {"person": yielding.person, "rows": yielding.rows(), "pulses": PULSES, "unstable": yielding.unstable}
+        found.append(Section(title="Why people yield", template="yielding", context=context))
+    if score is not None:
+        found.append(
+            Section(
+                title="Beside the thesis",
+                template="published",
+                context={"tables": published_tables(score), "score": score, "missing": missing_cells(score)},
+            )
+        )
+    found.append(
+        Section(title="What was left out", template="left_out", context={"lists": left_out(study, rows["fits"])})
+    )
+    return found
+
+
+def _summary(score: Score | None) -> dict[str, Any]:
+    """Score, headline numbers and what differs."""
+    if score is None:
+        return {"factors": [], "shares": {}, "differs": []}
+    by_name = {line.name: line for line in score.headlines}
+    factors = [_factor(label, by_name[name]) for name, label in FACTORS.items() if name in by_name]
+    of_group = {label: shares(score)[name] for name, label in GROUPS.items()}
+    return {"factors": factors, "shares": of_group, "differs": _differs(score, factors)}
+
+
+def _factor(label: str, line: Headline) -> Factor:
+    printed = float(line.published)
+    return Factor(label, line.published, line.ours, abs(line.ours / printed - 1.0) <= NEAR, line.remark)
+
+
+def _differs(score: Score, factors: list[Factor]) -> list[str]:
+    """The largest differences, in words."""
+    lines = [
+        f"{factor.label}: {digits(factor.ours)} ({factor.published} in the thesis)"
+        for factor in factors
+        if math.isfinite(factor.ours) and not factor.near
+    ]
+    measured = [one for one in score.cells if one.cell.table[0] in "2F"]
+    beyond = [one for one in measured if abs(one.z) > 2.0]
+    if beyond:
+        named = ", ".join(f"{one.cell.quantity} in {one.cell.condition}" for one in beyond[:5])
+        more = f" and {len(beyond) - 5} more" if len(beyond) > 5 else ""
+        lines.append(f"movements beyond 2 SD: {named.replace('_', ' ')}{more}")
+    far = [
+        f"{name} ({100.0 * one.parts[1]:.0f} %)"
+        for name, one in shares(score).items()
+        if "." in name and " " not in name and one.published and one.parts[1] < 0.5
+    ]
+    if far:
+        lines.append(f"less than half of the cells within 1 SD: tables {', '.join(far)}")
+    lacking = sum(missing_cells(score).values())
+    if lacking:
+        lines.append(f"{lacking} of {len(score.cells)} cells could not be computed and count as not reproduced")
+    return lines
+
+
+def _of_pulses(score: Score) -> list[Headline]:
+    """Numbers of the text on pulses, but for p values, which the statistics have."""
+    return [line for line in score.headlines if "pulse" in line.name and not line.name.startswith("p_")]
+
+
+def drifting(study: StudyResult) -> list[Condition]:
+    """Conditions in which people shall move further, or less far, in the experiment than in practice."""
+    return [c for c in study.protocol.conditions if c.has_multisine and (c.reached != 1.0 or c.reached_spread)]
+
+
+def left_out(study: StudyResult, fits: list[Row]) -> dict[str, list[str]]:
+    """What no table shows, or what a reader should not trust: heading to one line each."""
+
+    def those(says: Callable[[Row], str]) -> list[str]:
+        return [f"{row['subject']} in {row['condition']}: {says(row)}" for row in fits if says(row)]
+
+    return {
+        "What is missing, and why": list(study.remarks),
+        "Trials and people that were left out": [reason for case in study.cases for reason in case.left_out],
+        "Fits that did not converge": those(lambda row: "" if row["converged"] else row["status"]),
+        "Fits with a parameter at its bound": those(lambda row: row["at_bound"]),
+        "Fits whose trials say that the model is wrong, or the person not linear": those(
+            lambda row: (
+                f"chi2 / dof {row['chi2'] / row['dof']:.2f}, p = {row['p_value']:.1g}"
+                if row["p_value"] < SUSPICIOUS
+                else ""
+            )
+        ),
+        "Fits that are unstable on the manipulator, and so have no VAF": those(
+            lambda row: "" if row["stable"] else f"largest real part of a pole {row['largest_real_pole_per_s']:.3g} 1/s"
+        ),
+    }
+
+
+def remarks(study: StudyResult) -> dict[str, dict[str, list[str]]]:
+    """Condition to person to what to know before trusting their estimates, the thesis's estimator's last."""
+    said: dict[str, dict[str, list[str]]] = {}
+    for case in study.cases:
+        if case.identification is not None:
+            lines = list(case.identified.fit.remarks)
+            lines += [f"thesis's estimator: {line}" for line in (case.thesis.fit.remarks if case.thesis else ())]
+            if lines:
+                said.setdefault(case.condition.name, {})[case.name] = lines
+    return {condition.name: said[condition.name] for condition in study.conditions if condition.name in said}
