@@ -15,7 +15,7 @@ from armperturb.recording import load_recording, save_recording
 from armperturb.study import measure, published
 from armperturb.study.cells import Cell, measured_cells, published_cells
 from armperturb.study.headlines import PULSED, headlines
-from armperturb.study.measure import PersonMeasures, PulseMeans, measure_person, multisine_part
+from armperturb.study.measure import PersonMeasures, TrialMeasures, measure_person, multisine_part
 from armperturb.study.published import MeanSD
 from armperturb.study.runner import of_condition
 from armperturb.study.score import NOT_ASKED, Score, ScoredCell, score, score_text, share, shares, write_score
@@ -154,6 +154,18 @@ def test_shares():
     assert share([missing]).within == (0, 0, 0)
 
 
+def trial(condition, level, displacement, admittance, predicted, **changes):
+    recorded = dict(repetition=0, pulse_direction_deg=0.0, force=displacement / admittance)
+    return TrialMeasures(
+        condition=condition,
+        pulse_level=level,
+        displacement=displacement,
+        predicted_linear=predicted,
+        **recorded,
+        **changes,
+    )
+
+
 def person(name, factor=1.0, **changes):
     """Somebody whose numbers are those of the text."""
     admittance = {
@@ -173,15 +185,16 @@ def person(name, factor=1.0, **changes):
                 **{"RT2.5": 10.0, "RT7.5": 21.6, "RT22.5": 38.0},
             }.items()
         },
-        pulses={
-            (condition, level): PulseMeans(
-                displacement=factor * (0.21 if condition.startswith("RT") else 0.06),
-                admittance=factor * value * (1.0 + 0.02 * draw.standard_normal()),
-                prediction={"PT2.5": 40.0, "RT22.5": 80.0}.get(condition, 50.0),
-                excess={"PT2.5": 2.5, "RT22.5": 1.25}.get(condition, 2.0),
+        trials=tuple(
+            trial(
+                condition,
+                {"min": 1.0, "max": -2.0}[level],
+                peak := factor * (0.21 if condition.startswith("RT") else 0.06),
+                factor * value * (1.0 + 0.02 * draw.standard_normal()),
+                {"PT2.5": 0.4, "RT22.5": 0.8}.get(condition, 0.5) * peak,
             )
             for (condition, level), value in admittance.items()
-        },
+        ),
         left_out=(),
     )
     return replace(measured, **changes)
@@ -209,7 +222,7 @@ def test_headlines_of_people_who_are_as_the_text_says():
 
 
 def test_headlines_say_what_they_lack():
-    lonely = person("A", pulses={}, low_gain={})
+    lonely = person("A", trials=(), low_gain={})
     found = headlines([lonely])
     assert all(math.isnan(one.ours) and one.remark for one in found)
     assert len(found) == len(headlines([person("A")]))
@@ -217,7 +230,7 @@ def test_headlines_say_what_they_lack():
     assert few["p_pulse_admittance_anova_pt"].remark == "fewer than 3 people"
     assert math.isfinite(few["pulse_admittance_PT2.5_over_PT0"].ours)
     none = person("C")
-    none = replace(none, pulses={key: value for key, value in none.pulses.items() if key != PULSED["RT"][1]})
+    none = replace(none, trials=tuple(one for one in none.trials if one.condition != PULSED["RT"][1][0]))
     some = named(headlines([none]))
     assert some["p_pulse_admittance_anova_rt"].remark == "nobody has all of RT0, RT2.5, RT7.5, RT22.5"
     assert "1 of 7 conditions are missing" in some["pulse_underprediction_factor"].remark

@@ -56,7 +56,7 @@ MAX_DURATION = 3600.0
 RK4_LIMIT = 2.5
 """Largest product of a pole's modulus and the step [-]: Runge-Kutta 4 is stable up to 2.79 on the real axis."""
 
-_DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")]
+DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -272,7 +272,7 @@ def _require_integrable(subject: Subject, environment: Environment, strap: Strap
 
 
 @contextmanager
-def _silent_simulator() -> Iterator[None]:
+def silent_simulator() -> Iterator[None]:
     """Keep MuJoCo from writing its warnings to the terminal and to MUJOCO_LOG.TXT; `Batch.warning` counts them anyway.
 
     The batch calls its threads' handler without Python, so it must be a C function: any that takes a text and does
@@ -432,7 +432,7 @@ def _simulate(
     qpos, qvel, ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
     applied, sensors = batch.bind("qfrc_applied"), batch.bind("sensordata")
     angle, velocity, handle = qpos[:, hinge], qvel[:, hinge], qpos[:, slide]
-    with _silent_simulator():
+    with silent_simulator():
         for step in range(n_steps):
             excitation = spindle_excitation(gains, angle, velocity)
             if spindles.needed:
@@ -477,7 +477,7 @@ def _simulate(
             if not rest and progress is not None:
                 progress(n_trials * decimation * timestep)
     # MuJoCo resets a state that it cannot integrate; beyond the workspace limit nothing counts any more.
-    diverged = np.flatnonzero((batch.warning[:, _DIVERGED, 1] > 0).any(axis=1) & np.isnan(limit_time))
+    diverged = np.flatnonzero((batch.warning[:, DIVERGED, 1] > 0).any(axis=1) & np.isnan(limit_time))
     if len(diverged):
         name = trials[diverged[0]].subject.name
         raise RuntimeError(

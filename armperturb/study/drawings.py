@@ -2,36 +2,154 @@
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
+import numpy as np
+import xarray as xr
 from matplotlib.figure import Figure
 
-from armperturb.study import figures, yielding_figures
+from armperturb.analysis.kinematics import hand_path, within_reach
+from armperturb.analysis.pulse import pulse_span
+from armperturb.recording import REQUIRED_SIGNALS, load_recording
+from armperturb.study import (
+    admittance_figures,
+    fit_figures,
+    parameter_figures,
+    perturbation_figures,
+    pulse_figures,
+    rig_figures,
+    trajectory_figures,
+    yielding_figures,
+)
 from armperturb.study.admittance import by_task, main_conditions
-from armperturb.study.effects import Effects
+from armperturb.study.axes import Marks
+from armperturb.study.bars import CONDITIONS
+from armperturb.study.cases import of_condition
+from armperturb.study.effects import AdmittanceEffect, Effects
 from armperturb.study.results import StudyResult
+from armperturb.study.trajectory_figures import first_pulses
 from armperturb.study.yielding import Yielding
 
+Drawings = dict[str, Callable[[], Figure]]
 
-def drawings(study: StudyResult, effects: Effects, yielding: Yielding | None) -> dict[str, Callable[[], Figure]]:
-    """Figures by name; drawing one may raise RuntimeError, if this machine cannot draw the rig."""
-    drawn: dict[str, Callable[[], Figure]] = {}
-    main = {task: study.of(condition.name)[0] for task, condition in main_conditions(study).items()}
+CLEARLY = 0.01
+"""Level of the thesis's second star [-]."""
+
+PATHS = {"PT": ("PT7.5", 2.0), "RT": ("RT7.5", 1.0)}
+"""Task to condition and pulse level whose paths are drawn (figures 3.17, 3.18)."""
+
+
+def drawings(study: StudyResult, effects: Effects, yielding: Yielding | None) -> Drawings:
+    """Figures by name; drawing one may raise RuntimeError, if this machine cannot draw the rig.
+
+    Args:
+      study: analysed; its recordings must still be there.
+      effects: whose significant ones are marked.
+      yielding: why people yield; None if nobody asked.
+
+    Raises:
+      OSError: a recording is gone.
+    """
+    drawn = {**_of_cases(study, effects), **_of_people(study, effects), **_of_pulses(study)}
     if study.cohort:
-        drawn["rig"] = partial(figures.rig, study)
-    if main:
-        drawn["perturbation"] = partial(figures.perturbation, next(iter(main.values())))
-        drawn["admittance_by_task"] = partial(figures.admittance_by_task, study)
-        drawn["coherence"] = partial(figures.coherence, study)
-    for task, first in main.items():
-        if len(by_task(study)[task]) > 1:
-            drawn[f"admittance_by_amplitude_{task}"] = partial(figures.admittance_by_amplitude, study, task)
-        drawn[f"admittance_{task}"] = partial(figures.admittance_of_trials, first)
-        drawn[f"fit_{task}"] = partial(figures.fit, first)
-        drawn[f"prediction_{task}"] = partial(figures.prediction, first)
-        if study.has_truth:
-            drawn[f"parameters_{task}"] = partial(figures.parameters, study, task)
+        drawn["rig"] = partial(rig_figures.rig, study)
     if yielding is not None:
         drawn["yielding_loops"] = partial(yielding_figures.loops, yielding)
         drawn["yielding_admittance"] = partial(yielding_figures.admittance, yielding)
         drawn["yielding_pulses"] = partial(yielding_figures.pulses, yielding)
     return drawn
+
+
+def _of_cases(study: StudyResult, effects: Effects) -> Drawings:
+    """Of the people who were identified in conditions with a multisine."""
+    drawn: Drawings = {}
+    main = {task: study.of(condition.name)[0] for task, condition in main_conditions(study).items()}
+    marks = {task: _marks(effect) for task, effect in effects.admittance.items()}
+    if main:
+        arms = [case.identified.fit.arm for case in study.of(next(iter(main.values())).condition.name)]
+        directions = study.protocol.pulse_directions_deg
+        drawn["pulse_directions"] = partial(perturbation_figures.pulse_directions, arms, directions)
+        drawn["perturbation"] = partial(perturbation_figures.perturbation, next(iter(main.values())))
+        drawn["admittance_by_task"] = partial(admittance_figures.admittance_by_task, study)
+        drawn["gain_linear_scale"] = partial(admittance_figures.gain_linear_scale, study, marks)
+        drawn["coherence"] = partial(admittance_figures.coherence, study)
+    for task, first in main.items():
+        if len(by_task(study)[task]) > 1:
+            drawn[f"admittance_by_amplitude_{task}"] = partial(
+                admittance_figures.admittance_by_amplitude, study, task, marks.get(task)
+            )
+        drawn[f"admittance_{task}"] = partial(admittance_figures.admittance_of_trials, first)
+        drawn[f"fit_{task}"] = partial(fit_figures.fit, first)
+        drawn[f"prediction_{task}"] = partial(fit_figures.prediction, first)
+        if study.has_truth:
+            drawn[f"parameters_{task}"] = partial(parameter_figures.parameters, study, task)
+    return drawn
+
+
+def _of_people(study: StudyResult, effects: Effects) -> Drawings:
+    """Of what everybody's trials tell in the thesis's conditions."""
+    drawn: Drawings = {"penalty": partial(fit_figures.penalty, study)}
+    trials = [trial for person in study.people for trial in person.trials]
+    if np.isfinite([trial.vaf_linear for trial in trials]).any():
+        drawn["vaf"] = partial(fit_figures.vaf, study)
+    for task in CONDITIONS:
+        if parameter_figures.estimated(study, task):
+            p = {name: p for (of_task, name), p in effects.parameters.items() if of_task == task}
+            drawn[f"joint_parameters_{task}"] = partial(parameter_figures.joint_parameters, study, task, p)
+            drawn["muscle_parameters"] = partial(parameter_figures.muscle_parameters, study)
+    if np.isfinite([trial.displacement for trial in trials]).any():
+        levels = {row["conditions"].split(",")[0]: row["p"] for row in effects.rows if row["test"] == "dependent t"}
+        drawn["peak_displacement"] = partial(pulse_figures.peak_displacement, study)
+        drawn["pulse_admittance"] = partial(pulse_figures.pulse_admittance, study, levels)
+    if np.isfinite([trial.predicted_linear for trial in trials]).any():
+        drawn["pulse_prediction"] = partial(pulse_figures.pulse_prediction, study)
+    return drawn
+
+
+def _of_pulses(study: StudyResult) -> Drawings:
+    """Of single pulses to the first person."""
+    if not study.cases:
+        return {}
+    drawn: Drawings = {}
+    name, path = study.cases[0].name, study.cases[0].recording
+    recording = _mechanical_signals(path)
+    stills = []
+    for condition in study.protocol.conditions:
+        trials = of_condition(recording, condition.name)
+        pulses = first_pulses(trials) if condition.pulse_levels and not condition.has_multisine else {}
+        if not pulses:
+            continue
+        trial = trials.isel(trial=[next(iter(pulses.values()))])
+        drawn.setdefault("pulse_signal", partial(perturbation_figures.pulse_signal, trial))
+        if _within_reach(trials.isel(trial=list(pulses.values()))):
+            drawn.setdefault("joint_rotations", partial(trajectory_figures.joint_rotations, trials))
+        stills.append(trial)
+    person = next((person for person in study.cohort if person.name == name), None)
+    if person is not None and stills and "joint_angle" in recording:
+        drawn["stills"] = partial(rig_figures.stills, person, study.environment, stills)
+    measures = next((person for person in study.people if person.name == name), None)
+    for task, (condition_name, level) in PATHS.items():
+        trials = of_condition(recording, condition_name)
+        if first_pulses(trials, level):
+            estimate = measures.estimates.get(condition_name) if measures else None
+            drawn[f"trajectories_{task}"] = partial(trajectory_figures.trajectories, trials, estimate, level)
+    return drawn
+
+
+def _mechanical_signals(path: Path) -> xr.Dataset:
+    """A recording without EMG and markers."""
+    recording = load_recording(path)
+    return recording[[name for name in (*REQUIRED_SIGNALS, "joint_angle") if name in recording]]
+
+
+def _within_reach(trials: xr.Dataset) -> bool:
+    """Whether the handle stays within the arm's reach in the windows after pulses."""
+    lengths = (trials[name].values[:, None] for name in ("l_h", "l_f"))
+    reached = within_reach(hand_path(trials), *lengths)
+    return all(reached[trial, pulse_span(trials, trial)].all() for trial in range(trials.sizes["trial"]))
+
+
+def _marks(effect: AdmittanceEffect) -> Marks:
+    """Where an effect counts, and where it is clear as well."""
+    counts, clear = (np.moveaxis(mask, 0, -1) for mask in (effect.counts, effect.counts & (effect.p < CLEARLY)))
+    return {(output, input_): (counts[output, input_], clear[output, input_]) for output, input_ in np.ndindex(2, 2)}

@@ -1,19 +1,25 @@
 """What the thesis reports of one person, from the person's recordings: cells of tables, admittance, pulses, fits."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from armperturb.analysis.pulse import predicted_peaks, pulse_peaks
+from armperturb.analysis.pulse import peak_norm, predicted_peaks, pulse_peaks, pulse_span
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.thesis import VARTHETA, ThesisEstimate, fit_trials
+from armperturb.analysis.vaf import variance_accounted_for
+from armperturb.environment import Environment
+from armperturb.envs.skeletal import Prediction, simulate_skeletal
 from armperturb.study import published
 from armperturb.study.cases import MODELS, WINDOW_START, of_condition
 from armperturb.study.cells import LEVELS, Cell, measure
+from armperturb.subject import Subject
 
 Array = NDArray[np.float64]
 
@@ -24,20 +30,57 @@ N_LOW = 2
 """How many of the lowest frequency points tell the low-frequency gain (thesis 3.1)."""
 
 
+class TrialMeasures(NamedTuple):
+    """What one trial tells, and what its own fit predicts of it.
+
+    Numbers are NaN where there is none: no pulse, no stable fit, or a skeletal model that reached the workspace limit.
+
+    Attributes:
+      condition: of the protocol.
+      repetition: of the condition, from 0.
+      pulse_level: as recorded, multiple of the unit pulse; 0 without pulse.
+      pulse_direction_deg: of its force, from the x axis.
+      displacement: peak after the pulse [m].
+      force: peak hand reaction force after the pulse [N].
+      predicted_linear: peak displacement as the linear model has it [m].
+      predicted_skeletal: likewise, the nonlinear skeletal model.
+      vaf_linear: variance of the displacement before the pulse that the linear model accounts for, x and y [%].
+      vaf_skeletal: likewise, the nonlinear skeletal model.
+    """
+
+    condition: str
+    repetition: int
+    pulse_level: float
+    pulse_direction_deg: float
+    displacement: float
+    force: float
+    predicted_linear: float = math.nan
+    predicted_skeletal: float = math.nan
+    vaf_linear: tuple[float, float] = (math.nan, math.nan)
+    vaf_skeletal: tuple[float, float] = (math.nan, math.nan)
+
+    @property
+    def admittance(self) -> float:
+        """Pulse admittance [m/N]. Source: eq. 2.24."""
+        return self.displacement / self.force
+
+
 class PulseMeans(NamedTuple):
     """A person's responses to the pulses of a condition and level, as means over trials.
 
     Attributes:
       displacement: peak [m].
       admittance: pulse admittance [m/N].
-      prediction: predicted over recorded peak displacement [%]; NaN if there is no model.
-      excess: recorded over predicted peak displacement [-]; likewise.
+      prediction: predicted over recorded peak displacement, of the linear model [%]; NaN if there is no model.
+      excess: recorded over predicted peak displacement, of the linear model [-]; likewise.
+      prediction_skeletal: predicted over recorded peak displacement, of the nonlinear skeletal model [%]; likewise.
     """
 
     displacement: float
     admittance: float
     prediction: float
     excess: float
+    prediction_skeletal: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +93,7 @@ class PersonMeasures:
       cells: of tables 2.1 and F.2 to F.6 to the person's values, SI.
       low_gain: condition to the gain of the diagonal of the admittance at the lowest frequencies [m/N], (frequency,
         axis).
-      pulses: condition and level ("min", "max") to the responses.
+      trials: what each recorded trial of the published conditions tells.
       estimates: condition to the fits of its trials that predict them.
       left_out: why trials, or parts of them, tell nothing; one line each.
     """
@@ -59,9 +102,26 @@ class PersonMeasures:
     conditions: tuple[str, ...]
     cells: Mapping[Cell, float]
     low_gain: Mapping[str, Array]
-    pulses: Mapping[tuple[str, str], PulseMeans]
+    trials: tuple[TrialMeasures, ...]
     estimates: Mapping[str, ThesisEstimate]
     left_out: tuple[str, ...]
+
+    @cached_property
+    def pulses(self) -> dict[tuple[str, str], PulseMeans]:
+        """Condition and level ("min", "max") to the means over the trials whose pulse tells something."""
+        found = {}
+        for condition in dict.fromkeys(trial.condition for trial in self.trials):
+            for name, level in LEVELS.items():
+                its = [
+                    trial
+                    for trial in self.trials
+                    if trial.condition == condition
+                    and abs(trial.pulse_level) == level
+                    and math.isfinite(trial.displacement)
+                ]
+                if its:
+                    found[condition, name] = _pulse_means(its)
+        return found
 
 
 def multisine_part(recording: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int64]]:
@@ -88,11 +148,13 @@ def measure_person(recording: xr.Dataset) -> PersonMeasures:
       ValueError: the recording is refused, or holds several people.
     """
     cells, told = measure(recording)
-    name = str(recording["subject"].values[0])
+    name, rate = str(recording["subject"].values[0]), float(recording.attrs["rate"])
     left_out = [f"{name}: {line}" for line in told]
     conditions = tuple(dict.fromkeys(recording["condition"].values.tolist()))
     low_gain: dict[str, Array] = {}
-    pulses: dict[tuple[str, str], PulseMeans] = {}
+    trials: list[TrialMeasures] = []
+    multisines: list[_Asked] = []
+    pulses: list[_Asked] = []
     estimates: dict[str, ThesisEstimate] = {}
     for condition in published.conditions():
         mine = of_condition(recording, condition)
@@ -117,14 +179,27 @@ def measure_person(recording: xr.Dataset) -> PersonMeasures:
         if estimate is not None:
             estimates[condition] = estimate
             left_out += [f"{name}, {line}" for line in _unstable(estimate, condition)]
-        for level, means in _pulses(mine, estimate, fitted).items():
-            pulses[condition, level] = means
+        fits = {} if estimate is None else dict(zip(fitted.tolist(), estimate.fits, strict=True))
+        vaf = {} if estimate is None else dict(zip(fitted.tolist(), estimate.vaf.tolist(), strict=True))
+        for trial, measures in enumerate(_recorded_trials(mine)):
+            if estimate is not None and trial in fits and fits[trial].stable:
+                one, arm = mine.isel(trial=[trial]), fits[trial].arm
+                measures = measures._replace(
+                    predicted_linear=float(predicted_peaks(one, arm, estimate.environment)[0]),
+                    vaf_linear=tuple(vaf[trial]),
+                )
+                before = slice(0, part.sizes["time"])
+                multisines.append(_asked(len(trials), one, before, arm, estimate.environment))
+                if math.isfinite(measures.displacement):
+                    pulses.append(_asked(len(trials), one, pulse_span(one, 0), arm, estimate.environment))
+            trials.append(measures)
+    left_out += [f"{name} in {line}" for line in _predict_skeletal(trials, multisines, pulses, rate)]
     return PersonMeasures(
         name=name,
         conditions=conditions,
         cells=cells,
         low_gain=low_gain,
-        pulses=pulses,
+        trials=tuple(trials),
         estimates=estimates,
         left_out=tuple(left_out),
     )
@@ -140,24 +215,82 @@ def _unstable(estimate: ThesisEstimate, condition: str) -> list[str]:
     ]
 
 
-def _pulses(recording: xr.Dataset, estimate: ThesisEstimate | None, fitted: NDArray[np.int64]) -> dict[str, PulseMeans]:
-    """Level to the means over its trials; each trial that was fitted is predicted by its own fit."""
+def _recorded_trials(recording: xr.Dataset) -> list[TrialMeasures]:
+    """What the trials of a recording tell without any model."""
     peaks = pulse_peaks(recording)
-    predicted = np.full(len(peaks.displacement), np.nan)
-    if estimate is not None:
-        for trial, fit in zip(fitted, estimate.fits, strict=True):
-            if fit.stable:
-                predicted[trial] = predicted_peaks(recording.isel(trial=[trial]), fit.arm, estimate.environment)[0]
-    found = {}
-    for name, level in LEVELS.items():
-        its = np.flatnonzero((np.abs(recording["pulse_level"].values) == level) & np.isfinite(peaks.displacement))
-        if len(its):
-            ratio = predicted[its] / peaks.displacement[its]
-            known = ratio[np.isfinite(ratio)]
-            found[name] = PulseMeans(
-                displacement=float(peaks.displacement[its].mean()),
-                admittance=float(peaks.admittance[its].mean()),
-                prediction=100.0 * float(known.mean()) if len(known) else float("nan"),
-                excess=float((1.0 / known).mean()) if len(known) else float("nan"),
-            )
-    return found
+    return [
+        TrialMeasures(
+            condition=str(recording["condition"].values[trial]),
+            repetition=int(recording["repetition"].values[trial]),
+            pulse_level=float(recording["pulse_level"].values[trial]),
+            pulse_direction_deg=float(recording["pulse_direction"].values[trial]),
+            displacement=float(peaks.displacement[trial]),
+            force=float(peaks.force[trial]),
+        )
+        for trial in range(recording.sizes["trial"])
+    ]
+
+
+class _Asked(NamedTuple):
+    """What the skeletal model is to predict.
+
+    Attributes:
+      place: of the trial among the person's.
+      prediction: what to simulate.
+      recorded: displacement of the handle in its time [m], (time, axis).
+    """
+
+    place: int
+    prediction: Prediction
+    recorded: Array
+
+
+def _asked(place: int, trial: xr.Dataset, span: slice, arm: Subject, environment: Environment) -> _Asked:
+    prediction = Prediction(
+        arm=arm,
+        environment=environment,
+        perturbation=trial["perturbation"].values[0, : span.stop],
+        onset=span.start,
+    )
+    return _Asked(place, prediction, trial["displacement"].values[0, span])
+
+
+def _predict_skeletal(
+    trials: list[TrialMeasures], multisines: list[_Asked], pulses: list[_Asked], rate: float
+) -> list[str]:
+    """Fill in what the nonlinear skeletal model predicts; returns what it could not, one line each."""
+    told = []
+    for what, asked in (("multisine", multisines), ("pulse", pulses)):
+        paths = simulate_skeletal([one.prediction for one in asked], rate)
+        for one, path in zip(asked, paths, strict=True):
+            trial = trials[one.place]
+            lost = np.flatnonzero(np.isnan(path[:, 0]))
+            if len(lost):
+                told.append(
+                    f"{trial.condition}, repetition {trial.repetition}: the skeletal model left the workspace "
+                    f"{lost[0] / rate:.3f} s after the {what} began; it predicts nothing of it"
+                )
+            elif what == "pulse":
+                trials[one.place] = trial._replace(predicted_skeletal=peak_norm(path))
+            else:
+                x, y = variance_accounted_for(one.recorded, path, rate).tolist()
+                trials[one.place] = trial._replace(vaf_skeletal=(x, y))
+    return told
+
+
+def _pulse_means(trials: list[TrialMeasures]) -> PulseMeans:
+    displacement = np.array([trial.displacement for trial in trials])
+
+    def known(predicted: list[float]) -> Array:
+        ratio = np.array(predicted) / displacement
+        return ratio[np.isfinite(ratio)]
+
+    linear = known([trial.predicted_linear for trial in trials])
+    skeletal = known([trial.predicted_skeletal for trial in trials])
+    return PulseMeans(
+        displacement=float(displacement.mean()),
+        admittance=float(np.mean([trial.admittance for trial in trials])),
+        prediction=100.0 * float(linear.mean()) if len(linear) else math.nan,
+        excess=float((1.0 / linear).mean()) if len(linear) else math.nan,
+        prediction_skeletal=100.0 * float(skeletal.mean()) if len(skeletal) else math.nan,
+    )

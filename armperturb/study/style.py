@@ -25,6 +25,9 @@ INK, GREY, PALE = "#262a30", "#8b929c", "#c9cdd3"
 FITTED: dict[str, Any] = {"color": INK, "linewidth": 1.3}
 """Line of a fitted model."""
 
+SKELETAL: dict[str, Any] = {"color": "#E69F00", "linewidth": 1.3, "linestyle": (0, (4, 2))}
+"""Line of the nonlinear skeletal model (orange, dashed)."""
+
 RECORDED: dict[str, Any] = {"color": GREY, "linewidth": 2.2}
 """Line of what was recorded or estimated from it, under a model's line."""
 

@@ -4,15 +4,12 @@ import itertools
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
+from armperturb.study.axes import AXES, label_frequency
 from armperturb.study.style import COLOURS, GREY, INK, in_style, new_figure, shades
 from armperturb.study.yielding import AMPLITUDES, LINEAR, PULSES, WHOLE, Yielding, intrinsic_loop
-
-AXES = ("x", "y")
 
 ELEMENTS = ("shoulder", "two-joint", "elbow")
 
@@ -83,7 +80,7 @@ def admittance(yielding: Yielding) -> Figure:
     for name, ax in zip(AXES, panels[:, 0], strict=True):
         ax.set_ylabel(f"$|H_{{{2 * name}}}|$ [m/N]")
     for ax in panels[-1]:
-        _label_frequency(ax)
+        label_frequency(ax)
     handles.append(Line2D([], [], color=GREY, linestyle=(0, (4, 2)), linewidth=1.0, label=LINEAR))
     figure.legend(handles=handles, loc="outside upper center", ncols=7)
     return figure
@@ -118,11 +115,3 @@ def pulses(yielding: Yielding) -> Figure:
     handles = [Line2D([], [], label=name, **look) for name, look in looks.items() if name in drawn]
     figure.legend(handles=handles, loc="outside upper center", ncols=3)
     return figure
-
-
-def _label_frequency(ax: Axes) -> None:
-    """Ticks in plain numbers on a logarithmic frequency axis."""
-    ax.set_xlabel("frequency [Hz]")
-    ax.xaxis.set_major_locator(FixedLocator([0.2, 0.5, 1, 2, 5, 10, 20, 40]))
-    ax.xaxis.set_minor_locator(NullLocator())
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

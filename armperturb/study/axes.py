@@ -1,0 +1,163 @@
+"""What figures share: panels of an admittance, legends, ticks, marks of significance."""
+
+import itertools
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleLocator, NullLocator
+from numpy.typing import NDArray
+
+from armperturb.analysis.arm_model import arm_admittance
+from armperturb.study.admittance import MeanAdmittance, by_task
+from armperturb.study.cases import Case
+from armperturb.study.protocol import Condition
+from armperturb.study.results import StudyResult
+from armperturb.study.style import COLOURS, INK, TRUE, new_figure, shades
+
+Array = NDArray[np.float64]
+
+AXES = ("x", "y")
+
+Element = tuple[int, int]
+"""Output and input axis of an admittance."""
+
+FREQUENCY = np.geomspace(0.15, 45.0, 400)
+"""Where models are drawn [Hz]."""
+
+PHASES = (-270.0, 90.0)
+"""The turn in which phases are drawn [degree]: springs, dampers and masses lie well inside, and so do negated ones."""
+
+
+Marks = Mapping[Element, tuple[NDArray[np.bool_], NDArray[np.bool_]]]
+"""Element to the frequencies at which conditions differ with p < 0.05, and with p < 0.01, (frequency,) each."""
+
+STARS = (r"$\ast$", r"$\ast\ast$")
+"""Markers of differences with p < 0.05, and with p < 0.01."""
+
+
+def looks(study: StudyResult, task: str) -> list[tuple[Condition, dict[str, Any]]]:
+    """Conditions of a task with their colours and markers: shades of the task's colour, darker for larger movements."""
+    conditions = by_task(study)[task]
+    return [
+        (condition, {"color": colour, "marker": marker})
+        for condition, colour, marker in zip(
+            conditions, shades(COLOURS[task], len(conditions)), itertools.cycle("osD^v"), strict=False
+        )
+    ]
+
+
+def admittance_panels() -> tuple[Figure, dict[Element, tuple[Axes, Axes]]]:
+    """Axes for gain and phase of each element, gain over phase, two rows by two columns of such pairs."""
+    figure = new_figure(7.9)
+    grid = figure.add_gridspec(4, 2, height_ratios=(1.35, 1, 1.35, 1))
+    panels: dict[Element, tuple[Axes, Axes]] = {}
+    for output in range(2):
+        for input_ in range(2):
+            first = panels.get((0, 0))
+            gain = figure.add_subplot(grid[2 * output, input_], sharex=first and first[0], sharey=first and first[0])
+            phase = figure.add_subplot(grid[2 * output + 1, input_], sharex=gain, sharey=first and first[1])
+            panels[output, input_] = gain, phase
+            if first is None:
+                gain.set(xscale="log", yscale="log")
+                gain.yaxis.set_major_locator(LogLocator(10, numticks=10))
+                gain.yaxis.set_minor_locator(NullLocator())
+            gain.tick_params(labelbottom=False, labelleft=input_ == 0)
+            phase.tick_params(labelbottom=output == 1, labelleft=input_ == 0)
+            phase.yaxis.set_major_locator(MultipleLocator(90))
+            phase.set_ylim(PHASES)
+            element = AXES[output] + AXES[input_]
+            gain.set_title(f"$H_{{{element}}}$: from force {AXES[input_]} to displacement {AXES[output]}")
+            if input_ == 0:
+                gain.set_ylabel("gain [m/N]")
+                phase.set_ylabel("phase [°]")
+            if output == 1:
+                label_frequency(phase)
+    return figure, panels
+
+
+def plot_admittance(
+    panels: dict[Element, tuple[Axes, Axes]], frequency: Array, admittance: NDArray[np.complex128], **look: Any
+) -> None:
+    """Draw gain and phase of each element of (frequency, output, input)."""
+    for (output, input_), (gain_ax, phase_ax) in panels.items():
+        element = admittance[:, output, input_]
+        gain_ax.plot(frequency, np.abs(element), **look)
+        phase_ax.plot(*within_turn(frequency, np.angle(element)), **look)
+
+
+def plot_truth(panels: dict[Element, tuple[Axes, Axes]], case: Case) -> list[Line2D]:
+    """Draw a linear person's own admittance, and return its entry in the legend; others have neither."""
+    if case.truth is None or case.truth.muscle is not None:
+        return []
+    plot_admittance(panels, FREQUENCY, arm_admittance(case.truth, FREQUENCY), **TRUE)
+    return [Line2D([], [], label="true", **TRUE)]
+
+
+def plot_mean(panels: dict[Element, tuple[Axes, Axes]], mean: MeanAdmittance, look: dict[str, Any]) -> None:
+    """Draw gain and phase of each element of a mean admittance."""
+    plot_admittance(panels, mean.frequency, mean.gain * np.exp(1j * mean.phase), **look)
+
+
+def within_turn(frequency: Array, phase: Array, *others: Array) -> list[Array]:
+    """Phases [rad] in degrees within `PHASES`, with a gap wherever they leave it on one side and return on the other.
+
+    Args:
+      frequency: [Hz], (frequency,).
+      phase: [rad], (frequency,).
+      *others: further angles, to be given the same gaps [rad], (frequency,).
+
+    Returns:
+      Frequencies [Hz], phases and further angles [degree], longer by the gaps.
+    """
+    low = PHASES[0]
+    wrapped = low + np.mod(np.degrees(phase) - low, 360.0)
+    jumps = np.flatnonzero(np.abs(np.diff(wrapped)) > 180.0) + 1
+    return [np.insert(values, jumps, np.nan) for values in (frequency, wrapped, *map(np.degrees, others))]
+
+
+def label_frequency(ax: Axes, **text: Any) -> None:
+    """Ticks in plain numbers on a logarithmic frequency axis."""
+    ax.set_xlabel("frequency [Hz]", **text)
+    ax.set_xlim(FREQUENCY[0], FREQUENCY[-1])
+    ax.xaxis.set_major_locator(FixedLocator([0.2, 0.5, 1, 2, 5, 10, 20, 40]))
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def legend(figure: Figure, *handles: Line2D | Patch) -> None:
+    """One legend for the whole figure, above its panels."""
+    figure.legend(handles=list(handles), loc="outside upper center", ncols=min(len(handles), 6))
+
+
+def padded(values: list[float]) -> tuple[float, float]:
+    """Limits of an axis around values; a tenth to each side if they are all one."""
+    low, high = min(values), max(values)
+    margin = 0.1 * (high - low) or 0.1 * abs(high) or 1.0
+    return low - margin, high + margin
+
+
+def plot_marks(ax: Axes, frequency: Array, height: Array, masks: tuple[NDArray[np.bool_], NDArray[np.bool_]]) -> None:
+    """Stars at the frequencies at which conditions differ; one for p < 0.05, two for p < 0.01.
+
+    Args:
+      ax: where.
+      frequency: [Hz], (frequency,).
+      height: of the stars, in units of the axis, (frequency,).
+      masks: as in `Marks`.
+    """
+    differs, clearly = masks
+    for star, mask in zip(STARS, (differs & ~clearly, clearly), strict=True):
+        ax.plot(frequency[mask], height[mask], linestyle="", marker=star, color=INK, markersize=2.5 * star.count("ast"))
+
+
+def marks_legend() -> list[Line2D]:
+    """Entries of `plot_marks` in a legend."""
+    return [
+        Line2D([], [], linestyle="", marker=star, color=INK, markersize=3 * star.count("ast"), label=f"p < {level}")
+        for star, level in zip(STARS, ("0.05", "0.01"), strict=True)
+    ]
