@@ -6,17 +6,18 @@ which the modulus spoils. The standard errors are those of the modulus, as eq. 2
 information, and with the sum of squares over N = 4 n_f they are twice the scatter that independent errors cause.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import get_args
+from typing import Any, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 
-from armperturb.analysis.arm_model import Delay, LinearArm
+from armperturb.analysis.arm_model import Delay, Environments, LinearArm
 from armperturb.analysis.linear_start import with_linear_part
 from armperturb.analysis.structures import STRUCTURES, Structure, unit
+from armperturb.analysis.trust_region import NOT_FINITE, minimise
 from armperturb.environment import Environment
 from armperturb.subject import Subject
 
@@ -41,6 +42,7 @@ UNIDENTIFIED = 1e-10
 """Directions of the parameters, each scaled by its effect, whose effect is this small beside the largest have none."""
 
 _WHY_STOPPED = {
+    NOT_FINITE: "not converged: the criterion is not finite at the start",
     0: "not converged: limit of evaluations reached",
     1: "converged: gradient vanished",
     2: "converged: criterion settled",
@@ -90,14 +92,33 @@ class AdmittanceFit:
     n_evaluations: int
 
 
-def penalty_factor(pole: float) -> float:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Target:
+    """What an arm model is fitted to.
+
+    Attributes:
+      frequency: [Hz], (frequency,).
+      admittance: estimated H_xf [m/N], (frequency, output, input).
+      body: gives task, segment lengths, posture and activation damping; its other parameters do not matter.
+      environment: what the hand held, for the stability of the whole.
+      coherence: multiple coherence [-], (frequency, output); one if not given.
+    """
+
+    frequency: ArrayLike
+    admittance: ArrayLike
+    body: Subject
+    environment: Environment
+    coherence: ArrayLike | None = None
+
+
+def penalty_factor(pole: ArrayLike) -> NDArray[np.float64]:
     """Factor on the error that keeps a fit stable; one for poles left of about -0.8 1/s (eq. 2.21, figure C.1).
 
     Args:
-      pole: largest real part of a pole of arm and environment [1/s].
+      pole: largest real part of a pole of arm and environment [1/s], of any shape, which the factor gets.
     """
     # Beyond 10^50 it only has to be large: powers of it must not overflow.
-    return 10.0 * 10.0 ** min(10.0 * (pole + 0.5), 50.0) + 1.0
+    return np.asarray(10.0 * 10.0 ** np.minimum(10.0 * (np.asarray(pole) + 0.5), 50.0) + 1.0)
 
 
 def fit_admittance(
@@ -138,18 +159,15 @@ def fit_admittance(
       ValueError: shapes do not fit, values are not finite, an admittance is zero, a start is unknown or outside its
         bounds, or the structure has free parameters that no admittance at these frequencies can tell apart.
     """
-    if isinstance(structure, str):
-        if structure not in STRUCTURES:
-            raise ValueError(f"model = {structure!r}; expected one of {', '.join(STRUCTURES)}")
-        structure = STRUCTURES[structure]
+    if as_published:
+        target = Target(
+            frequency=frequency, admittance=admittance, body=body, environment=environment, coherence=coherence
+        )
+        return fit_admittances([target], structure, starts=[start], use_penalty=use_penalty, delay=delay)[0]
+    structure = _named(structure)
     problem = _checked(frequency, admittance, coherence, body, structure, environment, delay)
     first = _checked_start(structure, start)
-    problem.require_identifiable(first)
-    if as_published:
-        solution = _minimise_as_published(problem, first, with_penalty=use_penalty)
-        return problem.judge(
-            solution, use_penalty=use_penalty, n_starts=1, n_starts_agree=1, n_evaluations=solution.nfev
-        )
+    _stacked([problem]).require_identifiable(first[None])
     starts = [first, with_linear_part(problem.model, problem.admittance, body, structure, first)]
     solutions = [_minimise(problem, values, with_penalty=False) for values in starts]
     best = min(solutions, key=lambda solution: solution.cost)
@@ -164,13 +182,77 @@ def fit_admittance(
             solutions += [_minimise(problem, values, with_penalty=True) for values in stable[1:]]
         best = min(solutions, key=lambda solution: solution.cost)
     tolerance = SAME_MINIMUM * (best.cost + len(problem.frequency) * SAME_MINIMUM)
-    return problem.judge(
-        best,
+    return _stacked([problem]).judge(
+        best.x[None],
+        [best.status],
+        [sum(solution.nfev for solution in solutions)],
         use_penalty=use_penalty,
         n_starts=len(solutions),
         n_starts_agree=sum(bool(solution.cost - best.cost <= tolerance) for solution in solutions),
-        n_evaluations=sum(solution.nfev for solution in solutions),
+    )[0]
+
+
+def fit_admittances(
+    targets: Sequence[Target],
+    structure: Structure | str,
+    *,
+    starts: Sequence[Mapping[str, float] | None],
+    use_penalty: bool = True,
+    delay: Delay = "exact",
+) -> list[AdmittanceFit]:
+    """Fit an arm model to each of many admittances as published, see `fit_admittance`.
+
+    All are fitted together, which is many times faster than one by one.
+
+    Args:
+      targets: what to fit to, with the same number of frequencies; of any people and tasks. One that several starts
+        share stands here once for each.
+      structure: model structure, or its name in `STRUCTURES`.
+      starts: where each fit starts, (target,): values of free parameters, SI; the published start where not given.
+      use_penalty: whether to push fits away from instability (eq. 2.21).
+      delay: "exact", or the thesis's "pade".
+
+    Returns:
+      A fit for each target.
+
+    Raises:
+      ValueError: as `fit_admittance`, or numbers of frequencies differ.
+    """
+    structure = _named(structure)
+    problems = [
+        _checked(one.frequency, one.admittance, one.coherence, one.body, structure, one.environment, delay)
+        for one in targets
+    ]
+    if not problems:
+        return []
+    if len(sizes := {len(one.frequency) for one in problems}) > 1:
+        raise ValueError(f"targets have {', '.join(map(str, sorted(sizes)))} frequencies; expected the same number")
+    problem = _stacked(problems)
+    first = np.array([_checked_start(structure, start) for start in starts])
+    problem.require_identifiable(first)
+    scale = np.where(first != 0, np.abs(first), 1.0)
+    lower, upper = problem.bounds
+    found = minimise(
+        _Published(problem, scale, use_penalty),
+        np.clip(first, lower, upper) / scale,
+        lower / scale,
+        upper / scale,
+        ftol=1e-5,
+        xtol=1e-6,
+        max_nfev=PUBLISHED_EVALUATIONS // (1 + len(structure.free)),
     )
+    values = np.clip(found.x * scale, lower, upper)
+    return problem.judge(
+        values, found.status, found.n_evaluations, use_penalty=use_penalty, n_starts=1, n_starts_agree=1
+    )
+
+
+def _named(structure: Structure | str) -> Structure:
+    if not isinstance(structure, str):
+        return structure
+    if structure not in STRUCTURES:
+        raise ValueError(f"model = {structure!r}; expected one of {', '.join(STRUCTURES)}")
+    return STRUCTURES[structure]
 
 
 def _minimise(problem: "_Problem", start: NDArray[np.float64], *, with_penalty: bool) -> optimize.OptimizeResult:
@@ -192,83 +274,75 @@ def _minimise(problem: "_Problem", start: NDArray[np.float64], *, with_penalty: 
     return solution
 
 
-def _minimise_as_published(
-    problem: "_Problem", start: NDArray[np.float64], *, with_penalty: bool
-) -> optimize.OptimizeResult:
-    """What lsqnonlin did with the options of appendix C, but for the derivatives, which are exact here."""
-    scale = np.where(start != 0, np.abs(start), 1.0)
-    lower, upper = problem.bounds
-
-    def residual(v: NDArray[np.float64]) -> NDArray[np.float64]:
-        modulus = np.abs(problem.log_error(v * scale))
-        return modulus * problem.penalty(v * scale) if with_penalty else modulus
-
-    def jacobian(v: NDArray[np.float64]) -> NDArray[np.float64]:
-        values = v * scale
-        modulus, slope = _modulus(*problem.log_error_and_slope(values))
-        if with_penalty:
-            factor, gradient = problem.penalty_and_gradient(values)
-            slope = slope * factor + np.outer(modulus, gradient)
-        return slope * scale
-
-    solution = optimize.least_squares(
-        residual,
-        np.clip(start, lower, upper) / scale,
-        jacobian,
-        bounds=(lower / scale, upper / scale),
-        xtol=1e-6,
-        ftol=1e-5,
-        gtol=None,
-        max_nfev=PUBLISHED_EVALUATIONS // (1 + len(start)),
-    )
-    solution.x = np.clip(solution.x * scale, lower, upper)
-    return solution
-
-
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Residual and its derivative for one admittance."""
+    """Residual and its derivative for one admittance, or of a batch of them, whose axis is the ... below."""
 
     frequency: NDArray[np.float64]
     admittance: NDArray[np.complex128]
     weight: NDArray[np.float64]
-    body: Subject
+    body: Subject | tuple[Subject, ...]
     structure: Structure
-    environment: Environment
+    environment: Environment | Environments
     model: LinearArm
-    latest_pole: dict[bytes, complex] = field(default_factory=dict)
+    latest_pole: dict[bytes, NDArray[np.complex128]] = field(default_factory=dict)
 
     @property
     def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         lower, upper = np.array(list(self.structure.bounds.values())).T
         return lower, upper
 
-    def parameters(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return self.structure.parameters(self.body.task, values)
+    def take(self, index: NDArray[np.int64]) -> Self:
+        """Some of the problems of a batch, in this order."""
+        assert isinstance(self.body, tuple) and isinstance(self.environment, Environments)
+        return type(self)(
+            self.frequency[index],
+            self.admittance[index],
+            self.weight[index],
+            tuple(self.body[i] for i in index),
+            self.structure,
+            self.environment.take(index),
+            self.model.take(index),
+        )
 
-    def penalty(self, values: NDArray[np.float64]) -> float:
+    def parameters(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        task = self.body.task if isinstance(self.body, Subject) else [one.task for one in self.body]
+        return self.structure.parameters(task, values)
+
+    def penalty(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         return penalty_factor(self.largest_pole(values).real)
 
-    def largest_pole(self, values: NDArray[np.float64]) -> complex:
+    def largest_pole(self, values: NDArray[np.float64]) -> NDArray[np.complex128]:
         # An optimiser asks for the derivative where it has just asked for the residual.
         key = values.tobytes()
         if key not in self.latest_pole:
             poles = self.model.poles(self.parameters(values), self.environment)
+            largest = np.argmax(poles.real, axis=-1)[..., None]
             self.latest_pole.clear()
-            self.latest_pole[key] = complex(poles[np.argmax(poles.real)])
+            self.latest_pole[key] = np.take_along_axis(poles, largest, axis=-1)[..., 0]
         return self.latest_pole[key]
 
     def log_error(self, values: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """Weighted complex log error, (4 frequency,)."""
-        error = self.weight * np.log(self.admittance / self.model.admittance(self.parameters(values)))
-        return np.asarray(error.ravel())
+        """Weighted complex log error, (..., 4 frequency)."""
+        return _flat(self.weight * np.log(self.admittance / self.model.admittance(self.parameters(values))), 3)
 
     def log_error_and_slope(self, values: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """`log_error` and its derivative, (4 frequency,) and (4 frequency, parameter)."""
+        """`log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter)."""
         model, gradient = self.model.admittance_and_gradient(self.parameters(values))
-        slope = (gradient @ self.structure.mixing) * (-self.weight / model)[..., None]
         error = self.weight * np.log(self.admittance / model)
-        return np.asarray(error.ravel()), np.asarray(slope.reshape(-1, slope.shape[-1]))
+        slope = gradient * (-self.weight / model)[..., None]
+        return _flat(error, 3), _flat(slope @ self.structure.mixing, 4)
+
+    def modulus_and_slope(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Modulus of `log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter)."""
+        model, gradient = self.model.admittance_and_gradient(self.parameters(values))
+        error = self.weight * np.log(self.admittance / model)
+        modulus = np.abs(error)
+        aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
+        # The derivative of the modulus is real: mixing it is half the work.
+        slope = (gradient * (aligned * (-self.weight / model))[..., None]).real
+        mixed = np.tensordot(self.structure.mixing.T, np.moveaxis(slope, -1, 0), axes=1)
+        return _flat(modulus, 3), _flat(np.moveaxis(mixed, 0, -1), 4)
 
     def residual(self, values: NDArray[np.float64], with_penalty: bool) -> NDArray[np.float64]:
         """Weighted complex log error, real then imaginary parts; with penalty and then a zero, (8 frequency [+ 1],)."""
@@ -291,88 +365,164 @@ class _Problem:
         curvature = np.linalg.norm(error) * np.sqrt(factor / (factor - 1.0)) * gradient
         return np.vstack([slope * factor + np.outer(error, gradient), curvature])
 
-    def penalty_and_gradient(self, values: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """Penalty and its derivative, (parameter,), which is zero where the penalty is one or out of all bounds."""
+    def penalty_and_gradient(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Penalty and its derivative, (...,) and (..., parameter).
+
+        The derivative is zero where the penalty is one or out of all bounds.
+        """
         pole = self.largest_pole(values)
         factor = penalty_factor(pole.real)
-        if factor - 1.0 < NEGLIGIBLE_PENALTY or factor >= penalty_factor(np.inf):
-            return factor, np.zeros(len(values))
+        acts = (factor - 1.0 >= NEGLIGIBLE_PENALTY) & (factor < penalty_factor(np.inf))
+        if not acts.any():
+            return factor, np.zeros_like(values)
         slope = self.model.pole_gradient(self.parameters(values), self.environment, pole).real @ self.structure.mixing
-        return factor, np.asarray((factor - 1.0) * 10.0 * np.log(10.0) * slope)
+        steepness = (factor - 1.0) * 10.0 * np.log(10.0)
+        return factor, np.where(acts[..., None], steepness[..., None] * slope, 0.0)
 
-    def require_identifiable(self, start: NDArray[np.float64]) -> None:
-        """Refuse a structure in which some direction of the parameters changes no response.
+    def require_identifiable(self, starts: NDArray[np.float64]) -> None:
+        """Refuse a structure in which some direction of the parameters changes no response of a batch.
 
         What has no effect at the start may have some elsewhere, as a delay has none without gains: only what has none
         at random places within the bounds either is refused.
+
+        Args:
+          starts: (batch, parameter).
 
         Raises:
           ValueError: there is such a direction.
         """
         rng = np.random.default_rng(0)
         lower, upper = self.bounds
-        places = [start, *(start + share * (rng.uniform(lower, upper) - start) for share in (0.1, 0.3))]
-        slopes = [_stack(self.log_error_and_slope(values)[1]) for values in places]
-        nothing = [_silent_directions(slope) for slope in slopes]
-        if all(directions.size for directions in nothing):
-            effect = np.linalg.norm(slopes[-1], axis=0)
-            direction = nothing[-1][0] / np.where(effect > 0, effect, 1.0)
-            direction[np.abs(nothing[-1][0]) < 1e-3] = 0.0
-            direction /= np.abs(direction).max()
-            parts = [
-                f"{share:+.2g} {unit(name)} of {name}"
-                for share, name in zip(direction, self.structure.free, strict=True)
-                if share
-            ]
-            raise ValueError(
-                f"model {self.structure.name} cannot be identified from {len(self.frequency)} frequencies: "
-                f"{', '.join(parts)} change no response; expected fewer free parameters"
-            )
+        problem, places = self, starts
+        for share in (0.1, 0.3, None):
+            slopes = _stack(problem.log_error_and_slope(places)[1])
+            nothing = [_silent_directions(slope) for slope in slopes]
+            silent = np.flatnonzero([directions.size > 0 for directions in nothing])
+            if not len(silent):
+                return
+            if share is not None:
+                problem, starts = problem.take(silent), starts[silent]
+                places = starts + share * (rng.uniform(lower, upper) - starts)
+        effect = np.linalg.norm(slopes[silent[0]], axis=0)
+        direction = nothing[silent[0]][0] / np.where(effect > 0, effect, 1.0)
+        direction[np.abs(nothing[silent[0]][0]) < 1e-3] = 0.0
+        direction /= np.abs(direction).max()
+        parts = [
+            f"{share:+.2g} {unit(name)} of {name}"
+            for share, name in zip(direction, self.structure.free, strict=True)
+            if share
+        ]
+        raise ValueError(
+            f"model {self.structure.name} cannot be identified from {self.frequency.shape[-1]} frequencies: "
+            f"{', '.join(parts)} change no response; expected fewer free parameters"
+        )
 
     def judge(
         self,
-        solution: optimize.OptimizeResult,
+        values: NDArray[np.float64],
+        status: Sequence[int] | NDArray[np.int64],
+        n_evaluations: Sequence[int] | NDArray[np.int64],
         *,
         use_penalty: bool,
         n_starts: int,
         n_starts_agree: int,
-        n_evaluations: int,
-    ) -> AdmittanceFit:
-        """The fit at a solution, with all that a reader must know to trust it or not."""
-        values, names = solution.x, self.structure.free
-        arm = self.structure.arm(self.body, values)
-        pole = self.largest_pole(values).real
-        factor = penalty_factor(pole) if use_penalty else 1.0
-        error, slope = self.log_error_and_slope(values)
-        sem = _standard_error(error, slope)
-        lower, upper = self.bounds
+    ) -> list[AdmittanceFit]:
+        """The fits of a batch at its solutions, with all that a reader must know to trust them or not.
+
+        Args:
+          values: solutions, (batch, parameter).
+          status: why each search stopped, see `trust_region`.
+          n_evaluations: of each.
+          use_penalty: whether the criterion has one.
+          n_starts: of each.
+          n_starts_agree: of each.
+        """
+        assert isinstance(self.body, tuple)
+        names, (lower, upper) = self.structure.free, self.bounds
+        modulus, slope = self.modulus_and_slope(values)
+        poles = self.largest_pole(values).real
+        factors = penalty_factor(poles) if use_penalty else np.ones(len(values))
+        criteria = np.mean(modulus**2, axis=-1) * factors**2
         near = np.minimum(values - lower, upper - values) <= AT_BOUND * (upper - lower)
-        unidentified = tuple(name for name, value in zip(names, sem, strict=True) if not np.isfinite(value))
-        status = _WHY_STOPPED[solution.status]
-        if unidentified:
-            status += f"; the data say nothing about {', '.join(unidentified)}"
-        return AdmittanceFit(
-            structure=self.structure.name,
-            arm=arm,
-            values=dict(zip(names, map(float, values), strict=True)),
-            sem=dict(zip(names, map(float, sem), strict=True)),
-            unidentified=unidentified,
-            at_bound=tuple(name for name, hit in zip(names, near, strict=True) if hit),
-            status=status,
-            converged=solution.status > 0,
-            criterion=float(np.mean(np.abs(error) ** 2)) * factor**2,
-            n_errors=len(error),
-            penalty=factor,
-            stable=pole < 0,
-            largest_real_pole=pole,
-            n_starts=n_starts,
-            n_starts_agree=n_starts_agree,
-            n_evaluations=n_evaluations,
-        )
+        fits = []
+        for i, body in enumerate(self.body):
+            sem = _standard_error(modulus[i], slope[i])
+            unidentified = tuple(name for name, value in zip(names, sem, strict=True) if not np.isfinite(value))
+            why = _WHY_STOPPED[int(status[i])]
+            if unidentified:
+                why += f"; the data say nothing about {', '.join(unidentified)}"
+            fits.append(
+                AdmittanceFit(
+                    structure=self.structure.name,
+                    arm=self.structure.arm(body, values[i]),
+                    values=dict(zip(names, values[i].tolist(), strict=True)),
+                    sem=dict(zip(names, sem.tolist(), strict=True)),
+                    unidentified=unidentified,
+                    at_bound=tuple(name for name, hit in zip(names, near[i], strict=True) if hit),
+                    status=why,
+                    converged=int(status[i]) > 0,
+                    criterion=float(criteria[i]),
+                    n_errors=modulus.shape[-1],
+                    penalty=float(factors[i]),
+                    stable=bool(poles[i] < 0),
+                    largest_real_pole=float(poles[i]),
+                    n_starts=n_starts,
+                    n_starts_agree=n_starts_agree,
+                    n_evaluations=int(n_evaluations[i]),
+                )
+            )
+        return fits
+
+
+@dataclass(frozen=True, eq=False)
+class _Published:
+    """A batch of problems as lsqnonlin had them in appendix C, but for the derivatives, which are exact here.
+
+    Residuals are moduli, and parameters are normalised by their start.
+    """
+
+    problem: _Problem
+    scale: NDArray[np.float64]
+    with_penalty: bool
+
+    def take(self, index: NDArray[np.int64]) -> Self:
+        return type(self)(self.problem.take(index), self.scale[index], self.with_penalty)
+
+    def evaluate(self, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        values = x * self.scale
+        modulus, slope = self.problem.modulus_and_slope(values)
+        if self.with_penalty:
+            factor, gradient = self.problem.penalty_and_gradient(values)
+            slope = slope * factor[:, None, None] + modulus[..., None] * gradient[:, None]
+            modulus = modulus * factor[:, None]
+        return modulus, slope * self.scale[:, None]
+
+
+def _stacked(problems: Sequence[_Problem]) -> _Problem:
+    """A batch of problems with the same structure and number of frequencies."""
+    bodies = tuple(one.body for one in problems if isinstance(one.body, Subject))
+    environments = [one.environment for one in problems if isinstance(one.environment, Environment)]
+    frequency = np.array([one.frequency for one in problems])
+    return _Problem(
+        frequency,
+        np.array([one.admittance for one in problems]),
+        np.array([one.weight for one in problems]),
+        bodies,
+        problems[0].structure,
+        Environments.of(environments),
+        LinearArm(bodies, frequency, problems[0].model.delay),
+    )
+
+
+def _flat(values: NDArray[Any], n: int) -> NDArray[Any]:
+    """One axis in the place of frequency, output and input, of which the first is the n-th from the end."""
+    cut = values.ndim - n
+    return values.reshape(*values.shape[:cut], -1, *values.shape[cut + 3 :])
 
 
 def _stack(values: NDArray[np.complex128]) -> NDArray[np.float64]:
-    return np.concatenate([values.real, values.imag])
+    """Real and then imaginary parts along the axis of errors: the first but that of a batch."""
+    return np.concatenate([values.real, values.imag], axis=max(values.ndim - 2, 0))
 
 
 def _silent_directions(jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -380,27 +530,17 @@ def _silent_directions(jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
     scale = np.linalg.norm(jacobian, axis=0)
     if not scale.all():
         return np.eye(len(scale))[scale == 0]
-    _, singular, basis = np.linalg.svd(jacobian / scale)
+    _, singular, basis = np.linalg.svd(jacobian / scale, full_matrices=len(jacobian) < len(scale))
     return np.asarray(basis[np.count_nonzero(singular > UNIDENTIFIED * singular[0]) :])
 
 
-def _modulus(
-    error: NDArray[np.complex128], slope: NDArray[np.complex128]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Modulus of a complex error, (n,), and its derivative, (n, parameter)."""
-    modulus = np.abs(error)
-    aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
-    return modulus, (aligned[:, None] * slope).real
-
-
-def _standard_error(error: NDArray[np.complex128], slope: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Eq. 2.22 for the modulus of the error; infinite for columns that share in a direction without effect.
+def _standard_error(modulus: NDArray[np.float64], jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Eq. 2.22; infinite for columns that share in a direction without effect.
 
     Args:
-      error: complex log error, (n,).
-      slope: its derivative, (n, parameter).
+      modulus: of the log error, (n,).
+      jacobian: its derivative, (n, parameter).
     """
-    modulus, jacobian = _modulus(error, slope)
     silent = np.abs(_silent_directions(jacobian)).max(axis=0, initial=0.0) > 1e-6
     known = jacobian[:, ~silent]
     scale = np.linalg.norm(known, axis=0)

@@ -32,7 +32,7 @@ RADIUS_ERROR = 0.01
 MAX_LENGTH_STEPS = 10
 """Newton steps for the length of a step."""
 
-EVALUATIONS_REACHED, NO_GRADIENT, COST_SETTLED, STEP_SETTLED, BOTH_SETTLED = range(5)
+NOT_FINITE, EVALUATIONS_REACHED, NO_GRADIENT, COST_SETTLED, STEP_SETTLED, BOTH_SETTLED = range(-1, 5)
 """Why a problem ended."""
 
 
@@ -54,7 +54,7 @@ class Minimum(NamedTuple):
 
     Attributes:
       x: (batch, parameter).
-      cost: half the sum of squared residuals, (batch,); not finite where it is not at the start, which then stays.
+      cost: half the sum of squared residuals, (batch,); not finite where it is not so at the start, which is x then.
       status: one of the constants of this module, (batch,).
       n_evaluations: (batch,).
     """
@@ -121,7 +121,8 @@ def _minimise(
 
     index, n = np.arange(len(x)), 1
     found = Minimum(x.copy(), cost.copy(), np.full(len(x), EVALUATIONS_REACHED), np.full(len(x), 1))
-    ended = ~np.isfinite(cost) | ~np.isfinite(jacobian).all(axis=(1, 2))
+    ended = ~_finite(cost, jacobian)
+    found.status[ended] = NOT_FINITE
     while True:
         distance, sign = _distance(x, gradient, lower, upper)
         vanished = ~gradient.any(axis=1) & ~ended
@@ -148,7 +149,7 @@ def _minimise(
         n += 1
 
         new_cost, length = _cost(residual), _norm(step)
-        finite = np.isfinite(new_cost) & np.isfinite(new_jacobian).all(axis=(1, 2))
+        finite = _finite(new_cost, new_jacobian)
         reduction = np.where(finite, cost - new_cost, -np.inf)
         ratio = np.where(predicted > 0, reduction / predicted, np.where(reduction == predicted, 1.0, 0.0))
         new_radius = np.where(ratio < 0.25, 0.25 * length, radius)
@@ -185,6 +186,11 @@ def _inside(x: Array, lower: Array, upper: Array, margin: float) -> Array:
 
 def _cost(residual: Array) -> Array:
     return 0.5 * np.sum(residual**2, axis=-1)
+
+
+def _finite(cost: Array, jacobian: Array) -> NDArray[np.bool_]:
+    """Whether a problem can go on: its squares must not overflow either."""
+    return np.isfinite(cost) & np.isfinite(np.einsum("bij,bij->b", jacobian, jacobian))
 
 
 def _norm(values: Array) -> Array:
