@@ -395,7 +395,7 @@ class _Problem:
         lower, upper = self.bounds
         problem, places = self, starts
         for share in (0.1, 0.3, None):
-            slopes = _stack(problem.log_error_and_slope(places)[1])
+            slopes = _stack(problem.log_error_and_slope(places)[1], axis=1)
             nothing = [_silent_directions(slope) for slope in slopes]
             silent = np.flatnonzero([directions.size > 0 for directions in nothing])
             if not len(silent):
@@ -520,9 +520,8 @@ def _flat(values: NDArray[Any], n: int) -> NDArray[Any]:
     return values.reshape(*values.shape[:cut], -1, *values.shape[cut + 3 :])
 
 
-def _stack(values: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Real and then imaginary parts along the axis of errors: the first but that of a batch."""
-    return np.concatenate([values.real, values.imag], axis=max(values.ndim - 2, 0))
+def _stack(values: NDArray[np.complex128], axis: int = 0) -> NDArray[np.float64]:
+    return np.concatenate([values.real, values.imag], axis=axis)
 
 
 def _silent_directions(jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
