@@ -16,7 +16,7 @@ Of a subject with a muscle law, responses are those of its linear parameters; on
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
@@ -59,6 +59,13 @@ PARAMETERS = (
 _INDEX = {name: index for index, name in enumerate(PARAMETERS)}
 _MASSES, _DELAYS, _CUTOFFS = slice(0, 2), slice(20, 22), slice(22, 24)
 _GRIP_DAMPING, _GRIP_STIFFNESS = 24, 25
+_GROUPS = {
+    "m": slice(0, 2),
+    **{quantity: slice(2 + 3 * n, 5 + 3 * n) for n, quantity in enumerate(_TRIPLES)},
+    "Td": _DELAYS,
+    "fact": _CUTOFFS,
+    "grip": slice(24, 26),
+}
 _MATRIX = {quantity: np.array([[2 + 3 * n, 3 + 3 * n], [3 + 3 * n, 4 + 3 * n]]) for n, quantity in enumerate(_TRIPLES)}
 
 
@@ -203,6 +210,38 @@ def _triple(outer: Response) -> Response:
     return np.stack([outer[:, 0, 0], outer[:, 0, 1] + outer[:, 1, 0], outer[:, 1, 1]])
 
 
+class _Gradient:
+    """Derivatives by groups of parameters as they are computed, (parameter, output, input, ..., frequency).
+
+    Attributes:
+      values: of the wanted groups one after the other; complex, or the real part of weight x derivative.
+      weight: (output, input, ..., frequency), if there is one.
+    """
+
+    def __init__(self, shape: tuple[int, ...], groups: Sequence[str], weight: Response | None) -> None:
+        self.weight = weight
+        sizes = [_GROUPS[group].stop - _GROUPS[group].start for group in groups]
+        ends = np.cumsum(sizes)
+        self.values = np.empty((int(ends[-1]), 2, 2, *shape), dtype=complex if weight is None else float)
+        self._rows = {
+            group: slice(end - size, end) for group, size, end in zip(groups, sizes, ends.tolist(), strict=True)
+        }
+
+    def wants(self, *groups: str) -> bool:
+        return any(group in self._rows for group in groups)
+
+    def weighted(self, values: Response) -> Response:
+        """Values with output first, then (inner axes,) input, ..., frequency, times the weight."""
+        if self.weight is None:
+            return values
+        inner = values.ndim - self.weight.ndim
+        return values * self.weight[:, *(None,) * inner]
+
+    def put(self, group: str, values: Response) -> None:
+        """Derivatives by a group, with their weight, if it is wanted."""
+        self.values[self._rows[group]] = values if self.weight is None else values.real
+
+
 class _Joints(NamedTuple):
     """What joint impedance and its derivatives share; rows are joints.
 
@@ -296,13 +335,31 @@ class LinearArm:
 
     def joint_impedance_gradient(self, values: Array) -> Response:
         """Derivative of `joint_impedance` by every parameter, (..., frequency, joint, joint, parameter)."""
-        gradient = np.zeros((len(PARAMETERS), 2, 2, *self._s.shape), dtype=complex)
+        groups = [group for group in _GROUPS if group != "grip"]
+        gradient = _Gradient(self._s.shape, groups, None)
         self._joint_change(gradient, self._joints(values), self._eye, self._eye)
-        return _parameter_last(gradient)
+        without_grip = np.zeros((2, *gradient.values.shape[1:]))
+        return _parameter_last(np.concatenate([gradient.values, without_grip]))
 
     def admittance_and_gradient(self, values: Array) -> tuple[Response, Response]:
         """`admittance` and its derivative by every parameter, (..., frequency, output, input, parameter)."""
         arm, gradient = self._arm_and_gradient(values, None)
+        return _matrix_last(arm), _parameter_last(gradient)
+
+    def admittance_and_weighted_gradient(
+        self, values: Array, weigh: Callable[[Response], Response], groups: Sequence[str]
+    ) -> tuple[Response, Array]:
+        """`admittance` and the real part of its weighted derivative, which a fit of moduli needs.
+
+        Args:
+          values: (..., parameter).
+          weigh: the admittance to the weight of its derivative, (..., frequency, output, input) both.
+          groups: of parameters by which to differentiate, as `groups_of` gives them.
+
+        Returns:
+          The admittance, and the derivative by the parameters of the groups, (..., frequency, output, input, parameter).
+        """
+        arm, gradient = self._arm_and_gradient(values, None, weigh, groups)
         return _matrix_last(arm), _parameter_last(gradient)
 
     def total_and_gradient(self, values: Array, environment: Environment) -> tuple[Response, Response]:
@@ -436,7 +493,13 @@ class LinearArm:
             impedance=mass[..., None] * s2 + muscle,
         )
 
-    def _arm_and_gradient(self, values: Array, environment: Environment | None) -> tuple[Response, Response]:
+    def _arm_and_gradient(
+        self,
+        values: Array,
+        environment: Environment | None,
+        weigh: Callable[[Response], Response] | None = None,
+        groups: Sequence[str] = tuple(_GROUPS),
+    ) -> tuple[Response, NDArray[Any]]:
         """The arm's admittance and its derivative, or that of the total admittance if there is an environment.
 
         Returns:
@@ -446,40 +509,66 @@ class LinearArm:
         compliance = _inverse(joints.impedance)
         arm = self._endpoint(compliance, values)
         left, right = _product(self._left, compliance), _product(compliance, self._right)
-        grip = -(self._grip(values) ** 2)
         through_grip = self._eye
         if environment is not None:
             share = self._share(arm, environment)
             left, right, through_grip = _product(share, left), _product(right, share), _product(share, share)
-        gradient = np.empty((len(PARAMETERS), 2, 2, *self._s.shape), dtype=complex)
+        weight = None if weigh is None else _matrix_first(weigh(_matrix_last(arm)))
+        gradient = _Gradient(self._s.shape, groups, weight)
         self._joint_change(gradient, joints, -left, right)
-        gradient[_GRIP_STIFFNESS] = grip * through_grip
-        gradient[_GRIP_DAMPING] = self._s * gradient[_GRIP_STIFFNESS]
-        return arm, gradient
+        if gradient.wants("grip"):
+            by_stiffness = gradient.weighted(-(self._grip(values) ** 2) * through_grip)
+            gradient.put("grip", np.stack([self._s * by_stiffness, by_stiffness]))
+        return arm, gradient.values
 
-    def _joint_change(self, out: Response, joints: _Joints, left: NDArray[Any], right: NDArray[Any]) -> None:
-        """Fill in left x (derivative of Z) x right for every parameter but the grip's.
+    def _joint_change(self, out: _Gradient, joints: _Joints, left: NDArray[Any], right: NDArray[Any]) -> None:
+        """Put left x (derivative of Z) x right for every wanted parameter but the grip's.
 
         With W = (1 - R Kf)^-1 (B s + K + R G) the muscle's part of Z and G the part of the feedback that sees q,
         dW = (1 - R Kf)^-1 (dB s + dK + R (dG + dKf W) + dR (G + Kf W)).
         """
         s, s2 = self._s, self._s2
-        for index, inertia in enumerate(self._inertias):
-            out[index] = s2 * _product(_product(left, _matrix_first(inertia)[..., None]), right)
+        if out.wants("m"):
+            inertias = (_matrix_first(inertia)[..., None] for inertia in self._inertias)
+            out.put("m", np.stack([out.weighted(s2 * _product(_product(left, one), right)) for one in inertias]))
         left = _product(left, joints.loop)
+        changed = out.weighted(np.broadcast_to(right, (2, 1, *right.shape)))
         reflexive = left * (joints.delayed * joints.active)
-        changed = right[None, None]
-        stiffness = _triple(left[:, :, None, None] * changed)
-        position = _triple(reflexive[:, :, None, None] * changed)
-        out[2:5] = s * stiffness
-        out[5:8] = stiffness
-        out[8:11] = s * position
-        out[11:14] = position
-        out[14:17] = s2 * position
-        out[17:20] = _triple(reflexive[:, :, None, None] * _product(joints.muscle, right)[None, None])
-        moved = (left[:, :, None] * _product(joints.reflex, right)[None]).swapaxes(0, 1)
-        out[_DELAYS] = moved * (joints.delay_slope * joints.active)[:, None, None]
-        out[_CUTOFFS] = moved * (joints.delayed * joints.active_slope)[:, None, None]
+        if out.wants("b", "k"):
+            stiffness = _triple(left[:, :, None, None] * changed)
+            for group, factor in (("b", s), ("k", None)):
+                if out.wants(group):
+                    out.put(group, stiffness if factor is None else factor * stiffness)
+        if out.wants("kv", "kp", "ka"):
+            position = _triple(reflexive[:, :, None, None] * changed)
+            for group, factor in (("kv", s), ("kp", None), ("ka", s2)):
+                if out.wants(group):
+                    out.put(group, position if factor is None else factor * position)
+        if out.wants("kf"):
+            sensed = _product(joints.muscle, right)
+            sensed = out.weighted(np.broadcast_to(sensed, (2, 1, *sensed.shape)))
+            out.put("kf", _triple(reflexive[:, :, None, None] * sensed))
+        if out.wants("Td", "fact"):
+            moved = out.weighted(left[:, :, None] * _product(joints.reflex, right)[None]).swapaxes(0, 1)
+            for group, slope in (
+                ("Td", joints.delay_slope * joints.active),
+                ("fact", joints.delayed * joints.active_slope),
+            ):
+                if out.wants(group):
+                    out.put(group, moved * slope[:, None, None])
+
+
+def groups_of(parameters: NDArray[np.bool_]) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+    """Groups of parameters by which derivatives come together.
+
+    Args:
+      parameters: whether each of `PARAMETERS` is wanted.
+
+    Returns:
+      The groups that hold them, and the index of each parameter of these groups.
+    """
+    groups = tuple(group for group, rows in _GROUPS.items() if parameters[rows].any())
+    return groups, np.concatenate([np.arange(len(PARAMETERS))[_GROUPS[group]] for group in groups])
 
 
 def joint_impedance(subject: Subject, frequency: ArrayLike, delay: Delay = "exact") -> Response:

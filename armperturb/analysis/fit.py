@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 
-from armperturb.analysis.arm_model import Delay, Environments, LinearArm
+from armperturb.analysis.arm_model import Delay, Environments, LinearArm, groups_of
 from armperturb.analysis.linear_start import with_linear_part
 from armperturb.analysis.structures import STRUCTURES, Structure, unit
 from armperturb.analysis.trust_region import NOT_FINITE, minimise
@@ -297,8 +297,8 @@ class _Problem:
         assert isinstance(self.body, tuple) and isinstance(self.environment, Environments)
         return type(self)(
             self.frequency[index],
-            self.admittance[index],
-            self.weight[index],
+            _frequency_last(self.admittance[index]),
+            _frequency_last(self.weight[index]),
             tuple(self.body[i] for i in index),
             self.structure,
             self.environment.take(index),
@@ -334,15 +334,26 @@ class _Problem:
         return _flat(error, 3), _flat(slope @ self.structure.mixing, 4)
 
     def modulus_and_slope(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Modulus of `log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter)."""
-        model, gradient = self.model.admittance_and_gradient(self.parameters(values))
-        error = self.weight * np.log(self.admittance / model)
-        modulus = np.abs(error)
-        aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
-        # The derivative of the modulus is real: mixing it is half the work.
-        slope = (gradient * (aligned * (-self.weight / model))[..., None]).real
-        mixed = np.tensordot(self.structure.mixing.T, np.moveaxis(slope, -1, 0), axes=1)
-        return _flat(modulus, 3), _flat(np.moveaxis(mixed, 0, -1), 4)
+        """Modulus of `log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter).
+
+        Errors are in another order than there.
+        """
+        modulus = np.empty(0)
+
+        def weigh(model: NDArray[np.complex128]) -> NDArray[np.complex128]:
+            nonlocal modulus
+            error = self.weight * np.log(self.admittance / model)
+            modulus = np.abs(error)
+            aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
+            return np.asarray(aligned * self.weight / -model)
+
+        mixing = self.structure.mixing
+        groups, rows = groups_of(mixing.any(axis=1))
+        _, slope = self.model.admittance_and_weighted_gradient(self.parameters(values), weigh, groups)
+        # Parameter, output and input are the first axes in memory, and frequency is the last.
+        mixed = np.tensordot(mixing[rows].T, np.moveaxis(slope, (-1, -3, -2), (0, 1, 2)), axes=1)
+        flat = np.moveaxis(mixed, (0, 1, 2), (-4, -3, -2)).reshape(*values.shape, -1)
+        return np.moveaxis(modulus, -3, -1).reshape(*values.shape[:-1], -1), flat.swapaxes(-1, -2)
 
     def residual(self, values: NDArray[np.float64], with_penalty: bool) -> NDArray[np.float64]:
         """Weighted complex log error, real then imaginary parts; with penalty and then a zero, (8 frequency [+ 1],)."""
@@ -493,9 +504,11 @@ class _Published:
         modulus, slope = self.problem.modulus_and_slope(values)
         if self.with_penalty:
             factor, gradient = self.problem.penalty_and_gradient(values)
-            slope = slope * factor[:, None, None] + modulus[..., None] * gradient[:, None]
-            modulus = modulus * factor[:, None]
-        return modulus, slope * self.scale[:, None]
+            slope *= (factor[:, None] * self.scale)[:, None]
+            slope += modulus[..., None] * (gradient * self.scale)[:, None]
+            return modulus * factor[:, None], slope
+        slope *= self.scale[:, None]
+        return modulus, slope
 
 
 def _stacked(problems: Sequence[_Problem]) -> _Problem:
@@ -505,13 +518,18 @@ def _stacked(problems: Sequence[_Problem]) -> _Problem:
     frequency = np.array([one.frequency for one in problems])
     return _Problem(
         frequency,
-        np.array([one.admittance for one in problems]),
-        np.array([one.weight for one in problems]),
+        _frequency_last(np.array([one.admittance for one in problems])),
+        _frequency_last(np.array([one.weight for one in problems])),
         bodies,
         problems[0].structure,
         Environments.of(environments),
         LinearArm(bodies, frequency, problems[0].model.delay),
     )
+
+
+def _frequency_last(values: NDArray[Any]) -> NDArray[Any]:
+    """The same, (batch, frequency, output, input), with frequency last in memory, as `LinearArm` has it."""
+    return np.moveaxis(np.ascontiguousarray(np.moveaxis(values, (-2, -1), (0, 1))), (0, 1), (-2, -1))
 
 
 def _flat(values: NDArray[Any], n: int) -> NDArray[Any]:

@@ -112,8 +112,7 @@ def _minimise(
     problems: Problems, start: Array, lower: Array, upper: Array, ftol: float, xtol: float, max_nfev: int
 ) -> Minimum:
     x = _inside(start, lower, upper, INSIDE)
-    residual, jacobian = problems.evaluate(x)
-    cost, gradient = _cost(residual), _gradient(residual, jacobian)
+    cost, gradient, hessian = _squares(*problems.evaluate(x))
     distance, _ = _distance(x, gradient, lower, upper)
     radius = _norm(x / np.sqrt(distance))
     radius[~(radius > 0) | ~np.isfinite(radius)] = 1.0
@@ -121,55 +120,63 @@ def _minimise(
 
     index, n = np.arange(len(x)), 1
     found = Minimum(x.copy(), cost.copy(), np.full(len(x), EVALUATIONS_REACHED), np.full(len(x), 1))
-    ended = ~_finite(cost, jacobian)
+    ended = ~_finite(cost, hessian)
     found.status[ended] = NOT_FINITE
     while True:
         distance, sign = _distance(x, gradient, lower, upper)
         vanished = ~gradient.any(axis=1) & ~ended
-        found.status[index[vanished]] = NO_GRADIENT
-        ended |= vanished
+        if vanished.any():
+            found.status[index[vanished]] = NO_GRADIENT
+            ended |= vanished
         if ended.any():
             gone = index[ended]
             found.x[gone], found.cost[gone], found.n_evaluations[gone] = x[ended], cost[ended], n
             kept = np.flatnonzero(~ended)
             problems, index = problems.take(kept), index[kept]
-            x, cost, gradient, jacobian, radius, damping, lower, upper, distance, sign = (
-                values[kept]
-                for values in (x, cost, gradient, jacobian, radius, damping, lower, upper, distance, sign)
+            x, cost, gradient, hessian, radius, damping, lower, upper, distance, sign = (
+                values[kept] for values in (x, cost, gradient, hessian, radius, damping, lower, upper, distance, sign)
             )
         if not len(index) or n >= max_nfev:
             break
 
-        model = _model(jacobian, gradient, distance, sign)
+        model = _model(gradient, hessian, distance, sign)
         step, damping = _longest(model, radius, damping)
         step, predicted = _feasible(model, step, radius, x, lower, upper)
         moved = model.scale * step
         there = _inside(x + moved, lower, upper, 0.0)
-        residual, new_jacobian = problems.evaluate(there)
+        new_cost, new_gradient, new_hessian = _squares(*problems.evaluate(there))
         n += 1
 
-        new_cost, length = _cost(residual), _norm(step)
-        finite = _finite(new_cost, new_jacobian)
+        length = _norm(step)
+        finite = _finite(new_cost, new_hessian)
         reduction = np.where(finite, cost - new_cost, -np.inf)
         ratio = np.where(predicted > 0, reduction / predicted, np.where(reduction == predicted, 1.0, 0.0))
         new_radius = np.where(ratio < 0.25, 0.25 * length, radius)
         new_radius[(ratio > 0.75) & (length > 0.95 * radius)] *= 2.0
-        damping = damping * (radius / new_radius)
+        damping *= radius / new_radius
         radius = new_radius
 
         settled = finite & (reduction < ftol * cost) & (ratio > 0.25)
         short = finite & (_norm(moved) < xtol * (xtol + _norm(x)))
-        found.status[index] = np.select(
-            [settled & short, settled, short], [BOTH_SETTLED, COST_SETTLED, STEP_SETTLED], EVALUATIONS_REACHED
-        )
         ended = settled | short
+        if ended.any():
+            why = np.where(settled, np.where(short, BOTH_SETTLED, COST_SETTLED), STEP_SETTLED)
+            found.status[index[ended]] = why[ended]
         better = reduction > 0
-        x = np.where(better[:, None], there, x)
-        cost = np.where(better, new_cost, cost)
-        gradient = np.where(better[:, None], _gradient(residual, new_jacobian), gradient)
-        jacobian = new_jacobian if better.all() else np.where(better[:, None, None], new_jacobian, jacobian)
+        if better.all():
+            x, cost, gradient, hessian = there, new_cost, new_gradient, new_hessian
+        else:
+            for old, new in ((x, there), (cost, new_cost), (gradient, new_gradient), (hessian, new_hessian)):
+                old[better] = new[better]
     found.x[index], found.cost[index], found.n_evaluations[index] = x, cost, n
     return found
+
+
+def _squares(residual: Array, jacobian: Array) -> tuple[Array, Array, Array]:
+    """Cost, its gradient, and J^T J."""
+    transposed = jacobian.swapaxes(1, 2)
+    gradient = (transposed @ residual[..., None])[..., 0]
+    return 0.5 * np.sum(residual**2, axis=-1), gradient, transposed @ jacobian
 
 
 def _inside(x: Array, lower: Array, upper: Array, margin: float) -> Array:
@@ -184,13 +191,9 @@ def _inside(x: Array, lower: Array, upper: Array, margin: float) -> Array:
     return np.clip(x, low, high)
 
 
-def _cost(residual: Array) -> Array:
-    return 0.5 * np.sum(residual**2, axis=-1)
-
-
-def _finite(cost: Array, jacobian: Array) -> NDArray[np.bool_]:
-    """Whether a problem can go on: its squares must not overflow either."""
-    return np.isfinite(cost) & np.isfinite(np.einsum("bij,bij->b", jacobian, jacobian))
+def _finite(cost: Array, hessian: Array) -> NDArray[np.bool_]:
+    """Whether a problem can go on from here."""
+    return np.asarray(np.isfinite(cost) & np.isfinite(hessian).all(axis=(1, 2)))
 
 
 def _norm(values: Array) -> Array:
@@ -201,10 +204,6 @@ def _dot(a: Array, b: Array) -> Array:
     return np.sum(a * b, axis=-1)
 
 
-def _gradient(residual: Array, jacobian: Array) -> Array:
-    return np.asarray((residual[:, None] @ jacobian)[:, 0])
-
-
 def _distance(x: Array, gradient: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
     """Distance v to the bound that the descent points at, one where there is none, and its derivative."""
     to_upper, to_lower = (gradient < 0) & np.isfinite(upper), (gradient > 0) & np.isfinite(lower)
@@ -212,10 +211,9 @@ def _distance(x: Array, gradient: Array, lower: Array, upper: Array) -> tuple[Ar
     return distance, to_lower * 1.0 - to_upper
 
 
-def _model(jacobian: Array, gradient: Array, distance: Array, sign: Array) -> _Model:
+def _model(gradient: Array, hessian: Array, distance: Array, sign: Array) -> _Model:
     scale = np.sqrt(distance)
-    scaled = jacobian * scale[:, None]
-    curvature = scaled.swapaxes(1, 2) @ scaled
+    curvature = hessian * (scale[:, None] * scale[..., None])
     diagonal = np.arange(curvature.shape[-1])
     curvature[:, diagonal, diagonal] += gradient * sign
     steepest = np.abs(gradient * distance).max(axis=1)
