@@ -163,7 +163,7 @@ def fit_admittance(
         target = Target(
             frequency=frequency, admittance=admittance, body=body, environment=environment, coherence=coherence
         )
-        return fit_admittances([target], structure, starts=[start], use_penalty=use_penalty, delay=delay)[0]
+        return fit_admittances([target], [structure], starts=[start], use_penalty=use_penalty, delay=delay)[0]
     structure = _named(structure)
     problem = _checked(frequency, admittance, coherence, body, structure, environment, delay)
     first = _checked_start(structure, start)
@@ -194,7 +194,7 @@ def fit_admittance(
 
 def fit_admittances(
     targets: Sequence[Target],
-    structure: Structure | str,
+    structures: Sequence[Structure | str],
     *,
     starts: Sequence[Mapping[str, float] | None],
     use_penalty: bool = True,
@@ -207,7 +207,7 @@ def fit_admittances(
     Args:
       targets: what to fit to, with the same number of frequencies; of any people and tasks. One that several starts
         share stands here once for each.
-      structure: model structure, or its name in `STRUCTURES`.
+      structures: model structure of each fit, or its name in `STRUCTURES`.
       starts: where each fit starts, (target,): values of free parameters, SI; the published start where not given.
       use_penalty: whether to push fits away from instability (eq. 2.21).
       delay: "exact", or the thesis's "pade".
@@ -218,20 +218,22 @@ def fit_admittances(
     Raises:
       ValueError: as `fit_admittance`, or numbers of frequencies differ.
     """
-    structure = _named(structure)
     problems = [
-        _checked(one.frequency, one.admittance, one.coherence, one.body, structure, one.environment, delay)
-        for one in targets
+        _checked(one.frequency, one.admittance, one.coherence, one.body, _named(structure), one.environment, delay)
+        for one, structure in zip(targets, structures, strict=True)
     ]
     if not problems:
         return []
     if len(sizes := {len(one.frequency) for one in problems}) > 1:
         raise ValueError(f"targets have {', '.join(map(str, sorted(sizes)))} frequencies; expected the same number")
     problem = _stacked(problems)
-    first = np.array([_checked_start(structure, start) for start in starts])
+    lower, upper = problem.bounds
+    first = np.zeros_like(lower)
+    for row, structure, start in zip(first, problem.structure, starts, strict=True):
+        row[: len(structure.free)] = _checked_start(structure, start)
     problem.require_identifiable(first)
     scale = np.where(first != 0, np.abs(first), 1.0)
-    lower, upper = problem.bounds
+    sizes = np.array([len(structure.free) for structure in problem.structure])
     found = minimise(
         _Published(problem, scale, use_penalty),
         np.clip(first, lower, upper) / scale,
@@ -239,7 +241,8 @@ def fit_admittances(
         upper / scale,
         ftol=1e-5,
         xtol=1e-6,
-        max_nfev=PUBLISHED_EVALUATIONS // (1 + len(structure.free)),
+        max_nfev=PUBLISHED_EVALUATIONS // (1 + sizes),
+        sizes=sizes,
     )
     values = np.clip(found.x * scale, lower, upper)
     return problem.judge(
@@ -276,38 +279,42 @@ def _minimise(problem: "_Problem", start: NDArray[np.float64], *, with_penalty: 
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Residual and its derivative for one admittance, or of a batch of them, whose axis is the ... below."""
+    """Residual and its derivative for one admittance, or of a batch of them, whose axis is the ... below.
+
+    Parameters of a batch are those of its largest structure: what others have less is zero, and has no effect.
+    """
 
     frequency: NDArray[np.float64]
     admittance: NDArray[np.complex128]
     weight: NDArray[np.float64]
     body: Subject | tuple[Subject, ...]
-    structure: Structure
+    structure: Structure | tuple[Structure, ...]
     environment: Environment | Environments
     model: LinearArm
+    mixing: NDArray[np.float64]
+    constant: NDArray[np.float64]
+    bounds: tuple[NDArray[np.float64], NDArray[np.float64]]
     latest_pole: dict[bytes, NDArray[np.complex128]] = field(default_factory=dict)
-
-    @property
-    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        lower, upper = np.array(list(self.structure.bounds.values())).T
-        return lower, upper
 
     def take(self, index: NDArray[np.int64]) -> Self:
         """Some of the problems of a batch, in this order."""
-        assert isinstance(self.body, tuple) and isinstance(self.environment, Environments)
+        assert isinstance(self.environment, Environments)
+        lower, upper = self.bounds
         return type(self)(
             self.frequency[index],
             _frequency_last(self.admittance[index]),
             _frequency_last(self.weight[index]),
             tuple(self.body[i] for i in index),
-            self.structure,
+            tuple(self.structure[i] for i in index),
             self.environment.take(index),
             self.model.take(index),
+            self.mixing[index],
+            self.constant[index],
+            (lower[index], upper[index]),
         )
 
     def parameters(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        task = self.body.task if isinstance(self.body, Subject) else [one.task for one in self.body]
-        return self.structure.parameters(task, values)
+        return self.constant + _applied(self.mixing, values)
 
     def penalty(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         return penalty_factor(self.largest_pole(values).real)
@@ -331,7 +338,7 @@ class _Problem:
         model, gradient = self.model.admittance_and_gradient(self.parameters(values))
         error = self.weight * np.log(self.admittance / model)
         slope = gradient * (-self.weight / model)[..., None]
-        return _flat(error, 3), _flat(slope @ self.structure.mixing, 4)
+        return _flat(error, 3), _flat(slope, 4) @ self.mixing
 
     def modulus_and_slope(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Modulus of `log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter).
@@ -347,13 +354,12 @@ class _Problem:
             aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
             return np.asarray(aligned * self.weight / -model)
 
-        mixing = self.structure.mixing
-        groups, rows = groups_of(mixing.any(axis=1))
+        groups, rows = groups_of(self.mixing.any(axis=tuple(range(self.mixing.ndim - 2)) + (-1,)))
         _, slope = self.model.admittance_and_weighted_gradient(self.parameters(values), weigh, groups)
-        # Parameter, output and input are the first axes in memory, and frequency is the last.
-        mixed = np.tensordot(mixing[rows].T, np.moveaxis(slope, (-1, -3, -2), (0, 1, 2)), axes=1)
-        flat = np.moveaxis(mixed, (0, 1, 2), (-4, -3, -2)).reshape(*values.shape, -1)
-        return np.moveaxis(modulus, -3, -1).reshape(*values.shape[:-1], -1), flat.swapaxes(-1, -2)
+        # Frequency is the last axis in memory.
+        flat = np.moveaxis(slope, (-1, -4), (-4, -1)).reshape(*values.shape[:-1], len(rows), -1)
+        mixed = self.mixing[..., rows, :].swapaxes(-1, -2) @ flat
+        return np.moveaxis(modulus, -3, -1).reshape(*values.shape[:-1], -1), mixed.swapaxes(-1, -2)
 
     def residual(self, values: NDArray[np.float64], with_penalty: bool) -> NDArray[np.float64]:
         """Weighted complex log error, real then imaginary parts; with penalty and then a zero, (8 frequency [+ 1],)."""
@@ -386,7 +392,8 @@ class _Problem:
         acts = (factor - 1.0 >= NEGLIGIBLE_PENALTY) & (factor < penalty_factor(np.inf))
         if not acts.any():
             return factor, np.zeros_like(values)
-        slope = self.model.pole_gradient(self.parameters(values), self.environment, pole).real @ self.structure.mixing
+        gradient = self.model.pole_gradient(self.parameters(values), self.environment, pole).real
+        slope = _applied(self.mixing.swapaxes(-1, -2), gradient)
         steepness = (factor - 1.0) * 10.0 * np.log(10.0)
         return factor, np.where(acts[..., None], steepness[..., None] * slope, 0.0)
 
@@ -403,28 +410,31 @@ class _Problem:
           ValueError: there is such a direction.
         """
         rng = np.random.default_rng(0)
-        lower, upper = self.bounds
         problem, places = self, starts
         for share in (0.1, 0.3, None):
             slopes = _stack(problem.log_error_and_slope(places)[1], axis=1)
-            nothing = [_silent_directions(slope) for slope in slopes]
+            nothing = [
+                _silent_directions(slope[:, : len(structure.free)])
+                for slope, structure in zip(slopes, problem.structure, strict=True)
+            ]
             silent = np.flatnonzero([directions.size > 0 for directions in nothing])
             if not len(silent):
                 return
             if share is not None:
                 problem, starts = problem.take(silent), starts[silent]
-                places = starts + share * (rng.uniform(lower, upper) - starts)
-        effect = np.linalg.norm(slopes[silent[0]], axis=0)
+                places = starts + share * (rng.uniform(*problem.bounds) - starts)
+        structure = problem.structure[silent[0]]
+        effect = np.linalg.norm(slopes[silent[0], :, : len(structure.free)], axis=0)
         direction = nothing[silent[0]][0] / np.where(effect > 0, effect, 1.0)
         direction[np.abs(nothing[silent[0]][0]) < 1e-3] = 0.0
         direction /= np.abs(direction).max()
         parts = [
             f"{share:+.2g} {unit(name)} of {name}"
-            for share, name in zip(direction, self.structure.free, strict=True)
+            for share, name in zip(direction, structure.free, strict=True)
             if share
         ]
         raise ValueError(
-            f"model {self.structure.name} cannot be identified from {self.frequency.shape[-1]} frequencies: "
+            f"model {structure.name} cannot be identified from {self.frequency.shape[-1]} frequencies: "
             f"{', '.join(parts)} change no response; expected fewer free parameters"
         )
 
@@ -448,28 +458,28 @@ class _Problem:
           n_starts: of each.
           n_starts_agree: of each.
         """
-        assert isinstance(self.body, tuple)
-        names, (lower, upper) = self.structure.free, self.bounds
+        lower, upper = self.bounds
         modulus, slope = self.modulus_and_slope(values)
         poles = self.largest_pole(values).real
         factors = penalty_factor(poles) if use_penalty else np.ones(len(values))
         criteria = np.mean(modulus**2, axis=-1) * factors**2
         near = np.minimum(values - lower, upper - values) <= AT_BOUND * (upper - lower)
         fits = []
-        for i, body in enumerate(self.body):
-            sem = _standard_error(modulus[i], slope[i])
+        for i, (body, structure) in enumerate(zip(self.body, self.structure, strict=True)):
+            names, own = structure.free, values[i, : len(structure.free)]
+            sem = _standard_error(modulus[i], slope[i, :, : len(names)])
             unidentified = tuple(name for name, value in zip(names, sem, strict=True) if not np.isfinite(value))
             why = _WHY_STOPPED[int(status[i])]
             if unidentified:
                 why += f"; the data say nothing about {', '.join(unidentified)}"
             fits.append(
                 AdmittanceFit(
-                    structure=self.structure.name,
-                    arm=self.structure.arm(body, values[i]),
-                    values=dict(zip(names, values[i].tolist(), strict=True)),
+                    structure=structure.name,
+                    arm=structure.arm(body, own),
+                    values=dict(zip(names, own.tolist(), strict=True)),
                     sem=dict(zip(names, sem.tolist(), strict=True)),
                     unidentified=unidentified,
-                    at_bound=tuple(name for name, hit in zip(names, near[i], strict=True) if hit),
+                    at_bound=tuple(name for name, hit in zip(names, near[i, : len(names)], strict=True) if hit),
                     status=why,
                     converged=int(status[i]) > 0,
                     criterion=float(criteria[i]),
@@ -512,19 +522,35 @@ class _Published:
 
 
 def _stacked(problems: Sequence[_Problem]) -> _Problem:
-    """A batch of problems with the same structure and number of frequencies."""
+    """A batch of problems with the same number of frequencies."""
     bodies = tuple(one.body for one in problems if isinstance(one.body, Subject))
     environments = [one.environment for one in problems if isinstance(one.environment, Environment)]
     frequency = np.array([one.frequency for one in problems])
+    n = max(one.mixing.shape[1] for one in problems)
+
+    def filled(values: NDArray[np.float64], missing: float) -> NDArray[np.float64]:
+        width = [(0, 0)] * (values.ndim - 1) + [(0, n - values.shape[-1])]
+        return np.pad(values, width, constant_values=missing)
+
     return _Problem(
         frequency,
         _frequency_last(np.array([one.admittance for one in problems])),
         _frequency_last(np.array([one.weight for one in problems])),
         bodies,
-        problems[0].structure,
+        tuple(one.structure for one in problems),
         Environments.of(environments),
         LinearArm(bodies, frequency, problems[0].model.delay),
+        np.array([filled(one.mixing, 0.0) for one in problems]),
+        np.array([one.constant for one in problems]),
+        (
+            np.array([filled(one.bounds[0], -1.0) for one in problems]),
+            np.array([filled(one.bounds[1], 1.0) for one in problems]),
+        ),
     )
+
+
+def _applied(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray((matrix @ vector[..., None])[..., 0])
 
 
 def _frequency_last(values: NDArray[Any]) -> NDArray[Any]:
@@ -598,7 +624,19 @@ def _checked(
     if 8 * f.size <= len(structure.free):
         raise ValueError(f"{f.size} frequencies for {len(structure.free)} parameters; expected more frequencies")
     weight = np.broadcast_to(np.sqrt(c)[:, :, None], h.shape)
-    return _Problem(f, h, weight, body, structure, environment, LinearArm(body, f, delay))
+    lower, upper = np.array(list(structure.bounds.values())).T
+    return _Problem(
+        f,
+        h,
+        weight,
+        body,
+        structure,
+        environment,
+        LinearArm(body, f, delay),
+        structure.mixing,
+        structure.constant(body.task),
+        (lower, upper),
+    )
 
 
 def _published(structure: Structure) -> NDArray[np.float64]:

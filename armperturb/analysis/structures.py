@@ -1,7 +1,7 @@
 """Arm model structures: which parameters are estimated, within which bounds, and what the others are (table C.1)."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 from typing import Any, NoReturn, Self
@@ -158,15 +158,22 @@ class Structure:
         """Names of the estimated parameters; `m_tot` stands for both masses (eqs 2.14, 2.15)."""
         return tuple(self.bounds)
 
-    def parameters(self, task: str | Sequence[str], values: ArrayLike) -> NDArray[np.float64]:
-        """All parameters of an arm, in the order of `arm_model.PARAMETERS`, SI, (..., parameter).
+    def constant(self, task: str) -> NDArray[np.float64]:
+        """Parameters of an arm whose free parameters are zero, in the order of `arm_model.PARAMETERS`, SI.
 
         Args:
-          task: "PT" or "RT", for the fixed values; one for each arm of a batch.
-          values: of the free parameters, (..., parameter).
+          task: "PT" or "RT", for the fixed values.
         """
-        constant = self._constant[task] if isinstance(task, str) else np.array([self._constant[one] for one in task])
-        return np.asarray(constant + np.asarray(values, dtype=float) @ self.mixing.T)
+        return self._constant[task]
+
+    def parameters(self, task: str, values: ArrayLike) -> NDArray[np.float64]:
+        """All parameters of an arm, in the order of `arm_model.PARAMETERS`, SI.
+
+        Args:
+          task: "PT" or "RT", for the fixed values.
+          values: of the free parameters, (parameter,).
+        """
+        return self._constant[task] + self.mixing @ np.asarray(values, dtype=float)
 
     def arm(self, body: Subject, values: ArrayLike) -> Subject:
         """The arm with these free parameters.

@@ -82,7 +82,15 @@ class _Model(NamedTuple):
 
 
 def minimise(
-    problems: Problems, start: ArrayLike, lower: ArrayLike, upper: ArrayLike, *, ftol: float, xtol: float, max_nfev: int
+    problems: Problems,
+    start: ArrayLike,
+    lower: ArrayLike,
+    upper: ArrayLike,
+    *,
+    ftol: float,
+    xtol: float,
+    max_nfev: ArrayLike,
+    sizes: ArrayLike | None = None,
 ) -> Minimum:
     """Local minimum of each problem of a batch.
 
@@ -93,7 +101,9 @@ def minimise(
       upper: likewise.
       ftol: a problem ends when a step reduces its cost by less than this share, and the model was right about it.
       xtol: a problem ends when a step is shorter than this share of x.
-      max_nfev: evaluations after which a problem ends in any case, that of the start included.
+      max_nfev: evaluations after which a problem ends in any case, that of the start included; of all or each.
+      sizes: how many parameters each problem has, the first ones, (batch,); the others are there for the sake of larger
+        problems, and change nothing. By default problems have all.
 
     Raises:
       ValueError: a lower bound is not below its upper bound.
@@ -103,13 +113,22 @@ def minimise(
     if not (lower < upper).all():
         where = tuple(np.argwhere(~(lower < upper))[0])
         raise ValueError(f"bounds = {lower[where]:g} to {upper[where]:g}; expected a lower below an upper bound")
+    limits = np.broadcast_to(np.asarray(max_nfev), len(first))
+    used = np.broadcast_to(first.shape[1] if sizes is None else np.asarray(sizes), len(first))
     # What overflows or divides by zero is dealt with where it is used.
     with np.errstate(all="ignore"):
-        return _minimise(problems, first, lower, upper, ftol, xtol, max_nfev)
+        return _minimise(problems, first, lower, upper, ftol, xtol, limits, used)
 
 
 def _minimise(
-    problems: Problems, start: Array, lower: Array, upper: Array, ftol: float, xtol: float, max_nfev: int
+    problems: Problems,
+    start: Array,
+    lower: Array,
+    upper: Array,
+    ftol: float,
+    xtol: float,
+    limits: NDArray[np.int64],
+    sizes: NDArray[np.int64],
 ) -> Minimum:
     x = _inside(start, lower, upper, INSIDE)
     cost, gradient, hessian = _squares(*problems.evaluate(x))
@@ -128,19 +147,22 @@ def _minimise(
         if vanished.any():
             found.status[index[vanished]] = NO_GRADIENT
             ended |= vanished
+        ended |= n >= limits
         if ended.any():
             gone = index[ended]
             found.x[gone], found.cost[gone], found.n_evaluations[gone] = x[ended], cost[ended], n
             kept = np.flatnonzero(~ended)
-            problems, index = problems.take(kept), index[kept]
+            index = index[kept]
+            if not len(index):
+                return found
+            problems = problems.take(kept)
+            limits, sizes = limits[kept], sizes[kept]
             x, cost, gradient, hessian, radius, damping, lower, upper, distance, sign = (
                 values[kept] for values in (x, cost, gradient, hessian, radius, damping, lower, upper, distance, sign)
             )
-        if not len(index) or n >= max_nfev:
-            break
 
         model = _model(gradient, hessian, distance, sign)
-        step, damping = _longest(model, radius, damping)
+        step, damping = _longest(model, radius, damping, sizes)
         step, predicted = _feasible(model, step, radius, x, lower, upper)
         moved = model.scale * step
         there = _inside(x + moved, lower, upper, 0.0)
@@ -168,8 +190,6 @@ def _minimise(
         else:
             for old, new in ((x, there), (cost, new_cost), (gradient, new_gradient), (hessian, new_hessian)):
                 old[better] = new[better]
-    found.x[index], found.cost[index], found.n_evaluations[index] = x, cost, n
-    return found
 
 
 def _squares(residual: Array, jacobian: Array) -> tuple[Array, Array, Array]:
@@ -220,15 +240,15 @@ def _model(gradient: Array, hessian: Array, distance: Array, sign: Array) -> _Mo
     return _Model(scale, scale * gradient, curvature, np.maximum(STEP_BACK, 1.0 - steepest))
 
 
-def _longest(model: _Model, radius: Array, damping: Array) -> tuple[Array, Array]:
+def _longest(model: _Model, radius: Array, damping: Array, sizes: NDArray[np.int64]) -> tuple[Array, Array]:
     """Minimum of the model within the radius, (batch, parameter), and the damping that it takes, (batch,).
 
     Along directions without curvature there is no gradient either: the step keeps out of them. The length of
     s(a) = -(B + a)^-1 D g falls with the damping a, and 1 / |s(a)| is nearly linear in it: Newton steps on that,
     kept between bounds of the solution.
     """
-    curvature, basis = np.linalg.eigh(model.curvature)
-    known = curvature > len(curvature[0]) * np.finfo(float).eps * curvature[:, -1:]
+    curvature, basis = _directions(model.curvature, sizes)
+    known = curvature > len(curvature[0]) * np.finfo(float).eps * curvature.max(axis=1, keepdims=True)
     slope = np.where(known, (model.gradient[:, None] @ basis)[:, 0], 0.0)
     curvature = np.where(known, curvature, 1.0)
     squared = slope**2
@@ -257,6 +277,18 @@ def _longest(model: _Model, radius: Array, damping: Array) -> tuple[Array, Array
     along = slope / (curvature + damping[:, None])
     along *= np.where(limited, radius / _norm(along), 1.0)[:, None]
     return -(basis @ along[..., None])[..., 0], damping
+
+
+def _directions(curvature: Array, sizes: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Eigenvalues and eigenvectors of the curvature, zero beyond the size of a problem."""
+    distinct = np.unique(sizes)
+    if len(distinct) == 1 and distinct[0] == curvature.shape[-1]:
+        return np.linalg.eigh(curvature)
+    values, basis = np.zeros(curvature.shape[:-1]), np.zeros_like(curvature)
+    for size in distinct:
+        rows = np.flatnonzero(sizes == size)
+        values[rows, :size], basis[rows, :size, :size] = np.linalg.eigh(curvature[rows, :size, :size])
+    return values, basis
 
 
 def _feasible(model: _Model, step: Array, radius: Array, x: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
