@@ -48,8 +48,9 @@ class Picture(NamedTuple):
 def write_report(study: StudyResult, out: Path, *, show_progress: bool = True) -> Path:
     """Write `tables/*.csv`, `score/`, `figures/*.svg` and `report.html`, which needs none of them nor a network.
 
-    Some more trials of the first person are simulated, to show what the muscle law does, and what a shoulder that moves;
-    they are kept in the folder, as results are. Without a GL library, pictures of the rig are left out and the report says so.
+    Some more trials of the first person are simulated, to show what the muscle law does, and what a shoulder that
+    moves; they are kept in the folder, as results are. Without a GL library, pictures of the rig are left out and the
+    report says so.
 
     Args:
       study: the analysed study; its recordings must still be there.
@@ -127,11 +128,6 @@ def _draw(
 ) -> tuple[dict[str, Picture], dict[str, str]]:
     """Draw figures into a folder; pictures by name, and why another is missing."""
     folder.mkdir(parents=True, exist_ok=True)
-    shoulder = _shoulder(study, out)
-    if shoulder is not None:
-        write_csv(shoulder.table(), out / "tables" / "moving_shoulder.csv")
-    if scored is not None:
-        write_csv(joint_rows(study), out / "tables" / "joints.csv")
     pictures, not_drawn = {}, {}
     for name, draw in tqdm(figures.items(), desc="draw", unit="figure", disable=None if show_progress else True):
         try:

@@ -155,13 +155,9 @@ def joint_rows(study: StudyResult) -> list[Row]:
             for found in ([person.cells for person in study.people], [person.true_cells for person in study.people])
         )
         if path:
-            row = {"table": cell.table, "condition": cell.condition, "quantity": cell.quantity}
+            row: Row = {"table": cell.table, "condition": cell.condition, "quantity": cell.quantity}
             row |= {"published_mean": printed.mean, "published_sd": printed.sd}
-            of_joints = {"path": path, "simulated": true}
-            rows.append(
-                row
-                | {key: value for name, values in of_joints.items() for key, value in mean_sd_of(name, values).items()}
-            )
+            rows.append(row | mean_sd_of("path", path) | mean_sd_of("simulated", true))
     return rows
 
 
