@@ -11,7 +11,8 @@ from armperturb.envs.instruments import Instruments
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse
 from armperturb.study import yielding as why
-from armperturb.study.runner import StudySettings, run_study
+from armperturb.study.results import run_study
+from armperturb.study.runner import StudySettings
 from armperturb.subject import POSITION, RELAX
 
 

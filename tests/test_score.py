@@ -9,8 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from armperturb.analysis.pulse import pulse_span
 from armperturb.analysis.thesis import fit_trials, join_estimates
 from armperturb.cli import main
+from armperturb.environment import Environment
 from armperturb.recording import load_recording, save_recording
 from armperturb.study import measure, published
 from armperturb.study.cells import Cell, measured_cells, published_cells
@@ -20,6 +22,7 @@ from armperturb.study.published import MeanSD
 from armperturb.study.runner import of_condition
 from armperturb.study.score import NOT_ASKED, Score, ScoredCell, score, score_text, share, shares, write_score
 from armperturb.study.store import find_recordings
+from armperturb.subject import POSITION
 
 HEADER = "table,condition,quantity,published_mean,published_sd,ours,ours_sd,z"
 
@@ -247,9 +250,49 @@ def test_pulses_of_a_person(study):
         assert 50 < pulse.prediction < 200  # a linear person
         assert pulse.excess == pytest.approx(100.0 / pulse.prediction)  # of one trial
         assert pulse.displacement == pytest.approx(measured.cells[Cell("2.1", "PT7.5", f"peak_displacement_{level}")])
+    recorded = load_recording(case.recording)
+    assert len(measured.trials) == recorded.sizes["trial"]
+    for one in measured.trials:
+        predicted = (one.predicted_linear, one.predicted_skeletal, *one.vaf_linear, *one.vaf_skeletal)
+        if one.condition == "PT0":
+            assert np.isnan(predicted).all()
+        else:
+            # A person without muscle law moves on a circle, but not far.
+            assert one.vaf_skeletal == pytest.approx(one.vaf_linear, abs=5.0)
+            assert min(one.vaf_skeletal) > 0.0
+            assert math.isfinite(one.displacement) == math.isfinite(one.predicted_skeletal)
+            assert one.predicted_skeletal == pytest.approx(one.predicted_linear, rel=0.1, nan_ok=True)
+            assert one.predicted_skeletal != one.predicted_linear
     assert measured.low_gain.keys() == {"PT2.5", "PT7.5", "RT7.5", "RT22.5"}
     arm = case.identified.spectra.arm[:2]
     np.testing.assert_allclose(measured.low_gain["PT7.5"], np.abs(np.diagonal(arm, axis1=1, axis2=2)))
+
+
+def test_means_are_over_the_trials_that_tell_something():
+    trials = (
+        trial("PT7.5", 1.0, 0.04, 1e-3, 0.02, predicted_skeletal=0.03),
+        trial("PT7.5", -1.0, 0.02, 3e-3, math.nan, predicted_skeletal=math.nan),
+        trial("PT7.5", 1.0, 0.06, 5e-3, 0.06, predicted_skeletal=math.nan),
+        trial("PT7.5", 1.0, math.nan, math.nan, math.nan),
+        trial("PT7.5", 2.0, math.nan, math.nan, math.nan),
+        trial("PT22.5", 2.0, 0.05, 2e-3, math.nan),
+    )
+    pulses = person("A", trials=trials).pulses
+    assert pulses.keys() == {("PT7.5", "min"), ("PT22.5", "max")}
+    assert pulses["PT7.5", "min"] == pytest.approx((0.04, 3e-3, 75.0, 1.5, 75.0))
+    assert pulses["PT22.5", "max"] == pytest.approx((0.05, 2e-3, *[math.nan] * 3), nan_ok=True)
+
+
+def test_a_skeletal_model_that_leaves_the_workspace_predicts_nothing(study):
+    recording = load_recording(study.of("PT7.5")[0].recording)[["perturbation", "force", "displacement"]]
+    [first, _] = np.flatnonzero(recording["condition"].values == "PT7.5")
+    of_pulse = recording.isel(trial=[first])
+    measured = [trial("PT7.5", 1.0, 0.05, 1e-3, 0.04)]
+    wall = Environment(workspace=0.01)
+    asked = [measure._asked(0, of_pulse, pulse_span(of_pulse, 0), POSITION, wall)]
+    [line] = measure._predict_skeletal(measured, [], asked, 200.0)
+    assert "PT7.5, repetition 0: the skeletal model left the workspace 0.0" in line
+    assert math.isnan(measured[0].predicted_skeletal)
 
 
 def test_a_limit_harms_what_comes_after_it_alone(study, tmp_path):

@@ -162,7 +162,7 @@ def test_one_that_is_lost_harms_no_other():
         Prediction(arm=RELAX, environment=endless, perturbation=1e13 * force),
         Prediction(arm=POSITION, environment=HUGE, perturbation=disturbance("PT", 50.0), onset=ONSET),
     ]
-    together = simulate_skeletal(asked, RATE, n_threads=2)
+    together = simulate_skeletal(asked, RATE)
     for place in (0, 3):
         np.testing.assert_array_equal(together[place], simulate_skeletal([asked[place]], RATE)[0])
         assert np.isfinite(together[place]).all()

@@ -16,8 +16,8 @@ Of a subject with a muscle law, responses are those of its linear parameters; on
 """
 
 import copy
-from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,6 +59,13 @@ PARAMETERS = (
 _INDEX = {name: index for index, name in enumerate(PARAMETERS)}
 _MASSES, _DELAYS, _CUTOFFS = slice(0, 2), slice(20, 22), slice(22, 24)
 _GRIP_DAMPING, _GRIP_STIFFNESS = 24, 25
+_GROUPS = {
+    "m": slice(0, 2),
+    **{quantity: slice(2 + 3 * n, 5 + 3 * n) for n, quantity in enumerate(_TRIPLES)},
+    "Td": _DELAYS,
+    "fact": _CUTOFFS,
+    "grip": slice(24, 26),
+}
 _MATRIX = {quantity: np.array([[2 + 3 * n, 3 + 3 * n], [3 + 3 * n, 4 + 3 * n]]) for n, quantity in enumerate(_TRIPLES)}
 
 
@@ -90,6 +97,29 @@ class LinearResponse(NamedTuple):
     displacement: Array
     force: Array
     joint_angle: Array
+
+
+class Environments(NamedTuple):
+    """What the hands of a batch of arms hold.
+
+    Attributes:
+      m_env: virtual mass [kg], (batch,).
+      b_env: virtual damping [Ns/m], (batch,).
+      k_env: virtual stiffness [N/m], (batch,).
+    """
+
+    m_env: Array
+    b_env: Array
+    k_env: Array
+
+    @classmethod
+    def of(cls, environments: Sequence[Environment]) -> Self:
+        """The environment of each hand."""
+        return cls(*np.array([(one.m_env, one.b_env, one.k_env) for one in environments]).T)
+
+    def take(self, index: NDArray[np.int64]) -> Self:
+        """Some of them, in this order."""
+        return type(self)(*(values[index] for values in self))
 
 
 def _segment_velocities(subject: Subject) -> tuple[Array, Array]:
@@ -135,15 +165,21 @@ def parameter_vector(subject: Subject) -> Array:
 
 
 def _matrix(values: Array, quantity: str) -> Array:
-    """Joint matrix of a quantity, ready for frequencies, (joint, joint, 1)."""
+    """Joint matrix of a quantity, ready for frequencies, (joint, joint, ..., 1)."""
     return values[_MATRIX[quantity]][..., None]
+
+
+def _columns_of(environment: Environment | Environments) -> tuple[Array, Array, Array]:
+    """Mass, damping and stiffness, (..., 1) each."""
+    return tuple(np.asarray(each)[..., None] for each in (environment.m_env, environment.b_env, environment.k_env))
 
 
 def _laplace(frequency: ArrayLike) -> Response:
     return 2j * np.pi * np.asarray(frequency, dtype=float)
 
 
-# Inside this module frequency is the last axis: matrices are 2 x 2, so that loops over it are the long ones.
+# Inside this module frequency is the last axis and arms of a batch are the one before: matrices are 2 x 2, so that loops
+# over these are the long ones. Parameters are the first axis there.
 
 
 def _product(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
@@ -157,8 +193,16 @@ def _inverse(a: NDArray[Any]) -> NDArray[Any]:
     return inverse
 
 
-def _frequency_first(a: NDArray[Any]) -> NDArray[Any]:
-    return np.moveaxis(a, -1, 0)
+def _matrix_last(a: NDArray[Any]) -> NDArray[Any]:
+    return np.moveaxis(a, (0, 1), (-2, -1))
+
+
+def _matrix_first(a: NDArray[Any]) -> NDArray[Any]:
+    return np.moveaxis(a, (-2, -1), (0, 1))
+
+
+def _parameter_last(gradient: Response) -> Response:
+    return np.moveaxis(gradient, (0, 1, 2), (-1, -3, -2))
 
 
 def _triple(outer: Response) -> Response:
@@ -166,18 +210,50 @@ def _triple(outer: Response) -> Response:
     return np.stack([outer[:, 0, 0], outer[:, 0, 1] + outer[:, 1, 0], outer[:, 1, 1]])
 
 
+class _Gradient:
+    """Derivatives by groups of parameters as they are computed, (parameter, output, input, ..., frequency).
+
+    Attributes:
+      values: of the wanted groups one after the other; complex, or the real part of weight x derivative.
+      weight: (output, input, ..., frequency), if there is one.
+    """
+
+    def __init__(self, shape: tuple[int, ...], groups: Sequence[str], weight: Response | None) -> None:
+        self.weight = weight
+        sizes = [_GROUPS[group].stop - _GROUPS[group].start for group in groups]
+        ends = np.cumsum(sizes)
+        self.values = np.empty((int(ends[-1]), 2, 2, *shape), dtype=complex if weight is None else float)
+        self._rows = {
+            group: slice(end - size, end) for group, size, end in zip(groups, sizes, ends.tolist(), strict=True)
+        }
+
+    def wants(self, *groups: str) -> bool:
+        return any(group in self._rows for group in groups)
+
+    def weighted(self, values: Response) -> Response:
+        """Values with output first, then (inner axes,) input, ..., frequency, times the weight."""
+        if self.weight is None:
+            return values
+        inner = values.ndim - self.weight.ndim
+        return values * self.weight[:, *(None,) * inner]
+
+    def put(self, group: str, values: Response) -> None:
+        """Derivatives by a group, with their weight, if it is wanted."""
+        self.values[self._rows[group]] = values if self.weight is None else values.real
+
+
 class _Joints(NamedTuple):
     """What joint impedance and its derivatives share; rows are joints.
 
     Attributes:
-      delayed: transfer function of the delay, (joint, frequency).
-      active: that of the activation filter, (joint, frequency).
-      delay_slope: derivative by the delay, (joint, frequency).
-      active_slope: derivative by the cut-off frequency, (joint, frequency).
-      loop: (1 - R Kf)^-1, (joint, joint, frequency).
-      muscle: from q to tau, (joint, joint, frequency).
-      reflex: from q to u_r, (joint, joint, frequency).
-      impedance: Z, (joint, joint, frequency).
+      delayed: transfer function of the delay, (joint, ..., frequency).
+      active: that of the activation filter, (joint, ..., frequency).
+      delay_slope: derivative by the delay, (joint, ..., frequency).
+      active_slope: derivative by the cut-off frequency, (joint, ..., frequency).
+      loop: (1 - R Kf)^-1, (joint, joint, ..., frequency).
+      muscle: from q to tau, (joint, joint, ..., frequency).
+      reflex: from q to u_r, (joint, joint, ..., frequency).
+      impedance: Z, (joint, joint, ..., frequency).
     """
 
     delayed: Response
@@ -193,152 +269,219 @@ class _Joints(NamedTuple):
 class LinearArm:
     """Frequency responses of one body's arm as functions of its parameters; what a fit evaluates again and again.
 
-    Everything that is the same for all parameters is computed once. Values are in the order of `PARAMETERS`.
+    Everything that is the same for all parameters is computed once. Values are in the order of `PARAMETERS`. Of several
+    bodies, it evaluates a batch: each body at its own values. Below, ... is (batch,) then, and nothing for one body.
 
     Attributes:
-      frequency: [Hz], (frequency,).
-      jacobian: from joint angles to hand position [m/rad], (axis, joint).
+      frequency: [Hz], (..., frequency).
+      delay: "exact" or "pade".
+      jacobian: from joint angles to hand position [m/rad], (..., axis, joint).
     """
 
-    def __init__(self, body: Subject, frequency: ArrayLike, delay: Delay = "exact") -> None:
+    def __init__(self, body: Subject | Sequence[Subject], frequency: ArrayLike, delay: Delay = "exact") -> None:
         """Prepare responses at frequencies.
 
         Args:
-          body: gives segment lengths, posture and damping of the activation filter; its parameters do not matter.
-          frequency: [Hz], (frequency,).
+          body: gives segment lengths, posture and damping of the activation filter; its parameters do not matter. A
+            sequence makes a batch.
+          frequency: [Hz], (frequency,), or one row for each body.
           delay: "exact" or "pade".
         """
-        self.frequency = np.asarray(frequency, dtype=float)
-        self.jacobian = hand_jacobian(body)
-        self._s = _laplace(self.frequency)
+        if isinstance(body, Subject):
+            jacobian, zeta, inertias = hand_jacobian(body), np.array(body.zeta_act), np.array(_segment_inertias(body))
+        else:
+            # Trials of a person share a body; computing it once is worth it.
+            found = {one: (hand_jacobian(one), one.zeta_act, _segment_inertias(one)) for one in dict.fromkeys(body)}
+            jacobian, zeta, inertias = (np.array([found[one][k] for one in body]) for k in range(3))
+            inertias = inertias.swapaxes(0, 1)
+        self.delay: Delay = delay
+        f = np.asarray(frequency, dtype=float)
+        self._prepare(np.broadcast_to(f, (*zeta.shape, f.shape[-1])), jacobian, zeta, inertias)
+
+    def _prepare(self, frequency: Array, jacobian: Array, zeta: Array, inertias: Array) -> None:
+        self.frequency, self.jacobian, self._zeta, self._inertias = frequency, jacobian, zeta, inertias
+        self._s = _laplace(frequency)
         self._s2 = self._s**2
-        self._zeta = body.zeta_act
-        self._delay = delay
-        self._inertias = _segment_inertias(body)
-        self._left = self.jacobian[:, :, None]
-        self._right = self.jacobian.T[:, :, None]
-        self._eye = np.eye(2)[:, :, None]
-        self._deflection = np.hstack([-self.jacobian, np.eye(2)])
+        eye = np.broadcast_to(np.eye(2), jacobian.shape)
+        self._left = _matrix_first(jacobian)[..., None]
+        self._right = self._left.swapaxes(0, 1)
+        self._eye = _matrix_first(eye)[..., None]
+        self._deflection = np.concatenate([-jacobian, eye], axis=-1)
+
+    def take(self, index: NDArray[np.int64]) -> Self:
+        """Some arms of a batch, in this order."""
+        taken = copy.copy(self)
+        taken._prepare(self.frequency[index], self.jacobian[index], self._zeta[index], self._inertias[:, index])
+        return taken
+
+    def _at(self, s: Response) -> Self:
+        """The same arm with Pade delays at other complex frequencies [1/s], (..., n)."""
+        other = copy.copy(self)
+        other.delay, other._s, other._s2 = "pade", s, s**2
+        return other
 
     def joint_impedance(self, values: Array) -> Response:
-        """Joint impedance Z from angle to torque [Nm/rad], (frequency, joint, joint)."""
-        return _frequency_first(self._joints(values).impedance)
+        """Joint impedance Z from angle to torque [Nm/rad], (..., frequency, joint, joint)."""
+        return _matrix_last(self._joints(values).impedance)
 
     def admittance(self, values: Array) -> Response:
-        """Endpoint admittance H_xf of arm and grip, from f to x [m/N], (frequency, output, input)."""
-        return _frequency_first(self._endpoint(_inverse(self._joints(values).impedance), values))
+        """Endpoint admittance H_xf of arm and grip, from f to x [m/N], (..., frequency, output, input)."""
+        return _matrix_last(self._endpoint(_inverse(self._joints(values).impedance), values))
 
     def total_admittance(self, values: Array, environment: Environment) -> Response:
-        """Admittance P_dx of arm and environment, from d to x [m/N], (frequency, output, input)."""
+        """Admittance P_dx of arm and environment, from d to x [m/N], (..., frequency, output, input)."""
         arm = self._endpoint(_inverse(self._joints(values).impedance), values)
-        return _frequency_first(_product(arm, self._share(arm, environment)))
+        return _matrix_last(_product(arm, self._share(arm, environment)))
 
     def joint_impedance_gradient(self, values: Array) -> Response:
-        """Derivative of `joint_impedance` by every parameter, (frequency, joint, joint, parameter)."""
-        gradient = np.zeros((len(PARAMETERS), 2, 2, len(self._s)), dtype=complex)
+        """Derivative of `joint_impedance` by every parameter, (..., frequency, joint, joint, parameter)."""
+        groups = [group for group in _GROUPS if group != "grip"]
+        gradient = _Gradient(self._s.shape, groups, None)
         self._joint_change(gradient, self._joints(values), self._eye, self._eye)
-        return gradient.transpose(3, 1, 2, 0)
+        without_grip = np.zeros((2, *gradient.values.shape[1:]))
+        return _parameter_last(np.concatenate([gradient.values, without_grip]))
 
     def admittance_and_gradient(self, values: Array) -> tuple[Response, Response]:
-        """`admittance` and its derivative by every parameter, (frequency, output, input, parameter)."""
+        """`admittance` and its derivative by every parameter, (..., frequency, output, input, parameter)."""
         arm, gradient = self._arm_and_gradient(values, None)
-        return _frequency_first(arm), gradient.transpose(3, 1, 2, 0)
+        return _matrix_last(arm), _parameter_last(gradient)
+
+    def admittance_and_weighted_gradient(
+        self, values: Array, weigh: Callable[[Response], Response], groups: Sequence[str]
+    ) -> tuple[Response, Array]:
+        """`admittance` and the real part of its weighted derivative, which a fit of moduli needs.
+
+        Args:
+          values: (..., parameter).
+          weigh: the admittance to the weight of its derivative, (..., frequency, output, input) both.
+          groups: of parameters by which to differentiate, as `groups_of` gives them.
+
+        Returns:
+          The admittance, and the derivative by the parameters of the groups, (..., frequency, output, input, parameter).
+        """
+        arm, gradient = self._arm_and_gradient(values, None, weigh, groups)
+        return _matrix_last(arm), _parameter_last(gradient)
 
     def total_and_gradient(self, values: Array, environment: Environment) -> tuple[Response, Response]:
-        """`total_admittance` and its derivative by every parameter, (frequency, output, input, parameter).
+        """`total_admittance` and its derivative by every parameter, (..., frequency, output, input, parameter).
 
         As P^-1 = E^-1 + H^-1, dP = P H^-1 dH H^-1 P, where P H^-1 = H^-1 P = (1 + E^-1 H)^-1.
         """
         arm, gradient = self._arm_and_gradient(values, environment)
-        return _frequency_first(_product(arm, self._share(arm, environment))), gradient.transpose(3, 1, 2, 0)
+        return _matrix_last(_product(arm, self._share(arm, environment))), _parameter_last(gradient)
 
-    def poles(self, values: Array, environment: Environment) -> Response:
-        """Poles of arm and environment with third-order Pade delays [1/s], (state,)."""
+    def poles(self, values: Array, environment: Environment | Environments) -> Response:
+        """Poles of arm and environment with third-order Pade delays [1/s], (..., state).
+
+        Args:
+          values: (..., parameter).
+          environment: what the hand holds, or those of a batch hold.
+        """
         return np.asarray(np.linalg.eigvals(self._force_and_dynamics(values, environment)[1]), dtype=complex)
 
-    def pole_gradient(self, values: Array, environment: Environment, pole: complex) -> Response:
-        """Derivative of a simple pole of arm and environment by every parameter, (parameter,).
+    def pole_gradient(
+        self, values: Array, environment: Environment | Environments, pole: complex | Response
+    ) -> Response:
+        """Derivative of a simple pole of arm and environment by every parameter, (..., parameter).
 
         A pole is where F = det(1 + E^-1 H) vanishes, so that its derivative is -(dF/dp) / (dF/ds).
+
+        Args:
+          values: (..., parameter).
+          environment: as in `poles`.
+          pole: [1/s], (...,).
         """
-        step = 1e-6 * max(abs(pole), 1.0)
-        here = copy.copy(self)
-        here._s, here._delay = np.array([pole, pole + step, pole - step]), "pade"
-        here._s2 = here._s**2
+        pole = np.asarray(pole, dtype=complex)
+        step = 1e-6 * np.maximum(np.abs(pole), 1.0)
+        here = self._at(np.stack([pole, pole + step, pole - step], axis=-1))
         arm, gradient = here._arm_and_gradient(values, None)
-        held = environment.m_env * here._s2 + environment.b_env * here._s + environment.k_env
+        held = here._held(environment)
         (p, q), (r, t) = here._eye + held * arm
         vanishing = p * t - q * r
         adjugate = np.array([[t, -q], [-r, p]])[..., 0]
-        change = held[0] * np.einsum("ij,pji->p", adjugate, gradient[..., 0])
-        return np.asarray(-change * 2 * step / (vanishing[1] - vanishing[2]))
+        change = held[..., 0] * np.einsum("ij...,pji...->p...", adjugate, gradient[..., 0])
+        return np.moveaxis(-change * 2 * step / (vanishing[..., 1] - vanishing[..., 2]), 0, -1)
 
-    def _force_and_dynamics(self, values: Array, environment: Environment) -> tuple[Array, Array]:
-        """Hand reaction force f, (2, 18), and matrix A, (18, 18), of `StateSpace`."""
-        muscle = np.zeros((2, N_STATES))
-        muscle[:, _Q_DOT], muscle[:, _Q] = values[_MATRIX["b"]], values[_MATRIX["k"]]
-        muscle[_ROWS, _ACTIVE] = 1.0
-        force = np.zeros((2, N_STATES))
-        force[:, _VELOCITIES] = values[_GRIP_DAMPING] * self._deflection
-        force[:, _POSITIONS] = values[_GRIP_STIFFNESS] * self._deflection
-        mass = values[0] * self._inertias[0] + values[1] * self._inertias[1]
-        acceleration = np.linalg.solve(mass, self.jacobian.T @ force - muscle)
+    def _force_and_dynamics(
+        self, values: Array, environment: Environment | Environments
+    ) -> tuple[Array, Array]:
+        """Hand reaction force f, (..., 2, 18), and matrix A, (..., 18, 18), of `StateSpace`."""
+        muscle = np.zeros((*values.shape[:-1], 2, N_STATES))
+        muscle[..., _Q_DOT], muscle[..., _Q] = values[..., _MATRIX["b"]], values[..., _MATRIX["k"]]
+        muscle[..., _ROWS, _ACTIVE] = 1.0
+        force = np.zeros_like(muscle)
+        force[..., _VELOCITIES] = values[..., _GRIP_DAMPING, None, None] * self._deflection
+        force[..., _POSITIONS] = values[..., _GRIP_STIFFNESS, None, None] * self._deflection
+        m_h, m_f = values[..., 0, None, None], values[..., 1, None, None]
+        mass = m_h * self._inertias[0] + m_f * self._inertias[1]
+        acceleration = np.linalg.solve(mass, self.jacobian.swapaxes(-1, -2) @ force - muscle)
 
-        excitation = values[_MATRIX["ka"]] @ acceleration + values[_MATRIX["kf"]] @ muscle
-        excitation[:, _Q_DOT] += values[_MATRIX["kv"]]
-        excitation[:, _Q] += values[_MATRIX["kp"]]
+        excitation = values[..., _MATRIX["ka"]] @ acceleration + values[..., _MATRIX["kf"]] @ muscle
+        excitation[..., _Q_DOT] += values[..., _MATRIX["kv"]]
+        excitation[..., _Q] += values[..., _MATRIX["kp"]]
 
-        delay, omega = values[_DELAYS], 2 * np.pi * values[_CUTOFFS]
+        delay, omega = values[..., _DELAYS], 2 * np.pi * values[..., _CUTOFFS]
         first, second, third = _PADE
-        a = _INTEGRATORS.copy()
-        a[third] = excitation
-        a[third, first] -= 120 / delay**3
-        a[third, second] -= 60 / delay**2
-        a[third, third] -= 12 / delay
-        excitation[_ROWS, first] -= 240 / delay**3
-        excitation[_ROWS, third] -= 24 / delay
-        a[_ACTIVE_DOT] = -(omega**2)[:, None] * excitation
-        a[_ACTIVE_DOT, _ACTIVE_DOT] -= 2 * self._zeta * omega
-        a[_ACTIVE_DOT, _ACTIVE] -= omega**2
-        a[_Q_DOT] = acceleration
-        a[_X_DOT] = -force / environment.m_env
-        a[_ROWS + 4, _ROWS + 4] -= environment.b_env / environment.m_env
-        a[_ROWS + 4, _ROWS + 6] -= environment.k_env / environment.m_env
+        a = np.empty((*values.shape[:-1], N_STATES, N_STATES))
+        a[...] = _INTEGRATORS
+        a[..., third, :] = excitation
+        a[..., third, first] -= 120 / delay**3
+        a[..., third, second] -= 60 / delay**2
+        a[..., third, third] -= 12 / delay
+        excitation[..., _ROWS, first] -= 240 / delay**3
+        excitation[..., _ROWS, third] -= 24 / delay
+        a[..., _ACTIVE_DOT, :] = -(omega**2)[..., None] * excitation
+        a[..., _ACTIVE_DOT, _ACTIVE_DOT] -= 2 * self._zeta[..., None] * omega
+        a[..., _ACTIVE_DOT, _ACTIVE] -= omega**2
+        a[..., _Q_DOT, :] = acceleration
+        m_env, b_env, k_env = _columns_of(environment)
+        a[..., _X_DOT, :] = -force / m_env[..., None]
+        a[..., _ROWS + 4, _ROWS + 4] -= b_env / m_env
+        a[..., _ROWS + 4, _ROWS + 6] -= k_env / m_env
         return force, a
 
+    def _held(self, environment: Environment | Environments) -> Response:
+        """E^-1, of which the environment's is a multiple of the identity [N/m], (..., frequency)."""
+        m_env, b_env, k_env = _columns_of(environment)
+        return np.asarray(m_env * self._s2 + b_env * self._s + k_env)
+
     def _share(self, arm: Response, environment: Environment) -> Response:
-        """Share of d that the arm takes, (1 + E^-1 H)^-1 = H^-1 P, (axis, axis, frequency)."""
-        held = environment.m_env * self._s2 + environment.b_env * self._s + environment.k_env
-        return _inverse(self._eye + held * arm)
+        """Share of d that the arm takes, (1 + E^-1 H)^-1 = H^-1 P, (axis, axis, ..., frequency)."""
+        return _inverse(self._eye + self._held(environment) * arm)
 
     def _endpoint(self, compliance: Response, values: Array) -> Response:
         arm = _product(_product(self._left, compliance), self._right)
-        grip = 1.0 / (values[_GRIP_DAMPING] * self._s + values[_GRIP_STIFFNESS])
+        grip = self._grip(values)
         arm[0, 0] += grip
         arm[1, 1] += grip
         return arm
 
+    def _grip(self, values: Array) -> Response:
+        """Admittance of the grip, as a multiple of the identity [m/N], (..., frequency)."""
+        return np.asarray(1.0 / (values[..., _GRIP_DAMPING, None] * self._s + values[..., _GRIP_STIFFNESS, None]))
+
     def _joints(self, values: Array) -> _Joints:
-        s, s2 = self._s, self._s2
-        delay, omega = values[_DELAYS, None], 2 * np.pi * values[_CUTOFFS, None]
+        s, s2, values = self._s, self._s2, np.moveaxis(values, -1, 0)
+        zeta = self._zeta[..., None]
+        delay, omega = values[_DELAYS][..., None], 2 * np.pi * values[_CUTOFFS][..., None]
         u = s * delay
-        if self._delay == "exact":
+        if self.delay == "exact":
             delayed = np.exp(-u)
             delay_slope = -s * delayed
         else:
             denominator = 120 + u * (60 + u * (12 + u))
             delayed = (120 + u * (-60 + u * (12 - u))) / denominator
             delay_slope = s * (-60 + u * (24 - 3 * u) - delayed * (60 + u * (24 + 3 * u))) / denominator
-        denominator = s2 + 2 * self._zeta * omega * s + omega**2
+        denominator = s2 + 2 * zeta * omega * s + omega**2
         active = omega**2 / denominator
-        active_slope = 4 * np.pi * (omega - active * (self._zeta * s + omega)) / denominator
+        active_slope = 4 * np.pi * (omega - active * (zeta * s + omega)) / denominator
 
         r = (delayed * active)[:, None]
         force = _matrix(values, "kf")
         feedback = _matrix(values, "ka") * s2 + _matrix(values, "kv") * s + _matrix(values, "kp")
         loop = _inverse(self._eye - r * force)
         muscle = _product(loop, _matrix(values, "b") * s + _matrix(values, "k") + r * feedback)
-        mass = values[0] * self._inertias[0] + values[1] * self._inertias[1]
+        mass = values[0] * _matrix_first(self._inertias[0]) + values[1] * _matrix_first(self._inertias[1])
         return _Joints(
             delayed=delayed,
             active=active,
@@ -347,53 +490,85 @@ class LinearArm:
             loop=loop,
             muscle=muscle,
             reflex=feedback + _product(force, muscle),
-            impedance=mass[:, :, None] * s2 + muscle,
+            impedance=mass[..., None] * s2 + muscle,
         )
 
-    def _arm_and_gradient(self, values: Array, environment: Environment | None) -> tuple[Response, Response]:
+    def _arm_and_gradient(
+        self,
+        values: Array,
+        environment: Environment | None,
+        weigh: Callable[[Response], Response] | None = None,
+        groups: Sequence[str] = tuple(_GROUPS),
+    ) -> tuple[Response, NDArray[Any]]:
         """The arm's admittance and its derivative, or that of the total admittance if there is an environment.
 
         Returns:
-          (output, input, frequency) and (parameter, output, input, frequency).
+          (output, input, ..., frequency) and (parameter, output, input, ..., frequency).
         """
         joints = self._joints(values)
         compliance = _inverse(joints.impedance)
         arm = self._endpoint(compliance, values)
         left, right = _product(self._left, compliance), _product(compliance, self._right)
-        grip = -1.0 / (values[_GRIP_DAMPING] * self._s + values[_GRIP_STIFFNESS]) ** 2
         through_grip = self._eye
         if environment is not None:
             share = self._share(arm, environment)
             left, right, through_grip = _product(share, left), _product(right, share), _product(share, share)
-        gradient = np.empty((len(PARAMETERS), 2, 2, len(self._s)), dtype=complex)
+        weight = None if weigh is None else _matrix_first(weigh(_matrix_last(arm)))
+        gradient = _Gradient(self._s.shape, groups, weight)
         self._joint_change(gradient, joints, -left, right)
-        gradient[_GRIP_STIFFNESS] = grip * through_grip
-        gradient[_GRIP_DAMPING] = self._s * gradient[_GRIP_STIFFNESS]
-        return arm, gradient
+        if gradient.wants("grip"):
+            by_stiffness = gradient.weighted(-(self._grip(values) ** 2) * through_grip)
+            gradient.put("grip", np.stack([self._s * by_stiffness, by_stiffness]))
+        return arm, gradient.values
 
-    def _joint_change(self, out: Response, joints: _Joints, left: NDArray[Any], right: NDArray[Any]) -> None:
-        """Fill in left x (derivative of Z) x right for every parameter but the grip's.
+    def _joint_change(self, out: _Gradient, joints: _Joints, left: NDArray[Any], right: NDArray[Any]) -> None:
+        """Put left x (derivative of Z) x right for every wanted parameter but the grip's.
 
         With W = (1 - R Kf)^-1 (B s + K + R G) the muscle's part of Z and G the part of the feedback that sees q,
         dW = (1 - R Kf)^-1 (dB s + dK + R (dG + dKf W) + dR (G + Kf W)).
         """
         s, s2 = self._s, self._s2
-        for index, inertia in enumerate(self._inertias):
-            out[index] = s2 * _product(_product(left, inertia[:, :, None]), right)
+        if out.wants("m"):
+            inertias = (_matrix_first(inertia)[..., None] for inertia in self._inertias)
+            out.put("m", np.stack([out.weighted(s2 * _product(_product(left, one), right)) for one in inertias]))
         left = _product(left, joints.loop)
+        changed = out.weighted(np.broadcast_to(right, (2, 1, *right.shape)))
         reflexive = left * (joints.delayed * joints.active)
-        changed = right[None, None]
-        stiffness = _triple(left[:, :, None, None] * changed)
-        position = _triple(reflexive[:, :, None, None] * changed)
-        out[2:5] = s * stiffness
-        out[5:8] = stiffness
-        out[8:11] = s * position
-        out[11:14] = position
-        out[14:17] = s2 * position
-        out[17:20] = _triple(reflexive[:, :, None, None] * _product(joints.muscle, right)[None, None])
-        moved = (left[:, :, None] * _product(joints.reflex, right)[None]).swapaxes(0, 1)
-        out[_DELAYS] = moved * (joints.delay_slope * joints.active)[:, None, None]
-        out[_CUTOFFS] = moved * (joints.delayed * joints.active_slope)[:, None, None]
+        if out.wants("b", "k"):
+            stiffness = _triple(left[:, :, None, None] * changed)
+            for group, factor in (("b", s), ("k", None)):
+                if out.wants(group):
+                    out.put(group, stiffness if factor is None else factor * stiffness)
+        if out.wants("kv", "kp", "ka"):
+            position = _triple(reflexive[:, :, None, None] * changed)
+            for group, factor in (("kv", s), ("kp", None), ("ka", s2)):
+                if out.wants(group):
+                    out.put(group, position if factor is None else factor * position)
+        if out.wants("kf"):
+            sensed = _product(joints.muscle, right)
+            sensed = out.weighted(np.broadcast_to(sensed, (2, 1, *sensed.shape)))
+            out.put("kf", _triple(reflexive[:, :, None, None] * sensed))
+        if out.wants("Td", "fact"):
+            moved = out.weighted(left[:, :, None] * _product(joints.reflex, right)[None]).swapaxes(0, 1)
+            for group, slope in (
+                ("Td", joints.delay_slope * joints.active),
+                ("fact", joints.delayed * joints.active_slope),
+            ):
+                if out.wants(group):
+                    out.put(group, moved * slope[:, None, None])
+
+
+def groups_of(parameters: NDArray[np.bool_]) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+    """Groups of parameters by which derivatives come together.
+
+    Args:
+      parameters: whether each of `PARAMETERS` is wanted.
+
+    Returns:
+      The groups that hold them, and the index of each parameter of these groups.
+    """
+    groups = tuple(group for group, rows in _GROUPS.items() if parameters[rows].any())
+    return groups, np.concatenate([np.arange(len(PARAMETERS))[_GROUPS[group]] for group in groups])
 
 
 def joint_impedance(subject: Subject, frequency: ArrayLike, delay: Delay = "exact") -> Response:

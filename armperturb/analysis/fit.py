@@ -6,17 +6,18 @@ which the modulus spoils. The standard errors are those of the modulus, as eq. 2
 information, and with the sum of squares over N = 4 n_f they are twice the scatter that independent errors cause.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import get_args
+from typing import Any, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 
-from armperturb.analysis.arm_model import Delay, LinearArm
+from armperturb.analysis.arm_model import Delay, Environments, LinearArm, groups_of
 from armperturb.analysis.linear_start import with_linear_part
 from armperturb.analysis.structures import STRUCTURES, Structure, unit
+from armperturb.analysis.trust_region import NOT_FINITE, minimise
 from armperturb.environment import Environment
 from armperturb.subject import Subject
 
@@ -41,6 +42,7 @@ UNIDENTIFIED = 1e-10
 """Directions of the parameters, each scaled by its effect, whose effect is this small beside the largest have none."""
 
 _WHY_STOPPED = {
+    NOT_FINITE: "not converged: the criterion is not finite at the start",
     0: "not converged: limit of evaluations reached",
     1: "converged: gradient vanished",
     2: "converged: criterion settled",
@@ -90,14 +92,33 @@ class AdmittanceFit:
     n_evaluations: int
 
 
-def penalty_factor(pole: float) -> float:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Target:
+    """What an arm model is fitted to.
+
+    Attributes:
+      frequency: [Hz], (frequency,).
+      admittance: estimated H_xf [m/N], (frequency, output, input).
+      body: gives task, segment lengths, posture and activation damping; its other parameters do not matter.
+      environment: what the hand held, for the stability of the whole.
+      coherence: multiple coherence [-], (frequency, output); one if not given.
+    """
+
+    frequency: ArrayLike
+    admittance: ArrayLike
+    body: Subject
+    environment: Environment
+    coherence: ArrayLike | None = None
+
+
+def penalty_factor(pole: ArrayLike) -> NDArray[np.float64]:
     """Factor on the error that keeps a fit stable; one for poles left of about -0.8 1/s (eq. 2.21, figure C.1).
 
     Args:
-      pole: largest real part of a pole of arm and environment [1/s].
+      pole: largest real part of a pole of arm and environment [1/s], of any shape, which the factor gets.
     """
     # Beyond 10^50 it only has to be large: powers of it must not overflow.
-    return 10.0 * 10.0 ** min(10.0 * (pole + 0.5), 50.0) + 1.0
+    return np.asarray(10.0 * 10.0 ** np.minimum(10.0 * (np.asarray(pole) + 0.5), 50.0) + 1.0)
 
 
 def fit_admittance(
@@ -138,18 +159,15 @@ def fit_admittance(
       ValueError: shapes do not fit, values are not finite, an admittance is zero, a start is unknown or outside its
         bounds, or the structure has free parameters that no admittance at these frequencies can tell apart.
     """
-    if isinstance(structure, str):
-        if structure not in STRUCTURES:
-            raise ValueError(f"model = {structure!r}; expected one of {', '.join(STRUCTURES)}")
-        structure = STRUCTURES[structure]
+    if as_published:
+        target = Target(
+            frequency=frequency, admittance=admittance, body=body, environment=environment, coherence=coherence
+        )
+        return fit_admittances([target], [structure], starts=[start], use_penalty=use_penalty, delay=delay)[0]
+    structure = _named(structure)
     problem = _checked(frequency, admittance, coherence, body, structure, environment, delay)
     first = _checked_start(structure, start)
-    problem.require_identifiable(first)
-    if as_published:
-        solution = _minimise_as_published(problem, first, with_penalty=use_penalty)
-        return problem.judge(
-            solution, use_penalty=use_penalty, n_starts=1, n_starts_agree=1, n_evaluations=solution.nfev
-        )
+    _stacked([problem]).require_identifiable(first[None])
     starts = [first, with_linear_part(problem.model, problem.admittance, body, structure, first)]
     solutions = [_minimise(problem, values, with_penalty=False) for values in starts]
     best = min(solutions, key=lambda solution: solution.cost)
@@ -164,13 +182,80 @@ def fit_admittance(
             solutions += [_minimise(problem, values, with_penalty=True) for values in stable[1:]]
         best = min(solutions, key=lambda solution: solution.cost)
     tolerance = SAME_MINIMUM * (best.cost + len(problem.frequency) * SAME_MINIMUM)
-    return problem.judge(
-        best,
+    return _stacked([problem]).judge(
+        best.x[None],
+        [best.status],
+        [sum(solution.nfev for solution in solutions)],
         use_penalty=use_penalty,
         n_starts=len(solutions),
         n_starts_agree=sum(bool(solution.cost - best.cost <= tolerance) for solution in solutions),
-        n_evaluations=sum(solution.nfev for solution in solutions),
+    )[0]
+
+
+def fit_admittances(
+    targets: Sequence[Target],
+    structures: Sequence[Structure | str],
+    *,
+    starts: Sequence[Mapping[str, float] | None],
+    use_penalty: bool = True,
+    delay: Delay = "exact",
+) -> list[AdmittanceFit]:
+    """Fit an arm model to each of many admittances as published, see `fit_admittance`.
+
+    All are fitted together, which is many times faster than one by one.
+
+    Args:
+      targets: what to fit to, with the same number of frequencies; of any people and tasks. One that several starts
+        share stands here once for each.
+      structures: model structure of each fit, or its name in `STRUCTURES`.
+      starts: where each fit starts, (target,): values of free parameters, SI; the published start where not given.
+      use_penalty: whether to push fits away from instability (eq. 2.21).
+      delay: "exact", or the thesis's "pade".
+
+    Returns:
+      A fit for each target.
+
+    Raises:
+      ValueError: as `fit_admittance`, or numbers of frequencies differ.
+    """
+    problems = [
+        _checked(one.frequency, one.admittance, one.coherence, one.body, _named(structure), one.environment, delay)
+        for one, structure in zip(targets, structures, strict=True)
+    ]
+    if not problems:
+        return []
+    if len(sizes := {len(one.frequency) for one in problems}) > 1:
+        raise ValueError(f"targets have {', '.join(map(str, sorted(sizes)))} frequencies; expected the same number")
+    problem = _stacked(problems)
+    lower, upper = problem.bounds
+    first = np.zeros_like(lower)
+    for row, structure, start in zip(first, problem.structure, starts, strict=True):
+        row[: len(structure.free)] = _checked_start(structure, start)
+    problem.require_identifiable(first)
+    scale = np.where(first != 0, np.abs(first), 1.0)
+    sizes = np.array([len(structure.free) for structure in problem.structure])
+    found = minimise(
+        _Published(problem, scale, use_penalty),
+        np.clip(first, lower, upper) / scale,
+        lower / scale,
+        upper / scale,
+        ftol=1e-5,
+        xtol=1e-6,
+        max_nfev=PUBLISHED_EVALUATIONS // (1 + sizes),
+        sizes=sizes,
     )
+    values = np.clip(found.x * scale, lower, upper)
+    return problem.judge(
+        values, found.status, found.n_evaluations, use_penalty=use_penalty, n_starts=1, n_starts_agree=1
+    )
+
+
+def _named(structure: Structure | str) -> Structure:
+    if not isinstance(structure, str):
+        return structure
+    if structure not in STRUCTURES:
+        raise ValueError(f"model = {structure!r}; expected one of {', '.join(STRUCTURES)}")
+    return STRUCTURES[structure]
 
 
 def _minimise(problem: "_Problem", start: NDArray[np.float64], *, with_penalty: bool) -> optimize.OptimizeResult:
@@ -192,83 +277,89 @@ def _minimise(problem: "_Problem", start: NDArray[np.float64], *, with_penalty: 
     return solution
 
 
-def _minimise_as_published(
-    problem: "_Problem", start: NDArray[np.float64], *, with_penalty: bool
-) -> optimize.OptimizeResult:
-    """What lsqnonlin did with the options of appendix C, but for the derivatives, which are exact here."""
-    scale = np.where(start != 0, np.abs(start), 1.0)
-    lower, upper = problem.bounds
-
-    def residual(v: NDArray[np.float64]) -> NDArray[np.float64]:
-        modulus = np.abs(problem.log_error(v * scale))
-        return modulus * problem.penalty(v * scale) if with_penalty else modulus
-
-    def jacobian(v: NDArray[np.float64]) -> NDArray[np.float64]:
-        values = v * scale
-        modulus, slope = _modulus(*problem.log_error_and_slope(values))
-        if with_penalty:
-            factor, gradient = problem.penalty_and_gradient(values)
-            slope = slope * factor + np.outer(modulus, gradient)
-        return slope * scale
-
-    solution = optimize.least_squares(
-        residual,
-        np.clip(start, lower, upper) / scale,
-        jacobian,
-        bounds=(lower / scale, upper / scale),
-        xtol=1e-6,
-        ftol=1e-5,
-        gtol=None,
-        max_nfev=PUBLISHED_EVALUATIONS // (1 + len(start)),
-    )
-    solution.x = np.clip(solution.x * scale, lower, upper)
-    return solution
-
-
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Residual and its derivative for one admittance."""
+    """Residual and its derivative for one admittance, or of a batch of them, whose axis is the ... below.
+
+    Parameters of a batch are those of its largest structure: what others have less is zero, and has no effect.
+    """
 
     frequency: NDArray[np.float64]
     admittance: NDArray[np.complex128]
     weight: NDArray[np.float64]
-    body: Subject
-    structure: Structure
-    environment: Environment
+    body: Subject | tuple[Subject, ...]
+    structure: Structure | tuple[Structure, ...]
+    environment: Environment | Environments
     model: LinearArm
-    latest_pole: dict[bytes, complex] = field(default_factory=dict)
+    mixing: NDArray[np.float64]
+    constant: NDArray[np.float64]
+    bounds: tuple[NDArray[np.float64], NDArray[np.float64]]
+    latest_pole: dict[bytes, NDArray[np.complex128]] = field(default_factory=dict)
 
-    @property
-    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        lower, upper = np.array(list(self.structure.bounds.values())).T
-        return lower, upper
+    def take(self, index: NDArray[np.int64]) -> Self:
+        """Some of the problems of a batch, in this order."""
+        assert isinstance(self.environment, Environments)
+        lower, upper = self.bounds
+        return type(self)(
+            self.frequency[index],
+            _frequency_last(self.admittance[index]),
+            _frequency_last(self.weight[index]),
+            tuple(self.body[i] for i in index),
+            tuple(self.structure[i] for i in index),
+            self.environment.take(index),
+            self.model.take(index),
+            self.mixing[index],
+            self.constant[index],
+            (lower[index], upper[index]),
+        )
 
     def parameters(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return self.structure.parameters(self.body.task, values)
+        return self.constant + _applied(self.mixing, values)
 
-    def penalty(self, values: NDArray[np.float64]) -> float:
+    def penalty(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         return penalty_factor(self.largest_pole(values).real)
 
-    def largest_pole(self, values: NDArray[np.float64]) -> complex:
+    def largest_pole(self, values: NDArray[np.float64]) -> NDArray[np.complex128]:
         # An optimiser asks for the derivative where it has just asked for the residual.
         key = values.tobytes()
         if key not in self.latest_pole:
             poles = self.model.poles(self.parameters(values), self.environment)
+            largest = np.argmax(poles.real, axis=-1)[..., None]
             self.latest_pole.clear()
-            self.latest_pole[key] = complex(poles[np.argmax(poles.real)])
+            self.latest_pole[key] = np.take_along_axis(poles, largest, axis=-1)[..., 0]
         return self.latest_pole[key]
 
     def log_error(self, values: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """Weighted complex log error, (4 frequency,)."""
-        error = self.weight * np.log(self.admittance / self.model.admittance(self.parameters(values)))
-        return np.asarray(error.ravel())
+        """Weighted complex log error, (..., 4 frequency)."""
+        return _flat(self.weight * np.log(self.admittance / self.model.admittance(self.parameters(values))), 3)
 
     def log_error_and_slope(self, values: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """`log_error` and its derivative, (4 frequency,) and (4 frequency, parameter)."""
+        """`log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter)."""
         model, gradient = self.model.admittance_and_gradient(self.parameters(values))
-        slope = (gradient @ self.structure.mixing) * (-self.weight / model)[..., None]
         error = self.weight * np.log(self.admittance / model)
-        return np.asarray(error.ravel()), np.asarray(slope.reshape(-1, slope.shape[-1]))
+        slope = gradient * (-self.weight / model)[..., None]
+        return _flat(error, 3), _flat(slope, 4) @ self.mixing
+
+    def modulus_and_slope(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Modulus of `log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter).
+
+        Errors are in another order than there.
+        """
+        modulus = np.empty(0)
+
+        def weigh(model: NDArray[np.complex128]) -> NDArray[np.complex128]:
+            nonlocal modulus
+            error = self.weight * np.log(self.admittance / model)
+            modulus = np.abs(error)
+            aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
+            return np.asarray(aligned * self.weight / -model)
+
+        groups, rows = groups_of(self.mixing.any(axis=tuple(range(self.mixing.ndim - 2)) + (-1,)))
+        _, slope = self.model.admittance_and_weighted_gradient(self.parameters(values), weigh, groups)
+        # Frequency is the last axis in memory.
+        flat = np.moveaxis(slope, (-1, -4), (-4, -1)).reshape(*values.shape[:-1], len(rows), -1)
+        mixed = self.mixing[..., rows, :].swapaxes(-1, -2) @ flat
+        return np.moveaxis(modulus, -3, -1).reshape(*values.shape[:-1], -1), mixed.swapaxes(-1, -2)
 
     def residual(self, values: NDArray[np.float64], with_penalty: bool) -> NDArray[np.float64]:
         """Weighted complex log error, real then imaginary parts; with penalty and then a zero, (8 frequency [+ 1],)."""
@@ -291,88 +382,190 @@ class _Problem:
         curvature = np.linalg.norm(error) * np.sqrt(factor / (factor - 1.0)) * gradient
         return np.vstack([slope * factor + np.outer(error, gradient), curvature])
 
-    def penalty_and_gradient(self, values: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """Penalty and its derivative, (parameter,), which is zero where the penalty is one or out of all bounds."""
+    def penalty_and_gradient(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Penalty and its derivative, (...,) and (..., parameter).
+
+        The derivative is zero where the penalty is one or out of all bounds.
+        """
         pole = self.largest_pole(values)
         factor = penalty_factor(pole.real)
-        if factor - 1.0 < NEGLIGIBLE_PENALTY or factor >= penalty_factor(np.inf):
-            return factor, np.zeros(len(values))
-        slope = self.model.pole_gradient(self.parameters(values), self.environment, pole).real @ self.structure.mixing
-        return factor, np.asarray((factor - 1.0) * 10.0 * np.log(10.0) * slope)
+        acts = (factor - 1.0 >= NEGLIGIBLE_PENALTY) & (factor < penalty_factor(np.inf))
+        if not acts.any():
+            return factor, np.zeros_like(values)
+        gradient = self.model.pole_gradient(self.parameters(values), self.environment, pole).real
+        slope = _applied(self.mixing.swapaxes(-1, -2), gradient)
+        steepness = (factor - 1.0) * 10.0 * np.log(10.0)
+        return factor, np.where(acts[..., None], steepness[..., None] * slope, 0.0)
 
-    def require_identifiable(self, start: NDArray[np.float64]) -> None:
-        """Refuse a structure in which some direction of the parameters changes no response.
+    def require_identifiable(self, starts: NDArray[np.float64]) -> None:
+        """Refuse a structure in which some direction of the parameters changes no response of a batch.
 
         What has no effect at the start may have some elsewhere, as a delay has none without gains: only what has none
         at random places within the bounds either is refused.
+
+        Args:
+          starts: (batch, parameter).
 
         Raises:
           ValueError: there is such a direction.
         """
         rng = np.random.default_rng(0)
-        lower, upper = self.bounds
-        places = [start, *(start + share * (rng.uniform(lower, upper) - start) for share in (0.1, 0.3))]
-        slopes = [_stack(self.log_error_and_slope(values)[1]) for values in places]
-        nothing = [_silent_directions(slope) for slope in slopes]
-        if all(directions.size for directions in nothing):
-            effect = np.linalg.norm(slopes[-1], axis=0)
-            direction = nothing[-1][0] / np.where(effect > 0, effect, 1.0)
-            direction[np.abs(nothing[-1][0]) < 1e-3] = 0.0
-            direction /= np.abs(direction).max()
-            parts = [
-                f"{share:+.2g} {unit(name)} of {name}"
-                for share, name in zip(direction, self.structure.free, strict=True)
-                if share
+        problem, places = self, starts
+        for share in (0.1, 0.3, None):
+            slopes = _stack(problem.log_error_and_slope(places)[1], axis=1)
+            nothing = [
+                _silent_directions(slope[:, : len(structure.free)])
+                for slope, structure in zip(slopes, problem.structure, strict=True)
             ]
-            raise ValueError(
-                f"model {self.structure.name} cannot be identified from {len(self.frequency)} frequencies: "
-                f"{', '.join(parts)} change no response; expected fewer free parameters"
-            )
+            silent = np.flatnonzero([directions.size > 0 for directions in nothing])
+            if not len(silent):
+                return
+            if share is not None:
+                problem, starts = problem.take(silent), starts[silent]
+                places = starts + share * (rng.uniform(*problem.bounds) - starts)
+        structure = problem.structure[silent[0]]
+        effect = np.linalg.norm(slopes[silent[0], :, : len(structure.free)], axis=0)
+        direction = nothing[silent[0]][0] / np.where(effect > 0, effect, 1.0)
+        direction[np.abs(nothing[silent[0]][0]) < 1e-3] = 0.0
+        direction /= np.abs(direction).max()
+        parts = [
+            f"{share:+.2g} {unit(name)} of {name}"
+            for share, name in zip(direction, structure.free, strict=True)
+            if share
+        ]
+        raise ValueError(
+            f"model {structure.name} cannot be identified from {self.frequency.shape[-1]} frequencies: "
+            f"{', '.join(parts)} change no response; expected fewer free parameters"
+        )
 
     def judge(
         self,
-        solution: optimize.OptimizeResult,
+        values: NDArray[np.float64],
+        status: Sequence[int] | NDArray[np.int64],
+        n_evaluations: Sequence[int] | NDArray[np.int64],
         *,
         use_penalty: bool,
         n_starts: int,
         n_starts_agree: int,
-        n_evaluations: int,
-    ) -> AdmittanceFit:
-        """The fit at a solution, with all that a reader must know to trust it or not."""
-        values, names = solution.x, self.structure.free
-        arm = self.structure.arm(self.body, values)
-        pole = self.largest_pole(values).real
-        factor = penalty_factor(pole) if use_penalty else 1.0
-        error, slope = self.log_error_and_slope(values)
-        sem = _standard_error(error, slope)
+    ) -> list[AdmittanceFit]:
+        """The fits of a batch at its solutions, with all that a reader must know to trust them or not.
+
+        Args:
+          values: solutions, (batch, parameter).
+          status: why each search stopped, see `trust_region`.
+          n_evaluations: of each.
+          use_penalty: whether the criterion has one.
+          n_starts: of each.
+          n_starts_agree: of each.
+        """
         lower, upper = self.bounds
+        modulus, slope = self.modulus_and_slope(values)
+        poles = self.largest_pole(values).real
+        factors = penalty_factor(poles) if use_penalty else np.ones(len(values))
+        criteria = np.mean(modulus**2, axis=-1) * factors**2
         near = np.minimum(values - lower, upper - values) <= AT_BOUND * (upper - lower)
-        unidentified = tuple(name for name, value in zip(names, sem, strict=True) if not np.isfinite(value))
-        status = _WHY_STOPPED[solution.status]
-        if unidentified:
-            status += f"; the data say nothing about {', '.join(unidentified)}"
-        return AdmittanceFit(
-            structure=self.structure.name,
-            arm=arm,
-            values=dict(zip(names, map(float, values), strict=True)),
-            sem=dict(zip(names, map(float, sem), strict=True)),
-            unidentified=unidentified,
-            at_bound=tuple(name for name, hit in zip(names, near, strict=True) if hit),
-            status=status,
-            converged=solution.status > 0,
-            criterion=float(np.mean(np.abs(error) ** 2)) * factor**2,
-            n_errors=len(error),
-            penalty=factor,
-            stable=pole < 0,
-            largest_real_pole=pole,
-            n_starts=n_starts,
-            n_starts_agree=n_starts_agree,
-            n_evaluations=n_evaluations,
-        )
+        fits = []
+        for i, (body, structure) in enumerate(zip(self.body, self.structure, strict=True)):
+            names, own = structure.free, values[i, : len(structure.free)]
+            sem = _standard_error(modulus[i], slope[i, :, : len(names)])
+            unidentified = tuple(name for name, value in zip(names, sem, strict=True) if not np.isfinite(value))
+            why = _WHY_STOPPED[int(status[i])]
+            if unidentified:
+                why += f"; the data say nothing about {', '.join(unidentified)}"
+            fits.append(
+                AdmittanceFit(
+                    structure=structure.name,
+                    arm=structure.arm(body, own),
+                    values=dict(zip(names, own.tolist(), strict=True)),
+                    sem=dict(zip(names, sem.tolist(), strict=True)),
+                    unidentified=unidentified,
+                    at_bound=tuple(name for name, hit in zip(names, near[i, : len(names)], strict=True) if hit),
+                    status=why,
+                    converged=int(status[i]) > 0,
+                    criterion=float(criteria[i]),
+                    n_errors=modulus.shape[-1],
+                    penalty=float(factors[i]),
+                    stable=bool(poles[i] < 0),
+                    largest_real_pole=float(poles[i]),
+                    n_starts=n_starts,
+                    n_starts_agree=n_starts_agree,
+                    n_evaluations=int(n_evaluations[i]),
+                )
+            )
+        return fits
 
 
-def _stack(values: NDArray[np.complex128]) -> NDArray[np.float64]:
-    return np.concatenate([values.real, values.imag])
+@dataclass(frozen=True, eq=False)
+class _Published:
+    """A batch of problems as lsqnonlin had them in appendix C, but for the derivatives, which are exact here.
+
+    Residuals are moduli, and parameters are normalised by their start.
+    """
+
+    problem: _Problem
+    scale: NDArray[np.float64]
+    with_penalty: bool
+
+    def take(self, index: NDArray[np.int64]) -> Self:
+        return type(self)(self.problem.take(index), self.scale[index], self.with_penalty)
+
+    def evaluate(self, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        values = x * self.scale
+        modulus, slope = self.problem.modulus_and_slope(values)
+        if self.with_penalty:
+            factor, gradient = self.problem.penalty_and_gradient(values)
+            slope *= (factor[:, None] * self.scale)[:, None]
+            slope += modulus[..., None] * (gradient * self.scale)[:, None]
+            return modulus * factor[:, None], slope
+        slope *= self.scale[:, None]
+        return modulus, slope
+
+
+def _stacked(problems: Sequence[_Problem]) -> _Problem:
+    """A batch of problems with the same number of frequencies."""
+    bodies = tuple(one.body for one in problems if isinstance(one.body, Subject))
+    environments = [one.environment for one in problems if isinstance(one.environment, Environment)]
+    frequency = np.array([one.frequency for one in problems])
+    n = max(one.mixing.shape[1] for one in problems)
+
+    def filled(values: NDArray[np.float64], missing: float) -> NDArray[np.float64]:
+        width = [(0, 0)] * (values.ndim - 1) + [(0, n - values.shape[-1])]
+        return np.pad(values, width, constant_values=missing)
+
+    return _Problem(
+        frequency,
+        _frequency_last(np.array([one.admittance for one in problems])),
+        _frequency_last(np.array([one.weight for one in problems])),
+        bodies,
+        tuple(one.structure for one in problems),
+        Environments.of(environments),
+        LinearArm(bodies, frequency, problems[0].model.delay),
+        np.array([filled(one.mixing, 0.0) for one in problems]),
+        np.array([one.constant for one in problems]),
+        (
+            np.array([filled(one.bounds[0], -1.0) for one in problems]),
+            np.array([filled(one.bounds[1], 1.0) for one in problems]),
+        ),
+    )
+
+
+def _applied(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray((matrix @ vector[..., None])[..., 0])
+
+
+def _frequency_last(values: NDArray[Any]) -> NDArray[Any]:
+    """The same, (batch, frequency, output, input), with frequency last in memory, as `LinearArm` has it."""
+    return np.moveaxis(np.ascontiguousarray(np.moveaxis(values, (-2, -1), (0, 1))), (0, 1), (-2, -1))
+
+
+def _flat(values: NDArray[Any], n: int) -> NDArray[Any]:
+    """One axis in the place of frequency, output and input, of which the first is the n-th from the end."""
+    cut = values.ndim - n
+    return values.reshape(*values.shape[:cut], -1, *values.shape[cut + 3 :])
+
+
+def _stack(values: NDArray[np.complex128], axis: int = 0) -> NDArray[np.float64]:
+    return np.concatenate([values.real, values.imag], axis=axis)
 
 
 def _silent_directions(jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -380,27 +573,17 @@ def _silent_directions(jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
     scale = np.linalg.norm(jacobian, axis=0)
     if not scale.all():
         return np.eye(len(scale))[scale == 0]
-    _, singular, basis = np.linalg.svd(jacobian / scale)
+    _, singular, basis = np.linalg.svd(jacobian / scale, full_matrices=len(jacobian) < len(scale))
     return np.asarray(basis[np.count_nonzero(singular > UNIDENTIFIED * singular[0]) :])
 
 
-def _modulus(
-    error: NDArray[np.complex128], slope: NDArray[np.complex128]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Modulus of a complex error, (n,), and its derivative, (n, parameter)."""
-    modulus = np.abs(error)
-    aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
-    return modulus, (aligned[:, None] * slope).real
-
-
-def _standard_error(error: NDArray[np.complex128], slope: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Eq. 2.22 for the modulus of the error; infinite for columns that share in a direction without effect.
+def _standard_error(modulus: NDArray[np.float64], jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Eq. 2.22; infinite for columns that share in a direction without effect.
 
     Args:
-      error: complex log error, (n,).
-      slope: its derivative, (n, parameter).
+      modulus: of the log error, (n,).
+      jacobian: its derivative, (n, parameter).
     """
-    modulus, jacobian = _modulus(error, slope)
     silent = np.abs(_silent_directions(jacobian)).max(axis=0, initial=0.0) > 1e-6
     known = jacobian[:, ~silent]
     scale = np.linalg.norm(known, axis=0)
@@ -441,7 +624,19 @@ def _checked(
     if 8 * f.size <= len(structure.free):
         raise ValueError(f"{f.size} frequencies for {len(structure.free)} parameters; expected more frequencies")
     weight = np.broadcast_to(np.sqrt(c)[:, :, None], h.shape)
-    return _Problem(f, h, weight, body, structure, environment, LinearArm(body, f, delay))
+    lower, upper = np.array(list(structure.bounds.values())).T
+    return _Problem(
+        f,
+        h,
+        weight,
+        body,
+        structure,
+        environment,
+        LinearArm(body, f, delay),
+        structure.mixing,
+        structure.constant(body.task),
+        (lower, upper),
+    )
 
 
 def _published(structure: Structure) -> NDArray[np.float64]:

@@ -2,7 +2,8 @@
 
 The trunk is strapped, so that the shoulder stays, and the hand is taken to be where the handle is. What this neglects
 is the grip's deflection, force over grip stiffness: some millimetres, which in a pulse is a few percent of a rotation
-or velocity, and up to a sixth of the little that the shoulder turns in RT. With the vector r from shoulder to hand,
+or velocity, and up to a sixth of the little that the shoulder turns in RT. A shoulder that moves all the same is put
+right by its own path, from the marker on it. With the vector r from shoulder to hand,
 
     cos(theta_e) = (|r|^2 - l_h^2 - l_f^2) / (2 l_h l_f),
     theta_s = angle(r) - atan2(l_f sin(theta_e), l_h + l_f cos(theta_e)),
@@ -15,6 +16,8 @@ leaves a velocity of 2 pi s sqrt(2 f_c^3 / (3 rate)) at most, 0.04 deg/s at 15 H
 to 160 deg/s that are measured. So the cut-off may be where the perturbation ends, at 40 Hz: `CUTOFF`. The differences
 lose 0.4 % at 5 Hz and 1.6 % at 10 Hz, little as joints move mostly below.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -30,6 +33,18 @@ CUTOFF = 40.0
 
 ORDER = 4
 """Order of the Butterworth low-pass, which is run forth and back."""
+
+
+class KinematicsError(NamedTuple):
+    """How far rotations from the handle's path are from the joints' own.
+
+    Attributes:
+      rms: root mean square over the trial [rad], (trial, joint).
+      peak: largest size [rad], (trial, joint).
+    """
+
+    rms: Array
+    peak: Array
 
 
 def hand_position(angle: ArrayLike, l_h: ArrayLike, l_f: ArrayLike) -> Array:
@@ -96,26 +111,60 @@ def start_posture(recording: xr.Dataset) -> Array:
     return np.radians(np.stack([recording["theta_s_deg"].values, recording["theta_e_deg"].values], axis=-1))
 
 
-def hand_path(recording: xr.Dataset) -> Array:
-    """Position of the handle from the shoulder, as displacement and start posture tell [m], (trial, time, axis)."""
+def hand_path(recording: xr.Dataset, *, shoulder: ArrayLike | None = None) -> Array:
+    """Position of the handle from the shoulder, as displacement and start posture tell [m], (trial, time, axis).
+
+    Args:
+      recording: any trials.
+      shoulder: displacement of the shoulder from its start [m], (trial, time, axis), such as the recording's
+        `shoulder_marker`; None for a shoulder that stays.
+
+    Raises:
+      ValueError: shoulder has another shape.
+    """
     start = hand_position(start_posture(recording), recording["l_h"].values, recording["l_f"].values)
-    return np.asarray(start[:, None] + recording["displacement"].values)
+    displacement = recording["displacement"].values
+    if shoulder is not None:
+        moved = np.asarray(shoulder, dtype=float)
+        if moved.shape != displacement.shape:
+            raise ValueError(f"shoulder of shape {moved.shape}; expected {displacement.shape}, (trial, time, axis)")
+        displacement = displacement - moved
+    return np.asarray(start[:, None] + displacement)
 
 
-def joint_rotations(recording: xr.Dataset) -> Array:
+def joint_rotations(recording: xr.Dataset, *, shoulder: ArrayLike | None = None) -> Array:
     """Rotations from the start posture [rad], (trial, time, joint).
 
     Args:
       recording: trials whose handle stays within the arm's reach.
+      shoulder: as in `hand_path`.
 
     Raises:
-      ValueError: a handle is out of reach.
+      ValueError: a handle is out of reach, or shoulder has another shape.
     """
-    start = start_posture(recording)
-    lengths = (recording[name].values[:, None] for name in ("l_h", "l_f"))
-    angle = joint_angles(hand_path(recording), *lengths, flexed=np.sin(start[:, 1:]) >= 0.0)
-    # The shorter way round, for a shoulder that passes 180 deg.
-    return np.asarray(np.pi - np.mod(np.pi - (angle - start[:, None]), 2 * np.pi))
+    return _rotations(recording, hand_path(recording, shoulder=shoulder))
+
+
+def kinematics_error(recording: xr.Dataset, *, shoulder: ArrayLike | None = None) -> KinematicsError:
+    """How far `joint_rotations` are from the true rotations, up to where a trial reaches the workspace limit.
+
+    Args:
+      recording: simulated trials, with `joint_angle`.
+      shoulder: as in `hand_path`.
+
+    Raises:
+      ValueError: there are no true angles, a handle is out of reach before any limit, or shoulder has another shape.
+    """
+    if "joint_angle" not in recording:
+        raise ValueError("the recording has no joint_angle; expected one that was simulated")
+    time = np.arange(recording.sizes["time"]) / float(recording.attrs["rate"])
+    counts = ~(time >= recording["limit_time"].values[:, None])[..., None]
+    path = hand_path(recording, shoulder=shoulder)
+    found = _rotations(recording, np.where(counts, path, path[:, :1]))
+    true = recording["joint_angle"].values - start_posture(recording)[:, None]
+    error = np.where(counts, _shorter_way(found - true), 0.0)
+    rms = np.sqrt(np.sum(error**2, axis=1) / counts.sum(axis=1))
+    return KinematicsError(rms, np.abs(error).max(axis=1))
 
 
 def joint_velocities(rotation: ArrayLike, rate: float, *, cutoff: float | None = CUTOFF) -> Array:
@@ -138,6 +187,18 @@ def joint_velocities(rotation: ArrayLike, rate: float, *, cutoff: float | None =
         sections = signal.butter(ORDER, cutoff, fs=rate, output="sos")
         smooth = signal.sosfiltfilt(sections, smooth, axis=-2)
     return np.asarray(np.gradient(smooth, 1.0 / rate, axis=-2, edge_order=2))
+
+
+def _rotations(recording: xr.Dataset, path: Array) -> Array:
+    """Rotations from the start posture that a path from the shoulder tells [rad], (trial, time, joint)."""
+    start = start_posture(recording)
+    lengths = (recording[name].values[:, None] for name in ("l_h", "l_f"))
+    return _shorter_way(joint_angles(path, *lengths, flexed=np.sin(start[:, 1:]) >= 0.0) - start[:, None])
+
+
+def _shorter_way(angle: Array) -> Array:
+    """Rotations within half a turn, for a shoulder that passes 180 deg."""
+    return np.asarray(np.pi - np.mod(np.pi - angle, 2 * np.pi))
 
 
 def _elbow_cosine(hand: Array, l_h: ArrayLike, l_f: ArrayLike) -> Array:

@@ -158,6 +158,14 @@ class Structure:
         """Names of the estimated parameters; `m_tot` stands for both masses (eqs 2.14, 2.15)."""
         return tuple(self.bounds)
 
+    def constant(self, task: str) -> NDArray[np.float64]:
+        """Parameters of an arm whose free parameters are zero, in the order of `arm_model.PARAMETERS`, SI.
+
+        Args:
+          task: "PT" or "RT", for the fixed values.
+        """
+        return self._constant[task]
+
     def parameters(self, task: str, values: ArrayLike) -> NDArray[np.float64]:
         """All parameters of an arm, in the order of `arm_model.PARAMETERS`, SI.
 

@@ -13,8 +13,9 @@ two (`benchmarks.thesis_sem`).
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import xarray as xr
@@ -23,10 +24,10 @@ from numpy.typing import NDArray
 from armperturb.analysis.arm_model import Delay
 from armperturb.analysis.body import body_of
 from armperturb.analysis.displacement import Balance
-from armperturb.analysis.fit import AdmittanceFit, fit_admittance
+from armperturb.analysis.fit import AdmittanceFit, Target, fit_admittance, fit_admittances
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.structures import STRUCTURES, Structure, unit
-from armperturb.analysis.vaf import prediction_vaf
+from armperturb.analysis.vaf import Predictable
 from armperturb.environment import Environment
 
 
@@ -139,6 +140,147 @@ class ThesisEstimate:
         ]
 
 
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """Trials of one condition, ready for any number of fits.
+
+    Attributes:
+      subjects: whose trial each is, (trial,).
+      environment: mass, spring and damper that the manipulator really showed.
+      targets: what a fit of each trial needs.
+      recorded: what the fit of each trial is to predict.
+    """
+
+    subjects: tuple[str, ...]
+    environment: Environment
+    targets: tuple[Target, ...]
+    recorded: tuple[Predictable, ...]
+
+    @classmethod
+    def prepare(
+        cls,
+        recording: xr.Dataset,
+        *,
+        environment: Environment | None = None,
+        start: float = 8.0,
+        period: float = 20.48,
+    ) -> Self:
+        """Spectra of the trials of a recording.
+
+        Args:
+          recording: trials of one condition, of any number of subjects.
+          environment: what the hands held; by default estimated from all trials (eq. A.19).
+          start: of the spectral window [s].
+          period: of the disturbance [s].
+
+        Raises:
+          ValueError: the recording is refused or gives no spectra.
+        """
+        lines = line_spectra(recording, start=start, period=period)
+        if environment is None:
+            d, f, x = (recording[name].values for name in ("perturbation", "force", "displacement"))
+            environment, _ = Balance(d, f, x, float(recording.attrs["rate"])).fit()
+        targets = []
+        for trial in range(recording.sizes["trial"]):
+            of_trial = replace(
+                lines,
+                perturbation=lines.perturbation[[trial]],
+                force=lines.force[[trial]],
+                displacement=lines.displacement[[trial]],
+            )
+            spectra = estimate_spectra(of_trial)
+            targets.append(
+                Target(
+                    frequency=spectra.frequency,
+                    admittance=spectra.arm,
+                    body=body_of(recording.isel(trial=[trial])),
+                    environment=environment,
+                    coherence=spectra.coherence,
+                )
+            )
+        subjects = tuple(recording["subject"].values.tolist())
+        return cls(subjects, environment, tuple(targets), tuple(Predictable.prepare(recording)))
+
+
+class Wanted(NamedTuple):
+    """A fit of every trial of a condition.
+
+    Attributes:
+      trials: of the condition.
+      structure: model structure, or its name in `STRUCTURES`.
+      initial: parameter vector to start from, SI; the structure's own where not given.
+    """
+
+    trials: Trials
+    structure: Structure | str
+    initial: Mapping[str, float] | None = None
+
+
+def fit_wanted(
+    wanted: Sequence[Wanted], *, use_penalty: bool = True, as_published: bool = True, delay: Delay = "pade"
+) -> list[ThesisEstimate]:
+    """Fit structures to trials, all together, which is many times faster than one by one.
+
+    Args:
+      wanted: which fits.
+      use_penalty: whether to push fits away from instability (eq. 2.21).
+      as_published: see the head of this module and `fit_admittance`.
+      delay: "exact", or the thesis's "pade".
+
+    Returns:
+      The estimate of each.
+
+    Raises:
+      ValueError: structure or initial vector are refused.
+    """
+    alike: dict[int, list[tuple[int, Target]]] = {}
+    for i, one in enumerate(wanted):
+        for target in one.trials.targets:
+            alike.setdefault(np.size(target.frequency), []).append((i, target))
+    fits: list[list[AdmittanceFit]] = [[] for _ in wanted]
+    for members in alike.values():
+        if as_published:
+            found = fit_admittances(
+                [target for _, target in members],
+                [wanted[i].structure for i, _ in members],
+                starts=[wanted[i].initial for i, _ in members],
+                use_penalty=use_penalty,
+                delay=delay,
+            )
+        else:
+            found = [
+                fit_admittance(
+                    target.frequency,
+                    target.admittance,
+                    target.body,
+                    wanted[i].structure,
+                    target.environment,
+                    coherence=target.coherence,
+                    start=wanted[i].initial,
+                    use_penalty=use_penalty,
+                    delay=delay,
+                )
+                for i, target in members
+            ]
+        for (i, _), fit in zip(members, found, strict=True):
+            fits[i].append(fit)
+    return [
+        ThesisEstimate(
+            structure=fits[i][0].structure,
+            subjects=one.trials.subjects,
+            environment=one.trials.environment,
+            fits=tuple(fits[i]),
+            vaf=np.array(
+                [
+                    recorded.vaf(fit.arm, one.trials.environment)
+                    for recorded, fit in zip(one.trials.recorded, fits[i], strict=True)
+                ]
+            ),
+        )
+        for i, one in enumerate(wanted)
+    ]
+
+
 def fit_trials(
     recording: xr.Dataset,
     structure: Structure | str,
@@ -152,6 +294,8 @@ def fit_trials(
     period: float = 20.48,
 ) -> ThesisEstimate:
     """Fit a structure to the admittance of each trial of a recording.
+
+    For several structures or starts, `fit_wanted` prepares the trials once.
 
     Args:
       recording: trials of one condition, of any number of subjects.
@@ -167,41 +311,9 @@ def fit_trials(
     Raises:
       ValueError: the recording is refused or gives no spectra, or structure or initial are refused.
     """
-    lines = line_spectra(recording, start=start, period=period)
-    if environment is None:
-        d, f, x = (recording[name].values for name in ("perturbation", "force", "displacement"))
-        environment, _ = Balance(d, f, x, float(recording.attrs["rate"])).fit()
-    fits, vaf = [], []
-    for trial in range(recording.sizes["trial"]):
-        own = recording.isel(trial=[trial])
-        of_trial = replace(
-            lines,
-            perturbation=lines.perturbation[[trial]],
-            force=lines.force[[trial]],
-            displacement=lines.displacement[[trial]],
-        )
-        spectra = estimate_spectra(of_trial)
-        fit = fit_admittance(
-            spectra.frequency,
-            spectra.arm,
-            body_of(own),
-            structure,
-            environment,
-            coherence=spectra.coherence,
-            start=initial,
-            use_penalty=use_penalty,
-            as_published=as_published,
-            delay=delay,
-        )
-        fits.append(fit)
-        vaf.append(prediction_vaf(own, fit.arm, environment)[0])
-    return ThesisEstimate(
-        structure=fits[0].structure,
-        subjects=tuple(recording["subject"].values.tolist()),
-        environment=environment,
-        fits=tuple(fits),
-        vaf=np.array(vaf),
-    )
+    trials = Trials.prepare(recording, environment=environment, start=start, period=period)
+    wanted = [Wanted(trials, structure, initial)]
+    return fit_wanted(wanted, use_penalty=use_penalty, as_published=as_published, delay=delay)[0]
 
 
 def join_estimates(estimates: Sequence[ThesisEstimate]) -> ThesisEstimate:
@@ -225,8 +337,8 @@ def join_estimates(estimates: Sequence[ThesisEstimate]) -> ThesisEstimate:
 
 
 def appendix_c(
-    first: xr.Dataset,
-    conditions: Mapping[str, xr.Dataset],
+    first: Trials | xr.Dataset,
+    conditions: Mapping[str, Trials | xr.Dataset],
     models: Sequence[Structure | str] = tuple("123456"),
     **options: Any,
 ) -> dict[str, tuple[ThesisEstimate, dict[str, ThesisEstimate]]]:
@@ -237,60 +349,70 @@ def appendix_c(
     printed; here it starts from the structure's own start.
 
     Args:
-      first: trials of the condition of step 1: PT7.5 for the position task, RT7.5 for the relax task.
+      first: trials of the condition of step 1: PT7.5 for the position task, RT7.5 for the relax task. A recording is
+        prepared as `Trials.prepare` does by default.
       conditions: name to trials of each condition of step 2, of the same task.
       models: structures, or their names.
-      **options: of `fit_trials`.
+      **options: of `fit_wanted`, but for use_penalty.
 
     Returns:
       Name of the structure to step 1, and to step 2 by condition.
 
     Raises:
-      ValueError: as `fit_trials`.
+      ValueError: as `Trials.prepare` and `fit_wanted`.
     """
-    result = {}
-    for model in models:
-        one = fit_trials(first, model, use_penalty=False, **options)
-        two = {
-            name: fit_trials(recording, model, initial=one.start(), **options) for name, recording in conditions.items()
-        }
-        result[one.structure] = one, two
-    return result
+    trials = _prepared(first)
+    prepared = {name: trials if one is first else _prepared(one) for name, one in conditions.items()}
+    ones = fit_wanted([Wanted(trials, model) for model in models], use_penalty=False, **options)
+    of_step_2 = [
+        Wanted(one, model, estimate.start())
+        for model, estimate in zip(models, ones, strict=True)
+        for one in prepared.values()
+    ]
+    twos = iter(fit_wanted(of_step_2, **options))
+    return {one.structure: (one, dict(zip(prepared, islice(twos, len(prepared)), strict=True))) for one in ones}
 
 
-def appendix_d(recording: xr.Dataset, **options: Any) -> dict[str, ThesisEstimate]:
+def appendix_d(recording: Trials | xr.Dataset, **options: Any) -> dict[str, ThesisEstimate]:
     """Model 3 with the bounds of table D.2 from theta_i1 to theta_i6, with penalty (appendix D, tables D.3 to D.5).
 
     Args:
-      recording: trials of PT7.5.
-      **options: of `fit_trials`.
+      recording: trials of PT7.5. A recording is prepared as `Trials.prepare` does by default.
+      **options: of `fit_wanted`.
 
     Returns:
       Name of the start to its estimate.
 
     Raises:
-      ValueError: as `fit_trials`.
+      ValueError: as `Trials.prepare` and `fit_wanted`.
     """
-    return {name: fit_trials(recording, MODEL_3_WIDE, initial=initial, **options) for name, initial in THETA.items()}
+    trials = _prepared(recording)
+    found = fit_wanted([Wanted(trials, MODEL_3_WIDE, initial) for initial in THETA.values()], **options)
+    return dict(zip(THETA, found, strict=True))
 
 
-def appendix_e(recording: xr.Dataset, **options: Any) -> dict[str, ThesisEstimate]:
+def appendix_e(recording: Trials | xr.Dataset, **options: Any) -> dict[str, ThesisEstimate]:
     """Model 3a from vartheta_i1 and model 3b from vartheta_i2 to vartheta_i6 (appendix E, tables E.3 to E.5).
 
     Args:
-      recording: trials of PT7.5.
-      **options: of `fit_trials`.
+      recording: trials of PT7.5. A recording is prepared as `Trials.prepare` does by default.
+      **options: of `fit_wanted`.
 
     Returns:
       Name of the start to its estimate.
 
     Raises:
-      ValueError: as `fit_trials`.
+      ValueError: as `Trials.prepare` and `fit_wanted`.
     """
-    return {
-        name: fit_trials(recording, "3a" if name == "vartheta_i1" else "3b", initial=initial, **options)
-        for name, initial in VARTHETA.items()
-    }
+    trials = _prepared(recording)
+    wanted = [
+        Wanted(trials, "3a" if name == "vartheta_i1" else "3b", initial) for name, initial in VARTHETA.items()
+    ]
+    return dict(zip(VARTHETA, fit_wanted(wanted, **options), strict=True))
+
+
+def _prepared(trials: Trials | xr.Dataset) -> Trials:
+    return trials if isinstance(trials, Trials) else Trials.prepare(trials)
 
 
 _WIDE = {

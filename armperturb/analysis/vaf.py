@@ -1,5 +1,8 @@
 """Variance accounted for: how well a model predicts a recorded displacement (thesis 2.7)."""
 
+from dataclasses import dataclass
+from typing import Self
+
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
@@ -10,8 +13,12 @@ from armperturb.environment import Environment
 from armperturb.subject import Subject
 
 
+HIGHPASS = 0.40
+"""Cut-off that takes voluntary interventions out [Hz] (thesis 2.7)."""
+
+
 def variance_accounted_for(
-    recorded: ArrayLike, predicted: ArrayLike, rate: float, *, highpass: float | None = 0.40
+    recorded: ArrayLike, predicted: ArrayLike, rate: float, *, highpass: float | None = HIGHPASS
 ) -> NDArray[np.float64]:
     """Share of the recorded displacement's variance that a prediction accounts for [%], (..., axis).
 
@@ -26,9 +33,50 @@ def variance_accounted_for(
     """
     x, model = np.asarray(recorded, dtype=float), np.asarray(predicted, dtype=float)
     if highpass is not None:
-        sections = signal.butter(3, highpass, "highpass", fs=rate, output="sos")
-        x, model = (signal.sosfiltfilt(sections, values, axis=-2) for values in (x, model))
-    return 100.0 * (1.0 - np.sum((x - model) ** 2, axis=-2) / np.sum(x**2, axis=-2))
+        x, model = (_highpassed(values, rate, highpass) for values in (x, model))
+    return _share(x, model)
+
+
+def _highpassed(values: NDArray[np.float64], rate: float, highpass: float) -> NDArray[np.float64]:
+    sections = signal.butter(3, highpass, "highpass", fs=rate, output="sos")
+    return np.asarray(signal.sosfiltfilt(sections, values, axis=-2))
+
+
+def _share(x: NDArray[np.float64], model: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.asarray(100.0 * (1.0 - np.sum((x - model) ** 2, axis=-2) / np.sum(x**2, axis=-2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Predictable:
+    """A trial up to its pulse, whose displacement any number of models may predict.
+
+    Attributes:
+      perturbation: d [N], (time, axis).
+      displacement: without what the high-pass takes out [m], (time, axis).
+      rate: of the samples [Hz].
+    """
+
+    perturbation: NDArray[np.float64]
+    displacement: NDArray[np.float64]
+    rate: float
+
+    @classmethod
+    def prepare(cls, recording: xr.Dataset) -> list[Self]:
+        """The trials of a recording."""
+        rate, trials = float(recording.attrs["rate"]), []
+        for onset, d, x in zip(
+            *(recording[name].values for name in ("pulse_onset", "perturbation", "displacement")), strict=True
+        ):
+            n = len(x) if np.isnan(onset) else round(float(onset) * rate)
+            trials.append(cls(d[:n], _highpassed(np.asarray(x[:n], dtype=float), rate, HIGHPASS), rate))
+        return trials
+
+    def vaf(self, arm: Subject, environment: Environment) -> NDArray[np.float64]:
+        """VAF of the linear model's displacement [%], (axis,); minus infinity if it is unstable: it has no bound."""
+        if largest_real_pole(arm, environment) >= 0:
+            return np.full(2, -np.inf)
+        predicted = simulate_linear(arm, environment, self.perturbation, self.rate).displacement
+        return _share(self.displacement, _highpassed(predicted, self.rate, HIGHPASS))
 
 
 def prediction_vaf(recording: xr.Dataset, arm: Subject, environment: Environment) -> NDArray[np.float64]:
@@ -39,13 +87,4 @@ def prediction_vaf(recording: xr.Dataset, arm: Subject, environment: Environment
       arm: the model; minus infinity if it is unstable, as its response has no bound.
       environment: what the hand held.
     """
-    vaf = np.full((recording.sizes["trial"], 2), -np.inf)
-    if largest_real_pole(arm, environment) >= 0:
-        return vaf
-    rate = float(recording.attrs["rate"])
-    for trial in range(len(vaf)):
-        onset = float(recording["pulse_onset"].values[trial])
-        n = recording.sizes["time"] if np.isnan(onset) else round(onset * rate)
-        d, x = recording["perturbation"].values[trial, :n], recording["displacement"].values[trial, :n]
-        vaf[trial] = variance_accounted_for(x, simulate_linear(arm, environment, d, rate).displacement, rate)
-    return vaf
+    return np.array([trial.vaf(arm, environment) for trial in Predictable.prepare(recording)])

@@ -43,7 +43,7 @@ class Prediction:
     """What one arm is asked to predict.
 
     Attributes:
-      arm: the model; its muscle law does not matter.
+      arm: the model; a muscle law takes no part in how it moves.
       environment: what the hand holds.
       perturbation: disturbance as recorded d [N], (time, axis).
       onset: sample at which the skeletal model takes over from the linear one, which has run from rest; at 0 it starts
@@ -91,27 +91,26 @@ class _Start(NamedTuple):
     active: Array
 
 
-def simulate_skeletal(predictions: Sequence[Prediction], rate: float, *, n_threads: int = 1) -> list[Array]:
+def simulate_skeletal(predictions: Sequence[Prediction], rate: float) -> list[Array]:
     """Displacement of the handle from the onset on, as the nonlinear skeletal model has it [m], (time, axis) each.
 
-    All arms with the same step are simulated side by side, and none knows of the others. From the sample on at which a
-    handle reaches the workspace limit, or an arm cannot be integrated, its displacement is NaN.
+    All arms with the same step are simulated side by side on one core, and none knows of the others. From the sample on
+    at which a handle reaches the workspace limit, or an arm cannot be integrated, its displacement is NaN.
 
     Args:
       predictions: what to simulate.
       rate: of the recordings [Hz].
-      n_threads: 0 takes all cores; the result does not depend on it.
 
     Raises:
       TypeError: rate is no number.
-      ValueError: rate is not positive, or a delay of an arm with reflexes is shorter than its step.
+      ValueError: rate is not positive, or an arm's delay is shorter than its step.
     """
     require_number("simulate_skeletal", "rate", rate, above=0.0)
     n_steps = [_steps_per_sample(one, rate) for one in predictions]
     results: list[Array] = [np.empty((0, 2))] * len(predictions)
     for decimation in sorted(set(n_steps)):
         places = [place for place, own in enumerate(n_steps) if own == decimation]
-        simulated = _simulate([predictions[place] for place in places], rate, decimation, n_threads)
+        simulated = _simulate([predictions[place] for place in places], rate, decimation)
         for place, displacement in zip(places, simulated, strict=True):
             results[place] = displacement
     return results
@@ -122,7 +121,7 @@ def _steps_per_sample(one: Prediction, rate: float) -> int:
     return math.ceil(round(pole / rate, 9))
 
 
-def _simulate(predictions: Sequence[Prediction], rate: float, decimation: int, n_threads: int) -> list[Array]:
+def _simulate(predictions: Sequence[Prediction], rate: float, decimation: int) -> list[Array]:
     """`simulate_skeletal` with the same number of steps in each sample of all arms."""
     timestep = 1.0 / (rate * decimation)
     arms = [one.arm for one in predictions]
@@ -141,7 +140,7 @@ def _simulate(predictions: Sequence[Prediction], rate: float, decimation: int, n
         own = _held(one.perturbation[one.onset :], decimation)
         held[: len(own), trial] = own
 
-    batch = Batch(models[0], len(arms), n_threads)
+    batch = Batch(models[0], len(arms), 1)
     batch.set_models(models)
     batch.reset()
     hinge, slide = (

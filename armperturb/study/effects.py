@@ -194,8 +194,8 @@ def effects(study: StudyResult) -> Effects:
     for what, (value, of_task) in pulses.items():
         for task, pairs in of_task.items():
             values = {person.name: [_pulse(person, pair, value) for pair in pairs] for person in study.people}
-            conditions = [condition for condition, _ in pairs]
-            tests.effect(what, task, values, conditions, _printed(what, task), _printed_pairs(what, task))
+            of_pulses = tuple(condition for condition, _ in pairs)
+            tests.effect(what, task, values, of_pulses, _printed(what, task), _printed_pairs(what, task))
     for condition in LEVELS_OF:
         values = {
             person.name: [

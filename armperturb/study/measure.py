@@ -176,22 +176,24 @@ def measure_person(recording: xr.Dataset) -> PersonMeasures:
                     estimate = fit_trials(part, MODELS[task], initial=STARTS[task], start=WINDOW_START)
             except ValueError as error:
                 left_out.append(f"{name} in {condition} was not fitted: {error}")
+        models: dict[int, tuple[Subject, Environment, list[float]]] = {}
         if estimate is not None:
             estimates[condition] = estimate
             left_out += [f"{name}, {line}" for line in _unstable(estimate, condition)]
-        fits = {} if estimate is None else dict(zip(fitted.tolist(), estimate.fits, strict=True))
-        vaf = {} if estimate is None else dict(zip(fitted.tolist(), estimate.vaf.tolist(), strict=True))
+            models = {
+                trial: (fit.arm, estimate.environment, vaf)
+                for trial, fit, vaf in zip(fitted.tolist(), estimate.fits, estimate.vaf.tolist(), strict=True)
+                if fit.stable
+            }
         for trial, measures in enumerate(_recorded_trials(mine)):
-            if estimate is not None and trial in fits and fits[trial].stable:
-                one, arm = mine.isel(trial=[trial]), fits[trial].arm
-                measures = measures._replace(
-                    predicted_linear=float(predicted_peaks(one, arm, estimate.environment)[0]),
-                    vaf_linear=tuple(vaf[trial]),
-                )
-                before = slice(0, part.sizes["time"])
-                multisines.append(_asked(len(trials), one, before, arm, estimate.environment))
-                if math.isfinite(measures.displacement):
-                    pulses.append(_asked(len(trials), one, pulse_span(one, 0), arm, estimate.environment))
+            if trial in models:
+                arm, environment, (x, y) = models[trial]
+                one = mine.isel(trial=[trial])
+                predicted = float(predicted_peaks(one, arm, environment)[0])
+                measures = measures._replace(predicted_linear=predicted, vaf_linear=(x, y))
+                multisines.append(_asked(len(trials), one, slice(0, part.sizes["time"]), arm, environment))
+                if math.isfinite(predicted):
+                    pulses.append(_asked(len(trials), one, pulse_span(one, 0), arm, environment))
             trials.append(measures)
     left_out += [f"{name} in {line}" for line in _predict_skeletal(trials, multisines, pulses, rate)]
     return PersonMeasures(

@@ -6,7 +6,7 @@ import math
 from importlib import resources
 from typing import NamedTuple
 
-SI = {"kN/m": 1e3, "ms": 1e-3, "deg": math.radians(1.0), "deg/s": math.radians(1.0)}
+SI = {"kN/m": 1e3, "ms": 1e-3, "mm": 1e-3, "deg": math.radians(1.0), "deg/s": math.radians(1.0)}
 """Factors from the printed units that are not SI."""
 
 PARAMETER_TABLES = {
@@ -257,6 +257,18 @@ class JointMotion(NamedTuple):
 def joint_motions() -> tuple[JointMotion, ...]:
     """All entries of tables F.2 to F.6, as printed."""
     return tuple(JointMotion(*(row[name] for name in JointMotion._fields)) for row in _rows("joint_kinematics"))
+
+
+def moment_arms() -> dict[str, float]:
+    """Joint ("wrist", "shoulder", "elbow") to the mean moment arm of its muscles [m] (table F.1).
+
+    The mean is over the muscles that the printed one holds: it leaves out the second of two equal rows of the shoulder.
+    """
+    arms: dict[str, list[float]] = {}
+    for row in _rows("moment_arms"):
+        if row["in_printed_mean"] == "yes":
+            arms.setdefault(row["joint"], []).append(SI[row["unit"]] * float(row["moment_arm"]))
+    return {joint: sum(values) / len(values) for joint, values in arms.items()}
 
 
 def _condition(condition: str, column: str, factor: float) -> MeanSD:
