@@ -86,7 +86,16 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
 def pulse_prediction(study: StudyResult) -> Figure:
     """Predicted over recorded peak displacement of both models, mean and SD over trials (thesis fig. 3.19)."""
     found = {model: pulsed_trials(study, partial(predicted_share, model=model)) for model in MODELS}
-        for task, conditions in tasks.items()
+    groups = {
+        task: {
+            f"{condition}\n{level}": [
+                Bar(mean_sd(found[model].get(task, {}).get(condition, {}).get(level, ())), UNKNOWN, look["color"])
+                for model, look in MODELS.items()
+            ]
+            for condition, levels in conditions.items()
+            for level in levels
+        }
+        for task, conditions in found["linear"].items()
     }
     figure, panels = _panels(3.4, {task: len(bars) for task, bars in groups.items()})
     low, high = (published.headline(f"pulse_prediction_{end}") for end in ("low", "high"))
