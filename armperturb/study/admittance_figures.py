@@ -1,5 +1,6 @@
 """Figures of the estimated admittance (thesis figures 3.1 to 3.6)."""
 
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -137,11 +138,11 @@ def gain_linear_scale(study: StudyResult, marks: Mapping[str, Marks] | None = No
     tasks = list(by_task(study))
     figure = new_figure(2.3 * len(tasks) + 0.6)
     panels = figure.subplots(len(tasks), len(ELEMENTS), sharex=True, sharey="row", squeeze=False)
-    handles: list[Line2D] = []
+    named: list[list[Line2D]] = []
     for row, task in zip(panels, tasks, strict=True):
         drawn = looks(study, task)
         means = [mean_admittance(study, condition.name) for condition, _ in drawn]
-        handles += [Line2D([], [], label=condition.name, **look) for condition, look in drawn]
+        named.append([Line2D([], [], label=condition.name, **look) for condition, look in drawn])
         shown = means[0].frequency <= HIGHEST
         frequency, gain = means[0].frequency[shown], 1e3 * np.array([mean.gain[shown] for mean in means])
         for ax, element in zip(row, ELEMENTS, strict=True):
@@ -165,8 +166,10 @@ def gain_linear_scale(study: StudyResult, marks: Mapping[str, Marks] | None = No
         ax.set_xscale("log")
         label_frequency(ax)
         ax.set_xlim(FREQUENCY[0], 1.1 * HIGHEST)
+    # Legends run down their columns: a row for each task.
+    handles = [handle for column in itertools.zip_longest(*named) for handle in column if handle is not None]
     handles.append(Line2D([], [], label="published factor", **EXPECTED))
-    legend(figure, *handles, *(marks_legend() if marks else ()))
+    legend(figure, *handles, *(marks_legend() if marks else ()), n_columns=6 if len(tasks) == 1 else 5)
     return figure
 
 

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.path import Path
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MultipleLocator, NullLocator
 from numpy.typing import NDArray
 
@@ -36,8 +37,18 @@ PHASES = (-270.0, 90.0)
 Marks = Mapping[Element, tuple[NDArray[np.bool_], NDArray[np.bool_]]]
 """Element to the frequencies at which conditions differ with p < 0.05, and with p < 0.01, (frequency,) each."""
 
-STARS = (r"$\ast$", r"$\ast\ast$")
-"""Markers of differences with p < 0.05, and with p < 0.01."""
+_STROKES = np.array([[np.cos(angle), np.sin(angle)] for angle in np.pi * (0.5 + np.arange(3) / 3)])
+
+_STAR = np.stack([_STROKES, -_STROKES], axis=1).reshape(-1, 2)
+_ABOVE = np.array([0.0, 1.4])
+
+STARS = (
+    Path(_STAR, [Path.MOVETO, Path.LINETO] * 3),
+    Path(np.concatenate([_STAR - _ABOVE, _STAR + _ABOVE]), [Path.MOVETO, Path.LINETO] * 6),
+)
+"""Markers of differences with p < 0.05, and with p < 0.01: an asterisk, and two above each other."""
+
+STARRED: dict[str, Any] = {"linestyle": "", "color": INK, "markeredgewidth": 0.9}
 
 
 def looks(study: StudyResult, task: str) -> list[tuple[Condition, dict[str, Any]]]:
@@ -129,9 +140,9 @@ def label_frequency(ax: Axes, **text: Any) -> None:
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
-def legend(figure: Figure, *handles: Line2D | Patch) -> None:
+def legend(figure: Figure, *handles: Line2D | Patch, n_columns: int = 6) -> None:
     """One legend for the whole figure, above its panels."""
-    figure.legend(handles=list(handles), loc="outside upper center", ncols=min(len(handles), 6))
+    figure.legend(handles=list(handles), loc="outside upper center", ncols=min(len(handles), n_columns))
 
 
 def padded(values: list[float]) -> tuple[float, float]:
@@ -152,12 +163,17 @@ def plot_marks(ax: Axes, frequency: Array, height: Array, masks: tuple[NDArray[n
     """
     differs, clearly = masks
     for star, mask in zip(STARS, (differs & ~clearly, clearly), strict=True):
-        ax.plot(frequency[mask], height[mask], linestyle="", marker=star, color=INK, markersize=2.5 * star.count("ast"))
+        ax.plot(frequency[mask], height[mask], marker=star, markersize=_size(star), **STARRED)
 
 
 def marks_legend() -> list[Line2D]:
     """Entries of `plot_marks` in a legend."""
     return [
-        Line2D([], [], linestyle="", marker=star, color=INK, markersize=3 * star.count("ast"), label=f"p < {level}")
+        Line2D([], [], marker=star, markersize=_size(star), label=f"p < {level}", **STARRED)
         for star, level in zip(STARS, ("0.05", "0.01"), strict=True)
     ]
+
+
+def _size(marker: Path) -> float:
+    """Matplotlib scales a marker so that its farthest point is at half its size."""
+    return 4.5 * float(np.abs(marker.vertices).max())

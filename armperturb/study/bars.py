@@ -61,7 +61,7 @@ def draw_groups(ax: Axes, groups: Mapping[str, Sequence[Bar]], scale: float = 1.
       Label to where the group ends above, in units of the axis; 0 without bars.
     """
     drawn = {label: [bar for bar in bars if math.isfinite(bar.ours.mean)] for label, bars in groups.items()}
-    slot = FILL / max(1, *map(len, drawn.values()))
+    slot = FILL / max(2, *map(len, drawn.values()))
     tops = {}
     for group, (label, bars) in enumerate(drawn.items()):
         reach = [0.0]

@@ -9,7 +9,6 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from armperturb.analysis.kinematics import hand_path, within_reach
-from armperturb.analysis.pulse import pulse_span
 from armperturb.recording import REQUIRED_SIGNALS, load_recording
 from armperturb.study import (
     admittance_figures,
@@ -27,7 +26,7 @@ from armperturb.study.bars import CONDITIONS
 from armperturb.study.cases import of_condition
 from armperturb.study.effects import AdmittanceEffect, Effects
 from armperturb.study.results import StudyResult
-from armperturb.study.trajectory_figures import first_pulses
+from armperturb.study.trajectory_figures import around_pulse, first_pulses
 from armperturb.study.yielding import Yielding
 
 Drawings = dict[str, Callable[[], Figure]]
@@ -121,7 +120,7 @@ def _of_pulses(study: StudyResult) -> Drawings:
             continue
         trial = trials.isel(trial=[next(iter(pulses.values()))])
         drawn.setdefault("pulse_signal", partial(perturbation_figures.pulse_signal, trial))
-        if _within_reach(trials.isel(trial=list(pulses.values()))):
+        if all(_within_reach(around_pulse(trials, number)) for number in pulses.values()):
             drawn.setdefault("joint_rotations", partial(trajectory_figures.joint_rotations, trials))
         stills.append(trial)
     person = next((person for person in study.cohort if person.name == name), None)
@@ -143,10 +142,9 @@ def _mechanical_signals(path: Path) -> xr.Dataset:
 
 
 def _within_reach(trials: xr.Dataset) -> bool:
-    """Whether the handle stays within the arm's reach in the windows after pulses."""
+    """Whether the handle stays within the arm's reach."""
     lengths = (trials[name].values[:, None] for name in ("l_h", "l_f"))
-    reached = within_reach(hand_path(trials), *lengths)
-    return all(reached[trial, pulse_span(trials, trial)].all() for trial in range(trials.sizes["trial"]))
+    return bool(within_reach(hand_path(trials), *lengths).all())
 
 
 def _marks(effect: AdmittanceEffect) -> Marks:

@@ -142,7 +142,7 @@ def _positive(vaf: Sequence[tuple[float, float]]) -> Array:
 
 def _printed_vaf(condition: str, axis: int) -> published.MeanSD:
     quantity = f"VAF_{AXES[axis]}"
-    model, table, start = VAF_TABLES[condition]
+    table, model, start = VAF_TABLES[condition]
     return next(
         entry.value
         for entry in published.fit_entries()
@@ -161,7 +161,7 @@ def penalty(study: StudyResult) -> Figure:
     curve.set(yscale="log", xlim=(pole[0], pole[-1]), ylim=(0.5, 1e9), ylabel="penalty factor [-]")
     inactive = published.headline("penalty_inactive_below")
     curve.axvline(inactive, **PUBLISHED, linestyle="--")
-    curve.text(inactive - 0.02, 1e8, f"published: acts right of {inactive:g}", ha="right", color=PUBLISHED["color"])
+    curve.text(inactive - 0.02, 1e8, f"published: acts right of −{-inactive:g}", ha="right", color=PUBLISHED["color"])
     curve.axvline(0.0, color=INK, linewidth=0.8)
     curve.text(0.02, 3.0, "unstable")
     for ax in places:

@@ -154,8 +154,8 @@ def joint_parameters(study: StudyResult, task: str, p: Mapping[str, float] | Non
 def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] | None = None) -> Figure:
     """Parameters of muscle groups, mean and SD over people of means over stable trials (thesis fig. 3.14).
 
-    Those of one-joint muscles are the joint's less the two-joint muscles' (eq. 2.10); of these the published tables give
-    the mean alone.
+    Those of one-joint muscles are the joint's less the two-joint muscles' (eq. 2.10); of these the published tables
+    give the mean alone.
 
     Args:
       study: with estimates in a task, see `estimated`.
@@ -189,7 +189,7 @@ def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] |
         for ax in column[len(rows[task]) :]:
             ax.set_visible(False)
     handles = [handle for task, estimates in tasks.items() for handle in _handles(task, estimates)]
-    legend(figure, *handles, *([printed_handle()] if any_printed(drawn) else []))
+    legend(figure, *handles, *([printed_handle()] if any_printed(drawn) else []), n_columns=7)
     return figure
 
 

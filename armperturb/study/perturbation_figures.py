@@ -143,17 +143,20 @@ def pulse_directions(arms: Sequence[Subject], directions_deg: Sequence[float]) -
 
     axis = np.array([0.3, 0.0])
     ax.plot(*zip(hand - axis, hand + axis, strict=True), color=GREY, linewidth=0.9, linestyle="--")
-    ax.annotate("fronto-parallel axis", tuple(hand - axis), (0, -4), textcoords="offset points", va="top", fontsize=8)
+    ax.annotate("fronto-parallel axis", tuple(hand + axis), (4, 0), textcoords="offset points", va="center", fontsize=8)
     for angle in directions_deg:
         along = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
         arrow = {"arrowstyle": "-|>", "color": COLOURS["RT"], "linewidth": 2.2, "shrinkA": 5, "shrinkB": 0}
         ax.annotate("", tuple(hand + 0.24 * along), tuple(hand), arrowprops={**arrow, "mutation_scale": 14})
-        size = 0.26 if angle < 180 else 0.3
+        size = 0.2 + 0.14 * (angle > 180)
         ax.add_patch(Arc(tuple(hand), size, size, theta1=0.0, theta2=angle, color=COLOURS["RT"], linewidth=0.9))
+        # The torque at the elbow, of which a positive one flexes: the forearm's lever across the force.
+        lever = hand - hinge
+        does = "flexes" if lever[0] * along[1] > lever[1] * along[0] else "extends"
         ax.annotate(
-            f"{angle:g}°",
-            tuple(hand + 0.27 * along),
-            ha="center",
+            f"{angle:g}°, {does} the elbow",
+            tuple(hand + 0.26 * along),
+            ha="left" if along[0] > 0 else "right",
             va="center",
             color=COLOURS["RT"],
             weight="bold",

@@ -1,6 +1,7 @@
 """Figures of the responses to pulses: peaks and their prediction (thesis figures 3.15, 3.16, 3.19)."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -58,8 +59,10 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
       p: condition with both levels to the p of the level's effect.
     """
     found = pulsed_trials(study, lambda trial: trial.admittance)
-    figure, panels = _draw_levels(found, "pulse admittance [mm/N]", 1000.0)
+    figure, panels = _draw_levels(found, "pulse admittance [mm/N]", 1000.0, shared=False)
     for task, (ax, tops) in panels.items():
+        if any(len(levels) == len(LEVELS) for levels in found[task].values()):
+            ax.set_ylim(top=1.2 * max(tops.values()))
         for group, (condition, levels) in enumerate(found[task].items()):
             if len(levels) < len(LEVELS):
                 continue
@@ -82,8 +85,7 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
 @in_style()
 def pulse_prediction(study: StudyResult) -> Figure:
     """Predicted over recorded peak displacement of both models, mean and SD over trials (thesis fig. 3.19)."""
-    found = {model: pulsed_trials(study, lambda trial, model=model: predicted_share(trial, model)) for model in MODELS}
-    tasks = found["linear"]
+    found = {model: pulsed_trials(study, partial(predicted_share, model=model)) for model in MODELS}
     groups = {
         task: {
             f"{condition}\n{level}": [
@@ -93,7 +95,7 @@ def pulse_prediction(study: StudyResult) -> Figure:
             for condition, levels in conditions.items()
             for level in levels
         }
-        for task, conditions in tasks.items()
+        for task, conditions in found["linear"].items()
     }
     figure, panels = _panels(3.4, {task: len(bars) for task, bars in groups.items()})
     low, high = (published.headline(f"pulse_prediction_{end}") for end in ("low", "high"))
@@ -142,6 +144,8 @@ def _draw_levels(
     label: str,
     scale: float,
     source: Callable[..., published.MeanSD] | None = None,
+    *,
+    shared: bool = True,
 ) -> tuple[Figure, dict[str, tuple[Axes, dict[str, float]]]]:
     """Bars of both pulse levels in each condition, a panel per task; and the panels with where each group ends."""
     groups = {
@@ -158,7 +162,7 @@ def _draw_levels(
         }
         for task, conditions in found.items()
     }
-    figure, panels = _panels(3.3, {task: len(bars) for task, bars in groups.items()})
+    figure, panels = _panels(3.3, {task: len(bars) for task, bars in groups.items()}, shared=shared)
     tops = {task: draw_groups(ax, groups[task], scale) for task, ax in panels.items()}
     next(iter(panels.values())).set_ylabel(label)
     handles = [
@@ -170,13 +174,15 @@ def _draw_levels(
     legend(figure, *handles, *([printed_handle()] if any_printed(groups.values()) else []))
     for ax in panels.values():
         ax.set_ylim(bottom=0)
+        if not shared:
+            ax.set_ylabel(label)
     return figure, {task: (ax, tops[task]) for task, ax in panels.items()}
 
 
-def _panels(height: float, n_groups: Mapping[str, int]) -> tuple[Figure, dict[str, Axes]]:
+def _panels(height: float, n_groups: Mapping[str, int], *, shared: bool = True) -> tuple[Figure, dict[str, Axes]]:
     """One panel per task side by side, as wide as its groups of bars need."""
     figure = new_figure(height)
-    panels = figure.subplots(1, len(n_groups), sharey=True, squeeze=False, width_ratios=list(n_groups.values()))
+    panels = figure.subplots(1, len(n_groups), sharey=shared, squeeze=False, width_ratios=list(n_groups.values()))
     return figure, dict(zip(n_groups, panels.flat, strict=True))
 
 

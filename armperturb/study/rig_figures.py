@@ -25,7 +25,7 @@ TIMES = {"PT": (0.0, 0.05, 0.1, 0.2, 0.3), "RT": (0.0, 0.1, 0.3, 0.6, 1.0)}
 SEEN = (-0.644, 0.764, -0.484, 0.924)
 """Left, right, bottom and top of a square picture from above, at the height of the arm, from the shoulder [m]."""
 
-CROP = (-0.35, 0.6, -0.3, 0.65)
+CROP = (-0.3, 0.58, -0.2, 0.68)
 """What stills show of it."""
 
 PIXELS = 380
@@ -75,6 +75,7 @@ def stills(person: Person, environment: Environment, pulses: Sequence[xr.Dataset
     for row, trial, after in zip(panels, pulses, times, strict=True):
         task, rate = str(trial["task"].values[0]), float(trial.attrs["rate"])
         model = build_model(person.subjects[task], environment)
+        model.vis.quality.shadowsize = 1024  # most of the time goes into shadows, which so small a picture hardly shows
         onset = round(float(trial["pulse_onset"].values[0]) * rate)
         displacement, angle = (trial[name].values[0] for name in ("displacement", "joint_angle"))
         start = hand_position(person.subjects[task].posture, person.subjects[task].l_h, person.subjects[task].l_f)

@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from armperturb.analysis import kinematics
@@ -21,7 +22,7 @@ from armperturb.study.axes import legend
 from armperturb.study.bars import MODELS, PRINTED, printed_handle
 from armperturb.study.cells import LEVELS
 from armperturb.study.measure import multisine_part
-from armperturb.study.style import GREY, PALE, RECORDED, TRUE, in_style, new_figure
+from armperturb.study.style import PALE, RECORDED, TRUE, in_style, new_figure
 from armperturb.study.tables import published_or_nan
 
 Array = NDArray[np.float64]
@@ -32,13 +33,16 @@ DOTS = {"PT": 0.05, "RT": 0.1}
 PEAK: dict[str, Any] = {"arrowstyle": "->", "linewidth": 0.9, "shrinkA": 0, "shrinkB": 2}
 """Arrow to a peak."""
 
-PUSHED: dict[str, Any] = {"arrowstyle": "-|>", "color": GREY, "linewidth": 2.4, "shrinkA": 0, "shrinkB": 0}
+PUSHED: dict[str, Any] = {"arrowstyle": "simple,tail_width=0.35,head_width=1.1", "color": PALE, "mutation_scale": 16}
 """Arrow of the direction of a pulse."""
 
 JOINT_LOOKS: dict[str, dict[str, Any]] = {
     "shoulder": {"color": "#56B4E9", "linewidth": 2.0},
     "elbow": {"color": "#0072B2", "linewidth": 2.0},
 }
+
+LEAD, LAG = 0.05, 0.5
+"""From when to when around the onset of a pulse rotations are drawn [s]."""
 
 NAMES = {level: name for name, level in LEVELS.items()}
 """Pulse level to its name in the published tables."""
@@ -49,7 +53,7 @@ class Response(NamedTuple):
 
     Attributes:
       direction_deg: of the pulse from the x axis [degree].
-      paths: "recorded", "linear" and "skeletal" to the displacement from the onset on [m], (time, axis); those that are.
+      paths: "recorded", "linear" and "skeletal" to the displacement from the onset on [m], (time, axis).
     """
 
     direction_deg: float
@@ -112,7 +116,7 @@ def responses(recording: xr.Dataset, estimate: ThesisEstimate | None, level: flo
 def trajectories(recording: xr.Dataset, estimate: ThesisEstimate | None, level: float) -> Figure:
     """Paths of the handle after a pulse in each direction, recorded and predicted (thesis figs 3.17, 3.18).
 
-    Dots stand every 50 ms in PT and every 100 ms in RT, thin arrows end at the peaks, and a grey arrow has the
+    Dots stand every 50 ms in PT and every 100 ms in RT, thin arrows end at the peaks, and a pale arrow has the
     direction of the pulse.
 
     Args:
@@ -146,19 +150,30 @@ def trajectories(recording: xr.Dataset, estimate: ThesisEstimate | None, level: 
     reach = 100.0 * max(np.nanmax(np.linalg.norm(path, axis=1)) for one in found for path in one.paths.values())
     for response in found:
         angle = math.radians(response.direction_deg)
-        ax.annotate("", 0.3 * reach * np.array([math.cos(angle), math.sin(angle)]), (0.0, 0.0), arrowprops=PUSHED)
+        tip = (0.4 * reach * math.cos(angle), 0.4 * reach * math.sin(angle))
+        ax.annotate("", tip, (0.0, 0.0), arrowprops={**PUSHED, "shrinkA": 0}, zorder=0.5)
     ax.set_aspect("equal", adjustable="datalim")
     ax.set(xlabel="x, to the right [cm]", ylabel="y, forward [cm]")
     condition = str(recording["condition"].values[0])
     ax.set_title(f"{condition}, {1e3 * WINDOWS[task]:g} ms from the onset, a dot every {1e3 * DOTS[task]:g} ms")
     names = {"recorded": "recorded", "linear": "linear model", "skeletal": "skeletal model"}
-    legend(figure, *(Line2D([], [], label=names[name], **look) for name, look in lines.items() if name in drawn))
+    handles: list[Line2D | Patch] = [Line2D([], [], label=names[n], **look) for n, look in lines.items() if n in drawn]
+    legend(figure, *handles, Patch(color=PALE, label="direction of the pulse"))
     return figure
+
+
+def around_pulse(recording: xr.Dataset, trial: int) -> xr.Dataset:
+    """A trial from shortly before its pulse to half a second after its onset, or to its end."""
+    rate = float(recording.attrs["rate"])
+    onset = round(float(recording["pulse_onset"].values[trial]) * rate)
+    return recording.isel(trial=[trial], time=slice(onset - round(LEAD * rate), onset + round(LAG * rate) + 1))
 
 
 @in_style()
 def joint_rotations(recording: xr.Dataset) -> Figure:
     """Rotations of shoulder and elbow after a largest pulse in each direction, with their peaks (thesis fig. F.1).
+
+    What is drawn is longer than the window in which table F.5 looks for peaks, as the shoulder comes late.
 
     They come from the path of the handle; where a simulator recorded the joints themselves, these are drawn too. Beside
     them stand the mean peaks of table F.5.
@@ -167,15 +182,13 @@ def joint_rotations(recording: xr.Dataset) -> Figure:
       recording: one person's trials of one condition, whose handle stays within the arm's reach.
     """
     rate, condition = float(recording.attrs["rate"]), str(recording["condition"].values[0])
-    trials = first_pulses(recording)
+    lead, trials = round(LEAD * rate), first_pulses(recording)
     level = NAMES.get(float(np.abs(recording["pulse_level"].values).max()), "")
     figure = new_figure(3.4)
     panels = figure.subplots(1, len(trials), sharey=True, squeeze=False)[0]
     any_printed = False
     for ax, (direction, trial) in zip(panels, trials.items(), strict=True):
-        span = pulse_span(recording, trial)
-        lead = round(0.05 * rate)
-        one = recording.isel(trial=[trial], time=slice(span.start - lead, span.stop))
+        one = around_pulse(recording, trial)
         time = 1e3 * (np.arange(one.sizes["time"]) - lead) / rate
         rotation = np.degrees(kinematics.joint_rotations(one)[0])
         ax.axvspan(0.0, 1e3 * Pulse.width, color=PALE, alpha=0.5, linewidth=0)
@@ -194,15 +207,14 @@ def joint_rotations(recording: xr.Dataset) -> Figure:
                 textcoords="offset points",
                 ha="center",
                 va="bottom" if sign > 0 else "top",
-                color=look["color"],
             )
             printed = published_or_nan(published.joint_motion, condition, name[0], "peak_rotation", level)
             if np.isfinite(printed.mean):
                 any_printed = True
                 mean, sd = np.degrees(printed)
-                ax.errorbar(time[-1] + 12 + 14 * joint, sign * mean, sd, **PRINTED, elinewidth=0.9)
+                ax.errorbar(time[-1] + 25 + 22 * joint, sign * mean, sd, **PRINTED, elinewidth=0.9)
         ax.set(xlabel="time after the onset [ms]", title=f"{condition}, pulse at {direction:g}°")
-        ax.margins(y=0.12)
+        ax.margins(y=0.16)
     panels[0].set_ylabel("rotation [°]")
     handles = [Line2D([], [], label=name, **look) for name, look in JOINT_LOOKS.items()]
     handles += [Line2D([], [], label="the joint itself", **TRUE)] if "joint_angle" in recording else []
