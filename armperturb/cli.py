@@ -194,7 +194,7 @@ def study(settings: Study) -> Path:
     from armperturb.study.results import run_study
 
     result = run_study(what, settings.out, workers=settings.workers, dask=settings.dask, block=settings.block)
-    return write_report(result, settings.out)
+    return write_report(result, settings.out, workers=settings.workers)
 
 
 def report(settings: Report) -> Path:
@@ -210,7 +210,9 @@ def report(settings: Report) -> Path:
     from armperturb.study.report import write_report
     from armperturb.study.results import analyse_study
 
-    return write_report(analyse_study(settings.folder, workers=settings.workers), settings.folder)
+    return write_report(
+        analyse_study(settings.folder, workers=settings.workers), settings.folder, workers=settings.workers
+    )
 
 
 def simulate(settings: Simulate) -> xr.Dataset:

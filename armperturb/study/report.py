@@ -2,10 +2,11 @@
 
 import base64
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jinja2
 from markupsafe import Markup
@@ -13,6 +14,8 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from armperturb.analysis.export import write_csv
+from armperturb.cohort import Person
+from armperturb.environment import Environment
 from armperturb.files import written_whole
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.study import formats
@@ -20,13 +23,22 @@ from armperturb.study.admittance import by_task, main_conditions
 from armperturb.study.archive import code_digest, recalled
 from armperturb.study.drawings import drawings
 from armperturb.study.effects import effects
+from armperturb.study.fits import Appendices
 from armperturb.study.results import ANALYSIS, StudyResult
+from armperturb.study.runner import worker_count
 from armperturb.study.score import Score, score, write_score
 from armperturb.study.sections import Section, joint_rows, sections
 from armperturb.study.shoulder import MovingShoulder, moving_shoulder
 from armperturb.study.style import save_svg
 from armperturb.study.tables import write_tables
-from armperturb.study.yielding import Yielding, first_person, why_people_yield
+from armperturb.study.workers import Workers, completed, workers_for
+from armperturb.study.yielding import Yielding, has_law, why_people_yield
+
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
+
+MOST_WORKERS = 8
+"""Processes that drawing is shared between at most: each has to load what draws."""
 
 SCORE = "score"
 
@@ -45,7 +57,7 @@ class Picture(NamedTuple):
     height: float
 
 
-def write_report(study: StudyResult, out: Path, *, show_progress: bool = True) -> Path:
+def write_report(study: StudyResult, out: Path, *, workers: int | None = 1, show_progress: bool = True) -> Path:
     """Write `tables/*.csv`, `score/`, `figures/*.svg` and `report.html`, which needs none of them nor a network.
 
     Some more trials of the first person are simulated, to show what the muscle law does, and what a shoulder that
@@ -55,29 +67,40 @@ def write_report(study: StudyResult, out: Path, *, show_progress: bool = True) -
     Args:
       study: the analysed study; its recordings must still be there.
       out: folder, which is made if needed.
-      show_progress: whether to draw a progress bar on the terminal.
+      workers: number of processes; None for about one per core. No effect on the files.
+      show_progress: whether to draw progress bars on the terminal.
 
     Returns:
       The path of the report.
 
     Raises:
       OSError: the folder cannot be written to, or a recording is gone.
+      RuntimeError: workers die again and again.
     """
     rows = write_tables(study, out / "tables")
-    tested = effects(study)
-    for name, lines in (("statistics", tested.rows), ("statistics_pairs", tested.pairs)):
+    tested, scored = effects(study), _score(study, out)
+    # Figures need none of the fits, which are many.
+    drawn = replace(study, appendices=Appendices())
+    with workers_for(worker_count(workers, MOST_WORKERS), None) as crew:
+        yielding, shoulder = _simulated(study, out, crew, show_progress)
+        (out / "figures").mkdir(exist_ok=True)
+        figures = [_Figure(name, draw, out / "figures") for name, draw in drawings(drawn, tested, yielding).items()]
+        pictures, not_drawn = {}, {}
+        for name, picture, reason in _each(_draw, figures, crew, "draw", show_progress):
+            if picture is None:
+                not_drawn[name] = reason
+            else:
+                pictures[name] = picture
+    more = {
+        "statistics": list(tested.rows),
+        "statistics_pairs": list(tested.pairs),
+        "joints": joint_rows(study),
+        "yielding": yielding.rows() if yielding else [],
+        "moving_shoulder": shoulder.table() if shoulder else [],
+    }
+    for name, lines in more.items():
         if lines:
-            write_csv(list(lines), out / "tables" / f"{name}.csv")
-    scored = _score(study, out)
-    yielding = _yielding(study, out)
-    if yielding is not None:
-        write_csv(yielding.rows(), out / "tables" / "yielding.csv")
-    shoulder = _shoulder(study, out)
-    if shoulder is not None:
-        write_csv(shoulder.table(), out / "tables" / "moving_shoulder.csv")
-    if scored is not None:
-        write_csv(joint_rows(study), out / "tables" / "joints.csv")
-    pictures, not_drawn = _draw(drawings(study, tested, yielding), out / "figures", show_progress)
+            write_csv(lines, out / "tables" / f"{name}.csv")
     page = _page(study, sections(study, scored, tested, rows, yielding, shoulder), pictures, not_drawn)
     report = out / "report.html"
     with written_whole(report) as temporary:
@@ -94,47 +117,65 @@ def _score(study: StudyResult, out: Path) -> Score | None:
     return scored
 
 
-def _yielding(study: StudyResult, out: Path) -> Yielding | None:
-    """What the muscle law of the first person does; None if there is none."""
-    person = first_person(study)
-    if person is None:
-        return None
-    return recalled(
-        out / ANALYSIS / "yielding.json.gz",
-        _key(study),
-        lambda: why_people_yield(person, study.environment, seed=study.seed),
-    )
+class _Simulation(NamedTuple):
+    """A simulation of the first person, and where what it gives is kept.
+
+    Attributes:
+      function: takes the person, the environment and the seed.
+      path: of the file.
+      person: who.
+      environment: what the hand holds.
+      seed: of the multisines.
+    """
+
+    function: Callable[..., Any]
+    path: Path
+    person: Person
+    environment: Environment
+    seed: int
 
 
-def _shoulder(study: StudyResult, out: Path) -> MovingShoulder | None:
-    """What it does to the kinematics if the first person's shoulder moves; None if nobody was simulated."""
+def _simulated(
+    study: StudyResult, out: Path, crew: Workers | None, show_progress: bool
+) -> tuple[Yielding | None, MovingShoulder | None]:
+    """What the muscle law of the first person does, and what a moving shoulder; None where there is nothing to show."""
     if not study.cohort:
-        return None
-    return recalled(
-        out / ANALYSIS / "moving-shoulder.json.gz",
-        _key(study),
-        lambda: moving_shoulder(study.cohort[0], environment=study.environment, seed=study.seed),
+        return None, None
+    person, found = study.cohort[0], dict[str, Any]()
+    wanted: dict[str, Callable[..., Any]] = {"moving-shoulder": moving_shoulder}
+    if has_law(person):
+        wanted = {"yielding": why_people_yield, **wanted}
+    units = [
+        _Simulation(function, out / ANALYSIS / f"{name}.json.gz", person, study.environment, study.seed)
+        for name, function in wanted.items()
+    ]
+    for path, result in _each(_simulate, units, crew, "simulate", show_progress):
+        found[path.name.partition(".")[0]] = result
+    return found.get("yielding"), found["moving-shoulder"]
+
+
+def _simulate(unit: _Simulation) -> tuple[Path, Any]:
+    what = f"{unit.person!r} {unit.environment!r} {unit.seed} {code_digest()}"
+    key = hashlib.sha256(what.encode()).hexdigest()
+    return unit.path, recalled(
+        unit.path, key, lambda: unit.function(unit.person, environment=unit.environment, seed=unit.seed)
     )
 
 
-def _key(study: StudyResult) -> str:
-    """What simulations of the first person depend on."""
-    what = f"{study.cohort[0]!r} {study.environment!r} {study.seed} {code_digest()}"
-    return hashlib.sha256(what.encode()).hexdigest()
+class _Figure(NamedTuple):
+    """A figure to be drawn into a folder."""
+
+    name: str
+    draw: Callable[[], Figure]
+    folder: Path
 
 
-def _draw(
-    figures: Mapping[str, Callable[[], Figure]], folder: Path, show_progress: bool
-) -> tuple[dict[str, Picture], dict[str, str]]:
-    """Draw figures into a folder; pictures by name, and why another is missing."""
-    folder.mkdir(parents=True, exist_ok=True)
-    pictures, not_drawn = {}, {}
-    for name, draw in tqdm(figures.items(), desc="draw", unit="figure", disable=None if show_progress else True):
-        try:
-            pictures[name] = _embed(draw(), folder / f"{name}.svg")
-        except RuntimeError as error:  # this machine cannot draw the rig
-            not_drawn[name] = str(error)
-    return pictures, not_drawn
+def _draw(unit: _Figure) -> tuple[str, Picture | None, str]:
+    """Name and picture, or why there is none."""
+    try:
+        return unit.name, _embed(unit.draw(), unit.folder / f"{unit.name}.svg"), ""
+    except RuntimeError as error:  # this machine cannot draw the rig
+        return unit.name, None, str(error)
 
 
 def _embed(figure: Figure, path: Path) -> Picture:
@@ -143,6 +184,16 @@ def _embed(figure: Figure, path: Path) -> Picture:
     content = base64.b64encode(path.read_bytes()).decode("ascii")
     width, height = figure.get_size_inches()
     return Picture(f"data:image/svg+xml;base64,{content}", float(width), float(height))
+
+
+def _each(
+    function: Callable[[Unit], Result], units: Sequence[Unit], crew: Workers | None, label: str, show_progress: bool
+) -> Iterator[Result]:
+    """What a function gives of each unit, as it comes."""
+    with tqdm(total=len(units), desc=label, disable=None if show_progress else True) as bar:
+        for result in map(function, units) if crew is None else completed(function, units, crew, bar.refresh):
+            bar.update()
+            yield result
 
 
 def _page(study: StudyResult, parts: Sequence[Section], pictures: dict[str, Picture], not_drawn: dict[str, str]) -> str:

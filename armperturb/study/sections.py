@@ -25,23 +25,23 @@ NEAR = 0.15
 """A headline number this close to the published one is near [-]."""
 
 FACTORS = {
-    "admittance_ratio_rt7.5_pt7.5": "admittance when relaxing over that when holding position",
-    "admittance_amplitude_factor_pt": "fall of the admittance with amplitude, holding position",
-    "admittance_amplitude_factor_rt": "rise of the admittance with amplitude, relaxing",
-    "pulse_underprediction_factor": "recorded over predicted peak of pulse responses",
-    "peak_displacement_ratio_rt_pt_min_level": "peak of pulse responses, relaxing over holding position",
-    "pulse_admittance_ratio_max_min_pt0": "pulse admittance, level 2 over level 1, PT0",
-    "pulse_admittance_ratio_max_min_pt7.5": "pulse admittance, level 2 over level 1, PT7.5",
-    "pulse_prediction_low": "smallest share of a pulse that is predicted [%]",
-    "pulse_prediction_high": "largest share of a pulse that is predicted [%]",
+    "admittance_ratio_rt7.5_pt7.5": "admittance, relaxing over holding position",
+    "admittance_amplitude_factor_pt": "its fall with amplitude, holding position",
+    "admittance_amplitude_factor_rt": "its rise with amplitude, relaxing",
+    "pulse_underprediction_factor": "peak after a pulse over its prediction",
+    "pulse_prediction_low": "predicted share of a peak, least [%]",
+    "pulse_prediction_high": "predicted share of a peak, most [%]",
+    "peak_displacement_ratio_rt_pt_min_level": "peak after a pulse, relaxing over holding",
+    "pulse_admittance_ratio_max_min_pt0": "pulse admittance, level 2 over 1, PT0",
+    "pulse_admittance_ratio_max_min_pt7.5": "pulse admittance, level 2 over 1, PT7.5",
 }
 """Headline numbers of the summary, in words."""
 
 GROUPS = {
-    "2.1 and F": "movements: tables 2.1, F.2 to F.6",
-    "C": "six structures: tables C.3 to C.22",
-    "D": "six starts: tables D.3 to D.5",
-    "E": "the final structure: tables E.3 to E.5",
+    "2.1 and F": "movements: 2.1, F.2 to F.6",
+    "C": "six structures: C.3 to C.22",
+    "D": "six starts: D.3 to D.5",
+    "E": "final structure: E.3 to E.5",
     "total": "all",
 }
 """Groups of tables of the summary, in words."""
@@ -69,15 +69,20 @@ class Factor(NamedTuple):
       label: in words.
       published: as printed.
       ours: NaN if it cannot be computed.
-      near: whether ours is within `NEAR` of the printed one.
       remark: how it was computed, or why it was not.
     """
 
     label: str
     published: str
     ours: float
-    near: bool
     remark: str
+
+    @property
+    def mark(self) -> str:
+        """ "beyond-1" where ours is not within `NEAR` of the printed one, or "missing"."""
+        if not math.isfinite(self.ours):
+            return "missing"
+        return "" if abs(self.ours / float(self.published) - 1.0) <= NEAR else "beyond-1"
 
 
 def sections(
@@ -119,7 +124,7 @@ def sections(
     if effects.rows or effects.admittance:
         found.append(Section(title="Statistics", template="statistics", context={"effects": effects}))
     if score is not None:
-        context = {
+        context: dict[str, Any] = {
             "joints": joint_rows(study),
             "limits": elastic_rows(_means(study)),
             "printed_limits": elastic_rows({cell: printed.mean for cell, printed in published_cells().items()}),
@@ -172,14 +177,13 @@ def _summary(score: Score | None) -> dict[str, Any]:
     if score is None:
         return {"factors": [], "shares": {}, "differs": []}
     by_name = {line.name: line for line in score.headlines}
-    factors = [_factor(label, by_name[name]) for name, label in FACTORS.items() if name in by_name]
+    factors = [
+        Factor(label, line.published, line.ours, line.remark)
+        for name, label in FACTORS.items()
+        if (line := by_name.get(name))
+    ]
     of_group = {label: shares(score)[name] for name, label in GROUPS.items()}
     return {"factors": factors, "shares": of_group, "differs": _differs(score, factors)}
-
-
-def _factor(label: str, line: Headline) -> Factor:
-    printed = float(line.published)
-    return Factor(label, line.published, line.ours, abs(line.ours / printed - 1.0) <= NEAR, line.remark)
 
 
 def _differs(score: Score, factors: list[Factor]) -> list[str]:
@@ -187,7 +191,7 @@ def _differs(score: Score, factors: list[Factor]) -> list[str]:
     lines = [
         f"{factor.label}: {digits(factor.ours)} ({factor.published} in the thesis)"
         for factor in factors
-        if math.isfinite(factor.ours) and not factor.near
+        if factor.mark == "beyond-1"
     ]
     measured = [one for one in score.cells if one.cell.table[0] in "2F"]
     beyond = [one for one in measured if abs(one.z) > 2.0]

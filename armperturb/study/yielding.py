@@ -30,7 +30,6 @@ from armperturb.study import published
 from armperturb.study.cases import WINDOW_START
 from armperturb.study.cells import Cell, published_cells
 from armperturb.study.protocol import THESIS, Condition, Protocol
-from armperturb.study.results import StudyResult
 from armperturb.subject import Subject
 
 Array = NDArray[np.float64]
@@ -186,11 +185,9 @@ class Loop(NamedTuple):
     torque: Array
 
 
-def first_person(study: StudyResult) -> Person | None:
-    """The first person of a study's cohort; None if its people are unknown or have linear muscles."""
-    if not study.cohort or all(subject.muscle is None for subject in study.cohort[0].subjects.values()):
-        return None
-    return study.cohort[0]
+def has_law(person: Person) -> bool:
+    """Whether the person's muscles yield, in any task."""
+    return any(subject.muscle is not None for subject in person.subjects.values())
 
 
 def variants(person: Person) -> dict[str, Person]:
@@ -199,7 +196,7 @@ def variants(person: Person) -> dict[str, Person]:
     Raises:
       ValueError: the person has no muscle law.
     """
-    if all(subject.muscle is None for subject in person.subjects.values()):
+    if not has_law(person):
         raise ValueError(f"person {person.name!r} has linear muscles; expected a muscle law")
     found = {WHOLE: person, LINEAR: _with_laws(person, lambda _: None)}
     for name, off in MECHANISMS.items():
