@@ -151,7 +151,7 @@ def gain_linear_scale(study: StudyResult, marks: Mapping[str, Marks] | None = No
                 ax.plot(frequency, values, **{**look, "markersize": 3})
             if marks and element in marks.get(task, {}):
                 differs, clearly = marks[task][element]
-                height = of_element.max(axis=0) + 0.06 * gain.max()
+                height = of_element.max(axis=0) + 0.08 * gain.max()
                 plot_marks(ax, frequency, height, (differs[shown], clearly[shown]))
             if element[0] == element[1] and [condition.name for condition, _ in drawn[:: len(drawn) - 1 or 1]] == [
                 f"{task}2.5",
@@ -159,7 +159,7 @@ def gain_linear_scale(study: StudyResult, marks: Mapping[str, Marks] | None = No
             ]:
                 ax.plot(frequency[:N_LOW], FACTORS[task] * of_element[0, :N_LOW], **EXPECTED)
         row[0].set_ylabel(f"gain in {task} [mm/N]")
-        row[0].set_ylim(0, 1.12 * gain.max())
+        row[0].set_ylim(0, 1.16 * gain.max())
     for ax, (output, input_) in zip(panels[0], ELEMENTS, strict=True):
         ax.set_title(f"$|H_{{{AXES[output]}{AXES[input_]}}}|$")
     for ax in panels[-1]:
