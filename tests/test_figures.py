@@ -427,7 +427,7 @@ def estimate_of(subject, stable=(True, True)):
     rng = np.random.default_rng(0)
     fits = tuple(replace(fitted(SPRINGS, rng, one), arm=subject) for one in stable)
     return ThesisEstimate(
-        structure="1", subjects=("S01", "S01"), environment=Environment(), fits=fits, vaf=np.zeros((2, 2))
+        structure="1", subjects=("S01",) * len(fits), environment=Environment(), fits=fits, vaf=np.zeros((len(fits), 2))
     )
 
 
@@ -444,7 +444,7 @@ def test_paths_have_dots_every_50_or_100_ms(subject, condition, level, n_dots):
         recorded, linear, skeletal = (np.transpose(line.get_data()) for line in dots[first : first + 3])
         samples = 200 + step * np.arange(n_dots)
         assert recorded == pytest.approx(100 * recording["displacement"].values[trial, samples])
-        # The recording is what this very arm does when it is linear; the skeletal model differs little as it moves little.
+        # The recording is what this very arm does when linear; the skeletal model differs little as it moves little.
         assert linear == pytest.approx(recorded, abs=1e-9)
         assert np.abs(skeletal - recorded).max() < 0.1 * np.abs(recorded).max()
         assert dots[first + 2].get_color() == SKELETAL["color"]
@@ -464,6 +464,14 @@ def test_paths_of_unstable_fits_are_not_predicted():
         (20.0, ["recorded"]),
         (200.0, ["recorded", "linear", "skeletal"]),
     ]
+    # The same two pulses again, of which the second 20 degrees is predicted: it goes first.
+    again = recording.isel(trial=[0, 1, 0, 1])
+    again["displacement"] = again["displacement"] * np.array([1, 1, 2, 2])[:, None, None]
+    found = trajectory_figures.responses(again, estimate_of(POSITION, (True, False, True, True)), 2.0)
+    assert [list(one.paths) for one in found] == [["recorded", "linear", "skeletal"]] * 2
+    first, second = (one.paths["recorded"] for one in found)
+    assert first == pytest.approx(2 * recording["displacement"].values[1, 200:261])
+    assert second == pytest.approx(recording["displacement"].values[0, 200:261])
     assert trajectory_figures.responses(recording, None, 1.0) == []
 
 
