@@ -1,5 +1,8 @@
-"""Recordings and studies that several tests read."""
+"""Recordings and studies that several tests read; whichever test process needs one first makes it for all."""
 
+import fcntl
+import os
+import pickle
 from dataclasses import replace
 
 import pytest
@@ -14,6 +17,30 @@ from armperturb.study import yielding as why
 from armperturb.study.results import run_study
 from armperturb.study.runner import StudySettings
 from armperturb.subject import POSITION, RELAX
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory):
+    """A function `once(name, make)`: what `make(folder)` gives, made in one test process and read by the others.
+
+    All get the same folder, of that name, and must leave what is in it as it is.
+    """
+    root = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        root = root.parent  # a session's processes have a folder each, in one of their own
+
+    def get(name, make):
+        value = root / f"{name}.pickle"
+        with (root / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # a process that ends lets go of it
+            if not value.exists():
+                (root / name).mkdir(exist_ok=True)
+                made = pickle.dumps(make(root / name))
+                value.with_suffix(".part").write_bytes(made)
+                value.with_suffix(".part").rename(value)
+        return pickle.loads(value.read_bytes())
+
+    return get
 
 
 def perturbed(subject, rms, n_trials, noise=None, **options):
@@ -35,21 +62,24 @@ def perturbed(subject, rms, n_trials, noise=None, **options):
 
 
 @pytest.fixture(scope="session")
-def relax_recording():
+def relax_recording(once):
     """Four ideal trials of the relaxed preset."""
-    return perturbed(RELAX, 0.3, 4)
+    return once("relax", lambda _: perturbed(RELAX, 0.3, 4))
 
 
 @pytest.fixture(scope="session")
-def position_recording():
+def position_recording(once):
     """Four ideal trials of the preset that keeps position."""
-    return perturbed(POSITION, 3.0, 4)
+    return once("position", lambda _: perturbed(POSITION, 3.0, 4))
 
 
 @pytest.fixture(scope="session")
-def noisy_relax_recording():
+def noisy_relax_recording(once):
     """Six noisy trials of the relaxed preset, in two conditions that differ in name alone."""
-    recording = perturbed(RELAX, 0.9, 6, noise=HUMAN_NOISE["RT"], instruments=Instruments(emg=None))
+    recording = once(
+        "noisy relax",
+        lambda _: perturbed(RELAX, 0.9, 6, noise=HUMAN_NOISE["RT"], instruments=Instruments(emg=None)),
+    )
     labels = ["RT7.5"] * 3 + ["RT22.5"] * 3
     return recording.assign_coords(condition=("trial", labels), repetition=("trial", [0, 1, 2] * 2))
 
@@ -104,14 +134,14 @@ def short_protocol(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def study(short_protocol, tmp_path_factory):
+def study(short_protocol, once):
     """Two noisy people with linear muscles who went through the short protocol."""
     settings = StudySettings(subjects=2, seed=3, protocol=short_protocol, muscles="linear")
-    return run_study(settings, tmp_path_factory.mktemp("study"), show_progress=False)
+    return once("study", lambda folder: run_study(settings, folder, show_progress=False))
 
 
 @pytest.fixture(scope="session")
-def explained():
+def explained(once):
     """Somebody with short-range stiffness in RT alone, and one level of co-contraction; with and without it."""
     average = average_person()
     law = MuscleLaw(short_range_stiffness=10.0, elastic_limit_deg=0.7)
@@ -119,6 +149,10 @@ def explained():
         "PT": replace(average.subjects["PT"], muscle=None),
         "RT": replace(average.subjects["RT"], muscle=law),
     }
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(why, "STEP", 5e-3)  # for speed
-        return why.why_people_yield(replace(average, subjects=subjects, levels={}))
+
+    def make(_):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(why, "STEP", 5e-3)  # for speed
+            return why.why_people_yield(replace(average, subjects=subjects, levels={}))
+
+    return once("explained", make)

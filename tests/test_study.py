@@ -30,9 +30,9 @@ RT = Condition(name="RT7.5", task="RT", rms_displacement=0.0075, published_force
 
 
 @pytest.fixture(scope="module")
-def ideal(short_protocol, tmp_path_factory):
+def ideal(short_protocol, once):
     settings = StudySettings(subjects=1, seed=3, protocol=short_protocol, ideal=True, muscles="linear")
-    return run_study(settings, tmp_path_factory.mktemp("ideal"), show_progress=False)
+    return once("ideal study", lambda folder: run_study(settings, folder, show_progress=False))
 
 
 def test_ideal_study_recovers_its_people(ideal):

@@ -14,8 +14,8 @@ RECORD = ValidateSettings(groups=4, trials=2, estimators=("record",))
 
 
 @pytest.fixture(scope="module")
-def right() -> Validation:
-    return validate(RECORD, workers=1, show_progress=False)
+def right(once) -> Validation:
+    return once("validation", lambda _: validate(RECORD, workers=1, show_progress=False))
 
 
 def judged(values, error=(1.0, 1.0), suspicious=False, converged=1.0) -> Judged:

@@ -155,16 +155,25 @@ def kinematics_error(recording: xr.Dataset, *, shoulder: ArrayLike | None = None
     Raises:
       ValueError: there are no true angles, a handle is out of reach before any limit, or shoulder has another shape.
     """
-    if "joint_angle" not in recording:
-        raise ValueError("the recording has no joint_angle; expected one that was simulated")
+    true = true_rotations(recording)
     time = np.arange(recording.sizes["time"]) / float(recording.attrs["rate"])
     counts = ~(time >= recording["limit_time"].values[:, None])[..., None]
     path = hand_path(recording, shoulder=shoulder)
     found = _rotations(recording, np.where(counts, path, path[:, :1]))
-    true = recording["joint_angle"].values - start_posture(recording)[:, None]
     error = np.where(counts, _shorter_way(found - true), 0.0)
     rms = np.sqrt(np.sum(error**2, axis=1) / counts.sum(axis=1))
     return KinematicsError(rms, np.abs(error).max(axis=1))
+
+
+def true_rotations(recording: xr.Dataset) -> Array:
+    """Rotations from the start posture as the simulation has them [rad], (trial, time, joint).
+
+    Raises:
+      ValueError: the recording has no joint angles, as those of people.
+    """
+    if "joint_angle" not in recording:
+        raise ValueError("the recording has no joint_angle; expected one that was simulated")
+    return np.asarray(recording["joint_angle"].values - start_posture(recording)[:, None])
 
 
 def joint_velocities(rotation: ArrayLike, rate: float, *, cutoff: float | None = CUTOFF) -> Array:

@@ -75,8 +75,9 @@ class Case:
 
 
 def load_signals(path: Path) -> xr.Dataset:
-    """The required signals of a recording; EMG takes most of the memory."""
-    return load_recording(path)[list(REQUIRED_SIGNALS)]
+    """The signals of a recording that are analysed; EMG takes most of the memory."""
+    recording = load_recording(path)
+    return recording[[*REQUIRED_SIGNALS, *({"joint_angle"} & set(recording.data_vars))]]
 
 
 def of_condition(recording: xr.Dataset, condition: str) -> xr.Dataset:

@@ -31,7 +31,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from armperturb.analysis.kinematics import hand_path, joint_rotations, joint_velocities, within_reach
+from armperturb.analysis.kinematics import (
+    hand_path,
+    joint_rotations,
+    joint_velocities,
+    true_rotations,
+    within_reach,
+)
 from armperturb.analysis.pulse import peak_norm, pulse_span
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.recording import REQUIRED_SIGNALS, check_recording
@@ -106,14 +112,27 @@ def measured_cells(recording: xr.Dataset, *, start: float = WINDOW_START, period
     return measure(recording, start=start, period=period).cells
 
 
-def measure(recording: xr.Dataset, *, start: float = WINDOW_START, period: float = PERIOD) -> Measured:
-    """As `measured_cells`, with the reasons why trials, or parts of them, fill no cell."""
+def measure(
+    recording: xr.Dataset, *, start: float = WINDOW_START, period: float = PERIOD, simulated_joints: bool = False
+) -> Measured:
+    """As `measured_cells`, with the reasons why trials, or parts of them, fill no cell.
+
+    Args:
+      recording: as there.
+      start: as there.
+      period: as there.
+      simulated_joints: take the joints as the simulation has them, `joint_angle`, and not from the handle's path.
+
+    Raises:
+      ValueError: as there, or there are no simulated joints.
+    """
     check_recording(recording)
     people = list(dict.fromkeys(recording["subject"].values.tolist()))
     if len(people) > 1:
         raise ValueError(f"recordings of {', '.join(map(str, people))}; expected those of one person")
     inside, left_out = _cut_at_limits(recording[list(REQUIRED_SIGNALS)])
-    path = _Path(recording=inside, rotation=joint_rotations(inside))
+    rotation = true_rotations(recording) if simulated_joints else joint_rotations(inside)
+    path = _Path(recording=inside, rotation=rotation)
     wanted, pools = published_cells(), dict[Cell, dict[str, list[float]]]()
     for trial, condition in enumerate(inside["condition"].values.tolist()):
         parts: list[Callable[[], Iterator[_Value]]] = []

@@ -90,7 +90,8 @@ class PersonMeasures:
     Attributes:
       name: of the person.
       conditions: that were recorded.
-      cells: of tables 2.1 and F.2 to F.6 to the person's values, SI.
+      cells: of tables 2.1 and F.2 to F.6 to the person's values, SI; joints from the handle's path.
+      true_cells: those of tables F.2 to F.6, with the joints as the simulation has them; none of people.
       low_gain: condition to the gain of the diagonal of the admittance at the lowest frequencies [m/N], (frequency,
         axis).
       trials: what each recorded trial of the published conditions tells.
@@ -101,6 +102,7 @@ class PersonMeasures:
     name: str
     conditions: tuple[str, ...]
     cells: Mapping[Cell, float]
+    true_cells: Mapping[Cell, float]
     low_gain: Mapping[str, Array]
     trials: tuple[TrialMeasures, ...]
     estimates: Mapping[str, ThesisEstimate]
@@ -200,11 +202,19 @@ def measure_person(recording: xr.Dataset) -> PersonMeasures:
         name=name,
         conditions=conditions,
         cells=cells,
+        true_cells=_true_cells(recording),
         low_gain=low_gain,
         trials=tuple(trials),
         estimates=estimates,
         left_out=tuple(left_out),
     )
+
+
+def _true_cells(recording: xr.Dataset) -> dict[Cell, float]:
+    if "joint_angle" not in recording:
+        return {}
+    cells = measure(recording, simulated_joints=True).cells
+    return {cell: value for cell, value in cells.items() if cell.table.startswith("F")}
 
 
 def _unstable(estimate: ThesisEstimate, condition: str) -> list[str]:

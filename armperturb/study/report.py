@@ -22,7 +22,8 @@ from armperturb.study.drawings import drawings
 from armperturb.study.effects import effects
 from armperturb.study.results import ANALYSIS, StudyResult
 from armperturb.study.score import Score, score, write_score
-from armperturb.study.sections import Section, sections
+from armperturb.study.sections import Section, joint_rows, sections
+from armperturb.study.shoulder import MovingShoulder, moving_shoulder
 from armperturb.study.style import save_svg
 from armperturb.study.tables import write_tables
 from armperturb.study.yielding import Yielding, first_person, why_people_yield
@@ -47,8 +48,9 @@ class Picture(NamedTuple):
 def write_report(study: StudyResult, out: Path, *, show_progress: bool = True) -> Path:
     """Write `tables/*.csv`, `score/`, `figures/*.svg` and `report.html`, which needs none of them nor a network.
 
-    If the first person has a muscle law, some more trials are simulated to show what it does; they are kept in the
-    folder, as results are. Without a GL library, pictures of the rig are left out and the report says so.
+    Some more trials of the first person are simulated, to show what the muscle law does, and what a shoulder that
+    moves; they are kept in the folder, as results are. Without a GL library, pictures of the rig are left out and the
+    report says so.
 
     Args:
       study: the analysed study; its recordings must still be there.
@@ -70,8 +72,13 @@ def write_report(study: StudyResult, out: Path, *, show_progress: bool = True) -
     yielding = _yielding(study, out)
     if yielding is not None:
         write_csv(yielding.rows(), out / "tables" / "yielding.csv")
+    shoulder = _shoulder(study, out)
+    if shoulder is not None:
+        write_csv(shoulder.table(), out / "tables" / "moving_shoulder.csv")
+    if scored is not None:
+        write_csv(joint_rows(study), out / "tables" / "joints.csv")
     pictures, not_drawn = _draw(drawings(study, tested, yielding), out / "figures", show_progress)
-    page = _page(study, sections(study, scored, tested, rows, yielding), pictures, not_drawn)
+    page = _page(study, sections(study, scored, tested, rows, yielding, shoulder), pictures, not_drawn)
     report = out / "report.html"
     with written_whole(report) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -92,10 +99,28 @@ def _yielding(study: StudyResult, out: Path) -> Yielding | None:
     person = first_person(study)
     if person is None:
         return None
-    key = hashlib.sha256(f"{person!r} {study.environment!r} {study.seed} {code_digest()}".encode()).hexdigest()
     return recalled(
-        out / ANALYSIS / "yielding.json.gz", key, lambda: why_people_yield(person, study.environment, seed=study.seed)
+        out / ANALYSIS / "yielding.json.gz",
+        _key(study),
+        lambda: why_people_yield(person, study.environment, seed=study.seed),
     )
+
+
+def _shoulder(study: StudyResult, out: Path) -> MovingShoulder | None:
+    """What it does to the kinematics if the first person's shoulder moves; None if nobody was simulated."""
+    if not study.cohort:
+        return None
+    return recalled(
+        out / ANALYSIS / "moving-shoulder.json.gz",
+        _key(study),
+        lambda: moving_shoulder(study.cohort[0], environment=study.environment, seed=study.seed),
+    )
+
+
+def _key(study: StudyResult) -> str:
+    """What simulations of the first person depend on."""
+    what = f"{study.cohort[0]!r} {study.environment!r} {study.seed} {code_digest()}"
+    return hashlib.sha256(what.encode()).hexdigest()
 
 
 def _draw(

@@ -5,15 +5,20 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from armperturb.analysis.maximum_likelihood import SUSPICIOUS
+from armperturb.study.cells import Cell, published_cells
 from armperturb.study.effects import Effects
+from armperturb.study.elastic import NAMES, elastic_rows
 from armperturb.study.formats import digits
 from armperturb.study.headlines import Headline
 from armperturb.study.protocol import Condition
 from armperturb.study.published_tables import published_tables
 from armperturb.study.results import StudyResult
 from armperturb.study.score import Score, missing_cells, shares
-from armperturb.study.tables import Row
+from armperturb.study.shoulder import MovingShoulder
+from armperturb.study.tables import Row, mean_sd_of
 from armperturb.study.yielding import PULSES, Yielding
 
 NEAR = 0.15
@@ -81,6 +86,7 @@ def sections(
     effects: Effects,
     rows: Mapping[str, list[Row]],
     yielding: Yielding | None,
+    shoulder: MovingShoulder | None,
 ) -> list[Section]:
     """All sections that a study has content for, in order.
 
@@ -90,6 +96,7 @@ def sections(
       effects: tests within people.
       rows: tables by name.
       yielding: what the first person's muscles do; None if they are linear.
+      shoulder: what it does if the first person's shoulder moves; None of people who were not simulated.
     """
     found = [
         Section(title="Summary", template="summary", context={"rows": rows["summary"], **_summary(score)}),
@@ -111,6 +118,15 @@ def sections(
         )
     if effects.rows or effects.admittance:
         found.append(Section(title="Statistics", template="statistics", context={"effects": effects}))
+    if score is not None:
+        context = {
+            "joints": joint_rows(study),
+            "limits": elastic_rows(_means(study)),
+            "printed_limits": elastic_rows({cell: printed.mean for cell, printed in published_cells().items()}),
+            "shoulder": shoulder,
+            "names": NAMES,
+        }
+        found.append(Section(title="Kinematics", template="kinematics", context=context))
     if yielding is not None:
         context = {"person": yielding.person, "rows": yielding.rows(), "pulses": PULSES, "unstable": yielding.unstable}
         found.append(Section(title="Why people yield", template="yielding", context=context))
@@ -126,6 +142,29 @@ def sections(
         Section(title="What was left out", template="left_out", context={"lists": left_out(study, rows["fits"])})
     )
     return found
+
+
+def joint_rows(study: StudyResult) -> list[Row]:
+    """Joint rotations and velocities from the handle's path, and as simulated, beside the printed ones, SI."""
+    rows = []
+    for cell, printed in published_cells().items():
+        if not cell.table.startswith("F"):
+            continue
+        path, true = (
+            [of_person[cell] for of_person in found if cell in of_person]
+            for found in ([person.cells for person in study.people], [person.true_cells for person in study.people])
+        )
+        if path:
+            row: Row = {"table": cell.table, "condition": cell.condition, "quantity": cell.quantity}
+            row |= {"published_mean": printed.mean, "published_sd": printed.sd}
+            rows.append(row | mean_sd_of("path", path) | mean_sd_of("simulated", true))
+    return rows
+
+
+def _means(study: StudyResult) -> dict[Cell, float]:
+    """Means over people of the cells that somebody fills."""
+    found = {cell: [p.cells[cell] for p in study.people if cell in p.cells] for cell in published_cells()}
+    return {cell: float(np.mean(values)) for cell, values in found.items() if values}
 
 
 def _summary(score: Score | None) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from armperturb.analysis.kinematics import joint_rotations, joint_velocities, start_posture
+from armperturb.analysis.kinematics import joint_rotations, joint_velocities, true_rotations
 from armperturb.analysis.pulse import WINDOWS, pulse_span
 from armperturb.cohort import Person
 from armperturb.environment import Environment, Strap
@@ -185,7 +185,7 @@ def _rows(recording: xr.Dataset, condition: Condition, strap: bool) -> Iterator[
     rate = float(recording.attrs["rate"])
     shoulder = recording["shoulder_marker"].values if strap else np.zeros(recording["displacement"].shape)
     rotations = (
-        recording["joint_angle"].values - start_posture(recording)[:, None],
+        true_rotations(recording),
         joint_rotations(recording),
         joint_rotations(recording, shoulder=shoulder),
     )

@@ -73,9 +73,9 @@ def parameter_summary_rows(of_subjects: list[Row]) -> list[Row]:
                     "unit": unit(name),
                     "published_mean": printed.mean,
                     "published_sd": printed.sd,
-                    **_mean_sd("true", [row["true"] for row in values]),
-                    **_mean_sd("estimated", [row["estimated"] for row in values]),
-                    **_mean_sd("thesis", _existing(row["thesis_estimated"] for row in values)),
+                    **mean_sd_of("true", [row["true"] for row in values]),
+                    **mean_sd_of("estimated", [row["estimated"] for row in values]),
+                    **mean_sd_of("thesis", _existing(row["thesis_estimated"] for row in values)),
                     **_judgement(values),
                 }
             )
@@ -151,11 +151,11 @@ def condition_rows(study: StudyResult) -> list[Row]:
                 "pulse_levels": " ".join(f"{level:g}" for level in condition.pulse_levels),
                 "published_force_N_mean": force.mean,
                 "published_force_N_sd": force.sd,
-                **_mean_sd("force_N", [case.force for case in cases]),
+                **mean_sd_of("force_N", [case.force for case in cases]),
                 "intended_displacement_m": condition.rms_displacement if condition.has_multisine else math.nan,
                 "published_displacement_m_mean": displacement.mean,
                 "published_displacement_m_sd": displacement.sd,
-                **_mean_sd("displacement_m", [case.displacement for case in cases]),
+                **mean_sd_of("displacement_m", [case.displacement for case in cases]),
             }
         )
     return rows
@@ -240,7 +240,8 @@ def _judgement(values: list[Row]) -> Row:
     }
 
 
-def _mean_sd(name: str, values: Sequence[float]) -> Row:
+def mean_sd_of(name: str, values: Sequence[float]) -> Row:
+    """Two columns of a table, mean and SD of values; NaN where there are too few."""
     sd = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
     return {f"{name}_mean": _mean(values), f"{name}_sd": sd}
 

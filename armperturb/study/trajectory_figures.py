@@ -196,7 +196,7 @@ def joint_rotations(recording: xr.Dataset) -> Figure:
             values = rotation[:, joint]
             ax.plot(time, values, **look)
             if "joint_angle" in one:
-                truth = np.degrees(one["joint_angle"].values[0, :, joint] - kinematics.start_posture(one)[0, joint])
+                truth = np.degrees(kinematics.true_rotations(one)[0, :, joint])
                 ax.plot(time, truth, **TRUE)
             peak = int(np.argmax(np.where(time >= 0.0, np.abs(values), 0.0)))
             sign = np.sign(values[peak])

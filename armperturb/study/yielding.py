@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from armperturb.analysis.arm_model import largest_real_pole
-from armperturb.analysis.kinematics import start_posture
+from armperturb.analysis.kinematics import true_rotations
 from armperturb.analysis.pulse import WINDOWS, pulse_peaks
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
 from armperturb.cohort import Person
@@ -381,7 +381,7 @@ def _response(recording: xr.Dataset, subject: Subject) -> Response:
     if pulse_onset < WINDOW_START:
         return response
     spectra = estimate_spectra(line_spectra(recording, start=WINDOW_START))
-    rotation = recording["joint_angle"].values - start_posture(recording)[:, None]
+    rotation = true_rotations(recording)
     window = slice(round(WINDOW_START * rate), round((WINDOW_START + PERIOD) * rate))
     stretch = element_motion(rotation[:, window].reshape(-1, 2))
     return replace(
