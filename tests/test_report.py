@@ -13,7 +13,15 @@ import pytest
 from markupsafe import escape
 
 from armperturb.envs.experiment import run_experiment
-from armperturb.study import figures, report, runner
+from armperturb.study import (
+    admittance_figures,
+    fit_figures,
+    parameter_figures,
+    perturbation_figures,
+    report,
+    rig_figures,
+    runner,
+)
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.report import chance, digits, left_out, mean_sd, symbol, write_report
 from armperturb.study.runner import StudySettings, run_study
@@ -232,9 +240,9 @@ def test_task_effect_is_the_ratio_of_the_gains(study, written, out):
 def test_same_study_same_bytes(study, tmp_path):
     case = study.of("PT7.5")[0]
     for draw in (
-        lambda: figures.perturbation(case),
-        lambda: figures.coherence(study),
-        lambda: figures.parameters(study, "RT"),
+        lambda: perturbation_figures.perturbation(case),
+        lambda: admittance_figures.coherence(study),
+        lambda: parameter_figures.parameters(study, "RT"),
     ):
         for name in ("first.svg", "second.svg"):
             save_svg(draw(), tmp_path / name)
@@ -244,9 +252,9 @@ def test_same_study_same_bytes(study, tmp_path):
 def test_users_settings_neither_matter_nor_change(study, tmp_path):
     import matplotlib
 
-    save_svg(figures.prediction(study.of("RT7.5")[0]), tmp_path / "plain.svg")
+    save_svg(fit_figures.prediction(study.of("RT7.5")[0]), tmp_path / "plain.svg")
     with matplotlib.rc_context({"font.size": 30, "axes.facecolor": "black"}):
-        save_svg(figures.prediction(study.of("RT7.5")[0]), tmp_path / "odd.svg")
+        save_svg(fit_figures.prediction(study.of("RT7.5")[0]), tmp_path / "odd.svg")
         assert matplotlib.rcParams["font.size"] == 30
     assert (tmp_path / "plain.svg").read_bytes() == (tmp_path / "odd.svg").read_bytes()
 
@@ -287,7 +295,7 @@ def test_reports_what_went_badly(study, tmp_path, monkeypatch):
     assert [line.split(":")[0] for line in lists["Fits that are unstable on the manipulator, and so have no VAF"]] == [
         "S01 in PT7.5"
     ]
-    monkeypatch.setattr(figures, "render", without_pictures)
+    monkeypatch.setattr(rig_figures, "render", without_pictures)
     text = write_report(badly, tmp_path).read_text(encoding="utf-8")
     # One task and one amplitude are left.
     expected = {name for name in DRAWN if "RT" not in name} - {"admittance_by_amplitude_PT"}
@@ -332,7 +340,7 @@ def yielding(tmp_path_factory):
 
 
 def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "render", without_pictures)
+    monkeypatch.setattr(rig_figures, "render", without_pictures)
     assert all(case.identification is not None and case.truth.muscle is not None for case in yielding.cases)
     written = write_report(yielding, tmp_path)
     text = re.sub(r'"data:[^"]*"', "", written.read_text(encoding="utf-8"))
@@ -363,7 +371,7 @@ def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path, monk
 
 
 def test_tells_how_far_people_change_after_practice(study, tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "render", without_pictures)
+    monkeypatch.setattr(rig_figures, "render", without_pictures)
     steady, changing = (
         replace(THESIS, conditions=tuple(replace(c, reached=reached, reached_spread=0.0) for c in THESIS.conditions))
         for reached in (1.0, 1.25)
@@ -377,7 +385,7 @@ def test_tells_how_far_people_change_after_practice(study, tmp_path, monkeypatch
 
 
 def test_reports_a_study_without_anybody_and_without_a_rig(study, tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "render", without_pictures)
+    monkeypatch.setattr(rig_figures, "render", without_pictures)
     nobody = replace(study, cases=tuple(replace(case, identification=None) for case in study.cases))
     text = write_report(nobody, tmp_path).read_text(encoding="utf-8")
     assert "Nobody was identified: the reasons are below" in text
@@ -387,7 +395,7 @@ def test_reports_a_study_without_anybody_and_without_a_rig(study, tmp_path, monk
 
 
 def test_reports_a_protocol_of_pulses_alone(study, tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "render", without_pictures)
+    monkeypatch.setattr(rig_figures, "render", without_pictures)
     pulses = Protocol(conditions=(Condition(name="only <pulses>/1", task="RT", pulse_levels=(1,)),))
     text = write_report(replace(study, protocol=pulses, cases=()), tmp_path).read_text(encoding="utf-8")
     assert "as no condition\nhas a multisine" in text
@@ -395,7 +403,7 @@ def test_reports_a_protocol_of_pulses_alone(study, tmp_path, monkeypatch):
 
 
 def test_reports_conditions_of_any_name_and_pulses_or_none(study, tmp_path, monkeypatch):
-    monkeypatch.setattr(figures, "render", without_pictures)
+    monkeypatch.setattr(rig_figures, "render", without_pictures)
     odd = replace(study.protocol.condition("PT2.5"), name="a/b <odd> one")
     cases = tuple(replace(case, condition=odd) for case in study.of("PT2.5"))
     # The recordings say PT2.5; what is drawn from them is the trial without a pulse.

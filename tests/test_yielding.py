@@ -11,7 +11,7 @@ import xarray as xr
 from armperturb.cohort import average_person, draw_cohort
 from armperturb.environment import Environment
 from armperturb.muscle_law import MuscleLaw
-from armperturb.study import figures, report, yielding_figures
+from armperturb.study import report, rig_figures, yielding_figures
 from armperturb.study import yielding as why
 from armperturb.study.protocol import THESIS
 from armperturb.study.report import write_report
@@ -218,7 +218,7 @@ def without_pictures(*args, **options):
 @pytest.fixture
 def reported(explained, tmp_path, monkeypatch):
     """The text of the report on somebody, and how `why_people_yield` was asked."""
-    monkeypatch.setattr(figures, "render", without_pictures)
+    monkeypatch.setattr(rig_figures, "render", without_pictures)
 
     def write(person, found=explained):
         asked = []

@@ -139,10 +139,12 @@ def gain_linear_scale(study: StudyResult, marks: Mapping[str, Marks] | None = No
     figure = new_figure(2.3 * len(tasks) + 0.6)
     panels = figure.subplots(len(tasks), len(ELEMENTS), sharex=True, sharey="row", squeeze=False)
     named: list[list[Line2D]] = []
+    expected = []
     for row, task in zip(panels, tasks, strict=True):
         drawn = looks(study, task)
         means = [mean_admittance(study, condition.name) for condition, _ in drawn]
         named.append([Line2D([], [], label=condition.name, **look) for condition, look in drawn])
+        ends = (drawn[0][0].name, drawn[-1][0].name)
         shown = means[0].frequency <= HIGHEST
         frequency, gain = means[0].frequency[shown], 1e3 * np.array([mean.gain[shown] for mean in means])
         for ax, element in zip(row, ELEMENTS, strict=True):
@@ -151,15 +153,12 @@ def gain_linear_scale(study: StudyResult, marks: Mapping[str, Marks] | None = No
                 ax.plot(frequency, values, **{**look, "markersize": 3})
             if marks and element in marks.get(task, {}):
                 differs, clearly = marks[task][element]
-                height = of_element.max(axis=0) + 0.06 * gain.max()
+                height = of_element.max(axis=0) + 0.08 * gain.max()
                 plot_marks(ax, frequency, height, (differs[shown], clearly[shown]))
-            if element[0] == element[1] and [condition.name for condition, _ in drawn[:: len(drawn) - 1 or 1]] == [
-                f"{task}2.5",
-                f"{task}22.5",
-            ]:
-                ax.plot(frequency[:N_LOW], FACTORS[task] * of_element[0, :N_LOW], **EXPECTED)
+            if element[0] == element[1] and ends == (f"{task}2.5", f"{task}22.5"):
+                expected.append(ax.plot(frequency[:N_LOW], FACTORS[task] * of_element[0, :N_LOW], **EXPECTED))
         row[0].set_ylabel(f"gain in {task} [mm/N]")
-        row[0].set_ylim(0, 1.12 * gain.max())
+        row[0].set_ylim(0, 1.16 * gain.max())
     for ax, (output, input_) in zip(panels[0], ELEMENTS, strict=True):
         ax.set_title(f"$|H_{{{AXES[output]}{AXES[input_]}}}|$")
     for ax in panels[-1]:
@@ -168,7 +167,8 @@ def gain_linear_scale(study: StudyResult, marks: Mapping[str, Marks] | None = No
         ax.set_xlim(FREQUENCY[0], 1.1 * HIGHEST)
     # Legends run down their columns: a row for each task.
     handles = [handle for column in itertools.zip_longest(*named) for handle in column if handle is not None]
-    handles.append(Line2D([], [], label="published factor", **EXPECTED))
+    if expected:
+        handles.append(Line2D([], [], label="published factor", **EXPECTED))
     legend(figure, *handles, *(marks_legend() if marks else ()), n_columns=6 if len(tasks) == 1 else 5)
     return figure
 

@@ -87,7 +87,7 @@ def _of_cases(study: StudyResult, effects: Effects) -> Drawings:
 
 def _of_people(study: StudyResult, effects: Effects) -> Drawings:
     """Of what everybody's trials tell in the thesis's conditions."""
-    drawn: Drawings = {"penalty": partial(fit_figures.penalty, study)}
+    drawn: Drawings = {}
     trials = [trial for person in study.people for trial in person.trials]
     if np.isfinite([trial.vaf_linear for trial in trials]).any():
         drawn["vaf"] = partial(fit_figures.vaf, study)
@@ -95,6 +95,7 @@ def _of_people(study: StudyResult, effects: Effects) -> Drawings:
         if parameter_figures.estimated(study, task):
             p = {name: p for (of_task, name), p in effects.parameters.items() if of_task == task}
             drawn[f"joint_parameters_{task}"] = partial(parameter_figures.joint_parameters, study, task, p)
+            drawn["penalty"] = partial(fit_figures.penalty, study)
             drawn["muscle_parameters"] = partial(parameter_figures.muscle_parameters, study)
     if np.isfinite([trial.displacement for trial in trials]).any():
         levels = {row["conditions"].split(",")[0]: row["p"] for row in effects.rows if row["test"] == "dependent t"}

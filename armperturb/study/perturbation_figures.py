@@ -146,6 +146,7 @@ def pulse_directions(arms: Sequence[Subject], directions_deg: Sequence[float]) -
     ax.annotate("fronto-parallel axis", tuple(hand + axis), (4, 0), textcoords="offset points", va="center", fontsize=8)
     for angle in directions_deg:
         along = np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
+        ax.update_datalim([hand + 0.3 * along])  # arrows do not count by themselves
         arrow = {"arrowstyle": "-|>", "color": COLOURS["RT"], "linewidth": 2.2, "shrinkA": 5, "shrinkB": 0}
         ax.annotate("", tuple(hand + 0.24 * along), tuple(hand), arrowprops={**arrow, "mutation_scale": 14})
         size = 0.2 + 0.14 * (angle > 180)

@@ -33,7 +33,12 @@ DOTS = {"PT": 0.05, "RT": 0.1}
 PEAK: dict[str, Any] = {"arrowstyle": "->", "linewidth": 0.9, "shrinkA": 0, "shrinkB": 2}
 """Arrow to a peak."""
 
-PUSHED: dict[str, Any] = {"arrowstyle": "simple,tail_width=0.35,head_width=1.1", "color": PALE, "mutation_scale": 16}
+PUSHED: dict[str, Any] = {
+    "arrowstyle": "simple,tail_width=0.35,head_width=1.1",
+    "color": PALE,
+    "mutation_scale": 16,
+    "shrinkA": 0,
+}
 """Arrow of the direction of a pulse."""
 
 JOINT_LOOKS: dict[str, dict[str, Any]] = {
@@ -139,19 +144,13 @@ def trajectories(recording: xr.Dataset, estimate: ThesisEstimate | None, level: 
             drawn.add(name)
             if np.isfinite(path).all():
                 peak = int(np.argmax(np.linalg.norm(path, axis=1)))
-                arrow = {
-                    "arrowstyle": "->",
-                    "color": lines[name]["color"],
-                    "linewidth": 0.9,
-                    "shrinkA": 0,
-                    "shrinkB": 2,
-                }
-                ax.annotate("", (x[peak], y[peak]), (0.0, 0.0), arrowprops=arrow)
-    reach = 100.0 * max(np.nanmax(np.linalg.norm(path, axis=1)) for one in found for path in one.paths.values())
+                to_peak = {**PEAK, "color": lines[name]["color"]}
+                ax.annotate("", (x[peak], y[peak]), (0.0, 0.0), arrowprops=to_peak)
+    reach = 100.0 * max(np.linalg.norm(response.paths["recorded"], axis=1).max() for response in found)
     for response in found:
         angle = math.radians(response.direction_deg)
         tip = (0.4 * reach * math.cos(angle), 0.4 * reach * math.sin(angle))
-        ax.annotate("", tip, (0.0, 0.0), arrowprops={**PUSHED, "shrinkA": 0}, zorder=0.5)
+        ax.annotate("", tip, (0.0, 0.0), arrowprops=PUSHED, zorder=0.5)
     ax.set_aspect("equal", adjustable="datalim")
     ax.set(xlabel="x, to the right [cm]", ylabel="y, forward [cm]")
     condition = str(recording["condition"].values[0])
@@ -166,7 +165,8 @@ def around_pulse(recording: xr.Dataset, trial: int) -> xr.Dataset:
     """A trial from shortly before its pulse to half a second after its onset, or to its end."""
     rate = float(recording.attrs["rate"])
     onset = round(float(recording["pulse_onset"].values[trial]) * rate)
-    return recording.isel(trial=[trial], time=slice(onset - round(LEAD * rate), onset + round(LAG * rate) + 1))
+    first = max(0, onset - round(LEAD * rate))
+    return recording.isel(trial=[trial], time=slice(first, onset + round(LAG * rate) + 1))
 
 
 @in_style()
@@ -181,15 +181,15 @@ def joint_rotations(recording: xr.Dataset) -> Figure:
     Args:
       recording: one person's trials of one condition, whose handle stays within the arm's reach.
     """
-    rate, condition = float(recording.attrs["rate"]), str(recording["condition"].values[0])
-    lead, trials = round(LEAD * rate), first_pulses(recording)
+    condition = str(recording["condition"].values[0])
+    trials = first_pulses(recording)
     level = NAMES.get(float(np.abs(recording["pulse_level"].values).max()), "")
     figure = new_figure(3.4)
     panels = figure.subplots(1, len(trials), sharey=True, squeeze=False)[0]
     any_printed = False
     for ax, (direction, trial) in zip(panels, trials.items(), strict=True):
         one = around_pulse(recording, trial)
-        time = 1e3 * (np.arange(one.sizes["time"]) - lead) / rate
+        time = 1e3 * (one["time"].values - float(one["pulse_onset"].values[0]))
         rotation = np.degrees(kinematics.joint_rotations(one)[0])
         ax.axvspan(0.0, 1e3 * Pulse.width, color=PALE, alpha=0.5, linewidth=0)
         for joint, (name, look) in enumerate(JOINT_LOOKS.items()):
@@ -198,7 +198,7 @@ def joint_rotations(recording: xr.Dataset) -> Figure:
             if "joint_angle" in one:
                 truth = np.degrees(kinematics.true_rotations(one)[0, :, joint])
                 ax.plot(time, truth, **TRUE)
-            peak = lead + int(np.argmax(np.abs(values[lead:])))
+            peak = int(np.argmax(np.where(time >= 0.0, np.abs(values), 0.0)))
             sign = np.sign(values[peak])
             ax.plot(time[peak], values[peak], "o", color=look["color"], markersize=6)
             ax.annotate(
