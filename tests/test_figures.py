@@ -2,15 +2,13 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from invented import FREQUENCY, LEVELS, SPRINGS, fitted, people_of, study_of
 from matplotlib.container import BarContainer, ErrorbarContainer
 
 from armperturb.analysis.arm_model import simulate_linear
-from armperturb.analysis.fit import AdmittanceFit
 from armperturb.analysis.kinematics import hand_position
 from armperturb.analysis.thesis import ThesisEstimate
 from armperturb.cohort import average_person
@@ -28,138 +26,25 @@ from armperturb.study import (
     trajectory_figures,
 )
 from armperturb.study.axes import STARS
-from armperturb.study.cases import Case
 from armperturb.study.drawings import drawings
 from armperturb.study.effects import AdmittanceEffect, Effects
-from armperturb.study.measure import PersonMeasures, TrialMeasures
-from armperturb.study.protocol import THESIS, Condition, Protocol
-from armperturb.study.results import StudyResult
+from armperturb.study.protocol import Condition, Protocol
 from armperturb.study.style import COLOURS, INK, PUBLISHED, SKELETAL, TRUE
 from armperturb.subject import POSITION, RELAX
 
 RATE = 200.0
-LEVELS = {
-    "PT0": (1.0, 2.0),
-    "PT2.5": (2.0,),
-    "PT7.5": (1.0, 2.0),
-    "PT22.5": (2.0,),
-    "RT0": (1.0,),
-    "RT2.5": (1.0,),
-    "RT7.5": (1.0,),
-    "RT22.5": (1.0,),
-}
-SPRINGS = tuple(f"{quantity}_{joint}" for quantity in ("b", "k") for joint in ("s", "se", "e"))
-FEEDBACK = tuple(f"{quantity}_{joint}" for quantity in ("kv", "kp") for joint in ("s", "se", "e"))
 NOTHING = Effects(admittance={}, parameters={}, rows=(), pairs=(), remarks=())
-
-
-def fitted(names, rng, stable=True):
-    arm = POSITION if len(names) > 6 else RELAX
-    return AdmittanceFit(
-        structure="3b" if len(names) > 6 else "1",
-        arm=arm,
-        values=dict(zip(names, rng.uniform(1.0, 100.0, len(names)), strict=True)),
-        sem=dict(zip(names, rng.uniform(1.0, 100.0, len(names)), strict=True)),
-        unidentified=(),
-        at_bound=(),
-        status="converged",
-        converged=True,
-        criterion=1.0,
-        n_errors=72,
-        penalty=1.0,
-        stable=stable,
-        largest_real_pole=-1.0 if stable else 0.1,
-        n_starts=1,
-        n_starts_agree=1,
-        n_evaluations=1,
-    )
-
-
-def person(name, rng):
-    """Trials with random numbers; unequally many of a condition, and one without a prediction."""
-    trials, estimates = [], {}
-    for condition, levels in LEVELS.items():
-        has_fit = not condition.endswith("T0")
-        for level in levels:
-            for repetition in range(int(rng.integers(1, 4))):
-                vaf = rng.uniform(-20.0, 90.0, (2, 2)) if has_fit else np.full((2, 2), math.nan)
-                predicted = rng.uniform(0.02, 0.1, 2) if has_fit and repetition < 2 else (math.nan, math.nan)
-                trials.append(
-                    TrialMeasures(
-                        condition=condition,
-                        repetition=repetition,
-                        pulse_level=level * (-1) ** repetition,
-                        pulse_direction_deg=20.0,
-                        displacement=float(rng.uniform(0.05, 0.2)),
-                        force=float(rng.uniform(20.0, 80.0)),
-                        predicted_linear=float(predicted[0]),
-                        predicted_skeletal=float(predicted[1]),
-                        vaf_linear=tuple(vaf[0]),
-                        vaf_skeletal=tuple(vaf[1]),
-                    )
-                )
-        if has_fit:
-            names = SPRINGS + (FEEDBACK if condition.startswith("PT") else ())
-            fits = tuple(fitted(names, rng, stable) for stable in (True, True, False))
-            estimates[condition] = ThesisEstimate(
-                structure=fits[0].structure,
-                subjects=(name,) * 3,
-                environment=Environment(),
-                fits=fits,
-                vaf=np.zeros((3, 2)),
-            )
-    return PersonMeasures(
-        name=name,
-        conditions=tuple(LEVELS),
-        cells={},
-        true_cells={},
-        low_gain={},
-        trials=tuple(trials),
-        estimates=estimates,
-        left_out=(),
-    )
-
-
-FREQUENCY = np.geomspace(0.3, 40.0, 18)
-
-
-def identified(condition, name, path, rng):
-    arm = rng.uniform(1e-3, 1e-2, (18, 2, 2)) * np.exp(1j * rng.uniform(-1.0, 1.0, (18, 2, 2)))
-    found = SimpleNamespace(
-        spectra=SimpleNamespace(frequency=FREQUENCY, arm=arm),
-        fit=SimpleNamespace(arm=POSITION, structure="3b", values={"m_tot": 4.0}, stable=False),
-        environment=Environment(),
-    )
-    single = SimpleNamespace(frequency=FREQUENCY, arm=arm, coherence=np.full((18, 2), 0.8))
-    return Case(
-        condition=condition,
-        name=name,
-        recording=path,
-        identification=found,
-        left_out=(),
-        single_trials=(single,),
-    )
 
 
 @pytest.fixture(scope="module")
 def people():
-    rng = np.random.default_rng(1)
-    return tuple(person(name, rng) for name in ("S01", "S02", "S03"))
+    return people_of()
 
 
 @pytest.fixture(scope="module")
 def invented(people):
     """Three people of random numbers, in all conditions."""
-    rng = np.random.default_rng(2)
-    cases = tuple(
-        identified(condition, one.name, Path("nowhere"), rng)
-        for one in people
-        for condition in THESIS.conditions
-        if condition.has_multisine
-    )
-    return StudyResult(
-        made=None, protocol=THESIS, environment=Environment(), cohort=(), cases=cases, people=tuple(people)
-    )
+    return study_of(people)
 
 
 def bars(ax):

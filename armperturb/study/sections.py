@@ -11,7 +11,6 @@ from armperturb.analysis.maximum_likelihood import SUSPICIOUS
 from armperturb.study.cells import Cell, published_cells
 from armperturb.study.effects import Effects
 from armperturb.study.elastic import NAMES, elastic_rows
-from armperturb.study.formats import digits
 from armperturb.study.headlines import Headline
 from armperturb.study.protocol import Condition
 from armperturb.study.published_tables import published_tables
@@ -188,11 +187,8 @@ def _summary(score: Score | None) -> dict[str, Any]:
 
 def _differs(score: Score, factors: list[Factor]) -> list[str]:
     """The largest differences, in words."""
-    lines = [
-        f"{factor.label}: {digits(factor.ours)} ({factor.published} in the thesis)"
-        for factor in factors
-        if factor.mark == "beyond-1"
-    ]
+    off = [factor for factor in factors if factor.mark == "beyond-1"]
+    lines = [f"{len(off)} of {len(factors)} headline numbers are off by more than {NEAR:.0%}"] if off else []
     measured = [one for one in score.cells if one.cell.table[0] in "2F"]
     beyond = [one for one in measured if abs(one.z) > 2.0]
     if beyond:

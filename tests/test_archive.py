@@ -1,0 +1,118 @@
+"""Results as plain files: nothing is lost, nothing foreign is run, and what is stale is not used."""
+
+import gzip
+import json
+import math
+from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from armperturb.environment import Environment
+from armperturb.study.archive import code_digest, keep, read_archive, recalled, write_archive
+from armperturb.study.published import MeanSD
+from armperturb.subject import POSITION
+
+VALUES = [
+    None,
+    True,
+    -3,
+    0.1,
+    math.inf,
+    -math.inf,
+    1 + 2j,
+    "a text: µ",
+    Path("a/b.nc"),
+    (1, (2.5, "x"), ()),
+    [1, [2]],
+    {"a": 1, ("PT7.5", "3b"): 2.0, 3: None},
+    MeanSD(1.0, 2.0),
+    Environment(),
+    POSITION,
+]
+
+
+@pytest.mark.parametrize("value", VALUES, ids=str)
+def test_values_come_back_as_they_were(value, tmp_path):
+    write_archive(tmp_path / "a", "key", value)
+    found = read_archive(tmp_path / "a", "key")
+    assert found == value
+    assert type(found) is type(value)
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.arange(6.0).reshape(2, 3),
+        np.array([1 + 1j, np.nan]),
+        np.zeros((0, 2)),
+        np.array([True]),
+        np.array("s"),
+        np.float64(0.1 + 0.2),
+    ],
+    ids=str,
+)
+def test_arrays_come_back_to_the_last_bit(array, tmp_path):
+    write_archive(tmp_path / "a", "key", {"x": array})
+    found = read_archive(tmp_path / "a", "key")["x"]
+    np.testing.assert_array_equal(found, array)
+    assert np.asarray(found).dtype == array.dtype
+
+
+def test_nan_and_mappings_that_cannot_change(tmp_path):
+    write_archive(tmp_path / "a", "key", MappingProxyType({"x": math.nan}))
+    found = read_archive(tmp_path / "a", "key")
+    assert math.isnan(found["x"])
+
+
+class Foreign(NamedTuple):
+    x: int
+
+
+@pytest.mark.parametrize("value", [Foreign(1), {1, 2}, object(), lambda: 0, np.array([object()])], ids=str)
+def test_what_is_not_plain_is_refused(value, tmp_path):
+    with pytest.raises((TypeError, ValueError)):
+        write_archive(tmp_path / "a", "key", value)
+    assert not (tmp_path / "a").exists()
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["os:system", "armperturb.study.archive:code_digest", "armperturb.study.archive:gzip", "armperturb.nothing:X", "x"],
+)
+def test_a_file_cannot_make_anything_run(kind, tmp_path):
+    content = {"key": "key", "value": {"kind": kind, "content": {"command": "touch ran"}}}
+    (tmp_path / "a").write_bytes(gzip.compress(json.dumps(content).encode()))
+    assert read_archive(tmp_path / "a", "key") is None
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"no gzip", gzip.compress(b"no json"), gzip.compress(b"[]"), gzip.compress(b'{"key":"key"}')]
+)
+def test_damaged_files_count_as_none(content, tmp_path):
+    (tmp_path / "a").write_bytes(content)
+    assert read_archive(tmp_path / "a", "key") is None
+    assert read_archive(tmp_path / "b", "key") is None
+
+
+def test_another_key_is_computed_again_and_kept(tmp_path):
+    asked = []
+
+    def compute():
+        asked.append(1)
+        return len(asked)
+
+    path = tmp_path / "folder" / "a"
+    assert [recalled(path, key, compute) for key in ("one", "one", "two", "two", "one")] == [1, 1, 2, 2, 3]
+
+
+def test_a_folder_that_cannot_be_written_to_is_told_of(tmp_path, caplog):
+    (tmp_path / "file").write_text("")
+    keep(tmp_path / "file" / "a", "key", 1)
+    assert "cannot be written" in caplog.text
+
+
+def test_the_code_has_one_digest():
+    assert len(code_digest()) == 64
