@@ -33,7 +33,7 @@ from armperturb.recording import REQUIRED_SIGNALS, encode_recording, load_record
 from armperturb.study.practice import practise
 from armperturb.study.protocol import FORCES, THESIS, Condition, Protocol, load_protocol
 from armperturb.study.store import StudyFolder, cannot_write, open_study
-from armperturb.study.workers import LOG, Workers, completed, workers_for
+from armperturb.study.workers import LOG, Workers, _ctrl_c_held_back, completed, workers_for
 from armperturb.subject import Subject
 from armperturb.validation import require_number
 
@@ -474,7 +474,8 @@ def _simulate(trials: Sequence[Trial], unit: _Unit, progress: Callable[[float], 
 
 def _write(recording: xr.Dataset, name: str, staging: Path | None) -> _Finished:
     """A subject's file: on disk for `StudyFolder.keep` to take over, or to be sent back."""
-    content = encode_recording(recording)
+    with _ctrl_c_held_back():  # in the middle of a file, HDF5 makes other errors of it
+        content = encode_recording(recording)
     sha256 = hashlib.sha256(content).hexdigest()
     return _Finished(name=name, content=content if staging is None else _stage(content, staging, name), sha256=sha256)
 
