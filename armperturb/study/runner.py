@@ -6,6 +6,7 @@ stopped, killed and started again, and be shared out over processes and machines
 
 import hashlib
 import importlib.metadata
+import itertools
 import math
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -353,11 +354,15 @@ def _units(
     block: int,
 ) -> list[_Unit]:
     """Share the people out."""
-    # More people side by side gain some speed, but only after every worker has had two turns: the last ones would be
-    # waited for.
-    share = len(missing) if crew is None else len(missing) // crew.at_once()
-    size = max(1, min(block // len(protocol.cells()), share))
-    groups = [tuple(missing[first : first + size]) for first in range(0, len(missing), size)]
+    n_groups = math.ceil(len(missing) / max(1, block // len(protocol.cells())))
+    if crew is not None:
+        # People side by side gain some speed, but every worker has at least two turns, and all have as many: the last
+        # ones would be waited for.
+        count = crew.at_once() // 2
+        n_groups = min(max(2, math.ceil(n_groups / count)) * count, len(missing))
+    size, n_larger = divmod(len(missing), n_groups)
+    starts = [size * number + min(number, n_larger) for number in range(n_groups + 1)]
+    groups = [tuple(missing[first:last]) for first, last in itertools.pairwise(starts)]
     multisines = _draw_multisines(protocol, settings.seed, crew)
     progress = None
     if crew is not None and not crew.remote:
