@@ -10,7 +10,7 @@ run: .venv/installed
 	$(BIN)/armperturb study --out $(OUT)
 
 test: .venv/installed-test
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
 check: .venv/installed-test .venv/installed-check
 	$(BIN)/ruff check .

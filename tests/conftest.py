@@ -4,6 +4,7 @@ import fcntl
 import os
 import pickle
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
@@ -13,6 +14,7 @@ from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse
+from armperturb.study import runner
 from armperturb.study import yielding as why
 from armperturb.study.results import run_study
 from armperturb.study.runner import StudySettings
@@ -133,11 +135,18 @@ def short_protocol(tmp_path_factory):
     return path
 
 
+def coarse_study(settings, folder):
+    """A study simulated at a step at which that takes seconds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runner, "run_experiment", partial(run_experiment, timestep=2.5e-3))
+        return run_study(settings, folder, show_progress=False)
+
+
 @pytest.fixture(scope="session")
 def study(short_protocol, once):
     """Two noisy people with linear muscles who went through the short protocol."""
     settings = StudySettings(subjects=2, seed=3, protocol=short_protocol, muscles="linear")
-    return once("study", lambda folder: run_study(settings, folder, show_progress=False))
+    return once("study", lambda folder: coarse_study(settings, folder))
 
 
 @pytest.fixture(scope="session")

@@ -33,12 +33,16 @@ def typical(task, law="full"):
 
 
 @pytest.fixture(scope="module")
-def linear():
+def linear(once):
     """A linear candidate in RT, and its cells without noise."""
-    candidate = Candidate.of("RT", typical("RT", "linear"))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_STEADY", {"RT": None})
-        return candidate, simulated_cells([candidate], [3])[0]
+
+    def make(_):
+        candidate = Candidate.of("RT", typical("RT", "linear"))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(module, "_STEADY", {"RT": None})
+            return candidate, simulated_cells([candidate], [3])[0]
+
+    return once("linear candidate", make)
 
 
 @pytest.fixture(scope="module")

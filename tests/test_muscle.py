@@ -204,7 +204,9 @@ def test_a_step_of_force_creeps_past_the_limit_only_if_it_is_large_and_leaves_a_
     force[1:800, 0] = 1.0
     sizes = np.array([0.02, 1.0])
     recording = run_experiment(
-        [Trial(subject=arm, perturbation=Sampled(force=size * force, rate=100.0)) for size in sizes], environment
+        [Trial(subject=arm, perturbation=Sampled(force=size * force, rate=100.0)) for size in sizes],
+        environment,
+        timestep=2.5e-3,  # what is asked of is at rest
     )
     loaded, unloaded = (recording["displacement"].values[:, at, 0] for at in (1590, 3190))
     found = loaded / sizes

@@ -1,7 +1,6 @@
 """The practice session hits what is intended, whoever practises."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from armperturb.analysis.arm_model import total_admittance
 from armperturb.cohort import draw_cohort
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment, Strap
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import Trial
 from armperturb.perturbations import Multisine
 from armperturb.study import practice
 from armperturb.study.practice import (
@@ -31,6 +30,8 @@ AS_INTENDED = replace(
 )
 BOTH = replace(AS_INTENDED, conditions=(AS_INTENDED.condition("PT7.5"), AS_INTENDED.condition("RT7.5")))
 SEED = 1
+COARSE = 5e-3
+"""A step [s] at which what does not depend on it takes seconds."""
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +39,19 @@ def people():
     return draw_cohort(2, SEED, muscles="linear")
 
 
+@pytest.fixture
+def coarse(monkeypatch):
+    monkeypatch.setattr(practice, "STEP", COARSE)
+
+
 @pytest.fixture(scope="module")
-def forces(people):
-    return practise(people, BOTH, SEED)
+def forces(people, once):
+    def make(_):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(practice, "STEP", COARSE)
+            return practise(people, BOTH, SEED)
+
+    return once("forces", make)
 
 
 def displacement(people, forces, noisy=False, strap=None):
@@ -59,15 +70,18 @@ def displacement(people, forces, noisy=False, strap=None):
     return measured_displacement(trials, Environment(), strap=strap).reshape(len(people), -1) / targets
 
 
+@pytest.mark.usefixtures("coarse")
 def test_linear_people_move_as_far_as_intended(people, forces):
     assert np.abs(displacement(people, forces) - 1.0).max() < TOLERANCE
 
 
+@pytest.mark.usefixtures("coarse")
 def test_noisy_people_move_as_far_as_intended(people):
     found = practise(people[:1], BOTH, SEED, noisy=True)
     assert np.abs(displacement(people[:1], found, noisy=True) - 1.0).max() < TOLERANCE
 
 
+@pytest.mark.usefixtures("coarse")
 def test_people_practise_under_the_strap_of_the_protocol(people, forces):
     found = practise(people[:1], replace(BOTH, strap=Strap()), SEED)
     assert np.abs(displacement(people[:1], found, strap=Strap()) - 1.0).max() < TOLERANCE
@@ -78,12 +92,11 @@ def drifting(**fields):
     return replace(BOTH, conditions=tuple(replace(condition, **fields) for condition in BOTH.conditions))
 
 
+@pytest.mark.usefixtures("coarse")
 def test_people_whose_muscles_yield_move_as_far_as_they_change_before_the_experiment(monkeypatch):
     moved = {}
 
     def measure(trials, environment, n_threads, progress, strap):
-        # A step at which this takes seconds, and differs by next to nothing.
-        monkeypatch.setattr(practice, "run_experiment", partial(run_experiment, timestep=2.5e-3))
         found = measured_displacement(trials, environment, n_threads, progress, strap)
         moved.update({(t.subject, t.perturbation.rms): x for t, x in zip(trials, found, strict=True)})
         return found
@@ -120,6 +133,7 @@ def test_how_far_people_change_is_each_ones_and_each_conditions_own(monkeypatch)
     assert practise(crowd[7:8], protocol, SEED + 1) != found[7:8]
 
 
+@pytest.mark.usefixtures("coarse")
 def test_conditions_that_differ_in_co_contraction_get_forces_of_their_own(people):
     half, whole, same = (
         replace(AS_INTENDED.condition("PT7.5"), name=name, co_contraction=level)
@@ -138,6 +152,7 @@ def test_pulse_unit_is_ten_times_the_force_of_pt7_5(forces):
     assert len({own["PT7.5"] for own in forces}) == len(forces)
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_persons_forces_do_not_depend_on_the_others(people, forces):
     assert practise(people[1:2], BOTH, SEED)[0] == forces[1]
 
@@ -232,6 +247,7 @@ def test_what_cannot_be_reached_is_named(people, monkeypatch):
         practise(people, BOTH, SEED)
 
 
+@pytest.mark.usefixtures("coarse")
 def test_leaving_the_workspace_is_infinitely_far(people):
     trial = Trial(subject=people[0].subjects["RT"], perturbation=replace(practice_multisine(SEED), rms=40.0))
     assert measured_displacement([trial], Environment()).tolist() == [np.inf]
@@ -261,3 +277,19 @@ def test_linear_displacement_is_what_is_measured():
     trial = Trial(subject=subject, perturbation=multisine)
     expected = linear_displacement(subject, Environment(), multisine)
     assert measured_displacement([trial], Environment())[0] == pytest.approx(expected, rel=0.01)
+
+
+def test_the_step_hardly_matters(monkeypatch):
+    """At 1 ms the displacement is the same to within half of what a round may be off."""
+    (person,) = draw_cohort(1, 2)
+    multisine = Multisine.draw(seed=3, rms=1.0, duration=4.0, crested=False)
+    trials = [
+        Trial(subject=condition.subject_of(person), perturbation=replace(multisine, rms=condition.published_force))
+        for condition in THESIS.conditions
+        if condition.has_multisine
+    ]
+    monkeypatch.setattr(practice, "SETTLE", 1.0)
+    monkeypatch.setattr(practice, "PERIOD", 3.0)
+    coarse = measured_displacement(trials, Environment())
+    monkeypatch.setattr(practice, "STEP", 1e-3)
+    np.testing.assert_allclose(coarse, measured_displacement(trials, Environment()), rtol=practice.AIM / 2)

@@ -12,7 +12,6 @@ from armperturb.analysis.arm_model import largest_real_pole, simulate_linear
 from armperturb.environment import Environment
 from armperturb.subject import Subject
 
-
 HIGHPASS = 0.40
 """Cut-off that takes voluntary interventions out [Hz] (thesis 2.7)."""
 

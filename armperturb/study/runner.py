@@ -5,6 +5,7 @@ stopped, killed and started again, and be shared out over processes and machines
 """
 
 import hashlib
+import itertools
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager, closing
@@ -27,7 +28,7 @@ from armperturb.study.manifest import Manifest
 from armperturb.study.practice import practise
 from armperturb.study.protocol import FORCES, THESIS, Protocol, load_protocol
 from armperturb.study.store import StudyFolder, cannot_write, open_study
-from armperturb.study.workers import LOG, Workers, completed, workers_for
+from armperturb.study.workers import LOG, Workers, completed, ctrl_c_held_back, workers_for
 from armperturb.validation import require_number
 
 BLOCK = 96
@@ -199,11 +200,15 @@ def _units(
     block: int,
 ) -> list[_Unit]:
     """Share the people out."""
-    # More people side by side gain some speed, but only after every worker has had two turns: the last ones would be
-    # waited for.
-    share = len(missing) if crew is None else len(missing) // crew.at_once()
-    size = max(1, min(block // len(protocol.cells()), share))
-    groups = [tuple(missing[first : first + size]) for first in range(0, len(missing), size)]
+    n_groups = math.ceil(len(missing) / max(1, block // len(protocol.cells())))
+    if crew is not None:
+        # People side by side gain some speed, but every worker has at least two turns, and all have as many: the last
+        # ones would be waited for.
+        count = crew.at_once() // 2
+        n_groups = min(max(2, math.ceil(n_groups / count)) * count, len(missing))
+    size, n_larger = divmod(len(missing), n_groups)
+    starts = [size * number + min(number, n_larger) for number in range(n_groups + 1)]
+    groups = [tuple(missing[first:last]) for first, last in itertools.pairwise(starts)]
     multisines = _draw_multisines(protocol, settings.seed, crew)
     progress = None
     if crew is not None and not crew.remote:
@@ -320,7 +325,8 @@ def _simulate(trials: Sequence[Trial], unit: _Unit, progress: Callable[[float], 
 
 def _write(recording: xr.Dataset, name: str, staging: Path | None) -> _Finished:
     """A subject's file: on disk for `StudyFolder.keep` to take over, or to be sent back."""
-    content = encode_recording(recording)
+    with ctrl_c_held_back():  # in the middle of a file, HDF5 makes other errors of it
+        content = encode_recording(recording)
     sha256 = hashlib.sha256(content).hexdigest()
     return _Finished(name=name, content=content if staging is None else _stage(content, staging, name), sha256=sha256)
 

@@ -72,7 +72,7 @@ class LocalProcesses:
 
     def submit(self, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
         """Hand out a unit, to processes that are started if there are none."""
-        with _ctrl_c_held_back():
+        with ctrl_c_held_back():
             if self._executor is None:
                 # Libraries with a pool of their own (BLAS) must not take every core in every process.
                 names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -97,7 +97,7 @@ class LocalProcesses:
 
     def stop(self) -> None:
         """Kill the processes."""
-        with _ctrl_c_held_back():
+        with ctrl_c_held_back():
             executor, self._executor = self._executor, None
             if executor is not None:
                 executor.shutdown(wait=True, kill_workers=True)
@@ -242,7 +242,7 @@ def completed(
 
 
 @contextmanager
-def _ctrl_c_held_back() -> Iterator[None]:
+def ctrl_c_held_back() -> Iterator[None]:
     """Let a Ctrl-C take effect only after the block, and never in processes that start in it.
 
     A terminal sends it to all processes, but it is this one that stops the others; and a pool that is interrupted while
