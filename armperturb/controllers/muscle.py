@@ -73,12 +73,15 @@ def elastic_limit_shape(spread: float, parts: int) -> Array:
 
 def element_motion(motion: Array) -> Array:
     """What joint angles or velocities are for the elements (shoulder, two-joint, elbow), (trial, element)."""
-    return np.stack([motion[:, 0], motion[:, 0] + motion[:, 1], motion[:, 1]], axis=1)
+    elements = np.empty((len(motion), 3))
+    elements[:, ::2] = motion
+    np.add(motion[:, 0], motion[:, 1], out=elements[:, 1])
+    return elements
 
 
 def joint_torque(torque: Array) -> Array:
     """What torques of the elements are for the joints, (trial, joint)."""
-    return torque[:, [0, 2]] + torque[:, 1:2]
+    return torque[:, ::2] + torque[:, 1:2]
 
 
 def muscle_parameters(subjects: Sequence[Subject], timestep: float) -> MuscleParameters:

@@ -6,6 +6,7 @@ stopped, killed and started again, and be shared out over processes and machines
 
 import hashlib
 import itertools
+import math
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager, closing
