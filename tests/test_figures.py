@@ -172,14 +172,10 @@ def whiskers(ax, colour):
     """Mean and half-length of the whiskers of a colour, from left to right; NaN for those without a length."""
     found = []
     for box in ax.containers:
-        if isinstance(box, ErrorbarContainer):
-            line, _, bars_of_error = box
-            if line.get_color() == colour:
-                half = math.nan
-                if bars_of_error:
-                    (_, low), (_, high) = bars_of_error[0].get_segments()[0]
-                    half = (high - low) / 2
-                found.append((line.get_xdata()[0], line.get_ydata()[0], half))
+        if isinstance(box, ErrorbarContainer) and box[0].get_color() == colour:
+            line, _, (lengths,) = box
+            ends = [path.vertices[:, 1] for path in lengths.get_paths()]
+            found += [(x, y, (high - low) / 2) for x, y, (low, high) in zip(*line.get_data(), ends, strict=True)]
     return [(mean, half) for _, mean, half in sorted(found)]
 
 
