@@ -57,14 +57,10 @@ def whiskers(ax, colour):
     """Mean and half-length of the whiskers of a colour, from left to right; NaN for those without a length."""
     found = []
     for box in ax.containers:
-        if isinstance(box, ErrorbarContainer):
-            line, _, bars_of_error = box
-            if line.get_color() == colour:
-                half = math.nan
-                if bars_of_error:
-                    (_, low), (_, high) = bars_of_error[0].get_segments()[0]
-                    half = (high - low) / 2
-                found.append((line.get_xdata()[0], line.get_ydata()[0], half))
+        if isinstance(box, ErrorbarContainer) and box[0].get_color() == colour:
+            line, _, (lengths,) = box
+            ends = [path.vertices[:, 1] for path in lengths.get_paths()]
+            found += [(x, y, (high - low) / 2) for x, y, (low, high) in zip(*line.get_data(), ends, strict=True)]
     return [(mean, half) for _, mean, half in sorted(found)]
 
 
@@ -398,21 +394,27 @@ def test_directions_are_drawn_from_the_mean_posture():
     bent = replace(POSITION, theta_s_deg=30.0, theta_e_deg=70.0)
     figure = perturbation_figures.pulse_directions([straight, bent], (20.0, 200.0))
     (ax,) = figure.axes
-    figure.draw_without_rendering()
     hand = np.array([POSITION.l_h * math.cos(math.radians(20)) + POSITION.l_f * math.cos(math.radians(100)), 0])
     hand[1] = POSITION.l_h * math.sin(math.radians(20)) + POSITION.l_f * math.sin(math.radians(100))
     arrows = [text for text in ax.texts if text.arrow_patch is not None]
     assert [text.xyann for text in arrows] == [pytest.approx(tuple(hand))] * 2
     assert [math.degrees(math.atan2(*(np.array(a.xy) - hand)[::-1])) for a in arrows] == pytest.approx([20.0, -160.0])
-    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
-    for arrow in arrows:
-        assert left < arrow.xy[0] < right
-        assert bottom < arrow.xy[1] < top
     said = " ".join(texts(ax))
     assert "= 20.0°" in said
     assert "= 80.0°" in said
     assert "20°, extends the elbow" in said
     assert "200°, flexes the elbow" in said
+
+
+@pytest.mark.parametrize("direction", [20.0, 110.0, 200.0, 290.0])
+def test_an_arrow_of_one_direction_lies_inside(direction):
+    figure = perturbation_figures.pulse_directions([POSITION], (direction,))
+    (ax,) = figure.axes
+    figure.draw_without_rendering()
+    (tip,) = (text.xy for text in ax.texts if text.arrow_patch is not None)
+    (left, right), (bottom, top) = ax.get_xlim(), ax.get_ylim()
+    assert left < tip[0] < right
+    assert bottom < tip[1] < top
 
 
 def test_stills_show_the_recorded_pose_and_the_path_so_far(monkeypatch):

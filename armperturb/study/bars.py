@@ -63,26 +63,28 @@ def draw_groups(ax: Axes, groups: Mapping[str, Sequence[Bar]], scale: float = 1.
     drawn = {label: [bar for bar in bars if math.isfinite(bar.ours.mean)] for label, bars in groups.items()}
     slot = FILL / max(2, *map(len, drawn.values()))
     tops = {}
+    places: list[float] = []
     for group, (label, bars) in enumerate(drawn.items()):
         reach = [0.0]
-        for number, bar in enumerate(bars):
-            left = group + (number - len(bars) / 2) * slot
-            ours, printed = (MeanSD(scale * one.mean, scale * one.sd) for one in (bar.ours, bar.printed))
-            ax.bar(left + 0.33 * slot, ours.mean, 0.56 * slot, color=bar.colour)
-            _whisker(ax, left + 0.33 * slot, ours, color=INK)
-            _whisker(ax, left + 0.8 * slot, printed, **PRINTED)
-            reach += [one.mean + np.nan_to_num(one.sd) for one in (ours, printed) if math.isfinite(one.mean)]
+        places += [group + (number - len(bars) / 2) * slot for number in range(len(bars))]
+        for bar in bars:
+            for one in (bar.ours, bar.printed):
+                if math.isfinite(one.mean):
+                    reach.append(scale * (one.mean + (one.sd if math.isfinite(one.sd) else 0.0)))
         tops[label] = max(reach)
+    flat = [bar for bars in drawn.values() for bar in bars]
+    left = np.array(places)
+    ours = scale * np.array([bar.ours for bar in flat]).reshape(-1, 2)
+    printed = scale * np.array([bar.printed for bar in flat]).reshape(-1, 2)
+    ax.bar(left + 0.33 * slot, ours[:, 0], 0.56 * slot, color=[bar.colour for bar in flat])
+    ax.errorbar(left + 0.33 * slot, ours[:, 0], ours[:, 1], color=INK, **ERROR)
+    known = np.isfinite(printed[:, 0])
+    ax.errorbar(left[known] + 0.8 * slot, printed[known, 0], printed[known, 1], **PRINTED, **ERROR)
     ax.set_xticks(range(len(drawn)), list(drawn))
     ax.set_xlim(-0.55, len(drawn) - 0.45)
     ax.grid(visible=False, axis="x")
     ax.tick_params(axis="x", length=0)
     return tops
-
-
-def _whisker(ax: Axes, place: float, value: MeanSD, **look: Any) -> None:
-    if math.isfinite(value.mean):
-        ax.errorbar(place, value.mean, None if math.isnan(value.sd) else value.sd, **ERROR, **look)
 
 
 def printed_handle(label: str = "published mean ± SD") -> Line2D:

@@ -125,4 +125,5 @@ def _arrange(figure: Figure) -> None:
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
-        figure.set_layout_engine("none")
+        # None at all: with a placeholder, savefig would draw everything once more to look for places.
+        figure.set_layout_engine(None)
