@@ -19,8 +19,8 @@ from armperturb.analysis.arm_model import (
     largest_real_pole,
     mass_matrix,
 )
+from armperturb.analysis.fit import Target, fit_admittance, penalty_factor
 from armperturb.analysis.fit import _checked as prepared
-from armperturb.analysis.fit import fit_admittance, penalty_factor
 from armperturb.analysis.structures import STRUCTURES
 from armperturb.analysis.thesis import VARTHETA
 from armperturb.cohort import draw_cohort
@@ -107,8 +107,10 @@ def main() -> None:
         print(f"all together, {name}: {spent['plain'] / spent[name]:.0f} times faster than plain")
 
     arm = draw_cohort(1, 0, muscles="linear")[0].subjects["PT"]
-    problem = prepared(FREQUENCY, arm_admittance(arm, FREQUENCY), None, arm, STRUCTURE, ENVIRONMENT, "pade")
-    plain_error = error_in_a_loop(arm_admittance(arm, FREQUENCY), arm)
+    admittance = arm_admittance(arm, FREQUENCY)
+    target = Target(frequency=FREQUENCY, admittance=admittance, body=arm, environment=ENVIRONMENT)
+    problem = prepared(target, STRUCTURE, "pade")
+    plain_error = error_in_a_loop(admittance, arm)
     ours = seconds(lambda: (problem.residual(START, True), problem.jacobian(START, True)))
     plain = seconds(lambda: optimize.approx_fprime(np.ones(13), plain_error, 1e-4))
     print(

@@ -7,7 +7,7 @@ import pytest
 from scipy import optimize
 
 from armperturb.analysis.arm_model import arm_admittance, largest_real_pole
-from armperturb.analysis.fit import _checked, fit_admittance, penalty_factor
+from armperturb.analysis.fit import Target, _checked, fit_admittance, penalty_factor
 from armperturb.analysis.structures import STRUCTURES
 from armperturb.cohort import draw
 from armperturb.environment import Environment
@@ -100,7 +100,9 @@ def test_penalty_is_that_of_figure_c1():
 @CASES
 def test_jacobian_equals_finite_differences(model, arm, with_penalty):
     slow = replace(arm, kv_s=arm.kv_s * 1.9) if model == "3b" else replace(arm, k_s=3.0, m_f=3.5)
-    problem = _checked(FREQUENCY, arm_admittance(arm, FREQUENCY), None, arm, STRUCTURES[model], ENVIRONMENT, "exact")
+    admittance = arm_admittance(arm, FREQUENCY)
+    target = Target(frequency=FREQUENCY, admittance=admittance, body=arm, environment=ENVIRONMENT)
+    problem = _checked(target, STRUCTURES[model], "exact")
     values = np.array(list(truth_of(slow, model).values()))
     numerical = optimize.approx_fprime(values, lambda v: problem.residual(v, with_penalty), 1e-6 * values)
     exact = problem.jacobian(values, with_penalty)
