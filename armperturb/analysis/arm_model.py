@@ -380,10 +380,8 @@ class LinearArm:
         """
         return np.asarray(np.linalg.eigvals(self._force_and_dynamics(values, environment)[1]), dtype=complex)
 
-    def pole_gradient(
-        self, values: Array, environment: Environment | Environments, pole: complex | Response
-    ) -> Response:
-        """Derivative of a simple pole of arm and environment by every parameter, (..., parameter).
+    def pole_gradient(self, values: Array, environment: Environment | Environments, pole: ArrayLike) -> Array:
+        """Derivative of the real part of a simple pole of arm and environment by every parameter, (..., parameter).
 
         A pole is where F = det(1 + E^-1 H) vanishes, so that its derivative is -(dF/dp) / (dF/ds).
 
@@ -392,16 +390,21 @@ class LinearArm:
           environment: as in `poles`.
           pole: [1/s], (...,).
         """
-        pole = np.asarray(pole, dtype=complex)
-        step = 1e-6 * np.maximum(np.abs(pole), 1.0)
-        here = self._at(np.stack([pole, pole + step, pole - step], axis=-1))
-        arm, gradient = here._arm_and_gradient(values, None)
+        where = np.asarray(pole, dtype=complex)[..., None]
+        step = 1e-6 * np.maximum(np.abs(where), 1.0)
+        here = self._at(np.concatenate([where, where + step, where - step], axis=-1))
         held = here._held(environment)
-        (p, q), (r, t) = here._eye + held * arm
-        vanishing = p * t - q * r
-        adjugate = np.array([[t, -q], [-r, p]])[..., 0]
-        change = held[..., 0] * np.einsum("ij...,pji...->p...", adjugate, gradient[..., 0])
-        return np.moveaxis(-change * 2 * step / (vanishing[..., 1] - vanishing[..., 2]), 0, -1)
+
+        def weigh(arm: Response) -> Response:
+            """-(dF/dH) / (dF/ds) at the pole, and nothing beside it."""
+            (p, q), (r, t) = here._eye + held * _matrix_first(arm)
+            vanishing = p * t - q * r
+            slope = (vanishing[..., 1] - vanishing[..., 2])[..., None] / (2 * step)
+            weight = np.array([[t, -r], [-q, p]]) * (-held / slope)
+            weight[..., 1:] = 0.0
+            return _matrix_last(weight)
+
+        return here.admittance_and_weighted_gradient(values, weigh, tuple(_GROUPS))[1].sum(axis=(-4, -3, -2))
 
     def _force_and_dynamics(self, values: Array, environment: Environment | Environments) -> tuple[Array, Array]:
         """Hand reaction force f, (..., 2, 18), and matrix A, (..., 18, 18), of `StateSpace`."""

@@ -361,7 +361,7 @@ class _Problem:
         acts = (factor - 1.0 >= NEGLIGIBLE_PENALTY) & (factor < penalty_factor(np.inf))
         if not acts.any():
             return factor, np.zeros_like(values)
-        gradient = self.model.pole_gradient(self.parameters(values), self.environment, pole).real
+        gradient = self.model.pole_gradient(self.parameters(values), self.environment, pole)
         slope = _applied(self.mixing.swapaxes(-1, -2), gradient)
         steepness = (factor - 1.0) * 10.0 * np.log(10.0)
         return factor, np.where(acts[..., None], steepness[..., None] * slope, 0.0)
