@@ -380,8 +380,14 @@ class LinearArm:
         """
         return np.asarray(np.linalg.eigvals(self._force_and_dynamics(values, environment)[1]), dtype=complex)
 
-    def pole_gradient(self, values: Array, environment: Environment | Environments, pole: ArrayLike) -> Array:
-        """Derivative of the real part of a simple pole of arm and environment by every parameter, (..., parameter).
+    def pole_gradient(
+        self,
+        values: Array,
+        environment: Environment | Environments,
+        pole: ArrayLike,
+        groups: Sequence[str] = tuple(_GROUPS),
+    ) -> Array:
+        """Derivative of the real part of a simple pole of arm and environment by parameters, (..., parameter).
 
         A pole is where F = det(1 + E^-1 H) vanishes, so that its derivative is -(dF/dp) / (dF/ds).
 
@@ -389,6 +395,7 @@ class LinearArm:
           values: (..., parameter).
           environment: as in `poles`.
           pole: [1/s], (...,).
+          groups: of parameters, as `groups_of` gives them; by default all.
         """
         where = np.asarray(pole, dtype=complex)[..., None]
         step = 1e-6 * np.maximum(np.abs(where), 1.0)
@@ -404,7 +411,7 @@ class LinearArm:
             weight[..., 1:] = 0.0
             return _matrix_last(weight)
 
-        return here.admittance_and_weighted_gradient(values, weigh, tuple(_GROUPS))[1].sum(axis=(-4, -3, -2))
+        return here.admittance_and_weighted_gradient(values, weigh, groups)[1].sum(axis=(-4, -3, -2))
 
     def _force_and_dynamics(self, values: Array, environment: Environment | Environments) -> tuple[Array, Array]:
         """Hand reaction force f, (..., 2, 18), and matrix A, (..., 18, 18), of `StateSpace`."""

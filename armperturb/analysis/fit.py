@@ -8,6 +8,7 @@ information, and with the sum of squares over N = 4 n_f they are twice the scatt
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Self, get_args
 
 import numpy as np
@@ -282,6 +283,12 @@ class _Problem:
     upper: NDArray[np.float64]
     latest_pole: dict[bytes, NDArray[np.complex128]] = field(default_factory=dict)
 
+    @cached_property
+    def groups(self) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+        """Groups of arm parameters that any free parameter acts through, and the indices of theirs."""
+        acting = np.abs(self.mixing).reshape(-1, *self.mixing.shape[-2:]).sum(axis=(0, 2)) > 0
+        return groups_of(acting)
+
     def parameters(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         return self.constant + _applied(self.mixing, values)
 
@@ -323,7 +330,7 @@ class _Problem:
             aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
             return np.asarray(aligned * self.weight / -model)
 
-        groups, rows = groups_of(np.abs(self.mixing).reshape(-1, *self.mixing.shape[-2:]).sum(axis=(0, 2)) > 0)
+        groups, rows = self.groups
         _, slope = self.model.admittance_and_weighted_gradient(self.parameters(values), weigh, groups)
         # Frequency is the last axis in memory.
         flat = np.moveaxis(slope, (-1, -4), (-4, -1)).reshape(*values.shape[:-1], len(rows), -1)
@@ -361,8 +368,9 @@ class _Problem:
         acts = (factor - 1.0 >= NEGLIGIBLE_PENALTY) & (factor < penalty_factor(np.inf))
         if not acts.any():
             return factor, np.zeros_like(values)
-        gradient = self.model.pole_gradient(self.parameters(values), self.environment, pole)
-        slope = _applied(self.mixing.swapaxes(-1, -2), gradient)
+        groups, rows = self.groups
+        gradient = self.model.pole_gradient(self.parameters(values), self.environment, pole, groups)
+        slope = _applied(self.mixing[..., rows, :].swapaxes(-1, -2), gradient)
         steepness = (factor - 1.0) * 10.0 * np.log(10.0)
         return factor, np.where(acts[..., None], steepness[..., None] * slope, 0.0)
 
