@@ -11,10 +11,12 @@ from scipy import integrate
 
 from armperturb.analysis.arm_model import (
     PARAMETERS,
+    Environments,
     LinearArm,
     arm_admittance,
     arm_admittance_gradient,
     environment_admittance,
+    groups_of,
     hand_jacobian,
     joint_impedance,
     joint_impedance_gradient,
@@ -151,6 +153,49 @@ def test_one_prepared_arm_serves_any_parameters():
     assert gradient.shape == (len(FREQUENCY), 2, 2, len(PARAMETERS))
 
 
+@pytest.mark.parametrize("delay", ["exact", "pade"])
+def test_a_batch_of_arms_is_what_each_is_alone(delay):
+    people = [RELAX, POSITION, OTHER, SENSING]
+    environments = [Environment(m_env=1.0 + n, b_env=0.3 * n, k_env=30.0) for n in range(4)]
+    frequency = np.array([FREQUENCY * (1 + 0.1 * n) for n in range(4)])
+    batch, order = LinearArm(people, frequency, delay), np.array([3, 0, 2])
+    values, held = np.array([parameter_vector(one) for one in people]), Environments.of(environments)
+    for arms, index in ((batch, np.arange(4)), (batch.take(order), order)):
+        poles = arms.poles(values[index], held.take(index))
+        largest = np.take_along_axis(poles, np.argmax(poles.real, axis=-1)[:, None], axis=-1)[:, 0]
+        found = (
+            arms.joint_impedance(values[index]),
+            arms.joint_impedance_gradient(values[index]),
+            *arms.admittance_and_gradient(values[index]),
+            poles,
+            arms.pole_gradient(values[index], held.take(index), largest),
+        )
+        for row, i in enumerate(index):
+            alone = LinearArm(people[i], frequency[i], delay)
+            expected = (
+                alone.joint_impedance(values[i]),
+                alone.joint_impedance_gradient(values[i]),
+                *alone.admittance_and_gradient(values[i]),
+                alone.poles(values[i], environments[i]),
+                alone.pole_gradient(values[i], environments[i], largest[row]),
+            )
+            for one, other in zip(found, expected, strict=True):
+                np.testing.assert_allclose(one[row], other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
+
+
+def test_weighted_gradient_is_the_real_part_of_weight_times_gradient():
+    arm, values = LinearArm(SENSING, FREQUENCY, "pade"), parameter_vector(SENSING)
+    admittance, gradient = arm.admittance_and_gradient(values)
+    wanted = np.array([name.startswith(("m_", "kp", "fact", "b_")) for name in PARAMETERS])
+    groups, columns = groups_of(wanted)
+    assert {PARAMETERS[i] for i in columns} >= {name for name, one in zip(PARAMETERS, wanted, strict=True) if one}
+    assert not {"k_s", "Td_s", "kf_e"} & {PARAMETERS[i] for i in columns}
+    same, real = arm.admittance_and_weighted_gradient(values, lambda h: (2 - 1j) / h, groups)
+    np.testing.assert_array_equal(same, admittance)
+    expected = (((2 - 1j) / admittance)[..., None] * gradient).real[..., columns]
+    np.testing.assert_allclose(real, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+
+
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=25, deadline=None)
 def test_random_arms_with_every_feedback_are_the_same_in_state_space(seed):
@@ -183,7 +228,7 @@ def test_poles_move_as_their_gradient_says(subject):
     for column, name in enumerate(PARAMETERS):
         step = 1e-5 * max(abs(values[column]), 0.01)
         above, below = (largest(values + sign * step * np.eye(len(values))[column]) for sign in (1, -1))
-        slope = (above - below) / (2 * step)
+        slope = (above - below).real / (2 * step)
         size = abs(pole) / max(abs(values[column]), 0.01)
         np.testing.assert_allclose(gradient[column], slope, rtol=1e-4, atol=1e-6 * size, err_msg=name)
 

@@ -7,7 +7,7 @@ import pytest
 from scipy import optimize
 
 from armperturb.analysis.arm_model import arm_admittance, largest_real_pole
-from armperturb.analysis.fit import _checked, fit_admittance, penalty_factor
+from armperturb.analysis.fit import Target, _checked, fit_admittance, fit_admittances, penalty_factor
 from armperturb.analysis.structures import STRUCTURES
 from armperturb.cohort import draw
 from armperturb.environment import Environment
@@ -100,7 +100,9 @@ def test_penalty_is_that_of_figure_c1():
 @CASES
 def test_jacobian_equals_finite_differences(model, arm, with_penalty):
     slow = replace(arm, kv_s=arm.kv_s * 1.9) if model == "3b" else replace(arm, k_s=3.0, m_f=3.5)
-    problem = _checked(FREQUENCY, arm_admittance(arm, FREQUENCY), None, arm, STRUCTURES[model], ENVIRONMENT, "exact")
+    admittance = arm_admittance(arm, FREQUENCY)
+    target = Target(frequency=FREQUENCY, admittance=admittance, body=arm, environment=ENVIRONMENT)
+    problem = _checked(target, STRUCTURES[model], "exact")
     values = np.array(list(truth_of(slow, model).values()))
     numerical = optimize.approx_fprime(values, lambda v: problem.residual(v, with_penalty), 1e-6 * values)
     exact = problem.jacobian(values, with_penalty)
@@ -210,6 +212,57 @@ def test_as_published_is_lsqnonlin_on_the_modulus_from_one_start(use_penalty):
     assert result.criterion * 72 == pytest.approx(2 * expected.cost, rel=1e-3)
     best = fit_admittance(FREQUENCY, admittance, POSITION, "3b", ENVIRONMENT, use_penalty=use_penalty, delay="pade")
     assert best.criterion <= result.criterion
+
+
+@pytest.mark.parametrize("use_penalty", [False, True])
+def test_fits_of_a_batch_are_those_of_each_alone(use_penalty):
+    rng, targets = np.random.default_rng(9), []
+    for n, arm in enumerate((RELAX, POSITION, replace(POSITION, l_h=0.33), RELAX)):
+        admittance = arm_admittance(arm, FREQUENCY, "pade") * np.exp(0.2 * rng.normal(size=(len(FREQUENCY), 2, 2)))
+        environment = Environment(m_env=3.0 + 0.2 * n)
+        coherence = rng.uniform(0.5, 1.0, (len(FREQUENCY), 2))
+        targets.append(
+            Target(frequency=FREQUENCY, admittance=admittance, body=arm, environment=environment, coherence=coherence)
+        )
+    structures, starts = ["1", "3b", STRUCTURES["2"], "1"], [None, {"k_s": 150.0}, None, {"m_h": 1.5}]
+    together = fit_admittances(targets, structures, starts=starts, use_penalty=use_penalty, delay="pade")
+    for target, structure, start, fit_of_batch in zip(targets, structures, starts, together, strict=True):
+        alone = fit_admittance(
+            target.frequency,
+            target.admittance,
+            target.body,
+            structure,
+            target.environment,
+            coherence=target.coherence,
+            start=start,
+            use_penalty=use_penalty,
+            as_published=True,
+            delay="pade",
+        )
+        assert fit_of_batch.structure == alone.structure
+        assert list(fit_of_batch.values) == list(alone.values)
+        assert fit_of_batch.criterion == pytest.approx(alone.criterion, rel=1e-4)
+        assert fit_of_batch.arm.l_h == target.body.l_h
+        own = np.sqrt(target.coherence)[:, :, None] * np.abs(
+            np.log(target.admittance / arm_admittance(fit_of_batch.arm, FREQUENCY, "pade"))
+        )
+        penalty = penalty_factor(largest_real_pole(fit_of_batch.arm, target.environment)) if use_penalty else 1.0
+        assert fit_of_batch.criterion == pytest.approx(np.mean(own**2) * penalty**2)
+
+
+def test_a_batch_has_one_number_of_frequencies():
+    targets = [
+        Target(
+            frequency=FREQUENCY[:n],
+            admittance=arm_admittance(RELAX, FREQUENCY[:n]),
+            body=RELAX,
+            environment=ENVIRONMENT,
+        )
+        for n in (18, 12)
+    ]
+    assert fit_admittances([], [], starts=[]) == []
+    with pytest.raises(ValueError, match="targets have 12, 18 frequencies; expected the same number"):
+        fit_admittances(targets, ["1", "1"], starts=[None, None])
 
 
 @pytest.mark.parametrize("model", ["2", "3", "4", "5", "6", "3a"])

@@ -6,7 +6,18 @@ import xarray as xr
 
 from armperturb.analysis.fit import penalty_factor
 from armperturb.analysis.structures import STRUCTURES
-from armperturb.analysis.thesis import MODEL_3_WIDE, THETA, VARTHETA, appendix_c, appendix_d, appendix_e, fit_trials
+from armperturb.analysis.thesis import (
+    MODEL_3_WIDE,
+    THETA,
+    VARTHETA,
+    Trials,
+    Wanted,
+    appendix_c,
+    appendix_d,
+    appendix_e,
+    fit_trials,
+    fit_wanted,
+)
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.envs.experiment import Trial, run_experiment
@@ -81,8 +92,26 @@ def test_appendix_c_goes_from_the_first_step_to_the_second(two_people):
     assert repeated.fits[0].penalty == pytest.approx(penalty_factor(repeated.fits[0].largest_real_pole))
 
 
+def test_wanted_fits_are_those_of_each_alone(two_people):
+    one, other = two_people.isel(trial=[0]), two_people.isel(trial=[2, 3])
+    first, second = Trials.prepare(one), Trials.prepare(other, environment=Environment(m_env=3.0))
+    start = VARTHETA["vartheta_i4"]
+    found = fit_wanted([Wanted(first, "1"), Wanted(second, "3b", start), Wanted(first, "3b")], use_penalty=False)
+    alone = [
+        fit_trials(one, "1", use_penalty=False),
+        fit_trials(other, "3b", initial=start, use_penalty=False, environment=Environment(m_env=3.0)),
+        fit_trials(one, "3b", use_penalty=False),
+    ]
+    for a, b in zip(found, alone, strict=True):
+        assert (a.structure, a.subjects, a.environment) == (b.structure, b.subjects, b.environment)
+        np.testing.assert_allclose(a.criterion, b.criterion, rtol=1e-3)
+        np.testing.assert_allclose(a.vaf, b.vaf, atol=0.1)
+    assert found[1].subjects == ("other", "first")
+    assert fit_wanted([]) == []
+
+
 def test_appendix_d_and_e_take_every_published_start(two_people):
-    one = two_people.isel(trial=[1])
+    one = Trials.prepare(two_people.isel(trial=[1]))
     d, e = appendix_d(one), appendix_e(one)
     assert list(d) == [f"theta_i{i}" for i in range(1, 7)]
     assert {estimate.structure for estimate in d.values()} == {"3 (D.2)"}

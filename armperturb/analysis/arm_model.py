@@ -171,15 +171,16 @@ def _matrix(values: Array, quantity: str) -> Array:
 
 def _columns_of(environment: Environment | Environments) -> tuple[Array, Array, Array]:
     """Mass, damping and stiffness, (..., 1) each."""
-    return tuple(np.asarray(each)[..., None] for each in (environment.m_env, environment.b_env, environment.k_env))
+    m_env, b_env, k_env = environment.m_env, environment.b_env, environment.k_env
+    return np.asarray(m_env)[..., None], np.asarray(b_env)[..., None], np.asarray(k_env)[..., None]
 
 
 def _laplace(frequency: ArrayLike) -> Response:
     return 2j * np.pi * np.asarray(frequency, dtype=float)
 
 
-# Inside this module frequency is the last axis and arms of a batch are the one before: matrices are 2 x 2, so that loops
-# over these are the long ones. Parameters are the first axis there.
+# Inside this module frequency is the last axis and the arms of a batch are the one before: matrices are 2 x 2, so that
+# loops over these are the long ones. Parameters are the first axis.
 
 
 def _product(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
@@ -357,10 +358,10 @@ class LinearArm:
           groups: of parameters by which to differentiate, as `groups_of` gives them.
 
         Returns:
-          The admittance, and the derivative by the parameters of the groups, (..., frequency, output, input, parameter).
+          The admittance, and the derivative, (..., frequency, output, input, parameter), by the groups' parameters.
         """
         arm, gradient = self._arm_and_gradient(values, None, weigh, groups)
-        return _matrix_last(arm), _parameter_last(gradient)
+        return _matrix_last(arm), np.asarray(_parameter_last(gradient), dtype=float)
 
     def total_and_gradient(self, values: Array, environment: Environment) -> tuple[Response, Response]:
         """`total_admittance` and its derivative by every parameter, (..., frequency, output, input, parameter).
@@ -380,9 +381,13 @@ class LinearArm:
         return np.asarray(np.linalg.eigvals(self._force_and_dynamics(values, environment)[1]), dtype=complex)
 
     def pole_gradient(
-        self, values: Array, environment: Environment | Environments, pole: complex | Response
-    ) -> Response:
-        """Derivative of a simple pole of arm and environment by every parameter, (..., parameter).
+        self,
+        values: Array,
+        environment: Environment | Environments,
+        pole: ArrayLike,
+        groups: Sequence[str] = tuple(_GROUPS),
+    ) -> Array:
+        """Derivative of the real part of a simple pole of arm and environment by parameters, (..., parameter).
 
         A pole is where F = det(1 + E^-1 H) vanishes, so that its derivative is -(dF/dp) / (dF/ds).
 
@@ -390,21 +395,25 @@ class LinearArm:
           values: (..., parameter).
           environment: as in `poles`.
           pole: [1/s], (...,).
+          groups: of parameters, as `groups_of` gives them; by default all.
         """
-        pole = np.asarray(pole, dtype=complex)
-        step = 1e-6 * np.maximum(np.abs(pole), 1.0)
-        here = self._at(np.stack([pole, pole + step, pole - step], axis=-1))
-        arm, gradient = here._arm_and_gradient(values, None)
+        where = np.asarray(pole, dtype=complex)[..., None]
+        step = 1e-6 * np.maximum(np.abs(where), 1.0)
+        here = self._at(np.concatenate([where, where + step, where - step], axis=-1))
         held = here._held(environment)
-        (p, q), (r, t) = here._eye + held * arm
-        vanishing = p * t - q * r
-        adjugate = np.array([[t, -q], [-r, p]])[..., 0]
-        change = held[..., 0] * np.einsum("ij...,pji...->p...", adjugate, gradient[..., 0])
-        return np.moveaxis(-change * 2 * step / (vanishing[..., 1] - vanishing[..., 2]), 0, -1)
 
-    def _force_and_dynamics(
-        self, values: Array, environment: Environment | Environments
-    ) -> tuple[Array, Array]:
+        def weigh(arm: Response) -> Response:
+            """-(dF/dH) / (dF/ds) at the pole, and nothing beside it."""
+            (p, q), (r, t) = here._eye + held * _matrix_first(arm)
+            vanishing = p * t - q * r
+            slope = (vanishing[..., 1] - vanishing[..., 2])[..., None] / (2 * step)
+            weight = np.array([[t, -r], [-q, p]]) * (-held / slope)
+            weight[..., 1:] = 0.0
+            return _matrix_last(weight)
+
+        return here.admittance_and_weighted_gradient(values, weigh, groups)[1].sum(axis=(-4, -3, -2))
+
+    def _force_and_dynamics(self, values: Array, environment: Environment | Environments) -> tuple[Array, Array]:
         """Hand reaction force f, (..., 2, 18), and matrix A, (..., 18, 18), of `StateSpace`."""
         muscle = np.zeros((*values.shape[:-1], 2, N_STATES))
         muscle[..., _Q_DOT], muscle[..., _Q] = values[..., _MATRIX["b"]], values[..., _MATRIX["k"]]
@@ -798,6 +807,22 @@ def fastest_pole(subject: Subject, environment: Environment, strap: Strap | None
     )
 
 
+def _accumulated(added: Array, step: Array) -> Array:
+    """States x_i = x_(i - 1) step + w_i from what is added to them, w, (..., time, state).
+
+    Every second state follows from the one two before, x_i = x_(i - 2) step^2 + (w_(i - 1) step + w_i); the others
+    from the one before.
+    """
+    if added.shape[-2] == 1:
+        return added
+    pairs = added[..., 1::2, :] + added[..., 0:-1:2, :] @ step
+    state = np.empty_like(added)
+    state[..., 1::2, :] = _accumulated(pairs, step @ step)
+    state[..., 0, :] = added[..., 0, :]
+    state[..., 2::2, :] = added[..., 2::2, :] + state[..., 1:-1:2, :] @ step
+    return state
+
+
 def simulate_linear(subject: Subject, environment: Environment, perturbation: ArrayLike, rate: float) -> LinearResponse:
     """Response of the linear model, from rest, to sampled disturbances that run straight between their samples.
 
@@ -816,10 +841,5 @@ def simulate_linear(subject: Subject, environment: Environment, perturbation: Ar
     step, of_force, of_rise = np.split(linalg.expm(generator)[:N_STATES].T, [N_STATES, N_STATES + 2])
     state = np.zeros((*force.shape[:-1], N_STATES))
     state[..., 1:, :] = force[..., :-1, :] @ of_force + np.diff(force, axis=-2) @ of_rise
-    # x_i = sum over k of step^k w_(i - k): each pass doubles the number of terms.
-    terms = 1
-    while terms < force.shape[-2]:
-        state[..., terms:, :] = state[..., terms:, :] + state[..., :-terms, :] @ step
-        step, terms = step @ step, 2 * terms
-    y = state @ system.c.T
+    y = _accumulated(state, step) @ system.c.T
     return LinearResponse(y[..., 0:2], y[..., 2:4], y[..., 4:6])

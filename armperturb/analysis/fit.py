@@ -8,6 +8,7 @@ information, and with the sum of squares over N = 4 n_f they are twice the scatt
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Self, get_args
 
 import numpy as np
@@ -159,15 +160,14 @@ def fit_admittance(
       ValueError: shapes do not fit, values are not finite, an admittance is zero, a start is unknown or outside its
         bounds, or the structure has free parameters that no admittance at these frequencies can tell apart.
     """
+    target = Target(frequency=frequency, admittance=admittance, body=body, environment=environment, coherence=coherence)
     if as_published:
-        target = Target(
-            frequency=frequency, admittance=admittance, body=body, environment=environment, coherence=coherence
-        )
         return fit_admittances([target], [structure], starts=[start], use_penalty=use_penalty, delay=delay)[0]
     structure = _named(structure)
-    problem = _checked(frequency, admittance, coherence, body, structure, environment, delay)
+    batch = _Batch.of([target], [structure], delay)
+    problem = _checked(target, structure, delay)
     first = _checked_start(structure, start)
-    _stacked([problem]).require_identifiable(first[None])
+    batch.require_identifiable(first[None])
     starts = [first, with_linear_part(problem.model, problem.admittance, body, structure, first)]
     solutions = [_minimise(problem, values, with_penalty=False) for values in starts]
     best = min(solutions, key=lambda solution: solution.cost)
@@ -182,7 +182,7 @@ def fit_admittance(
             solutions += [_minimise(problem, values, with_penalty=True) for values in stable[1:]]
         best = min(solutions, key=lambda solution: solution.cost)
     tolerance = SAME_MINIMUM * (best.cost + len(problem.frequency) * SAME_MINIMUM)
-    return _stacked([problem]).judge(
+    return batch.judge(
         best.x[None],
         [best.status],
         [sum(solution.nfev for solution in solutions)],
@@ -218,36 +218,27 @@ def fit_admittances(
     Raises:
       ValueError: as `fit_admittance`, or numbers of frequencies differ.
     """
-    problems = [
-        _checked(one.frequency, one.admittance, one.coherence, one.body, _named(structure), one.environment, delay)
-        for one, structure in zip(targets, structures, strict=True)
-    ]
-    if not problems:
+    if not targets:
         return []
-    if len(sizes := {len(one.frequency) for one in problems}) > 1:
-        raise ValueError(f"targets have {', '.join(map(str, sorted(sizes)))} frequencies; expected the same number")
-    problem = _stacked(problems)
-    lower, upper = problem.bounds
-    first = np.zeros_like(lower)
-    for row, structure, start in zip(first, problem.structure, starts, strict=True):
+    batch = _Batch.of(targets, [_named(structure) for structure in structures], delay)
+    problem, sizes = batch.problem, batch.sizes
+    first = np.zeros_like(problem.lower)
+    for row, structure, start in zip(first, batch.structures, starts, strict=True):
         row[: len(structure.free)] = _checked_start(structure, start)
-    problem.require_identifiable(first)
+    batch.require_identifiable(first)
     scale = np.where(first != 0, np.abs(first), 1.0)
-    sizes = np.array([len(structure.free) for structure in problem.structure])
     found = minimise(
-        _Published(problem, scale, use_penalty),
-        np.clip(first, lower, upper) / scale,
-        lower / scale,
-        upper / scale,
+        _Published(batch, scale, use_penalty),
+        np.clip(first, problem.lower, problem.upper) / scale,
+        problem.lower / scale,
+        problem.upper / scale,
         ftol=1e-5,
         xtol=1e-6,
         max_nfev=PUBLISHED_EVALUATIONS // (1 + sizes),
         sizes=sizes,
     )
-    values = np.clip(found.x * scale, lower, upper)
-    return problem.judge(
-        values, found.status, found.n_evaluations, use_penalty=use_penalty, n_starts=1, n_starts_agree=1
-    )
+    values = np.clip(found.x * scale, problem.lower, problem.upper)
+    return batch.judge(values, found.status, found.n_evaluations, use_penalty=use_penalty, n_starts=1, n_starts_agree=1)
 
 
 def _named(structure: Structure | str) -> Structure:
@@ -261,7 +252,7 @@ def _named(structure: Structure | str) -> Structure:
 def _minimise(problem: "_Problem", start: NDArray[np.float64], *, with_penalty: bool) -> optimize.OptimizeResult:
     """Bounded least squares from one start; the result holds parameters in SI."""
     scale = np.where(start != 0, np.abs(start), 1.0)
-    lower, upper = problem.bounds
+    lower, upper = problem.lower, problem.upper
     solution = optimize.least_squares(
         lambda v: problem.residual(v * scale, with_penalty),
         np.clip(start, lower, upper) / scale,
@@ -279,39 +270,24 @@ def _minimise(problem: "_Problem", start: NDArray[np.float64], *, with_penalty: 
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Residual and its derivative for one admittance, or of a batch of them, whose axis is the ... below.
-
-    Parameters of a batch are those of its largest structure: what others have less is zero, and has no effect.
-    """
+    """Residual and its derivative for one admittance, or of a batch of them, whose axis is the ... below."""
 
     frequency: NDArray[np.float64]
     admittance: NDArray[np.complex128]
     weight: NDArray[np.float64]
-    body: Subject | tuple[Subject, ...]
-    structure: Structure | tuple[Structure, ...]
     environment: Environment | Environments
     model: LinearArm
     mixing: NDArray[np.float64]
     constant: NDArray[np.float64]
-    bounds: tuple[NDArray[np.float64], NDArray[np.float64]]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
     latest_pole: dict[bytes, NDArray[np.complex128]] = field(default_factory=dict)
 
-    def take(self, index: NDArray[np.int64]) -> Self:
-        """Some of the problems of a batch, in this order."""
-        assert isinstance(self.environment, Environments)
-        lower, upper = self.bounds
-        return type(self)(
-            self.frequency[index],
-            _frequency_last(self.admittance[index]),
-            _frequency_last(self.weight[index]),
-            tuple(self.body[i] for i in index),
-            tuple(self.structure[i] for i in index),
-            self.environment.take(index),
-            self.model.take(index),
-            self.mixing[index],
-            self.constant[index],
-            (lower[index], upper[index]),
-        )
+    @cached_property
+    def groups(self) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+        """Groups of arm parameters that any free parameter acts through, and the indices of theirs."""
+        acting = np.abs(self.mixing).reshape(-1, *self.mixing.shape[-2:]).sum(axis=(0, 2)) > 0
+        return groups_of(acting)
 
     def parameters(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         return self.constant + _applied(self.mixing, values)
@@ -338,7 +314,7 @@ class _Problem:
         model, gradient = self.model.admittance_and_gradient(self.parameters(values))
         error = self.weight * np.log(self.admittance / model)
         slope = gradient * (-self.weight / model)[..., None]
-        return _flat(error, 3), _flat(slope, 4) @ self.mixing
+        return _flat(error, 3), np.asarray(_flat(slope, 4) @ self.mixing)
 
     def modulus_and_slope(self, values: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Modulus of `log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter).
@@ -354,7 +330,7 @@ class _Problem:
             aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
             return np.asarray(aligned * self.weight / -model)
 
-        groups, rows = groups_of(self.mixing.any(axis=tuple(range(self.mixing.ndim - 2)) + (-1,)))
+        groups, rows = self.groups
         _, slope = self.model.admittance_and_weighted_gradient(self.parameters(values), weigh, groups)
         # Frequency is the last axis in memory.
         flat = np.moveaxis(slope, (-1, -4), (-4, -1)).reshape(*values.shape[:-1], len(rows), -1)
@@ -392,10 +368,80 @@ class _Problem:
         acts = (factor - 1.0 >= NEGLIGIBLE_PENALTY) & (factor < penalty_factor(np.inf))
         if not acts.any():
             return factor, np.zeros_like(values)
-        gradient = self.model.pole_gradient(self.parameters(values), self.environment, pole).real
-        slope = _applied(self.mixing.swapaxes(-1, -2), gradient)
+        groups, rows = self.groups
+        gradient = self.model.pole_gradient(self.parameters(values), self.environment, pole, groups)
+        slope = _applied(self.mixing[..., rows, :].swapaxes(-1, -2), gradient)
         steepness = (factor - 1.0) * 10.0 * np.log(10.0)
         return factor, np.where(acts[..., None], steepness[..., None] * slope, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Problems with the same number of frequencies, in one.
+
+    Parameters are those of the largest structure: what others have less is zero, and has no effect.
+    """
+
+    bodies: tuple[Subject, ...]
+    structures: tuple[Structure, ...]
+    environments: Environments
+    problem: _Problem
+
+    @classmethod
+    def of(cls, targets: Sequence[Target], structures: Sequence[Structure], delay: Delay) -> Self:
+        """The problems of targets.
+
+        Raises:
+          ValueError: as `fit_admittances`.
+        """
+        problems = [_checked(target, structure, delay) for target, structure in zip(targets, structures, strict=True)]
+        if len(counts := {len(one.frequency) for one in problems}) > 1:
+            raise ValueError(
+                f"targets have {', '.join(map(str, sorted(counts)))} frequencies; expected the same number"
+            )
+        n = max(one.mixing.shape[1] for one in problems)
+
+        def filled(values: NDArray[np.float64], missing: float) -> NDArray[np.float64]:
+            width = [(0, 0)] * (values.ndim - 1) + [(0, n - values.shape[-1])]
+            return np.pad(values, width, constant_values=missing)
+
+        bodies = tuple(target.body for target in targets)
+        environments = Environments.of([target.environment for target in targets])
+        frequency = np.array([one.frequency for one in problems])
+        problem = _Problem(
+            frequency,
+            _frequency_last(np.array([one.admittance for one in problems])),
+            _frequency_last(np.array([one.weight for one in problems])),
+            environments,
+            LinearArm(bodies, frequency, delay),
+            np.array([filled(one.mixing, 0.0) for one in problems]),
+            np.array([one.constant for one in problems]),
+            np.array([filled(one.lower, -1.0) for one in problems]),
+            np.array([filled(one.upper, 1.0) for one in problems]),
+        )
+        return cls(bodies, tuple(structures), environments, problem)
+
+    @property
+    def sizes(self) -> NDArray[np.int64]:
+        """How many parameters each has."""
+        return np.array([len(structure.free) for structure in self.structures])
+
+    def take(self, index: NDArray[np.int64]) -> Self:
+        """Some of the problems, in this order."""
+        whole, environments = self.problem, self.environments.take(index)
+        problem = _Problem(
+            whole.frequency[index],
+            _frequency_last(whole.admittance[index]),
+            _frequency_last(whole.weight[index]),
+            environments,
+            whole.model.take(index),
+            whole.mixing[index],
+            whole.constant[index],
+            whole.lower[index],
+            whole.upper[index],
+        )
+        bodies, structures = (tuple(all_[i] for i in index) for all_ in (self.bodies, self.structures))
+        return type(self)(bodies, structures, environments, problem)
 
     def require_identifiable(self, starts: NDArray[np.float64]) -> None:
         """Refuse a structure in which some direction of the parameters changes no response of a batch.
@@ -410,20 +456,21 @@ class _Problem:
           ValueError: there is such a direction.
         """
         rng = np.random.default_rng(0)
-        problem, places = self, starts
+        batch, places = self, starts
         for share in (0.1, 0.3, None):
-            slopes = _stack(problem.log_error_and_slope(places)[1], axis=1)
+            slopes = _stack(batch.problem.log_error_and_slope(places)[1], axis=1)
             nothing = [
                 _silent_directions(slope[:, : len(structure.free)])
-                for slope, structure in zip(slopes, problem.structure, strict=True)
+                for slope, structure in zip(slopes, batch.structures, strict=True)
             ]
             silent = np.flatnonzero([directions.size > 0 for directions in nothing])
             if not len(silent):
                 return
             if share is not None:
-                problem, starts = problem.take(silent), starts[silent]
-                places = starts + share * (rng.uniform(*problem.bounds) - starts)
-        structure = problem.structure[silent[0]]
+                batch, starts = batch.take(silent), starts[silent]
+                lower, upper = batch.problem.lower, batch.problem.upper
+                places = starts + share * (rng.uniform(lower, upper) - starts)
+        structure = batch.structures[silent[0]]
         effect = np.linalg.norm(slopes[silent[0], :, : len(structure.free)], axis=0)
         direction = nothing[silent[0]][0] / np.where(effect > 0, effect, 1.0)
         direction[np.abs(nothing[silent[0]][0]) < 1e-3] = 0.0
@@ -434,7 +481,7 @@ class _Problem:
             if share
         ]
         raise ValueError(
-            f"model {structure.name} cannot be identified from {self.frequency.shape[-1]} frequencies: "
+            f"model {structure.name} cannot be identified from {self.problem.frequency.shape[-1]} frequencies: "
             f"{', '.join(parts)} change no response; expected fewer free parameters"
         )
 
@@ -458,14 +505,14 @@ class _Problem:
           n_starts: of each.
           n_starts_agree: of each.
         """
-        lower, upper = self.bounds
-        modulus, slope = self.modulus_and_slope(values)
-        poles = self.largest_pole(values).real
+        lower, upper = self.problem.lower, self.problem.upper
+        modulus, slope = self.problem.modulus_and_slope(values)
+        poles = self.problem.largest_pole(values).real
         factors = penalty_factor(poles) if use_penalty else np.ones(len(values))
         criteria = np.mean(modulus**2, axis=-1) * factors**2
         near = np.minimum(values - lower, upper - values) <= AT_BOUND * (upper - lower)
         fits = []
-        for i, (body, structure) in enumerate(zip(self.body, self.structure, strict=True)):
+        for i, (body, structure) in enumerate(zip(self.bodies, self.structures, strict=True)):
             names, own = structure.free, values[i, : len(structure.free)]
             sem = _standard_error(modulus[i], slope[i, :, : len(names)])
             unidentified = tuple(name for name, value in zip(names, sem, strict=True) if not np.isfinite(value))
@@ -502,51 +549,25 @@ class _Published:
     Residuals are moduli, and parameters are normalised by their start.
     """
 
-    problem: _Problem
+    batch: _Batch
     scale: NDArray[np.float64]
     with_penalty: bool
 
     def take(self, index: NDArray[np.int64]) -> Self:
-        return type(self)(self.problem.take(index), self.scale[index], self.with_penalty)
+        """Some of the problems, in this order."""
+        return type(self)(self.batch.take(index), self.scale[index], self.with_penalty)
 
     def evaluate(self, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Residuals and their derivatives, see `trust_region.Problems`."""
         values = x * self.scale
-        modulus, slope = self.problem.modulus_and_slope(values)
+        modulus, slope = self.batch.problem.modulus_and_slope(values)
         if self.with_penalty:
-            factor, gradient = self.problem.penalty_and_gradient(values)
+            factor, gradient = self.batch.problem.penalty_and_gradient(values)
             slope *= (factor[:, None] * self.scale)[:, None]
             slope += modulus[..., None] * (gradient * self.scale)[:, None]
             return modulus * factor[:, None], slope
         slope *= self.scale[:, None]
         return modulus, slope
-
-
-def _stacked(problems: Sequence[_Problem]) -> _Problem:
-    """A batch of problems with the same number of frequencies."""
-    bodies = tuple(one.body for one in problems if isinstance(one.body, Subject))
-    environments = [one.environment for one in problems if isinstance(one.environment, Environment)]
-    frequency = np.array([one.frequency for one in problems])
-    n = max(one.mixing.shape[1] for one in problems)
-
-    def filled(values: NDArray[np.float64], missing: float) -> NDArray[np.float64]:
-        width = [(0, 0)] * (values.ndim - 1) + [(0, n - values.shape[-1])]
-        return np.pad(values, width, constant_values=missing)
-
-    return _Problem(
-        frequency,
-        _frequency_last(np.array([one.admittance for one in problems])),
-        _frequency_last(np.array([one.weight for one in problems])),
-        bodies,
-        tuple(one.structure for one in problems),
-        Environments.of(environments),
-        LinearArm(bodies, frequency, problems[0].model.delay),
-        np.array([filled(one.mixing, 0.0) for one in problems]),
-        np.array([one.constant for one in problems]),
-        (
-            np.array([filled(one.bounds[0], -1.0) for one in problems]),
-            np.array([filled(one.bounds[1], 1.0) for one in problems]),
-        ),
-    )
 
 
 def _applied(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -594,17 +615,9 @@ def _standard_error(modulus: NDArray[np.float64], jacobian: NDArray[np.float64])
     return sem
 
 
-def _checked(
-    frequency: ArrayLike,
-    admittance: ArrayLike,
-    coherence: ArrayLike | None,
-    body: Subject,
-    structure: Structure,
-    environment: Environment,
-    delay: Delay,
-) -> _Problem:
-    f, h = np.asarray(frequency, dtype=float), np.asarray(admittance, dtype=complex)
-    c = np.ones((f.size, 2)) if coherence is None else np.asarray(coherence, dtype=float)
+def _checked(target: Target, structure: Structure, delay: Delay) -> _Problem:
+    f, h = np.asarray(target.frequency, dtype=float), np.asarray(target.admittance, dtype=complex)
+    c = np.ones((f.size, 2)) if target.coherence is None else np.asarray(target.coherence, dtype=float)
     if f.ndim != 1 or h.shape != (f.size, 2, 2) or c.shape != (f.size, 2):
         raise ValueError(
             f"frequency, admittance and coherence have shapes {f.shape}, {h.shape}, {c.shape}; "
@@ -629,13 +642,12 @@ def _checked(
         f,
         h,
         weight,
-        body,
-        structure,
-        environment,
-        LinearArm(body, f, delay),
+        target.environment,
+        LinearArm(target.body, f, delay),
         structure.mixing,
-        structure.constant(body.task),
-        (lower, upper),
+        structure.constant(target.body.task),
+        lower,
+        upper,
     )
 
 

@@ -405,9 +405,7 @@ def appendix_e(recording: Trials | xr.Dataset, **options: Any) -> dict[str, Thes
       ValueError: as `Trials.prepare` and `fit_wanted`.
     """
     trials = _prepared(recording)
-    wanted = [
-        Wanted(trials, "3a" if name == "vartheta_i1" else "3b", initial) for name, initial in VARTHETA.items()
-    ]
+    wanted = [Wanted(trials, "3a" if name == "vartheta_i1" else "3b", initial) for name, initial in VARTHETA.items()]
     return dict(zip(VARTHETA, fit_wanted(wanted, **options), strict=True))
 
 

@@ -228,7 +228,7 @@ def _distance(x: Array, gradient: Array, lower: Array, upper: Array) -> tuple[Ar
     """Distance v to the bound that the descent points at, one where there is none, and its derivative."""
     to_upper, to_lower = (gradient < 0) & np.isfinite(upper), (gradient > 0) & np.isfinite(lower)
     distance = np.where(to_upper, upper - x, np.where(to_lower, x - lower, 1.0))
-    return distance, to_lower * 1.0 - to_upper
+    return distance, np.asarray(to_lower * 1.0 - to_upper)
 
 
 def _model(gradient: Array, hessian: Array, distance: Array, sign: Array) -> _Model:

@@ -1,6 +1,7 @@
 """Variance accounted for: how well a model predicts a recorded displacement (thesis 2.7)."""
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Self
 
 import numpy as np
@@ -37,8 +38,12 @@ def variance_accounted_for(
 
 
 def _highpassed(values: NDArray[np.float64], rate: float, highpass: float) -> NDArray[np.float64]:
-    sections = signal.butter(3, highpass, "highpass", fs=rate, output="sos")
-    return np.asarray(signal.sosfiltfilt(sections, values, axis=-2))
+    return np.asarray(signal.sosfiltfilt(_sections(rate, highpass), values, axis=-2))
+
+
+@cache
+def _sections(rate: float, highpass: float) -> NDArray[np.float64]:
+    return np.asarray(signal.butter(3, highpass, "highpass", fs=rate, output="sos"))
 
 
 def _share(x: NDArray[np.float64], model: NDArray[np.float64]) -> NDArray[np.float64]:
