@@ -21,8 +21,7 @@ def nothing():
 def with_ours(z):
     """Every cell that many published SDs away."""
     cells = [
-        replace(one, reason="", ours=MeanSD(one.published.mean + z * one.published.sd, 0.0))
-        for one in nothing().cells
+        replace(one, reason="", ours=MeanSD(one.published.mean + z * one.published.sd, 0.0)) for one in nothing().cells
     ]
     return Score(people=1, cells=tuple(cells), headlines=(), remarks=())
 
