@@ -14,7 +14,7 @@ from armperturb.analysis.body import body_of
 from armperturb.analysis.maximum_likelihood import Estimate, Group, Interval, estimate
 from armperturb.analysis.spectra import SpectralEstimate, estimate_spectra, line_spectra
 from armperturb.analysis.structures import STRUCTURES, Structure
-from armperturb.analysis.thesis import ThesisEstimate, fit_trials
+from armperturb.analysis.thesis import ThesisEstimate, Trials, Wanted, fit_wanted
 from armperturb.analysis.vaf import prediction_vaf
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -158,9 +158,10 @@ def identify_conditions(
         for label, part in parts.items()
     }
     if estimator == "thesis":
+        wanted = [Wanted(Trials.prepare(part, start=start, period=period), model) for part in parts.values()]
         fits = {
-            label: _thesis_fit(fit_trials(part, model, start=start, period=period), part, model, spectra[label])
-            for label, part in parts.items()
+            label: _thesis_fit(of_trials, part, model, spectra[label])
+            for (label, part), of_trials in zip(parts.items(), fit_wanted(wanted), strict=True)
         }
     else:
         groups = [Group.prepare(part, body_of(part), model, start=start, period=period) for part in parts.values()]

@@ -1,17 +1,20 @@
 """A person in a condition, and what both estimators make of the trials."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from armperturb.analysis.identify import Identification, identify
+from armperturb.analysis.identify import Identification, identify, identify_conditions
 from armperturb.analysis.maximum_likelihood import Estimate
 from armperturb.analysis.spectra import SpectralEstimate, estimate_spectra, line_spectra
+from armperturb.analysis.thesis import ThesisEstimate
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.recording import REQUIRED_SIGNALS, load_recording
+from armperturb.recording import REQUIRED_SIGNALS, load_recording, stack_trials
 from armperturb.study.protocol import Condition, Protocol
 from armperturb.subject import Subject
 
@@ -69,9 +72,18 @@ class Case:
         assert isinstance(self.identified.fit.detail, Estimate)
         return self.identified.fit.detail
 
+    @property
+    def thesis_estimate(self) -> ThesisEstimate | None:
+        """The fits of single trials behind `thesis`."""
+        if self.thesis is None:
+            return None
+        assert isinstance(self.thesis.fit.detail, ThesisEstimate)
+        return self.thesis.fit.detail
+
     def trials(self) -> xr.Dataset:
-        """The recorded trials behind the identification."""
-        return inside(of_condition(load_signals(self.recording), self.condition.name))
+        """The recorded trials behind the identification, pulses included."""
+        mine = of_condition(load_signals(self.recording), self.condition.name)
+        return mine.isel(trial=multisine_part(mine)[1])
 
 
 def load_signals(path: Path) -> xr.Dataset:
@@ -85,9 +97,18 @@ def of_condition(recording: xr.Dataset, condition: str) -> xr.Dataset:
     return recording.isel(trial=np.flatnonzero(recording["condition"].values == condition))
 
 
-def inside(recording: xr.Dataset) -> xr.Dataset:
-    """Trials that stayed off the workspace limit."""
-    return recording.isel(trial=np.flatnonzero(np.isnan(recording["limit_time"].values)))
+def multisine_part(recording: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int64]]:
+    """What comes before the first pulse, of the trials that stay inside the workspace until then, and which these are.
+
+    A pulse may well take the handle to the limit: that does not harm the multisine before it.
+    """
+    onsets, limits = recording["pulse_onset"].values, recording["limit_time"].values
+    end = recording.sizes["time"]
+    if np.isfinite(onsets).any():
+        end = min(end, round(float(np.nanmin(onsets)) * float(recording.attrs["rate"])))
+    kept = np.flatnonzero(~(limits * float(recording.attrs["rate"]) < end))
+    part = recording.isel(trial=kept, time=slice(0, end))
+    return part.assign_coords(limit_time=("trial", np.full(len(kept), np.nan))), kept
 
 
 def identify_person(recording: xr.Dataset, path: Path, protocol: Protocol) -> tuple[Case, ...]:
@@ -99,56 +120,81 @@ def identify_person(recording: xr.Dataset, path: Path, protocol: Protocol) -> tu
       protocol: what was to be recorded.
     """
     name = str(recording["subject"].values[0])
+    cases, parts = [], {}
+    for condition in protocol.conditions:
+        if condition.has_multisine:
+            case, part = _identify(condition, name, recording, path, protocol)
+            cases.append(case)
+            if part is not None:
+                parts[condition.name] = part
+    thesis, failed = _by_thesis(parts)
     return tuple(
-        _identify(condition, name, recording, path, protocol)
-        for condition in protocol.conditions
-        if condition.has_multisine
+        replace(
+            case,
+            thesis=thesis.get(case.condition.name),
+            left_out=case.left_out
+            + tuple(f"{name} {line}" for of, line in failed.items() if of == case.condition.name),
+        )
+        for case in cases
     )
 
 
-def _identify(condition: Condition, name: str, recording: xr.Dataset, path: Path, protocol: Protocol) -> Case:
+def _identify(
+    condition: Condition, name: str, recording: xr.Dataset, path: Path, protocol: Protocol
+) -> tuple[Case, xr.Dataset | None]:
+    """By greatest likelihood, and the trials that can be analysed, up to the pulse."""
     mine = of_condition(recording, condition.name)
+    part, kept = multisine_part(mine)
     limits = mine["limit_time"].values
     left_out = [
         f"trial {trial} of {name} in {condition.name} reached the workspace limit at {limits[trial]:.3f} s"
-        for trial in np.flatnonzero(np.isfinite(limits))
+        for trial in range(mine.sizes["trial"])
+        if trial not in kept
     ]
-    kept = inside(mine)
     lasts = protocol.multisine_duration if condition.pulse_levels else protocol.trial_duration
-    identification = thesis = None
-    single_trials: tuple[SpectralEstimate, ...] = ()
-    force = displacement = math.nan
+    case = Case(condition=condition, name=name, recording=path, identification=None, left_out=tuple(left_out))
     if lasts < WINDOW_START + PERIOD:
         left_out.append(
             f"{name} in {condition.name} was not identified: the multisine lasts {lasts:g} s, and the analysis "
             f"needs {WINDOW_START + PERIOD:g} s"
         )
-    elif kept.sizes["trial"]:
+        return replace(case, left_out=tuple(left_out)), None
+    if not len(kept):
+        return case, None
+    try:
+        return replace(
+            case,
+            identification=identify(part, MODELS[condition.task], start=WINDOW_START),
+            single_trials=tuple(
+                estimate_spectra(line_spectra(part.isel(trial=[trial]), start=WINDOW_START))
+                for trial in range(len(kept))
+            ),
+            force=_rms(part["perturbation"]),
+            displacement=_rms(part["displacement"]),
+        ), part
+    except ValueError as error:  # must not cost the other people their results
+        left_out.append(f"{name} in {condition.name} was not identified: {error}")
+        return replace(case, left_out=tuple(left_out)), part
+
+
+def _by_thesis(parts: Mapping[str, xr.Dataset]) -> tuple[dict[str, Identification], dict[str, str]]:
+    """What the thesis's estimator gives in each condition, and why it gives nothing in others.
+
+    Conditions of one task are fitted together, which is faster; not so those whose trials differ in length.
+    """
+    alike: dict[tuple[str, int], list[str]] = {}
+    for condition, part in parts.items():
+        alike.setdefault((str(part["task"].values[0]), part.sizes["time"]), []).append(condition)
+    found: dict[str, Identification] = {}
+    failed: dict[str, str] = {}
+    for (task, _), conditions in alike.items():
+        together = stack_trials([parts[condition] for condition in conditions])
         try:
-            identification = identify(kept, MODELS[condition.task], start=WINDOW_START)
-            single_trials = tuple(
-                estimate_spectra(line_spectra(kept.isel(trial=[trial]), start=WINDOW_START))
-                for trial in range(kept.sizes["trial"])
-            )
-            force, displacement = (_rms(kept[signal]) for signal in ("perturbation", "displacement"))
-        except ValueError as error:  # must not cost the other people their results
-            left_out.append(f"{name} in {condition.name} was not identified: {error}")
-    if identification is not None:
-        try:
-            thesis = identify(kept, MODELS[condition.task], estimator="thesis", start=WINDOW_START)
+            found |= identify_conditions(together, MODELS[task], estimator="thesis", start=WINDOW_START)
         except ValueError as error:
-            left_out.append(f"{name} in {condition.name} was not identified by the thesis's estimator: {error}")
-    return Case(
-        condition=condition,
-        name=name,
-        recording=path,
-        identification=identification,
-        left_out=tuple(left_out),
-        thesis=thesis,
-        single_trials=single_trials,
-        force=force,
-        displacement=displacement,
-    )
+            for condition in conditions:
+                failed[condition] = f"in {condition} was not identified by the thesis's estimator: {error}"
+    return found, failed
 
 
 def _rms(signal: xr.DataArray) -> float:

@@ -19,8 +19,7 @@ from armperturb.analysis.thesis import (
     join_estimates,
 )
 from armperturb.study import published
-from armperturb.study.cases import WINDOW_START, of_condition
-from armperturb.study.measure import multisine_part
+from armperturb.study.cases import WINDOW_START, multisine_part, of_condition
 
 FIRST_STEP = {"PT": "PT7.5", "RT": "RT7.5"}
 """Task to the condition of the first step of appendix C."""

@@ -1,7 +1,7 @@
 """What the thesis reports of one person, from the person's recordings: cells of tables, admittance, pulses, fits."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -11,20 +11,16 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from armperturb.analysis.pulse import peak_norm, predicted_peaks, pulse_peaks, pulse_span
-from armperturb.analysis.spectra import estimate_spectra, line_spectra
-from armperturb.analysis.thesis import VARTHETA, ThesisEstimate, fit_trials
+from armperturb.analysis.thesis import ThesisEstimate
 from armperturb.analysis.vaf import variance_accounted_for
 from armperturb.environment import Environment
 from armperturb.envs.skeletal import Prediction, simulate_skeletal
 from armperturb.study import published
-from armperturb.study.cases import MODELS, WINDOW_START, of_condition
+from armperturb.study.cases import Case, multisine_part, of_condition
 from armperturb.study.cells import LEVELS, Cell, measure
 from armperturb.subject import Subject
 
 Array = NDArray[np.float64]
-
-STARTS = {"PT": VARTHETA[published.PARAMETER_TABLES["PT7.5"]["start"]], "RT": None}
-"""Task to where the fit starts whose prediction of pulses counts (thesis E.5); None for the structure's own start."""
 
 N_LOW = 2
 """How many of the lowest frequency points tell the low-frequency gain (thesis 3.1)."""
@@ -126,25 +122,12 @@ class PersonMeasures:
         return found
 
 
-def multisine_part(recording: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int64]]:
-    """What comes before the first pulse, of the trials that stay inside the workspace until then, and which these are.
-
-    A pulse may well take the handle to the limit: that does not harm the multisine before it.
-    """
-    onsets, limits = recording["pulse_onset"].values, recording["limit_time"].values
-    end = recording.sizes["time"]
-    if np.isfinite(onsets).any():
-        end = min(end, round(float(np.nanmin(onsets)) * float(recording.attrs["rate"])))
-    kept = np.flatnonzero(~(limits * float(recording.attrs["rate"]) < end))
-    part = recording.isel(trial=kept, time=slice(0, end))
-    return part.assign_coords(limit_time=("trial", np.full(len(kept), np.nan))), kept
-
-
-def measure_person(recording: xr.Dataset) -> PersonMeasures:
-    """All that needs one fit per trial.
+def measure_person(recording: xr.Dataset, cases: Sequence[Case]) -> PersonMeasures:
+    """All of it.
 
     Args:
       recording: the person's trials.
+      cases: what was identified from them; each trial is predicted by its own fit, of the thesis's estimator.
 
     Raises:
       ValueError: the recording is refused, or holds several people.
@@ -153,6 +136,7 @@ def measure_person(recording: xr.Dataset) -> PersonMeasures:
     name, rate = str(recording["subject"].values[0]), float(recording.attrs["rate"])
     left_out = [f"{name}: {line}" for line in told]
     conditions = tuple(dict.fromkeys(recording["condition"].values.tolist()))
+    by_condition = {case.condition.name: case for case in cases}
     low_gain: dict[str, Array] = {}
     trials: list[TrialMeasures] = []
     multisines: list[_Asked] = []
@@ -162,22 +146,12 @@ def measure_person(recording: xr.Dataset) -> PersonMeasures:
         mine = of_condition(recording, condition)
         if not mine.sizes["trial"]:
             continue
-        estimate, fitted = None, np.empty(0, dtype=int)
-        if published.has_multisine(condition):
-            part, fitted = multisine_part(mine)
-            left_out += [
-                f"{name} in {condition}: a trial reached the workspace limit at {limit:.3f} s, before its pulse; it is "
-                "in no fit"
-                for limit in np.delete(mine["limit_time"].values, fitted)
-            ]
-            try:
-                if len(fitted):
-                    spectra = estimate_spectra(line_spectra(part, start=WINDOW_START))
-                    low_gain[condition] = np.abs(np.diagonal(spectra.arm, axis1=1, axis2=2))[:N_LOW]
-                    task = str(part["task"].values[0])
-                    estimate = fit_trials(part, MODELS[task], initial=STARTS[task], start=WINDOW_START)
-            except ValueError as error:
-                left_out.append(f"{name} in {condition} was not fitted: {error}")
+        part, fitted = multisine_part(mine)
+        case = by_condition.get(condition)
+        if case is not None and case.identification is not None:
+            gain = np.abs(np.diagonal(case.identification.spectra.arm, axis1=1, axis2=2))
+            low_gain[condition] = gain[:N_LOW]
+        estimate = case.thesis_estimate if case is not None else None
         models: dict[int, tuple[Subject, Environment, list[float]]] = {}
         if estimate is not None:
             estimates[condition] = estimate

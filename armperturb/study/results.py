@@ -254,9 +254,10 @@ class _LaterUnit(NamedTuple):
 def _analyse(unit: _Unit) -> PersonResults:
     recording = load_signals(unit.path)
     try:
+        cases = identify_person(recording, Path(RECORDINGS, unit.path.name), unit.protocol)
         return PersonResults(
-            cases=identify_person(recording, Path(RECORDINGS, unit.path.name), unit.protocol),
-            measures=measure_person(recording),
+            cases=cases,
+            measures=measure_person(recording, cases),
             fits=fit_person(recording),
             missing=tuple(_missing(recording, unit.protocol)),
         )
