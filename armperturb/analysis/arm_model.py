@@ -60,7 +60,7 @@ _INDEX = {name: index for index, name in enumerate(PARAMETERS)}
 _MASSES, _DELAYS, _CUTOFFS = slice(0, 2), slice(20, 22), slice(22, 24)
 _GRIP_DAMPING, _GRIP_STIFFNESS = 24, 25
 _GROUPS = {
-    "m": slice(0, 2),
+    "m": _MASSES,
     **{quantity: slice(2 + 3 * n, 5 + 3 * n) for n, quantity in enumerate(_TRIPLES)},
     "Td": _DELAYS,
     "fact": _CUTOFFS,
@@ -229,6 +229,7 @@ class _Gradient:
         }
 
     def wants(self, *groups: str) -> bool:
+        """Whether any of these groups is wanted."""
         return any(group in self._rows for group in groups)
 
     def weighted(self, values: Response) -> Response:
@@ -239,7 +240,7 @@ class _Gradient:
         return values * self.weight[:, *(None,) * inner]
 
     def put(self, group: str, values: Response) -> None:
-        """Derivatives by a group, with their weight, if it is wanted."""
+        """Keep the weighted derivatives by a wanted group."""
         self.values[self._rows[group]] = values if self.weight is None else values.real
 
 
