@@ -61,6 +61,18 @@ class AdmittanceEffect(NamedTuple):
         return [f"{one:.2g}" for one in self.frequency[self.p[:, output, input_] < ALPHA]]
 
 
+class Agreement(NamedTuple):
+    """How many tests are as in the thesis.
+
+    Attributes:
+      told: tests and pairs of which the thesis tells whether they are significant.
+      agree: of these, those that are, or are not, in both.
+    """
+
+    told: int
+    agree: int
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Effects:
     """All tests of a study.
@@ -78,6 +90,14 @@ class Effects:
     rows: tuple[Row, ...]
     pairs: tuple[Row, ...]
     remarks: tuple[str, ...]
+
+    @property
+    def agreement(self) -> Agreement:
+        """With the thesis, on what is significant."""
+        told = [(row["p"], row["published_p"]) for row in self.rows if row["published_p"]]
+        told += [(row["p_bonferroni"], row["published_p"]) for row in self.pairs if row["published_p"]]
+        # A printed p is always of a difference that is called significant.
+        return Agreement(len(told), sum((p < ALPHA) == (printed != "ns") for p, printed in told))
 
 
 class _Tests:
