@@ -131,6 +131,8 @@ def sections(
             "names": NAMES,
         }
         found.append(Section(title="Kinematics", template="kinematics", context=context))
+    if study.cohort and any(person.pulses for person in study.people):
+        found.append(Section(title="Videos, as stills", template="stills"))
     if yielding is not None:
         context = {"person": yielding.person, "rows": yielding.rows(), "pulses": PULSES, "unstable": yielding.unstable}
         found.append(Section(title="Why people yield", template="yielding", context=context))
