@@ -380,7 +380,7 @@ class LinearArm:
           environment: what the hand holds, or those of a batch hold.
         """
         dynamics = self._force_and_dynamics(values, environment)[1]
-        lost = ~np.isfinite(dynamics).all(axis=(-2, -1))
+        lost = np.asarray(~np.isfinite(dynamics).all(axis=(-2, -1)))
         # One of a batch must not cost the others theirs.
         poles = np.asarray(np.linalg.eigvals(np.where(lost[..., None, None], 0.0, dynamics)), dtype=complex)
         poles[lost] = np.nan

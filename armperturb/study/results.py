@@ -65,7 +65,8 @@ class StudyResult:
       cases: one per person who was recorded and condition that has a multisine, people in order.
       people: what the thesis reports of each person.
       appendices: fits of appendices C to E.
-      remarks: what the folder lacks, and why parts of it were left out; one line each.
+      missing: what the folder lacks, or how it was made otherwise; one line each.
+      remarks: why parts of what is there were left out, likewise.
     """
 
     made: Manifest | None
@@ -75,6 +76,7 @@ class StudyResult:
     cases: tuple[Case, ...]
     people: tuple[PersonMeasures, ...] = ()
     appendices: Appendices = field(default_factory=Appendices)
+    missing: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
     @property
@@ -162,16 +164,16 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
     """
     if workers is not None:
         require_number("analysis", "workers", workers, at_least=1)
-    paths, remarks = find_recordings(root)
-    made = _manifest(root, remarks)
+    paths, missing = find_recordings(root)
+    made = _manifest(root, missing)
     protocol, environment = made.protocol if made else THESIS, Environment()
-    cohort = _cohort(made, environment, remarks)
+    cohort = _cohort(made, environment, missing)
     truths = {person.name: person for person in cohort}
     if made and len(paths) < made.subjects:
-        missing = sorted(truths.keys() - {path.stem for path in paths})
-        named = f" ({', '.join(missing)})" if missing else ""
+        absent = sorted(truths.keys() - {path.stem for path in paths})
+        named = f" ({', '.join(absent)})" if absent else ""
         lacking = made.subjects - len(paths)
-        remarks.append(f"the study is incomplete: {lacking} of {made.subjects} people have no whole recording{named}")
+        missing.append(f"the study is incomplete: {lacking} of {made.subjects} people have no whole recording{named}")
     keys = {path: _key(digest(path), protocol) for path in paths}
     with (
         workers_for(worker_count(workers, len(paths)), None) as crew,
@@ -185,8 +187,10 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
         second_key = hashlib.sha256("".join(sorted(keys.values())).encode()).hexdigest()
         later = [_LaterUnit(path, means, second_key, _file(root, path, "-step-2")) for path in paths]
         second = _each(_analyse_later, later, crew, bar)
+    remarks: list[str] = []
     for one in found:
-        remarks += [*one.missing, *one.measures.left_out, *one.fits.left_out]
+        missing += one.missing
+        remarks += [*one.measures.left_out, *one.fits.left_out]
     remarks += [line for one in second for line in one.left_out]
     return StudyResult(
         made=made,
@@ -204,32 +208,31 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
         ),
         people=tuple(one.measures for one in found),
         appendices=Appendices(first=first, second=joined(one.estimates for one in second), starts=starts),
+        missing=tuple(missing),
         remarks=tuple(remarks),
     )
 
 
-def _manifest(root: Path, remarks: list[str]) -> Manifest | None:
+def _manifest(root: Path, missing: list[str]) -> Manifest | None:
     try:
         made = read_manifest(root)
     except ValueError as error:
-        remarks.append(f"how the recordings were made is not known, so the thesis's protocol is assumed: {error}")
+        missing.append(f"how the recordings were made is not known, so the thesis's protocol is assumed: {error}")
         return None
     if made is not None:
         now = current_versions()
         others = [f"{name} {made.versions.get(name, '?')}, now {now[name]}" for name in now]
         others = [text for name, text in zip(now, others, strict=True) if made.versions.get(name) != now[name]]
         if others:
-            remarks.append(f"the recordings were made with other versions: {'; '.join(others)}")
+            missing.append(f"the recordings were made with other versions: {'; '.join(others)}")
     return made
 
 
-def _cohort(made: Manifest | None, environment: Environment, remarks: list[str]) -> tuple[Person, ...]:
+def _cohort(made: Manifest | None, environment: Environment, missing: list[str]) -> tuple[Person, ...]:
     """Those who were simulated, where that is known."""
     people = made.draw_people(environment) if made else ()
     if people is None:
-        remarks.append(
-            "this version draws other people than those who were recorded: their true parameters are unknown"
-        )
+        missing.append("this version draws other people than those who were recorded: their truth is unknown")
     return people or ()
 
 
