@@ -2,14 +2,13 @@
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
 from armperturb.analysis.kinematics import hand_path, within_reach
-from armperturb.recording import REQUIRED_SIGNALS, load_recording
+from armperturb.recording import load_recording
 from armperturb.study import (
     admittance_figures,
     fit_figures,
@@ -112,7 +111,7 @@ def _of_pulses(study: StudyResult) -> Drawings:
         return {}
     drawn: Drawings = {}
     name, path = study.cases[0].name, study.cases[0].recording
-    recording = _mechanical_signals(path)
+    recording = load_recording(path, ["joint_angle"])
     stills = []
     for condition in study.protocol.conditions:
         trials = of_condition(recording, condition.name)
@@ -134,12 +133,6 @@ def _of_pulses(study: StudyResult) -> Drawings:
             estimate = measures.estimates.get(condition_name) if measures else None
             drawn[f"trajectories_{task}"] = partial(trajectory_figures.trajectories, trials, estimate, level)
     return drawn
-
-
-def _mechanical_signals(path: Path) -> xr.Dataset:
-    """A recording without EMG and markers."""
-    recording = load_recording(path)
-    return recording[[name for name in (*REQUIRED_SIGNALS, "joint_angle") if name in recording]]
 
 
 def _within_reach(trials: xr.Dataset) -> bool:
