@@ -421,8 +421,8 @@ def test_stills_show_the_recorded_pose_and_the_path_so_far(monkeypatch):
     shown = []
 
     def fake(model, qpos, camera, *, width, height):
-        shown.append(np.array(qpos))
-        return np.zeros((height, width, 3), dtype=np.uint8)
+        shown.extend(qpos)
+        return np.zeros((len(qpos), height, width, 3), dtype=np.uint8)
 
     monkeypatch.setattr(rig_figures, "render", fake)
     someone = average_person()
