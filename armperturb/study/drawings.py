@@ -90,12 +90,14 @@ def _of_people(study: StudyResult, effects: Effects) -> Drawings:
     trials = [trial for person in study.people for trial in person.trials]
     if np.isfinite([trial.vaf_linear for trial in trials]).any():
         drawn["vaf"] = partial(fit_figures.vaf, study)
+    p: dict[str, dict[str, float]] = {task: {} for task in CONDITIONS}
+    for (task, name), of_effect in effects.parameters.items():
+        p[task][name] = of_effect
     for task in CONDITIONS:
         if parameter_figures.estimated(study, task):
-            p = {name: p for (of_task, name), p in effects.parameters.items() if of_task == task}
-            drawn[f"joint_parameters_{task}"] = partial(parameter_figures.joint_parameters, study, task, p)
+            drawn[f"joint_parameters_{task}"] = partial(parameter_figures.joint_parameters, study, task, p[task])
             drawn["penalty"] = partial(fit_figures.penalty, study)
-            drawn["muscle_parameters"] = partial(parameter_figures.muscle_parameters, study)
+            drawn["muscle_parameters"] = partial(parameter_figures.muscle_parameters, study, p)
     if np.isfinite([trial.displacement for trial in trials]).any():
         levels = {row["conditions"].split(",")[0]: row["p"] for row in effects.rows if row["test"] == "dependent t"}
         drawn["peak_displacement"] = partial(pulse_figures.peak_displacement, study)
