@@ -32,7 +32,10 @@ PRINTED_PARAMETERS = {"k_s": "p_k_s_pt", "kv_se": "p_kv_se_pt", "kp_s": "p_kp_s_
 """Joint parameters with a significant effect of amplitude in PT, to the printed p; the others are "ns" there (3.2)."""
 
 STARRED_MUSCLES = ("k_s*", "kv_s*", "kp_s*")
-"""Parameters of one-joint muscles with such an effect, marked as p < 0.01 (3.2, figure 3.14); nothing is told of others."""
+"""Parameters of one-joint muscles with such an effect, marked as p < 0.01 (3.2, figure 3.14).
+
+Of other muscles the thesis tells nothing.
+"""
 
 PREDICTED = {
     "PT": (("PT2.5", "max"), ("PT7.5", "max"), ("PT22.5", "max")),
