@@ -20,8 +20,9 @@ from tqdm import tqdm
 
 from armperturb.cohort import Person
 from armperturb.environment import Environment
+from armperturb.recording import load_recording
 from armperturb.study.archive import code_digest, keep, read_archive
-from armperturb.study.cases import Case, identify_person, load_signals
+from armperturb.study.cases import Case, identify_person
 from armperturb.study.fits import Appendices, Fits, Key, SecondStep, fit_person, fit_second_step, joined, means_of
 from armperturb.study.manifest import Manifest, current_versions, read_manifest
 from armperturb.study.measure import PersonMeasures, measure_person
@@ -255,7 +256,7 @@ class _LaterUnit(NamedTuple):
 
 
 def _analyse(unit: _Unit) -> PersonResults:
-    recording = load_signals(unit.path)
+    recording = load_recording(unit.path, ["joint_angle"])
     try:
         cases = identify_person(recording, Path(RECORDINGS, unit.path.name), unit.protocol)
         return PersonResults(
@@ -269,7 +270,7 @@ def _analyse(unit: _Unit) -> PersonResults:
 
 
 def _analyse_later(unit: _LaterUnit) -> SecondStep:
-    return fit_second_step(load_signals(unit.path), unit.means)
+    return fit_second_step(load_recording(unit.path, ["joint_angle"]), unit.means)
 
 
 def _missing(recording: Any, protocol: Protocol) -> list[str]:
