@@ -316,6 +316,6 @@ def _file(root: Path, recording: Path, suffix: str = "") -> Path:
 
 
 def _key(sha256: str, protocol: Protocol) -> str:
-    """What a result depends on: recording, protocol and this package."""
-    text = json.dumps([sha256, protocol.to_dict(), code_digest()])
+    """What a result depends on: recording, protocol, this package and its libraries."""
+    text = json.dumps([sha256, protocol.to_dict(), code_digest(), current_versions()])
     return hashlib.sha256(text.encode()).hexdigest()
