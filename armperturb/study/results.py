@@ -66,6 +66,7 @@ class StudyResult:
       cases: one per person who was recorded and condition that has a multisine, people in order.
       people: what the thesis reports of each person.
       appendices: fits of appendices C to E.
+      recordings: everyone who was recorded, in order, to the path of the recording.
       remarks: what the folder lacks, and why parts of it were left out; one line each.
     """
 
@@ -76,6 +77,7 @@ class StudyResult:
     cases: tuple[Case, ...]
     people: tuple[PersonMeasures, ...] = ()
     appendices: Appendices = field(default_factory=Appendices)
+    recordings: Mapping[str, Path] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
 
     @property
@@ -179,7 +181,9 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
         tqdm(total=2 * len(paths), desc="analyse", unit="step", disable=None if show_progress else True) as bar,
     ):
         units = [_Unit(path, protocol, keys[path], _file(root, path)) for path in paths]
-        found = sorted(_each(_analyse, units, crew, bar), key=lambda one: one.measures.name)
+        results = zip(_each(_analyse, units, crew, bar), paths, strict=True)
+        recorded = sorted(results, key=lambda one: one[0].measures.name)
+        found = [one for one, _ in recorded]
         first, starts = (joined(getattr(one.fits, name) for one in found) for name in ("first", "starts"))
         means = means_of(first)
         # Step 2 follows from everybody's step 1.
@@ -205,6 +209,7 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
         ),
         people=tuple(one.measures for one in found),
         appendices=Appendices(first=first, second=joined(one.estimates for one in second), starts=starts),
+        recordings={one.measures.name: path for one, path in recorded},
         remarks=tuple(remarks),
     )
 
