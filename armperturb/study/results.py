@@ -64,9 +64,9 @@ class StudyResult:
       environment: what the hands held.
       cohort: the people who were simulated; empty if nobody knows.
       cases: one per person who was recorded and condition that has a multisine, people in order.
+      recordings: everyone who was recorded, in order, to the path of the recording.
       people: what the thesis reports of each person.
       appendices: fits of appendices C to E.
-      recordings: everyone who was recorded, in order, to the path of the recording.
       remarks: what the folder lacks, and why parts of it were left out; one line each.
     """
 
@@ -75,9 +75,9 @@ class StudyResult:
     environment: Environment
     cohort: tuple[Person, ...]
     cases: tuple[Case, ...]
+    recordings: Mapping[str, Path] = field(default_factory=dict)
     people: tuple[PersonMeasures, ...] = ()
     appendices: Appendices = field(default_factory=Appendices)
-    recordings: Mapping[str, Path] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
 
     @property
@@ -207,9 +207,9 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
             for one in found
             for case in one.cases
         ),
+        recordings={one.measures.name: path for one, path in recorded},
         people=tuple(one.measures for one in found),
         appendices=Appendices(first=first, second=joined(one.estimates for one in second), starts=starts),
-        recordings={one.measures.name: path for one, path in recorded},
         remarks=tuple(remarks),
     )
 
