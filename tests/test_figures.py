@@ -458,7 +458,8 @@ def recorded(invented, tmp_path):
     since = np.arange(600) / RATE
     angles = 0.01 * np.sin(2 * np.pi * since)[:, None] * np.ones((2, 1, 2))
     save_recording(pulsed(POSITION, "PT0", angles=angles), tmp_path / "S01.nc")
-    return replace(invented, cases=tuple(replace(case, recording=tmp_path / "S01.nc") for case in invented.cases))
+    cases = tuple(replace(case, recording=tmp_path / "S01.nc") for case in invented.cases)
+    return replace(invented, cases=cases, recordings={"S01": tmp_path / "S01.nc"})
 
 
 def test_registry_holds_what_the_study_allows(recorded):
@@ -466,7 +467,9 @@ def test_registry_holds_what_the_study_allows(recorded):
     cohort = (replace(average_person(), name="S01"),)
     known = replace(recorded, cohort=cohort)
     assert drawings(known, NOTHING, None).keys() == NAMES | {"pulse_signal", "joint_rotations", "stills", "rig"}
-    nobody = replace(recorded, cases=(), people=())
+    of_pulses = {"pulse_signal", "joint_rotations", "stills", "rig"}
+    assert drawings(replace(known, cases=(), people=()), NOTHING, None).keys() == of_pulses
+    nobody = replace(recorded, cases=(), people=(), recordings={})
     assert drawings(nobody, NOTHING, None) == {}
     without_people = drawings(replace(recorded, people=()), NOTHING, None)
     assert not without_people.keys() & {"vaf", "penalty", "peak_displacement", "joint_parameters_PT"}
@@ -487,7 +490,7 @@ def test_registry_draws_one_person_in_one_task(recorded):
         estimates={"RT7.5": first.estimates["RT7.5"]},
     )
     odd = Protocol(conditions=(Condition(name="x", task="PT", pulse_levels=(1.0,)),))
-    lonely = replace(recorded, protocol=odd, cases=(), people=(alone,))
+    lonely = replace(recorded, protocol=odd, cases=(), people=(alone,), recordings={})
     drawn = drawings(lonely, NOTHING, None)
     assert {"peak_displacement", "pulse_admittance", "joint_parameters_RT", "muscle_parameters"} <= drawn.keys()
     for name, draw in drawn.items():

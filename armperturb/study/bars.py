@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from armperturb.study.headlines import PULSED
 from armperturb.study.published import MeanSD
@@ -97,11 +98,17 @@ def stars(p: float) -> str:
     return "**" if p < 0.01 else "*" if p < 0.05 else ""
 
 
-def any_printed(groups: Iterable[Mapping[str, Sequence[Bar]]]) -> bool:
-    """Whether the thesis printed anything of the bars that are drawn."""
-    return any(
+def printed_handles(groups: Iterable[Mapping[str, Sequence[Bar]]], **label: str) -> list[Line2D]:
+    """`printed_handle`, if the thesis printed anything of the bars that are drawn."""
+    shown = any(
         math.isfinite(bar.ours.mean) and math.isfinite(bar.printed.mean)
         for panel in groups
         for bars in panel.values()
         for bar in bars
     )
+    return [printed_handle(**label)] if shown else []
+
+
+def model_handles() -> list[Patch]:
+    """Entries in a legend of the bars of each of `MODELS`."""
+    return [Patch(color=look["color"], label=f"{name} model") for name, look in MODELS.items()]

@@ -28,7 +28,7 @@ from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study.cases import WINDOW_START
 from armperturb.study.cells import Cell, measured_cells, published_cells
-from armperturb.study.protocol import THESIS, Protocol
+from armperturb.study.protocol import THESIS, Protocol, with_published_forces
 from armperturb.study.published import MeanSD
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import require_number
@@ -229,17 +229,7 @@ def schedules(task: str) -> tuple[Protocol, Protocol]:
             for condition in THESIS.conditions
             if condition.task == task and condition.has_multisine is with_multisine
         ]
-        both.append(
-            replace(
-                THESIS,
-                conditions=tuple(conditions),
-                forces="published",
-                pulse_unit_condition="",
-                multisine_duration=onset,
-                trial_duration=onset + after,
-                onset_window=(onset, onset),
-            )
-        )
+        both.append(with_published_forces(conditions, onset, onset + after))
     return both[0], both[1]
 
 

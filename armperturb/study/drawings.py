@@ -109,10 +109,10 @@ def _of_people(study: StudyResult, effects: Effects) -> Drawings:
 
 def _of_pulses(study: StudyResult) -> Drawings:
     """Of single pulses to the first person."""
-    if not study.cases:
+    if not study.recordings:
         return {}
     drawn: Drawings = {}
-    name, path = study.cases[0].name, study.cases[0].recording
+    name, path = next(iter(study.recordings.items()))
     recording = load_recording(path, ["joint_angle"])
     stills = []
     for condition in study.protocol.conditions:

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from armperturb.analysis.arm_model import arm_admittance, simulate_linear
@@ -14,7 +13,7 @@ from armperturb.analysis.fit import penalty_factor
 from armperturb.analysis.vaf import variance_accounted_for
 from armperturb.study import published
 from armperturb.study.axes import AXES, FREQUENCY, admittance_panels, legend, plot_admittance, plot_truth
-from armperturb.study.bars import CONDITIONS, MODELS, UNKNOWN, Bar, any_printed, draw_groups, mean_sd, printed_handle
+from armperturb.study.bars import CONDITIONS, MODELS, UNKNOWN, Bar, draw_groups, mean_sd, model_handles, printed_handles
 from armperturb.study.cases import Case
 from armperturb.study.measure import TrialMeasures
 from armperturb.study.results import StudyResult
@@ -118,8 +117,8 @@ def vaf(study: StudyResult) -> Figure:
             ax.set(ylim=(0, 100), ylabel=f"VAF along {AXES[axis]} [%]" if task == tasks[0] else "")
     legend(
         figure,
-        *(Patch(color=look["color"], label=f"{name} model") for name, look in MODELS.items()),
-        *([printed_handle("published mean ± SD, linear model")] if any_printed(drawn) else []),
+        *model_handles(),
+        *printed_handles(drawn, label="published mean ± SD, linear model"),
     )
     return figure
 

@@ -1,7 +1,7 @@
 """Figures of estimated parameters (thesis figures 3.12 to 3.14)."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -19,10 +19,9 @@ from armperturb.study.axes import legend, looks, padded
 from armperturb.study.bars import (
     CONDITIONS,
     Bar,
-    any_printed,
     draw_groups,
     mean_sd,
-    printed_handle,
+    printed_handles,
     stars,
 )
 from armperturb.study.measure import muscle_parameter, stable_mean
@@ -132,23 +131,15 @@ def joint_parameters(study: StudyResult, task: str, p: Mapping[str, float] | Non
     for row, quantity in zip(panels, quantities, strict=True):
         for ax, sem in zip(row, (False, True), strict=True):
             names = {place: f"{quantity}_{joint}" for joint, place in JOINTS.items()}
-            groups = {
-                place: [
-                    Bar(
-                        mean_sd(stable_mean(estimate, name, sem=sem) for estimate in estimates[condition]),
-                        published_or_nan(_printed_sem if sem else published.parameter, condition, name),
-                        colour,
-                    )
-                    for condition, colour in _colours(task, estimates)
-                ]
-                for place, name in names.items()
-            }
+            ours = partial(stable_mean, sem=sem)
+            printed = partial(published_or_nan, _printed_sem if sem else published.parameter)
+            groups = {place: _bars(task, estimates, name, ours, printed) for place, name in names.items()}
             drawn.append(groups)
-            _draw(ax, groups, {} if sem or p is None else {place: p.get(name, 1.0) for place, name in names.items()})
+            _draw(ax, groups, names, {} if sem or p is None else p)
             ax.set_ylabel(f"{QUANTITIES[quantity]} [{unit(quantity)}]")
     for ax, title in zip(panels[0], ("estimate", "SEM"), strict=True):
         ax.set_title(title)
-    legend(figure, *_handles(task, estimates), *([printed_handle()] if any_printed(drawn) else []))
+    legend(figure, *_handles(task, estimates), *printed_handles(drawn))
     return figure
 
 
@@ -173,24 +164,15 @@ def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] |
         for ax, quantity in zip(column, rows[task], strict=False):
             names = {place: f"{quantity}_{muscles}" for muscles, place in MUSCLES.items()}
             groups = {
-                place: [
-                    Bar(
-                        mean_sd(muscle_parameter(name, partial(stable_mean, one)) for one in estimates[condition]),
-                        _printed_muscle(condition, name),
-                        colour,
-                    )
-                    for condition, colour in _colours(task, estimates)
-                ]
-                for place, name in names.items()
+                place: _bars(task, estimates, name, _muscle_mean, _printed_muscle) for place, name in names.items()
             }
             drawn.append(groups)
-            of_task = (p or {}).get(task, {})
-            _draw(ax, groups, {place: of_task.get(name, 1.0) for place, name in names.items()})
+            _draw(ax, groups, names, (p or {}).get(task, {}))
             ax.set_ylabel(f"{QUANTITIES[quantity]} [{unit(quantity)}]")
         for ax in column[len(rows[task]) :]:
             ax.set_visible(False)
     handles = [handle for task, estimates in tasks.items() for handle in _handles(task, estimates)]
-    legend(figure, *handles, *([printed_handle()] if any_printed(drawn) else []), n_columns=7)
+    legend(figure, *handles, *printed_handles(drawn), n_columns=7)
     return figure
 
 
@@ -207,6 +189,10 @@ def _quantities(estimates: Estimates) -> list[str]:
     """Those of `QUANTITIES` that were estimated."""
     names = next(iter(estimates.values()))[0].parameters
     return [quantity for quantity in QUANTITIES if f"{quantity}_s" in names]
+
+
+def _muscle_mean(estimate: ThesisEstimate, name: str) -> float:
+    return muscle_parameter(name, partial(stable_mean, estimate))
 
 
 def _printed_muscle(condition: str, name: str) -> MeanSD:
@@ -229,11 +215,25 @@ def _handles(task: str, estimates: Estimates) -> list[Patch]:
     return [Patch(color=colour, label=condition) for condition, colour in _colours(task, estimates)]
 
 
-def _draw(ax: Axes, groups: Mapping[str, Sequence[Bar]], p: Mapping[str, float]) -> None:
-    """Groups of bars, with stars above those whose p is small."""
+def _bars(
+    task: str,
+    estimates: Estimates,
+    name: str,
+    ours: Callable[[ThesisEstimate, str], float],
+    printed: Callable[[str, str], MeanSD],
+) -> list[Bar]:
+    """A bar of a parameter for each condition, from the estimates of each person."""
+    return [
+        Bar(mean_sd(ours(one, name) for one in estimates[condition]), printed(condition, name), colour)
+        for condition, colour in _colours(task, estimates)
+    ]
+
+
+def _draw(ax: Axes, groups: Mapping[str, Sequence[Bar]], names: Mapping[str, str], p: Mapping[str, float]) -> None:
+    """Groups of bars, with stars above those whose parameter, that of its name, has a small p."""
     tops = draw_groups(ax, groups)
     for group, (label, top) in enumerate(tops.items()):
-        ax.text(group, top, stars(p.get(label, 1.0)), ha="center", va="bottom", fontsize=11)
+        ax.text(group, top, stars(p.get(names[label], 1.0)), ha="center", va="bottom", fontsize=11)
     ax.axhline(0.0, color=GREY, linewidth=0.8)
     ax.margins(y=0.16)
     ax.yaxis.set_major_locator(MaxNLocator(4))

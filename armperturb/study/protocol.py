@@ -447,3 +447,25 @@ def _thesis() -> Protocol:
 
 THESIS = _thesis()
 """The experiment of the thesis: eight conditions, 32 trials (table 2.1); `thesis.toml` beside this file."""
+
+
+def with_published_forces(conditions: Sequence[Condition], onset: float, duration: float) -> Protocol:
+    """Conditions like the thesis's, with its mean forces and pulses instead of each person's own.
+
+    Args:
+      conditions: to be run.
+      onset: of every pulse, where the multisine ends [s].
+      duration: of every trial [s].
+
+    Raises:
+      ValueError: as `Protocol`.
+    """
+    return replace(
+        THESIS,
+        conditions=tuple(conditions),
+        forces="published",
+        pulse_unit_condition="",
+        multisine_duration=onset,
+        trial_duration=duration,
+        onset_window=(onset, onset),
+    )

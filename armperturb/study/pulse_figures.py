@@ -15,10 +15,10 @@ from armperturb.study.bars import (
     MODELS,
     UNKNOWN,
     Bar,
-    any_printed,
     draw_groups,
     mean_sd,
-    printed_handle,
+    model_handles,
+    printed_handles,
     stars,
 )
 from armperturb.study.cells import LEVELS
@@ -36,14 +36,13 @@ NAMES = {"min": "minimum level", "max": "maximum level"}
 @in_style()
 def peak_displacement(study: StudyResult) -> Figure:
     """Peak displacement after pulses, mean and SD over people of means over trials (thesis fig. 3.15, table 2.1)."""
-    found: dict[str, Levels] = {}
-    for task, conditions in CONDITIONS.items():
-        for condition in conditions:
-            for level in LEVELS:
-                pulses = [p.pulses[condition, level] for p in study.people if (condition, level) in p.pulses]
-                if pulses:
-                    levels = found.setdefault(task, {}).setdefault(condition, {})
-                    levels[level] = [pulse.displacement for pulse in pulses]
+    found = _by_level(
+        lambda condition, level: [
+            person.pulses[condition, level].displacement
+            for person in study.people
+            if (condition, level) in person.pulses
+        ]
+    )
     figure, _ = _draw_levels(found, "peak displacement [cm]", 100.0, published.peak_displacement)
     return figure
 
@@ -105,9 +104,8 @@ def pulse_prediction(study: StudyResult) -> Figure:
         draw_groups(ax, groups[task])
         ax.set_ylim(bottom=0)
     next(iter(panels.values())).set_ylabel("predicted / recorded peak [%]")
-    handles = [Patch(color=look["color"], label=f"{model} model") for model, look in MODELS.items()]
     band = Patch(color=PUBLISHED["color"], alpha=0.25, linewidth=0, label=f"published range, {low:g} to {high:g} %")
-    legend(figure, *handles, band)
+    legend(figure, *model_handles(), band)
     return figure
 
 
@@ -123,17 +121,23 @@ def predicted_share(trial: TrialMeasures, model: str) -> float:
 
 def pulsed_trials(study: StudyResult, quantity: Callable[[TrialMeasures], float]) -> dict[str, Levels]:
     """Task, condition and level to the finite values of everybody's trials; only those that have any."""
+    return _by_level(
+        lambda condition, level: [
+            quantity(trial)
+            for person in study.people
+            for trial in person.trials
+            if trial.condition == condition and abs(trial.pulse_level) == LEVELS[level]
+        ]
+    )
+
+
+def _by_level(values_of: Callable[[str, str], list[float]]) -> dict[str, Levels]:
+    """Task, condition and level to the finite ones of their values; only those that have any."""
     found: dict[str, Levels] = {}
     for task, conditions in CONDITIONS.items():
         for condition in conditions:
-            for level, factor in LEVELS.items():
-                values = [
-                    quantity(trial)
-                    for person in study.people
-                    for trial in person.trials
-                    if trial.condition == condition and abs(trial.pulse_level) == factor
-                ]
-                values = [value for value in values if np.isfinite(value)]
+            for level in LEVELS:
+                values = [value for value in values_of(condition, level) if np.isfinite(value)]
                 if values:
                     found.setdefault(task, {}).setdefault(condition, {})[level] = values
     return found
@@ -171,7 +175,7 @@ def _draw_levels(
         for level, name in NAMES.items()
         if any(level in levels for levels in conditions.values())
     ]
-    legend(figure, *handles, *([printed_handle()] if any_printed(groups.values()) else []))
+    legend(figure, *handles, *printed_handles(groups.values()))
     for ax in panels.values():
         ax.set_ylim(bottom=0)
         if not shared:

@@ -64,6 +64,7 @@ class StudyResult:
       environment: what the hands held.
       cohort: the people who were simulated; empty if nobody knows.
       cases: one per person who was recorded and condition that has a multisine, people in order.
+      recordings: everyone who was recorded, in order, to the path of the recording.
       people: what the thesis reports of each person.
       appendices: fits of appendices C to E.
       missing: what the folder lacks, or how it was made otherwise; one line each.
@@ -75,6 +76,7 @@ class StudyResult:
     environment: Environment
     cohort: tuple[Person, ...]
     cases: tuple[Case, ...]
+    recordings: Mapping[str, Path] = field(default_factory=dict)
     people: tuple[PersonMeasures, ...] = ()
     appendices: Appendices = field(default_factory=Appendices)
     missing: tuple[str, ...] = ()
@@ -181,7 +183,9 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
         tqdm(total=2 * len(paths), desc="analyse", unit="step", disable=None if show_progress else True) as bar,
     ):
         units = [_Unit(path, protocol, keys[path], _file(root, path)) for path in paths]
-        found = sorted(_each(_analyse, units, crew, bar), key=lambda one: one.measures.name)
+        results = zip(_each(_analyse, units, crew, bar), paths, strict=True)
+        recorded = sorted(results, key=lambda one: one[0].measures.name)
+        found = [one for one, _ in recorded]
         first, starts = (joined(getattr(one.fits, name) for one in found) for name in ("first", "starts"))
         means = means_of(first)
         # Step 2 follows from everybody's step 1.
@@ -207,6 +211,7 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
             for one in found
             for case in one.cases
         ),
+        recordings={one.measures.name: path for one, path in recorded},
         people=tuple(one.measures for one in found),
         appendices=Appendices(first=first, second=joined(one.estimates for one in second), starts=starts),
         missing=tuple(missing),

@@ -20,8 +20,8 @@ from armperturb.perturbations import Pulse
 from armperturb.study import published
 from armperturb.study.axes import legend
 from armperturb.study.bars import MODELS, PRINTED, printed_handle
+from armperturb.study.cases import multisine_part
 from armperturb.study.cells import LEVELS
-from armperturb.study.measure import multisine_part
 from armperturb.study.style import PALE, RECORDED, TRUE, in_style, new_figure
 from armperturb.study.tables import published_or_nan
 

@@ -29,7 +29,7 @@ from armperturb.perturbations.multisine import PERIOD
 from armperturb.study import published
 from armperturb.study.cases import WINDOW_START
 from armperturb.study.cells import Cell, published_cells
-from armperturb.study.protocol import THESIS, Condition, Protocol
+from armperturb.study.protocol import THESIS, Protocol, with_published_forces
 from armperturb.subject import Subject
 
 Array = NDArray[np.float64]
@@ -301,7 +301,7 @@ def _alone() -> Protocol:
         )
         for name in CONDITIONS
     ]
-    return _with_published_forces(conditions, REST, REST + CALM)
+    return with_published_forces(conditions, REST, REST + CALM)
 
 
 def _continuous(n_multisines: int) -> Protocol:
@@ -316,19 +316,7 @@ def _continuous(n_multisines: int) -> Protocol:
         if THESIS.condition(name).has_multisine
     ]
     onset = WINDOW_START + PERIOD
-    return _with_published_forces(conditions, onset, onset + max(WINDOWS.values()) + 0.1)
-
-
-def _with_published_forces(conditions: Sequence[Condition], onset: float, duration: float) -> Protocol:
-    return replace(
-        THESIS,
-        conditions=tuple(conditions),
-        forces="published",
-        pulse_unit_condition="",
-        multisine_duration=onset,
-        trial_duration=duration,
-        onset_window=(onset, onset),
-    )
+    return with_published_forces(conditions, onset, onset + max(WINDOWS.values()) + 0.1)
 
 
 def _trials(protocol: Protocol, condition: str, subject: Subject, seed: int) -> list[Trial]:

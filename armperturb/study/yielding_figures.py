@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from armperturb.study.axes import AXES, label_frequency
+from armperturb.study.axes import AXES, label_frequency, legend
 from armperturb.study.style import COLOURS, GREY, INK, in_style, new_figure, shades
 from armperturb.study.yielding import AMPLITUDES, LINEAR, PULSES, WHOLE, Yielding, intrinsic_loop
 
@@ -48,7 +48,7 @@ def loops(yielding: Yielding) -> Figure:
         ax.set_title(name)
     for ax in panels[-1]:
         ax.set_xlabel("stretch [°]")
-    figure.legend(handles=handles, loc="outside upper center", ncols=6)
+    legend(figure, *handles)
     return figure
 
 
@@ -82,7 +82,7 @@ def admittance(yielding: Yielding) -> Figure:
     for ax in panels[-1]:
         label_frequency(ax)
     handles.append(Line2D([], [], color=GREY, linestyle=(0, (4, 2)), linewidth=1.0, label=LINEAR))
-    figure.legend(handles=handles, loc="outside upper center", ncols=7)
+    legend(figure, *handles, n_columns=7)
     return figure
 
 
@@ -113,5 +113,5 @@ def pulses(yielding: Yielding) -> Figure:
         ax.set_ylim(bottom=0.0)
     panels[0].set_ylabel("distance from the start [cm]")
     handles = [Line2D([], [], label=name, **look) for name, look in looks.items() if name in drawn]
-    figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    legend(figure, *handles, n_columns=3)
     return figure
