@@ -829,13 +829,13 @@ def _accumulated(added: Array, step: Array) -> Array:
     return state
 
 
-def simulate_linear(subject: Subject, environment: Environment, perturbation: ArrayLike, rate: float) -> LinearResponse:
-    """Response of the linear model, from rest, to sampled disturbances that run straight between their samples.
+def linear_states(subject: Subject, environment: Environment, perturbation: ArrayLike, rate: float) -> Array:
+    """States of the linear model as `StateSpace` orders them, from rest, (..., time, state).
 
     Args:
       subject: the arm.
       environment: what the hand holds.
-      perturbation: d [N], (..., time, axis).
+      perturbation: d [N], (..., time, axis); it runs straight between its samples.
       rate: of the samples [Hz].
     """
     force = np.asarray(perturbation, dtype=float)
@@ -847,5 +847,17 @@ def simulate_linear(subject: Subject, environment: Environment, perturbation: Ar
     step, of_force, of_rise = np.split(linalg.expm(generator)[:N_STATES].T, [N_STATES, N_STATES + 2])
     state = np.zeros((*force.shape[:-1], N_STATES))
     state[..., 1:, :] = force[..., :-1, :] @ of_force + np.diff(force, axis=-2) @ of_rise
-    y = _accumulated(state, step) @ system.c.T
+    return _accumulated(state, step)
+
+
+def simulate_linear(subject: Subject, environment: Environment, perturbation: ArrayLike, rate: float) -> LinearResponse:
+    """Response of the linear model, from rest, to sampled disturbances that run straight between their samples.
+
+    Args:
+      subject: the arm.
+      environment: what the hand holds.
+      perturbation: d [N], (..., time, axis).
+      rate: of the samples [Hz].
+    """
+    y = linear_states(subject, environment, perturbation, rate) @ state_space(subject, environment).c.T
     return LinearResponse(y[..., 0:2], y[..., 2:4], y[..., 4:6])

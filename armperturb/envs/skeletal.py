@@ -21,7 +21,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 from scipy import signal
 
-from armperturb.analysis.arm_model import N_STATES, fastest_pole, require_stable, state_space
+from armperturb.analysis.arm_model import fastest_pole, linear_states, require_stable
 from armperturb.controllers.reflex import ReflexGains, activate, reflex_gains, spindle_excitation
 from armperturb.environment import Environment
 from armperturb.envs.experiment import DIVERGED, silent_simulator
@@ -213,28 +213,11 @@ def _starts(
     predictions: Sequence[Prediction], gains: ReflexGains, timestep: float, decimation: int, n_history: int
 ) -> list[_Start]:
     """Where the linear models are at the onsets, and what their spindles have sent in the `n_history` steps before."""
-    # With the state itself as output, y = state + rise @ input: hold and output are exact for inputs that run straight.
-    eye, none = np.eye(N_STATES), np.zeros((N_STATES, 2))
-    discrete = [
-        signal.cont2discrete((system.a, system.b, eye, none), timestep, method="foh")
-        for system in (state_space(one.arm, one.environment) for one in predictions)
-    ]
-    step, of_force, _, of_rise, _ = (np.stack(parts) for parts in zip(*discrete, strict=True))
-    n_steps = [one.onset * decimation for one in predictions]
-    force = np.zeros((max(n_steps) + 1, len(predictions), 2))
-    for trial, one in enumerate(predictions):
-        force[: n_steps[trial] + 1, trial] = _between(one.perturbation[: one.onset + 1], decimation)
-    driven = np.einsum("tij,ntj->nti", of_force, force)
-    risen = np.einsum("tij,ntj->nti", of_rise, force)
-    states = np.empty_like(driven)
-    states[0] = -risen[0]
-    for n in range(max(n_steps)):
-        np.add((step @ states[n, :, :, None])[..., 0], driven[n], out=states[n + 1])
-    states += risen
-
     starts = []
-    for trial, n in enumerate(n_steps):
-        past = states[:n, trial]
+    for trial, one in enumerate(predictions):
+        force = _between(one.perturbation[: one.onset + 1], decimation)
+        states = linear_states(one.arm, one.environment, force, 1.0 / timestep)
+        past = states[:-1]
         excitation = past[:, 0:2] @ gains.velocity[trial].T + past[:, 2:4] @ gains.position[trial].T
         active, filters = np.zeros((n_history, 2)), np.zeros((2, 2))
         for joint in range(2):
@@ -242,5 +225,5 @@ def _starts(
             sent, filters[:, joint] = signal.lfilter(*coefficients, excitation[:, joint], zi=np.zeros(2))
             kept = sent[-n_history:]
             active[n_history - len(kept) :, joint] = kept
-        starts.append(_Start(states[n, trial], filters, active))
+        starts.append(_Start(states[-1], filters, active))
     return starts
