@@ -14,7 +14,7 @@ from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse
-from armperturb.study import runner
+from armperturb.study import fits, runner
 from armperturb.study import yielding as why
 from armperturb.study.results import run_study
 from armperturb.study.runner import StudySettings
@@ -136,9 +136,10 @@ def short_protocol(tmp_path_factory):
 
 
 def coarse_study(settings, folder):
-    """A study simulated at a step at which that takes seconds."""
+    """A study simulated at a step at which that takes seconds, of which appendix C has the first structure alone."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "run_experiment", partial(run_experiment, timestep=2.5e-3))
+        patch.setattr(fits, "STRUCTURES_C", ("1",))
         return run_study(settings, folder, show_progress=False)
 
 
@@ -147,6 +148,45 @@ def study(short_protocol, once):
     """Two noisy people with linear muscles who went through the short protocol."""
     settings = StudySettings(subjects=2, seed=3, protocol=short_protocol, muscles="linear")
     return once("study", lambda folder: coarse_study(settings, folder))
+
+
+THESIS_LIKE = """
+forces = "published"
+trial_duration = 30.0
+multisine_duration = 28.6
+onset_window = [1.0, 1.2]
+pulse_directions_deg = [20.0]
+""" + "".join(
+    f"""
+[[conditions]]
+name = "{name}"
+task = "{name[:2]}"
+pulse_levels = {levels}
+"""
+    + (f"rms_displacement = {1e-3 * float(name[2:])}\npublished_force = {force}\n" if force else "")
+    for name, levels, force in (
+        ("PT0", [1, 2], 0.0),
+        ("PT2.5", [2], 1.2),
+        ("PT7.5", [1, 2], 5.4),
+        ("PT22.5", [2], 16.6),
+        ("RT0", [1], 0.0),
+        ("RT2.5", [1], 0.4),
+        ("RT7.5", [1], 0.9),
+        ("RT22.5", [1], 1.8),
+    )
+)
+
+
+@pytest.fixture(scope="session")
+def thesis_study(once):
+    """Three noisy people with linear muscles in all conditions of the thesis, each pulse once, to one side."""
+
+    def make(folder):
+        (folder / "protocol.toml").write_text(THESIS_LIKE)
+        settings = StudySettings(subjects=3, seed=3, protocol=folder / "protocol.toml", muscles="linear")
+        return coarse_study(settings, folder)
+
+    return once("thesis study", make)
 
 
 @pytest.fixture(scope="session")
