@@ -6,6 +6,7 @@ import pickle
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 
 from armperturb.cohort import average_person
@@ -14,8 +15,9 @@ from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse
-from armperturb.study import fits, runner
+from armperturb.study import fits, report, rig_figures, runner
 from armperturb.study import yielding as why
+from armperturb.study.report import Picture, write_report
 from armperturb.study.results import run_study
 from armperturb.study.runner import StudySettings
 from armperturb.subject import POSITION, RELAX
@@ -187,6 +189,44 @@ def thesis_study(once):
         return coarse_study(settings, folder)
 
     return once("thesis study", make)
+
+
+def plain_picture(model, qpos=None, camera="top", *, width, height):
+    """Stands for a picture of the rig, which takes seconds and a GL library."""
+    return np.full((height, width, 3), 200, dtype=np.uint8)
+
+
+@pytest.fixture(scope="session")
+def thesis_report(thesis_study, once):
+    """The folder of the report on that study; pictures of the rig are plain."""
+
+    def make(folder):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(rig_figures, "render", plain_picture)
+            write_report(thesis_study, folder, show_progress=False)
+        return folder
+
+    return once("thesis report", make)
+
+
+@pytest.fixture
+def sketched(monkeypatch):
+    """Reports are written without drawing anything but what this holds, and without simulating anybody once more.
+
+    Pictures of the rig fail.
+    """
+    drawn = {"rig", "stills"}
+    draw = report._draw
+    monkeypatch.setattr(rig_figures, "render", without_pictures)
+    monkeypatch.setattr(report, "_simulated", lambda *_: (None, None))
+    monkeypatch.setattr(
+        report, "_draw", lambda unit: draw(unit) if unit.name in drawn else (unit.name, Picture("data:,", 4, 3), "")
+    )
+    return drawn
+
+
+def without_pictures(*args, **options):
+    raise RuntimeError("render: no OpenGL context; install <libegl1>")
 
 
 @pytest.fixture(scope="session")

@@ -138,11 +138,13 @@ def test_appendices_d_and_e_are_those_of_each_start(thesis_study):
     for entry in entries:
         if entry.quantity == "parameter":
             fits = starts[entry.start]
-            mine = cells[Cell(entry.table, "PT7.5", f"{entry.parameter} model {entry.model} {entry.start}")]
-            column = fits.values[:, fits.parameters.index(entry.parameter)]
-            of_people = [column[i] for i, fit in enumerate(fits.fits) if fit.stable and np.isfinite(column[i])]
-            if len(of_people) == len(column):  # a person has two trials
-                assert mine.ours.mean == pytest.approx(column.mean())
+            mine = cells[Cell(entry.table, "PT7.5", f"{entry.parameter} model {entry.model} {entry.start}")].ours
+            of_people = {}
+            for name, fit in zip(fits.subjects, fits.fits, strict=True):
+                if fit.stable:
+                    of_people.setdefault(name, []).append(fit.values[entry.parameter])
+            means = [np.mean(values) for values in of_people.values()]
+            assert mine == pytest.approx((np.mean(means), np.std(means, ddof=1)))
 
 
 def test_shares():

@@ -217,6 +217,7 @@ def test_relaxed_people_give_way_many_times_more(study):
 def test_trials_at_the_workspace_limit_are_left_out_by_name(tmp_path):
     hard = Pulse(peak=600.0, direction_deg=20.0, onset=0.1, duration=1.0)
     recording = run_experiment([Trial(subject=RELAX, perturbation=hard, condition=RT.name)])
+    recording = recording.assign_coords(pulse_onset=("trial", [math.nan]))  # as if it were a multisine
     [case] = identify_person(recording, tmp_path / "r.nc", Protocol(conditions=(RT,)))
     assert case.identification is None
     assert case.left_out[0].startswith("trial 0 of relax in RT7.5 reached the workspace limit at 0.")
