@@ -298,7 +298,7 @@ def test_worker_processes_change_nothing_but_roundings(tmp_path, monkeypatch):
     shutil.rmtree(tmp_path / "s" / "analysis")  # else it would only be read again
     there = analyse_study(tmp_path / "s", workers=2, show_progress=False)
     assert [case.name for case in there.of("RT7.5")] == ["S01", "S02"]
-    # Libraries may add in another order where another process loads them.
+    # With another number of threads, BLAS adds in another order.
     assert differences(here, there, rel=1e-10) == []
 
 
