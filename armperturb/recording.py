@@ -50,6 +50,7 @@ SIGNALS = {
 """Variable name to dimensions after trial, unit and description."""
 
 REQUIRED_SIGNALS = ("perturbation", "force", "displacement")
+OPTIONAL_SIGNALS = ("joint_angle", "shoulder_marker", "emg")
 
 LABELS = {"axis": ("x", "y"), "joint": ("shoulder", "elbow"), "muscle": MUSCLES}
 
@@ -298,19 +299,27 @@ def save_recording(recording: xr.Dataset, path: str | Path) -> None:
         temporary.write_bytes(content)
 
 
-def load_recording(path: str | Path) -> xr.Dataset:
-    """Read a recording and check it.
+def load_recording(path: str | Path, optional: Iterable[str] = OPTIONAL_SIGNALS) -> xr.Dataset:
+    """Read a recording and check what was read.
+
+    Args:
+      path: of the file.
+      optional: what to read beside `REQUIRED_SIGNALS`, where there is any. EMG takes most of the memory.
 
     Raises:
-      ValueError: the file is no netCDF4 file or no recording.
+      ValueError: the file is no netCDF4 file or no recording, or something else than `OPTIONAL_SIGNALS` is asked for.
       OSError: the file cannot be read.
     """
-    path = Path(path)
+    path, wanted = Path(path), set(optional)
+    if unknown := wanted - set(OPTIONAL_SIGNALS):
+        found = ", ".join(map(repr, sorted(unknown)))
+        raise ValueError(f"load_recording: optional has {found}; expected some of {', '.join(OPTIONAL_SIGNALS)}")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file, or a folder; expected a recording (netCDF4)")
     try:
         with xr.open_dataset(path, engine="h5netcdf") as opened:
-            recording = opened.load()
+            kept = [name for name in opened.data_vars if name in wanted or name not in OPTIONAL_SIGNALS]
+            recording = opened[kept].load()
     except (OSError, ValueError, KeyError) as error:
         raise ValueError(f"{path}: not a readable netCDF4 file ({error})".replace("\n", " ")) from None
     for name in TEXT_COORDINATES:

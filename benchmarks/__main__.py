@@ -6,6 +6,7 @@ from benchmarks import (
     multisine_crest,
     muscle_law,
     study_kills,
+    study_report,
     study_speed,
     thesis_fit,
     thesis_sem,
@@ -19,6 +20,7 @@ for module in (
     thesis_sem,
     estimators,
     study_speed,
+    study_report,
     study_kills,
 ):
     print(f"== {module.__name__}")

@@ -259,3 +259,11 @@ def test_unstable_subjects_are_refused():
     assert largest_real_pole(wild, ENVIRONMENT) > 0
     with pytest.raises(ValueError, match=r"'position' and the environment are unstable: .* expected below 0"):
         require_stable(wild, ENVIRONMENT)
+
+
+def test_an_arm_that_is_lost_costs_the_others_nothing():
+    values = np.array([parameter_vector(POSITION)] * 3)
+    values[1, 4] = np.nan
+    poles = LinearArm(POSITION, [1.0]).poles(values, ENVIRONMENT)
+    assert np.isnan(poles[1]).all()
+    np.testing.assert_array_equal(poles[[0, 2]], LinearArm(POSITION, [1.0]).poles(values[[0, 2]], ENVIRONMENT))

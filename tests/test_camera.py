@@ -50,6 +50,16 @@ def test_qpos_moves_the_arm(model):
     assert (start != bent).any()
 
 
+@needs_gl
+def test_poses_drawn_together_look_as_drawn_alone(model):
+    poses = np.array([[[*RELAX.posture, x, y] for x in (-0.2, 0.0, 0.2)] for y in (0.0, 0.1)])
+    pictures = render(model, poses, "top", width=64, height=48)
+    assert pictures.shape == (2, 3, 48, 64, 3)
+    for index in ((0, 0), (1, 2)):
+        np.testing.assert_array_equal(pictures[index], render(model, poses[index], "top", width=64, height=48))
+    assert (pictures[0, 0] != pictures[1, 2]).any()
+
+
 def test_says_what_to_install_without_gl(model, monkeypatch):
     for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
@@ -65,7 +75,8 @@ def test_says_what_to_install_without_gl(model, monkeypatch):
         ({"camera": "front"}, "camera = 'front'; expected one of top, oblique"),
         ({"width": 0}, "width = 0; expected 1 to 1920 pixels"),
         ({"height": 10_000}, "height = 10000; expected 1 to 1440 pixels"),
-        ({"qpos": [0.0, 0.0]}, r"qpos of shape \(2,\); expected \(4,\)"),
+        ({"qpos": [0.0, 0.0]}, r"qpos of shape \(2,\); expected \(..., 4\)"),
+        ({"qpos": 0.1}, r"qpos of shape \(\); expected \(..., 4\)"),
     ],
 )
 def test_refuses_what_it_cannot_draw(model, settings, message):

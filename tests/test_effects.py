@@ -82,6 +82,20 @@ def test_parameters_are_means_over_stable_trials(people, tested):
     assert found["p"] == pytest.approx(effect_of_condition(values).p) == tested.parameters["PT", "k_s"]
 
 
+def test_one_joint_muscles_are_joints_less_the_two_joint_muscles(people, tested):
+    def difference(fit):
+        return fit.values["kv_e"] - fit.values["kv_se"]
+
+    values = np.array(
+        [
+            [np.mean([difference(f) for f in one.estimates[f"PT{a}"].fits if f.stable]) for a in ("2.5", "7.5", "22.5")]
+            for one in people
+        ]
+    )
+    found = row(tested.rows, quantity="kv_e*", task="PT")
+    assert found["p"] == pytest.approx(effect_of_condition(values).p) == tested.parameters["PT", "kv_e*"]
+
+
 def test_printed_numbers_stand_beside(tested):
     printed = {
         (one["quantity"], one["task"]): one["published_p"] for one in tested.rows if one["test"] != "dependent t"
@@ -92,7 +106,9 @@ def test_printed_numbers_stand_beside(tested):
     assert printed["pulse admittance", "PT"] == "0.001"
     assert printed["pulse prediction", "PT"] == "ns"
     assert printed["peak displacement", "PT"] == ""
-    assert len(tested.parameters) == 12 + 6
+    assert printed["kv_s*", "PT"] == "< 0.01"
+    assert printed["kv_e*", "PT"] == printed["k_s*", "RT"] == ""
+    assert len(tested.parameters) == 12 + 8 + 6 + 4
     pair = row(tested.pairs, quantity="pulse admittance", task="RT", first="RT7.5", second="RT22.5")
     assert pair["published_p"] == "0.009"
 

@@ -192,7 +192,7 @@ def test_joint_parameters_are_means_over_people_of_stable_trials(invented):
 
 
 def test_one_joint_muscles_are_joints_less_the_two_joint_muscles(invented):
-    figure = parameter_figures.muscle_parameters(invented, {"RT": {"k_e": 0.001}})
+    figure = parameter_figures.muscle_parameters(invented, {"RT": {"k_e*": 0.001, "k_e": 0.02, "k_s": 0.02}})
     position, relax = np.array(figure.axes).reshape(4, 2).T
     for axes, conditions, quantities in (
         (position, ("PT2.5", "PT7.5", "PT22.5"), ("b", "k", "kv", "kp")),
@@ -421,8 +421,8 @@ def test_stills_show_the_recorded_pose_and_the_path_so_far(monkeypatch):
     shown = []
 
     def fake(model, qpos, camera, *, width, height):
-        shown.append(np.array(qpos))
-        return np.zeros((height, width, 3), dtype=np.uint8)
+        shown.extend(qpos)
+        return np.zeros((len(qpos), height, width, 3), dtype=np.uint8)
 
     monkeypatch.setattr(rig_figures, "render", fake)
     someone = average_person()
@@ -501,7 +501,7 @@ def test_registry_marks_significant_effects(recorded):
     effects = replace(
         NOTHING,
         admittance={"PT": AdmittanceEffect(FREQUENCY, p, p < 0.05)},
-        parameters={("RT", "k_s"): 0.001, ("PT", "k_e"): 0.04},
+        parameters={("RT", "k_s"): 0.001, ("PT", "k_e"): 0.04, ("RT", "k_e*"): 0.02},
         rows=({"test": "dependent t", "conditions": "PT0, level 2 against 1", "p": 0.001},),
     )
     drawn = drawings(recorded, effects, None)
@@ -509,4 +509,6 @@ def test_registry_marks_significant_effects(recorded):
     assert marked(gain)[0] == [FREQUENCY[2:5].tolist(), FREQUENCY[:2].tolist()]
     relax = np.array(drawn["joint_parameters_RT"]().axes).reshape(2, 2)
     assert [texts(ax) for ax in relax[:, 0]] == [[], ["**"]]
+    muscles = np.array(drawn["muscle_parameters"]().axes).reshape(4, 2)
+    assert [texts(ax) for ax in muscles[:2].flat] == [[], [], [], ["*"]]
     assert texts(drawn["pulse_admittance"]().axes[0])[0].endswith("**")

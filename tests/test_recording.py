@@ -157,6 +157,31 @@ def test_a_failed_save_leaves_the_old_file_and_nothing_else(recording, tmp_path,
     assert [p.name for p in tmp_path.iterdir()] == ["r.nc"]
 
 
+def test_optional_signals_are_read_where_wanted(whole_recording, tmp_path):
+    path = tmp_path / "r.nc"
+    save_recording(whole_recording, path)
+    names = [*REQUIRED_SIGNALS, "joint_angle"]
+    assert load_recording(path, ["joint_angle"]).identical(whole_recording[names])
+    assert load_recording(path, ["emg"]).identical(whole_recording[[*REQUIRED_SIGNALS, "emg"]])
+    with h5py.File(path, "a") as file:
+        file["emg"].attrs["units"] = "mV"
+    assert load_recording(path, ["joint_angle"]).identical(whole_recording[names])
+    with pytest.raises(ValueError, match="emg has units 'mV'"):
+        load_recording(path)
+
+
+def test_a_recording_may_lack_optional_signals_only(recording, tmp_path):
+    path = tmp_path / "r.nc"
+    save_recording(recording.drop_vars("joint_angle"), path)
+    assert set(load_recording(path, ["joint_angle"]).data_vars) == set(REQUIRED_SIGNALS)
+    with h5py.File(path, "a") as file:
+        del file["force"]
+    with pytest.raises(ValueError, match=r"r.nc: variable 'force' is missing; expected perturbation, force, displace"):
+        load_recording(path, ["joint_angle"])
+    with pytest.raises(ValueError, match="optional has 'force', 'torque'; expected some of joint_angle, shoulder_mark"):
+        load_recording(path, ["force", "emg", "torque"])
+
+
 def with_nan(recording):
     changed = recording.copy(deep=True)
     changed["force"][1, 7, 0] = np.nan

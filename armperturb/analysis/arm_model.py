@@ -376,10 +376,15 @@ class LinearArm:
         """Poles of arm and environment with third-order Pade delays [1/s], (..., state).
 
         Args:
-          values: (..., parameter).
+          values: (..., parameter); those that are not finite have poles of NaN.
           environment: what the hand holds, or those of a batch hold.
         """
-        return np.asarray(np.linalg.eigvals(self._force_and_dynamics(values, environment)[1]), dtype=complex)
+        dynamics = self._force_and_dynamics(values, environment)[1]
+        lost = np.asarray(~np.isfinite(dynamics).all(axis=(-2, -1)))
+        # One of a batch must not cost the others theirs.
+        poles = np.asarray(np.linalg.eigvals(np.where(lost[..., None, None], 0.0, dynamics)), dtype=complex)
+        poles[lost] = np.nan
+        return poles
 
     def pole_gradient(
         self,

@@ -14,7 +14,7 @@ from armperturb.analysis.maximum_likelihood import Estimate
 from armperturb.analysis.spectra import SpectralEstimate, estimate_spectra, line_spectra
 from armperturb.analysis.thesis import ThesisEstimate
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.recording import REQUIRED_SIGNALS, load_recording, stack_trials
+from armperturb.recording import load_recording, stack_trials
 from armperturb.study.protocol import Condition, Protocol
 from armperturb.subject import Subject
 
@@ -82,14 +82,8 @@ class Case:
 
     def trials(self) -> xr.Dataset:
         """The recorded trials behind the identification, pulses included."""
-        mine = of_condition(load_signals(self.recording), self.condition.name)
+        mine = of_condition(load_recording(self.recording, ["joint_angle"]), self.condition.name)
         return mine.isel(trial=multisine_part(mine)[1])
-
-
-def load_signals(path: Path) -> xr.Dataset:
-    """The signals of a recording that are analysed; EMG takes most of the memory."""
-    recording = load_recording(path)
-    return recording[[*REQUIRED_SIGNALS, *({"joint_angle"} & set(recording.data_vars))]]
 
 
 def of_condition(recording: xr.Dataset, condition: str) -> xr.Dataset:

@@ -2,14 +2,13 @@
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
 from armperturb.analysis.kinematics import hand_path, within_reach
-from armperturb.recording import REQUIRED_SIGNALS, load_recording
+from armperturb.recording import load_recording
 from armperturb.study import (
     admittance_figures,
     fit_figures,
@@ -91,12 +90,14 @@ def _of_people(study: StudyResult, effects: Effects) -> Drawings:
     trials = [trial for person in study.people for trial in person.trials]
     if np.isfinite([trial.vaf_linear for trial in trials]).any():
         drawn["vaf"] = partial(fit_figures.vaf, study)
+    p: dict[str, dict[str, float]] = {task: {} for task in CONDITIONS}
+    for (task, name), of_effect in effects.parameters.items():
+        p[task][name] = of_effect
     for task in CONDITIONS:
         if parameter_figures.estimated(study, task):
-            p = {name: p for (of_task, name), p in effects.parameters.items() if of_task == task}
-            drawn[f"joint_parameters_{task}"] = partial(parameter_figures.joint_parameters, study, task, p)
+            drawn[f"joint_parameters_{task}"] = partial(parameter_figures.joint_parameters, study, task, p[task])
             drawn["penalty"] = partial(fit_figures.penalty, study)
-            drawn["muscle_parameters"] = partial(parameter_figures.muscle_parameters, study)
+            drawn["muscle_parameters"] = partial(parameter_figures.muscle_parameters, study, p)
     if np.isfinite([trial.displacement for trial in trials]).any():
         levels = {row["conditions"].split(",")[0]: row["p"] for row in effects.rows if row["test"] == "dependent t"}
         drawn["peak_displacement"] = partial(pulse_figures.peak_displacement, study)
@@ -112,7 +113,7 @@ def _of_pulses(study: StudyResult) -> Drawings:
         return {}
     drawn: Drawings = {}
     name, path = study.cases[0].name, study.cases[0].recording
-    recording = _mechanical_signals(path)
+    recording = load_recording(path, ["joint_angle"])
     stills = []
     for condition in study.protocol.conditions:
         trials = of_condition(recording, condition.name)
@@ -134,12 +135,6 @@ def _of_pulses(study: StudyResult) -> Drawings:
             estimate = measures.estimates.get(condition_name) if measures else None
             drawn[f"trajectories_{task}"] = partial(trajectory_figures.trajectories, trials, estimate, level)
     return drawn
-
-
-def _mechanical_signals(path: Path) -> xr.Dataset:
-    """A recording without EMG and markers."""
-    recording = load_recording(path)
-    return recording[[name for name in (*REQUIRED_SIGNALS, "joint_angle") if name in recording]]
 
 
 def _within_reach(trials: xr.Dataset) -> bool:

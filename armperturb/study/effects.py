@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from armperturb.analysis.statistics import ALPHA, FEWEST, adjacent_effects, effe
 from armperturb.study import published
 from armperturb.study.admittance import by_task
 from armperturb.study.headlines import POST_HOC, PULSED
-from armperturb.study.measure import PersonMeasures, PulseMeans
+from armperturb.study.measure import PersonMeasures, PulseMeans, muscle_parameter, stable_mean
 from armperturb.study.results import StudyResult
 
 Array = NDArray[np.float64]
@@ -22,12 +23,19 @@ AMPLITUDES = {"PT": ("PT2.5", "PT7.5", "PT22.5"), "RT": ("RT2.5", "RT7.5", "RT22
 """Task to the conditions whose multisines differ, the smallest first."""
 
 TRIPLES = {"PT": ("b", "k", "kv", "kp"), "RT": ("b", "k")}
-"""Task to the matrices of joint parameters that are tested."""
+"""Task to the matrices whose parameters are tested."""
 
-PLACES = ("s", "se", "e")
+PLACES = ("s", "se", "e", "s*", "e*")
+"""Of joints, and with a star of one-joint muscles (eq. 2.10)."""
 
 PRINTED_PARAMETERS = {"k_s": "p_k_s_pt", "kv_se": "p_kv_se_pt", "kp_s": "p_kp_s_pt"}
-"""Parameters with a significant effect of amplitude in PT, to the printed p; the others are "ns" there (3.2)."""
+"""Joint parameters with a significant effect of amplitude in PT, to the printed p; the others are "ns" there (3.2)."""
+
+STARRED_MUSCLES = ("k_s*", "kv_s*", "kp_s*")
+"""Parameters of one-joint muscles with such an effect, marked as p < 0.01 (3.2, figure 3.14).
+
+Of other muscles the thesis tells nothing.
+"""
 
 PREDICTED = {
     "PT": (("PT2.5", "max"), ("PT7.5", "max"), ("PT22.5", "max")),
@@ -61,13 +69,25 @@ class AdmittanceEffect(NamedTuple):
         return [f"{one:.2g}" for one in self.frequency[self.p[:, output, input_] < ALPHA]]
 
 
+class Agreement(NamedTuple):
+    """How many tests are as in the thesis.
+
+    Attributes:
+      told: tests and pairs of which the thesis tells whether they are significant.
+      agree: of these, those that are, or are not, in both.
+    """
+
+    told: int
+    agree: int
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Effects:
     """All tests of a study.
 
     Attributes:
       admittance: task to the tests of the gain.
-      parameters: task and joint parameter to p, of the thesis's fits.
+      parameters: task and parameter to p, of the thesis's fits; with a star those of one-joint muscles.
       rows: one per test, for a table.
       pairs: one per pair of conditions, likewise.
       remarks: tests that were not made, or without some people, and why.
@@ -78,6 +98,14 @@ class Effects:
     rows: tuple[Row, ...]
     pairs: tuple[Row, ...]
     remarks: tuple[str, ...]
+
+    @property
+    def agreement(self) -> Agreement:
+        """With the thesis, on what is significant."""
+        told = [(row["p"], row["published_p"]) for row in self.rows if row["published_p"]]
+        told += [(row["p_bonferroni"], row["published_p"]) for row in self.pairs if row["published_p"]]
+        # A printed p is always of a difference that is called significant.
+        return Agreement(len(told), sum((p < ALPHA) == (printed != "ns") for p, printed in told))
 
 
 class _Tests:
@@ -180,12 +208,8 @@ def effects(study: StudyResult) -> Effects:
     parameters: dict[tuple[str, str], float] = {}
     for task, conditions in AMPLITUDES.items():
         for name in (f"{kind}_{place}" for kind in TRIPLES[task] for place in PLACES):
-            printed = "ns"
-            if task == "RT" or name in PRINTED_PARAMETERS:
-                key = "p_all_parameters_rt" if task == "RT" else PRINTED_PARAMETERS[name]
-                printed = published.headline_text(key)
             values = {person.name: [_parameter(person, c, name) for c in conditions] for person in study.people}
-            parameters[task, name] = tests.effect(name, task, values, conditions, printed)
+            parameters[task, name] = tests.effect(name, task, values, conditions, _printed_parameter(name, task))
     pulses: dict[str, tuple[Callable[[PulseMeans], float], Mapping[str, tuple[tuple[str, str], ...]]]] = {
         "peak displacement": (lambda pulse: pulse.displacement, PULSED),
         "pulse admittance": (lambda pulse: pulse.admittance, PULSED),
@@ -236,13 +260,19 @@ def admittance_effect(study: StudyResult, task: str) -> AdmittanceEffect | None:
 def _parameter(person: PersonMeasures, condition: str, name: str) -> float:
     """Mean over the stable trials of what the thesis's estimator gives; NaN without any."""
     estimate = person.estimates.get(condition)
-    if estimate is None or not estimate.n_stable:
-        return math.nan
-    return float(estimate.values[estimate.stable, estimate.parameters.index(name)].mean())
+    return math.nan if estimate is None else muscle_parameter(name, partial(stable_mean, estimate))
 
 
 def _pulse(person: PersonMeasures, pulse: tuple[str, str], value: Callable[[PulseMeans], float]) -> float:
     return value(person.pulses[pulse]) if pulse in person.pulses else math.nan
+
+
+def _printed_parameter(name: str, task: str) -> str:
+    if name.endswith("*"):
+        return "< 0.01" if task == "PT" and name in STARRED_MUSCLES else ""
+    if task == "RT":
+        return published.headline_text("p_all_parameters_rt")
+    return published.headline_text(PRINTED_PARAMETERS[name]) if name in PRINTED_PARAMETERS else "ns"
 
 
 def _printed(what: str, task: str) -> str:

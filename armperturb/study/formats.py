@@ -23,9 +23,11 @@ def fixed(value: float | None, decimals: int) -> str:
 
 
 def signed(value: float | None, decimals: int = 1) -> str:
-    """A difference: with its sign."""
+    """A difference: with its sign, if any of it is left."""
     text = fixed(value, decimals)
-    return text if text == MISSING or text.startswith("−") else f"+{text}"
+    if not any(digit in text for digit in "123456789"):
+        return text.removeprefix("−")
+    return text if text.startswith("−") else f"+{text}"
 
 
 def chance(p_value: float | None) -> str:

@@ -1,7 +1,7 @@
 """What the thesis reports of one person, from the person's recordings: cells of tables, admittance, pulses, fits."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -199,6 +199,23 @@ def _unstable(estimate: ThesisEstimate, condition: str) -> list[str]:
         f"{condition}, model {estimate.structure}: {n} of {len(estimate.fits)} fits diverged (unstable on the "
         "manipulator in spite of the penalty) and are left out"
     ]
+
+
+def stable_mean(estimate: ThesisEstimate, name: str, *, sem: bool = False) -> float:
+    """A person's mean over stable trials of a parameter, or of its SEM; NaN without any."""
+    per_trial = (estimate.sem if sem else estimate.values)[estimate.stable, estimate.parameters.index(name)]
+    return float(per_trial.mean()) if len(per_trial) else math.nan
+
+
+def muscle_parameter(name: str, of_joints: Callable[[str], float]) -> float:
+    """A parameter of a muscle group, from those of joints: k_s* = k_s - k_se, k_e* = k_e - k_se (eq. 2.10).
+
+    Args:
+      name: with a star for muscles of one joint.
+      of_joints: name of a joint's parameter to its value.
+    """
+    joint, star, _ = name.partition("*")
+    return of_joints(joint) - of_joints(f"{joint.split('_')[0]}_se") if star else of_joints(joint)
 
 
 def _recorded_trials(recording: xr.Dataset) -> list[TrialMeasures]:

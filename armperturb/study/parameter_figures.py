@@ -1,7 +1,7 @@
 """Figures of estimated parameters (thesis figures 3.12 to 3.14)."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -25,6 +25,7 @@ from armperturb.study.bars import (
     printed_handle,
     stars,
 )
+from armperturb.study.measure import muscle_parameter, stable_mean
 from armperturb.study.published import MeanSD
 from armperturb.study.results import StudyResult
 from armperturb.study.style import BESIDE, COLOURS, GREY, PALE, PUBLISHED, TRUE, in_style, new_figure, shades
@@ -34,6 +35,7 @@ QUANTITIES = {"b": "damping", "k": "stiffness", "kv": "velocity\nfeedback", "kp"
 """What is drawn of a joint, and what it is called."""
 
 JOINTS = {"s": "shoulder", "se": "shoulder-elbow", "e": "elbow"}
+MUSCLES = {"s*": "shoulder", "se": "shoulder-elbow", "e*": "elbow"}
 
 SEM_TABLES = {"PT7.5": "E.4", "RT2.5": "C.17", "RT7.5": "C.19", "RT22.5": "C.21"}
 """Condition to the table of the SEMs of `published.PARAMETER_TABLES`."""
@@ -133,7 +135,7 @@ def joint_parameters(study: StudyResult, task: str, p: Mapping[str, float] | Non
             groups = {
                 place: [
                     Bar(
-                        mean_sd(_mean(estimate, name, sem=sem) for estimate in estimates[condition]),
+                        mean_sd(stable_mean(estimate, name, sem=sem) for estimate in estimates[condition]),
                         published_or_nan(_printed_sem if sem else published.parameter, condition, name),
                         colour,
                     )
@@ -159,7 +161,7 @@ def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] |
 
     Args:
       study: with estimates in a task, see `estimated`.
-      p: task to parameter to the p of an effect of the amplitude on it.
+      p: task to parameter, with a star for one-joint muscles, to the p of an effect of the amplitude on it.
     """
     tasks = {task: estimates for task in CONDITIONS if (estimates := estimated(study, task))}
     rows = {task: _quantities(estimates) for task, estimates in tasks.items()}
@@ -169,22 +171,21 @@ def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] |
     drawn = []
     for column, (task, estimates) in zip(panels.T, tasks.items(), strict=True):
         for ax, quantity in zip(column, rows[task], strict=False):
+            names = {place: f"{quantity}_{muscles}" for muscles, place in MUSCLES.items()}
             groups = {
                 place: [
                     Bar(
-                        mean_sd(
-                            _muscle(partial(_mean, estimate), quantity, joint) for estimate in estimates[condition]
-                        ),
-                        _printed_muscle(condition, quantity, joint),
+                        mean_sd(muscle_parameter(name, partial(stable_mean, one)) for one in estimates[condition]),
+                        _printed_muscle(condition, name),
                         colour,
                     )
                     for condition, colour in _colours(task, estimates)
                 ]
-                for joint, place in JOINTS.items()
+                for place, name in names.items()
             }
             drawn.append(groups)
             of_task = (p or {}).get(task, {})
-            _draw(ax, groups, {place: of_task.get(f"{quantity}_{joint}", 1.0) for joint, place in JOINTS.items()})
+            _draw(ax, groups, {place: of_task.get(name, 1.0) for place, name in names.items()})
             ax.set_ylabel(f"{QUANTITIES[quantity]} [{unit(quantity)}]")
         for ax in column[len(rows[task]) :]:
             ax.set_visible(False)
@@ -208,22 +209,10 @@ def _quantities(estimates: Estimates) -> list[str]:
     return [quantity for quantity in QUANTITIES if f"{quantity}_s" in names]
 
 
-def _mean(estimate: ThesisEstimate, name: str, *, sem: bool = False) -> float:
-    """A person's mean over stable trials of a parameter, or of its SEM; NaN without any."""
-    per_trial = (estimate.sem if sem else estimate.values)[estimate.stable, estimate.parameters.index(name)]
-    return float(per_trial.mean()) if len(per_trial) else math.nan
-
-
-def _muscle(value: Callable[[str], float], quantity: str, joint: str) -> float:
-    """A parameter of a muscle group, from those of joints (eq. 2.10)."""
-    own, two_joint = value(f"{quantity}_{joint}"), value(f"{quantity}_se")
-    return own if joint == "se" else own - two_joint
-
-
-def _printed_muscle(condition: str, quantity: str, joint: str) -> MeanSD:
+def _printed_muscle(condition: str, name: str) -> MeanSD:
     printed = partial(published_or_nan, published.parameter, condition)
-    mean = _muscle(lambda name: printed(name).mean, quantity, joint)
-    return MeanSD(mean, printed(f"{quantity}_se").sd if joint == "se" else math.nan)
+    mean = muscle_parameter(name, lambda joint: printed(joint).mean)
+    return MeanSD(mean, math.nan if name.endswith("*") else printed(name).sd)
 
 
 def _printed_sem(condition: str, name: str) -> MeanSD:

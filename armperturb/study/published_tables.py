@@ -106,7 +106,9 @@ def published_tables(result: Score) -> tuple[PublishedTable, ...]:
 def _table(number: str, cells: list[ScoredCell]) -> PublishedTable:
     places: list[Callable[[ScoredCell], _Place]] = [_measured_place, _fitted_place]
     where = [(places[number[0] in "CDE"](one), one) for one in cells]
-    columns = tuple(dict.fromkeys(place.column for place, _ in where))
+    # As printed, with pulses last; else as they come.
+    order = {label: number for number, (label, _) in enumerate(_MEASURED.values())}
+    columns = tuple(sorted({place.column: None for place, _ in where}, key=lambda column: order.get(column, 0)))
     found = {(place.row, place.column): _entry(one, place.factor) for place, one in where}
     rows = dict.fromkeys(place.row for place, _ in where)
     return PublishedTable(

@@ -20,8 +20,9 @@ from tqdm import tqdm
 
 from armperturb.cohort import Person
 from armperturb.environment import Environment
+from armperturb.recording import load_recording
 from armperturb.study.archive import code_digest, keep, read_archive
-from armperturb.study.cases import Case, identify_person, load_signals
+from armperturb.study.cases import Case, identify_person
 from armperturb.study.fits import Appendices, Fits, Key, SecondStep, fit_person, fit_second_step, joined, means_of
 from armperturb.study.manifest import Manifest, current_versions, read_manifest
 from armperturb.study.measure import PersonMeasures, measure_person
@@ -65,7 +66,8 @@ class StudyResult:
       cases: one per person who was recorded and condition that has a multisine, people in order.
       people: what the thesis reports of each person.
       appendices: fits of appendices C to E.
-      remarks: what the folder lacks, and why parts of it were left out; one line each.
+      missing: what the folder lacks, or how it was made otherwise; one line each.
+      remarks: why parts of what is there were left out, likewise.
     """
 
     made: Manifest | None
@@ -75,6 +77,7 @@ class StudyResult:
     cases: tuple[Case, ...]
     people: tuple[PersonMeasures, ...] = ()
     appendices: Appendices = field(default_factory=Appendices)
+    missing: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
     @property
@@ -162,16 +165,16 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
     """
     if workers is not None:
         require_number("analysis", "workers", workers, at_least=1)
-    paths, remarks = find_recordings(root)
-    made = _manifest(root, remarks)
+    paths, missing = find_recordings(root)
+    made = _manifest(root, missing)
     protocol, environment = made.protocol if made else THESIS, Environment()
-    cohort = _cohort(made, environment, remarks)
+    cohort = _cohort(made, environment, missing)
     truths = {person.name: person for person in cohort}
     if made and len(paths) < made.subjects:
-        missing = sorted(truths.keys() - {path.stem for path in paths})
-        named = f" ({', '.join(missing)})" if missing else ""
+        absent = sorted(truths.keys() - {path.stem for path in paths})
+        named = f" ({', '.join(absent)})" if absent else ""
         lacking = made.subjects - len(paths)
-        remarks.append(f"the study is incomplete: {lacking} of {made.subjects} people have no whole recording{named}")
+        missing.append(f"the study is incomplete: {lacking} of {made.subjects} people have no whole recording{named}")
     keys = {path: _key(digest(path), protocol) for path in paths}
     with (
         workers_for(worker_count(workers, len(paths)), None) as crew,
@@ -185,8 +188,10 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
         second_key = hashlib.sha256("".join(sorted(keys.values())).encode()).hexdigest()
         later = [_LaterUnit(path, means, second_key, _file(root, path, "-step-2")) for path in paths]
         second = _each(_analyse_later, later, crew, bar)
+    remarks: list[str] = []
     for one in found:
-        remarks += [*one.missing, *one.measures.left_out, *one.fits.left_out]
+        missing += one.missing
+        remarks += [*one.measures.left_out, *one.fits.left_out]
     remarks += [line for one in second for line in one.left_out]
     return StudyResult(
         made=made,
@@ -204,32 +209,31 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
         ),
         people=tuple(one.measures for one in found),
         appendices=Appendices(first=first, second=joined(one.estimates for one in second), starts=starts),
+        missing=tuple(missing),
         remarks=tuple(remarks),
     )
 
 
-def _manifest(root: Path, remarks: list[str]) -> Manifest | None:
+def _manifest(root: Path, missing: list[str]) -> Manifest | None:
     try:
         made = read_manifest(root)
     except ValueError as error:
-        remarks.append(f"how the recordings were made is not known, so the thesis's protocol is assumed: {error}")
+        missing.append(f"how the recordings were made is not known, so the thesis's protocol is assumed: {error}")
         return None
     if made is not None:
         now = current_versions()
         others = [f"{name} {made.versions.get(name, '?')}, now {now[name]}" for name in now]
         others = [text for name, text in zip(now, others, strict=True) if made.versions.get(name) != now[name]]
         if others:
-            remarks.append(f"the recordings were made with other versions: {'; '.join(others)}")
+            missing.append(f"the recordings were made with other versions: {'; '.join(others)}")
     return made
 
 
-def _cohort(made: Manifest | None, environment: Environment, remarks: list[str]) -> tuple[Person, ...]:
+def _cohort(made: Manifest | None, environment: Environment, missing: list[str]) -> tuple[Person, ...]:
     """Those who were simulated, where that is known."""
     people = made.draw_people(environment) if made else ()
     if people is None:
-        remarks.append(
-            "this version draws other people than those who were recorded: their true parameters are unknown"
-        )
+        missing.append("this version draws other people than those who were recorded: their truth is unknown")
     return people or ()
 
 
@@ -252,7 +256,7 @@ class _LaterUnit(NamedTuple):
 
 
 def _analyse(unit: _Unit) -> PersonResults:
-    recording = load_signals(unit.path)
+    recording = load_recording(unit.path, ["joint_angle"])
     try:
         cases = identify_person(recording, Path(RECORDINGS, unit.path.name), unit.protocol)
         return PersonResults(
@@ -266,7 +270,7 @@ def _analyse(unit: _Unit) -> PersonResults:
 
 
 def _analyse_later(unit: _LaterUnit) -> SecondStep:
-    return fit_second_step(load_signals(unit.path), unit.means)
+    return fit_second_step(load_recording(unit.path, ["joint_angle"]), unit.means)
 
 
 def _missing(recording: Any, protocol: Protocol) -> list[str]:
@@ -312,6 +316,6 @@ def _file(root: Path, recording: Path, suffix: str = "") -> Path:
 
 
 def _key(sha256: str, protocol: Protocol) -> str:
-    """What a result depends on: recording, protocol and this package."""
-    text = json.dumps([sha256, protocol.to_dict(), code_digest()])
+    """What a result depends on: recording, protocol, this package and its libraries."""
+    text = json.dumps([sha256, protocol.to_dict(), code_digest(), current_versions()])
     return hashlib.sha256(text.encode()).hexdigest()

@@ -80,9 +80,11 @@ def stills(person: Person, environment: Environment, pulses: Sequence[xr.Dataset
         displacement, angle = (trial[name].values[0] for name in ("displacement", "joint_angle"))
         start = hand_position(person.subjects[task].posture, person.subjects[task].l_h, person.subjects[task].l_f)
         direction = np.radians(float(trial["pulse_direction"].values[0]))
-        for ax, since in zip(row, after, strict=True):
-            now = onset + round(since * rate)
-            _draw_still(ax, render(model, [*angle[now], *displacement[now]], "top", width=PIXELS, height=PIXELS))
+        samples = onset + np.rint(np.multiply(after, rate)).astype(int)
+        poses = np.hstack([angle[samples], displacement[samples]])
+        pictures = render(model, poses, "top", width=PIXELS, height=PIXELS)
+        for ax, since, now, picture in zip(row, after, samples, pictures, strict=True):
+            _draw_still(ax, picture)
             path = start + displacement[onset : now + 1]
             ax.plot(*path.T, color=COLOURS["RT"], linewidth=1.6)
             ax.plot(*path[-1], "o", color=COLOURS["RT"], markersize=3)

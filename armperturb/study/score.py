@@ -108,7 +108,7 @@ def score(study: StudyResult) -> Score:
         people=len(study.people),
         cells=tuple(cells),
         headlines=headlines(study.people),
-        remarks=(*study.remarks, *_diverged(study.appendices)),
+        remarks=(*study.missing, *study.remarks, *_diverged(study.appendices)),
     )
 
 

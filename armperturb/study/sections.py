@@ -131,6 +131,8 @@ def sections(
             "names": NAMES,
         }
         found.append(Section(title="Kinematics", template="kinematics", context=context))
+    if study.cohort and any(person.pulses for person in study.people):
+        found.append(Section(title="Videos, as stills", template="stills"))
     if yielding is not None:
         context = {"person": yielding.person, "rows": yielding.rows(), "pulses": PULSES, "unstable": yielding.unstable}
         found.append(Section(title="Why people yield", template="yielding", context=context))
@@ -225,7 +227,8 @@ def left_out(study: StudyResult, fits: list[Row]) -> dict[str, list[str]]:
         return [f"{row['subject']} in {row['condition']}: {says(row)}" for row in fits if says(row)]
 
     return {
-        "What is missing, and why": list(study.remarks),
+        "What is missing, or was made otherwise": list(study.missing),
+        "What was left out of single results": list(study.remarks),
         "Trials and people that were left out": [reason for case in study.cases for reason in case.left_out],
         "Fits that did not converge": those(lambda row: "" if row["converged"] else row["status"]),
         "Fits with a parameter at its bound": those(lambda row: row["at_bound"]),
