@@ -193,7 +193,7 @@ def thesis_study(once):
 
 def plain_picture(model, qpos=None, camera="top", *, width, height):
     """Stands for a picture of the rig, which takes seconds and a GL library."""
-    return np.full((height, width, 3), 200, dtype=np.uint8)
+    return np.full((*np.shape(qpos)[:-1], height, width, 3), 200, dtype=np.uint8)
 
 
 @pytest.fixture(scope="session")

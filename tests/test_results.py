@@ -139,7 +139,7 @@ def test_other_recordings_and_other_code_are_analysed_anew(copied, asked, quick,
     # Step 2 of appendix C follows from everybody.
     assert [name for name, person in asked if person == "S01"] == ["fit_second_step"]
     assert sorted(name for name, person in asked if person == "S02") == sorted(COMPUTING)
-    assert "S02 has 0 of 1 trials in RT22.5" in found.remarks
+    assert found.missing == ("S02 has 0 of 1 trials in RT22.5",)
     assert [case.name for case in found.of("RT22.5")] == ["S01"]
     one = cells_of(found)[Cell("2.1", "RT22.5", "rms_force")]
     assert one.ours.mean == pytest.approx(found.of("RT22.5")[0].force)
@@ -148,10 +148,12 @@ def test_other_recordings_and_other_code_are_analysed_anew(copied, asked, quick,
     asked.clear()
     analysed(copied)
     assert asked == []
-    monkeypatch.setattr(results, "code_digest", lambda: "other")
     monkeypatch.setattr(results, "identify_person", refuse)
-    with pytest.raises(ValueError, match=r"S01\.nc: asked to identify"):
-        analysed(copied)
+    for name, value in (("code_digest", "other"), ("current_versions", {"scipy": "0.1"})):
+        with monkeypatch.context() as patch:
+            patch.setattr(results, name, lambda value=value: value)
+            with pytest.raises(ValueError, match=r"S01\.nc: asked to identify"):
+                analysed(copied)
 
 
 def test_people_without_a_whole_recording_are_told(study, copied, quick, sketched, tmp_path):
@@ -163,8 +165,8 @@ def test_people_without_a_whole_recording_are_told(study, copied, quick, sketche
         if is_there:
             path.write_bytes(content[: len(content) // 2])
         found = analysed(copied)
-        assert found.remarks[0] == first
-        assert incomplete in found.remarks
+        assert found.missing[0] == first
+        assert incomplete in found.missing
         assert found.names == ("S01",)
         assert found.n_people == 2
         # What was kept of who is left is used.
@@ -199,14 +201,14 @@ def test_manifests_of_other_versions_are_told(study, copied, asked, sketched, tm
     changed_manifest(copied, versions={**versions, "mujoco": "1.2.3"})
     found = analysed(copied)
     line = f"the recordings were made with other versions: mujoco 1.2.3, now {versions['mujoco']}"
-    assert found.remarks[0] == line
+    assert found.missing == (line,)
     assert differences(found.people, study.people) == []
     assert found.has_truth
     assert line in told(found, tmp_path)
 
     changed_manifest(copied, people="others")
     found = analysed(copied)
-    assert "this version draws other people than those who were recorded" in found.remarks[1]
+    assert "this version draws other people than those who were recorded" in found.missing[1]
     assert found.cohort == ()
     assert not found.has_truth
     assert asked == []
@@ -219,7 +221,7 @@ def test_without_a_manifest_the_protocol_is_the_thesiss(study, copied, asked, qu
     found = analysed(copied)
     assert len(asked) == len(COMPUTING)
     assert (found.made, found.protocol, found.cohort) == (None, THESIS, ())
-    of_pt22 = [line for line in found.remarks if line.startswith("S01 has 0 of ") and line.endswith("trials in PT22.5")]
+    of_pt22 = [line for line in found.missing if line.startswith("S01 has 0 of ") and line.endswith("trials in PT22.5")]
     assert len(of_pt22) == 1
     assert found.n_people == 1
     # The same multisines tell the same.
@@ -232,8 +234,8 @@ def test_without_a_manifest_the_protocol_is_the_thesiss(study, copied, asked, qu
     for content, message in (("{", "not readable as JSON"), ("[]", "holds a list"), ("{}", "no 'subjects'")):
         (copied / "manifest.json").write_text(content)
         again = analysed(copied)
-        assert "the thesis's protocol is assumed" in again.remarks[0]
-        assert message in again.remarks[0]
+        assert "the thesis's protocol is assumed" in again.missing[0]
+        assert message in again.missing[0]
         assert differences(again.people, found.people) == []
     assert len(asked) == len(COMPUTING)
 
