@@ -57,19 +57,8 @@ FIGURES = {
 DRAWN = {*FIGURES.values(), "rig", "stills", "admittance_RT", "parameters_PT", "parameters_RT"}
 MULTISINE = ("PT2.5", "PT7.5", "PT22.5", "RT2.5", "RT7.5", "RT22.5")
 SECTIONS = [
-    *(
-        "summary",
-        "method",
-        "conditions",
-        "admittance",
-        "fits",
-        "parameters",
-        "pulses",
-        "stills",
-        "statistics",
-        "kinematics",
-    ),
-    *("published", "left_out"),
+    *("summary", "method", "conditions", "admittance", "fits", "parameters", "pulses", "statistics", "kinematics"),
+    *("stills", "published", "left_out"),
 ]
 TABLES = ["2.1", *(f"C.{n}" for n in range(3, 23)), "D.3", "D.4", "D.5", "E.3", "E.4", "E.5"] + [
     f"F.{n}" for n in range(2, 7)

@@ -174,7 +174,8 @@ def test_people_without_a_whole_recording_are_told(study, copied, quick, sketche
         result = score(found)
         assert result.people == 1
         assert incomplete in result.remarks
-    assert "S02.nc does not match its checksum" in told(found, tmp_path)
+    text = told(found, tmp_path)
+    assert 0 < text.index("S02.nc does not match its checksum") < text.index(incomplete) < text.index("<section")
 
 
 def test_nobody_in_a_condition_is_not_reproduced(study, copied, quick, sketched, tmp_path):
@@ -302,6 +303,14 @@ def test_worker_processes_change_nothing_but_roundings(tmp_path, monkeypatch):
     assert [case.name for case in there.of("RT7.5")] == ["S01", "S02"]
     # With another number of threads, BLAS adds in another order.
     assert differences(here, there, rel=1e-10) == []
+
+
+def test_the_command_reports_on_what_is_there(copied, asked, sketched, capsys):
+    assert main(["report", str(copied), "--workers", "1"]) == 0
+    assert capsys.readouterr().out == f"report: {copied / 'report.html'}\n"
+    assert (copied / "report.html").is_file()
+    assert (copied / "score" / "score.csv").is_file()
+    assert asked == []
 
 
 @pytest.mark.parametrize("command", ["report", "score"])
