@@ -6,6 +6,7 @@ import pickle
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import pytest
 
 from armperturb.cohort import average_person
@@ -14,8 +15,9 @@ from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse
-from armperturb.study import runner
+from armperturb.study import fits, report, rig_figures, runner
 from armperturb.study import yielding as why
+from armperturb.study.report import Picture, write_report
 from armperturb.study.results import run_study
 from armperturb.study.runner import StudySettings
 from armperturb.subject import POSITION, RELAX
@@ -136,9 +138,10 @@ def short_protocol(tmp_path_factory):
 
 
 def coarse_study(settings, folder):
-    """A study simulated at a step at which that takes seconds."""
+    """A study simulated at a step at which that takes seconds, of which appendix C has the first structure alone."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "run_experiment", partial(run_experiment, timestep=2.5e-3))
+        patch.setattr(fits, "STRUCTURES_C", ("1",))
         return run_study(settings, folder, show_progress=False)
 
 
@@ -147,6 +150,83 @@ def study(short_protocol, once):
     """Two noisy people with linear muscles who went through the short protocol."""
     settings = StudySettings(subjects=2, seed=3, protocol=short_protocol, muscles="linear")
     return once("study", lambda folder: coarse_study(settings, folder))
+
+
+THESIS_LIKE = """
+forces = "published"
+trial_duration = 30.0
+multisine_duration = 28.6
+onset_window = [1.0, 1.2]
+pulse_directions_deg = [20.0]
+""" + "".join(
+    f"""
+[[conditions]]
+name = "{name}"
+task = "{name[:2]}"
+pulse_levels = {levels}
+"""
+    + (f"rms_displacement = {1e-3 * float(name[2:])}\npublished_force = {force}\n" if force else "")
+    for name, levels, force in (
+        ("PT0", [1, 2], 0.0),
+        ("PT2.5", [2], 1.2),
+        ("PT7.5", [1, 2], 5.4),
+        ("PT22.5", [2], 16.6),
+        ("RT0", [1], 0.0),
+        ("RT2.5", [1], 0.4),
+        ("RT7.5", [1], 0.9),
+        ("RT22.5", [1], 1.8),
+    )
+)
+
+
+@pytest.fixture(scope="session")
+def thesis_study(once):
+    """Three noisy people with linear muscles in all conditions of the thesis, each pulse once, to one side."""
+
+    def make(folder):
+        (folder / "protocol.toml").write_text(THESIS_LIKE)
+        settings = StudySettings(subjects=3, seed=3, protocol=folder / "protocol.toml", muscles="linear")
+        return coarse_study(settings, folder)
+
+    return once("thesis study", make)
+
+
+def plain_picture(model, qpos=None, camera="top", *, width, height):
+    """Stands for a picture of the rig, which takes seconds and a GL library."""
+    return np.full((*np.shape(qpos)[:-1], height, width, 3), 200, dtype=np.uint8)
+
+
+@pytest.fixture(scope="session")
+def thesis_report(thesis_study, once):
+    """The folder of the report on that study; pictures of the rig are plain."""
+
+    def make(folder):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(rig_figures, "render", plain_picture)
+            write_report(thesis_study, folder, show_progress=False)
+        return folder
+
+    return once("thesis report", make)
+
+
+@pytest.fixture
+def sketched(monkeypatch):
+    """Reports are written without drawing anything but what this holds, and without simulating anybody once more.
+
+    Pictures of the rig fail.
+    """
+    drawn = {"rig", "stills"}
+    draw = report._draw
+    monkeypatch.setattr(rig_figures, "render", without_pictures)
+    monkeypatch.setattr(report, "_simulated", lambda *_: (None, None))
+    monkeypatch.setattr(
+        report, "_draw", lambda unit: draw(unit) if unit.name in drawn else (unit.name, Picture("data:,", 4, 3), "")
+    )
+    return drawn
+
+
+def without_pictures(*args, **options):
+    raise RuntimeError("render: no OpenGL context; install <libegl1>")
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,6 @@ import sys
 import threading
 import time
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +20,10 @@ import psutil
 import pytest
 
 from armperturb.cli import main
-from armperturb.envs.experiment import run_experiment
 from armperturb.recording import load_recording
 from armperturb.study import runner
-from armperturb.study.runner import StudySettings, record_study, run_study
+from armperturb.study.results import run_study
+from armperturb.study.runner import StudySettings, record_study
 
 PROTOCOL = """
 forces = "published"
@@ -368,33 +367,6 @@ def test_bad_numbers_are_refused(settings, tmp_path):
     with pytest.raises(ValueError, match="study: muscles = 'soft'; expected one of nonlinear, linear"):
         StudySettings(muscles="soft")
     assert not (tmp_path / "s").exists()
-
-
-LONG_ENOUGH = """
-forces = "published"
-trial_duration = 29.0
-multisine_duration = 28.5
-
-[[conditions]]
-name = "RT7.5"
-task = "RT"
-rms_displacement = 0.0075
-published_force = 0.9
-pulse_levels = [1]
-"""
-
-
-def test_identification_is_the_same_in_worker_processes(tmp_path, monkeypatch):
-    (tmp_path / "p.toml").write_text(LONG_ENOUGH)
-    # A step at which this takes seconds; nothing here depends on it.
-    monkeypatch.setattr(runner, "run_experiment", partial(run_experiment, timestep=2.5e-3))
-    settings = StudySettings(subjects=2, protocol=tmp_path / "p.toml")
-    here, there = (run_study(settings, tmp_path / "s", workers=n, show_progress=False) for n in (1, 2))
-    assert [case.truth.name for case in there.of("RT7.5")] == ["S01", "S02"]
-    for a, b in zip(here.of("RT7.5"), there.of("RT7.5"), strict=True):
-        assert a.identification.fit.values == b.identification.fit.values
-        assert a.truth == b.truth
-        assert a.recording == b.recording
 
 
 def test_a_protocol_with_a_strap_records_shoulders_that_move(settings, tmp_path):

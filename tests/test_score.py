@@ -1,7 +1,6 @@
 """A study beside the published tables: every cell, the headline numbers, and what cannot be computed and why."""
 
 import csv
-import json
 import math
 import shutil
 from dataclasses import replace
@@ -13,18 +12,19 @@ from armperturb.analysis.pulse import pulse_span
 from armperturb.analysis.thesis import fit_trials, join_estimates
 from armperturb.cli import main
 from armperturb.environment import Environment
-from armperturb.recording import load_recording, save_recording
+from armperturb.recording import load_recording
 from armperturb.study import measure, published
+from armperturb.study.cases import identify_person, multisine_part, of_condition
 from armperturb.study.cells import Cell, measured_cells, published_cells
+from armperturb.study.fits import Appendices
 from armperturb.study.headlines import PULSED, headlines
-from armperturb.study.measure import PersonMeasures, TrialMeasures, measure_person, multisine_part
+from armperturb.study.measure import PersonMeasures, TrialMeasures, measure_person
 from armperturb.study.published import MeanSD
-from armperturb.study.runner import of_condition
-from armperturb.study.score import NOT_ASKED, Score, ScoredCell, score, score_text, share, shares, write_score
+from armperturb.study.score import Score, ScoredCell, missing_cells, score, score_text, share, shares, write_score
 from armperturb.study.store import find_recordings
 from armperturb.subject import POSITION
 
-HEADER = "table,condition,quantity,published_mean,published_sd,ours,ours_sd,z"
+HEADER = "table,condition,quantity,published_mean,published_sd,ours,z,ours_sd,reason"
 
 
 @pytest.fixture(scope="module")
@@ -33,16 +33,8 @@ def folder(study):
 
 
 @pytest.fixture(scope="module")
-def result(folder):
-    return score(folder, workers=1, show_progress=False)
-
-
-@pytest.fixture(scope="module")
-def fitted(folder):
-    """With appendix C, of its first structure alone."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(measure, "APPENDIX_C_MODELS", ("1",))
-        return score(folder, appendix_c=True, workers=1, show_progress=False)
+def result(study):
+    return score(study)
 
 
 def of(result):
@@ -54,7 +46,7 @@ def named(result):
 
 
 def test_every_published_cell_is_there_once(result):
-    assert len(result.cells) == len(of(result)) == 126 + 2108
+    assert len(result.cells) == len(of(result)) == 126 + len(published.fit_entries())
     assert published_cells().keys() <= of(result).keys()
     assert all(math.isfinite(one.ours.mean) != bool(one.reason) for one in result.cells)
 
@@ -72,10 +64,13 @@ def test_what_is_missing_has_a_reason(result):
     reasons = {cell: one.reason for cell, one in of(result).items() if one.reason}
     assert reasons[Cell("F.2", "RT2.5", "rms_velocity_s")] == "RT2.5 was not recorded"
     assert reasons[Cell("2.1", "PT0", "peak_displacement_max")] == "nobody's trials give it"
-    assert reasons[Cell("C.8", "PT7.5", "k_s model 3")] == NOT_ASKED
+    assert reasons[Cell("C.8", "PT7.5", "k_s model 3")] == "nobody's trials could be fitted"
+    assert reasons[Cell("C.16", "RT2.5", "k_s model 1")] == "RT2.5 was not recorded"
     text = score_text(result)
     assert "2.1, RT2.5: 3 cells: RT2.5 was not recorded" in text
-    assert f"C.3 to C.22: 2108 cells: {NOT_ASKED}" in text
+    of_c_16 = [one.cell for one in result.cells if (one.cell.table, one.cell.condition) == ("C.16", "RT2.5")]
+    assert f"C.16, RT2.5: {len(of_c_16)} cells: RT2.5 was not recorded" in text
+    assert sum(missing_cells(result).values()) == len(reasons)
     assert "S01: trial" in text
     assert "after its pulse began; expected more than 1 s in RT" in text
 
@@ -89,18 +84,19 @@ def test_files(result, tmp_path):
     for row, one in zip(rows, result.cells, strict=True):
         assert Cell(row["table"], row["condition"], row["quantity"]) == one.cell
         assert float(row["z"]) == pytest.approx(one.z, nan_ok=True)
+        assert row["reason"] == one.reason
     assert (path.parent / "headlines.csv").read_text().startswith("name,published,ours,unit,remark\n")
     assert (path.parent / "score.txt").read_text() == score_text(result) + "\n"
 
 
-def test_appendix_c_is_what_the_estimator_gives(study, fitted):
+def test_appendix_c_is_what_the_estimator_gives(study, result):
     def trials(condition):
         recordings = [load_recording(case.recording) for case in study.of("PT7.5")]
         return [multisine_part(of_condition(recording, condition))[0] for recording in recordings]
 
     first = join_estimates([fit_trials(one, "1", use_penalty=False) for one in trials("RT7.5")])
     second = join_estimates([fit_trials(one, "1", initial=first.start()) for one in trials("RT22.5")])
-    cells = of(fitted)
+    cells = of(result)
     place = first.parameters.index("k_se")
     for table, condition, estimate in (("C.13", "RT7.5", first), ("C.20", "RT22.5", second)):
         mean, sd = estimate.over_subjects(estimate.values)
@@ -125,15 +121,30 @@ def test_estimates_that_cannot_be_joined():
         join_estimates([])
 
 
-def test_appendix_c_says_what_is_missing(fitted):
-    cells = of(fitted)
-    assert cells[Cell("C.16", "RT2.5", "k_s model 1")].reason == "RT2.5 was not recorded"
-    assert cells[Cell("C.18", "RT7.5", "k_s model 2")].reason == "nobody's trials could be fitted"
-    assert NOT_ASKED not in score_text(fitted)
+def test_steps_say_what_is_missing(study):
+    """Those who were not recorded where the fits start."""
+    people = tuple(replace(one, conditions=("RT22.5",)) for one in study.people)
+    cells = of(score(replace(study, appendices=Appendices(), people=people)))
+    assert cells[Cell("C.20", "RT22.5", "k_s model 1")].reason == "RT7.5 was not recorded, from which the fits start"
+    assert cells[Cell("C.13", "RT7.5", "k_s model 1")].reason == "RT7.5 was not recorded"
 
 
-def test_workers_change_nothing(folder, result):
-    assert score_text(score(folder, workers=2, show_progress=False)) == score_text(result)
+def test_appendices_d_and_e_are_those_of_each_start(thesis_study):
+    cells = of(score(thesis_study))
+    entries = [entry for entry in published.fit_entries() if entry.table[0] in "DE"]
+    assert {entry.table for entry in entries} == {f"{a}.{n}" for a in "DE" for n in (3, 4, 5)}
+    starts = thesis_study.appendices.starts
+    assert starts.keys() == {entry.start for entry in entries}
+    for entry in entries:
+        if entry.quantity == "parameter":
+            fits = starts[entry.start]
+            mine = cells[Cell(entry.table, "PT7.5", f"{entry.parameter} model {entry.model} {entry.start}")].ours
+            of_people = {}
+            for name, fit in zip(fits.subjects, fits.fits, strict=True):
+                if fit.stable:
+                    of_people.setdefault(name, []).append(fit.values[entry.parameter])
+            means = [np.mean(values) for values in of_people.values()]
+            assert mine == pytest.approx((np.mean(means), np.std(means, ddof=1)))
 
 
 def test_shares():
@@ -148,9 +159,11 @@ def test_shares():
     without_sd = cell(0.0, sd=math.nan)
     cells = (cell(0.4), cell(-0.6, ours_sd=3.0), cell(1.5, sd=2.0), cell(-7.0), missing, without_sd)
     assert share(cells) == (5, 4, (1, 2, 3), 1.0)
+    assert share(cells).parts == (0.2, 0.4, 0.6)  # what is missing is not reproduced
     result = Score(people=1, cells=(*cells, cell(0.1, table="C.8")), headlines=(), remarks=())
     found = shares(result)
     assert found["2.1 and F"] == found["2.1 and F, PT"] == found["2.1"]
+    assert found["2.1 and F"].parts == (0.2, 0.4, 0.6)
     assert found["2.1 and F, RT"][:2] == (0, 0)
     assert found["C"].within == (1, 1, 1)
     assert found["total"][:2] == (6, 5)
@@ -181,6 +194,8 @@ def person(name, factor=1.0, **changes):
         name=name,
         conditions=tuple(published.conditions()),
         cells={},
+        true_cells={},
+        estimates={},
         low_gain={
             condition: factor * gain * np.array([[1.0, 2.0], [3.0, 4.0]])
             for condition, gain in {
@@ -240,8 +255,7 @@ def test_headlines_say_what_they_lack():
 
 
 def test_pulses_of_a_person(study):
-    case = study.of("PT7.5")[0]
-    measured = measure_person(case.recording)
+    case, measured = study.of("PT7.5")[0], study.people[0]
     assert measured.name == "S01"
     assert measured.pulses.keys() == {("PT0", "min"), ("PT7.5", "min"), ("PT7.5", "max")}
     assert math.isnan(measured.pulses["PT0", "min"].prediction)
@@ -250,8 +264,7 @@ def test_pulses_of_a_person(study):
         assert 50 < pulse.prediction < 200  # a linear person
         assert pulse.excess == pytest.approx(100.0 / pulse.prediction)  # of one trial
         assert pulse.displacement == pytest.approx(measured.cells[Cell("2.1", "PT7.5", f"peak_displacement_{level}")])
-    recorded = load_recording(case.recording)
-    assert len(measured.trials) == recorded.sizes["trial"]
+    assert len(measured.trials) == load_recording(case.recording).sizes["trial"]
     for one in measured.trials:
         predicted = (one.predicted_linear, one.predicted_skeletal, *one.vaf_linear, *one.vaf_skeletal)
         if one.condition == "PT0":
@@ -295,9 +308,8 @@ def test_a_skeletal_model_that_leaves_the_workspace_predicts_nothing(study):
     assert math.isnan(measured[0].predicted_skeletal)
 
 
-def test_a_limit_harms_what_comes_after_it_alone(study, tmp_path):
+def test_a_limit_harms_what_comes_after_it_alone(study, tmp_path, monkeypatch):
     recording = load_recording(study.of("PT7.5")[0].recording)[["perturbation", "force", "displacement"]]
-    whole = measure_person(study.of("PT7.5")[0].recording)
     limits = recording["limit_time"].values.copy()
     first, second = np.flatnonzero(recording["condition"].values == "RT7.5")
     limits[first], limits[second] = 28.7, 20.0  # in the pulse, in the multisine
@@ -305,33 +317,25 @@ def test_a_limit_harms_what_comes_after_it_alone(study, tmp_path):
     part, kept = multisine_part(of_condition(changed, "RT7.5"))
     assert kept.tolist() == [0]
     assert part.sizes["time"] == round(28.6 * 200.0)
-    save_recording(changed, tmp_path / "S01.nc")
-    measured = measure_person(tmp_path / "S01.nc")
-    assert measured.low_gain.keys() == whole.low_gain.keys()
+    conditions = tuple(study.protocol.condition(name) for name in ("PT2.5", "RT7.5"))
+    cases = identify_person(changed, tmp_path, replace(study.protocol, conditions=conditions))
+    assert cases[1].left_out == ("trial 1 of S01 in RT7.5 reached the workspace limit at 20.000 s",)
+    monkeypatch.setattr(measure, "_predict_skeletal", lambda *_: [])  # takes long
+    measured, whole = measure_person(changed, cases), study.people[0]
+    assert measured.low_gain.keys() == {"PT2.5", "RT7.5"}
     assert not np.allclose(measured.low_gain["RT7.5"], whole.low_gain["RT7.5"])
-    np.testing.assert_array_equal(measured.low_gain["PT7.5"], whole.low_gain["PT7.5"])
-    assert "S01 in RT7.5: a trial reached the workspace limit at 20.000 s, before its pulse; it is in no fit" in (
-        measured.left_out
-    )
+    np.testing.assert_array_equal(measured.low_gain["PT2.5"], whole.low_gain["PT2.5"])
+    assert ("RT7.5", "min") not in measured.pulses
 
 
-def test_a_study_that_is_not_finished(folder, tmp_path):
+def test_recordings_that_are_not_whole_are_told(folder, tmp_path):
     copy = tmp_path / "study"
-    shutil.copytree(folder, copy)
-    (copy / "recordings" / "S02.nc").unlink()
-    partial = score(copy, show_progress=False)
-    assert partial.people == 1
-    assert partial.remarks[0] == "the study is incomplete: 1 of 2 people have no whole recording"
-    assert math.isnan(of(partial)[Cell("2.1", "PT7.5", "rms_force")].ours.sd)
+    shutil.copytree(folder / "recordings", copy / "recordings")
     shutil.copy(copy / "recordings" / "S01.nc", copy / "recordings" / "S02.nc")
     paths, remarks = find_recordings(copy)
     assert [path.stem for path in paths] == ["S01"]
-    assert remarks[0] == "S02.nc does not match its checksum; it is left out"
-    (copy / "manifest.json").write_text(json.dumps({}))
-    with pytest.raises(ValueError, match=r"manifest\.json: no number of subjects"):
-        find_recordings(copy)
-    for name in ("manifest.json", "recordings/SHA256SUMS"):
-        (copy / name).unlink()
+    assert remarks == ["S02.nc does not match its checksum; it is left out"]
+    (copy / "recordings" / "SHA256SUMS").unlink()
     assert find_recordings(copy) == (sorted((copy / "recordings").glob("*.nc")), [])
     (copy / "recordings" / "SHA256SUMS").write_text("")
     assert len(find_recordings(copy)[0]) == 2

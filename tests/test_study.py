@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.arm_model import arm_admittance
-from armperturb.analysis.identify import identify
 from armperturb.envs.experiment import Trial, run_experiment
 from armperturb.perturbations import Pulse
 from armperturb.recording import load_recording, save_recording
-from armperturb.study import published, runner
+from armperturb.study import cases, fits, published
 from armperturb.study.admittance import by_task, main_conditions, task_effect
+from armperturb.study.cases import identify_person
 from armperturb.study.protocol import THESIS, Condition, Protocol
-from armperturb.study.runner import StudySettings, _identify_condition, run_study
+from armperturb.study.results import run_study
+from armperturb.study.runner import StudySettings
 from armperturb.study.tables import (
     condition_rows,
     correlation_rows,
@@ -32,7 +33,14 @@ RT = Condition(name="RT7.5", task="RT", rms_displacement=0.0075, published_force
 @pytest.fixture(scope="module")
 def ideal(short_protocol, once):
     settings = StudySettings(subjects=1, seed=3, protocol=short_protocol, ideal=True, muscles="linear")
-    return once("ideal study", lambda folder: run_study(settings, folder, show_progress=False))
+
+    def make(folder):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(fits, "STRUCTURES_C", ())  # nothing here is about appendices C to E
+            patch.setattr(fits, "STARTS_OF", "none")
+            return run_study(settings, folder, show_progress=False)
+
+    return once("ideal study", make)
 
 
 def test_ideal_study_recovers_its_people(ideal):
@@ -98,14 +106,12 @@ def test_fits_and_correlations_are_told(study):
 
 
 def test_a_thesis_fit_that_fails_costs_nothing_else(relax_recording, tmp_path, monkeypatch):
-    def failing(recording, model, *, estimator="record", **options):
-        if estimator == "thesis":
-            raise ValueError("no fit")
-        return identify(recording, model, estimator=estimator, **options)
+    def failing(recording, model, **options):
+        raise ValueError("no fit")
 
-    monkeypatch.setattr(runner, "identify", failing)
+    monkeypatch.setattr(cases, "identify_conditions", failing)
     long = Protocol(conditions=(RT,), trial_duration=29.0, multisine_duration=28.6)
-    case = _identify_condition(RT, RELAX, relax_recording, tmp_path / "r.nc", long)
+    [case] = identify_person(relax_recording, tmp_path / "r.nc", long)
     assert case.thesis is None
     assert case.left_out == ("relax in RT7.5 was not identified by the thesis's estimator: no fit",)
     assert case.identified.fit.converged
@@ -211,7 +217,8 @@ def test_relaxed_people_give_way_many_times_more(study):
 def test_trials_at_the_workspace_limit_are_left_out_by_name(tmp_path):
     hard = Pulse(peak=600.0, direction_deg=20.0, onset=0.1, duration=1.0)
     recording = run_experiment([Trial(subject=RELAX, perturbation=hard, condition=RT.name)])
-    case = _identify_condition(RT, RELAX, recording, tmp_path / "r.nc", Protocol(conditions=(RT,)))
+    recording = recording.assign_coords(pulse_onset=("trial", [math.nan]))  # as if it were a multisine
+    [case] = identify_person(recording, tmp_path / "r.nc", Protocol(conditions=(RT,)))
     assert case.identification is None
     assert case.left_out[0].startswith("trial 0 of relax in RT7.5 reached the workspace limit at 0.")
     assert np.isfinite(recording["limit_time"].values).all()
@@ -222,7 +229,7 @@ def test_trials_at_the_workspace_limit_are_left_out_by_name(tmp_path):
 
 def test_multisines_too_short_to_identify_from_are_named(relax_recording, tmp_path):
     brief = Protocol(conditions=(RT,), trial_duration=20.0, multisine_duration=19.0)
-    case = _identify_condition(RT, RELAX, relax_recording, tmp_path / "r.nc", brief)
+    [case] = identify_person(relax_recording, tmp_path / "r.nc", brief)
     assert case.identification is None
     assert case.left_out == (
         "relax in RT7.5 was not identified: the multisine lasts 20 s, and the analysis needs 28.48 s",

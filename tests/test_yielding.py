@@ -13,9 +13,11 @@ from armperturb.environment import Environment
 from armperturb.muscle_law import MuscleLaw
 from armperturb.study import report, rig_figures, yielding_figures
 from armperturb.study import yielding as why
+from armperturb.study.formats import MISSING, digits
+from armperturb.study.manifest import Manifest
 from armperturb.study.protocol import THESIS
 from armperturb.study.report import write_report
-from armperturb.study.runner import Case, StudyResult, StudySettings
+from armperturb.study.results import StudyResult
 from armperturb.study.yielding import (
     AMPLITUDES,
     LINEAR,
@@ -23,7 +25,7 @@ from armperturb.study.yielding import (
     NEEDED,
     ONE_LEVEL,
     WHOLE,
-    first_person,
+    has_law,
     intrinsic_loop,
     variants,
     why_people_yield,
@@ -196,18 +198,12 @@ def test_example_draws_and_tells(explained, tmp_path, capsys, monkeypatch):
 
 def study_of(person):
     """A study of which nothing but who took part is known."""
-    cases = (
-        Case(
-            condition=THESIS.condition(name),
-            truth=THESIS.condition(name).subject_of(person),
-            recording=Path("none.nc"),
-            identification=None,
-            left_out=(),
-        )
-        for name in ("PT7.5", "RT7.5")
-    )
     return StudyResult(
-        settings=StudySettings(subjects=1, seed=3), protocol=THESIS, environment=Environment(), cases=tuple(cases)
+        made=Manifest.of([person], THESIS, seed=3, ideal=False, muscles="nonlinear"),
+        protocol=THESIS,
+        environment=Environment(),
+        cohort=(person,),
+        cases=(),
     )
 
 
@@ -223,6 +219,7 @@ def reported(explained, tmp_path, monkeypatch):
     def write(person, found=explained):
         asked = []
         monkeypatch.setattr(report, "why_people_yield", lambda *given, **named: asked.append((given, named)) or found)
+        monkeypatch.setattr(report, "moving_shoulder", lambda *given, **named: None)  # tests/test_shoulder.py
         return write_report(study_of(person), tmp_path).read_text(encoding="utf-8"), asked
 
     return write
@@ -230,9 +227,9 @@ def reported(explained, tmp_path, monkeypatch):
 
 def test_report_says_why_the_first_person_yields(reported, explained, tmp_path):
     person = draw_cohort(1, 3)[0]
-    assert first_person(study_of(person)) == person
+    assert has_law(person)
     text, asked = reported(person)
-    assert asked == [((person, Environment()), {"seed": 3})]
+    assert asked == [((person,), {"environment": Environment(), "seed": 3})]
     assert text.index('<section id="parameters"') < text.index('<section id="yielding"')
     assert text.index('<section id="yielding"') < text.index('<section id="left_out"')
     for name in ("loops", "admittance", "pulses"):
@@ -241,7 +238,7 @@ def test_report_says_why_the_first_person_yields(reported, explained, tmp_path):
     assert (tmp_path / "tables" / "yielding.csv").read_text(encoding="utf-8").startswith("arm,peak_RT0_m,peak_RT22.5_m")
     for row in explained.rows():
         assert f"<th>{row['arm']}</th>" in text
-        assert f"<td>{report.digits(row['RT_rise'])}</td>" in text
+        assert f"<td>{digits(row['RT_rise'])}</td>" in text
     assert "Not shown" not in text
 
 
@@ -250,10 +247,12 @@ def test_report_says_which_arms_are_not_shown(reported, explained):
     kept = {key: response for key, response in explained.responses.items() if key not in gone}
     text, _ = reported(draw_cohort(1, 3)[0], replace(explained, responses=kept, unstable=gone))
     assert "Linear muscle, RT22.5: still &lt;swings&gt;." in text
-    assert f"<th>{LINEAR}</th>\n" + 3 * f"<td>{report.MISSING}</td>" in text
+    assert f"<th>{LINEAR}</th>\n" + 3 * f"<td>{MISSING}</td>" in text
 
 
 def test_report_says_nothing_of_the_law_of_linear_people(reported):
-    text, asked = reported(draw_cohort(1, 3, muscles="linear")[0])
+    person = draw_cohort(1, 3, muscles="linear")[0]
+    assert not has_law(person)
+    text, asked = reported(person)
     assert not asked
     assert 'id="yielding"' not in text
