@@ -137,11 +137,15 @@ def short_protocol(tmp_path_factory):
     return path
 
 
-def coarse_study(settings, folder):
-    """A study simulated at a step at which that takes seconds, of which appendix C has the first structure alone."""
+def coarse_study(settings, folder, *, starts_of="none"):
+    """A study simulated at a step at which that takes seconds.
+
+    Appendix C has its first structure alone, and D and E are of that condition, if it is one.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "run_experiment", partial(run_experiment, timestep=2.5e-3))
         patch.setattr(fits, "STRUCTURES_C", ("1",))
+        patch.setattr(fits, "STARTS_OF", starts_of)
         return run_study(settings, folder, show_progress=False)
 
 
@@ -186,7 +190,7 @@ def thesis_study(once):
     def make(folder):
         (folder / "protocol.toml").write_text(THESIS_LIKE)
         settings = StudySettings(subjects=3, seed=3, protocol=folder / "protocol.toml", muscles="linear")
-        return coarse_study(settings, folder)
+        return coarse_study(settings, folder, starts_of="PT7.5")
 
     return once("thesis study", make)
 

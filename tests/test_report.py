@@ -12,9 +12,7 @@ import pytest
 from markupsafe import escape
 
 from armperturb.study import (
-    admittance_figures,
     fit_figures,
-    fits,
     parameter_figures,
     perturbation_figures,
     report,
@@ -358,7 +356,6 @@ def test_same_study_same_bytes(study, tmp_path):
     case = study.of("PT7.5")[0]
     for draw in (
         lambda: perturbation_figures.perturbation(case),
-        lambda: admittance_figures.coherence(study),
         lambda: parameter_figures.parameters(study, "RT"),
     ):
         for name in ("first.svg", "second.svg"):
@@ -448,9 +445,7 @@ def yielding(tmp_path_factory):
     """A person whose muscles yield, in two trials."""
     out = tmp_path_factory.mktemp("yielding")
     (out / "p.toml").write_text(YIELDING)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fits, "STARTS_OF", "none")  # appendices D and E take seconds
-        return coarse_study(StudySettings(subjects=1, protocol=out / "p.toml"), out / "s")
+    return coarse_study(StudySettings(subjects=1, protocol=out / "p.toml"), out / "s")
 
 
 def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path, sketched):
