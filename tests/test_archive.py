@@ -71,7 +71,11 @@ class Foreign(NamedTuple):
     x: int
 
 
-@pytest.mark.parametrize("value", [Foreign(1), {1, 2}, object(), lambda: 0, np.array([object()])], ids=str)
+@pytest.mark.parametrize(
+    "value",
+    [Foreign(1), {1, 2}, object(), lambda: 0, np.array([object()])],
+    ids=["foreign", "set", "object", "function", "objects"],  # alike in all test processes
+)
 def test_what_is_not_plain_is_refused(value, tmp_path):
     with pytest.raises((TypeError, ValueError)):
         write_archive(tmp_path / "a", "key", value)
