@@ -45,15 +45,18 @@ def test_conditions_are_those_of_table_2_1():
 
 def test_entries_are_all_there():
     assert len(published.joint_motions()) == len(set(published.joint_motions())) == 104
-    entries = published.appendix_c()
-    assert [int(entry.table[2:]) for entry in entries] == sorted(int(entry.table[2:]) for entry in entries)
-    assert len(entries) == 2108
+    entries = published.fit_entries()
+    tables = list(dict.fromkeys(entry.table for entry in entries))
+    assert tables == [*(f"C.{n}" for n in range(3, 23)), "D.3", "D.4", "D.5", "E.3", "E.4", "E.5"]
+    # Of each start: parameters and their errors, criterion, VAF of both axes, and how many are positive.
+    expected = {"C": 2108, "D": 6 * (2 * 20 + 4), "E": 6 * (2 * 13 + 4)}
+    assert {name: sum(entry.table[0] == name for entry in entries) for name in "CDE"} == expected
     for entry in entries[::50]:
         if entry.parameter:
-            expected = published.estimate(entry.parameter, entry.table, model=entry.model, quantity=entry.quantity)
-            assert entry.value == expected
+            name, where = entry.parameter, {"model": entry.model, "start": entry.start}
+            assert entry.value == published.estimate(name, entry.table, quantity=entry.quantity, **where)
     shares = [entry.value for entry in entries if entry.quantity.startswith("N_")]
-    assert len(shares) == 60
+    assert len(shares) == 60 + 6 + 6
     assert all(0.0 < value.mean <= 1.0 and math.isnan(value.sd) for value in shares)
 
 
