@@ -138,7 +138,7 @@ class Report:
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of the study; its recordings stay as they are."""
     workers: int | None = None
-    """Number of processes; by default about one per core. No effect on the files."""
+    """Number of processes; by default about one per core. No effect on the files but for rounding."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,7 +150,7 @@ class Score:
     out: Path | None = None
     """Folder for score.csv, headlines.csv and score.txt; by default DIR/score."""
     workers: int | None = None
-    """Number of processes; by default about one per core. No effect on the files."""
+    """Number of processes; by default about one per core. No effect on the files but for rounding."""
 
 
 @dataclass(frozen=True, kw_only=True)

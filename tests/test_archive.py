@@ -37,7 +37,7 @@ VALUES = [
 @pytest.mark.parametrize("value", VALUES, ids=[type(value).__name__ for value in VALUES])
 def test_values_come_back_as_they_were(value, tmp_path):
     write_archive(tmp_path / "a", "key", value)
-    found = read_archive(tmp_path / "a", "key")
+    found = read_archive(tmp_path / "a", "key", object)
     assert found == value
     assert type(found) is type(value)
 
@@ -56,14 +56,14 @@ def test_values_come_back_as_they_were(value, tmp_path):
 )
 def test_arrays_come_back_to_the_last_bit(array, tmp_path):
     write_archive(tmp_path / "a", "key", {"x": array})
-    found = read_archive(tmp_path / "a", "key")["x"]
+    found = read_archive(tmp_path / "a", "key", object)["x"]
     np.testing.assert_array_equal(found, array)
     assert np.asarray(found).dtype == array.dtype
 
 
 def test_nan_and_mappings_that_cannot_change(tmp_path):
     write_archive(tmp_path / "a", "key", MappingProxyType({"x": math.nan}))
-    found = read_archive(tmp_path / "a", "key")
+    found = read_archive(tmp_path / "a", "key", object)
     assert math.isnan(found["x"])
 
 
@@ -89,18 +89,32 @@ def test_what_is_not_plain_is_refused(value, tmp_path):
 def test_a_file_cannot_make_anything_run(kind, tmp_path):
     content = {"key": "key", "value": {"kind": kind, "content": {"command": "touch ran"}}}
     (tmp_path / "a").write_bytes(gzip.compress(json.dumps(content).encode()))
-    assert read_archive(tmp_path / "a", "key") is None
+    assert read_archive(tmp_path / "a", "key", object) is None
 
 
 @pytest.mark.parametrize(
     "content",
-    [b"", b"no gzip", gzip.compress(b"no json"), gzip.compress(b"[]"), gzip.compress(b'{"key":"key"}')],
-    ids=("empty", "no gzip", "no json", "a list", "no value"),
+    [
+        b"",
+        b"no gzip",
+        gzip.compress(b"no json"),
+        gzip.compress(b"[]"),
+        gzip.compress(b'{"key":"key"}'),
+        gzip.compress(b"x" * 100)[:10] + b"\xff" * 50,
+        gzip.compress(b"[" * 100_000),
+    ],
+    ids=("empty", "no gzip", "no json", "a list", "no value", "bits turned", "deep"),
 )
 def test_damaged_files_count_as_none(content, tmp_path):
     (tmp_path / "a").write_bytes(content)
-    assert read_archive(tmp_path / "a", "key") is None
-    assert read_archive(tmp_path / "b", "key") is None
+    assert read_archive(tmp_path / "a", "key", object) is None
+    assert read_archive(tmp_path / "b", "key", object) is None
+
+
+def test_another_kind_counts_as_none(tmp_path):
+    write_archive(tmp_path / "a", "key", MeanSD(1.0, 2.0))
+    assert read_archive(tmp_path / "a", "key", Environment) is None
+    assert read_archive(tmp_path / "a", "key", MeanSD) == (1.0, 2.0)
 
 
 def test_another_key_is_computed_again_and_kept(tmp_path):
@@ -111,7 +125,7 @@ def test_another_key_is_computed_again_and_kept(tmp_path):
         return len(asked)
 
     path = tmp_path / "folder" / "a"
-    assert [recalled(path, key, compute) for key in ("one", "one", "two", "two", "one")] == [1, 1, 2, 2, 3]
+    assert [recalled(path, key, int, compute) for key in ("one", "one", "two", "two", "one")] == [1, 1, 2, 2, 3]
 
 
 def test_a_folder_that_cannot_be_written_to_is_told_of(tmp_path, caplog):

@@ -395,22 +395,22 @@ def test_reports_what_went_badly(study, tmp_path, sketched):
     reason = "trial 0 of S01 in RT7.5 reached the <limit> at 9.000 s"
     gone = replace(relax, identification=None, left_out=(reason,), single_trials=())
     badly = replace(study, made=replace(study.made, subjects=1), cases=(bad, gone), people=())
-    lists = left_out(badly, fit_rows(badly))
-    assert lists["Fits with a parameter at its bound"] == ["S01 in PT7.5: k_s"]
+    lists = left_out(badly, fit_rows(badly), ["a <remark>"])
+    assert lists["Fits of greatest likelihood with a parameter at its bound"] == ["S01 in PT7.5: k_s"]
     assert [
         line.split(",")[0] for line in lists["Fits whose trials say that the model is wrong, or the person not linear"]
     ] == ["S01 in PT7.5: chi2 / dof 3.00"]
-    assert lists["Fits that did not converge"] == ["S01 in PT7.5: gave up"]
+    assert lists["Fits of greatest likelihood that did not converge"] == ["S01 in PT7.5: gave up"]
     assert lists["Trials and people that were left out"] == [reason]
-    assert [line.split(":")[0] for line in lists["Fits that are unstable on the manipulator, and so have no VAF"]] == [
-        "S01 in PT7.5"
-    ]
+    assert [
+        line.split(":")[0] for line in lists["Fits of greatest likelihood that are unstable on the manipulator"]
+    ] == ["S01 in PT7.5"]
     text = write_report(badly, tmp_path).read_text(encoding="utf-8")
     # One task and one amplitude are left.
     assert shown_figures(Page(text)) == {
         *("pulse_directions", "perturbation", "admittance_by_task", "gain_linear_scale", "coherence"),
         *(f"{name}_PT" for name in ("admittance", "fit", "prediction", "parameters")),
-        "pulse_signal",  # of the recording alone
+        *("pulse_signal", "joint_rotations", "trajectories_PT"),  # of the recording alone
     }
     assert "reached the &lt;limit&gt; at 9.000 s" in text
     shown = Page(text).tables["summary"][1:]
@@ -499,7 +499,7 @@ def test_reports_a_study_without_anybody_and_without_a_rig(study, tmp_path, sket
     assert "Nobody was identified: the reasons are below" in text
     assert "render: no OpenGL context; install &lt;libegl1&gt;" in text
     assert "<libegl1>" not in text
-    assert shown_figures(Page(text)) == {"pulse_signal"}
+    assert shown_figures(Page(text)) == {"pulse_signal", "joint_rotations", "trajectories_PT"}
 
 
 def test_reports_a_protocol_of_pulses_alone(study, tmp_path, sketched):
@@ -520,7 +520,7 @@ def test_reports_conditions_of_any_name_and_pulses_or_none(study, tmp_path, sket
     text = write_report(renamed, tmp_path).read_text(encoding="utf-8")
     assert shown_figures(Page(text)) == {
         *("perturbation", "pulse_directions", "admittance_by_task", "gain_linear_scale", "coherence"),
-        *(f"{name}_PT" for name in ("admittance", "fit", "prediction", "parameters")),
+        *(f"{name}_PT" for name in ("admittance", "fit", "prediction", "parameters", "trajectories")),
     }
     assert "a/b &lt;odd&gt; one" in text
     assert "<odd>" not in text

@@ -328,3 +328,12 @@ def test_bad_numbers_of_workers_are_refused(folder):
         analyse_study(folder, workers=0)
     with pytest.raises(TypeError, match="workers"):
         analyse_study(folder, workers="two")
+
+
+def test_a_person_in_two_files_is_refused_by_name(study, tmp_path):
+    (tmp_path / "recordings").mkdir()
+    recording = study.of("PT7.5")[0].recording
+    for name in ("A.nc", "B.nc"):
+        (tmp_path / "recordings" / name).symlink_to(recording)
+    with pytest.raises(ValueError, match="2 recordings are of subject 'S01'; expected one per person"):
+        analyse_study(tmp_path, workers=1, show_progress=False)

@@ -14,6 +14,7 @@ import io
 import json
 import logging
 import math
+import zlib
 from collections.abc import Callable, Mapping
 from importlib import resources
 from importlib.resources.abc import Traversable
@@ -31,6 +32,12 @@ Value = TypeVar("Value")
 PACKAGE = "armperturb"
 
 _KIND, _CONTENT = "kind", "content"
+
+_DAMAGED = (
+    *(OSError, EOFError, zlib.error, ValueError, KeyError, TypeError, AttributeError, ImportError),
+    RecursionError,
+)
+"""What reading raises of a file that is not there, not whole, or not ours."""
 
 
 def write_archive(path: Path, key: str, value: Any) -> None:
@@ -51,24 +58,26 @@ def write_archive(path: Path, key: str, value: Any) -> None:
         temporary.write_bytes(gzip.compress(content, compresslevel=1, mtime=0))
 
 
-def read_archive(path: Path, key: str) -> Any:
-    """The value that was written with that key; None if there is none, or the file is damaged."""
+def read_archive(path: Path, key: str, kind: type[Value]) -> Value | None:
+    """The value that was written with that key; None if there is none of that kind, or the file is damaged."""
     try:
         found = json.loads(gzip.decompress(path.read_bytes()))
-        return _restored(found["value"]) if found["key"] == key else None
-    except (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, ImportError):
+        value = _restored(found["value"]) if found["key"] == key else None
+    except _DAMAGED:
         return None
+    return value if isinstance(value, kind) else None
 
 
-def recalled(path: Path, key: str, compute: Callable[[], Value]) -> Value:
+def recalled(path: Path, key: str, kind: type[Value], compute: Callable[[], Value]) -> Value:
     """What was computed earlier with that key; else it is computed now, and kept.
 
     Args:
       path: of the file; its folder is made if needed.
       key: what the value is made from.
+      kind: of the value.
       compute: gives the value.
     """
-    kept = read_archive(path, key)
+    kept = read_archive(path, key, kind)
     if kept is not None:
         return kept
     value = compute()

@@ -3,15 +3,20 @@
 import hashlib
 import importlib.metadata
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from armperturb.cohort import Person, draw_cohort
+from armperturb.cohort import MUSCLES, Person, draw_cohort
 from armperturb.environment import Environment
 from armperturb.study.protocol import Protocol
 from armperturb.study.store import MANIFEST
+from armperturb.validation import require_number
+
+MOST_SUBJECTS = 100_000
+"""More people than this are a slip in a manifest: drawing them would take hours."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,11 +66,17 @@ class Manifest:
           ValueError: a value is missing or makes no sense.
         """
         try:
+            for name, least, most in (("subjects", 1, MOST_SUBJECTS), ("seed", 0, math.inf)):
+                require_number(source, name, values[name], at_least=least, at_most=most)
+            if values["muscles"] not in MUSCLES:
+                raise ValueError(f"{source}: muscles = {values['muscles']!r}; expected one of {', '.join(MUSCLES)}")
+            if not isinstance(values["protocol"], Mapping) or not isinstance(values["versions"], Mapping):
+                raise ValueError(f"{source}: protocol or versions is no table; expected what a run wrote")
             return cls(
                 subjects=int(values["subjects"]),
                 seed=int(values["seed"]),
                 ideal=bool(values["ideal"]),
-                muscles=str(values["muscles"]),
+                muscles=values["muscles"],
                 protocol=Protocol.from_dict(values["protocol"], source=f"{source}, protocol"),
                 people=str(values["people"]),
                 versions=dict(values["versions"]),
@@ -73,7 +84,7 @@ class Manifest:
         except KeyError as error:
             raise ValueError(f"{source}: no {error.args[0]!r}; expected what a run of this version writes") from None
         except TypeError as error:
-            raise ValueError(f"{source}: {error}; expected what a run of this version writes") from None
+            raise ValueError(str(error)) from None
 
     def to_dict(self) -> dict[str, Any]:
         """Name to value, as JSON holds it."""

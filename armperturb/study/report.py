@@ -67,7 +67,8 @@ def write_report(study: StudyResult, out: Path, *, workers: int | None = 1, show
     Args:
       study: the analysed study; its recordings must still be there.
       out: folder, which is made if needed.
-      workers: number of processes; None for about one per core. No effect on the files.
+      workers: number of processes; None for about one per core. No effect on the files but for
+        rounding.
       show_progress: whether to draw progress bars on the terminal.
 
     Returns:
@@ -101,7 +102,8 @@ def write_report(study: StudyResult, out: Path, *, workers: int | None = 1, show
     for name, lines in more.items():
         if lines:
             write_csv(lines, out / "tables" / f"{name}.csv")
-    page = _page(study, sections(study, scored, tested, rows, yielding, shoulder), pictures, not_drawn)
+    parts = sections(study, scored, tested, rows, yielding, shoulder, {*pictures, *not_drawn})
+    page = _page(study, parts, pictures, not_drawn)
     report = out / "report.html"
     with written_whole(report) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -122,6 +124,7 @@ class _Simulation(NamedTuple):
 
     Attributes:
       function: takes the person, the environment and the seed.
+      kind: what it gives.
       path: of the file.
       person: who.
       environment: what the hand holds.
@@ -129,6 +132,7 @@ class _Simulation(NamedTuple):
     """
 
     function: Callable[..., Any]
+    kind: type
     path: Path
     person: Person
     environment: Environment
@@ -142,11 +146,11 @@ def _simulated(
     if not study.cohort:
         return None, None
     person, found = study.cohort[0], dict[str, Any]()
-    wanted: dict[str, Callable[..., Any]] = {"moving-shoulder": moving_shoulder}
+    wanted: dict[str, tuple[Callable[..., Any], type]] = {"moving-shoulder": (moving_shoulder, MovingShoulder)}
     if has_law(person):
-        wanted = {"yielding": why_people_yield, **wanted}
+        wanted = {"yielding": (why_people_yield, Yielding), **wanted}
     units = [
-        _Simulation(function, out / ANALYSIS / f"{name}.json.gz", person, study.environment, study.seed)
+        _Simulation(*function, out / ANALYSIS / f"{name}.json.gz", person, study.environment, study.seed)
         for name, function in wanted.items()
     ]
     for path, result in _each(_simulate, units, crew, "simulate", show_progress):
@@ -155,10 +159,10 @@ def _simulated(
 
 
 def _simulate(unit: _Simulation) -> tuple[Path, Any]:
-    what = f"{unit.person!r} {unit.environment!r} {unit.seed} {code_digest()}"
+    what = f"{unit.function.__name__} {unit.person!r} {unit.environment!r} {unit.seed} {code_digest()}"
     key = hashlib.sha256(what.encode()).hexdigest()
     return unit.path, recalled(
-        unit.path, key, lambda: unit.function(unit.person, environment=unit.environment, seed=unit.seed)
+        unit.path, key, unit.kind, lambda: unit.function(unit.person, environment=unit.environment, seed=unit.seed)
     )
 
 

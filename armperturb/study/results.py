@@ -156,7 +156,8 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
 
     Args:
       root: the folder.
-      workers: number of processes; None for about one per core. No effect on the result.
+      workers: number of processes; None for about one per core. No effect on the result but for
+        rounding.
       show_progress: whether to draw a progress bar on the terminal.
 
     Raises:
@@ -183,15 +184,16 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
         tqdm(total=2 * len(paths), desc="analyse", unit="step", disable=None if show_progress else True) as bar,
     ):
         units = [_Unit(path, protocol, keys[path], _file(root, path)) for path in paths]
-        results = zip(_each(_analyse, units, crew, bar), paths, strict=True)
+        results = zip(_each(_analyse, PersonResults, units, crew, bar), paths, strict=True)
         recorded = sorted(results, key=lambda one: one[0].measures.name)
         found = [one for one, _ in recorded]
+        _require_different(found)
         first, starts = (joined(getattr(one.fits, name) for one in found) for name in ("first", "starts"))
         means = means_of(first)
         # Step 2 follows from everybody's step 1.
         second_key = hashlib.sha256("".join(sorted(keys.values())).encode()).hexdigest()
         later = [_LaterUnit(path, means, second_key, _file(root, path, "-step-2")) for path in paths]
-        second = _each(_analyse_later, later, crew, bar)
+        second = _each(_analyse_later, SecondStep, later, crew, bar)
     remarks: list[str] = []
     for one in found:
         missing += one.missing
@@ -217,6 +219,18 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
         missing=tuple(missing),
         remarks=tuple(remarks),
     )
+
+
+def _require_different(found: Sequence[PersonResults]) -> None:
+    """Refuse one person in two files, who would count twice.
+
+    Raises:
+      ValueError: there is one.
+    """
+    names = [one.measures.name for one in found]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{names.count(name)} recordings are of subject {name!r}; expected one per person")
 
 
 def _manifest(root: Path, missing: list[str]) -> Manifest | None:
@@ -293,12 +307,16 @@ def _missing(recording: Any, protocol: Protocol) -> list[str]:
 
 
 def _each(
-    function: Callable[[Any], Result], units: Sequence[_Unit | _LaterUnit], crew: Workers | None, bar: tqdm
+    function: Callable[[Any], Result],
+    kind: type[Result],
+    units: Sequence[_Unit | _LaterUnit],
+    crew: Workers | None,
+    bar: tqdm,
 ) -> list[Result]:
     """The result of each unit, in their order: kept from an earlier call, or computed and kept."""
     results: dict[int, Result] = {}
     for number, unit in enumerate(units):
-        kept = read_archive(unit.kept, unit.key)
+        kept = read_archive(unit.kept, unit.key, kind)
         if kept is not None:
             results[number] = kept
             bar.update()

@@ -1,7 +1,7 @@
 """The sections of the report: what each one's template is given."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -22,6 +22,12 @@ from armperturb.study.yielding import PULSES, Yielding
 
 NEAR = 0.15
 """A headline number this close to the published one is near [-]."""
+
+MOST_NAMED = 5
+"""How many cells or tables the summary names."""
+
+PULSES_DRAWN = {"peak_displacement", "pulse_admittance", "pulse_prediction", "trajectories_PT", "trajectories_RT"}
+"""Figures of pulse responses."""
 
 FACTORS = {
     "admittance_ratio_rt7.5_pt7.5": "admittance, relaxing over holding position",
@@ -91,6 +97,7 @@ def sections(
     rows: Mapping[str, list[Row]],
     yielding: Yielding | None,
     shoulder: MovingShoulder | None,
+    drawn: Collection[str],
 ) -> list[Section]:
     """All sections that a study has content for, in order.
 
@@ -101,6 +108,7 @@ def sections(
       rows: tables by name.
       yielding: what the first person's muscles do; None if they are linear.
       shoulder: what it does if the first person's shoulder moves; None of people who were not simulated.
+      drawn: names of the figures that are there.
     """
     found = [
         Section(title="Summary", template="summary", context={"rows": rows["summary"], **_summary(score)}),
@@ -116,13 +124,13 @@ def sections(
         ),
         Section(title="Parameters", template="parameters", context={"rows": rows["parameters_summary"]}),
     ]
-    if any(person.pulses for person in study.people):
+    if PULSES_DRAWN & set(drawn):
         found.append(
             Section(title="Pulse response", template="pulses", context={"headlines": score and _of_pulses(score)})
         )
     if effects.rows or effects.admittance:
         found.append(Section(title="Statistics", template="statistics", context={"effects": effects}))
-    if score is not None:
+    if score is not None or "joint_rotations" in drawn:
         context: dict[str, Any] = {
             "joints": joint_rows(study),
             "limits": elastic_rows(_means(study)),
@@ -131,7 +139,7 @@ def sections(
             "names": NAMES,
         }
         found.append(Section(title="Kinematics", template="kinematics", context=context))
-    if study.cohort and any(person.pulses for person in study.people):
+    if "stills" in drawn:
         found.append(Section(title="Videos, as stills", template="stills"))
     if yielding is not None:
         context = {"person": yielding.person, "rows": yielding.rows(), "pulses": PULSES, "unstable": yielding.unstable}
@@ -145,7 +153,11 @@ def sections(
             )
         )
     found.append(
-        Section(title="What was left out", template="left_out", context={"lists": left_out(study, rows["fits"])})
+        Section(
+            title="What was left out",
+            template="left_out",
+            context={"lists": left_out(study, rows["fits"], score.remarks if score is not None else study.remarks)},
+        )
     )
     return found
 
@@ -190,20 +202,18 @@ def _summary(score: Score | None) -> dict[str, Any]:
 def _differs(score: Score, factors: list[Factor]) -> list[str]:
     """The largest differences, in words."""
     off = [factor for factor in factors if factor.mark == "beyond-1"]
-    lines = [f"{len(off)} of {len(factors)} headline numbers are off by more than {NEAR:.0%}"] if off else []
+    lines = [f"{len(off)} of {len(factors)} headline numbers are off by more than {100.0 * NEAR:.0f} %"] if off else []
     measured = [one for one in score.cells if one.cell.table[0] in "2F"]
     beyond = [one for one in measured if abs(one.z) > 2.0]
     if beyond:
-        named = ", ".join(f"{one.cell.quantity} in {one.cell.condition}" for one in beyond[:5])
-        more = f" and {len(beyond) - 5} more" if len(beyond) > 5 else ""
+        named = ", ".join(f"{one.cell.quantity} in {one.cell.condition}" for one in beyond[:MOST_NAMED])
+        more = f" and {len(beyond) - MOST_NAMED} more" if len(beyond) > MOST_NAMED else ""
         lines.append(f"movements beyond 2 SD: {named.replace('_', ' ')}{more}")
-    far = [
-        f"{name} ({100.0 * one.parts[1]:.0f} %)"
-        for name, one in shares(score).items()
-        if "." in name and " " not in name and one.published and one.parts[1] < 0.5
-    ]
+    of_tables = {name: one for name, one in shares(score).items() if "." in name and " " not in name}
+    far = sorted((one.parts[1], name) for name, one in of_tables.items() if one.parts[1] < 0.5)
     if far:
-        lines.append(f"less than half of the cells within 1 SD: tables {', '.join(far)}")
+        worst = ", ".join(f"{name} ({100.0 * part:.0f} %)" for part, name in far[:MOST_NAMED])
+        lines.append(f"less than half of the cells within 1 SD: {len(far)} of {len(of_tables)} tables, least {worst}")
     lacking = sum(missing_cells(score).values())
     if lacking:
         lines.append(f"{lacking} of {len(score.cells)} cells could not be computed and count as not reproduced")
@@ -220,7 +230,7 @@ def drifting(study: StudyResult) -> list[Condition]:
     return [c for c in study.protocol.conditions if c.has_multisine and (c.reached != 1.0 or c.reached_spread)]
 
 
-def left_out(study: StudyResult, fits: list[Row]) -> dict[str, list[str]]:
+def left_out(study: StudyResult, fits: list[Row], remarks: Sequence[str]) -> dict[str, list[str]]:
     """What no table shows, or what a reader should not trust: heading to one line each."""
 
     def those(says: Callable[[Row], str]) -> list[str]:
@@ -228,10 +238,12 @@ def left_out(study: StudyResult, fits: list[Row]) -> dict[str, list[str]]:
 
     return {
         "What is missing, or was made otherwise": list(study.missing),
-        "What was left out of single results": list(study.remarks),
+        "What was left out of single results": [line for line in remarks if line not in study.missing],
         "Trials and people that were left out": [reason for case in study.cases for reason in case.left_out],
-        "Fits that did not converge": those(lambda row: "" if row["converged"] else row["status"]),
-        "Fits with a parameter at its bound": those(lambda row: row["at_bound"]),
+        "Fits of greatest likelihood that did not converge": those(
+            lambda row: "" if row["converged"] else row["status"]
+        ),
+        "Fits of greatest likelihood with a parameter at its bound": those(lambda row: row["at_bound"]),
         "Fits whose trials say that the model is wrong, or the person not linear": those(
             lambda row: (
                 f"chi2 / dof {row['chi2'] / row['dof']:.2f}, p = {row['p_value']:.1g}"
@@ -239,7 +251,7 @@ def left_out(study: StudyResult, fits: list[Row]) -> dict[str, list[str]]:
                 else ""
             )
         ),
-        "Fits that are unstable on the manipulator, and so have no VAF": those(
+        "Fits of greatest likelihood that are unstable on the manipulator": those(
             lambda row: "" if row["stable"] else f"largest real part of a pole {row['largest_real_pole_per_s']:.3g} 1/s"
         ),
     }
