@@ -193,7 +193,12 @@ def person(name, factor=1.0, **changes):
     measured = PersonMeasures(
         name=name,
         conditions=tuple(published.conditions()),
-        cells={},
+        cells={
+            Cell("F.5", condition, f"peak_rotation_{level}_{joint}"): factor * value
+            for condition in ("PT0", "PT7.5")
+            for joint in "se"
+            for level, value in (("min", 0.1), ("max", 0.2))
+        },
         true_cells={},
         estimates={},
         low_gain={
@@ -236,11 +241,13 @@ def test_headlines_of_people_who_are_as_the_text_says():
     assert found["pulse_admittance_PT22.5_over_PT0"].ours < 1 < found["pulse_admittance_RT2.5_over_RT0"].ours
     assert found["p_pulse_admittance_anova_rt"].ours < 0.05
     assert found["p_pulse_admittance_pt0_pt2.5"].published == "ns"
+    assert found["peak_rotation_ratio_max_min"].ours == pytest.approx(2.0)
+    assert found["pulse_mean_displacement"].ours == pytest.approx(100 * 1.24 * (0.06 + 0.21) / 2)
     assert all(math.isfinite(one.ours) for one in found.values())
 
 
 def test_headlines_say_what_they_lack():
-    lonely = person("A", trials=(), low_gain={})
+    lonely = person("A", trials=(), low_gain={}, cells={})
     found = headlines([lonely])
     assert all(math.isnan(one.ours) and one.remark for one in found)
     assert len(found) == len(headlines([person("A")]))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.statistics import FEWEST, effect_of_condition, paired_t, post_hoc
 from armperturb.study import published
+from armperturb.study.cells import JOINTS, Cell
 from armperturb.study.measure import PersonMeasures, PulseMeans
 
 Array = NDArray[np.float64]
@@ -76,6 +77,8 @@ def headlines(people: Sequence[PersonMeasures]) -> tuple[Headline, ...]:
         *_levels(people),
         *(headline for task in PULSED for headline in _before(people, task)),
         _task_ratio(people),
+        _largest_displacement(people),
+        _rotation_ratio(people),
     )
 
 
@@ -213,6 +216,34 @@ def _task_ratio(people: Sequence[PersonMeasures]) -> Headline:
         ours=float(np.mean(ratios)),
         remark="mean of RT0 over PT0 and RT7.5 over PT7.5; table 2.1 gives 3.7",
     )
+
+
+def _largest_displacement(people: Sequence[PersonMeasures]) -> Headline:
+    """Peak displacement at each condition's largest level, mean over conditions."""
+    name, pulses = "pulse_mean_displacement", [pulse for of_task in PULSED.values() for pulse in of_task]
+    means = [[pulse.displacement for pulse in _of(people, *pulse)] for pulse in pulses]
+    text = published.headline_text(name)
+    if not all(means):
+        return _missing(name, text, "a condition has no pulses of its largest level", "cm")
+    ours = 100.0 * float(np.mean([np.mean(values) for values in means]))
+    return Headline(
+        name=name, published=text, ours=ours, unit="cm", remark="mean of the largest levels of all conditions"
+    )
+
+
+def _rotation_ratio(people: Sequence[PersonMeasures]) -> Headline:
+    """Peak rotation of a joint at the maximum over that at the minimum level (appendix F.3)."""
+    name, ratios = "peak_rotation_ratio_max_min", []
+    text = published.headline_text(name)
+    for condition in ("PT0", "PT7.5"):
+        for joint in JOINTS:
+            cells = [Cell("F.5", condition, f"peak_rotation_{level}_{joint}") for level in ("max", "min")]
+            means = [[person.cells[cell] for person in people if cell in person.cells] for cell in cells]
+            if not all(means):
+                return _missing(name, text, f"nobody has both levels in {condition}")
+            ratios.append(np.mean(means[0]) / np.mean(means[1]))
+    remark = "mean of both joints in PT0 and PT7.5"
+    return Headline(name=name, published=text, ours=float(np.mean(ratios)), remark=remark)
 
 
 def _of(people: Sequence[PersonMeasures], condition: str, level: str) -> list[PulseMeans]:
