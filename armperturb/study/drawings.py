@@ -114,7 +114,7 @@ def _of_pulses(study: StudyResult) -> Drawings:
     drawn: Drawings = {}
     name, path = next(iter(study.recordings.items()))
     recording = load_recording(path, ["joint_angle"])
-    stills = []
+    stills: dict[str, xr.Dataset] = {}
     for condition in study.protocol.conditions:
         trials = of_condition(recording, condition.name)
         pulses = first_pulses(trials) if condition.pulse_levels and not condition.has_multisine else {}
@@ -124,10 +124,10 @@ def _of_pulses(study: StudyResult) -> Drawings:
         drawn.setdefault("pulse_signal", partial(perturbation_figures.pulse_signal, trial))
         if all(_within_reach(around_pulse(trials, number)) for number in pulses.values()):
             drawn.setdefault("joint_rotations", partial(trajectory_figures.joint_rotations, trials))
-        stills.append(trial)
+        stills.setdefault(condition.task, trial)
     person = next((person for person in study.cohort if person.name == name), None)
     if person is not None and stills and "joint_angle" in recording:
-        drawn["stills"] = partial(rig_figures.stills, person, study.environment, stills)
+        drawn["stills"] = partial(rig_figures.stills, person, study.environment, list(stills.values()))
     measures = next((person for person in study.people if person.name == name), None)
     for task, (condition_name, level) in PATHS.items():
         trials = of_condition(recording, condition_name)
