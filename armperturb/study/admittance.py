@@ -65,15 +65,3 @@ def mean_admittance(study: StudyResult, condition: str) -> MeanAdmittance:
     return MeanAdmittance(
         spectra[0].frequency, np.exp(log_gain.mean(axis=0)), gain_ratio, np.angle(direction), phase_sd
     )
-
-
-def task_effect(study: StudyResult) -> float | None:
-    """How many times larger the admittance is in RT7.5 than in PT7.5 at low frequencies [-].
-
-    Mean over the lowest two frequencies and the diagonal of the ratio of the gains, which are geometric means over
-    subjects; None if nobody was identified in one of the conditions. Source: thesis 3.1.
-    """
-    if not (study.of("PT7.5") and study.of("RT7.5")):
-        return None
-    relax, position = (mean_admittance(study, name).gain[:2] for name in ("RT7.5", "PT7.5"))
-    return float(np.mean([np.diag(ratio) for ratio in relax / position]))

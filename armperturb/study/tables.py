@@ -10,7 +10,6 @@ import numpy as np
 from armperturb.analysis.export import fit_summary, write_csv
 from armperturb.analysis.structures import unit
 from armperturb.study import published
-from armperturb.study.admittance import task_effect
 from armperturb.study.results import StudyResult
 from armperturb.subject import Subject
 
@@ -190,15 +189,6 @@ def summary_rows(study: StudyResult, of_parameters: list[Row], of_fits: list[Row
     return rows
 
 
-def task_effect_rows(study: StudyResult) -> list[Row]:
-    """Admittance when relaxing over that when keeping position, beside the published factor; empty without either."""
-    effect = task_effect(study)
-    if effect is None:
-        return []
-    name = "admittance_ratio_rt7.5_pt7.5"
-    return [{"quantity": name, "study": effect, "published": published.headline(name)}]
-
-
 def write_tables(study: StudyResult, folder: Path) -> dict[str, list[Row]]:
     """Write every table that has rows as CSV, and return all by name.
 
@@ -214,7 +204,6 @@ def write_tables(study: StudyResult, folder: Path) -> dict[str, list[Row]]:
         "fits": of_fits,
         "conditions": condition_rows(study),
         "summary": summary_rows(study, of_parameters, of_fits),
-        "task_effect": task_effect_rows(study),
     }
     for name, rows in tables.items():
         if rows:

@@ -134,7 +134,7 @@ class Yielding:
     def rise(self, variant: str, above: str, below: str) -> float:
         """Low-frequency gain in one condition over that in another [-]; NaN if a response is missing.
 
-        Mean over the lowest two frequencies and the diagonal, as in `admittance.task_effect`.
+        Mean over the lowest two frequencies and the diagonal, as in `headlines`.
         """
         pair = self._pair(variant, above, below)
         return float(np.mean(pair[0].low_gain / pair[1].low_gain)) if pair else math.nan
