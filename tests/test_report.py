@@ -18,7 +18,7 @@ from armperturb.study import (
     report,
     rig_figures,
 )
-from armperturb.study.formats import MISSING, chance, digits, mean_sd, signed, symbol
+from armperturb.study.formats import MISSING, chance, digits, mean_sd, signed, symbol, words
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.report import write_report
 from armperturb.study.runner import StudySettings
@@ -575,3 +575,9 @@ def test_symbol_is_escaped_markup():
 
 def test_differences_have_their_sign():
     assert [signed(value) for value in (1.26, -0.5, 0.0, math.nan)] == ["+1.3", "−0.5", "0.0", MISSING]
+
+
+def test_conditions_are_written_as_such_in_words():
+    assert words("pulse_admittance_ratio_max_min_pt7.5") == "pulse admittance ratio max min PT7.5"
+    assert words("peak_displacement_ratio_rt_pt_min_level") == "peak displacement ratio RT PT min level"
+    assert words("pulse_prediction_RT2.5_min") == "pulse prediction RT2.5 min"

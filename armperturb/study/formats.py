@@ -1,6 +1,7 @@
 """How numbers and symbols are written in the report."""
 
 import math
+import re
 
 from markupsafe import Markup
 
@@ -41,6 +42,11 @@ def mean_sd(mean: float, sd: float) -> str:
         return digits(mean)
     decimals = max(0, _decimals(sd, 2))
     return f"{fixed(mean, decimals)} ± {fixed(sd, decimals)}"
+
+
+def words(name: str) -> str:
+    """A name with words and conditions as they are written, e.g. PT2.5."""
+    return re.sub(r"\b(pt|rt)(?=[\d ]|$)", lambda task: task.group().upper(), name.replace("_", " "))
 
 
 def symbol(parameter: str) -> Markup:

@@ -208,7 +208,7 @@ def _page(study: StudyResult, parts: Sequence[Section], pictures: dict[str, Pict
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    for name in ("chance", "digits", "fixed", "mean_sd", "signed", "symbol"):
+    for name in ("chance", "digits", "fixed", "mean_sd", "signed", "symbol", "words"):
         environment.filters[name] = getattr(formats, name)
     environment.globals.update(
         study=study,

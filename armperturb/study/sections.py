@@ -212,7 +212,7 @@ def _differs(score: Score, factors: list[Factor]) -> list[str]:
     of_tables = {name: one for name, one in shares(score).items() if "." in name and " " not in name}
     far = sorted((one.parts[1], name) for name, one in of_tables.items() if one.parts[1] < 0.5)
     if far:
-        worst = ", ".join(f"{name} ({100.0 * part:.0f} %)" for part, name in far[:MOST_NAMED])
+        worst = ", ".join(f"{name} ({100.0 * part:.0f}\u00a0%)" for part, name in far[:MOST_NAMED])
         lines.append(f"less than half of the cells within 1 SD: {len(far)} of {len(of_tables)} tables, least {worst}")
     lacking = sum(missing_cells(score).values())
     if lacking:

@@ -41,9 +41,12 @@ PUSHED: dict[str, Any] = {
 }
 """Arrow of the direction of a pulse."""
 
+ITSELF: dict[str, Any] = {**TRUE, "linewidth": 0.9}
+"""Line of the joint itself: thin, so that the one under it, which is nearly the same, keeps its colour."""
+
 JOINT_LOOKS: dict[str, dict[str, Any]] = {
-    "shoulder": {"color": "#56B4E9", "linewidth": 2.0},
-    "elbow": {"color": "#0072B2", "linewidth": 2.0},
+    "shoulder": {"color": "#56B4E9", "linewidth": 3.0},
+    "elbow": {"color": "#0072B2", "linewidth": 3.0},
 }
 
 LEAD, LAG = 0.05, 0.5
@@ -197,7 +200,7 @@ def joint_rotations(recording: xr.Dataset) -> Figure:
             ax.plot(time, values, **look)
             if "joint_angle" in one:
                 truth = np.degrees(kinematics.true_rotations(one)[0, :, joint])
-                ax.plot(time, truth, **TRUE)
+                ax.plot(time, truth, **ITSELF)
             peak = int(np.argmax(np.where(time >= 0.0, np.abs(values), 0.0)))
             sign = np.sign(values[peak])
             ax.plot(time[peak], values[peak], "o", color=look["color"], markersize=6)
@@ -217,6 +220,6 @@ def joint_rotations(recording: xr.Dataset) -> Figure:
         ax.margins(y=0.16)
     panels[0].set_ylabel("rotation [°]")
     handles = [Line2D([], [], label=name, **look) for name, look in JOINT_LOOKS.items()]
-    handles += [Line2D([], [], label="the joint itself", **TRUE)] if "joint_angle" in recording else []
+    handles += [Line2D([], [], label="the joint itself", **ITSELF)] if "joint_angle" in recording else []
     legend(figure, *handles, *([printed_handle("published peak, mean ± SD")] if any_printed else []))
     return figure
