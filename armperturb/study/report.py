@@ -67,8 +67,7 @@ def write_report(study: StudyResult, out: Path, *, workers: int | None = 1, show
     Args:
       study: the analysed study; its recordings must still be there.
       out: folder, which is made if needed.
-      workers: number of processes; None for about one per core. No effect on the files but for
-        rounding.
+      workers: number of processes; None for about one per core. No effect on the files but for rounding.
       show_progress: whether to draw progress bars on the terminal.
 
     Returns:

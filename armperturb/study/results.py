@@ -156,8 +156,7 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
 
     Args:
       root: the folder.
-      workers: number of processes; None for about one per core. No effect on the result but for
-        rounding.
+      workers: number of processes; None for about one per core. No effect on the result but for rounding.
       show_progress: whether to draw a progress bar on the terminal.
 
     Raises:
