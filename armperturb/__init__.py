@@ -20,15 +20,15 @@ from armperturb.subject import RELAX as RELAX
 from armperturb.subject import Subject as Subject
 
 if TYPE_CHECKING:
-    from armperturb.envs.experiment import Trial as Trial
     from armperturb.envs.experiment import run_experiment as run_experiment
     from armperturb.envs.instruments import Instruments as Instruments
+    from armperturb.envs.trial import Trial as Trial
     from armperturb.models import build_model as build_model
 
 # These need MuJoCo, which an analysis of recordings does not: they are fetched on first use.
 _SIMULATOR = {
     "Instruments": "armperturb.envs.instruments",
-    "Trial": "armperturb.envs.experiment",
+    "Trial": "armperturb.envs.trial",
     "build_model": "armperturb.models",
     "run_experiment": "armperturb.envs.experiment",
 }

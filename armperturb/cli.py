@@ -13,8 +13,9 @@ import xarray as xr
 from armperturb.analysis.export import write_identification
 from armperturb.analysis.identify import Identification, identify_conditions
 from armperturb.environment import Environment
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
+from armperturb.envs.trial import Trial
 from armperturb.perturbations import load_csv
 from armperturb.recording import join_recordings, load_recording, save_recording
 from armperturb.subject import TASKS, Subject

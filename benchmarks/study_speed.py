@@ -25,7 +25,8 @@ import psutil
 from armperturb.cohort import draw_cohort
 from armperturb.controllers.reflex import activate, initial_activation, reflex_gains, spindle_excitation
 from armperturb.environment import Environment
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
+from armperturb.envs.trial import Trial
 from armperturb.models import JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, build_model
 from armperturb.study.protocol import THESIS
 from armperturb.study.runner import StudySettings, record_study

@@ -11,8 +11,9 @@ import pytest
 
 from armperturb.cohort import average_person
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
+from armperturb.envs.trial import Trial
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse
 from armperturb.study import fits, report, rig_figures, runner

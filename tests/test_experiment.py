@@ -23,8 +23,9 @@ from armperturb.controllers.reflex import activate, initial_activation, reflex_g
 from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
 from armperturb.environment import Environment
 from armperturb.envs.emg import Emg
-from armperturb.envs.experiment import Trial, _subject_in, run_experiment
+from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
+from armperturb.envs.trial import Trial, subject_in
 from armperturb.models import build_model
 from armperturb.perturbations import Multisine, MultisineThenPulse, Pulse, Sampled
 from armperturb.perturbations.multisine import PERIOD
@@ -340,7 +341,7 @@ def test_trials_of_a_person_near_instability_keep_half_of_the_margin():
     noise = HumanNoise(spread_b=0.3, spread_kv=0.3, spread_kp=0.3)
     trial = Trial(subject=POSITION, perturbation=small_multisine(1.0), noise=noise)
     bound = largest_real_pole(POSITION, ENVIRONMENT) / 2
-    poles = [largest_real_pole(_subject_in(replace(trial, seed=seed), ENVIRONMENT), ENVIRONMENT) for seed in range(200)]
+    poles = [largest_real_pole(subject_in(replace(trial, seed=seed), ENVIRONMENT), ENVIRONMENT) for seed in range(200)]
     assert max(poles) <= bound
     assert np.std(poles) > 0
 
@@ -349,7 +350,7 @@ def test_a_person_too_fast_for_the_step_in_one_trial_only_is_refused():
     # Else it would blow up, and be reported as a trial that reached the workspace limit.
     wild = HumanNoise(spread_b=1.0)
     trials = [Trial(subject=POSITION, perturbation=small_multisine(1.0), noise=wild, seed=seed) for seed in range(60)]
-    poles = np.array([fastest_pole(_subject_in(trial, ENVIRONMENT), ENVIRONMENT) for trial in trials])
+    poles = np.array([fastest_pole(subject_in(trial, ENVIRONMENT), ENVIRONMENT) for trial in trials])
     slow, fast = trials[int(np.argmin(poles))], trials[int(np.argmax(poles))]
     assert np.isnan(run_experiment([slow], ENVIRONMENT)["limit_time"].values).all()
     with pytest.raises(

@@ -19,8 +19,9 @@ from armperturb.analysis.kinematics import (
     within_reach,
 )
 from armperturb.environment import Strap
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
+from armperturb.envs.trial import Trial
 from armperturb.perturbations import Multisine, MultisineThenPulse
 from armperturb.subject import POSITION, RELAX
 

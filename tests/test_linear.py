@@ -6,9 +6,10 @@ import pytest
 from armperturb.analysis.arm_model import hand_jacobian, simulate_linear
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.envs.linear import linear_signals
+from armperturb.envs.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.subject import POSITION, RELAX
 

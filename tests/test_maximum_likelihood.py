@@ -10,8 +10,9 @@ from armperturb.analysis.maximum_likelihood import Group, estimate, profile
 from armperturb.analysis.structures import STRUCTURES
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
+from armperturb.envs.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.subject import POSITION, RELAX
 

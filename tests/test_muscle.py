@@ -25,7 +25,8 @@ from armperturb.controllers.muscle import (
 from armperturb.controllers.reflex import NonlinearSpindles, velocity_response
 from armperturb.controllers.remnant import HumanNoise
 from armperturb.environment import Environment
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
+from armperturb.envs.trial import Trial
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, Sampled
 from armperturb.subject import POSITION, RELAX, Subject, at_level

@@ -11,7 +11,7 @@ from armperturb.analysis.arm_model import total_admittance
 from armperturb.cohort import draw_cohort
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment, Strap
-from armperturb.envs.experiment import Trial
+from armperturb.envs.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.study import practice
 from armperturb.study.practice import (

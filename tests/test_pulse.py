@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 from armperturb.analysis.arm_model import hand_jacobian, mass_matrix
 from armperturb.analysis.pulse import predicted_peaks, pulse_peaks, pulse_prediction, pulse_span
 from armperturb.environment import Environment
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
+from armperturb.envs.trial import Trial
 from armperturb.perturbations import Multisine, MultisineThenPulse
 from armperturb.recording import make_recording
 from armperturb.subject import POSITION, RELAX

@@ -15,7 +15,8 @@ from armperturb.controllers.reflex import (
     reflex_gains,
     spindle_excitation,
 )
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
+from armperturb.envs.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.subject import POSITION, RELAX
 

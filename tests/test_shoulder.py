@@ -7,7 +7,8 @@ from scipy import linalg
 from armperturb.analysis.arm_model import _strapped_dynamics, hand_jacobian, state_space
 from armperturb.cohort import Person
 from armperturb.environment import Environment, Strap
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
+from armperturb.envs.trial import Trial
 from armperturb.perturbations import Pulse
 from armperturb.study.protocol import PULSE_UNIT, THESIS
 from armperturb.study.shoulder import AFTER, REST, SETTLE, STEP, STRETCH, _shortened, moving_shoulder

@@ -13,8 +13,9 @@ from armperturb import models
 from armperturb.analysis.arm_model import _strapped_dynamics, fastest_pole, largest_real_pole, state_space
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment, Strap
-from armperturb.envs.experiment import MARKER, Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
+from armperturb.envs.trial import MARKER, Trial
 from armperturb.models import build_model, rig
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Pulse, Sampled

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.arm_model import arm_admittance
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
+from armperturb.envs.trial import Trial
 from armperturb.perturbations import Pulse
 from armperturb.recording import load_recording, save_recording
 from armperturb.study import cases, fits, published

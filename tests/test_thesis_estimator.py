@@ -20,7 +20,8 @@ from armperturb.analysis.thesis import (
 )
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
+from armperturb.envs.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.study import published
 from armperturb.study.tables import true_value

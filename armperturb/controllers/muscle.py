@@ -6,8 +6,8 @@ for one trial as for many.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import Subject
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 NEVER = 1e6
 """Stands for an elastic limit that is infinite [rad], where infinity times a vanished stiffness would be undefined."""
@@ -161,7 +162,7 @@ def muscle_torque(
 
 
 class NonlinearMuscles:
-    """The trials of a batch whose subjects have a law: `torque`, once per step, and once only."""
+    """The law in all trials of a batch, one that adds nothing where a subject has none: `torque` once per step."""
 
     def __init__(self, subjects: Sequence[Subject], timestep: float) -> None:
         """Begin at rest.
@@ -170,43 +171,81 @@ class NonlinearMuscles:
           subjects: who is perturbed, one per trial.
           timestep: of the simulation [s].
         """
-        self.trials = np.flatnonzero([subject.muscle is not None for subject in subjects])
-        if not self.needed:
-            return
-        own = [subject for subject in subjects if subject.muscle is not None]
-        self._posture = np.array([subject.posture for subject in own])
-        self._parameters = muscle_parameters(own, timestep)
+        self.needed = any(subject.muscle is not None for subject in subjects)
+        self._posture = np.array([subject.posture for subject in subjects])
+        self._parameters = muscle_parameters(subjects, timestep)
+        self._parts = np.array([[(subject.muscle or MuscleLaw()).parts] for subject in subjects])
         self._state = rested(self._parameters)
-        self._velocity = np.zeros((len(own), 2))
-        self._torque = np.zeros((len(own), 2))
-        self._at_start = np.zeros((len(subjects), 2))
+        self._velocity = np.zeros((len(subjects), 2))
+        self._torque = np.zeros((len(subjects), 2))
         self._timestep = timestep
 
-    @property
-    def needed(self) -> bool:
-        """Whether any trial has a law."""
-        return len(self.trials) > 0
-
     def torque(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
-        """Torque with which the muscles of `trials` oppose movement, beside their linear part.
+        """Torque with which the muscles oppose movement, beside their linear part.
 
         A torque that is held over a step acts at its middle: the law sees the motion drawn on to there.
 
         Args:
-          angle: of the joints at the start of the step [rad], (trial, joint) of the batch.
-          velocity: of the joints [rad/s], the same.
+          angle: of the joints at the start of the step [rad], (trial, joint).
+          velocity: of the joints [rad/s], (trial, joint).
 
         Returns:
-          The torque to hold over the step [Nm], (trial, joint) of `trials`, and the one at the step's start [Nm],
-          (trial, joint) of the batch, zero where there is no law.
+          The torque to hold over the step, and the one at the step's start [Nm], (trial, joint) both.
         """
-        speed = velocity[self.trials]
-        middle = 1.5 * speed - 0.5 * self._velocity
-        stretch = angle[self.trials] - self._posture + (0.5 * self._timestep) * speed
+        middle = 1.5 * velocity - 0.5 * self._velocity
+        stretch = angle - self._posture + (0.5 * self._timestep) * velocity
         torque, self._state = muscle_torque(
             self._parameters, self._state, element_motion(stretch), element_motion(middle)
         )
         held = joint_torque(torque)
-        self._at_start[self.trials] = 0.5 * (held + self._torque)
-        self._velocity, self._torque = speed, held
-        return held, self._at_start
+        at_start = 0.5 * (held + self._torque)
+        self._velocity, self._torque = velocity.copy(), held
+        return held, at_start
+
+    def set_strength(self, trials: Indices, short_range: Array, damping: Array) -> None:
+        """Change how much muscle there is in some trials, as co-contraction does.
+
+        Bonds that come in are unstrained, and bonds that go take their torque along: neither gives energy.
+
+        Args:
+          trials: indices of those trials.
+          short_range: short-range stiffness [Nm/rad], (trial, element).
+          damping: linear damping of the muscle groups [Nms/rad], (trial, element).
+        """
+        own = self._parameters
+        stiffness = short_range / self._parts[trials]
+        share = np.divide(own.stiffness[trials], stiffness, out=np.ones_like(stiffness), where=stiffness > 0.0)
+        self._state.bond[:, trials] *= np.minimum(share, 1.0)
+        own.stiffness[trials], own.damping[trials] = stiffness, damping
+
+    def replace(self, trials: Indices, fresh: Self) -> None:
+        """Put other people, at rest, in the place of some trials.
+
+        Args:
+          trials: indices of those trials.
+          fresh: as many trials.
+        """
+        self.needed |= fresh.needed
+        missing = len(fresh._state.bond) - len(self._state.bond)
+        if missing > 0:  # parts that a trial does not have yield at once
+            more = np.zeros((missing, *self._state.stretch.shape))
+            own = self._parameters
+            self._parameters = replace(
+                own, **{field: np.concatenate([getattr(own, field), more]) for field in ("limit", "limit_slope")}
+            )
+            self._state = self._state._replace(bond=np.concatenate([self._state.bond, more]))
+        self._posture[trials], self._parts[trials] = fresh._posture, fresh._parts
+        self._velocity[trials] = self._torque[trials] = 0.0
+        for field in fields(MuscleParameters):
+            _put(getattr(self._parameters, field.name), trials, getattr(fresh._parameters, field.name))
+        for into, values in zip(self._state, fresh._state, strict=True):
+            _put(into, trials, values)
+
+
+def _put(into: Array, trials: Indices, values: Array) -> None:
+    """Write (trial, element) or (part, trial, element); fewer parts are followed by zeros."""
+    if into.ndim == 2:
+        into[trials] = values
+    else:
+        into[: len(values), trials] = values
+        into[len(values) :, trials] = 0.0

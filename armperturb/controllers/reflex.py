@@ -7,12 +7,13 @@ same bits for one trial as for many.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from armperturb.controllers.muscle import element_motion, joint_torque
+from armperturb.controllers.muscle import Indices, element_motion, joint_torque
 from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import Subject
 
@@ -92,28 +93,22 @@ def spindle_excitation(gains: ReflexGains, angle: Array, velocity: Array) -> Arr
 
 
 class NonlinearSpindles:
-    """Spindles whose velocity response saturates or favours one direction, in the trials that have them.
+    """Spindles whose velocity response saturates or favours one direction; linear ones where a subject has none such.
 
     Each muscle element answers its own velocity, with the velocity feedback of its muscle group (eq. 2.10).
     """
 
     def __init__(self, subjects: Sequence[Subject]) -> None:
-        """Select the trials with such spindles.
+        """Take the people.
 
         Args:
           subjects: who is perturbed, one per trial.
         """
-        self._trials = np.flatnonzero([_has_nonlinear_spindles(subject) for subject in subjects])
-        own = [subject for subject in subjects if _has_nonlinear_spindles(subject)]
-        laws = [subject.muscle or MuscleLaw() for subject in own]
-        self._gains = np.array([subject.muscle_groups("kv") for subject in own])
+        laws = [subject.muscle or MuscleLaw() for subject in subjects]
+        self._gains = np.array([subject.muscle_groups("kv") for subject in subjects])
         self._saturation = np.array([law.of_elements("spindle_saturation") for law in laws])
         self._direction = np.array([law.of_elements("spindle_direction") for law in laws])
-
-    @property
-    def needed(self) -> bool:
-        """Whether any trial has such spindles."""
-        return len(self._trials) > 0
+        self.needed = bool((self._saturation < np.inf).any() or self._direction.any())
 
     def correct_excitation(self, excitation: Array, velocity: Array) -> None:
         """Take from the excitation what these spindles do not answer.
@@ -122,16 +117,24 @@ class NonlinearSpindles:
           excitation: of linear spindles [Nm], (trial, joint); changed in place.
           velocity: of the joints [rad/s], (trial, joint).
         """
-        speed = element_motion(velocity[self._trials])
+        speed = element_motion(velocity)
         answered = velocity_response(speed, self._saturation, self._direction)
-        excitation[self._trials] += joint_torque(self._gains * (answered - speed))
+        excitation += joint_torque(self._gains * (answered - speed))
 
+    def set_gains(self, trials: Indices, groups: Array) -> None:
+        """Change the velocity feedback of the muscle groups [Nms/rad], (trial, element), of some trials."""
+        self._gains[trials] = groups
 
-def _has_nonlinear_spindles(subject: Subject) -> bool:
-    law = subject.muscle
-    return law is not None and (
-        min(law.of_elements("spindle_saturation")) < np.inf or any(law.of_elements("spindle_direction"))
-    )
+    def replace(self, trials: Indices, fresh: Self) -> None:
+        """Put other people in the place of some trials.
+
+        Args:
+          trials: indices of those trials.
+          fresh: as many trials.
+        """
+        self.needed |= fresh.needed
+        for name in ("_gains", "_saturation", "_direction"):
+            getattr(self, name)[trials] = getattr(fresh, name)
 
 
 def velocity_response(velocity: Array, saturation: Array, direction: Array) -> Array:
@@ -154,35 +157,30 @@ class MemoryReflexes:
     activation filter one neural delay ago; between steps it runs straight, as in MuJoCo's delayed motors.
     """
 
-    def __init__(self, subjects: Sequence[Subject], timestep: float) -> None:
+    def __init__(self, subjects: Sequence[Subject], timestep: float, n_history: int = 0) -> None:
         """Begin at rest.
 
         Args:
           subjects: who is perturbed, one per trial.
           timestep: of the simulation [s]; no delay is shorter.
+          n_history: steps to remember, if more than these people need.
         """
-        self._trials = np.flatnonzero([any(s.joint_triple("ka") + s.joint_triple("kf")) for s in subjects])
-        own = [subjects[trial] for trial in self._trials.tolist()]
-        self._posture = np.array([subject.posture for subject in own])
+        self.needed = any(any(s.joint_triple("ka") + s.joint_triple("kf")) for s in subjects)
+        self._posture = np.array([subject.posture for subject in subjects])
         self._gains = {
-            quantity: np.array([subject.joint_matrix(quantity) for subject in own])
+            quantity: np.array([subject.joint_matrix(quantity) for subject in subjects])
             for quantity in ("b", "k", "ka", "kf")
         }
-        delay = np.array([[subject.Td_s, subject.Td_e] for subject in own]).reshape(len(own), 2) / timestep
+        delay = np.array([[subject.Td_s, subject.Td_e] for subject in subjects]) / timestep
         self._steps = np.floor(delay).astype(int)
         self._share = delay - self._steps
-        self._active = np.zeros((self._steps.max(initial=0) + 1, len(own), 2))
-        self._row, self._joint = np.ogrid[: len(own), :2]
+        self._active = np.zeros((max(self._steps.max() + 2, n_history), len(subjects), 2))
+        self._row, self._joint = np.ogrid[: len(subjects), :2]
         self._step, self._timestep = 0, timestep
-        self._velocity = self._slope = np.zeros((len(own), 2))
-
-    @property
-    def needed(self) -> bool:
-        """Whether any trial has such feedback."""
-        return len(self._trials) > 0
+        self._velocity, self._slope = np.zeros((2, len(subjects), 2))
 
     def add_excitation(self, excitation: Array, angle: Array, velocity: Array, nonlinear: Array | None = None) -> None:
-        """Add Ka q'' + Kf tau to the reflexive excitation of the trials that have it.
+        """Add Ka q'' + Kf tau to the reflexive excitation.
 
         Args:
           excitation: of the spindles [Nm], (trial, joint).
@@ -190,22 +188,40 @@ class MemoryReflexes:
           velocity: of the joints [rad/s], (trial, joint).
           nonlinear: torque of the intrinsic muscles beside spring and damper [Nm], (trial, joint); None is none.
         """
-        stretch, speed = angle[self._trials] - self._posture, velocity[self._trials]
-        slope = (speed - self._velocity) / self._timestep
+        stretch = angle - self._posture
+        slope = (velocity - self._velocity) / self._timestep
         acceleration = 1.5 * slope - 0.5 * self._slope
-        self._velocity, self._slope = speed, slope
+        self._velocity, self._slope = velocity.copy(), slope
         newer = self._active[(self._step - self._steps) % len(self._active), self._row, self._joint]
         older = self._active[(self._step - self._steps - 1) % len(self._active), self._row, self._joint]
         muscle = (1.0 - self._share) * newer + self._share * older
-        muscle += _times(self._gains["b"], speed) + _times(self._gains["k"], stretch)
+        muscle += _times(self._gains["b"], velocity) + _times(self._gains["k"], stretch)
         if nonlinear is not None:
-            muscle += nonlinear[self._trials]
-        excitation[self._trials] += _times(self._gains["ka"], acceleration) + _times(self._gains["kf"], muscle)
+            muscle += nonlinear
+        excitation += _times(self._gains["ka"], acceleration) + _times(self._gains["kf"], muscle)
 
     def remember(self, active: Array) -> None:
         """Keep the active torque of this step [Nm], (trial, joint), for when its delay is over."""
-        self._active[self._step % len(self._active)] = active[self._trials]
+        self._active[self._step % len(self._active)] = active
         self._step += 1
+
+    def set_muscle(self, trials: Indices, stiffness: Array, damping: Array) -> None:
+        """Change the linear muscle of some trials [Nm/rad] and [Nms/rad], (trial, joint, joint) both."""
+        self._gains["k"][trials], self._gains["b"][trials] = stiffness, damping
+
+    def replace(self, trials: Indices, fresh: Self) -> None:
+        """Put other people, at rest, in the place of some trials.
+
+        Args:
+          trials: indices of those trials.
+          fresh: as many trials, which remember no more steps.
+        """
+        self.needed |= fresh.needed
+        for name in ("_posture", "_steps", "_share", "_velocity", "_slope"):
+            getattr(self, name)[trials] = getattr(fresh, name)
+        for quantity, values in fresh._gains.items():
+            self._gains[quantity][trials] = values
+        self._active[:, trials] = 0.0
 
 
 def _times(matrix: Array, vector: Array) -> Array:

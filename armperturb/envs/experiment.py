@@ -1,38 +1,32 @@
 """The batched experiment: many trials stepped in lockstep, each a person under a perturbation."""
 
-import ctypes
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass
-from numbers import Integral
-from pathlib import Path
 from typing import TypeVar
 
-import mujoco
 import numpy as np
 import xarray as xr
-from mujoco.batch import Batch
 from numpy.typing import NDArray
 from scipy import signal
 
-from armperturb.analysis.arm_model import fastest_pole, hand_jacobian, largest_real_pole, require_stable
-from armperturb.controllers.muscle import NonlinearMuscles
-from armperturb.controllers.reflex import (
-    MemoryReflexes,
-    NonlinearSpindles,
-    activate,
-    initial_activation,
-    reflex_gains,
-    spindle_excitation,
-)
-from armperturb.controllers.remnant import HumanNoise
+from armperturb.analysis.arm_model import require_stable
+from armperturb.controllers.arm_control import ArmControl
 from armperturb.environment import Environment, Strap
 from armperturb.envs.instruments import Instruments
 from armperturb.envs.linear import linear_signals
-from armperturb.models import JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, STRAP, build_model, history_length
-from armperturb.perturbations import Perturbation, Pulse, check_bandwidth
+from armperturb.envs.simulation import Simulation, silent_simulator
+from armperturb.envs.trial import (
+    EMG,
+    MARKER,
+    Trial,
+    held_force,
+    noise_torque,
+    pulse_of,
+    require_integrable,
+    subject_in,
+)
+from armperturb.perturbations import check_bandwidth
 from armperturb.recording import make_recording
 from armperturb.subject import Subject
 from armperturb.validation import require_number
@@ -40,65 +34,11 @@ from armperturb.validation import require_number
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
-HUMAN, MARKER, EMG = 1, 2, 3
-"""What a trial's seed is extended by for each source of chance; the strain gauge takes the seed as it is."""
-
-MARGIN_KEPT = 0.5
-"""Share of a person's distance from instability (largest real part of a pole) that every trial keeps [-]: closer to it,
-an arm rings on the remnant in a way that people do not."""
-
 CHUNK = 100
 """Samples of the recording between two runs of the anti-alias filter: what is kept at the simulation's rate."""
 
 MAX_DURATION = 3600.0
 """Longest trial [s]: anything longer is a slip in a file, and would not fit into memory."""
-
-RK4_LIMIT = 2.5
-"""Largest product of a pole's modulus and the step [-]: Runge-Kutta 4 is stable up to 2.79 on the real axis."""
-
-DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Trial:
-    """One person under one perturbation, with the labels that the recording carries.
-
-    Attributes:
-      subject: who is perturbed.
-      perturbation: what is applied.
-      condition: name in the protocol, e.g. "PT7.5"; the subject's task if empty.
-      repetition: of the condition, from 0.
-      pulse_level: multiple of the unit pulse; 0 without pulse.
-      order: place in the session, from 0.
-      seed: of the person's and the instruments' noise; a whole number of at least 0.
-      noise: how noisy the person is; None is a person who does the same in every trial.
-
-    Raises:
-      TypeError: seed or order is not a whole number, or noise is something else.
-      ValueError: seed or order is not finite or negative.
-    """
-
-    subject: Subject
-    perturbation: Perturbation
-    condition: str = ""
-    repetition: int = 0
-    pulse_level: float = 0.0
-    order: int = 0
-    seed: int = 0
-    noise: HumanNoise | None = None
-
-    def __post_init__(self) -> None:
-        for field in ("order", "seed"):
-            value = getattr(self, field)
-            require_number("Trial", field, value, at_least=0)
-            if not isinstance(value, Integral):
-                raise TypeError(f"Trial: {field} = {value!r}; expected a whole number")
-        if self.noise is not None and not isinstance(self.noise, HumanNoise):
-            raise TypeError(f"Trial: noise = {self.noise!r}; expected HumanNoise or None")
-
-    def generator(self, source: int) -> np.random.Generator:
-        """The trial's own stream of chance for one source (`HUMAN`, `MARKER`, `EMG`)."""
-        return np.random.default_rng([self.seed, source])
 
 
 def run_experiment(
@@ -171,9 +111,9 @@ def run_experiment(
         require_number("run_experiment", name, perturbation.duration, at_least=2.0 / rate, at_most=MAX_DURATION)
 
     n_threads = n_threads or os.cpu_count() or 1
-    subjects = [_subject_in(trial, environment, strap) for trial in trials]
+    subjects = [subject_in(trial, environment, strap) for trial in trials]
     for subject in dict.fromkeys(subjects):  # as varied: the person on average may be slow enough where this is not
-        _require_integrable(subject, environment, strap, timestep)
+        require_integrable(subject, environment, strap, timestep)
     emg = instruments.emg if instruments else None
     if linear:
         truth = _simulate_linear(trials, subjects, environment, timestep, decimation, lowpass, n_threads, progress)
@@ -231,65 +171,8 @@ def _in_threads(function: Callable[[int], T], indices: Sequence[int], n_threads:
         yield from pool.map(function, indices)
 
 
-def _subject_in(trial: Trial, environment: Environment, strap: Strap | None = None) -> Subject:
-    """The person as it is in this trial."""
-    if trial.noise is None:
-        return trial.subject
-    bound = MARGIN_KEPT * largest_real_pole(trial.subject, environment, strap)
-    stream = trial.generator(HUMAN).spawn(2)[0]
-    return trial.noise.vary(trial.subject, stream, lambda drawn: largest_real_pole(drawn, environment, strap) <= bound)
-
-
-def _noise_torque(trial: Trial, timestep: float, n_steps: int) -> Array | None:
-    """Torque of the person's noise [Nm], (step, joint); None if there is no noise."""
-    if trial.noise is None:
-        return None
-    # The demand is the continuous perturbation's: the pulse is over before a person could answer with more effort.
-    pulse = _pulse(trial)
-    end = pulse.onset if pulse else trial.perturbation.duration
-    force = trial.perturbation.sample(1.0 / timestep, round(end / timestep))
-    x, y = hand_jacobian(trial.subject)
-    load = force[:, :1] * x + force[:, 1:] * y  # not @: BLAS may add in another order on another number of threads
-    demand = np.sqrt(np.mean(load**2, axis=0)) if len(load) else np.zeros(2)
-    return trial.noise.torque(demand, timestep, n_steps, trial.generator(HUMAN).spawn(2)[1])
-
-
-def _pulse(trial: Trial) -> Pulse | None:
-    perturbation = trial.perturbation
-    return perturbation if isinstance(perturbation, Pulse) else getattr(perturbation, "pulse", None)
-
-
-def _require_integrable(subject: Subject, environment: Environment, strap: Strap | None, timestep: float) -> None:
-    pole = fastest_pole(subject, environment, strap)
-    if pole * timestep > RK4_LIMIT:
-        parts, large = (
-            ("arm and environment", "grip") if strap is None else ("arm, environment and strap", "grip, strap")
-        )
-        raise ValueError(
-            f"subject {subject.name!r}: fastest pole of {parts} = {pole:.4g} 1/s; expected at most "
-            f"{RK4_LIMIT / timestep:.4g} 1/s at a step of {timestep:g} s ({large} or damping too large for the masses)"
-        )
-
-
-@contextmanager
-def silent_simulator() -> Iterator[None]:
-    """Keep MuJoCo from writing its warnings to the terminal and to MUJOCO_LOG.TXT; `Batch.warning` counts them anyway.
-
-    The batch calls its threads' handler without Python, so it must be a C function: any that takes a text and does
-    nothing with it.
-    """
-    library = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
-    handler = ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mju_user_warning")
-    before = handler.value
-    handler.value = ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p).value
-    try:
-        yield
-    finally:
-        handler.value = before
-
-
 def _labels(trials: Sequence[Trial]) -> dict[str, list]:
-    pulses = [_pulse(trial) for trial in trials]
+    pulses = [pulse_of(trial.perturbation) for trial in trials]
     return {
         "subject": [trial.subject.name for trial in trials],
         "task": [trial.subject.task for trial in trials],
@@ -301,16 +184,6 @@ def _labels(trials: Sequence[Trial]) -> dict[str, list]:
         "pulse_onset": [pulse.onset if pulse else np.nan for pulse in pulses],
         **{name: [getattr(t.subject, name) for t in trials] for name in ("l_h", "l_f", "theta_s_deg", "theta_e_deg")},
     }
-
-
-def _held(perturbation: Perturbation, timestep: float, n_steps: int) -> Array:
-    """Force to hold over each step so that the handle feels the perturbation [N], (step, axis).
-
-    A held force acts on average at the middle of its step, and holding weakens it by sinc(f timestep); the second
-    difference restores that to fourth order.
-    """
-    middle = perturbation.sample(1.0 / timestep, n_steps + 2, -timestep / 2)
-    return middle[1:-1] - np.diff(middle, n=2, axis=0) / 24.0
 
 
 def _simulate_linear(
@@ -329,7 +202,7 @@ def _simulate_linear(
 
     def run(i: int) -> tuple[Array, Array, float]:
         force = trials[i].perturbation.sample(1.0 / timestep, n_steps, 0.0)
-        torque = _noise_torque(trials[i], timestep, n_steps)
+        torque = noise_torque(trials[i], timestep, n_steps)
         signals = linear_signals(subjects[i], environment, force, torque, timestep)
         reached = np.flatnonzero(np.abs(signals[::decimation, :2]).max(axis=1) >= environment.workspace)
         # The spindles see what no instrument does.
@@ -374,21 +247,6 @@ def _simulate(
     With a low-pass (second-order sections at the simulation's rate) all signals have passed it, but not `excitation`,
     which no instrument sees.
     """
-    n_history = max(history_length(subject, timestep) for subject in subjects)
-    models = {
-        subject: build_model(
-            subject, environment, timestep=timestep, rope=rope, strap=strap, n_history=n_history, visual=False
-        )
-        for subject in dict.fromkeys(subjects)
-    }
-    model = models[subjects[0]]
-    hinges = [model.joint(name).qposadr[0] for name in JOINTS]
-    slides = [model.joint(name).qposadr[0] for name in SLIDES]
-    straps = [model.joint(name).qposadr[0] for name in STRAP] if strap is not None else []
-    motors = [model.actuator(name).id for name in REFLEXES]
-    gauge = model.sensor(STRAIN_GAUGE).adr[0]
-    hinge, slide, motor = (slice(ids[0], ids[-1] + 1) for ids in (hinges, slides, motors))
-
     n_trials = len(trials)
     n_samples = max(round(trial.perturbation.duration / (timestep * decimation)) for trial in trials)
     n_steps = n_samples * decimation
@@ -399,63 +257,44 @@ def _simulate(
 
     def prepare(i: int) -> None:
         perturbation = trials[i].perturbation
-        held[:, i] = _held(perturbation, timestep, n_steps)
+        held[:, i] = held_force(perturbation, timestep, n_steps)
         if lowpass is None:
             recorded[i] = perturbation.sample(1.0 / (timestep * decimation), n_samples, 0.0)
         else:
             force = perturbation.sample(1.0 / timestep, n_steps, 0.0)
             recorded[i] = signal.sosfilt(lowpass, force, axis=0)[::decimation]
-        noise = _noise_torque(trials[i], timestep, n_steps)
+        noise = noise_torque(trials[i], timestep, n_steps)
         if torque is not None and noise is not None:
             torque[:, i] = noise
 
     list(_in_threads(prepare, range(n_trials), n_threads))
 
+    simulation = Simulation(subjects, environment, timestep=timestep, rope=rope, strap=strap, n_threads=n_threads)
+    control = ArmControl(subjects, timestep)
+    angle, velocity, handle, shoulder = (
+        simulation.angle,
+        simulation.velocity,
+        simulation.handle,
+        simulation.shoulder,
+    )
     # Handle, joint angles, force, shoulder. A filter starts at rest and gets angles as deviations from the posture.
-    width = 6 + len(straps)
+    width = 6 + shoulder.shape[1]
     log = np.empty((n_samples, n_trials, width))
     posture = np.array([subject.posture for subject in subjects])
     chunk = np.empty((CHUNK * decimation if lowpass is not None else 0, n_trials, width))
     state = None if lowpass is None else np.zeros((len(lowpass), 2, n_trials, width))
     excitation_log = np.empty((n_samples if log_excitation else 0, n_trials, 2))
     limit_time = np.full(n_trials, np.nan)
-    gains = reflex_gains(subjects, timestep)
-    activation = initial_activation(n_trials)
-    memory = MemoryReflexes(subjects, timestep)
-    spindles = NonlinearSpindles(subjects)
-    muscles = NonlinearMuscles(subjects, timestep)
-    yielding, yielded = np.ix_(muscles.trials, hinges), None
-
-    batch = Batch(model, n_trials, n_threads)
-    batch.set_models([models[subject] for subject in subjects])
-    batch.reset()
-    qpos, qvel, ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
-    applied, sensors = batch.bind("qfrc_applied"), batch.bind("sensordata")
-    angle, velocity, handle = qpos[:, hinge], qvel[:, hinge], qpos[:, slide]
     with silent_simulator():
         for step in range(n_steps):
-            excitation = spindle_excitation(gains, angle, velocity)
-            if spindles.needed:
-                spindles.correct_excitation(excitation, velocity)
-            if torque is not None:
-                applied[:, hinge] = torque[step]
-            if muscles.needed:
-                held_muscle, yielded = muscles.torque(angle, velocity)
-                applied[yielding] = -held_muscle if torque is None else torque[step, muscles.trials] - held_muscle
-            if memory.needed:
-                memory.add_excitation(excitation, angle, velocity, yielded)
-            active, activation = activate(gains, activation, excitation)
-            if memory.needed:
-                memory.remember(active)
-            np.negative(active, out=ctrl[:, motor])
-            applied[:, slide] = held[step]
+            applied, delayed = control.torque(angle, velocity, 0.0 if torque is None else torque[step])
             sample, rest = divmod(step, decimation)
             if not rest:
                 reached = np.abs(handle).max(axis=1) >= environment.workspace
                 if reached.any():
                     limit_time[reached & np.isnan(limit_time)] = step * timestep
                 if log_excitation:
-                    excitation_log[sample] = excitation
+                    excitation_log[sample] = control.excitation
             row = None
             if lowpass is not None:
                 row = chunk[step % len(chunk)]
@@ -464,12 +303,12 @@ def _simulate(
             elif not rest:
                 row = log[sample]
                 row[:, 0:2], row[:, 2:4] = handle, angle
-            if row is not None and straps:
-                row[:, 6:8] = qpos[:, straps]
-            batch.step()
+            if row is not None:
+                row[:, 6:] = shoulder
+            simulation.step(held[step], applied, delayed)
             # The sensors describe the state before the step, at which the other signals were taken.
             if row is not None:
-                row[:, 4:6] = sensors[:, gauge : gauge + 2]
+                row[:, 4:6] = simulation.force
             if lowpass is not None and ((step + 1) % len(chunk) == 0 or step + 1 == n_steps):
                 n_rows = step % len(chunk) + 1
                 filtered, state = signal.sosfilt(lowpass, chunk[:n_rows], axis=0, zi=state)
@@ -477,7 +316,7 @@ def _simulate(
             if not rest and progress is not None:
                 progress(n_trials * decimation * timestep)
     # MuJoCo resets a state that it cannot integrate; beyond the workspace limit nothing counts any more.
-    diverged = np.flatnonzero((batch.warning[:, DIVERGED, 1] > 0).any(axis=1) & np.isnan(limit_time))
+    diverged = np.flatnonzero(simulation.diverged & np.isnan(limit_time))
     if len(diverged):
         name = trials[diverged[0]].subject.name
         raise RuntimeError(
@@ -498,6 +337,6 @@ def _simulate(
         "limit_time": limit_time,
         "excitation": trial_first(excitation_log),
     }
-    if straps:
+    if shoulder.shape[1]:
         truth["shoulder_marker"] = trial_first(log[:, :, 6:8])
     return truth

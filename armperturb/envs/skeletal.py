@@ -24,7 +24,7 @@ from scipy import signal
 from armperturb.analysis.arm_model import fastest_pole, linear_states, require_stable
 from armperturb.controllers.reflex import ReflexGains, activate, reflex_gains, spindle_excitation
 from armperturb.environment import Environment
-from armperturb.envs.experiment import DIVERGED, silent_simulator
+from armperturb.envs.simulation import DIVERGED, silent_simulator
 from armperturb.models import JOINTS, REFLEXES, SLIDES, build_model, history_length
 from armperturb.subject import Subject
 from armperturb.validation import require_number

@@ -20,7 +20,7 @@ from scipy import interpolate, optimize
 from armperturb.analysis.arm_model import largest_real_pole
 from armperturb.cohort import Person
 from armperturb.environment import Environment
-from armperturb.envs.experiment import Trial
+from armperturb.envs.trial import Trial
 from armperturb.study.practice import measured_displacement, practice_multisine
 from armperturb.study.protocol import Protocol
 from armperturb.subject import Subject, at_level

@@ -14,7 +14,8 @@ from armperturb.analysis.arm_model import total_admittance
 from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment, Strap
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
+from armperturb.envs.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD
 from armperturb.study.protocol import PULSE_UNIT, Condition, Protocol, random_stream, trial_seed

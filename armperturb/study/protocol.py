@@ -15,7 +15,7 @@ import numpy as np
 from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Strap
-from armperturb.envs.experiment import Trial
+from armperturb.envs.trial import Trial
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, draw_onset
 from armperturb.subject import TASKS, Subject, at_level
 from armperturb.validation import require_number

@@ -20,8 +20,9 @@ from tqdm import tqdm
 
 from armperturb.cohort import MUSCLES, Person, draw_cohort
 from armperturb.environment import Environment
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
+from armperturb.envs.trial import Trial
 from armperturb.files import write_durably
 from armperturb.perturbations import Multisine
 from armperturb.recording import encode_recording, stack_trials

@@ -24,8 +24,9 @@ from armperturb.analysis.maximum_likelihood import Group, Method, estimate
 from armperturb.analysis.structures import STRUCTURES, Structure, unit
 from armperturb.analysis.thesis import MODEL_3_WIDE, fit_trials
 from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
+from armperturb.envs.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.study.protocol import trial_seed
 from armperturb.study.workers import completed, workers_for

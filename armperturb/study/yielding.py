@@ -23,7 +23,8 @@ from armperturb.analysis.spectra import estimate_spectra, line_spectra
 from armperturb.cohort import Person
 from armperturb.controllers.muscle import element_motion, muscle_parameters, muscle_torque, rested
 from armperturb.environment import Environment
-from armperturb.envs.experiment import Trial, run_experiment
+from armperturb.envs.experiment import run_experiment
+from armperturb.envs.trial import Trial
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study import published

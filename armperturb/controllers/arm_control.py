@@ -1,0 +1,146 @@
+"""All that muscles and reflexes add to the springs and dampers of the model, once per step, for many arms at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armperturb.controllers.muscle import Indices, NonlinearMuscles
+from armperturb.controllers.reflex import (
+    MemoryReflexes,
+    NonlinearSpindles,
+    ReflexGains,
+    activate,
+    initial_activation,
+    reflex_gains,
+    spindle_excitation,
+)
+from armperturb.subject import Subject
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Strength:
+    """How much muscle and reflex there is in some trials, as arrays of triples.
+
+    A name ending in `_groups` has the values of the muscle groups (single-joint shoulder, two-joint, single-joint
+    elbow, eq. 2.10), the others the entries (s, se, e) of the joint matrix that these make (eq. 2.9).
+
+    Attributes:
+      k: stiffness, (trial, entry) [Nm/rad].
+      k_groups: the same of the groups, (trial, element).
+      b: damping, (trial, entry) [Nms/rad].
+      b_groups: the same of the groups, (trial, element).
+      short_range_groups: short-range stiffness, (trial, element) [Nm/rad].
+      kv: velocity feedback, (trial, entry) [Nms/rad].
+      kv_groups: the same of the groups, (trial, element).
+      kp: position feedback, (trial, entry) [Nm/rad].
+    """
+
+    k: Array
+    k_groups: Array
+    b: Array
+    b_groups: Array
+    short_range_groups: Array
+    kv: Array
+    kv_groups: Array
+    kp: Array
+
+    def take(self, trials: Indices) -> Self:
+        """Some of the trials."""
+        return type(self)(**{field.name: getattr(self, field.name)[trials] for field in fields(self)})
+
+
+class ArmControl:
+    """Reflexes, muscle law and their memory, of one arm per trial: `torque` once per step, from its start's state.
+
+    Everything is elementwise: a trial has the same bits alone and beside others.
+
+    Attributes:
+      excitation: reflexive excitation of the joints at the last step [Nm], (trial, joint); zero before the first.
+    """
+
+    def __init__(self, subjects: Sequence[Subject], timestep: float, n_history: int = 0) -> None:
+        """Begin at rest.
+
+        Args:
+          subjects: who is perturbed, one per trial.
+          timestep: of the simulation [s].
+          n_history: steps that force feedback remembers, if more than these people need.
+        """
+        self.excitation = np.zeros((len(subjects), 2))
+        self._timestep = timestep
+        self._gains = reflex_gains(subjects, timestep)
+        self._activation = initial_activation(len(subjects))
+        self._spindles = NonlinearSpindles(subjects)
+        self._muscles = NonlinearMuscles(subjects, timestep)
+        self._memory = MemoryReflexes(subjects, timestep, n_history)
+
+    def torque(self, angle: Array, velocity: Array, noise: Array | float = 0.0) -> tuple[Array | float, Array]:
+        """What acts on the joints over a step.
+
+        Args:
+          angle: of the joints at its start [rad], (trial, joint).
+          velocity: of the joints [rad/s], (trial, joint).
+          noise: torque beside that of muscles and reflexes [Nm], (trial, joint), or the same for all.
+
+        Returns:
+          The torque to apply [Nm], shaped as `noise` where nobody has a muscle law, and the controls of the reflex
+          motors [Nm], (trial, joint), which the model delays.
+        """
+        excitation = self.excitation = spindle_excitation(self._gains, angle, velocity)
+        if self._spindles.needed:
+            self._spindles.correct_excitation(excitation, velocity)
+        applied, nonlinear = noise, None
+        if self._muscles.needed:
+            held, nonlinear = self._muscles.torque(angle, velocity)
+            applied = noise - held
+        if self._memory.needed:
+            self._memory.add_excitation(excitation, angle, velocity, nonlinear)
+        active, self._activation = activate(self._gains, self._activation, excitation)
+        if self._memory.needed:
+            self._memory.remember(active)
+        return applied, -active
+
+    def set_strength(self, trials: Indices, strength: Strength) -> None:
+        """Change muscles and reflexes of some trials; their springs and dampers are the model's, see `envs.simulation`.
+
+        Args:
+          trials: indices of those trials.
+          strength: of as many.
+        """
+        self._muscles.set_strength(trials, strength.short_range_groups, strength.b_groups)
+        self._spindles.set_gains(trials, strength.kv_groups)
+        self._memory.set_muscle(trials, _matrices(strength.k), _matrices(strength.b))
+        self._gains.velocity[trials], self._gains.position[trials] = _matrices(strength.kv), _matrices(strength.kp)
+
+    def replace(self, trials: Indices, subjects: Sequence[Subject]) -> None:
+        """Put other people, at rest, in the place of some trials.
+
+        Args:
+          trials: indices of those trials.
+          subjects: as many people, with delays that are no longer than `n_history` steps.
+        """
+        fresh = ArmControl(subjects, self._timestep)
+        self._spindles.replace(trials, fresh._spindles)
+        self._muscles.replace(trials, fresh._muscles)
+        self._memory.replace(trials, fresh._memory)
+        self._activation[:, trials] = 0.0
+        self.excitation[trials] = 0.0
+        for name in ("posture", "velocity", "position"):
+            getattr(self._gains, name)[trials] = getattr(fresh._gains, name)
+        for name in ("numerator", "denominator"):
+            getattr(self._gains, name)[:, trials] = getattr(fresh._gains, name)
+
+    @property
+    def gains(self) -> ReflexGains:
+        """Feedback gains and activation filters as they are now."""
+        return self._gains
+
+
+def _matrices(triples: Array) -> Array:
+    """Symmetric joint matrices of triples (s, se, e), (trial, joint, joint)."""
+    return triples[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
