@@ -23,7 +23,7 @@ ARROWS = {
     "cohort": BASE | {"analysis"},
     "controllers": {"muscle_law", "subject", "validation"},
     "models": {"subject", "environment", "validation"},
-    "envs": BASE | {"models", "controllers", "perturbations", "analysis"},
+    "envs": BASE | {"cohort", "models", "controllers", "perturbations", "analysis"},
     "study": BASE | {"cohort", "models", "controllers", "perturbations", "analysis", "envs"},
     "cli": BASE | {"cohort", "perturbations", "analysis", "envs", "study"},
 }

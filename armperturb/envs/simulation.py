@@ -2,6 +2,7 @@
 
 import copy
 import ctypes
+import functools
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -23,6 +24,14 @@ Array = NDArray[np.float64]
 DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")]
 
 
+@functools.cache
+def _warning_handler() -> tuple[ctypes.c_void_p, int | None]:
+    """Where MuJoCo keeps its handler, and the address of one that does nothing."""
+    library = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
+    handler = ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mju_user_warning")
+    return handler, ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p).value
+
+
 @contextmanager
 def silent_simulator() -> Iterator[None]:
     """Keep MuJoCo from writing its warnings to the terminal and to MUJOCO_LOG.TXT; `Batch.warning` counts them anyway.
@@ -30,10 +39,9 @@ def silent_simulator() -> Iterator[None]:
     The batch calls its threads' handler without Python, so it must be a C function: any that takes a text and does
     nothing with it.
     """
-    library = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
-    handler = ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mju_user_warning")
+    handler, nothing = _warning_handler()
     before = handler.value
-    handler.value = ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p).value
+    handler.value = nothing
     try:
         yield
     finally:

@@ -1,0 +1,318 @@
+"""People whose nervous system is played by an agent: from its actions to what drives their arms, and what they sense.
+
+Whoever moves the arms (the batch, dm_control) asks, in this order: `start` for a trial; `decide` for a decision;
+`drive` before and `sense` after each step; then `judge` and `observe`.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armperturb.controllers.arm_control import ArmControl, Strength
+from armperturb.controllers.muscle import Indices
+from armperturb.controllers.reflex import activate, initial_activation
+from armperturb.envs.task import TaskSettings
+from armperturb.envs.trial import Trial, held_force, noise_torque, subject_in
+from armperturb.subject import Subject
+
+Array = NDArray[np.float64]
+
+GROUPS = ("shoulder", "two-joint", "elbow")
+"""Muscle groups (eq. 2.10)."""
+
+SENSES = (
+    *("stretch of the shoulder", "stretch of the elbow", "velocity of the shoulder", "velocity of the elbow"),
+    *("force on the hand, x", "force on the hand, y", "handle seen, x", "handle seen, y"),
+)
+"""What an observation holds: proprioception [rad, rad/s], force [N], and displacement times the visual gain [m]."""
+
+SENSE_LIMITS = np.array([np.pi, np.pi, 100.0, 100.0, 2000.0, 2000.0, 1.0, 1.0])
+"""Where senses saturate, the last two times the visual gain: far beyond what happens inside the workspace."""
+
+
+def action_names(settings: TaskSettings) -> tuple[str, ...]:
+    """What each number of an action sets."""
+    names: list[str] = []
+    if settings.co_contraction == "groups":
+        names += [f"co-contraction, {group}" for group in GROUPS]
+    elif settings.co_contraction == "common":
+        names.append("co-contraction")
+    if settings.reflexes:
+        names += [f"{kind} feedback, {group}" for kind in ("velocity", "position") for group in GROUPS]
+    if settings.torque:
+        names += ["torque, shoulder", "torque, elbow"]
+    return tuple(names)
+
+
+def action_bounds(settings: TaskSettings) -> tuple[Array, Array]:
+    """Lowest and highest action, (action,) each: levels from 0 to 1, torques from -1 to 1."""
+    names = action_names(settings)
+    return np.array([-1.0 if name.startswith("torque") else 0.0 for name in names]), np.ones(len(names))
+
+
+def own_action(settings: TaskSettings) -> Array:
+    """The action by which the person does the task as in the study, (action,).
+
+    It is exact where 1 over `highest_level` is: at powers of two.
+    """
+    level = 1.0 / settings.highest_level if settings.task == "PT" else 0.0
+    return np.array([0.0 if name.startswith("torque") else level for name in action_names(settings)])
+
+
+def observation_bounds(settings: TaskSettings) -> Array:
+    """Largest absolute value of each part of an observation, (sense,)."""
+    # In darkness everything seen is zero; a space must have some extent all the same.
+    return SENSE_LIMITS * np.append(np.ones(6), [max(settings.visual_gain, 1e-3)] * 2)
+
+
+class Participants:
+    """n people in trials of a task, apart from their physics; arrays have the person as first axis.
+
+    Attributes:
+      settings: the task.
+      control: reflexes and muscle law of their arms.
+      levels: of co-contraction, velocity and position feedback as they are now, (person, 3, element) [-].
+      step: of each trial, from 0, (person,).
+      n_steps: at which each trial is over, (person,).
+    """
+
+    def __init__(self, settings: TaskSettings, n: int, n_history: int = 0) -> None:
+        """Get ready; nobody has a trial yet.
+
+        Args:
+          settings: the task.
+          n: how many people.
+          n_history: steps that force feedback remembers, if more than the task's person needs.
+        """
+        self.settings = settings
+        self.control = ArmControl([settings.own] * n, settings.timestep, n_history)
+        self.levels = np.zeros((n, 3, 3))
+        self.step, self.n_steps = np.zeros(n, dtype=int), np.zeros(n, dtype=int)
+        self._n, self._every = np.arange(n), settings.steps_per_decision
+        self._low, self._high = action_bounds(settings)
+        self._names = action_names(settings)
+        self._kept = (
+            np.exp(-1.0 / (settings.control_rate * settings.activation_time)) if settings.activation_time else 0.0
+        )
+        ends = [_strength([subject] * n) for subject in settings.people]
+        self._relaxed, self._position = ends
+        self._posture = np.zeros((n, 2))
+        self._push, self._noise = np.zeros((2, n, self._every, 2))  # longer with the first trials
+        self._recorded = np.zeros((n, 1, 2))
+        self._command = np.zeros((n, 2))
+        self._activation = initial_activation(n)
+        self._push_now = self._noise_now = np.zeros((self._every, n, 2))
+        self._lag = [
+            round(delay / settings.timestep) for delay in (settings.proprioceptive_delay, settings.visual_delay)
+        ]
+        self._senses = np.zeros((max(self._lag) + 1, n, len(SENSES)))
+        self._newest = 0
+        self._reach = np.zeros((n, 2))
+
+    def start(self, people: Indices, trials: Sequence[Trial]) -> list[Subject]:
+        """Begin trials at rest, with the person's own levels.
+
+        Args:
+          people: indices of those who begin, rising.
+          trials: one for each of them.
+
+        Returns:
+          The people as they are in these trials.
+        """
+        settings = self.settings
+        subjects = [subject_in(trial, settings.environment) for trial in trials]
+        own = self._position if settings.task == "PT" else self._relaxed
+        for name, values in vars(_strength(subjects)).items():
+            getattr(own, name)[people] = values
+        self.control.replace(people, subjects)
+        self.levels[people] = 1.0 if settings.task == "PT" else 0.0
+        self.step[people] = 0
+        self._posture[people] = [subject.posture for subject in subjects]
+        self._senses[:, people] = self._reach[people] = self._command[people] = 0.0
+        self._activation[:, people] = 0.0
+        n_decisions = [int(round(t.perturbation.duration * settings.control_rate, 6)) for t in trials]
+        self._make_room(max(n_decisions))
+        for person, trial, n in zip(people.tolist(), trials, n_decisions, strict=True):
+            n_steps = self.n_steps[person] = n * self._every
+            self._push[person, n_steps:] = self._noise[person, n_steps:] = 0.0
+            self._push[person, :n_steps] = held_force(trial.perturbation, settings.timestep, n_steps)
+            noise = noise_torque(trial, settings.timestep, n_steps)
+            self._noise[person, :n_steps] = 0.0 if noise is None else noise
+            self._recorded[person, : n + 1] = trial.perturbation.sample(settings.control_rate, n + 1)
+        return subjects
+
+    def _make_room(self, n_decisions: int) -> None:
+        missing = n_decisions + 1 - self._recorded.shape[1]
+        if missing > 0:
+            n = len(self._n)
+            self._push, self._noise = (
+                np.concatenate([old, np.zeros((n, missing * self._every, 2))], axis=1)
+                for old in (self._push, self._noise)
+            )
+            self._recorded = np.concatenate([self._recorded, np.zeros((n, missing, 2))], axis=1)
+
+    def decide(self, actions: ArrayLike) -> tuple[Indices, Strength]:
+        """Take everybody's action for the steps up to the next decision.
+
+        Args:
+          actions: (person, action), see `action_names`.
+
+        Returns:
+          Indices of those whose muscles change, and the muscles that they have from now on.
+
+        Raises:
+          TypeError: actions are no numbers.
+          ValueError: they have the wrong shape, or one of them is not finite or out of its bounds.
+        """
+        actions = self._checked(actions)
+        settings = self.settings
+        before = self.levels.copy()
+        column = {"groups": 3, "common": 1, "off": 0}[settings.co_contraction]
+        if column:
+            wanted = actions[:, :column] * settings.highest_level
+            self.levels[:, 0] = wanted + (self.levels[:, 0] - wanted) * self._kept
+        if settings.reflexes:
+            self.levels[:, 1:] = actions[:, column : column + 6].reshape(-1, 2, 3) * settings.highest_level
+            column += 6
+        if settings.torque:
+            self._command = actions[:, column:] * settings.highest_torque
+        changed = np.flatnonzero((self.levels != before).any(axis=(1, 2)))
+        strength = _between(self._relaxed.take(changed), self._position.take(changed), self.levels[changed])
+        if len(changed):
+            self.control.set_strength(changed, strength)
+        # What is over for some, who wait for their next trial, is zero.
+        rows = np.minimum(self.step[:, None] + np.arange(self._every), self._push.shape[1] - 1)
+        self._push_now, self._noise_now = (
+            np.ascontiguousarray(signal[self._n[:, None], rows].swapaxes(0, 1)) for signal in (self._push, self._noise)
+        )
+        self._within = 0
+        self._reach[:] = 0.0
+        return changed, strength
+
+    def _checked(self, actions: ArrayLike) -> Array:
+        values = np.asarray(actions)
+        if values.dtype.kind not in "fiub":
+            raise TypeError(f"action of type {values.dtype}; expected numbers")
+        shape = len(self._n), len(self._names)
+        if values.shape != shape:
+            raise ValueError(f"actions of shape {values.shape}; expected {shape}: {', '.join(self._names)}")
+        values = values.astype(float)
+        good = (values >= self._low) & (values <= self._high)
+        if not good.all():
+            person, column = np.argwhere(~good)[0]
+            raise ValueError(
+                f"action[{column}] ({self._names[column]}) = {values[person, column]:g}"
+                f"{f' of environment {person}' if len(values) > 1 else ''}; expected {self._low[column]:g} to "
+                f"{self._high[column]:g}"
+            )
+        return values
+
+    def drive(self, angle: Array, velocity: Array) -> tuple[Array, Array, Array]:
+        """What acts during the next step.
+
+        Args:
+          angle: of the joints at its start [rad], (person, joint).
+          velocity: of the joints [rad/s], (person, joint).
+
+        Returns:
+          Force on the handle [N], (person, axis), torque on the joints and controls of the reflex motors [Nm], (person,
+          joint) both.
+        """
+        torque = self._noise_now[self._within]
+        if self.settings.torque:
+            active, self._activation = activate(self.control.gains, self._activation, self._command)
+            torque = torque + active
+        applied, delayed = self.control.torque(angle, velocity, torque)
+        return self._push_now[self._within], np.asarray(applied), delayed
+
+    def sense(self, angle: Array, velocity: Array, handle: Array, force: Array) -> None:
+        """Take in what the step led to; arguments as the attributes of `Simulation`, (person, 2) each."""
+        self._newest = (self._newest + 1) % len(self._senses)
+        row = self._senses[self._newest]
+        np.subtract(angle, self._posture, out=row[:, 0:2])
+        row[:, 2:4], row[:, 4:6], row[:, 6:8] = velocity, force, handle
+        np.maximum(self._reach, np.abs(handle), out=self._reach)
+        self._within += 1
+
+    def observe(self) -> NDArray[np.float32]:
+        """What everybody senses now, late and within bounds, (person, sense) as in `SENSES`."""
+        felt, seen = (self._senses[(self._newest - lag) % len(self._senses)] for lag in self._lag)
+        observation = felt.copy()
+        observation[:, 6:8] = self.settings.visual_gain * seen[:, 6:8]
+        bounds = observation_bounds(self.settings)
+        return np.clip(observation, -bounds, bounds).astype(np.float32)
+
+    def judge(self, handle: Array, diverged: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """End of the steps of a decision.
+
+        Args:
+          handle: its displacement [m], (person, axis).
+          diverged: who could not be integrated, (person,).
+
+        Returns:
+          Rewards, terminations and truncations, (person,) each: minus displacement_weight |x|^2, minus the weighted
+          effort; a trial terminates at the limit of the workspace, and is truncated when it is over.
+        """
+        settings = self.settings
+        self.step += self._every
+        level = np.square(self.levels).mean(axis=2)
+        effort = settings.co_contraction_weight * level[:, 0] + settings.reflex_weight * level[:, 1:].mean(axis=1)
+        effort += settings.torque_weight * np.square(self._command / settings.highest_torque).mean(axis=1)
+        terminated = (self._reach >= settings.environment.workspace).any(axis=1) | diverged
+        rewards = -settings.displacement_weight * np.square(handle).sum(axis=1) - effort
+        return rewards - settings.limit_penalty * terminated, terminated, self.step >= self.n_steps
+
+    def perturbation(self) -> Array:
+        """Disturbance at this moment [N], (person, axis)."""
+        return self._recorded[self._n, np.minimum(self.step // self._every, self._recorded.shape[1] - 1)]
+
+
+def _strength(subjects: Sequence[Subject]) -> Strength:
+    """Muscles and reflexes of people as they are."""
+
+    def triples(quantity: str) -> Array:
+        return np.array([subject.joint_triple(quantity) for subject in subjects])
+
+    def groups(quantity: str) -> Array:
+        return np.array([subject.muscle_groups(quantity) for subject in subjects])
+
+    short_range = [s.muscle.of_elements("short_range_stiffness") if s.muscle else (0.0, 0.0, 0.0) for s in subjects]
+    return Strength(
+        k=triples("k"),
+        k_groups=groups("k"),
+        b=triples("b"),
+        b_groups=groups("b"),
+        short_range_groups=np.array(short_range),
+        kv=triples("kv"),
+        kv_groups=groups("kv"),
+        kp=triples("kp"),
+    )
+
+
+def _between(relaxed: Strength, position: Strength, levels: Array) -> Strength:
+    """Muscles and reflexes at levels between two, or beyond, (person, 3, element); exact at levels of 0 and of 1."""
+    level = dict(zip(("muscle", "velocity", "position"), levels.swapaxes(0, 1), strict=True))
+
+    def groups(low: Array, high: Array, level: Array) -> Array:
+        return (1.0 - level) * low + level * high
+
+    def triples(low: Array, high: Array, level: Array) -> Array:
+        mixed = groups(low, high, level)
+        # An entry of the diagonal has the two-joint group in it, whose level may be another.
+        mixed[:, ::2] += (level[:, 1:2] - level[:, ::2]) * (high - low)[:, 1:2]
+        return mixed
+
+    parts = {
+        "k": (triples, "muscle"),
+        "k_groups": (groups, "muscle"),
+        "b": (triples, "muscle"),
+        "b_groups": (groups, "muscle"),
+        "short_range_groups": (groups, "muscle"),
+        "kv": (triples, "velocity"),
+        "kv_groups": (groups, "velocity"),
+        "kp": (triples, "position"),
+    }
+    return Strength(
+        **{name: mix(getattr(relaxed, name), getattr(position, name), level[of]) for name, (mix, of) in parts.items()}
+    )
