@@ -5,6 +5,7 @@ They are made of the package's MJCF files and of the numbers in `build_spec`, so
 have that of the entity before them, as in "arm/shoulder"; the room's own, such as those of its cameras, do not.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -103,14 +104,14 @@ class ArmObservables(composer.Observables):
     """What can be seen of an arm."""
 
     @composer.observable
-    def joint_angles(self) -> observable.MJCFFeature:
+    def joint_angles(self) -> observable.Generic:
         """Angles of shoulder and elbow [rad], (joint,)."""
-        return observable.MJCFFeature("qpos", self._entity.joints)
+        return _observable(lambda physics: physics.bind(self._entity.joints).qpos)
 
     @composer.observable
-    def joint_velocities(self) -> observable.MJCFFeature:
+    def joint_velocities(self) -> observable.Generic:
         """Angular velocities of shoulder and elbow [rad/s], (joint,)."""
-        return observable.MJCFFeature("qvel", self._entity.joints)
+        return _observable(lambda physics: physics.bind(self._entity.joints).qvel)
 
 
 class ManipulatorEntity(composer.Entity):
@@ -147,28 +148,29 @@ class ManipulatorObservables(composer.Observables):
     """What can be seen of a manipulator."""
 
     @composer.observable
-    def handle_displacement(self) -> observable.MJCFFeature:
+    def handle_displacement(self) -> observable.Generic:
         """Displacement of the handle from its start [m], (axis,)."""
-        return observable.MJCFFeature("qpos", self._entity.slides)
+        return _observable(lambda physics: physics.bind(self._entity.slides).qpos)
 
     @composer.observable
-    def handle_velocity(self) -> observable.MJCFFeature:
+    def handle_velocity(self) -> observable.Generic:
         """Velocity of the handle [m/s], (axis,)."""
-        return observable.MJCFFeature("qvel", self._entity.slides)
+        return _observable(lambda physics: physics.bind(self._entity.slides).qvel)
 
     @composer.observable
-    def hand_force(self) -> observable.MJCFFeature:
-        """Force that the handle exerts on the hand [N], (axis,).
+    def hand_force(self) -> observable.Generic:
+        """Force that the handle exerts on the hand at the start of the last physics step [N], (axis,).
 
-        MuJoCo computes it on the way to the next state: it is that at the start of the last physics step.
+        MuJoCo has it on the way from one state to the next only.
         """
-        return observable.MJCFFeature("sensordata", self._entity.gauge)[:2]
+        # Through a binding, dm_control might compute it anew for the next state with the controls of the last step.
+        return _observable(lambda physics: physics.data.sensordata[physics.bind(self._entity.gauge).adr :][:2])
 
 
 class Rig(composer.Arena):
     """The room, and in it a person's arm that grips the manipulator, at rest at the start posture."""
 
-    def _build(  # type: ignore[override]
+    def _build(
         self,
         subject: Subject,
         environment: Environment = Environment(),  # noqa: B008
@@ -206,6 +208,11 @@ class Rig(composer.Arena):
     def manipulator(self) -> ManipulatorEntity:
         """What the hand holds."""
         return self._manipulator
+
+
+def _observable(read: Callable[[mjcf.Physics], np.ndarray]) -> observable.Generic:
+    """An observable of copies: with MJCFFeature, what pads a buffer would be a view of the moving state."""
+    return observable.Generic(lambda physics: np.array(read(physics)))
 
 
 def _room() -> mjcf.RootElement:
