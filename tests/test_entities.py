@@ -43,7 +43,7 @@ RIGS = {
     "average PT": (AVERAGE["PT"], Environment(), {}),
     "odd": (ODD, HEAVY, {}),
     "pendulum": (ODD, HEAVY, {"rope": "pendulum", "timestep": 0.0008}),
-    "strap": (ODD, HEAVY, {"strap": Strap(stiffness=4321.0)}),
+    "strap": (ODD, HEAVY, {"strap": Strap(stiffness=4321.0, damping=123.0, mass=6.7)}),
     "at the limit": (RELAX, NARROW, {}),
 }
 EACH = pytest.mark.parametrize("case", RIGS)
@@ -127,7 +127,7 @@ KINDS = {
     "mesh": "nmesh",
     "texture": "ntex",
 }
-PLACES = {"id", "name", "adr", "bodyid", "parentid", "rootid", "weldid", "dataid", "matid", "texid", "geomadr", "geomnum"}
+PLACES = set("id name adr bodyid parentid rootid weldid dataid matid texid geomadr geomnum".split())
 """Fields that say where something is in the model; the frames that hold the entities shift them."""
 
 
