@@ -1,23 +1,17 @@
 """The composer entities against the model that the package's own experiment runs."""
 
-import os
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
+from dm_control import composer, mjcf
 
 from armperturb.cohort import average_person
 from armperturb.environment import Environment, Strap
+from armperturb.envs.entities import Rig
 from armperturb.models import build_model
 from armperturb.subject import POSITION, RELAX
-
-with pytest.MonkeyPatch.context() as patch:
-    if not os.environ.get("MUJOCO_GL"):
-        patch.setenv("MUJOCO_GL", "off")  # without a display, dm_control warns of it
-    from dm_control import composer, mjcf
-
-    from armperturb.envs.entities import Rig
 
 STEPS = 2000
 PER_CONTROL = 10
@@ -127,7 +121,8 @@ KINDS = {
     "mesh": "nmesh",
     "texture": "ntex",
 }
-PLACES = set("id name adr bodyid parentid rootid weldid dataid matid texid geomadr geomnum".split())
+PLACES = {"id", "name", "adr", "bodyid", "parentid", "rootid", "weldid", "dataid", "matid", "texid"}
+PLACES |= {"geomadr", "geomnum"}
 """Fields that say where something is in the model; the frames that hold the entities shift them."""
 
 
