@@ -16,4 +16,5 @@ from armperturb.models.rig import SLIDES as SLIDES
 from armperturb.models.rig import STRAIN_GAUGE as STRAIN_GAUGE
 from armperturb.models.rig import STRAP as STRAP
 from armperturb.models.rig import build_model as build_model
+from armperturb.models.rig import build_spec as build_spec
 from armperturb.models.rig import history_length as history_length

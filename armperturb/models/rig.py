@@ -111,6 +111,22 @@ def build_model(
       ValueError: a delay is shorter than timestep, rope is unknown, or timestep or n_history is out of range.
       TypeError: timestep or n_history is no number, or strap no `Strap`.
     """
+    return build_spec(
+        subject, environment, timestep=timestep, rope=rope, strap=strap, n_history=n_history, visual=visual
+    ).compile()
+
+
+def build_spec(
+    subject: Subject,
+    environment: Environment = Environment(),  # noqa: B008
+    *,
+    timestep: float = 0.001,
+    rope: str = "ideal",
+    strap: Strap | None = None,
+    n_history: int | None = None,
+    visual: bool = True,
+) -> mujoco.MjSpec:
+    """The rig before it is compiled, for who needs to read or change it; arguments and errors as in `build_model`."""
     needed = history_length(subject, timestep)
     if rope not in ROPES:
         raise ValueError(f"build_model: rope = {rope!r}; expected one of {', '.join(ROPES)}")
@@ -134,7 +150,7 @@ def build_model(
         motor.nsample = int(n_history)
     if not visual:
         _leave_out_visuals(spec, rope)
-    return spec.compile()
+    return spec
 
 
 @functools.cache
