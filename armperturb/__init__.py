@@ -8,6 +8,7 @@ from armperturb.analysis.identify import identify as identify
 from armperturb.cohort import draw as draw
 from armperturb.environment import Environment as Environment
 from armperturb.environment import Strap as Strap
+from armperturb.envs.registration import register_environments
 from armperturb.perturbations import Multisine as Multisine
 from armperturb.perturbations import MultisineThenPulse as MultisineThenPulse
 from armperturb.perturbations import Pulse as Pulse
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from armperturb.envs.instruments import Instruments as Instruments
     from armperturb.envs.trial import Trial as Trial
     from armperturb.models import build_model as build_model
+
+register_environments()
 
 # These need MuJoCo, which an analysis of recordings does not: they are fetched on first use.
 _SIMULATOR = {

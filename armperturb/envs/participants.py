@@ -122,15 +122,8 @@ class Participants:
         """
         settings = self.settings
         subjects = [subject_in(trial, settings.environment) for trial in trials]
-        own = self._position if settings.task == "PT" else self._relaxed
-        for name, values in vars(_strength(subjects)).items():
-            getattr(own, name)[people] = values
-        self.control.replace(people, subjects)
-        self.levels[people] = 1.0 if settings.task == "PT" else 0.0
+        self._put(people, subjects)
         self.step[people] = 0
-        self._posture[people] = [subject.posture for subject in subjects]
-        self._senses[:, people] = self._reach[people] = self._command[people] = 0.0
-        self._activation[:, people] = 0.0
         n_decisions = [int(round(t.perturbation.duration * settings.control_rate, 6)) for t in trials]
         self._make_room(max(n_decisions))
         for person, trial, n in zip(people.tolist(), trials, n_decisions, strict=True):
@@ -141,6 +134,29 @@ class Participants:
             self._noise[person, :n_steps] = 0.0 if noise is None else noise
             self._recorded[person, : n + 1] = trial.perturbation.sample(settings.control_rate, n + 1)
         return subjects
+
+    def rest(self, people: Indices) -> list[Subject]:
+        """Put the task's person, at rest, in the place of some, who go on with their trials.
+
+        Args:
+          people: indices of those, rising.
+
+        Returns:
+          As many times the person.
+        """
+        subjects = [self.settings.own] * len(people)
+        self._put(people, subjects)
+        return subjects
+
+    def _put(self, people: Indices, subjects: Sequence[Subject]) -> None:
+        own = self._position if self.settings.task == "PT" else self._relaxed
+        for name, values in vars(_strength(subjects)).items():
+            getattr(own, name)[people] = values
+        self.control.replace(people, subjects)
+        self.levels[people] = 1.0 if self.settings.task == "PT" else 0.0
+        self._posture[people] = [subject.posture for subject in subjects]
+        self._senses[:, people] = self._command[people] = 0.0
+        self._activation[:, people] = 0.0
 
     def _make_room(self, n_decisions: int) -> None:
         missing = n_decisions + 1 - self._recorded.shape[1]

@@ -69,7 +69,13 @@ class Session:
             for _ in range(people.settings.steps_per_decision):
                 simulation.step(*people.drive(simulation.angle, simulation.velocity))
                 people.sense(simulation.angle, simulation.velocity, simulation.handle, simulation.force)
-        return people.judge(simulation.handle, simulation.diverged)
+        diverged = simulation.diverged
+        verdict = people.judge(simulation.handle, diverged)
+        if diverged.any():
+            # MuJoCo has put them back; what is left in their muscles and senses may be infinite.
+            lost = np.flatnonzero(diverged)
+            simulation.replace(lost, people.rest(lost))
+        return verdict
 
     def truth(self) -> dict[str, NDArray]:
         """What no person knows, copies: name to values, (person, ...).

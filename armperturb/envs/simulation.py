@@ -185,6 +185,7 @@ class Simulation:
             np.array([subject.muscle_groups("b") for subject in subjects]),
         )
         self._batch.set_models(self._models)
+        self._changed = False
         self._batch.reset(trials)
         self._batch.warning[trials] = 0
 

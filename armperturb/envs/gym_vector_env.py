@@ -1,0 +1,163 @@
+"""The vectorised gymnasium environment: many people on one batch, each the same to the last bit as alone."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from armperturb.controllers.muscle import Indices
+from armperturb.envs.gym_env import ArmPerturbEnv, checked_render_mode, spaces, task_settings
+from armperturb.envs.participants import own_action
+from armperturb.envs.session import Session
+from armperturb.validation import require_number
+
+Flags = NDArray[np.bool_]
+
+
+class ArmPerturbVectorEnv(VectorEnv):
+    """`num_envs` of `ArmPerturbEnv`, as `gymnasium.vector.SyncVectorEnv` would run them, but side by side.
+
+    `gymnasium.make_vec("ArmPerturb/Position-v0", num_envs=256)` makes one.
+
+    Attributes:
+      settings: the task.
+      own_action: by which the person does the task as in the study, (action,).
+    """
+
+    metadata: dict[str, Any] = dict(ArmPerturbEnv.metadata)  # noqa: RUF012 - as gymnasium declares it
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        render_mode: str | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        n_threads: int = 0,
+        **settings: Any,
+    ) -> None:
+        """Get ready.
+
+        Args:
+          num_envs: number of people.
+          render_mode: "rgb_array" or None.
+          autoreset_mode: when the next trial begins after one that is over: "NextStep", "SameStep", or "Disabled".
+          max_episode_steps: decisions after which a trial is truncated, if it is not over before.
+          n_threads: of the simulation; 0 takes all cores.
+          **settings: of `TaskSettings`.
+
+        Raises:
+          TypeError: a setting is unknown or has the wrong type.
+          ValueError: a setting is out of its range.
+        """
+        for name, value in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
+            if value is not None:
+                require_number("ArmPerturbVectorEnv", name, value, at_least=1)
+        self.settings = task_settings(settings)
+        self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
+        self.render_mode = checked_render_mode(render_mode)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {
+            **self.metadata,
+            "render_fps": self.settings.control_rate,
+            "autoreset_mode": self.autoreset_mode,
+        }
+        self.single_observation_space, self.single_action_space = spaces(self.settings)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.own_action = own_action(self.settings).astype(np.float32)
+        self._session = Session(self.settings, num_envs, n_threads)
+        self._streams: list[np.random.Generator | None] = [None] * num_envs
+        self._over = np.ones(num_envs, dtype=bool)  # nobody has a trial yet
+        self._decisions = np.zeros(num_envs, dtype=int)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin the next trials, at rest.
+
+        Args:
+          seed: of the first person, the others have the following ones; or one for each; None goes on with what there
+            is.
+          options: as of `ArmPerturbEnv.reset`, for all; `reset_mask` (num_envs,) says who begins, by default everybody.
+
+        Returns:
+          Observations, (num_envs, sense), and infos: names of `Session.truth` to arrays, and each with an underscore to
+          whom it belongs.
+
+        Raises:
+          TypeError: an option has the wrong type.
+          ValueError: an option is unknown or out of its range, or there are not as many seeds as people.
+        """
+        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
+        if seeds is not None and len(seeds) != self.num_envs:
+            raise ValueError(f"reset: {len(seeds)} seeds; expected {self.num_envs}, one for each environment")
+        options = dict(options or {})
+        mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
+            raise ValueError(
+                f"reset: reset_mask of type {mask.dtype} and shape {mask.shape}; expected True or False for each of "
+                f"{self.num_envs} environments, at least one True"
+            )
+        for i in np.flatnonzero(mask).tolist():
+            if self._streams[i] is None or (seeds is not None and seeds[i] is not None):
+                self._streams[i], _ = seeding.np_random(None if seeds is None else seeds[i])
+        self._start(np.flatnonzero(mask), options)
+        return self._session.people.observe(), self._infos()
+
+    def step(self, actions: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float64], Flags, Flags, dict[str, Any]]:
+        """One decision of everybody.
+
+        Args:
+          actions: (num_envs, action), see `armperturb.envs.participants.action_names`.
+
+        Returns:
+          Observations, rewards, terminations, truncations and infos, (num_envs, ...) each. Who begins a trial in this
+          step, in the mode NEXT_STEP, gets its first observation and no reward.
+
+        Raises:
+          RuntimeError: somebody has no trial, or one that is over in the mode DISABLED.
+          TypeError: actions are no numbers.
+          ValueError: they have the wrong shape, or one of them is not finite or out of its bounds.
+        """
+        waiting = self._over
+        if waiting.any() and (self.autoreset_mode is not AutoresetMode.NEXT_STEP or None in self._streams):
+            raise RuntimeError(f"step: environment {np.argmax(waiting)} has no trial; expected reset first")
+        rewards, terminated, truncated = self._session.step(actions)
+        self._decisions += 1
+        if self.max_episode_steps is not None:
+            truncated |= self._decisions >= self.max_episode_steps
+        # The arms of those who wait went on with the others', where nobody looked.
+        rewards[waiting], terminated[waiting], truncated[waiting] = 0.0, False, False
+        over = terminated | truncated
+        infos: dict[str, Any] = {}
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
+            infos = self._final_infos(over)
+            self._start(np.flatnonzero(over), None)
+            over = np.zeros_like(over)
+        elif waiting.any():
+            self._start(np.flatnonzero(waiting), None)
+        self._over = over
+        return self._session.people.observe(), rewards, terminated, truncated, {**infos, **self._infos()}
+
+    def _start(self, people: Indices, options: dict[str, Any] | None) -> None:
+        streams = [self._streams[i] for i in people.tolist()]
+        self._session.start(people, [self.settings.trial(stream, options) for stream in streams if stream is not None])
+        self._decisions[people] = 0
+        self._over[people] = False
+
+    def _infos(self) -> dict[str, Any]:
+        infos: dict[str, Any] = dict(self._session.truth())
+        return infos | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in infos}
+
+    def _final_infos(self, over: Flags) -> dict[str, Any]:
+        """What those saw and did not know at the end of their trials, as gymnasium hands it on."""
+        observations, truth = self._session.people.observe(), self._session.truth()
+        infos: dict[str, Any] = {}
+        for i in np.flatnonzero(over).tolist():
+            final = {name: values[i] for name, values in truth.items()}
+            infos = self._add_info(infos, {"final_obs": observations[i], "final_info": final}, i)
+        return infos
