@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from armperturb.controllers.layout import trials_adjacent
 from armperturb.controllers.muscle import Indices, NonlinearMuscles
 from armperturb.controllers.reflex import (
     MemoryReflexes,
@@ -71,7 +72,7 @@ class ArmControl:
           timestep: of the simulation [s].
           n_history: steps that force feedback remembers, if more than these people need.
         """
-        self.excitation = np.zeros((len(subjects), 2))
+        self.excitation = trials_adjacent(np.zeros((len(subjects), 2)), 0)
         self._timestep = timestep
         self._gains = reflex_gains(subjects, timestep)
         self._activation = initial_activation(len(subjects))

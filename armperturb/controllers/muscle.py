@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from armperturb.controllers.layout import trials_adjacent
 from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import Subject
 
@@ -74,7 +75,7 @@ def elastic_limit_shape(spread: float, parts: int) -> Array:
 
 def element_motion(motion: Array) -> Array:
     """What joint angles or velocities are for the elements (shoulder, two-joint, elbow), (trial, element)."""
-    elements = np.empty((len(motion), 3))
+    elements = np.empty((len(motion), 3), order="F")
     elements[:, ::2] = motion
     np.add(motion[:, 0], motion[:, 1], out=elements[:, 1])
     return elements
@@ -95,10 +96,10 @@ def muscle_parameters(subjects: Sequence[Subject], timestep: float) -> MusclePar
     laws = [subject.muscle or MuscleLaw() for subject in subjects]
 
     def each(field: str) -> Array:
-        return np.array([law.of_elements(field) for law in laws])
+        return trials_adjacent([law.of_elements(field) for law in laws], 0)
 
     # Parts that a trial does not have yield at once.
-    shape = np.zeros((max(law.parts for law in laws), len(laws), 3))
+    shape = trials_adjacent(np.zeros((max(law.parts for law in laws), len(laws), 3)), 1)
     for trial, law in enumerate(laws):
         for element, spread in enumerate(law.of_elements("elastic_limit_spread")):
             shape[: law.parts, trial, element] = elastic_limit_shape(spread, law.parts)
@@ -108,7 +109,7 @@ def muscle_parameters(subjects: Sequence[Subject], timestep: float) -> MusclePar
         limit_slope=shape * each("elastic_limit_slope"),
         loss=1.0 / np.radians(each("loss_angle_deg")),
         kept=np.exp(-timestep / each("recovery_time")),
-        damping=np.array([subject.muscle_groups("b") for subject in subjects]),
+        damping=trials_adjacent([subject.muscle_groups("b") for subject in subjects], 0),
         thinning=1.0 / each("thinning_velocity"),
     )
 
@@ -172,7 +173,7 @@ class NonlinearMuscles:
           timestep: of the simulation [s].
         """
         self.needed = any(subject.muscle is not None for subject in subjects)
-        self._posture = np.array([subject.posture for subject in subjects])
+        self._posture = trials_adjacent([subject.posture for subject in subjects], 0)
         self._parameters = muscle_parameters(subjects, timestep)
         self._parts = np.array([[(subject.muscle or MuscleLaw()).parts] for subject in subjects])
         self._state = rested(self._parameters)
@@ -199,7 +200,7 @@ class NonlinearMuscles:
         )
         held = joint_torque(torque)
         at_start = 0.5 * (held + self._torque)
-        self._velocity, self._torque = velocity.copy(), held
+        self._velocity, self._torque = np.copy(velocity), held
         return held, at_start
 
     def set_strength(self, trials: Indices, short_range: Array, damping: Array) -> None:
@@ -228,7 +229,7 @@ class NonlinearMuscles:
         self.needed |= fresh.needed
         missing = len(fresh._state.bond) - len(self._state.bond)
         if missing > 0:  # parts that a trial does not have yield at once
-            more = np.zeros((missing, *self._state.stretch.shape))
+            more = trials_adjacent(np.zeros((missing, *self._state.stretch.shape)), 1)
             own = self._parameters
             self._parameters = replace(
                 own, **{field: np.concatenate([getattr(own, field), more]) for field in ("limit", "limit_slope")}

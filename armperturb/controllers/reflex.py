@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from armperturb.controllers.layout import trials_adjacent
 from armperturb.controllers.muscle import Indices, element_motion, joint_torque
 from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import Subject
@@ -50,7 +51,7 @@ def reflex_gains(subjects: Sequence[Subject], timestep: float) -> ReflexGains:
       timestep: of the simulation [s].
     """
     filters: dict[tuple[float, float], tuple[Array, Array]] = {}
-    numerator, denominator = np.empty((2, 3, len(subjects), 2))
+    numerator, denominator = trials_adjacent(np.zeros((2, 3, len(subjects), 2)), 2)
     for trial, subject in enumerate(subjects):
         for joint, cutoff in enumerate((subject.fact_s, subject.fact_e)):
             key = (cutoff, subject.zeta_act)
@@ -61,9 +62,9 @@ def reflex_gains(subjects: Sequence[Subject], timestep: float) -> ReflexGains:
                 filters[key] = np.ravel(num), np.ravel(den)
             numerator[:, trial, joint], denominator[:, trial, joint] = filters[key]
     return ReflexGains(
-        posture=np.array([subject.posture for subject in subjects]),
-        velocity=np.array([subject.joint_matrix("kv") for subject in subjects]),
-        position=np.array([subject.joint_matrix("kp") for subject in subjects]),
+        posture=trials_adjacent([subject.posture for subject in subjects], 0),
+        velocity=trials_adjacent([subject.joint_matrix("kv") for subject in subjects], 0),
+        position=trials_adjacent([subject.joint_matrix("kp") for subject in subjects], 0),
         numerator=numerator,
         denominator=denominator,
     )
@@ -71,7 +72,7 @@ def reflex_gains(subjects: Sequence[Subject], timestep: float) -> ReflexGains:
 
 def initial_activation(n_trials: int) -> Array:
     """State of the activation filters of an arm at rest in its posture, (2, trial, joint)."""
-    return np.zeros((2, n_trials, 2))
+    return trials_adjacent(np.zeros((2, n_trials, 2)), 1)
 
 
 def spindle_excitation(gains: ReflexGains, angle: Array, velocity: Array) -> Array:
@@ -105,9 +106,9 @@ class NonlinearSpindles:
           subjects: who is perturbed, one per trial.
         """
         laws = [subject.muscle or MuscleLaw() for subject in subjects]
-        self._gains = np.array([subject.muscle_groups("kv") for subject in subjects])
-        self._saturation = np.array([law.of_elements("spindle_saturation") for law in laws])
-        self._direction = np.array([law.of_elements("spindle_direction") for law in laws])
+        self._gains = trials_adjacent([subject.muscle_groups("kv") for subject in subjects], 0)
+        self._saturation = trials_adjacent([law.of_elements("spindle_saturation") for law in laws], 0)
+        self._direction = trials_adjacent([law.of_elements("spindle_direction") for law in laws], 0)
         self.needed = bool((self._saturation < np.inf).any() or self._direction.any())
 
     def correct_excitation(self, excitation: Array, velocity: Array) -> None:
@@ -146,7 +147,8 @@ def velocity_response(velocity: Array, saturation: Array, direction: Array) -> A
       direction: -1 to 1; movement against its sign is answered by 1 - |direction| of the response.
     """
     response = velocity / (1.0 + np.abs(velocity) / saturation)
-    return np.where(velocity * direction < 0.0, (1.0 - np.abs(direction)) * response, response)
+    response *= 1.0 - np.abs(direction) * (velocity * direction < 0.0)
+    return response
 
 
 class MemoryReflexes:
@@ -191,7 +193,7 @@ class MemoryReflexes:
         stretch = angle - self._posture
         slope = (velocity - self._velocity) / self._timestep
         acceleration = 1.5 * slope - 0.5 * self._slope
-        self._velocity, self._slope = velocity.copy(), slope
+        self._velocity, self._slope = np.copy(velocity), slope
         newer = self._active[(self._step - self._steps) % len(self._active), self._row, self._joint]
         older = self._active[(self._step - self._steps - 1) % len(self._active), self._row, self._joint]
         muscle = (1.0 - self._share) * newer + self._share * older

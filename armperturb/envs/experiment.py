@@ -12,6 +12,7 @@ from scipy import signal
 
 from armperturb.analysis.arm_model import require_stable
 from armperturb.controllers.arm_control import ArmControl
+from armperturb.controllers.layout import trials_adjacent
 from armperturb.environment import Environment, Strap
 from armperturb.envs.instruments import Instruments
 from armperturb.envs.linear import linear_signals
@@ -250,10 +251,10 @@ def _simulate(
     n_trials = len(trials)
     n_samples = max(round(trial.perturbation.duration / (timestep * decimation)) for trial in trials)
     n_steps = n_samples * decimation
-    held = np.empty((n_steps, n_trials, 2))
+    held = trials_adjacent(np.empty((n_steps, n_trials, 2)), 1)
     recorded = np.empty((n_trials, n_samples, 2))
     noisy = any(trial.noise is not None for trial in trials)
-    torque = np.zeros((n_steps, n_trials, 2)) if noisy else None
+    torque = trials_adjacent(np.zeros((n_steps, n_trials, 2)), 1) if noisy else None
 
     def prepare(i: int) -> None:
         perturbation = trials[i].perturbation

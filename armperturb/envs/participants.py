@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armperturb.controllers.arm_control import ArmControl, Strength
+from armperturb.controllers.layout import trials_adjacent
 from armperturb.controllers.muscle import Indices
 from armperturb.controllers.reflex import activate, initial_activation
 from armperturb.envs.task import TaskSettings
@@ -106,9 +107,9 @@ class Participants:
         self._lag = [
             round(delay / settings.timestep) for delay in (settings.proprioceptive_delay, settings.visual_delay)
         ]
-        self._senses = np.zeros((max(self._lag) + 1, n, len(SENSES)))
+        self._senses = trials_adjacent(np.zeros((max(self._lag) + 1, n, len(SENSES))), 1)
         self._newest = 0
-        self._reach = np.zeros((n, 2))
+        self._reach = trials_adjacent(np.zeros((n, 2)), 0)
 
     def start(self, people: Indices, trials: Sequence[Trial]) -> list[Subject]:
         """Begin trials at rest, with the person's own levels.
@@ -156,6 +157,7 @@ class Participants:
         self.levels[people] = 1.0 if self.settings.task == "PT" else 0.0
         self._posture[people] = [subject.posture for subject in subjects]
         self._senses[:, people] = self._command[people] = 0.0
+        self._senses[:, people, 0:2] = self._posture[people]
         self._activation[:, people] = 0.0
 
     def _make_room(self, n_decisions: int) -> None:
@@ -192,7 +194,7 @@ class Participants:
             self.levels[:, 1:] = actions[:, column : column + 6].reshape(-1, 2, 3) * settings.highest_level
             column += 6
         if settings.torque:
-            self._command = actions[:, column:] * settings.highest_torque
+            self._command = trials_adjacent(actions[:, column:] * settings.highest_torque, 0)
         changed = np.flatnonzero((self.levels != before).any(axis=(1, 2)))
         strength = _between(self._relaxed.take(changed), self._position.take(changed), self.levels[changed])
         if len(changed):
@@ -200,7 +202,7 @@ class Participants:
         # What is over for some, who wait for their next trial, is zero.
         rows = np.minimum(self.step[:, None] + np.arange(self._every), self._push.shape[1] - 1)
         self._push_now, self._noise_now = (
-            np.ascontiguousarray(signal[self._n[:, None], rows].swapaxes(0, 1)) for signal in (self._push, self._noise)
+            trials_adjacent(signal[self._n[:, None], rows].swapaxes(0, 1), 1) for signal in (self._push, self._noise)
         )
         self._within = 0
         self._reach[:] = 0.0
@@ -246,8 +248,7 @@ class Participants:
         """Take in what the step led to; arguments as the attributes of `Simulation`, (person, 2) each."""
         self._newest = (self._newest + 1) % len(self._senses)
         row = self._senses[self._newest]
-        np.subtract(angle, self._posture, out=row[:, 0:2])
-        row[:, 2:4], row[:, 4:6], row[:, 6:8] = velocity, force, handle
+        row[:, 0:2], row[:, 2:4], row[:, 4:6], row[:, 6:8] = angle, velocity, force, handle
         np.maximum(self._reach, np.abs(handle), out=self._reach)
         self._within += 1
 
@@ -255,6 +256,7 @@ class Participants:
         """What everybody senses now, late and within bounds, (person, sense) as in `SENSES`."""
         felt, seen = (self._senses[(self._newest - lag) % len(self._senses)] for lag in self._lag)
         observation = felt.copy()
+        observation[:, 0:2] -= self._posture
         observation[:, 6:8] = self.settings.visual_gain * seen[:, 6:8]
         bounds = observation_bounds(self.settings)
         return np.clip(observation, -bounds, bounds).astype(np.float32)

@@ -14,6 +14,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from armperturb.controllers.layout import trials_adjacent
 from armperturb.controllers.muscle import Indices
 from armperturb.environment import Environment, Strap
 from armperturb.models import BIARTICULAR, JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, STRAP, build_model, history_length
@@ -56,16 +57,17 @@ _ANY_MUSCLES: dict[str, Any] = {
 """What is replaced in a subject to tell whose compiled models differ in their muscles alone."""
 
 
+MUSCLE_FIELDS = ("jnt_stiffness", "dof_damping", "tendon_stiffness", "tendon_damping")
+"""Fields of a model that the springs and dampers of the muscles are in."""
+
+
 class Simulation:
     """One arm on its manipulator per trial, stepped side by side; a trial has the same bits alone and beside others.
 
-    Arrays are live: they hold the state at the start of the next step.
-
     Attributes:
-      angle: of the joints [rad], (trial, joint).
+      angle: of the joints at the start of the next step [rad], (trial, joint).
       velocity: of the joints [rad/s], (trial, joint).
       handle: displacement of the handle [m], (trial, axis).
-      force: that the handle exerted on the hand at the start of the last step [N], (trial, axis).
       shoulder: its displacement [m], (trial, axis); without a strap, (trial, 0).
       timestep: of the simulation [s].
       n_history: past steps that the delays of reflexes can reach.
@@ -95,32 +97,47 @@ class Simulation:
         """
         self.timestep = timestep
         self.n_history = max(n_history, *(history_length(subject, timestep) for subject in subjects))
-        self._environment, self._rope, self._strap = environment, rope, strap
+        self._environment, self._rope, self._strap, self._n_threads = environment, rope, strap, n_threads
         self._compiled: dict[Subject, mujoco.MjModel] = {}
         self._bodies = [_body(subject) for subject in subjects]
-        self._models = [copy.copy(self._compile(body)) for body in self._bodies]
-        model = self._models[0]
+        model = self._compile(self._bodies[0])
         self._hinge, self._slide = _columns(model, JOINTS), _columns(model, SLIDES)
         self._tendon = model.tendon(BIARTICULAR).id
-        self._muscles = [self._muscle_fields(one) for one in self._models]
-        self._batch = Batch(model, len(subjects), n_threads)
-        self._changed = False
-        self.set_muscles(
-            np.arange(len(subjects)),
-            np.array([subject.muscle_groups("k") for subject in subjects]),
-            np.array([subject.muscle_groups("b") for subject in subjects]),
-        )
-        self._batch.set_models(self._models)
-        self._batch.reset()
+        self._position = trials_adjacent(np.zeros((len(subjects), model.nq)), 0)
+        self._speed = trials_adjacent(np.zeros((len(subjects), model.nv)), 0)
+        self.angle, self.velocity = self._position[:, self._hinge], self._speed[:, self._hinge]
+        self.handle = self._position[:, self._slide]
+        self.shoulder = self._position[:, _columns(model, STRAP) if strap is not None else slice(0)]
+        self._load()
+        everybody = np.arange(len(subjects))
+        self._set_muscles_of(everybody, subjects)
+        self._reset(everybody)
 
-        qpos, qvel, applied = (self._batch.bind(name) for name in ("qpos", "qvel", "qfrc_applied"))
-        motor = model.actuator(REFLEXES[0]).id
-        gauge = model.sensor(STRAIN_GAUGE).adr[0]
-        self.angle, self.velocity, self.handle = qpos[:, self._hinge], qvel[:, self._hinge], qpos[:, self._slide]
-        self.shoulder = qpos[:, _columns(model, STRAP) if strap is not None else slice(0)]
-        self.force = self._batch.bind("sensordata")[:, gauge : gauge + 2]
+    def _load(self) -> None:
+        """Make the batch.
+
+        People with one body share a model, which then stays in the processor's cache, and have rows of its fields for
+        their muscles; people with several have a model each.
+        """
+        models = [self._compile(body) for body in self._bodies]
+        batch = self._batch = Batch(models[0], len(models), self._n_threads)
+        self._models = [copy.copy(model) for model in models] if len(set(self._bodies)) > 1 else []
+        if self._models:
+            self._rows: list[Any] = [[getattr(model, field) for model in self._models] for field in MUSCLE_FIELDS]
+            batch.set_models(self._models)
+        else:
+            self._rows = [batch.expand(field) for field in MUSCLE_FIELDS]
+        self._stale = False
+        self._qpos, self._qvel, applied = (batch.bind(name) for name in ("qpos", "qvel", "qfrc_applied"))
         self._torque, self._push = applied[:, self._hinge], applied[:, self._slide]
-        self._control = self._batch.bind("ctrl")[:, motor : motor + len(REFLEXES)]
+        motor, gauge = models[0].actuator(REFLEXES[0]).id, models[0].sensor(STRAIN_GAUGE).adr[0]
+        self._control = batch.bind("ctrl")[:, motor : motor + len(REFLEXES)]
+        self._force = batch.bind("sensordata")[:, gauge : gauge + 2]
+
+    @property
+    def force(self) -> Array:
+        """What the handle exerted on the hand at the start of the last step [N], (trial, axis)."""
+        return self._force
 
     @property
     def diverged(self) -> NDArray[np.bool_]:
@@ -135,11 +152,12 @@ class Simulation:
           torque: on the joints [Nm], (trial, joint), or the same for all.
           control: of the reflex motors [Nm], (trial, joint).
         """
-        if self._changed:
+        if self._stale:
             self._batch.set_models(self._models)
-            self._changed = False
+            self._stale = False
         self._push[:], self._torque[:], self._control[:] = push, torque, control
         self._batch.step()
+        self._position[:], self._speed[:] = self._qpos, self._qvel
 
     def set_muscles(self, trials: Indices, stiffness: Array, damping: Array) -> None:
         """Change springs and dampers of the joints in some trials.
@@ -149,12 +167,14 @@ class Simulation:
           stiffness: of their muscle groups (shoulder, two-joint, elbow) [Nm/rad], (trial, element).
           damping: of the groups [Nms/rad], (trial, element).
         """
-        two_joint = self._tendon
-        for trial, k, b in zip(trials.tolist(), stiffness.tolist(), damping.tolist(), strict=True):
-            joint_k, joint_b, tendon_k, tendon_b = self._muscles[trial]
-            joint_k[0], tendon_k[two_joint], joint_k[1] = k
-            joint_b[0], tendon_b[two_joint], joint_b[1] = b
-        self._changed = True  # the batch reads models again when it is told to
+        joints_k, joints_b, tendons_k, tendons_b = self._rows
+        for joints, tendons, groups in ((joints_k, tendons_k, stiffness), (joints_b, tendons_b, damping)):
+            if self._models:
+                for trial, own in zip(trials.tolist(), groups.tolist(), strict=True):
+                    joints[trial][self._hinge], tendons[trial][self._tendon] = own[::2], own[1]
+            else:
+                joints[trials, self._hinge], tendons[trials, self._tendon] = groups[:, ::2], groups[:, 1]
+        self._stale = bool(self._models)  # the batch reads models again when it is told to
 
     def replace(self, trials: Indices, subjects: Sequence[Subject]) -> None:
         """Put other people, at rest, in the place of some trials.
@@ -167,27 +187,40 @@ class Simulation:
           ValueError: a delay reaches further back than `n_history` steps.
         """
         for subject in subjects:
-            longest = max(subject.Td_s, subject.Td_e)
             if history_length(subject, self.timestep) > self.n_history:
                 raise ValueError(
-                    f"subject {subject.name!r}: delay = {longest:g} s; expected at most "
+                    f"subject {subject.name!r}: delay = {max(subject.Td_s, subject.Td_e):g} s; expected at most "
                     f"{(self.n_history - 1) * self.timestep:g} s, what this simulation remembers"
                 )
-        for trial, subject in zip(trials.tolist(), subjects, strict=True):
-            body = _body(subject)
-            if body != self._bodies[trial]:
-                self._bodies[trial] = body
-                self._models[trial] = copy.copy(self._compile(body))
-                self._muscles[trial] = self._muscle_fields(self._models[trial])
-        self.set_muscles(
-            trials,
-            np.array([subject.muscle_groups("k") for subject in subjects]),
-            np.array([subject.muscle_groups("b") for subject in subjects]),
-        )
-        self._batch.set_models(self._models)
-        self._changed = False
+        bodies = [_body(subject) for subject in subjects]
+        others = [trial for trial, body in zip(trials.tolist(), bodies, strict=True) if body != self._bodies[trial]]
+        for trial, body in zip(trials.tolist(), bodies, strict=True):
+            self._bodies[trial] = body
+        if others and self._models:
+            for trial in others:
+                model = self._models[trial] = copy.copy(self._compile(self._bodies[trial]))
+                for rows, field in zip(self._rows, MUSCLE_FIELDS, strict=True):
+                    rows[trial] = getattr(model, field)
+        elif others:
+            state, rows = self._batch.state.copy(), self._rows
+            self._load()
+            self._batch.state[:] = state
+            for into, values in zip(self._rows, rows, strict=True):
+                for trial, own in enumerate(values):
+                    into[trial][:] = own
+        self._set_muscles_of(trials, subjects)
+        self._reset(trials)
+
+    def _set_muscles_of(self, trials: Indices, subjects: Sequence[Subject]) -> None:
+        stiffness, damping = (np.array([subject.muscle_groups(name) for subject in subjects]) for name in ("k", "b"))
+        self.set_muscles(trials, stiffness, damping)
+
+    def _reset(self, trials: Indices) -> None:
+        if self._models:
+            self._batch.set_models(self._models)
         self._batch.reset(trials)
         self._batch.warning[trials] = 0
+        self._position[trials], self._speed[trials] = self._qpos[trials], self._qvel[trials]
 
     def _compile(self, body: Subject) -> mujoco.MjModel:
         if body not in self._compiled:
@@ -201,15 +234,6 @@ class Simulation:
                 visual=False,
             )
         return self._compiled[body]
-
-    def _muscle_fields(self, model: mujoco.MjModel) -> tuple[Array, Array, Array, Array]:
-        """Where a model has the muscles: stiffness and damping of the hinges, then of the tendons."""
-        return (
-            model.jnt_stiffness[self._hinge],
-            model.dof_damping[self._hinge],
-            model.tendon_stiffness,
-            model.tendon_damping,
-        )
 
 
 def _body(subject: Subject) -> Subject:
