@@ -10,11 +10,13 @@ from benchmarks import (
     study_speed,
     thesis_fit,
     thesis_sem,
+    vector_env,
 )
 
 for module in (
     batch_overhead,
     muscle_law,
+    vector_env,
     multisine_crest,
     thesis_fit,
     thesis_sem,

@@ -95,11 +95,11 @@ class ArmControl:
         excitation = self.excitation = spindle_excitation(self._gains, angle, velocity)
         if self._spindles.needed:
             self._spindles.correct_excitation(excitation, velocity)
-        applied, nonlinear = noise, None
+        applied = noise
         if self._muscles.needed:
-            held, nonlinear = self._muscles.torque(angle, velocity)
-            applied = noise - held
+            applied = noise - self._muscles.torque(angle, velocity)
         if self._memory.needed:
+            nonlinear = self._muscles.at_start if self._muscles.needed else None
             self._memory.add_excitation(excitation, angle, velocity, nonlinear)
         active, self._activation = activate(self._gains, self._activation, excitation)
         if self._memory.needed:

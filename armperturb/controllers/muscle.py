@@ -31,7 +31,7 @@ class MuscleParameters:
     Attributes:
       stiffness: short-range stiffness of one part, (trial, element) [Nm/rad].
       limit: elastic limits of the parts at rest, (part, trial, element) [rad].
-      limit_slope: their growth with speed, (part, trial, element) [s].
+      limit_slope: their growth with speed, (part, trial, element) [s]; None if nobody's grow.
       loss: inverse of the angle of loss, (trial, element) [1/rad].
       kept: share of what was lost that is still lost a step later, (trial, element) [-].
       damping: linear damping of the element's muscle group, (trial, element) [Nms/rad].
@@ -40,7 +40,7 @@ class MuscleParameters:
 
     stiffness: Array
     limit: Array
-    limit_slope: Array
+    limit_slope: Array | None
     loss: Array
     kept: Array
     damping: Array
@@ -103,10 +103,11 @@ def muscle_parameters(subjects: Sequence[Subject], timestep: float) -> MusclePar
     for trial, law in enumerate(laws):
         for element, spread in enumerate(law.of_elements("elastic_limit_spread")):
             shape[: law.parts, trial, element] = elastic_limit_shape(spread, law.parts)
+    slope = each("elastic_limit_slope")
     return MuscleParameters(
         stiffness=each("short_range_stiffness") / np.array([[law.parts] for law in laws]),
         limit=shape * np.minimum(np.radians(each("elastic_limit_deg")), NEVER),
-        limit_slope=shape * each("elastic_limit_slope"),
+        limit_slope=shape * slope if slope.any() else None,
         loss=1.0 / np.radians(each("loss_angle_deg")),
         kept=np.exp(-timestep / each("recovery_time")),
         damping=trials_adjacent([subject.muscle_groups("b") for subject in subjects], 0),
@@ -146,9 +147,12 @@ def muscle_torque(
     speed = np.abs(velocity)
     survival = 1.0 / (1.0 + np.abs(move) * parameters.loss)
     intact = state.intact * survival
-    limit = parameters.limit_slope * speed
-    limit += parameters.limit
-    limit *= intact
+    if parameters.limit_slope is None:
+        limit = parameters.limit * intact
+    else:
+        limit = parameters.limit_slope * speed
+        limit += parameters.limit
+        limit *= intact
     bond = state.bond * survival
     bond += intact * move
     np.minimum(bond, limit, out=bond)
@@ -178,10 +182,10 @@ class NonlinearMuscles:
         self._parts = np.array([[(subject.muscle or MuscleLaw()).parts] for subject in subjects])
         self._state = rested(self._parameters)
         self._velocity = np.zeros((len(subjects), 2))
-        self._torque = np.zeros((len(subjects), 2))
+        self._torque = self._before = np.zeros((len(subjects), 2))
         self._timestep = timestep
 
-    def torque(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
+    def torque(self, angle: Array, velocity: Array) -> Array:
         """Torque with which the muscles oppose movement, beside their linear part.
 
         A torque that is held over a step acts at its middle: the law sees the motion drawn on to there.
@@ -191,17 +195,21 @@ class NonlinearMuscles:
           velocity: of the joints [rad/s], (trial, joint).
 
         Returns:
-          The torque to hold over the step, and the one at the step's start [Nm], (trial, joint) both.
+          The torque to hold over the step [Nm], (trial, joint).
         """
         middle = 1.5 * velocity - 0.5 * self._velocity
         stretch = angle - self._posture + (0.5 * self._timestep) * velocity
         torque, self._state = muscle_torque(
             self._parameters, self._state, element_motion(stretch), element_motion(middle)
         )
-        held = joint_torque(torque)
-        at_start = 0.5 * (held + self._torque)
-        self._velocity, self._torque = np.copy(velocity), held
-        return held, at_start
+        self._velocity = np.copy(velocity)
+        self._before, self._torque = self._torque, joint_torque(torque)
+        return self._torque
+
+    @property
+    def at_start(self) -> Array:
+        """The torque at the start of the last step [Nm], (trial, joint): halfway between two that were held."""
+        return 0.5 * (self._torque + self._before)
 
     def set_strength(self, trials: Indices, short_range: Array, damping: Array) -> None:
         """Change how much muscle there is in some trials, as co-contraction does.
@@ -231,22 +239,28 @@ class NonlinearMuscles:
         if missing > 0:  # parts that a trial does not have yield at once
             more = trials_adjacent(np.zeros((missing, *self._state.stretch.shape)), 1)
             own = self._parameters
-            self._parameters = replace(
-                own, **{field: np.concatenate([getattr(own, field), more]) for field in ("limit", "limit_slope")}
-            )
+            self._parameters = replace(own, limit=np.concatenate([own.limit, more]))
+            if own.limit_slope is not None:
+                self._parameters = replace(self._parameters, limit_slope=np.concatenate([own.limit_slope, more]))
             self._state = self._state._replace(bond=np.concatenate([self._state.bond, more]))
+        if fresh._parameters.limit_slope is not None and self._parameters.limit_slope is None:
+            self._parameters = replace(self._parameters, limit_slope=np.zeros_like(self._parameters.limit))
         self._posture[trials], self._parts[trials] = fresh._posture, fresh._parts
         self._velocity[trials] = self._torque[trials] = 0.0
         for field in fields(MuscleParameters):
-            _put(getattr(self._parameters, field.name), trials, getattr(fresh._parameters, field.name))
+            into, values = getattr(self._parameters, field.name), getattr(fresh._parameters, field.name)
+            if into is not None:
+                _put(into, trials, 0.0 if values is None else values)
         for into, values in zip(self._state, fresh._state, strict=True):
             _put(into, trials, values)
 
 
-def _put(into: Array, trials: Indices, values: Array) -> None:
+def _put(into: Array, trials: Indices, values: Array | float) -> None:
     """Write (trial, element) or (part, trial, element); fewer parts are followed by zeros."""
     if into.ndim == 2:
         into[trials] = values
+    elif isinstance(values, float):
+        into[:, trials] = values
     else:
         into[: len(values), trials] = values
         into[len(values) :, trials] = 0.0

@@ -109,7 +109,8 @@ class NonlinearSpindles:
         self._gains = trials_adjacent([subject.muscle_groups("kv") for subject in subjects], 0)
         self._saturation = trials_adjacent([law.of_elements("spindle_saturation") for law in laws], 0)
         self._direction = trials_adjacent([law.of_elements("spindle_direction") for law in laws], 0)
-        self.needed = bool((self._saturation < np.inf).any() or self._direction.any())
+        self._directed = bool(self._direction.any())
+        self.needed = bool((self._saturation < np.inf).any()) or self._directed
 
     def correct_excitation(self, excitation: Array, velocity: Array) -> None:
         """Take from the excitation what these spindles do not answer.
@@ -119,7 +120,7 @@ class NonlinearSpindles:
           velocity: of the joints [rad/s], (trial, joint).
         """
         speed = element_motion(velocity)
-        answered = velocity_response(speed, self._saturation, self._direction)
+        answered = velocity_response(speed, self._saturation, self._direction if self._directed else None)
         excitation += joint_torque(self._gains * (answered - speed))
 
     def set_gains(self, trials: Indices, groups: Array) -> None:
@@ -134,20 +135,22 @@ class NonlinearSpindles:
           fresh: as many trials.
         """
         self.needed |= fresh.needed
+        self._directed |= fresh._directed
         for name in ("_gains", "_saturation", "_direction"):
             getattr(self, name)[trials] = getattr(fresh, name)
 
 
-def velocity_response(velocity: Array, saturation: Array, direction: Array) -> Array:
+def velocity_response(velocity: Array, saturation: Array, direction: Array | None) -> Array:
     """Velocity that linear spindles would have to see to fire as these do [rad/s], same shape as the arguments.
 
     Args:
       velocity: of the element [rad/s].
       saturation: speed at which the response is half of the linear one [rad/s]; inf is linear.
-      direction: -1 to 1; movement against its sign is answered by 1 - |direction| of the response.
+      direction: -1 to 1; movement against its sign is answered by 1 - |direction| of the response; None is 0.
     """
     response = velocity / (1.0 + np.abs(velocity) / saturation)
-    response *= 1.0 - np.abs(direction) * (velocity * direction < 0.0)
+    if direction is not None:
+        response *= 1.0 - np.abs(direction) * (velocity * direction < 0.0)
     return response
 
 

@@ -107,9 +107,9 @@ class Participants:
         self._lag = [
             round(delay / settings.timestep) for delay in (settings.proprioceptive_delay, settings.visual_delay)
         ]
-        self._senses = trials_adjacent(np.zeros((max(self._lag) + 1, n, len(SENSES))), 1)
+        # At least what happens between decisions, to tell how far the handle was.
+        self._senses = trials_adjacent(np.zeros((max(*self._lag, self._every) + 1, n, len(SENSES))), 1)
         self._newest = 0
-        self._reach = trials_adjacent(np.zeros((n, 2)), 0)
 
     def start(self, people: Indices, trials: Sequence[Trial]) -> list[Subject]:
         """Begin trials at rest, with the person's own levels.
@@ -205,7 +205,6 @@ class Participants:
             trials_adjacent(signal[self._n[:, None], rows].swapaxes(0, 1), 1) for signal in (self._push, self._noise)
         )
         self._within = 0
-        self._reach[:] = 0.0
         return changed, strength
 
     def _checked(self, actions: ArrayLike) -> Array:
@@ -249,7 +248,6 @@ class Participants:
         self._newest = (self._newest + 1) % len(self._senses)
         row = self._senses[self._newest]
         row[:, 0:2], row[:, 2:4], row[:, 4:6], row[:, 6:8] = angle, velocity, force, handle
-        np.maximum(self._reach, np.abs(handle), out=self._reach)
         self._within += 1
 
     def observe(self) -> NDArray[np.float32]:
@@ -277,7 +275,9 @@ class Participants:
         level = np.square(self.levels).mean(axis=2)
         effort = settings.co_contraction_weight * level[:, 0] + settings.reflex_weight * level[:, 1:].mean(axis=1)
         effort += settings.torque_weight * np.square(self._command / settings.highest_torque).mean(axis=1)
-        terminated = (self._reach >= settings.environment.workspace).any(axis=1) | diverged
+        steps = np.arange(self._newest - self._every + 1, self._newest + 1)  # below 0, from the other end
+        reach = np.abs(self._senses[steps, :, 6:8]).max(axis=0)
+        terminated = (reach >= settings.environment.workspace).any(axis=1) | diverged
         rewards = -settings.displacement_weight * np.square(handle).sum(axis=1) - effort
         return rewards - settings.limit_penalty * terminated, terminated, self.step >= self.n_steps
 

@@ -1,0 +1,86 @@
+"""Decisions per second of the vectorised gymnasium environment, beside gymnasium's own vector environments.
+
+Run `python -m benchmarks.vector_env`. All sides run in turns, and what counts is the ratio of their times in a turn.
+Targets with 256 people: 10 times `SyncVectorEnv`, 4 times `AsyncVectorEnv`, and within 1.5 of bare `Batch.step`.
+"""
+
+import os
+import statistics
+import time
+from collections.abc import Callable
+
+import gymnasium as gym
+import numpy as np
+from mujoco.batch import Batch
+
+from armperturb.cohort import average_person
+from armperturb.envs.gym_vector_env import ArmPerturbVectorEnv
+from armperturb.models import build_model
+
+NAME, N, TURNS = "ArmPerturb/Position-v0", 256, 7
+DECISIONS = {"bare Batch.step": 20, "vector": 20, "async": 4, "sync": 1}
+"""Side to the decisions of everybody that are timed in a turn."""
+
+
+def actions() -> np.ndarray:
+    """Around what the person does, (decision, person, action): people who change their minds all the time."""
+    envs = ArmPerturbVectorEnv(1)
+    rng = np.random.default_rng(0)
+    drawn = envs.own_action + rng.uniform(-0.1, 0.1, (20, N, len(envs.own_action)))
+    return np.clip(drawn, envs.single_action_space.low, envs.single_action_space.high).astype(np.float32)
+
+
+def bare() -> Callable[[int], object]:
+    """As many steps as lie between two decisions, on the same model, alone."""
+    batch = Batch(build_model(average_person().subjects["PT"], visual=False), N)
+    batch.reset()
+
+    def decide(_: int) -> None:
+        for _ in range(20):
+            batch.step()
+
+    return decide
+
+
+def main() -> None:
+    """Compare the four."""
+    modes = {"vector": None, "async": "async", "sync": "sync"}
+    # Processes first, while this one is small.
+    envs = {
+        name: gym.make_vec(NAME, num_envs=N, vectorization_mode=modes[name]) for name in ("async", "sync", "vector")
+    }
+    chosen = actions()
+    sides = {"bare Batch.step": bare()} | {
+        name: lambda i, env=env: env.step(chosen[i % len(chosen)]) for name, env in envs.items()
+    }
+    for env in envs.values():
+        env.reset(seed=0)
+    times: dict[str, list[float]] = {name: [] for name in DECISIONS}
+    for turn in range(TURNS + 1):
+        for name, n in DECISIONS.items():
+            start = time.perf_counter()
+            for i in range(n):
+                sides[name](turn * n + i)
+            if turn:  # the first warms up
+                times[name].append((time.perf_counter() - start) / n)
+    for env in envs.values():
+        env.close()
+    for name, values in times.items():
+        print(
+            f"{name:>16}: {1e3 * statistics.median(values):8.1f} ms, {N / statistics.median(values):9.0f} decisions/s"
+        )
+    print(f"{N} people, 20 steps of 1 ms a decision, {os.cpu_count()} cores; ratios of each turn:")
+    for over, under, target in (
+        ("sync", "vector", "at least 10"),
+        ("async", "vector", "at least 4"),
+        ("vector", "bare Batch.step", "at most 1.5"),
+    ):
+        ratios = [a / b for a, b in zip(times[over], times[under], strict=True)]
+        print(
+            f"{over} over {under}: {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f}); "
+            f"target {target}"
+        )
+
+
+if __name__ == "__main__":
+    main()
