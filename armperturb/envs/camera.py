@@ -14,8 +14,8 @@ DISTURBANCE, REACTION, PATH = "#D55E00", "#0072B2", "#CC79A7"
 """Colours of the force on the manipulator, the force on the hand, and the handle's path, from Okabe and Ito's
 colour-blind-safe palette (vermillion, blue, reddish purple)."""
 
-ARROW_HEIGHT = 0.14
-"""Height of the arrows over the middle of the handle [m]: free of the hand."""
+ARROW_HEIGHT = 0.105
+"""Height of the arrows over the middle of the handle [m]: just over its end."""
 
 MAX_SEGMENTS = 240
 """Of a trail; more would not show."""
@@ -48,7 +48,7 @@ def force_arrows(disturbance: npt.ArrayLike, reaction: npt.ArrayLike, scale: flo
     d, f = (scale * np.asarray(force, dtype=float) for force in (disturbance, reaction))
     return (
         Arrow((float(d[0]), float(d[1])), DISTURBANCE, radius=0.013),
-        Arrow((float(f[0]), float(f[1])), REACTION, radius=0.0065, lift=0.03),
+        Arrow((float(f[0]), float(f[1])), REACTION, radius=0.0065, lift=0.02),
     )
 
 
@@ -90,6 +90,10 @@ class Camera:
             self._window.free()
             raise RuntimeError(f"Camera: MuJoCo cannot draw here ({' '.join(str(error).split())})") from error
         close_at_exit(self)
+        # The first picture of a context may be a hair different from the same one later; so it is none that counts.
+        self._eye.fixedcamid = 0
+        self._update(model.qpos0)
+        mujoco.mjr_render(mujoco.MjrRect(0, 0, 1, 1), self._scene, self._context)
 
     def __enter__(self) -> Self:
         return self
@@ -143,11 +147,7 @@ class Camera:
         if self._window is None:
             raise RuntimeError("Camera: is closed; expected an open one")
         picture = np.empty((self.height, self.width, 3), dtype=np.uint8) if out is None else out
-        self._data.qpos[:] = pose
-        mujoco.mj_forward(self.model, self._data)
-        mujoco.mjv_updateScene(
-            self.model, self._data, self._options, None, self._eye, mujoco.mjtCatBit.mjCAT_ALL, self._scene
-        )
+        self._update(pose)
         if trail is not None:
             self._add_trail(np.asarray(trail, dtype=float))
         for arrow in arrows:
@@ -190,12 +190,20 @@ class Camera:
             raise ValueError(f"Camera: view = {view!r}; expected one of {', '.join(self.views)}")
         return self.views.index(view)
 
+    def _update(self, pose: npt.NDArray[np.float64]) -> None:
+        """Let the scene show a pose."""
+        self._data.qpos[:] = pose
+        mujoco.mj_forward(self.model, self._data)
+        mujoco.mjv_updateScene(
+            self.model, self._data, self._options, None, self._eye, mujoco.mjtCatBit.mjCAT_ALL, self._scene
+        )
+
     def _add_arrow(self, arrow: Arrow) -> None:
         length = math.hypot(*arrow.vector)
         if length < 1e-4:
             return
         start = self._data.body("carriage").xpos + (0.0, 0.0, ARROW_HEIGHT + arrow.lift)
-        tip = start + np.array([*arrow.vector, 0.0])
+        tip = start + 2.0 * np.array([*arrow.vector, 0.0])  # MuJoCo draws arrows half as long as their connector
         # A short arrow is thin, so that its head does not stand out over its tip.
         self._add_segment(
             mujoco.mjtGeom.mjGEOM_ARROW, min(arrow.radius, length / 5), start, tip, _rgb(arrow.colour), 1.0
@@ -211,7 +219,7 @@ class Camera:
         for i in range(len(points) - 1):
             if np.linalg.norm(points[i] - points[i + 1]) > 1e-5:
                 opacity = 1.0 - i / len(points)
-                self._add_segment(mujoco.mjtGeom.mjGEOM_CAPSULE, 0.004, points[i + 1], points[i], colour, opacity)
+                self._add_segment(mujoco.mjtGeom.mjGEOM_CAPSULE, 0.006, points[i + 1], points[i], colour, opacity)
 
     def _add_segment(
         self,
@@ -227,7 +235,7 @@ class Camera:
         mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), rgba)
         mujoco.mjv_connector(geom, kind, radius, start, end)
         geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # casts no shadow
-        geom.emission, geom.specular, geom.shininess = 0.25, 0.0, 0.0
+        geom.emission, geom.specular, geom.shininess = 0.15, 0.0, 0.0
         self._scene.ngeom += 1
 
 
