@@ -215,16 +215,16 @@ class Camera:
         # From the newest backwards, so that the trail ends at the handle.
         points = self.handle(trail[:: -max(1, math.ceil(len(trail) / MAX_SEGMENTS))])
         points[:, 2] -= 0.01  # under the arrows
-        colour = _rgb(PATH)
+        colour, width = _rgb(PATH), max(1.5, self.height / 130)  # of a line, in pixels: tubes would cost more than all else
         for i in range(len(points) - 1):
             if np.linalg.norm(points[i] - points[i + 1]) > 1e-5:
                 opacity = 1.0 - i / len(points)
-                self._add_segment(mujoco.mjtGeom.mjGEOM_CAPSULE, 0.006, points[i + 1], points[i], colour, opacity)
+                self._add_segment(mujoco.mjtGeom.mjGEOM_LINE, width, points[i + 1], points[i], colour, opacity)
 
     def _add_segment(
         self,
         kind: mujoco.mjtGeom,
-        radius: float,
+        width: float,
         start: npt.NDArray[np.float64],
         end: npt.NDArray[np.float64],
         colour: tuple[float, float, float],
@@ -233,7 +233,7 @@ class Camera:
         geom = self._scene.geoms[self._scene.ngeom]
         rgba = np.array([*colour, opacity], dtype=np.float32)
         mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), rgba)
-        mujoco.mjv_connector(geom, kind, radius, start, end)
+        mujoco.mjv_connector(geom, kind, width, start, end)
         geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # casts no shadow
         geom.emission, geom.specular, geom.shininess = 0.15, 0.0, 0.0
         self._scene.ngeom += 1

@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 BODY = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
 """Coordinates of a trial that say what the arm looks like."""
 
+SIGNALS = ("joint_angle", "shoulder_marker")
+"""Optional variables of a recording that are looked at, where there are any."""
+
 MARKER_CUTOFF = 15.0
 """Cut-off of the low-pass on the shoulder's marker [Hz]: its noise would make the picture tremble."""
 
