@@ -415,7 +415,9 @@ def view(settings: View) -> None:
         watch_rig(RELAX if settings.subject is None else Subject.load(settings.subject))
         return
     if settings.subject is not None:
-        raise ValueError(f"view: subject = {str(settings.subject)!r}; expected none with a recording, which has its own")
+        raise ValueError(
+            f"view: subject = {str(settings.subject)!r}; expected none with a recording, which has its own"
+        )
     recording = load_recording(settings.recording, optional=SIGNALS)
     watch_trial(Replay.of_trial(recording, settings.trial, str(settings.recording)), slow=settings.slow)
 

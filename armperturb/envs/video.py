@@ -1,6 +1,5 @@
 """Videos of recorded trials: the rig from two sides, forces as arrows, the handle's path, and a strip chart."""
 
-import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -117,7 +116,9 @@ def frame_times(replay: Replay, clip: Clip, frame_rate: float) -> Array:
       ValueError: the clip is outside the trial.
     """
     start, stop = clip.window(replay)
-    return np.asarray(start + np.arange(max(1, round((stop - start) * clip.slow * frame_rate))) / frame_rate / clip.slow)
+    return np.asarray(
+        start + np.arange(max(1, round((stop - start) * clip.slow * frame_rate))) / frame_rate / clip.slow
+    )
 
 
 def frames(replay: Replay, clip: Clip, times: Array) -> Iterator[Picture]:
@@ -214,7 +215,11 @@ def arrow_scale(
 
 
 def write_video(
-    replay: Replay, out: str | Path, clip: Clip = Clip(), *, progress: Callable[[int, int], object] | None = None  # noqa: B008
+    replay: Replay,
+    out: str | Path,
+    clip: Clip = Clip(),
+    *,
+    progress: Callable[[int, int], object] | None = None,  # noqa: B008
 ) -> None:
     """Write a video of a trial, whole or not at all.
 
@@ -246,8 +251,10 @@ def write_video(
                     if progress is not None:
                         progress(done, len(times))
                     encoder.add_image(picture)
-        except (BrokenPipeError, subprocess.SubprocessError) as error:
-            raise OSError(f"{out}: the encoder stopped ({error})") from error
+        except (BrokenPipeError, RuntimeError) as error:
+            if isinstance(error.__context__, KeyboardInterrupt):  # Ctrl-C reaches the encoder, too
+                raise error.__context__ from None
+            raise OSError(f"{out}: the encoder failed ({' '.join(str(error).split())})") from error
         if progress is not None:
             progress(len(times), len(times))
         copyfile(encoded, temporary)
@@ -274,7 +281,9 @@ def _encoder(path: Path, shape: tuple[int, int], frame_rate: float) -> Any:
     if path.suffix == ".gif":
         return mediapy.VideoWriter(path, shape, fps=frame_rate, codec="gif")
     # The index first, so that a browser starts to play before it has the whole file.
-    return mediapy.VideoWriter(path, shape, fps=frame_rate, codec="h264", crf=20, ffmpeg_args="-preset veryfast -movflags +faststart")
+    return mediapy.VideoWriter(
+        path, shape, fps=frame_rate, codec="h264", crf=20, ffmpeg_args="-preset veryfast -movflags +faststart"
+    )
 
 
 def _simplify(model: mujoco.MjModel) -> None:
