@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 import xarray as xr
+from tqdm import tqdm
 
 from armperturb.analysis.export import write_identification
 from armperturb.analysis.identify import Identification, identify_conditions
@@ -18,7 +19,8 @@ from armperturb.envs.instruments import Instruments
 from armperturb.envs.trial import Trial
 from armperturb.perturbations import load_csv
 from armperturb.recording import join_recordings, load_recording, save_recording
-from armperturb.subject import TASKS, Subject
+from armperturb.subject import RELAX, TASKS, Subject
+from armperturb.validation import require_number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,6 +154,42 @@ class Score:
     """Folder for score.csv, headlines.csv and score.txt; by default DIR/score."""
     workers: int | None = None
     """Number of processes; by default about one per core. No effect on the files but for rounding."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Video:
+    """Replay a recorded trial as a video: the rig from above and from the side, forces as arrows, and a strip chart."""
+
+    recording: Annotated[Path, tyro.conf.Positional]
+    """Recording to read (netCDF4), also of a person, if it says how long the arm is."""
+    out: Path
+    """Video to write: MP4 (H.264), or GIF."""
+    trial: int
+    """Which trial of the recording, from 0."""
+    view: str = "both"
+    """top, oblique, or both side by side."""
+    size: str = "640x480"
+    """Width x height of each view [pixel], up to 1920x1440; the strip chart below adds half the height."""
+    slow: float = 1.0
+    """How many times slower than life, e.g. 10 for a pulse; below 1 it is faster."""
+    start: float | None = None
+    """Where in the trial to start [s]; by default at its start or, of a pulse that is slowed down, 0.2 s before it."""
+    stop: float | None = None
+    """Where in the trial to stop [s]; by default at its end or, of a pulse that is slowed down, 1 s after its onset."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """Open MuJoCo's interactive viewer, on a recorded trial or on a person whom the mouse can push; needs a display."""
+
+    recording: Annotated[Path | None, tyro.conf.Positional] = None
+    """Recording whose trial is replayed over and over; without one, a person at rest."""
+    trial: int = 0
+    """Which trial of the recording, from 0."""
+    slow: float = 1.0
+    """How many times slower than life."""
+    subject: Path | None = None
+    """TOML file of the person at rest, instead of the thesis's mean person of the relax task."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -324,6 +362,67 @@ def score(settings: Score) -> str:
     return score_text(result)
 
 
+def video(settings: Video) -> None:
+    """Write the video of a trial.
+
+    Raises:
+      TypeError: a setting has the wrong type.
+      ValueError: a setting is out of its range, or the recording is refused.
+      RuntimeError: this machine cannot draw.
+      OSError: a file cannot be read or written.
+    """
+    # Here, so that the other commands start without the drawing library.
+    from armperturb.envs.replay import SIGNALS, Replay
+    from armperturb.envs.video import Clip, require_ending, write_video
+
+    require_ending(settings.out)
+    width, times, height = settings.size.partition("x")
+    if not (times and width.isdecimal() and height.isdecimal()):
+        raise ValueError(f"video: size = {settings.size!r}; expected width x height in pixels, e.g. 640x480")
+    clip = Clip(
+        view=settings.view,
+        width=int(width),
+        height=int(height),
+        slow=settings.slow,
+        start=settings.start,
+        stop=settings.stop,
+    )
+    recording = load_recording(settings.recording, optional=SIGNALS)
+    replay = Replay.of_trial(recording, settings.trial, str(settings.recording))
+    with tqdm(desc="video", unit="frame", disable=None) as bar:
+
+        def tell(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        write_video(replay, settings.out, clip, progress=tell)
+
+
+def view(settings: View) -> None:
+    """Open the viewer, and return when its window is closed.
+
+    Raises:
+      ValueError: a setting is out of its range, or a file is refused.
+      RuntimeError: no window can be opened.
+      OSError: a file cannot be read.
+    """
+    # Here, so that the other commands start without what a window needs.
+    from armperturb.envs.replay import SIGNALS, Replay
+    from armperturb.envs.viewer import require_display, watch_rig, watch_trial
+
+    require_display()  # before a long recording is read
+    require_number("view", "slow", settings.slow, above=0.0)
+    if settings.recording is None:
+        watch_rig(RELAX if settings.subject is None else Subject.load(settings.subject))
+        return
+    if settings.subject is not None:
+        raise ValueError(
+            f"view: subject = {str(settings.subject)!r}; expected none with a recording, which has its own"
+        )
+    recording = load_recording(settings.recording, optional=SIGNALS)
+    watch_trial(Replay.of_trial(recording, settings.trial, str(settings.recording)), slow=settings.slow)
+
+
 def calibrate(settings: Calibrate) -> str:
     """Calibrate, write the average person, and return a summary to print.
 
@@ -367,7 +466,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
       The exit status: 0, 1 for an input that is refused (one line on stderr says why), 130 for Ctrl-C.
     """
     command = tyro.cli(
-        Study | Report | Score | Simulate | Identify | Validate | Calibrate,
+        Study | Report | Score | Simulate | Identify | Validate | Calibrate | Video | View,
         prog="armperturb",
         description="Human-arm perturbation experiments on synthetic people in MuJoCo, and their analysis.",
         args=arguments,
@@ -387,6 +486,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif isinstance(command, Validate):
             print(validate(command))
             print(f"results: {command.out}")
+        elif isinstance(command, Video):
+            video(command)
+            print(f"video: {command.out}")
+        elif isinstance(command, View):
+            view(command)
         elif isinstance(command, Calibrate):
             print(calibrate(command))
             print(f"average person: {command.out}")
