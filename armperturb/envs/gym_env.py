@@ -1,5 +1,6 @@
 """The gymnasium environment: one person in trials of a task, whose nervous system is the agent."""
 
+from numbers import Integral
 from typing import Any
 
 import gymnasium as gym
@@ -7,9 +8,22 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
+from armperturb.envs.gl import has_display
+from armperturb.envs.onlooker import Onlooker
 from armperturb.envs.participants import action_bounds, observation_bounds, own_action
 from armperturb.envs.session import Session
 from armperturb.envs.task import TaskSettings
+from armperturb.envs.viewer import require_display
+from armperturb.validation import require_number
+
+VIEWS = ("oblique", "top")
+"""Cameras of the rig."""
+
+LONGEST_ARROW = 0.25
+"""What the largest force of a task looks like [m]."""
+
+WATCHED = ("joint_angle", "displacement", "perturbation", "force")
+"""Parts of the truth that show."""
 
 ONLY = np.zeros(1, dtype=int)
 """Index of the one person."""
@@ -36,20 +50,38 @@ class ArmPerturbEnv(gym.Env):
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 50}  # noqa: RUF012 - as gymnasium declares it
 
-    def __init__(self, render_mode: str | None = None, **settings: Any) -> None:
+    def __init__(
+        self,
+        render_mode: str | None = None,
+        view: str = "oblique",
+        width: int = 640,
+        height: int = 480,
+        **settings: Any,
+    ) -> None:
         """Get ready.
 
         Args:
           render_mode: "rgb_array" for pictures, "human" for a window, None for neither.
+          view: of pictures, "oblique" or "top".
+          width: of pictures [pixel].
+          height: of pictures [pixel].
           **settings: of `TaskSettings`.
 
         Raises:
           TypeError: a setting is unknown or has the wrong type.
-          ValueError: a setting is out of its range, or render_mode unknown.
+          ValueError: a setting is out of its range, or render_mode or view unknown.
+          RuntimeError: render_mode is "human", and there is no display.
         """
         self.settings = task_settings(settings)
-        self.render_mode = checked_render_mode(render_mode)
-        self.metadata = {**self.metadata, "render_fps": self.settings.control_rate}
+        require_one_of("render_mode", render_mode, (None, *ArmPerturbEnv.metadata["render_modes"]))
+        if render_mode == "human":
+            require_display()
+        self.render_mode = render_mode
+        # What can be done here, so that those who try all of them can.
+        modes = [mode for mode in ArmPerturbEnv.metadata["render_modes"] if mode != "human" or has_display()]
+        self.metadata = {"render_modes": modes, "render_fps": self.settings.control_rate}
+        self._onlooker = onlooker(self.settings)
+        self._picture = checked_picture(view, width, height)
         self.observation_space, self.action_space = spaces(self.settings)
         self.own_action = own_action(self.settings).astype(np.float32)
         self._session = Session(self.settings, 1, n_threads=1)
@@ -72,9 +104,11 @@ class ArmPerturbEnv(gym.Env):
           ValueError: an option is unknown or out of its range.
         """
         super().reset(seed=seed)
-        self._session.start(ONLY, [self.settings.trial(self.np_random, options)])
+        trial = self.settings.trial(self.np_random, options)
+        self._session.start(ONLY, [trial])
         self._running = True
-        return self._session.people.observe()[0], self._info()
+        self._onlooker.begin(trial.subject)
+        return self._session.people.observe()[0], self._watched_info()
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """One decision.
@@ -94,11 +128,51 @@ class ArmPerturbEnv(gym.Env):
             raise RuntimeError("step: the trial is over, or none has begun; expected reset first")
         (reward,), (terminated,), (truncated,) = self._session.step(np.asarray(action)[np.newaxis])
         self._running = not (terminated or truncated)
-        return self._session.people.observe()[0], float(reward), bool(terminated), bool(truncated), self._info()
+        observation, info = self._session.people.observe()[0], self._watched_info()
+        return observation, float(reward), bool(terminated), bool(truncated), info
 
-    def _info(self) -> dict[str, Any]:
-        truth = {name: values[0] for name, values in self._session.truth().items()}
-        return {**truth, "time": float(truth["time"])}
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture of this moment, (height, width, 3), in the mode "rgb_array"; a window shows each by itself.
+
+        Raises:
+          RuntimeError: no trial has begun, or this machine cannot draw; the message names what to install.
+        """
+        if self.render_mode != "rgb_array":
+            return None
+        return self._onlooker.picture(*self._picture)
+
+    def close(self) -> None:
+        """Close what rendering opened; a second time does nothing."""
+        self._onlooker.close()
+
+    def _watched_info(self) -> dict[str, Any]:
+        info: dict[str, Any] = {name: values[0] for name, values in self._session.truth().items()}
+        if self.render_mode is not None:
+            self._onlooker.notice(*(info[name].copy() for name in WATCHED))
+            if self.render_mode == "human":
+                self._onlooker.show()
+        return {**info, "time": float(info["time"])}
+
+
+def onlooker(settings: TaskSettings) -> Onlooker:
+    """Somebody to watch a person do a task."""
+    highest = max(np.max(settings.peak) if "pulse" in settings.perturbation else 0.0, 3.0 * np.max(settings.rms))
+    return Onlooker(settings.environment, 1.0 / settings.control_rate, LONGEST_ARROW / highest)
+
+
+def checked_picture(view: str, width: int, height: int) -> tuple[str, int, int]:
+    """The arguments.
+
+    Raises:
+      TypeError: width or height is no whole number.
+      ValueError: the view is unknown, or width or height is below 1.
+    """
+    require_one_of("view", view, VIEWS)
+    for name, value in (("width", width), ("height", height)):
+        require_number("render", name, value, at_least=1)
+        if not isinstance(value, Integral):
+            raise TypeError(f"render: {name} = {value!r}; expected a whole number")
+    return view, int(width), int(height)
 
 
 def task_settings(settings: dict[str, Any]) -> TaskSettings:
@@ -114,13 +188,11 @@ def task_settings(settings: dict[str, Any]) -> TaskSettings:
     return TaskSettings(**settings)
 
 
-def checked_render_mode(render_mode: str | None) -> str | None:
-    """The render mode.
+def require_one_of(name: str, value: object, known: tuple[object, ...]) -> None:
+    """Refuse what is not known.
 
     Raises:
-      ValueError: it is unknown.
+      ValueError: value is not among the known.
     """
-    known = ArmPerturbEnv.metadata["render_modes"]
-    if render_mode is not None and render_mode not in known:
-        raise ValueError(f"render_mode = {render_mode!r}; expected None or one of {', '.join(known)}")
-    return render_mode
+    if value not in known:
+        raise ValueError(f"{name} = {value!r}; expected one of {', '.join(map(str, known))}")

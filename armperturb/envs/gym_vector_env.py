@@ -10,7 +10,15 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from armperturb.controllers.muscle import Indices
-from armperturb.envs.gym_env import ArmPerturbEnv, checked_render_mode, spaces, task_settings
+from armperturb.envs.gym_env import (
+    WATCHED,
+    ArmPerturbEnv,
+    checked_picture,
+    onlooker,
+    require_one_of,
+    spaces,
+    task_settings,
+)
 from armperturb.envs.participants import own_action
 from armperturb.envs.session import Session
 from armperturb.validation import require_number
@@ -34,6 +42,9 @@ class ArmPerturbVectorEnv(VectorEnv):
         self,
         num_envs: int = 1,
         render_mode: str | None = None,
+        view: str = "oblique",
+        width: int = 640,
+        height: int = 480,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
         n_threads: int = 0,
@@ -44,6 +55,9 @@ class ArmPerturbVectorEnv(VectorEnv):
         Args:
           num_envs: number of people.
           render_mode: "rgb_array" or None.
+          view: of pictures, "oblique" or "top".
+          width: of pictures [pixel].
+          height: of pictures [pixel].
           autoreset_mode: when the next trial begins after one that is over: "NextStep", "SameStep", or "Disabled".
           max_episode_steps: decisions after which a trial is truncated, if it is not over before.
           n_threads: of the simulation; 0 takes all cores.
@@ -58,10 +72,11 @@ class ArmPerturbVectorEnv(VectorEnv):
                 require_number("ArmPerturbVectorEnv", name, value, at_least=1)
         self.settings = task_settings(settings)
         self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
-        self.render_mode = checked_render_mode(render_mode)
+        require_one_of("render_mode", render_mode, (None, "rgb_array"))
+        self.render_mode = render_mode
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {
-            **self.metadata,
+            "render_modes": ["rgb_array"],
             "render_fps": self.settings.control_rate,
             "autoreset_mode": self.autoreset_mode,
         }
@@ -70,6 +85,9 @@ class ArmPerturbVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.own_action = own_action(self.settings).astype(np.float32)
         self._session = Session(self.settings, num_envs, n_threads)
+        self._onlooker = onlooker(self.settings)
+        self._subjects = [self.settings.own] * num_envs
+        self._picture = checked_picture(view, width, height)
         self._streams: list[np.random.Generator | None] = [None] * num_envs
         self._over = np.ones(num_envs, dtype=bool)  # nobody has a trial yet
         self._decisions = np.zeros(num_envs, dtype=int)
@@ -143,9 +161,31 @@ class ArmPerturbVectorEnv(VectorEnv):
         self._over = over
         return self._session.people.observe(), rewards, terminated, truncated, {**infos, **self._infos()}
 
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Pictures of everybody at this moment, (height, width, 3) each, in the mode "rgb_array".
+
+        Raises:
+          RuntimeError: this machine cannot draw; the message names what to install.
+        """
+        if self.render_mode is None:
+            return None
+        truth, pictures = self._session.truth(), []
+        for i, subject in enumerate(self._subjects):
+            self._onlooker.begin(subject)
+            self._onlooker.notice(*(truth[name][i] for name in WATCHED))
+            pictures.append(self._onlooker.picture(*self._picture))
+        return tuple(pictures)
+
+    def close_extras(self, **_: Any) -> None:
+        """Close what rendering opened."""
+        self._onlooker.close()
+
     def _start(self, people: Indices, options: dict[str, Any] | None) -> None:
         streams = [self._streams[i] for i in people.tolist()]
-        self._session.start(people, [self.settings.trial(stream, options) for stream in streams if stream is not None])
+        trials = [self.settings.trial(stream, options) for stream in streams if stream is not None]
+        self._session.start(people, trials)
+        for i, trial in zip(people.tolist(), trials, strict=True):
+            self._subjects[i] = trial.subject
         self._decisions[people] = 0
         self._over[people] = False
 

@@ -219,7 +219,7 @@ def write_video(
     out: str | Path,
     clip: Clip = Clip(),
     *,
-    progress: Callable[[int, int], object] | None = None,  # noqa: B008
+    progress: Callable[[int, int], object] | None = None,
 ) -> None:
     """Write a video of a trial, whole or not at all.
 

@@ -23,7 +23,7 @@ def watch_trial(replay: Replay, *, slow: float = 1.0) -> None:
       RuntimeError: no window can be opened.
     """
     data = mujoco.MjData(replay.model)
-    with _open(replay.model, data) as window:
+    with open_window(replay.model, data) as window:
         begin = time.monotonic()
         while window.is_running():
             now = (time.monotonic() - begin) / slow % replay.duration
@@ -48,7 +48,7 @@ def watch_rig(subject: Subject) -> None:
     """
     model = build_model(subject)
     data = mujoco.MjData(model)
-    with _open(model, data) as window:
+    with open_window(model, data) as window:
         begin = time.monotonic()
         while window.is_running():
             with window.lock():
@@ -82,8 +82,12 @@ def require_display() -> None:
         raise RuntimeError(f"view: no window can be opened ({reason}); expected a display that works")
 
 
-def _open(model: mujoco.MjModel, data: mujoco.MjData) -> Any:
-    """MuJoCo's viewer, which leaves the simulation to its caller."""
+def open_window(model: mujoco.MjModel, data: mujoco.MjData) -> Any:
+    """MuJoCo's viewer, which leaves the simulation to its caller.
+
+    Raises:
+      RuntimeError: no window can be opened.
+    """
     require_display()
     import mujoco.viewer
 
