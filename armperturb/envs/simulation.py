@@ -48,12 +48,49 @@ def silent_simulator() -> Iterator[None]:
         handler.value = before
 
 
-_ANY_MUSCLES: dict[str, Any] = {
+_ANYBODY: dict[str, Any] = {
     **{name: getattr(RELAX, name) for name in ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e")},
     **{f"{quantity}_{entry}": 0.0 for quantity in ("kv", "kp", "ka", "kf") for entry in ("s", "se", "e")},
-    "muscle": None,
+    **{name: getattr(RELAX, name) for name in ("task", "name", "fact_s", "fact_e", "zeta_act", "muscle")},
 }
 """What is replaced in a subject to tell whose compiled models differ in their muscles alone."""
+
+
+def body_of(subject: Subject) -> Subject:
+    """The person but for what a compiled model takes without being compiled again, or knows nothing of."""
+    return replace(subject, **_ANYBODY)
+
+
+def columns(model: mujoco.MjModel, names: Sequence[str]) -> slice:
+    """Where neighbouring joints are; each is one position, one velocity."""
+    first = model.joint(names[0]).qposadr[0]
+    return slice(first, first + len(names))
+
+
+class MuscleFields:
+    """Where a compiled model has springs and dampers of the muscle groups."""
+
+    def __init__(self, model: mujoco.MjModel, hinges: slice, two_joint: int) -> None:
+        """Find them.
+
+        Args:
+          model: the model.
+          hinges: where shoulder and elbow are, from `columns`.
+          two_joint: index of the tendon of the two-joint muscles.
+        """
+        self._hinges = model.jnt_stiffness[hinges], model.dof_damping[hinges]
+        self._tendons = model.tendon_stiffness, model.tendon_damping
+        self._two_joint = two_joint
+
+    def write(self, stiffness: Sequence[float], damping: Sequence[float]) -> None:
+        """Change the muscles.
+
+        Args:
+          stiffness: of the groups (shoulder, two-joint, elbow) [Nm/rad].
+          damping: of the groups [Nms/rad].
+        """
+        for hinge, tendon, values in zip(self._hinges, self._tendons, (stiffness, damping), strict=True):
+            hinge[0], tendon[self._two_joint], hinge[1] = values
 
 
 class Simulation:
@@ -97,12 +134,12 @@ class Simulation:
         self.n_history = max(n_history, *(history_length(subject, timestep) for subject in subjects))
         self._environment, self._rope, self._strap = environment, rope, strap
         self._compiled: dict[Subject, mujoco.MjModel] = {}
-        self._bodies = [_body(subject) for subject in subjects]
+        self._bodies = [body_of(subject) for subject in subjects]
         self._models = [copy.copy(self._compile(body)) for body in self._bodies]
         model = self._models[0]
-        self._hinge, self._slide = _columns(model, JOINTS), _columns(model, SLIDES)
+        self._hinge, self._slide = columns(model, JOINTS), columns(model, SLIDES)
         self._tendon = model.tendon(BIARTICULAR).id
-        self._muscles = [self._muscle_fields(one) for one in self._models]
+        self._muscles = [MuscleFields(one, self._hinge, self._tendon) for one in self._models]
         self._batch = Batch(model, len(subjects), n_threads)
         self._changed = False
         self.set_muscles(
@@ -117,7 +154,7 @@ class Simulation:
         motor = model.actuator(REFLEXES[0]).id
         gauge = model.sensor(STRAIN_GAUGE).adr[0]
         self.angle, self.velocity, self.handle = qpos[:, self._hinge], qvel[:, self._hinge], qpos[:, self._slide]
-        self.shoulder = qpos[:, _columns(model, STRAP) if strap is not None else slice(0)]
+        self.shoulder = qpos[:, columns(model, STRAP) if strap is not None else slice(0)]
         self.force = self._batch.bind("sensordata")[:, gauge : gauge + 2]
         self._torque, self._push = applied[:, self._hinge], applied[:, self._slide]
         self._control = self._batch.bind("ctrl")[:, motor : motor + len(REFLEXES)]
@@ -149,11 +186,8 @@ class Simulation:
           stiffness: of their muscle groups (shoulder, two-joint, elbow) [Nm/rad], (trial, element).
           damping: of the groups [Nms/rad], (trial, element).
         """
-        two_joint = self._tendon
         for trial, k, b in zip(trials.tolist(), stiffness.tolist(), damping.tolist(), strict=True):
-            joint_k, joint_b, tendon_k, tendon_b = self._muscles[trial]
-            joint_k[0], tendon_k[two_joint], joint_k[1] = k
-            joint_b[0], tendon_b[two_joint], joint_b[1] = b
+            self._muscles[trial].write(k, b)
         self._changed = True  # the batch reads models again when it is told to
 
     def replace(self, trials: Indices, subjects: Sequence[Subject]) -> None:
@@ -174,11 +208,11 @@ class Simulation:
                     f"{(self.n_history - 1) * self.timestep:g} s, what this simulation remembers"
                 )
         for trial, subject in zip(trials.tolist(), subjects, strict=True):
-            body = _body(subject)
+            body = body_of(subject)
             if body != self._bodies[trial]:
                 self._bodies[trial] = body
                 self._models[trial] = copy.copy(self._compile(body))
-                self._muscles[trial] = self._muscle_fields(self._models[trial])
+                self._muscles[trial] = MuscleFields(self._models[trial], self._hinge, self._tendon)
         self.set_muscles(
             trials,
             np.array([subject.muscle_groups("k") for subject in subjects]),
@@ -201,23 +235,3 @@ class Simulation:
                 visual=False,
             )
         return self._compiled[body]
-
-    def _muscle_fields(self, model: mujoco.MjModel) -> tuple[Array, Array, Array, Array]:
-        """Where a model has the muscles: stiffness and damping of the hinges, then of the tendons."""
-        return (
-            model.jnt_stiffness[self._hinge],
-            model.dof_damping[self._hinge],
-            model.tendon_stiffness,
-            model.tendon_damping,
-        )
-
-
-def _body(subject: Subject) -> Subject:
-    """The person but for the muscles, which a compiled model takes without being compiled again."""
-    return replace(subject, **_ANY_MUSCLES)
-
-
-def _columns(model: mujoco.MjModel, names: Sequence[str]) -> slice:
-    """Where neighbouring joints are; each is one position, one velocity."""
-    first = model.joint(names[0]).qposadr[0]
-    return slice(first, first + len(names))
