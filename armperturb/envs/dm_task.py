@@ -1,7 +1,7 @@
 """The dm_control face: one person in trials of a task, whose nervous system is the agent, as a composer task."""
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import fields
 from typing import Any
@@ -28,15 +28,16 @@ SENSES = {"joint_stretch": 0, "joint_velocity": 2, "hand_force": 4, "handle_seen
 class Sense(observable.Generic):
     """What the person senses, within bounds; composer delays it."""
 
-    def __init__(self, read: Callable[[], Array], bound: Array, delay: int) -> None:
+    def __init__(self, people: Participants, columns: slice, bound: Array, delay: int) -> None:
         """Enable it.
 
         Args:
-          read: gives it without delay.
+          people: of whom the first senses it.
+          columns: where it is among the senses.
           bound: its largest absolute values.
           delay: after which it is sensed [steps].
         """
-        super().__init__(lambda _: read(), delay=delay)
+        super().__init__(lambda _: people.undelayed()[0, columns], delay=delay)
         self._spec = specs.BoundedArray(bound.shape, np.float64, -bound, bound)
         self.enabled = True
 
@@ -82,9 +83,8 @@ class ArmPerturbTask(composer.Task):
         bounds = observation_bounds(settings)
         made: OrderedDict[str, observable.Observable] = OrderedDict()
         for name, first in SENSES.items():
-            columns = slice(first, first + 2)
-            delay = people.lags[name == "handle_seen"]
-            made[name] = Sense(lambda columns=columns: people.undelayed()[0, columns], bounds[columns], delay)
+            both = slice(first, first + 2)
+            made[name] = Sense(people, both, bounds[both], people.lags[name == "handle_seen"])
         for name, read in {
             "time": lambda _: people.step[0] * settings.timestep,
             "perturbation": lambda _: people.perturbation()[0],
@@ -125,8 +125,8 @@ class ArmPerturbTask(composer.Task):
             value, expected = getattr(given, field.name), getattr(needed, field.name)
             if value != expected:
                 raise ValueError(
-                    f"choose: trial has a subject with {field.name} = {value:g}; expected {expected:g}, which the "
-                    "task's person has: give the setting person"
+                    f"choose: trial has a subject with {field.name} = {value!r}; expected {expected!r}, "
+                    "which the task's person has; for others, load an environment with the setting person"
                 )
         self._options = options
 
