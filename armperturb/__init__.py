@@ -8,6 +8,7 @@ from armperturb.analysis.identify import identify as identify
 from armperturb.cohort import draw as draw
 from armperturb.environment import Environment as Environment
 from armperturb.environment import Strap as Strap
+from armperturb.envs.registration import load_dm_env as load_dm_env
 from armperturb.envs.registration import register_environments
 from armperturb.perturbations import Multisine as Multisine
 from armperturb.perturbations import MultisineThenPulse as MultisineThenPulse

@@ -76,6 +76,7 @@ class Participants:
       levels: of co-contraction, velocity and position feedback as they are now, (person, 3, element) [-].
       step: of each trial, from 0, (person,).
       n_steps: at which each trial is over, (person,).
+      lags: steps after which joints and hand are felt, and after which the handle is seen.
     """
 
     def __init__(self, settings: TaskSettings, n: int, n_history: int = 0) -> None:
@@ -104,11 +105,11 @@ class Participants:
         self._command = np.zeros((n, 2))
         self._activation = initial_activation(n)
         self._push_now = self._noise_now = np.zeros((self._every, n, 2))
-        self._lag = [
+        self.lags = tuple(
             round(delay / settings.timestep) for delay in (settings.proprioceptive_delay, settings.visual_delay)
-        ]
+        )
         # At least what happens between decisions, to tell how far the handle was.
-        self._senses = trials_adjacent(np.zeros((max(*self._lag, self._every) + 1, n, len(SENSES))), 1)
+        self._senses = trials_adjacent(np.zeros((max(*self.lags, self._every) + 1, n, len(SENSES))), 1)
         self._newest = 0
 
     def start(self, people: Indices, trials: Sequence[Trial]) -> list[Subject]:
@@ -252,12 +253,20 @@ class Participants:
 
     def observe(self) -> NDArray[np.float32]:
         """What everybody senses now, late and within bounds, (person, sense) as in `SENSES`."""
-        felt, seen = (self._senses[(self._newest - lag) % len(self._senses)] for lag in self._lag)
-        observation = felt.copy()
-        observation[:, 0:2] -= self._posture
-        observation[:, 6:8] = self.settings.visual_gain * seen[:, 6:8]
+        felt, seen = (self._sensed(lag) for lag in self.lags)
+        felt[:, 6:8] = seen[:, 6:8]
+        return felt.astype(np.float32)
+
+    def undelayed(self) -> Array:
+        """What everybody will sense of this moment when it has reached them, (person, sense)."""
+        return self._sensed(0)
+
+    def _sensed(self, lag: int) -> Array:
+        sensed = self._senses[(self._newest - lag) % len(self._senses)].copy()
+        sensed[:, 0:2] -= self._posture
+        sensed[:, 6:8] *= self.settings.visual_gain
         bounds = observation_bounds(self.settings)
-        return np.clip(observation, -bounds, bounds).astype(np.float32)
+        return np.clip(sensed, -bounds, bounds)
 
     def judge(self, handle: Array, diverged: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
         """End of the steps of a decision.

@@ -1,8 +1,12 @@
-"""What gymnasium knows of this package: three tasks, by name. Nothing here loads MuJoCo."""
+"""Three tasks by name, for gymnasium and dm_control. To import this loads no MuJoCo."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
+import numpy as np
+
+if TYPE_CHECKING:
+    from dm_control import composer
 
 ENTRY_POINT = "armperturb.envs.gym_env:ArmPerturbEnv"
 VECTOR_ENTRY_POINT = "armperturb.envs.gym_vector_env:ArmPerturbVectorEnv"
@@ -20,3 +24,26 @@ def register_environments() -> None:
     for name, settings in TASKS.items():
         if name not in gym.registry:
             gym.register(name, ENTRY_POINT, vector_entry_point=VECTOR_ENTRY_POINT, kwargs=settings)
+
+
+def load_dm_env(
+    name: str, *, random_state: int | np.random.RandomState | None = None, **settings: Any
+) -> "composer.Environment":
+    """A task as dm_control's composer has it: `dm_control.viewer` and all that knows dm_env take it.
+
+    Its `task` is an `armperturb.envs.dm_task.ArmPerturbTask`.
+
+    Args:
+      name: as gymnasium knows it, e.g. "ArmPerturb/Position-v0".
+      random_state: seed of all episodes, or what they are drawn from; None is another each time.
+      **settings: of `TaskSettings` that differ from those of the name.
+
+    Raises:
+      TypeError: a setting is unknown or has the wrong type.
+      ValueError: the name is unknown, or a setting out of its range.
+    """
+    if name not in TASKS:
+        raise ValueError(f"load_dm_env: name = {name!r}; expected one of {', '.join(TASKS)}")
+    from armperturb.envs.dm_task import compose
+
+    return compose({**TASKS[name], **settings}, random_state)

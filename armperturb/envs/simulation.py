@@ -49,16 +49,52 @@ def silent_simulator() -> Iterator[None]:
         handler.value = before
 
 
-_ANY_MUSCLES: dict[str, Any] = {
+_ANYBODY: dict[str, Any] = {
     **{name: getattr(RELAX, name) for name in ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e")},
     **{f"{quantity}_{entry}": 0.0 for quantity in ("kv", "kp", "ka", "kf") for entry in ("s", "se", "e")},
-    "muscle": None,
+    **{name: getattr(RELAX, name) for name in ("task", "name", "fact_s", "fact_e", "zeta_act", "muscle")},
 }
 """What is replaced in a subject to tell whose compiled models differ in their muscles alone."""
 
-
 MUSCLE_FIELDS = ("jnt_stiffness", "dof_damping", "tendon_stiffness", "tendon_damping")
 """Fields of a model that the springs and dampers of the muscles are in."""
+
+
+def body_of(subject: Subject) -> Subject:
+    """The person but for what a compiled model takes without being compiled again, or knows nothing of."""
+    return replace(subject, **_ANYBODY)
+
+
+def columns(model: mujoco.MjModel, names: Sequence[str]) -> slice:
+    """Where neighbouring joints are; each is one position, one velocity."""
+    first = model.joint(names[0]).qposadr[0]
+    return slice(first, first + len(names))
+
+
+class MuscleFields:
+    """Where a compiled model, or a batch of them, has springs and dampers of the muscle groups."""
+
+    def __init__(self, fields: Sequence[Array], hinges: slice, two_joint: int) -> None:
+        """Find them.
+
+        Args:
+          fields: of `MUSCLE_FIELDS`, (joint or tendon,), or of several trials with the trial first.
+          hinges: where shoulder and elbow are, from `columns`.
+          two_joint: index of the tendon of the two-joint muscles.
+        """
+        self._joints, self._tendons = fields[:2], fields[2:]
+        self._hinges, self._two_joint = hinges, two_joint
+
+    def write(self, stiffness: Array, damping: Array, trials: Any = ...) -> None:
+        """Change the muscles.
+
+        Args:
+          stiffness: of the groups (shoulder, two-joint, elbow) [Nm/rad], (element,) or (trial, element).
+          damping: of the groups [Nms/rad], likewise.
+          trials: indices of those that change, by default all.
+        """
+        for joints, tendons, groups in zip(self._joints, self._tendons, (stiffness, damping), strict=True):
+            joints[trials, self._hinges], tendons[trials, self._two_joint] = groups[..., ::2], groups[..., 1]
 
 
 class Simulation:
@@ -99,15 +135,16 @@ class Simulation:
         self.n_history = max(n_history, *(history_length(subject, timestep) for subject in subjects))
         self._environment, self._rope, self._strap, self._n_threads = environment, rope, strap, n_threads
         self._compiled: dict[Subject, mujoco.MjModel] = {}
-        self._bodies = [_body(subject) for subject in subjects]
+        self._bodies = [body_of(subject) for subject in subjects]
         model = self._compile(self._bodies[0])
-        self._hinge, self._slide = _columns(model, JOINTS), _columns(model, SLIDES)
+        self._hinge, self._slide = columns(model, JOINTS), columns(model, SLIDES)
         self._tendon = model.tendon(BIARTICULAR).id
         self._position = trials_adjacent(np.zeros((len(subjects), model.nq)), 0)
         self._speed = trials_adjacent(np.zeros((len(subjects), model.nv)), 0)
         self.angle, self.velocity = self._position[:, self._hinge], self._speed[:, self._hinge]
         self.handle = self._position[:, self._slide]
-        self.shoulder = self._position[:, _columns(model, STRAP) if strap is not None else slice(0)]
+        self.shoulder = self._position[:, columns(model, STRAP) if strap is not None else slice(0)]
+        self._strength = np.zeros((2, len(subjects), 3))
         self._load()
         everybody = np.arange(len(subjects))
         self._set_muscles_of(everybody, subjects)
@@ -123,10 +160,10 @@ class Simulation:
         batch = self._batch = Batch(models[0], len(models), self._n_threads)
         self._models = [copy.copy(model) for model in models] if len(set(self._bodies)) > 1 else []
         if self._models:
-            self._rows: list[Any] = [[getattr(model, field) for model in self._models] for field in MUSCLE_FIELDS]
-            batch.set_models(self._models)
+            self._muscles = [self._fields(model) for model in self._models]
         else:
-            self._rows = [batch.expand(field) for field in MUSCLE_FIELDS]
+            shared = [batch.expand(field) for field in MUSCLE_FIELDS]
+            self._muscles = [MuscleFields(shared, self._hinge, self._tendon)]
         self._stale = False
         self._qpos, self._qvel, applied = (batch.bind(name) for name in ("qpos", "qvel", "qfrc_applied"))
         self._torque, self._push = applied[:, self._hinge], applied[:, self._slide]
@@ -167,14 +204,13 @@ class Simulation:
           stiffness: of their muscle groups (shoulder, two-joint, elbow) [Nm/rad], (trial, element).
           damping: of the groups [Nms/rad], (trial, element).
         """
-        joints_k, joints_b, tendons_k, tendons_b = self._rows
-        for joints, tendons, groups in ((joints_k, tendons_k, stiffness), (joints_b, tendons_b, damping)):
-            if self._models:
-                for trial, own in zip(trials.tolist(), groups.tolist(), strict=True):
-                    joints[trial][self._hinge], tendons[trial][self._tendon] = own[::2], own[1]
-            else:
-                joints[trials, self._hinge], tendons[trials, self._tendon] = groups[:, ::2], groups[:, 1]
-        self._stale = bool(self._models)  # the batch reads models again when it is told to
+        self._strength[:, trials] = stiffness, damping
+        if self._models:
+            for trial in trials.tolist():
+                self._muscles[trial].write(*self._strength[:, trial])
+            self._stale = True  # the batch reads models again when it is told to
+        else:
+            self._muscles[0].write(stiffness, damping, trials)
 
     def replace(self, trials: Indices, subjects: Sequence[Subject]) -> None:
         """Put other people, at rest, in the place of some trials.
@@ -192,22 +228,19 @@ class Simulation:
                     f"subject {subject.name!r}: delay = {max(subject.Td_s, subject.Td_e):g} s; expected at most "
                     f"{(self.n_history - 1) * self.timestep:g} s, what this simulation remembers"
                 )
-        bodies = [_body(subject) for subject in subjects]
+        bodies = [body_of(subject) for subject in subjects]
         others = [trial for trial, body in zip(trials.tolist(), bodies, strict=True) if body != self._bodies[trial]]
         for trial, body in zip(trials.tolist(), bodies, strict=True):
             self._bodies[trial] = body
         if others and self._models:
             for trial in others:
-                model = self._models[trial] = copy.copy(self._compile(self._bodies[trial]))
-                for rows, field in zip(self._rows, MUSCLE_FIELDS, strict=True):
-                    rows[trial] = getattr(model, field)
+                self._models[trial] = copy.copy(self._compile(self._bodies[trial]))
+                self._muscles[trial] = self._fields(self._models[trial])
         elif others:
-            state, rows = self._batch.state.copy(), self._rows
+            state = self._batch.state.copy()
             self._load()
             self._batch.state[:] = state
-            for into, values in zip(self._rows, rows, strict=True):
-                for trial, own in enumerate(values):
-                    into[trial][:] = own
+            self.set_muscles(np.arange(len(self._bodies)), *self._strength)
         self._set_muscles_of(trials, subjects)
         self._reset(trials)
 
@@ -222,6 +255,9 @@ class Simulation:
         self._batch.warning[trials] = 0
         self._position[trials], self._speed[trials] = self._qpos[trials], self._qvel[trials]
 
+    def _fields(self, model: mujoco.MjModel) -> MuscleFields:
+        return MuscleFields([getattr(model, field) for field in MUSCLE_FIELDS], self._hinge, self._tendon)
+
     def _compile(self, body: Subject) -> mujoco.MjModel:
         if body not in self._compiled:
             self._compiled[body] = build_model(
@@ -234,14 +270,3 @@ class Simulation:
                 visual=False,
             )
         return self._compiled[body]
-
-
-def _body(subject: Subject) -> Subject:
-    """The person but for the muscles, which a compiled model takes without being compiled again."""
-    return replace(subject, **_ANY_MUSCLES)
-
-
-def _columns(model: mujoco.MjModel, names: Sequence[str]) -> slice:
-    """Where neighbouring joints are; each is one position, one velocity."""
-    first = model.joint(names[0]).qposadr[0]
-    return slice(first, first + len(names))
