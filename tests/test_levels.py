@@ -7,6 +7,7 @@ import pytest
 from armperturb import Multisine, Trial, run_experiment
 from armperturb.envs.participants import subject_at
 from armperturb.envs.task import TaskSettings
+from armperturb.subject import at_level
 
 LEVELS = np.array([[0.6, 1.3, 0.9], [1.5, 0.4, 0.0], [0.2, 1.1, 2.0]])
 """Of co-contraction, velocity and position feedback of the muscle groups."""
@@ -34,6 +35,15 @@ def test_levels_of_zero_and_one_are_the_person_s_own():
     for quantity in ("b", "k", "kv", "kp"):
         assert at_rest.joint_triple(quantity) == relaxed.joint_triple(quantity)
     assert at_rest.muscle.of_elements("short_range_stiffness") == relaxed.muscle.of_elements("short_range_stiffness")
+
+
+def test_beyond_one_all_torques_are_in_proportion_to_the_level():
+    person = TaskSettings().own
+    found, expected = subject_at(TaskSettings(), np.full((3, 3), 1.7)), at_level(person, 1.7)
+    for quantity in ("b", "k", "kv", "kp"):
+        assert found.joint_triple(quantity) == pytest.approx(expected.joint_triple(quantity), rel=1e-12)
+    short_range = expected.muscle.of_elements("short_range_stiffness")
+    assert found.muscle.of_elements("short_range_stiffness") == pytest.approx(short_range, rel=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def subject_at(settings: TaskSettings, levels: ArrayLike) -> Subject:
     Args:
       settings: of the task.
       levels: of co-contraction, velocity and position feedback of each muscle group, (3, element) [-], >= 0: 0 is the
-        person relaxed, 1 the person's position task.
+        person relaxed, 1 the person's position task, and beyond it, torques are in proportion to the level.
 
     Raises:
       TypeError: levels are no numbers.
@@ -345,16 +345,20 @@ def _strength(subjects: Sequence[Subject]) -> Strength:
 
 
 def _between(relaxed: Strength, position: Strength, levels: Array) -> Strength:
-    """Muscles and reflexes at levels between two, or beyond, (person, 3, element); exact at levels of 0 and of 1."""
+    """Muscles and reflexes at levels, (person, 3, element): between two up to 1, in proportion beyond, as `at_level`.
+
+    Exact at levels of 0 and of 1.
+    """
     level = dict(zip(("muscle", "velocity", "position"), levels.swapaxes(0, 1), strict=True))
 
     def groups(low: Array, high: Array, level: Array) -> Array:
-        return (1.0 - level) * low + level * high
+        return (1.0 - np.minimum(level, 1.0)) * low + level * high
 
     def triples(low: Array, high: Array, level: Array) -> Array:
         mixed = groups(low, high, level)
         # An entry of the diagonal has the two-joint group in it, whose level may be another.
-        mixed[:, ::2] += (level[:, 1:2] - level[:, ::2]) * (high - low)[:, 1:2]
+        two_joint = low[:, 1:2], high[:, 1:2]
+        mixed[:, ::2] += groups(*two_joint, level[:, 1:2]) - groups(*two_joint, level[:, ::2])
         return mixed
 
     parts = {
