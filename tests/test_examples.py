@@ -24,3 +24,10 @@ def test_muscle_law_is_drawn(tmp_path, capsys):
     runpy.run_path(str(ROOT / "examples" / "muscle_law.py"))["main"](tmp_path / "law.png")
     assert (tmp_path / "law.png").read_bytes().startswith(b"\x89PNG")
     assert "wrote" in capsys.readouterr().out
+
+
+def test_effort_and_accuracy_are_traded_off(tmp_path, capsys):
+    example = runpy.run_path(str(ROOT / "examples" / "effort_and_accuracy.py"))
+    example["main"](tmp_path / "folder", example["FAST"])
+    assert (tmp_path / "folder" / "effort_and_accuracy.png").read_bytes().startswith(b"\x89PNG")
+    assert "people, published" in capsys.readouterr().out
