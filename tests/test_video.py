@@ -2,6 +2,8 @@
 
 import ctypes.util
 import os
+import re
+import subprocess
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
@@ -69,11 +71,13 @@ SMALL = Clip(width=160, height=120, start=1.0, stop=1.2)
 
 
 def decoded(path):
-    """Frame rate and frames of a file, (frame, height, width, 3)."""
-    reader = imageio_ffmpeg.read_frames(str(path))
-    about = next(reader)
-    width, height = about["size"]
-    return about, np.stack([np.frombuffer(frame, np.uint8).reshape(height, width, 3) for frame in reader])
+    """Frame rate and frames of a file, (frame, height, width, 3), as the encoder itself reads them."""
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    done = subprocess.run(command, capture_output=True, check=True)
+    about = done.stderr.decode()
+    width, height = map(int, re.search(r"Video: .*?, (\d+)x(\d+)", about).groups())
+    rate = float(re.search(r"([\d.]+) fps", about).group(1))
+    return rate, np.frombuffer(done.stdout, np.uint8).reshape(-1, height, width, 3)
 
 
 @needs_gl
@@ -81,16 +85,15 @@ def decoded(path):
     ("name", "view", "slow", "shape", "rate"),
     [
         ("a.mp4", "both", 1.0, (6, 180, 320, 3), 30.0),
-        ("a.MP4", "top", 3.0, (18, 180, 160, 3), 30.0),
-        ("a.gif", "oblique", 2.0, (8, 180, 160, 3), 20.0),
+        ("a.GIF", "oblique", 2.0, (8, 180, 160, 3), 20.0),
     ],
 )
 def test_a_file_has_the_frames_that_were_asked_for(replay, tmp_path, name, view, slow, shape, rate):
     clip, told = replace(SMALL, view=view, slow=slow), []
     write_video(replay, tmp_path / name, clip, progress=lambda *done: told.append(done))
-    about, found = decoded(tmp_path / name)
+    found_rate, found = decoded(tmp_path / name)
     assert found.shape == shape
-    assert about["fps"] == rate
+    assert found_rate == rate
     assert told[-1] == (shape[0], shape[0])
     drawn = np.stack(list(frames(replay, clip, frame_times(replay, clip, rate))))
     # A codec loses detail, but no frame is another one, upside down, or in other colours.
@@ -233,7 +236,7 @@ def test_forces_of_the_scale_are_round(largest, expected):
 def test_colours_are_those_of_the_figures():
     assert {DISTURBANCE, REACTION} == set(style.COLOURS.values())
     assert (overlay.INK, overlay.GREY) == (style.INK, style.GREY)
-    assert overlay.RULE == style._SETTINGS["grid.color"]
+    assert style._SETTINGS["grid.color"] == overlay.RULE
 
 
 @pytest.fixture
@@ -316,6 +319,8 @@ def test_without_gl_names_the_package_and_leaves_nothing(file, capsys, monkeypat
     assert os.listdir(file.parent) == ["rec.nc"]
 
 
+# mediapy leaves the pipes of an encoder that failed to the garbage collector.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @needs_gl
 def test_a_failing_encoder_leaves_the_old_file(file, capsys, monkeypatch):
     out = file.parent / "a.mp4"
@@ -328,12 +333,12 @@ def test_a_failing_encoder_leaves_the_old_file(file, capsys, monkeypatch):
 
 
 @needs_gl
-def test_command_writes_a_gif(file, capsys):
-    out = file.parent / "a.gif"
+def test_command_writes_a_video(file, capsys):
+    out = file.parent / "a.MP4"
     options = ("--trial", 0, "--out", out, "--size", "160x120", "--stop", 0.2, "--view", "top")
     assert cli.main([str(word) for word in ("video", file, *options)]) == 0
     assert capsys.readouterr().out == f"video: {out}\n"
-    assert decoded(out)[1].shape == (4, 180, 160, 3)
+    assert decoded(out)[1].shape == (6, 180, 160, 3)
 
 
 def test_viewer_says_where_there_is_no_display(file, capsys, monkeypatch):
