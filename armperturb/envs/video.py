@@ -137,7 +137,7 @@ def frames(replay: Replay, clip: Clip, times: Array) -> Iterator[Picture]:
     qpos, d, f, displacement = (
         replay.at(values, times) for values in (replay.qpos, replay.disturbance, replay.reaction, replay.displacement)
     )
-    _simplify(replay.model)
+    _simplify(replay.model, clip.height)
     chart = StripChart(
         replay.time[shown],
         replay.disturbance[shown],
@@ -282,8 +282,9 @@ def _encoder(path: Path, shape: tuple[int, int], frame_rate: float) -> Any:
     )
 
 
-def _simplify(model: mujoco.MjModel) -> None:
+def _simplify(model: mujoco.MjModel, height: int) -> None:
     """Leave out what costs much time and hardly shows: fine shadows, fine facets and the floor's reflection."""
     quality = model.vis.quality
-    quality.shadowsize, quality.numslices, quality.numstacks = 2048, 20, 10
+    quality.shadowsize = 1024 if height <= 480 else 2048
+    quality.numslices, quality.numstacks = 20, 10
     model.mat_reflectance[:] = 0.0
