@@ -173,9 +173,10 @@ class Video:
     slow: float = 1.0
     """How many times slower than life, e.g. 10 for a pulse; below 1 it is faster."""
     start: float | None = None
-    """Where in the trial to start [s]; by default at its start or, of a pulse that is slowed down, 0.2 s before it."""
+    """Where in the trial to start [s]; by default at its start."""
     stop: float | None = None
-    """Where in the trial to stop [s]; by default at its end or, of a pulse that is slowed down, 1 s after its onset."""
+    """Where in the trial to stop [s]; by default at its end. A pulse that is slowed down is shown from 0.2 s before its
+    onset to 1 s after it, unless --start or --stop is given."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -416,9 +417,7 @@ def view(settings: View) -> None:
         watch_rig(RELAX if settings.subject is None else Subject.load(settings.subject))
         return
     if settings.subject is not None:
-        raise ValueError(
-            f"view: subject = {str(settings.subject)!r}; expected none with a recording, which has its own"
-        )
+        raise ValueError(f"view: subject = {str(settings.subject)!r}; expected none beside a recording")
     recording = load_recording(settings.recording, optional=SIGNALS)
     watch_trial(Replay.of_trial(recording, settings.trial, str(settings.recording)), slow=settings.slow)
 

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from armperturb.envs.gl import close_at_exit, new_context
+from armperturb.envs.gl import GL_HELP, close_at_exit, new_context
 
 DISTURBANCE, REACTION, PATH = "#D55E00", "#0072B2", "#CC79A7"
 """Colours of the force on the manipulator, the force on the hand, and the handle's path, from Okabe and Ito's
@@ -88,7 +88,7 @@ class Camera:
             self._context: Any = _small_context(model, width, height)
         except Exception as error:
             self._window.free()
-            raise RuntimeError(f"Camera: MuJoCo cannot draw here ({' '.join(str(error).split())})") from error
+            raise RuntimeError(f"Camera: MuJoCo cannot draw ({' '.join(str(error).split())}); {GL_HELP}") from error
         close_at_exit(self)
         # The first picture of a context may be a hair different from the same one later; so it is none that counts.
         self._eye.fixedcamid = 0
@@ -202,7 +202,7 @@ class Camera:
         length = math.hypot(*arrow.vector)
         if length < 1e-4:
             return
-        start = self._data.body("carriage").xpos + (0.0, 0.0, ARROW_HEIGHT + arrow.lift)
+        start = self._data.body("carriage").xpos + np.array([0.0, 0.0, ARROW_HEIGHT + arrow.lift])
         tip = start + 2.0 * np.array([*arrow.vector, 0.0])  # MuJoCo draws arrows half as long as their connector
         # A short arrow is thin, so that its head does not stand out over its tip.
         self._add_segment(

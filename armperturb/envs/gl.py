@@ -1,8 +1,8 @@
 """How pictures are drawn without a window: the one place that chooses between EGL, OSMesa and a window library.
 
 MuJoCo and dm_control read MUJOCO_GL once, when they are first imported, and unset take a window library, which draws
-nothing where there is no display. Who has set MUJOCO_GL has chosen; with a display MuJoCo's own choice stands; otherwise
-it is EGL, and OSMesa where EGL gives no context.
+nothing where there is no display. Who has set MUJOCO_GL has chosen; with a display MuJoCo's own choice stands;
+otherwise it is EGL, and OSMesa where EGL gives no context.
 """
 
 import atexit
@@ -10,6 +10,7 @@ import functools
 import importlib
 import os
 import sys
+import warnings
 import weakref
 from typing import Any, Protocol
 
@@ -87,10 +88,12 @@ def new_context(width: int, height: int) -> Any:
     # Not by mujoco.GLContext alone: MuJoCo may have been imported before anyone chose.
     module = f"mujoco.{chosen}" if chosen in HEADLESS else "mujoco.gl_context"
     try:
-        return importlib.import_module(module).GLContext(width, height)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("error", category=UserWarning)  # which is all that glfw makes of its errors
+            return importlib.import_module(module).GLContext(width, height)
     except Exception as error:  # whatever a window library raises, or that there is none with MUJOCO_GL=off
-        tried = f"MUJOCO_GL={chosen}" if chosen else "the display of this session"
-        raise RuntimeError(f"no OpenGL context with {tried} ({_said(error)}); {GL_HELP}") from error
+        tried = f"MUJOCO_GL={chosen}" if chosen else "the display of this session (MUJOCO_GL=egl needs none)"
+        raise RuntimeError(f"no OpenGL context with {tried}: {_said(error)}; {GL_HELP}") from error
 
 
 @functools.cache

@@ -6,7 +6,7 @@ from typing import Self
 import mujoco
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
 from armperturb.analysis.kinematics import joint_rotations, start_posture
@@ -73,8 +73,8 @@ class Replay:
             raise ValueError(f"{source}: trial = {trial}; expected 0 to {n_trials - 1}")
         one = recording.isel(trial=[int(trial)])
         label = {name: one[name].values[0] for name in ("subject", "condition", "pulse_level", "pulse_direction")}
-        body = {name: float(one[name].values[0]) for name in BODY}
-        for name, value in body.items():
+        body = [float(one[name].values[0]) for name in BODY]
+        for name, value in zip(BODY, body, strict=True):
             if not np.isfinite(value):
                 raise ValueError(f"{source}: {name} of trial {trial} is {value}; expected the subject's, to draw it")
         shoulder = None
@@ -83,7 +83,8 @@ class Replay:
             marker = one["shoulder_marker"].values
             shoulder = signal.sosfiltfilt(sections, marker, axis=1, padlen=min(15, marker.shape[1] - 1))
         try:
-            subject = replace(RELAX, **body)
+            l_h, l_f, theta_s_deg, theta_e_deg = body
+            subject = replace(RELAX, l_h=l_h, l_f=l_f, theta_s_deg=theta_s_deg, theta_e_deg=theta_e_deg)
             if "joint_angle" in one:
                 angle = one["joint_angle"].values[0]
             else:
@@ -108,14 +109,14 @@ class Replay:
 
     @property
     def duration(self) -> float:
-        """Time of the last sample [s]."""
-        return float(self.time[-1])
+        """Of the trial [s]; the last sample stands for its own step."""
+        return float(self.time[-1] + self.time[1])
 
-    def at(self, values: Array, times: Array) -> Array:
+    def at(self, values: Array, times: ArrayLike) -> Array:
         """Values of one of the signals at other times, linearly between samples, (..., column).
 
         Args:
           values: such as `qpos`, (time, column).
           times: [s], (...).
         """
-        return np.stack([np.interp(times, self.time, column) for column in values.T], axis=-1)
+        return np.stack([np.interp(np.asarray(times, dtype=float), self.time, column) for column in values.T], axis=-1)

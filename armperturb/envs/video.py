@@ -49,8 +49,9 @@ class Clip:
       width: of each view [pixel], even.
       height: of each view [pixel], a multiple of 4, so that the strip chart of half that height is even, too.
       slow: how many times slower than life, > 0.
-      start: in the trial [s]; None for its start or, of a pulse that is slowed down, `BEFORE_PULSE` before its onset.
-      stop: in the trial [s]; None for its end or, likewise, `AFTER_PULSE` after the onset.
+      start: in the trial [s]; None for its start.
+      stop: in the trial [s]; None for its end. Where both are None, a pulse that is slowed down is shown from
+        `BEFORE_PULSE` before its onset to `AFTER_PULSE` after it.
 
     Raises:
       TypeError: a value has the wrong type.
@@ -86,16 +87,11 @@ class Clip:
         Raises:
           ValueError: they are outside the trial, or in the wrong order.
         """
-        first, last = 0.0, replay.duration
-        if self.slow > 1.0 and replay.pulse_onset is not None:
+        first = 0.0 if self.start is None else self.start
+        last = replay.duration if self.stop is None else self.stop
+        if self.slow > 1.0 and replay.pulse_onset is not None and self.start is None and self.stop is None:
             first = max(first, replay.pulse_onset - BEFORE_PULSE)
             last = min(last, replay.pulse_onset + AFTER_PULSE)
-        if self.start is not None:
-            first = self.start
-            last = last if last > first else replay.duration
-        if self.stop is not None:
-            last = self.stop
-            first = first if first < last or self.start is not None else 0.0
         if not first < last <= replay.duration:
             raise ValueError(
                 f"video: from {first:g} s to {last:g} s; expected a start before the stop, and both in the trial of "
@@ -141,7 +137,7 @@ def frames(replay: Replay, clip: Clip, times: Array) -> Iterator[Picture]:
     qpos, d, f, displacement = (
         replay.at(values, times) for values in (replay.qpos, replay.disturbance, replay.reaction, replay.displacement)
     )
-    _simplify(replay.model)
+    _simplify(replay.model, clip.height)
     chart = StripChart(
         replay.time[shown],
         replay.disturbance[shown],
@@ -286,8 +282,9 @@ def _encoder(path: Path, shape: tuple[int, int], frame_rate: float) -> Any:
     )
 
 
-def _simplify(model: mujoco.MjModel) -> None:
-    """Leave out what costs much of a frame's time and hardly shows: fine shadows, fine facets and the floor's reflection."""
+def _simplify(model: mujoco.MjModel, height: int) -> None:
+    """Leave out what costs much time and hardly shows: fine shadows, fine facets and the floor's reflection."""
     quality = model.vis.quality
-    quality.shadowsize, quality.numslices, quality.numstacks = 2048, 20, 10
+    quality.shadowsize = 1024 if height <= 480 else 2048
+    quality.numslices, quality.numstacks = 20, 10
     model.mat_reflectance[:] = 0.0
