@@ -21,7 +21,7 @@ from armperturb import Multisine, Subject, Trial, run_experiment
 from armperturb.analysis.arm_model import largest_real_pole
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
 from armperturb.cohort import average_person
-from armperturb.envs.participants import subject_at
+from armperturb.envs.levels import subject_at
 from armperturb.envs.task import TaskSettings
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study import published

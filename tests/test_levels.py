@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from armperturb import Multisine, Trial, run_experiment
-from armperturb.envs.participants import subject_at
+from armperturb.envs.levels import subject_at
 from armperturb.envs.task import TaskSettings
 from armperturb.subject import at_level
 

@@ -7,11 +7,10 @@ from dataclasses import fields
 from typing import Any
 
 import numpy as np
-from dm_control import composer, mjcf
-from dm_control.composer.observation import observable
 from dm_env import specs
 from numpy.typing import ArrayLike, NDArray
 
+from armperturb.envs.dm import composer, mjcf, observable
 from armperturb.envs.entities import Rig
 from armperturb.envs.gym_env import ONLY, task_settings
 from armperturb.envs.participants import Participants, action_bounds, action_names, observation_bounds, own_action

@@ -11,10 +11,9 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-from dm_control import composer, mjcf
-from dm_control.composer.observation import observable
 
 from armperturb.environment import Environment, Strap
+from armperturb.envs.dm import composer, mjcf, observable
 from armperturb.models import (
     ARM_XML,
     BIARTICULAR,

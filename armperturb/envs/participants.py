@@ -5,8 +5,6 @@ Whoever moves the arms (the batch, dm_control) asks, in this order: `start` for 
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,15 +13,12 @@ from armperturb.controllers.arm_control import ArmControl, Strength
 from armperturb.controllers.layout import trials_adjacent
 from armperturb.controllers.muscle import Indices
 from armperturb.controllers.reflex import activate, initial_activation
+from armperturb.envs.levels import GROUPS, strength_between, strength_of
 from armperturb.envs.task import TaskSettings
 from armperturb.envs.trial import Trial, held_force, noise_torque, subject_in
 from armperturb.subject import Subject
-from armperturb.validation import require_number
 
 Array = NDArray[np.float64]
-
-GROUPS = ("shoulder", "two-joint", "elbow")
-"""Muscle groups (eq. 2.10)."""
 
 SENSES = (
     *("stretch of the shoulder", "stretch of the elbow", "velocity of the shoulder", "velocity of the elbow"),
@@ -64,41 +59,6 @@ def own_action(settings: TaskSettings) -> Array:
     return np.array([0.0 if name.startswith("torque") else level for name in action_names(settings)])
 
 
-def subject_at(settings: TaskSettings, levels: ArrayLike) -> Subject:
-    """The task's person with a nervous system that stays at some levels, whatever happens.
-
-    In a trial, this person moves as one whose agent keeps to these levels.
-
-    Args:
-      settings: of the task.
-      levels: of co-contraction, velocity and position feedback of each muscle group, (3, element) [-], >= 0: 0 is the
-        person relaxed, 1 the person's position task, and beyond it, torques are in proportion to the level.
-
-    Raises:
-      TypeError: levels are no numbers.
-      ValueError: they have the wrong shape, or one of them is not finite or negative.
-    """
-    values = np.asarray(levels)
-    if values.dtype.kind not in "fiub":
-        raise TypeError(f"subject_at: levels of type {values.dtype}; expected numbers")
-    if values.shape != (3, len(GROUPS)):
-        raise ValueError(f"subject_at: levels of shape {values.shape}; expected (3, {len(GROUPS)})")
-    for kind, row in zip(("co-contraction", "velocity feedback", "position feedback"), values.tolist(), strict=True):
-        for group, level in zip(GROUPS, row, strict=True):
-            require_number("subject_at", f"level of {kind}, {group}", level, at_least=0.0)
-    strength = _between(*(_strength([subject]) for subject in settings.people), values.astype(float)[None])
-    changes: dict[str, Any] = {
-        f"{quantity}_{joint}": float(entry)
-        for quantity in ("b", "k", "kv", "kp")
-        for joint, entry in zip(("s", "se", "e"), getattr(strength, quantity)[0], strict=True)
-    }
-    own = settings.own
-    if own.muscle is not None:
-        short_range = tuple(strength.short_range_groups[0].tolist())
-        changes["muscle"] = replace(own.muscle, short_range_stiffness=short_range)
-    return replace(own, **changes)
-
-
 def observation_bounds(settings: TaskSettings) -> Array:
     """Largest absolute value of each part of an observation, (sense,)."""
     # In darkness everything seen is zero; a space must have some extent all the same.
@@ -135,7 +95,7 @@ class Participants:
         self._kept = (
             np.exp(-1.0 / (settings.control_rate * settings.activation_time)) if settings.activation_time else 0.0
         )
-        ends = [_strength([subject] * n) for subject in settings.people]
+        ends = [strength_of([subject] * n) for subject in settings.people]
         self._relaxed, self._position = ends
         self._posture = np.zeros((n, 2))
         self._push, self._noise = np.zeros((2, n, self._every, 2))  # longer with the first trials
@@ -190,7 +150,7 @@ class Participants:
 
     def _put(self, people: Indices, subjects: Sequence[Subject]) -> None:
         own = self._position if self.settings.task == "PT" else self._relaxed
-        for name, values in vars(_strength(subjects)).items():
+        for name, values in vars(strength_of(subjects)).items():
             getattr(own, name)[people] = values
         self.control.replace(people, subjects)
         self.levels[people] = 1.0 if self.settings.task == "PT" else 0.0
@@ -235,7 +195,7 @@ class Participants:
         if settings.torque:
             self._command = trials_adjacent(actions[:, column:] * settings.highest_torque, 0)
         changed = np.flatnonzero((self.levels != before).any(axis=(1, 2)))
-        strength = _between(self._relaxed.take(changed), self._position.take(changed), self.levels[changed])
+        strength = strength_between(self._relaxed.take(changed), self._position.take(changed), self.levels[changed])
         if len(changed):
             self.control.set_strength(changed, strength)
         # What is over for some, who wait for their next trial, is zero.
@@ -331,57 +291,3 @@ class Participants:
     def perturbation(self) -> Array:
         """Disturbance at this moment [N], (person, axis)."""
         return self._recorded[self._n, np.minimum(self.step // self._every, self._recorded.shape[1] - 1)]
-
-
-def _strength(subjects: Sequence[Subject]) -> Strength:
-    """Muscles and reflexes of people as they are."""
-
-    def triples(quantity: str) -> Array:
-        return np.array([subject.joint_triple(quantity) for subject in subjects])
-
-    def groups(quantity: str) -> Array:
-        return np.array([subject.muscle_groups(quantity) for subject in subjects])
-
-    short_range = [s.muscle.of_elements("short_range_stiffness") if s.muscle else (0.0, 0.0, 0.0) for s in subjects]
-    return Strength(
-        k=triples("k"),
-        k_groups=groups("k"),
-        b=triples("b"),
-        b_groups=groups("b"),
-        short_range_groups=np.array(short_range),
-        kv=triples("kv"),
-        kv_groups=groups("kv"),
-        kp=triples("kp"),
-    )
-
-
-def _between(relaxed: Strength, position: Strength, levels: Array) -> Strength:
-    """Muscles and reflexes at levels, (person, 3, element): between two up to 1, in proportion beyond, as `at_level`.
-
-    Exact at levels of 0 and of 1.
-    """
-    level = dict(zip(("muscle", "velocity", "position"), levels.swapaxes(0, 1), strict=True))
-
-    def groups(low: Array, high: Array, level: Array) -> Array:
-        return (1.0 - np.minimum(level, 1.0)) * low + level * high
-
-    def triples(low: Array, high: Array, level: Array) -> Array:
-        mixed = groups(low, high, level)
-        # An entry of the diagonal has the two-joint group in it, whose level may be another.
-        two_joint = low[:, 1:2], high[:, 1:2]
-        mixed[:, ::2] += groups(*two_joint, level[:, 1:2]) - groups(*two_joint, level[:, ::2])
-        return mixed
-
-    parts = {
-        "k": (triples, "muscle"),
-        "k_groups": (groups, "muscle"),
-        "b": (triples, "muscle"),
-        "b_groups": (groups, "muscle"),
-        "short_range_groups": (groups, "muscle"),
-        "kv": (triples, "velocity"),
-        "kv_groups": (groups, "velocity"),
-        "kp": (triples, "position"),
-    }
-    return Strength(
-        **{name: mix(getattr(relaxed, name), getattr(position, name), level[of]) for name, (mix, of) in parts.items()}
-    )
