@@ -344,9 +344,11 @@ def test_the_limit_of_the_workspace_terminates_and_the_end_truncates():
 
 
 @pytest.mark.filterwarnings("ignore:The 'warn' function is deprecated")
-def test_what_cannot_be_integrated_terminates_with_the_penalty_and_the_next_episode_is_sound():
-    env = armperturb.load_dm_env(RELAX_TASK)
-    env.task.choose(trial=pushed(1e100))
+@pytest.mark.parametrize("force", [1e10, 1e100])
+def test_what_cannot_be_integrated_terminates_with_the_penalty_and_the_next_episode_is_sound(force):
+    settings = {"proprioceptive_delay": 0.0, "visual_delay": 0.005}
+    env = armperturb.load_dm_env(RELAX_TASK, **settings)
+    env.task.choose(trial=pushed(force))
     env.reset()
     timestep = env.step(env.task.own_action)
     assert timestep.last()
@@ -354,7 +356,7 @@ def test_what_cannot_be_integrated_terminates_with_the_penalty_and_the_next_epis
     assert timestep.reward <= -env.task.settings.limit_penalty
     assert np.isfinite(sensed(timestep)).all()
     results = []
-    for one in (env, armperturb.load_dm_env(RELAX_TASK)):
+    for one in (env, armperturb.load_dm_env(RELAX_TASK, **settings)):
         one.task.choose(trial=pushed(0.1))
         results.append(episode(one))
     np.testing.assert_array_equal(*results)

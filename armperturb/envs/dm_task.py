@@ -182,8 +182,6 @@ class ArmPerturbTask(composer.Task):
         diverged = (self._warnings[DIVERGED] > 0).any(keepdims=True)
         rewards, terminated, truncated = self._people.judge(self._handle, diverged)
         self._reward, self._terminated, self._truncated = float(rewards[0]), bool(terminated[0]), bool(truncated[0])
-        if diverged[0]:
-            self._people.rest(ONLY)  # what is left in muscles and senses may be infinite
 
     def get_reward(self, physics: mjcf.Physics) -> float:
         """Of the last decision, see `Participants.judge`."""
