@@ -385,6 +385,20 @@ def test_senses_come_late_and_begin_with_their_initial_value():
         timestep = env.step(env.task.own_action)
 
 
+def test_what_is_padded_stays_as_it_was():
+    env = armperturb.load_dm_env(PULSE_TASK, **SHORT)
+    names = ["time", "perturbation", "co_contraction"]
+    for name in names:
+        env.task.observables[name].configure(enabled=True, buffer_size=4)
+    first = env.reset().observation
+    seen = [first, *(env.step(np.zeros(11)).observation for _ in range(3))]
+    for name in names:
+        expected = [first[name][-1], *(one[name][-1] for one in seen[1:])]
+        np.testing.assert_array_equal(seen[-1][name], expected)
+        np.testing.assert_array_equal(seen[1][name], [expected[0]] * 3 + [expected[1]])
+    assert (np.diff(seen[-1]["co_contraction"], axis=0) < 0.0).all()
+
+
 def test_what_no_person_knows_can_be_observed():
     env = armperturb.load_dm_env(POSITION_TASK, **SHORT)
     observables = env.task.observables

@@ -88,7 +88,7 @@ class ArmPerturbTask(composer.Task):
         for name, read in {
             "time": lambda _: people.step[0] * settings.timestep,
             "perturbation": lambda _: people.perturbation()[0],
-            "co_contraction": lambda _: people.levels[0, 0],
+            "co_contraction": lambda _: people.levels[0, 0].copy(),  # composer would keep a view as padding
         }.items():
             made[name] = observable.Generic(read, update_interval=settings.steps_per_decision)
         return made
