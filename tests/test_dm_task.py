@@ -344,9 +344,11 @@ def test_the_limit_of_the_workspace_terminates_and_the_end_truncates():
 
 
 @pytest.mark.filterwarnings("ignore:The 'warn' function is deprecated")
-def test_what_cannot_be_integrated_terminates_with_the_penalty_and_the_next_episode_is_sound():
-    env = armperturb.load_dm_env(RELAX_TASK)
-    env.task.choose(trial=pushed(1e100))
+@pytest.mark.parametrize("force", [1e10, 1e100])
+def test_what_cannot_be_integrated_terminates_with_the_penalty_and_the_next_episode_is_sound(force):
+    settings = {"proprioceptive_delay": 0.0, "visual_delay": 0.005}
+    env = armperturb.load_dm_env(RELAX_TASK, **settings)
+    env.task.choose(trial=pushed(force))
     env.reset()
     timestep = env.step(env.task.own_action)
     assert timestep.last()
@@ -354,7 +356,7 @@ def test_what_cannot_be_integrated_terminates_with_the_penalty_and_the_next_epis
     assert timestep.reward <= -env.task.settings.limit_penalty
     assert np.isfinite(sensed(timestep)).all()
     results = []
-    for one in (env, armperturb.load_dm_env(RELAX_TASK)):
+    for one in (env, armperturb.load_dm_env(RELAX_TASK, **settings)):
         one.task.choose(trial=pushed(0.1))
         results.append(episode(one))
     np.testing.assert_array_equal(*results)
@@ -381,6 +383,20 @@ def test_senses_come_late_and_begin_with_their_initial_value():
             # The newest is that of the last step, n decisions of 20 steps after the first.
             assert moved.all() == (20 * n > observables[name].delay), f"{name} after {n} decisions"
         timestep = env.step(env.task.own_action)
+
+
+def test_what_is_padded_stays_as_it_was():
+    env = armperturb.load_dm_env(PULSE_TASK, **SHORT)
+    names = ["time", "perturbation", "co_contraction"]
+    for name in names:
+        env.task.observables[name].configure(enabled=True, buffer_size=4)
+    first = env.reset().observation
+    seen = [first, *(env.step(np.zeros(11)).observation for _ in range(3))]
+    for name in names:
+        expected = [first[name][-1], *(one[name][-1] for one in seen[1:])]
+        np.testing.assert_array_equal(seen[-1][name], expected)
+        np.testing.assert_array_equal(seen[1][name], [expected[0]] * 3 + [expected[1]])
+    assert (np.diff(seen[-1]["co_contraction"], axis=0) < 0.0).all()
 
 
 def test_what_no_person_knows_can_be_observed():

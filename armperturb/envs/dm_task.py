@@ -87,7 +87,7 @@ class ArmPerturbTask(composer.Task):
         for name, read in {
             "time": lambda _: people.step[0] * settings.timestep,
             "perturbation": lambda _: people.perturbation()[0],
-            "co_contraction": lambda _: people.levels[0, 0],
+            "co_contraction": lambda _: people.levels[0, 0].copy(),  # composer would keep a view as padding
         }.items():
             made[name] = observable.Generic(read, update_interval=settings.steps_per_decision)
         return made
@@ -183,8 +183,6 @@ class ArmPerturbTask(composer.Task):
         diverged = (self._warnings[DIVERGED] > 0).any(keepdims=True)
         rewards, terminated, truncated = self._people.judge(self._handle, diverged)
         self._reward, self._terminated, self._truncated = float(rewards[0]), bool(terminated[0]), bool(truncated[0])
-        if diverged[0]:
-            self._people.rest(ONLY)  # what is left in muscles and senses may be infinite
 
     def get_reward(self, physics: mjcf.Physics) -> float:
         """Of the last decision, see `Participants.judge`."""
