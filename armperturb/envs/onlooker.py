@@ -61,9 +61,9 @@ class Onlooker:
         """The moment as a picture, (height, width, 3); arguments, errors and the rest as `Camera` has them."""
         if self._camera is None:
             self._camera = Camera(self._drawn_model(), width=width, height=height)
-        return self._camera.draw(
-            self._pose, view, arrows=force_arrows(*self._forces, self._scale), trail=np.array(self._trail)
-        )
+        disturbance, reaction = self._forces
+        arrows = force_arrows(disturbance, reaction, self._scale)
+        return self._camera.draw(self._pose, view, arrows=arrows, trail=np.array(self._trail))
 
     def show(self) -> None:
         """Show the moment in a window, no earlier than it is due.
