@@ -42,9 +42,6 @@ class Session:
         Args:
           people: indices of those who begin, rising.
           trials: one for each of them.
-
-        Raises:
-          ValueError: a subject's delays are longer than those of the task's person.
         """
         self.simulation.replace(people, self.people.start(people, trials))
 

@@ -15,7 +15,7 @@ from armperturb.environment import Environment
 from armperturb.envs.trial import Trial, require_integrable
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, Sampled, check_bandwidth
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.subject import POSITION, RELAX, TASKS, Subject
+from armperturb.subject import POSITION, RELAX, TASKS, Subject, at_level
 from armperturb.validation import require_number
 
 PERTURBATIONS = ("none", "multisine", "pulse", "multisine-pulse")
@@ -154,6 +154,8 @@ class TaskSettings:
             require_number(owner, "earliest onset of onset_window", window[0], above=0.0)
         for subject in self.people:
             self._require_sound(subject)
+        highest = at_level(self.people[1], self.highest_level)
+        require_integrable(highest, self.environment, None, self.timestep)
 
     def _require_sound(self, subject: Subject) -> None:
         require_stable(subject, self.environment)
@@ -208,8 +210,8 @@ class TaskSettings:
 
         Raises:
           TypeError: an option has the wrong type.
-          ValueError: an option is unknown or out of its range, or the trial's subject is unstable, of the other task or
-            too fast for the step.
+          ValueError: an option is unknown or out of its range, or the trial's subject is unstable, of the other task,
+            too fast for the step, or has longer delays than the task's person.
         """
         settings = self.with_options(options)
         if options and "trial" in options:
@@ -241,6 +243,9 @@ class TaskSettings:
         if trial.subject.task != self.task:
             raise ValueError(f"reset: trial has the task {trial.subject.task}; expected {self.task}")
         self._require_sound(trial.subject)
+        longest = max(max(subject.Td_s, subject.Td_e) for subject in self.people)
+        for name in ("Td_s", "Td_e"):
+            require_number("reset", f"{name} of the trial's subject", getattr(trial.subject, name), at_most=longest)
         check_bandwidth(trial.perturbation, 1.0 / self.timestep)
         require_number("reset", "duration of the trial", trial.perturbation.duration, at_least=1.0 / self.control_rate)
         return trial
