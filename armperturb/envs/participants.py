@@ -85,7 +85,8 @@ def subject_at(settings: TaskSettings, levels: ArrayLike) -> Subject:
     for kind, row in zip(("co-contraction", "velocity feedback", "position feedback"), values.tolist(), strict=True):
         for group, level in zip(GROUPS, row, strict=True):
             require_number("subject_at", f"level of {kind}, {group}", level, at_least=0.0)
-    strength = _between(*(_strength([subject]) for subject in settings.people), values.astype(float)[None])
+    relaxed, position = (_strength([subject]) for subject in settings.people)
+    strength = _between(relaxed, position, values.astype(float)[None])
     changes: dict[str, Any] = {
         f"{quantity}_{joint}": float(entry)
         for quantity in ("b", "k", "kv", "kp")
