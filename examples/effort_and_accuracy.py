@@ -37,7 +37,8 @@ TASK = TaskSettings(task="PT")
 UNIT = TASK.co_contraction_weight + TASK.reflex_weight  # effort of level 1, by the environment's own weights
 HIGHEST = 4.0  # level that an action of 1 stands for
 LOST = 1e6  # cost of a trial that ends at the limit of the workspace
-CHOSEN, FIXED = "weight of effort × 1", "level 1 in all"
+CHOSEN, FIXED, OWN_LEVELS = "effort × 1", "level 1", "three levels"
+OWN = "#E69F00"
 FALL = published.headline("admittance_amplitude_factor_pt")
 
 
@@ -48,14 +49,14 @@ class Size:
     levels: int = 13
     realisations: int = 2
     candidates: int = 16
-    generations: int = 12
+    generations: int = 14
     lead: float = 2.0  # before the reward counts
     scored: float = PERIOD / 2
     step: float = 2.5e-3  # of the simulation
     settle: float = 8.0  # before the admittance is estimated
 
 
-FAST = Size(levels=4, realisations=1, candidates=5, generations=1, lead=0.2, scored=0.4, step=5e-3, settle=0.5)
+FAST = Size(levels=4, realisations=1, candidates=5, generations=1, lead=0.2, scored=0.4, settle=0.5)
 
 
 def arm_at(levels: np.ndarray) -> Subject:
@@ -86,7 +87,6 @@ def mean_cost(force: float, levels: np.ndarray, effort: float, size: Size, noise
         co_contraction="common",
         torque=False,
         highest_level=HIGHEST,
-        limit_penalty=LOST,
         co_contraction_weight=effort * TASK.co_contraction_weight,
         reflex_weight=effort * TASK.reflex_weight,
     )
@@ -111,17 +111,18 @@ class OneLevel:
     levels: dict[str, np.ndarray]
     error: dict[str, np.ndarray]
 
-    @property
-    def weight(self) -> float:
-        """Of the level squared, with which a person stays at level 1 in the known condition."""
-        return weight_of(self.levels[KNOWN], np.sqrt(self.error[KNOWN]), 1.0)
+    def weight(self, power: float = 2.0) -> float:
+        """Of the level to a power, with which a person stays at level 1 in the known condition."""
+        return weight_of(self.levels[KNOWN] ** (power / 2.0), np.sqrt(self.error[KNOWN]), 1.0)
 
-    def optimum(self, factor: float = 1.0) -> dict[str, np.ndarray]:
+    def optimum(self, factor: float = 1.0, power: float = 2.0) -> dict[str, np.ndarray]:
         """Condition to the best levels (3,), alike, with a multiple of that weight."""
-        return {
-            name: np.full(3, chosen_level(self.levels[name], np.sqrt(self.error[name]), factor * self.weight))
-            for name in FORCES
-        }
+        found = {}
+        for name in FORCES:
+            levels = self.levels[name] ** (power / 2.0)
+            best = chosen_level(levels, np.sqrt(self.error[name]), factor * self.weight(power))
+            found[name] = np.full(3, best ** (2.0 / power))
+        return found
 
 
 def try_one_level(size: Size, noise: bool) -> OneLevel:
@@ -196,36 +197,35 @@ def identified(arms: dict[str, dict[str, np.ndarray]], size: Size) -> dict[tuple
 
 
 @in_style()
-def picture(calm: OneLevel, own: dict[str, np.ndarray], own_cost: dict[str, float], found: dict, falls: dict) -> Figure:
-    figure = new_figure(5.6)
+def picture(
+    calm: OneLevel, own_cost: dict[str, float], found: dict[tuple[str, str], Arm], falls: dict[str, float]
+) -> Figure:
+    figure = new_figure(5.9)
     panels = figure.subplots(2, 3)
+    dashed, dotted = {"linestyle": (0, (4, 2)), "linewidth": 1.0}, {"color": GREY, "linestyle": (0, (1, 1.2))}
     for ax, (name, colour) in zip(panels[0], SHADES.items(), strict=True):
-        levels, error, effort = calm.levels[name], calm.error[name], calm.weight * calm.levels[name] ** 2
-        ax.loglog(levels, error, color=GREY, linestyle=(0, (4, 2)))
-        ax.loglog(levels, effort, color=GREY, linestyle=(0, (1, 1.2)))
-        ax.loglog(levels, error + effort, color=colour)
+        levels, error, effort = calm.levels[name], calm.error[name], calm.weight() * calm.levels[name] ** 2
+        ax.loglog(levels, error, color=GREY)
+        ax.loglog(levels, effort, **dotted)
+        ax.loglog(levels, error + effort, color=colour, linewidth=1.8)
         best = calm.optimum()[name][0]
-        ax.plot(best, np.interp(best, levels, error + effort), "o", color=colour, markersize=6)
-        ax.axhline(own_cost[name], color=INK, linewidth=0.8)
-        ax.set(title=f"{name}: best level {best:.2f}", xlabel="level of everything [-]")
-        ax.set_xticks([0.3, 0.5, 1, 2], ["0.3", "0.5", "1", "2"])
+        ax.plot(best, np.interp(best, levels, error + effort), "o", color=colour, markersize=7)
+        ax.axhline(own_cost[name], color=OWN, linewidth=1.0)
+        ax.set(title=f"{name}: level {best:.2f} is best", xlabel="level [-]", xlim=(0.22, 2.9))
+        ax.set_ylim(0.6 * min(error.min(), effort.min()), 30.0 * own_cost[name])
+        ax.set_xticks([0.25, 0.5, 1, 2], ["0.25", "0.5", "1", "2"])
         ax.set_xticks([], minor=True)
     panels[0, 0].set_ylabel("cost per decision [-]")
     for axis, ax in enumerate(panels[1, :2]):
         for name, colour in SHADES.items():
-            for arm, look in ((CHOSEN, {"marker": "o", "markersize": 3}), (FIXED, {"linestyle": (0, (4, 2))})):
-                one = found[arm, name]
-                ax.loglog(one.frequency, one.gain[:, axis], color=colour, linewidth=1.2, **look)
-        one = found[CHOSEN, "PT2.5"]
+            chosen, fixed = found[CHOSEN, name], found[FIXED, name]
+            ax.loglog(chosen.frequency, chosen.gain[:, axis], color=colour, marker="o", markersize=2.5)
+            ax.loglog(fixed.frequency, fixed.gain[:, axis], color=colour, **dashed)
+        smallest = found[CHOSEN, "PT2.5"]
         ax.plot(
-            one.frequency[:2],
-            one.gain[:2, axis] / FALL,
-            "x",
-            color=PUBLISHED["color"],
-            markersize=6,
-            markeredgewidth=1.6,
+            smallest.frequency[:2], smallest.gain[:2, axis] / FALL, "x", markersize=6, markeredgewidth=1.6, **PUBLISHED
         )
-        ax.set_ylabel(f"$|H_{{{2 * AXES[axis]}}}|$ [m/N]")
+        ax.set_title(f"$|H_{{{2 * AXES[axis]}}}|$ [m/N]")
         label_frequency(ax)
     ax = panels[1, 2]
     for row, (name, fall) in enumerate(falls.items()):
@@ -234,47 +234,52 @@ def picture(calm: OneLevel, own: dict[str, np.ndarray], own_cost: dict[str, floa
     ax.axvline(FALL, **PUBLISHED)
     ax.axvline(1.0, color=GREY, linewidth=0.8)
     ax.set_yticks(range(len(falls)), list(falls))
-    ax.invert_yaxis()
-    ax.set(xlabel="fall from PT2.5 to PT22.5 [-]", ylim=(len(falls) - 0.5, -0.8))
-    handles = [Line2D([], [], color=colour, label=name) for name, colour in SHADES.items()]
-    handles += [
-        Line2D([], [], color=GREY, linestyle=(0, (4, 2)), label="error; below, level 1"),
-        Line2D([], [], color=GREY, linestyle=(0, (1, 1.2)), label="effort"),
-        Line2D([], [], color=INK, linewidth=0.8, label="three levels of their own"),
-        Line2D([], [], label=f"fall of {FALL:g}, published", **PUBLISHED),
+    ax.set(title="fall from PT2.5 to PT22.5 [-]", ylim=(len(falls) - 0.5, -0.9), xlim=(0.2, 1.15 * max(falls.values())))
+    ax.grid(axis="y", visible=False)
+    lines = [Line2D([], [], color=colour, label=name) for name, colour in SHADES.items()]
+    lines += [
+        Line2D([], [], color=GREY, label="error"),
+        Line2D([], [], label="effort", **dotted),
+        Line2D([], [], color=OWN, linewidth=1.0, label=OWN_LEVELS),
+        Line2D([], [], color=INK, label=FIXED, **dashed),
+        Line2D([], [], marker="x", linestyle="", label=f"PT2.5 over {FALL:g}, as published", **PUBLISHED),
     ]
-    legend(figure, *handles, n_columns=4)
+    legend(figure, *lines, n_columns=4)
     return figure
 
 
 def main(folder: Path, size: Size) -> None:
     calm, noisy = (try_one_level(size, noise) for noise in (False, True))
-    effort = calm.weight / UNIT
-    with tqdm(total=len(FORCES) * (size.generations + 1), desc="three levels", unit="generation") as bar:
+    effort = calm.weight() / UNIT
+    with tqdm(total=len(FORCES) * (size.generations + 1), desc=OWN_LEVELS, unit="generation") as bar:
         own = {name: best_of_three(force, calm.optimum()[name], effort, size, bar) for name, force in FORCES.items()}
     person = average_person()
     arms = {
         FIXED: {name: np.ones(3) for name in FORCES},
-        **{f"weight of effort × {factor:g}": calm.optimum(factor) for factor in (0.5, 1.0, 2.0)},
-        "noisy person": noisy.optimum(),
-        "three levels": own,
-        "calibrated levels": {name: np.full(3, person.levels.get(name, 1.0)) for name in FORCES},
+        **{f"effort × {factor:g}": calm.optimum(factor) for factor in (0.5, 1.0, 2.0)},
+        "effort cubed": calm.optimum(power=3.0),
+        "noisy": noisy.optimum(),
+        OWN_LEVELS: own,
+        "calibrated": {name: np.full(3, person.levels.get(name, 1.0)) for name in FORCES},
     }
     found = identified(arms, size)
     falls = {name: float(np.mean(found[name, "PT2.5"].gain[:2] / found[name, "PT22.5"].gain[:2])) for name in arms}
     own_cost = {name: float(mean_cost(FORCES[name], own[name][None], effort, size)[0]) for name in FORCES}
     folder.mkdir(parents=True, exist_ok=True)
-    save_png(picture(calm, own, own_cost, found, falls), folder / "effort_and_accuracy.png", 110.0)
+    save_png(picture(calm, own_cost, found, falls), folder / "effort_and_accuracy.png", 110.0)
 
-    print(f"effort: {effort:.3g} times the environment's weights ({noisy.weight / UNIT:.3g} with noise)")
-    print(f"{'':24}" + "".join(f"{name:>24}" for name in FORCES) + f"{'fall':>7}")
+    print(f"effort: {effort:.3g} times the environment's weights ({noisy.weight() / UNIT:.3g} with noise)")
+    print(f"{'':18}" + "".join(f"{name:>24}" for name in FORCES) + f"{'fall':>7}")
     for name, chosen in arms.items():
         cells = ""
         for condition, levels in chosen.items():
             told = " ".join(f"{level:.2f}" for level in dict.fromkeys(levels.tolist()))
             cells += f"{f'{told} {1e3 * found[name, condition].displacement:5.1f} mm':>24}"
-        print(f"{name:24}{cells}{falls[name]:7.2f}")
-    print(f"{'people, published':24}" + " " * 72 + f"{FALL:7.2f}")
+        print(f"{name:18}{cells}{falls[name]:7.2f}")
+    print(f"{'people, published':18}" + " " * 72 + f"{FALL:7.2f}")
+    print(f"cost of {OWN_LEVELS}: " + ", ".join(f"{name} {cost:.3g}" for name, cost in own_cost.items()))
+    alike = {name: mean_cost(FORCES[name], calm.optimum()[name][None], effort, size)[0] for name in FORCES}
+    print("cost of one level: " + ", ".join(f"{name} {cost:.3g}" for name, cost in alike.items()))
     if size == FAST:
         return
     rule = derived_levels(person, THESIS, FORCES)

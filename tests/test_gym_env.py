@@ -287,8 +287,9 @@ def test_who_reaches_the_limit_pays_and_the_trial_ends():
     while not ends or not ends[-1][2]:
         ends.append(env.step(env.own_action))
         assert not ends[-1][3]
-    assert ends[-1][1] < -env.settings.limit_penalty
-    assert min(end[1] for end in ends[:-1]) > -env.settings.limit_penalty
+    x = ends[-1][4]["displacement"]
+    # 50 decisions in all: those that were to come are charged, and this one.
+    assert ends[-1][1] == pytest.approx(-100.0 * (x @ x) - 100.0 * (51 - len(ends)), rel=1e-12)
     recording = run_experiment(
         [Trial(subject=env.settings.own, perturbation=Pulse(peak=900.0, direction_deg=20.0, onset=0.1, duration=1.0))],
         rate=1000.0,

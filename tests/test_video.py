@@ -374,7 +374,7 @@ def window(monkeypatch):
             self.shown.append((self.data.time, self.data.qpos.copy()))
 
     windows = []
-    monkeypatch.setattr(viewer, "_open", Window)
+    monkeypatch.setattr(viewer, "open_window", Window)
     monkeypatch.setattr(viewer, "require_display", lambda: None)
     return windows
 

@@ -275,7 +275,8 @@ class Participants:
 
         Returns:
           Rewards, terminations and truncations, (person,) each: minus displacement_weight |x|^2, minus the weighted
-          effort; a trial terminates at the limit of the workspace, and is truncated when it is over.
+          effort; a trial terminates at the limit of the workspace, where this decision and all that were to come cost
+          limit_cost, and is truncated when it is over.
         """
         settings = self.settings
         self.step += self._every
@@ -286,7 +287,8 @@ class Participants:
         reach = np.abs(self._senses[steps, :, 6:8]).max(axis=0)
         terminated = (reach >= settings.environment.workspace).any(axis=1) | diverged
         rewards = -settings.displacement_weight * np.square(handle).sum(axis=1) - effort
-        return rewards - settings.limit_penalty * terminated, terminated, self.step >= self.n_steps
+        lost = np.where(terminated, np.maximum(self.n_steps - self.step, 0) // self._every + 1, 0)
+        return rewards - settings.limit_cost * lost, terminated, self.step >= self.n_steps
 
     def perturbation(self) -> Array:
         """Disturbance at this moment [N], (person, axis)."""

@@ -58,7 +58,7 @@ class TaskSettings:
       reflexes: whether the agent sets reflex gains.
       torque: whether the agent adds torque at the joints.
       highest_level: of co-contraction and reflex gains that an action of 1 stands for [-]: 0 is the person relaxed, 1
-        the person's position task.
+        the person's position task; beyond, torques are in proportion.
       highest_torque: that an action of 1 stands for [Nm].
       activation_time: with which muscles follow a new level of co-contraction [s]; 0 is at once. The default is the
         delay at low frequencies of the reflexes' activation filter, 2 zeta / omega.
@@ -69,8 +69,8 @@ class TaskSettings:
       co_contraction_weight: on the mean square level of the muscle groups [-].
       reflex_weight: on the mean square reflex level [-].
       torque_weight: on the mean square torque over `highest_torque` [-].
-      limit_penalty: taken once from a trial that ends at the limit of the workspace; more than holding on costs, so
-        that to give up never pays [-].
+      limit_cost: of each decision that was to come when a trial ends at the limit of the workspace [-]. To give up does
+        not pay as long as holding on costs less.
 
     Raises:
       TypeError: a value has the wrong type.
@@ -103,7 +103,7 @@ class TaskSettings:
     co_contraction_weight: float = 0.3
     reflex_weight: float = 0.1
     torque_weight: float = 0.3
-    limit_penalty: float = 1000.0
+    limit_cost: float = 100.0
 
     def __post_init__(self) -> None:
         owner = "TaskSettings"
@@ -130,7 +130,7 @@ class TaskSettings:
             require_number(owner, name, getattr(self, name), above=0.0)
         require_number(owner, "duration", self.duration, at_most=3600.0)
         for name in (
-            *("activation_time", "proprioceptive_delay", "visual_delay", "visual_gain", "limit_penalty"),
+            *("activation_time", "proprioceptive_delay", "visual_delay", "visual_gain", "limit_cost"),
             *(own.name for own in fields(self) if own.name.endswith("_weight")),
         ):
             require_number(owner, name, getattr(self, name), at_least=0.0)
