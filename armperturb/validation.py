@@ -1,7 +1,7 @@
 """The one way in which a bad value is refused: field, value, what was expected."""
 
 import math
-from numbers import Real
+from numbers import Integral, Real
 
 
 def require_number(
@@ -43,3 +43,21 @@ def require_number(
         if math.isfinite(bound)
     ]
     raise ValueError(f"{owner}: {field} = {value!r}; expected a finite number {' and '.join(expected)}".rstrip())
+
+
+def require_whole(owner: str, field: str, value: object, *, at_least: int) -> None:
+    """Refuse anything but a whole number from a bound on.
+
+    Args:
+      owner: what the field belongs to, for the message.
+      field: name of the field, for the message.
+      value: the value to check.
+      at_least: inclusive lower bound.
+
+    Raises:
+      TypeError: value is not a whole number.
+      ValueError: value is out of bounds.
+    """
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        raise TypeError(f"{owner}: {field} = {value!r}; expected a whole number")
+    require_number(owner, field, value, at_least=at_least)

@@ -253,7 +253,7 @@ def test_a_trial_is_of_the_person_as_it_is_in_that_trial():
 BAD_ACTIONS = [
     (np.full(11, np.nan), ValueError, r"action\[0\] .* = nan; expected 0 to 1"),
     (np.full(11, 1.01), ValueError, r"action\[0\] .* = 1.01; expected 0 to 1"),
-    (np.append(np.zeros(10), -2.0), ValueError, r"action\[10\] \(torque, elbow\) = -2; expected -1 to 1"),
+    (np.append(np.zeros(10), -2.0), ValueError, r"action\[10\] \(torque, elbow\) = -2.0; expected -1 to 1"),
     (np.zeros(3), ValueError, "expected .*co-contraction, shoulder"),
     (["a"] * 11, TypeError, "expected numbers"),
 ]
@@ -336,7 +336,7 @@ def test_the_limit_of_the_workspace_terminates_and_the_end_truncates():
         assert env.step(env.task.own_action).step_type is StepType.FIRST
     limited, over = last[20.0], last[0.1]
     assert limited[0].discount == 0.0
-    assert limited[0].reward < -env.task.settings.limit_cost * (21 - limited[1])
+    assert limited[0].reward == pytest.approx(-env.task.settings.worst * (21 - limited[1]))
     assert limited[1] < 20
     assert over[0].discount == 1.0
     assert over[0].reward > -1.0
@@ -353,7 +353,7 @@ def test_what_cannot_be_integrated_terminates_with_the_penalty_and_the_next_epis
     timestep = env.step(env.task.own_action)
     assert timestep.last()
     assert timestep.discount == 0.0
-    assert timestep.reward <= -env.task.settings.limit_cost
+    assert timestep.reward < -env.task.settings.worst
     assert np.isfinite(sensed(timestep)).all()
     results = []
     for one in (env, armperturb.load_dm_env(RELAX_TASK, **settings)):

@@ -3,6 +3,7 @@
 import hashlib
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import gymnasium as gym
@@ -14,11 +15,13 @@ from gymnasium.vector import AutoresetMode
 from armperturb import POSITION, RELAX, MultisineThenPulse, Pulse, Trial, run_experiment
 from armperturb.analysis.arm_model import hand_jacobian
 from armperturb.cohort import draw_person
-from armperturb.controllers.remnant import HUMAN_NOISE
+from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
 from armperturb.environment import Environment
+from armperturb.envs.gym_vector_env import ArmPerturbVectorEnv
 from armperturb.envs.levels import subject_at
 from armperturb.envs.participants import SENSES, action_names
 from armperturb.envs.registration import TASKS
+from armperturb.envs.simulation import _warning_handler
 from armperturb.envs.task import TaskSettings
 from armperturb.perturbations import Multisine
 from armperturb.subject import at_level
@@ -199,7 +202,11 @@ def test_without_autoreset_the_user_says_who_begins():
     with pytest.raises(RuntimeError, match="environment 0 has no trial; expected reset first"):
         envs.step(own)
     _, infos = envs.reset(options={"reset_mask": np.array([True, False])})
-    np.testing.assert_allclose(infos["time"], [0.0, 0.06])
+    assert infos["_time"].tolist() == [True, False]
+    with pytest.raises(RuntimeError, match="environment 1 has no trial"):
+        envs.step(own)
+    envs.reset(options={"reset_mask": np.array([False, True])})
+    np.testing.assert_allclose(envs.step(own)[4]["time"], [0.02, 0.02])
 
 
 def test_trials_are_truncated_by_their_own_clock():
@@ -288,8 +295,11 @@ def test_who_reaches_the_limit_pays_and_the_trial_ends():
         ends.append(env.step(env.own_action))
         assert not ends[-1][3]
     x = ends[-1][4]["displacement"]
-    # 50 decisions in all: those that were to come are charged, and this one.
-    assert ends[-1][1] == pytest.approx(-100.0 * (x @ x) - 100.0 * (51 - len(ends)), rel=1e-12)
+    assert np.abs(x).max() > 0.3
+    # Of 50 decisions this one and those that were to come cost the far corner and all effort.
+    worst = 100.0 * 2 * 0.35**2 + 0.3 + 0.1 + 0.3
+    assert ends[-1][1] == pytest.approx(-worst * (51 - len(ends)), rel=1e-12)
+    assert min(end[1] for end in ends[:-1]) > -worst
     recording = run_experiment(
         [Trial(subject=env.settings.own, perturbation=Pulse(peak=900.0, direction_deg=20.0, onset=0.1, duration=1.0))],
         rate=1000.0,
@@ -302,15 +312,19 @@ def test_what_cannot_be_integrated_ends_its_own_trial_only():
     envs = vectorised(2, "ArmPerturb/Relax-v0", perturbation="pulse", noise=False, **SHORT)
     lone = vectorised(1, "ArmPerturb/Relax-v0", perturbation="pulse", noise=False, **SHORT)
     expected = lone.reset(seed=1)
-    envs.reset(seed=0, options={"peak": 1e12})
+    huge = Pulse(peak=1e30, direction_deg=20.0, onset=0.1, duration=0.6)
+    envs.reset(options={"trial": Trial(subject=envs.settings.own, perturbation=huge)})
     envs.reset(seed=[0, 1], options={"reset_mask": np.array([False, True])})
     still = np.zeros((2, *lone.single_action_space.shape), dtype=np.float32)
     ended = False
-    for _ in range(40):
-        observations, _, terminated, _, infos = envs.step(still)
+    for decision in range(30):
+        observations, rewards, terminated, _, infos = envs.step(still)
         expected = lone.step(still[:1])
         assert np.isfinite(observations).all()
-        ended |= terminated[0]
+        if terminated[0]:
+            ended = True
+            assert infos["diverged"].tolist() == [True, False]
+            assert rewards[0] == pytest.approx(-envs.settings.worst * (30 - decision))
         np.testing.assert_array_equal(infos["displacement"][1], expected[4]["displacement"][0])
     assert ended
 
@@ -326,13 +340,26 @@ def test_levels_follow_a_decision_with_the_activation_time():
         np.testing.assert_allclose(info["co_contraction"], 0.25 + 0.75 * np.exp(-0.2 * decision), rtol=1e-7)
 
 
+def test_how_often_is_decided_hardly_changes_what_a_new_level_does():
+    ends = []
+    for rate in (20.0, 100.0):
+        env = made(control_rate=rate, duration=0.5, perturbation="pulse", onset_window=(0.0, 0.0), noise=False)
+        env.reset(seed=1)
+        action = env.own_action.copy()
+        action[:3] = 0.3
+        for _ in range(round(0.5 * rate)):
+            info = env.step(action)[4]
+        ends.append(info["displacement"])
+    np.testing.assert_allclose(ends[0], ends[1], rtol=0.03)
+
+
 def test_constant_levels_make_the_person_of_those_levels():
     settings = {"activation_time": 0.0, "noise": False, "duration": 0.6, "highest_level": 2.0}
     env = made(**settings)
     levels = np.array([[0.5, 0.25, 1.25], [0.25, 0.5, 0.75], [0.75, 0.5, 0.25]])
     env.reset(seed=0)
     action = np.append(levels.ravel() / 2.0, [0.0, 0.0]).astype(np.float32)
-    trial = TaskSettings(**settings).trial(np.random.default_rng(0))
+    trial = TaskSettings(**settings).drawing()(np.random.default_rng(0))
     person = subject_at(env.settings, levels)
     recording = run_experiment([replace(trial, subject=person)], rate=50.0)
     env.reset(options={"trial": trial})
@@ -374,7 +401,7 @@ def test_options_change_one_trial():
 def test_several_forces_are_drawn_from():
     settings = TaskSettings(rms=(1.0, 4.0), duration=1.0, onset_window=(0.1, 0.2))
     rng = np.random.default_rng(0)
-    drawn = [settings.trial(rng).perturbation for _ in range(40)]
+    drawn = [settings.drawing()(rng).perturbation for _ in range(40)]
     assert {multisine.rms for multisine in drawn} == {1.0, 4.0}
     assert len({multisine.phases.tobytes() for multisine in drawn}) == 40
     # Turned phases are the same periodic signal, begun elsewhere: crest factors are those of few realisations.
@@ -400,7 +427,17 @@ BAD_SETTINGS = [
     ({"perturbation": "pulse", "onset_window": (1.0, 9.99)}, ValueError, "latest onset of onset_window = 9.99"),
     ({"onset_window": (2.0, 1.0)}, ValueError, "expected the earliest onset first"),
     ({"person": "published"}, ValueError, "expected 'common' or 'off', as a muscle group of subject 'position'"),
-    ({"highest_level": 40.0}, ValueError, "fastest pole of arm and environment"),
+    (
+        {"highest_level": 40.0},
+        ValueError,
+        "highest_level = 40.0: subject 'average': fastest pole of",
+    ),
+    ({"highest_level": 0.5}, ValueError, "highest_level = 0.5; expected a finite number at least 1"),
+    ({"timestep": 1e-9}, ValueError, "timestep = 1e-09; expected a finite number at least 1e-05"),
+    ({"timestep": 0.03}, ValueError, "expected a whole number of steps of 0.03 s in a decision"),
+    ({"visual_gain": 1e39}, ValueError, r"visual_gain = 1e\+39"),
+    ({"rms": 1e300}, ValueError, r"rms = 1e\+300"),
+    ({"task": np.array(["PT", "RT"])}, ValueError, "task = array"),
     ({"delay": 0.1}, TypeError, "unknown setting 'delay'; expected some of task, person"),
     ({"view": "side"}, ValueError, "view = 'side'; expected one of oblique, top"),
     ({"width": 0}, ValueError, "width = 0; expected a finite number at least 1"),
@@ -443,7 +480,7 @@ def test_bad_actions_are_refused_and_change_nothing(column, value, message):
 def test_actions_of_another_shape_or_kind_are_refused():
     env = made(**SHORT)
     env.reset(seed=0)
-    with pytest.raises(ValueError, match=r"actions of shape \(1, 3\); expected \(1, 11\): co-contraction, shoulder"):
+    with pytest.raises(ValueError, match=r"action of shape \(3,\); expected \(11,\): co-contraction, shoulder"):
         env.step(np.zeros(3))
     with pytest.raises(TypeError, match="action of type <U1; expected numbers"):
         env.step(np.array(["a"] * 11))
@@ -454,6 +491,7 @@ def test_actions_of_another_shape_or_kind_are_refused():
     [
         ({"pulse": 3}, ValueError, "unknown option 'pulse'; expected some of perturbation, rms"),
         ({"rms": -1.0}, ValueError, "rms = -1.0"),
+        ("rms", TypeError, "options = 'rms'; expected a dict"),
         ({"trial": 3}, TypeError, "trial = 3; expected Trial"),
         ({"trial": study_trials("RT")[0]}, ValueError, "trial has the task RT; expected PT"),
         ({"trial": study_trials("PT")[0], "rms": 1.0}, ValueError, "expected nothing else beside a trial"),
@@ -463,7 +501,7 @@ def test_actions_of_another_shape_or_kind_are_refused():
             "Td_s of the trial's subject = 0.031; expected a finite number at most 0.03",
         ),
     ],
-    ids=["unknown", "range", "type", "task", "both", "delay"],
+    ids=["unknown", "range", "dict", "type", "task", "both", "delay"],
 )
 def test_bad_options_are_refused(options, error, message):
     env = made(**SHORT)
@@ -471,6 +509,49 @@ def test_bad_options_are_refused(options, error, message):
         env.reset(seed=0, options=options)
     env.reset(seed=0)
     env.step(env.own_action)
+
+
+@pytest.mark.filterwarnings("error")
+def test_who_is_refused_has_lost_nothing():
+    envs, reference = (vectorised(3, autoreset_mode="Disabled", **SHORT) for _ in range(2))
+    own = np.tile(envs.own_action, (3, 1))
+    envs.reset(seed=0)
+    reference.reset(seed=0)
+    envs.step(own)
+    reference.step(own)
+    quick = HumanNoise(remnant_share=0.1, remnant_cutoff=600.0)  # the simulation cannot render it
+    trial = replace(study_trials("PT")[0], noise=quick)
+    mask = np.array([False, True, False])
+    for seed, options, message in (
+        (7, {"trial": trial, "reset_mask": mask}, "remnant_cutoff = 600"),
+        (8, {"pulse": 3}, "unknown option"),
+        ([1, -1, 2], None, "Seed must be greater or equal to zero"),
+    ):
+        with pytest.raises(Exception, match=message):
+            envs.reset(seed=seed, options=options)
+    assert data_equivalence(envs.step(own), reference.step(own), exact=True)
+    assert data_equivalence(envs.reset(), reference.reset(), exact=True)
+
+
+def test_infos_are_of_those_who_were_reset():
+    settings = {"autoreset_mode": "Disabled", **SHORT}
+    ours = vectorised(2, **settings)
+    theirs = vectorised(2, mode="sync", vector_kwargs={"autoreset_mode": "Disabled"}, **SHORT)
+    own = np.tile(ours.own_action, (2, 1))
+    for envs in (ours, theirs):
+        envs.reset(seed=0)
+        envs.step(own)
+    resets = [envs.reset(options={"reset_mask": np.array([False, True])}) for envs in (ours, theirs)]
+    assert data_equivalence(*resets, exact=True)
+
+
+def test_warnings_of_the_simulator_come_back_after_threads():
+    handler, _ = _warning_handler()
+    before = handler.value
+    envs = [made(**SHORT) for _ in range(3)]
+    with ThreadPoolExecutor(3) as pool:
+        list(pool.map(lambda env: path(env, 15, seed=0), envs))
+    assert handler.value == before
 
 
 def test_no_step_before_reset():
@@ -486,6 +567,45 @@ def test_seeds_and_masks_must_fit():
         envs.reset(seed=[1, 2])
     with pytest.raises(ValueError, match="reset_mask of type bool and shape"):
         envs.reset(options={"reset_mask": np.array([True])})
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "message"),
+    [
+        ({"num_envs": 2.5}, TypeError, "num_envs = 2.5; expected a whole number"),
+        ({"num_envs": 0}, ValueError, "num_envs = 0"),
+        ({"max_episode_steps": 2.5}, TypeError, "max_episode_steps = 2.5"),
+        ({"n_threads": -1}, ValueError, "n_threads = -1"),
+        ({"n_threads": "a"}, TypeError, "n_threads = 'a'"),
+        (
+            {"autoreset_mode": "NEXT_STEP"},
+            ValueError,
+            "autoreset_mode = 'NEXT_STEP'; expected one of NextStep",
+        ),
+    ],
+)
+def test_bad_numbers_of_people_are_refused(settings, error, message):
+    with pytest.raises(error, match=message):
+        ArmPerturbVectorEnv(**{"num_envs": 2, **settings})
+
+
+@pytest.mark.parametrize("seed", [1.5, {0: 1}, "1", [1, 2.5], True])
+def test_odd_seeds_are_refused(seed):
+    with pytest.raises(TypeError, match="expected a whole number, or one"):
+        vectorised(2, **SHORT).reset(seed=seed)
+
+
+def test_seeds_may_be_numpys():
+    envs = vectorised(2, **SHORT)
+    plain = envs.reset(seed=3)[1]["perturbation"]
+    for seed in (np.int64(3), np.array([3, 4]), (3, 4)):
+        np.testing.assert_array_equal(envs.reset(seed=seed)[1]["perturbation"], plain)
+
+
+def test_nothing_to_see_before_reset():
+    for envs in (made(render_mode="rgb_array", **SHORT), vectorised(2, render_mode="rgb_array", **SHORT)):
+        with pytest.raises(RuntimeError, match="no trial has begun; expected reset first"):
+            envs.render()
 
 
 def test_pictures_show_the_handle_moving():

@@ -87,7 +87,7 @@ class ArmPerturbTask(composer.Task):
         for name, read in {
             "time": lambda _: people.step[0] * settings.timestep,
             "perturbation": lambda _: people.perturbation()[0],
-            "co_contraction": lambda _: people.levels[0, 0].copy(),  # composer would keep a view as padding
+            "co_contraction": lambda _: people.reached[0].copy(),  # composer would keep a view as padding
         }.items():
             made[name] = observable.Generic(read, update_interval=settings.steps_per_decision)
         return made
@@ -118,7 +118,7 @@ class ArmPerturbTask(composer.Task):
           TypeError: an option has the wrong type.
           ValueError: an option is unknown or out of its range, or the trial's subject has another body.
         """
-        trial = self.settings.trial(np.random.default_rng(0), options)
+        trial = self.settings.drawing(options)(np.random.default_rng(0))
         needed, given = body_of(self.settings.own), body_of(trial.subject)
         for field in fields(needed):
             value, expected = getattr(given, field.name), getattr(needed, field.name)
@@ -152,7 +152,7 @@ class ArmPerturbTask(composer.Task):
         self._tolerant.close()
         rng = np.random.default_rng(random_state.randint(2**63, dtype=np.int64))
         options, self._options = self._options, {}
-        self.trial = self.settings.trial(rng, options)
+        self.trial = self.settings.drawing(options)(rng)
         (subject,) = self._people.start(ONLY, [self.trial])
         self._muscles.write(np.array(subject.muscle_groups("k")), np.array(subject.muscle_groups("b")))
 

@@ -1,6 +1,5 @@
 """The gymnasium environment: one person in trials of a task, whose nervous system is the agent."""
 
-from numbers import Integral
 from typing import Any
 
 import gymnasium as gym
@@ -14,7 +13,7 @@ from armperturb.envs.participants import action_bounds, observation_bounds, own_
 from armperturb.envs.session import Session
 from armperturb.envs.task import TaskSettings
 from armperturb.envs.viewer import require_display
-from armperturb.validation import require_number
+from armperturb.validation import require_whole
 
 VIEWS = ("oblique", "top")
 """Cameras of the rig."""
@@ -103,8 +102,9 @@ class ArmPerturbEnv(gym.Env):
           TypeError: an option has the wrong type.
           ValueError: an option is unknown or out of its range.
         """
+        draw = self.settings.drawing(options)  # first: who is refused has lost nothing
         super().reset(seed=seed)
-        trial = self.settings.trial(self.np_random, options)
+        trial = draw(self.np_random)
         self._session.start(ONLY, [trial])
         self._running = True
         self._onlooker.begin(trial.subject)
@@ -139,6 +139,8 @@ class ArmPerturbEnv(gym.Env):
         """
         if self.render_mode != "rgb_array":
             return None
+        if not self._onlooker.sees:
+            raise RuntimeError("render: no trial has begun; expected reset first")
         return self._onlooker.picture(*self._picture)
 
     def close(self) -> None:
@@ -151,7 +153,7 @@ class ArmPerturbEnv(gym.Env):
             self._onlooker.notice(*(info[name].copy() for name in WATCHED))
             if self.render_mode == "human":
                 self._onlooker.show()
-        return {**info, "time": float(info["time"])}
+        return {**info, "time": float(info["time"]), "diverged": bool(info["diverged"])}
 
 
 def onlooker(settings: TaskSettings) -> Onlooker:
@@ -169,9 +171,7 @@ def checked_picture(view: str, width: int, height: int) -> tuple[str, int, int]:
     """
     require_one_of("view", view, VIEWS)
     for name, value in (("width", width), ("height", height)):
-        require_number("render", name, value, at_least=1)
-        if not isinstance(value, Integral):
-            raise TypeError(f"render: {name} = {value!r}; expected a whole number")
+        require_whole("render", name, value, at_least=1)
     return view, int(width), int(height)
 
 
@@ -194,5 +194,5 @@ def require_one_of(name: str, value: object, known: tuple[object, ...]) -> None:
     Raises:
       ValueError: value is not among the known.
     """
-    if value not in known:
+    if not (value is None or isinstance(value, str)) or value not in known:
         raise ValueError(f"{name} = {value!r}; expected one of {', '.join(map(str, known))}")

@@ -1,6 +1,7 @@
 """The vectorised gymnasium environment: many people on one batch, each the same to the last bit as alone."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,8 @@ from armperturb.envs.gym_env import (
 )
 from armperturb.envs.participants import own_action
 from armperturb.envs.session import Session
-from armperturb.validation import require_number
+from armperturb.envs.trial import Trial
+from armperturb.validation import require_whole
 
 Flags = NDArray[np.bool_]
 
@@ -67,13 +69,20 @@ class ArmPerturbVectorEnv(VectorEnv):
           TypeError: a setting is unknown or has the wrong type.
           ValueError: a setting is out of its range.
         """
-        for name, value in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
-            if value is not None:
-                require_number("ArmPerturbVectorEnv", name, value, at_least=1)
+        for name, value, least in (
+            ("num_envs", num_envs, 1),
+            ("max_episode_steps", max_episode_steps, 1),
+            ("n_threads", n_threads, 0),
+        ):
+            if name != "max_episode_steps" or value is not None:
+                require_whole("ArmPerturbVectorEnv", name, value, at_least=least)
         self.settings = task_settings(settings)
         self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
         require_one_of("render_mode", render_mode, (None, "rgb_array"))
         self.render_mode = render_mode
+        modes = tuple(mode.value for mode in AutoresetMode)
+        if not isinstance(autoreset_mode, AutoresetMode):
+            require_one_of("autoreset_mode", autoreset_mode, modes)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {
             "render_modes": ["rgb_array"],
@@ -110,21 +119,28 @@ class ArmPerturbVectorEnv(VectorEnv):
           TypeError: an option has the wrong type.
           ValueError: an option is unknown or out of its range, or there are not as many seeds as people.
         """
-        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
-        if seeds is not None and len(seeds) != self.num_envs:
-            raise ValueError(f"reset: {len(seeds)} seeds; expected {self.num_envs}, one for each environment")
-        options = dict(options or {})
-        mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        seeds = self._seeds(seed)
+        everybody = np.ones(self.num_envs, dtype=bool)
+        mask = np.asarray(options.get("reset_mask", everybody) if isinstance(options, Mapping) else everybody)
+        if isinstance(options, Mapping):
+            options = {key: value for key, value in options.items() if key != "reset_mask"}
         if mask.dtype != bool or mask.shape != (self.num_envs,) or not mask.any():
             raise ValueError(
                 f"reset: reset_mask of type {mask.dtype} and shape {mask.shape}; expected True or False for each of "
                 f"{self.num_envs} environments, at least one True"
             )
-        for i in np.flatnonzero(mask).tolist():
-            if self._streams[i] is None or (seeds is not None and seeds[i] is not None):
-                self._streams[i], _ = seeding.np_random(None if seeds is None else seeds[i])
-        self._start(np.flatnonzero(mask), options)
-        return self._session.people.observe(), self._infos()
+        beginning = np.flatnonzero(mask)
+        # First all that may be refused: who is refused has lost nothing.
+        draw = self.settings.drawing(options)
+        streams = {
+            i: stream if stream is not None and seeds[i] is None else seeding.np_random(seeds[i])[0]
+            for i, stream in enumerate(self._streams)
+            if mask[i]
+        }
+        self._start(beginning, [draw(stream) for stream in streams.values()])
+        for i, stream in streams.items():
+            self._streams[i] = stream
+        return self._session.people.observe(), self._infos(mask)
 
     def step(self, actions: ArrayLike) -> tuple[NDArray[np.float32], NDArray[np.float64], Flags, Flags, dict[str, Any]]:
         """One decision of everybody.
@@ -154,21 +170,23 @@ class ArmPerturbVectorEnv(VectorEnv):
         infos: dict[str, Any] = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
             infos = self._final_infos(over)
-            self._start(np.flatnonzero(over), None)
+            self._start_next(np.flatnonzero(over))
             over = np.zeros_like(over)
         elif waiting.any():
-            self._start(np.flatnonzero(waiting), None)
+            self._start_next(np.flatnonzero(waiting))
         self._over = over
         return self._session.people.observe(), rewards, terminated, truncated, {**infos, **self._infos()}
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Pictures of everybody at this moment, (height, width, 3) each, in the mode "rgb_array".
+        """Pictures of everybody at this moment, (height, width, 3) each, in the mode "rgb_array"; without the path.
 
         Raises:
-          RuntimeError: this machine cannot draw; the message names what to install.
+          RuntimeError: no trial has begun, or this machine cannot draw; the message names what to install.
         """
         if self.render_mode is None:
             return None
+        if None in self._streams:
+            raise RuntimeError("render: no trial has begun; expected reset first")
         truth, pictures = self._session.truth(), []
         for i, subject in enumerate(self._subjects):
             self._onlooker.begin(subject)
@@ -180,24 +198,45 @@ class ArmPerturbVectorEnv(VectorEnv):
         """Close what rendering opened."""
         self._onlooker.close()
 
-    def _start(self, people: Indices, options: dict[str, Any] | None) -> None:
-        streams = [self._streams[i] for i in people.tolist()]
-        trials = [self.settings.trial(stream, options) for stream in streams if stream is not None]
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        """One seed for each person; None goes on with what there is."""
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, Integral) and not isinstance(seed, bool):
+            return [int(seed) + i for i in range(self.num_envs)]
+        if isinstance(seed, np.ndarray):
+            seed = seed.tolist()
+        if not isinstance(seed, list | tuple) or not all(
+            one is None or (isinstance(one, Integral) and not isinstance(one, bool)) for one in seed
+        ):
+            raise TypeError(f"reset: seed = {seed!r}; expected a whole number, or one (or None) for each environment")
+        if len(seed) != self.num_envs:
+            raise ValueError(f"reset: {len(seed)} seeds; expected {self.num_envs}, one for each environment")
+        return [None if one is None else int(one) for one in seed]
+
+    def _start_next(self, people: Indices) -> None:
+        draw, streams = self.settings.drawing(), [self._streams[i] for i in people.tolist()]
+        self._start(people, [draw(stream) for stream in streams if stream is not None])
+
+    def _start(self, people: Indices, trials: Sequence[Trial]) -> None:
         self._session.start(people, trials)
         for i, trial in zip(people.tolist(), trials, strict=True):
             self._subjects[i] = trial.subject
         self._decisions[people] = 0
         self._over[people] = False
 
-    def _infos(self) -> dict[str, Any]:
+    def _infos(self, whose: Flags | None = None) -> dict[str, Any]:
+        whose = np.ones(self.num_envs, dtype=bool) if whose is None else whose
         infos: dict[str, Any] = dict(self._session.truth())
-        return infos | {f"_{name}": np.ones(self.num_envs, dtype=bool) for name in infos}
+        for values in infos.values():
+            values[~whose] = 0
+        return infos | {f"_{name}": whose.copy() for name in infos}
 
     def _final_infos(self, over: Flags) -> dict[str, Any]:
         """What those saw and did not know at the end of their trials, as gymnasium hands it on."""
         observations, truth = self._session.people.observe(), self._session.truth()
         infos: dict[str, Any] = {}
         for i in np.flatnonzero(over).tolist():
-            final = {name: values[i] for name, values in truth.items()}
+            final = {name: values[i] for name, values in truth.items()} | {"diverged": bool(truth["diverged"][i])}
             infos = self._add_info(infos, {"final_obs": observations[i], "final_info": final}, i)
         return infos

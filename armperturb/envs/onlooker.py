@@ -43,6 +43,11 @@ class Onlooker:
         self._window: Any = None
         self._next = 0.0
 
+    @property
+    def sees(self) -> bool:
+        """Whether there is anything to see."""
+        return bool(self._trail)
+
     def begin(self, subject: Subject) -> None:
         """Somebody begins a trial."""
         self._trail.clear()

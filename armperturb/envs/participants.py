@@ -71,7 +71,8 @@ class Participants:
     Attributes:
       settings: the task.
       control: reflexes and muscle law of their arms.
-      levels: of co-contraction, velocity and position feedback as they are now, (person, 3, element) [-].
+      levels: of co-contraction, velocity and position feedback in the steps of a decision, (person, 3, element) [-].
+      reached: level that co-contraction has reached after them, (person, element) [-].
       step: of each trial, from 0, (person,).
       n_steps: at which each trial is over, (person,).
       lags: steps after which joints and hand are felt, and after which the handle is seen.
@@ -87,14 +88,16 @@ class Participants:
         """
         self.settings = settings
         self.control = ArmControl([settings.own] * n, settings.timestep, n_history)
-        self.levels = np.zeros((n, 3, 3))
+        self.levels, self.reached = np.zeros((n, 3, 3)), np.zeros((n, 3))
         self.step, self.n_steps = np.zeros(n, dtype=int), np.zeros(n, dtype=int)
         self._n, self._every = np.arange(n), settings.steps_per_decision
         self._low, self._high = action_bounds(settings)
         self._names = action_names(settings)
-        self._kept = (
-            np.exp(-1.0 / (settings.control_rate * settings.activation_time)) if settings.activation_time else 0.0
-        )
+        # Of the way to a new level: what is left after a decision, and on average during it.
+        self._left = self._left_on_average = 0.0
+        if settings.activation_time:
+            decay = 1.0 / (settings.control_rate * settings.activation_time)
+            self._left, self._left_on_average = np.exp(-decay), -np.expm1(-decay) / decay
         ends = [strength_of([subject] * n) for subject in settings.people]
         self._relaxed, self._position = ends
         self._posture = np.zeros((n, 2))
@@ -121,18 +124,26 @@ class Participants:
           The people as they are in these trials.
         """
         settings = self.settings
+        # All that may be refused comes before all that changes.
         subjects = [subject_in(trial, settings.environment) for trial in trials]
+        n_decisions = [int(round(t.perturbation.duration * settings.control_rate, 6)) for t in trials]
+        signals = [
+            (
+                held_force(trial.perturbation, settings.timestep, n * self._every),
+                noise_torque(trial, settings.timestep, n * self._every),
+                trial.perturbation.sample(settings.control_rate, n + 1),
+            )
+            for trial, n in zip(trials, n_decisions, strict=True)
+        ]
         self._put(people, subjects)
         self.step[people] = 0
-        n_decisions = [int(round(t.perturbation.duration * settings.control_rate, 6)) for t in trials]
         self._make_room(max(n_decisions))
-        for person, trial, n in zip(people.tolist(), trials, n_decisions, strict=True):
-            n_steps = self.n_steps[person] = n * self._every
+        for person, (push, noise, recorded) in zip(people.tolist(), signals, strict=True):
+            n_steps = self.n_steps[person] = len(push)
             self._push[person, n_steps:] = self._noise[person, n_steps:] = 0.0
-            self._push[person, :n_steps] = held_force(trial.perturbation, settings.timestep, n_steps)
-            noise = noise_torque(trial, settings.timestep, n_steps)
+            self._push[person, :n_steps] = push
             self._noise[person, :n_steps] = 0.0 if noise is None else noise
-            self._recorded[person, : n + 1] = trial.perturbation.sample(settings.control_rate, n + 1)
+            self._recorded[person, : len(recorded)] = recorded
         return subjects
 
     def rest(self, people: Indices) -> list[Subject]:
@@ -153,7 +164,7 @@ class Participants:
         for name, values in vars(strength_of(subjects)).items():
             getattr(own, name)[people] = values
         self.control.replace(people, subjects)
-        self.levels[people] = 1.0 if self.settings.task == "PT" else 0.0
+        self.levels[people] = self.reached[people] = 1.0 if self.settings.task == "PT" else 0.0
         self._posture[people] = [subject.posture for subject in subjects]
         self._senses[:, people] = self._command[people] = 0.0
         self._senses[:, people, 0:2] = self._posture[people]
@@ -188,7 +199,8 @@ class Participants:
         column = {"groups": 3, "common": 1, "off": 0}[settings.co_contraction]
         if column:
             wanted = actions[:, :column] * settings.highest_level
-            self.levels[:, 0] = wanted + (self.levels[:, 0] - wanted) * self._kept
+            self.levels[:, 0] = wanted + (self.reached - wanted) * self._left_on_average
+            self.reached = wanted + (self.reached - wanted) * self._left
         if settings.reflexes:
             self.levels[:, 1:] = actions[:, column : column + 6].reshape(-1, 2, 3) * settings.highest_level
             column += 6
@@ -212,13 +224,14 @@ class Participants:
             raise TypeError(f"action of type {values.dtype}; expected numbers")
         shape = len(self._n), len(self._names)
         if values.shape != shape:
-            raise ValueError(f"actions of shape {values.shape}; expected {shape}: {', '.join(self._names)}")
+            own = int(len(shape) == values.ndim and len(values) == len(self._n) == 1)  # one person's has no first axis
+            raise ValueError(f"action of shape {values.shape[own:]}; expected {shape[own:]}: {', '.join(self._names)}")
         values = values.astype(float)
         good = (values >= self._low) & (values <= self._high)
         if not good.all():
             person, column = np.argwhere(~good)[0]
             raise ValueError(
-                f"action[{column}] ({self._names[column]}) = {values[person, column]:g}"
+                f"action[{column}] ({self._names[column]}) = {values[person, column].item()!r}"
                 f"{f' of environment {person}' if len(values) > 1 else ''}; expected {self._low[column]:g} to "
                 f"{self._high[column]:g}"
             )
@@ -275,8 +288,8 @@ class Participants:
 
         Returns:
           Rewards, terminations and truncations, (person,) each: minus displacement_weight |x|^2, minus the weighted
-          effort; a trial terminates at the limit of the workspace, where this decision and all that were to come cost
-          limit_cost, and is truncated when it is over.
+          effort. A trial terminates at the limit of the workspace, or where it cannot be integrated: this decision and
+          all that were to come then cost the worst, so that to give up never pays. It is truncated when it is over.
         """
         settings = self.settings
         self.step += self._every
@@ -287,8 +300,8 @@ class Participants:
         reach = np.abs(self._senses[steps, :, 6:8]).max(axis=0)
         terminated = (reach >= settings.environment.workspace).any(axis=1) | diverged
         rewards = -settings.displacement_weight * np.square(handle).sum(axis=1) - effort
-        lost = np.where(terminated, np.maximum(self.n_steps - self.step, 0) // self._every + 1, 0)
-        return rewards - settings.limit_cost * lost, terminated, self.step >= self.n_steps
+        lost = 1 + np.maximum(self.n_steps - self.step, 0) // self._every
+        return np.where(terminated, -settings.worst * lost, rewards), terminated, self.step >= self.n_steps
 
     def perturbation(self) -> Array:
         """Disturbance at this moment [N], (person, axis)."""

@@ -35,6 +35,7 @@ class Session:
             n_history=n_history,
             n_threads=n_threads,
         )
+        self._diverged = np.zeros(n, dtype=bool)
 
     def start(self, people: Indices, trials: Sequence[Trial]) -> None:
         """Begin trials at rest; nothing is left of those before.
@@ -44,6 +45,7 @@ class Session:
           trials: one for each of them.
         """
         self.simulation.replace(people, self.people.start(people, trials))
+        self._diverged[people] = False
 
     def step(self, actions: ArrayLike) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
         """Everybody's next decision and what follows; see `Participants.decide` and `judge`.
@@ -66,7 +68,7 @@ class Session:
             for _ in range(people.settings.steps_per_decision):
                 simulation.step(*people.drive(simulation.angle, simulation.velocity))
                 people.sense(simulation.angle, simulation.velocity, simulation.handle, simulation.force)
-        diverged = simulation.diverged
+        diverged = self._diverged = simulation.diverged
         verdict = people.judge(simulation.handle, diverged)
         if diverged.any():
             # MuJoCo has put them back; what is left in their muscles and senses may be infinite.
@@ -79,7 +81,8 @@ class Session:
 
         `time` of the trial [s], `perturbation` [N], `displacement` [m], `joint_angle` [rad] and `joint_velocity`
         [rad/s] at this moment; `force` [N] at the simulation's last step, as MuJoCo's sensors have it;
-        `co_contraction` [-] of the muscle groups.
+        level of `co_contraction` that the muscle groups have reached [-]; whether MuJoCo has put a trial back that had
+        `diverged`, as it could not integrate it.
         """
         simulation, people = self.simulation, self.people
         return {
@@ -89,5 +92,6 @@ class Session:
             "joint_angle": simulation.angle.copy(),
             "joint_velocity": simulation.velocity.copy(),
             "force": simulation.force.copy(),
-            "co_contraction": people.levels[:, 0].copy(),
+            "co_contraction": people.reached.copy(),
+            "diverged": self._diverged.copy(),
         }

@@ -3,6 +3,7 @@
 import copy
 import ctypes
 import functools
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -21,6 +22,10 @@ from armperturb.models import BIARTICULAR, JOINTS, REFLEXES, SLIDES, STRAIN_GAUG
 from armperturb.subject import RELAX, Subject
 
 Array = NDArray[np.float64]
+
+_SILENCE = threading.Lock()
+_SILENT: list[int | None] = []
+"""The handler that was there before, and one more for everybody who wants silence."""
 
 DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")]
 
@@ -41,12 +46,18 @@ def silent_simulator() -> Iterator[None]:
     nothing with it.
     """
     handler, nothing = _warning_handler()
-    before = handler.value
-    handler.value = nothing
+    with _SILENCE:
+        if not _SILENT:
+            _SILENT.append(handler.value)
+            handler.value = nothing
+        _SILENT.append(None)
     try:
         yield
     finally:
-        handler.value = before
+        with _SILENCE:
+            _SILENT.pop()
+            if len(_SILENT) == 1:  # the last of several threads
+                handler.value = _SILENT.pop()
 
 
 _ANYBODY: dict[str, Any] = {
@@ -243,6 +254,8 @@ class Simulation:
             self.set_muscles(np.arange(len(self._bodies)), *self._strength)
         self._set_muscles_of(trials, subjects)
         self._reset(trials)
+        if len(self._compiled) > 2 * len(self._bodies) + 8:  # of people who come and go
+            self._compiled = {body: self._compiled[body] for body in set(self._bodies)}
 
     def _set_muscles_of(self, trials: Indices, subjects: Sequence[Subject]) -> None:
         stiffness, damping = (np.array([subject.muscle_groups(name) for subject in subjects]) for name in ("k", "b"))

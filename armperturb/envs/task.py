@@ -2,9 +2,9 @@
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +32,12 @@ OPTIONS = ("perturbation", "rms", "peak", "directions_deg", "onset_window", "ran
 
 REALISATIONS = 8
 """Multisines of lowered crest factor among which trials choose; each begins anywhere in its period."""
+
+LARGEST = 1e6
+"""Of forces, weights, gains and rates: what is larger is a slip, and numerics would suffer."""
+
+SHORTEST_STEP = 1e-5
+"""Of the simulation [s]."""
 
 Choices = float | tuple[float, ...]
 
@@ -69,8 +75,6 @@ class TaskSettings:
       co_contraction_weight: on the mean square level of the muscle groups [-].
       reflex_weight: on the mean square reflex level [-].
       torque_weight: on the mean square torque over `highest_torque` [-].
-      limit_cost: of each decision that was to come when a trial ends at the limit of the workspace [-]. To give up does
-        not pay as long as holding on costs less.
 
     Raises:
       TypeError: a value has the wrong type.
@@ -103,7 +107,6 @@ class TaskSettings:
     co_contraction_weight: float = 0.3
     reflex_weight: float = 0.1
     torque_weight: float = 0.3
-    limit_cost: float = 100.0
 
     def __post_init__(self) -> None:
         owner = "TaskSettings"
@@ -123,22 +126,22 @@ class TaskSettings:
             raise TypeError(f"{owner}: environment = {self.environment!r}; expected Environment")
         for name in ("rms", "peak"):
             for value in _choices(name, getattr(self, name)):
-                require_number(owner, name, value, above=0.0)
+                require_number(owner, name, value, above=0.0, at_most=LARGEST)
         for value in _choices("directions_deg", self.directions_deg):
             require_number(owner, "directions_deg", value)
         for name in ("duration", "control_rate", "timestep", "highest_level", "highest_torque"):
-            require_number(owner, name, getattr(self, name), above=0.0)
+            require_number(owner, name, getattr(self, name), above=0.0, at_most=LARGEST)
         require_number(owner, "duration", self.duration, at_most=3600.0)
+        require_number(owner, "timestep", self.timestep, at_least=SHORTEST_STEP)
         for name in (
-            *("activation_time", "proprioceptive_delay", "visual_delay", "visual_gain", "limit_cost"),
+            *("activation_time", "proprioceptive_delay", "visual_delay", "visual_gain"),
             *(own.name for own in fields(self) if own.name.endswith("_weight")),
         ):
-            require_number(owner, name, getattr(self, name), at_least=0.0)
+            require_number(owner, name, getattr(self, name), at_least=0.0, at_most=LARGEST)
         for name in ("proprioceptive_delay", "visual_delay"):
             require_number(owner, name, getattr(self, name), at_most=10.0)
-        _require_whole(
-            "control_rate", self.control_rate, "Hz", 1.0 / (self.control_rate * self.timestep), "steps in a decision"
-        )
+        steps = f"steps of {self.timestep:g} s in a decision"
+        _require_whole("control_rate", self.control_rate, "Hz", 1.0 / (self.control_rate * self.timestep), steps)
         _require_whole("duration", self.duration, "s", self.duration * self.control_rate, "decisions")
         window = self.onset_window
         if not isinstance(window, tuple | list) or len(window) != 2:
@@ -152,14 +155,20 @@ class TaskSettings:
             require_number(owner, "latest onset of onset_window", window[1], at_most=latest)
         if self.perturbation == "multisine-pulse":
             require_number(owner, "earliest onset of onset_window", window[0], above=0.0)
+        if self.task == "PT" and self.sets_levels:
+            # Otherwise the person's own level were out of the agent's reach.
+            require_number(owner, "highest_level", self.highest_level, at_least=1.0)
         for subject in self.people:
             self._require_sound(subject)
-        highest = at_level(self.people[1], self.highest_level)
-        require_integrable(highest, self.environment, None, self.timestep)
 
     def _require_sound(self, subject: Subject) -> None:
         require_stable(subject, self.environment)
         require_integrable(subject, self.environment, None, self.timestep)
+        if self.sets_levels and subject.task == "PT":
+            try:
+                require_integrable(at_level(subject, self.highest_level), self.environment, None, self.timestep)
+            except ValueError as error:
+                raise ValueError(f"TaskSettings: highest_level = {self.highest_level!r}: {error}") from None
         if self.co_contraction != "groups":
             return
         for quantity in ("k", "b"):
@@ -184,57 +193,69 @@ class TaskSettings:
         return self.people[1 if self.task == "PT" else 0]
 
     @property
+    def sets_levels(self) -> bool:
+        """Whether the agent sets any level."""
+        return self.co_contraction != "off" or self.reflexes
+
+    @property
+    def worst(self) -> float:
+        """What a decision costs at the far corner of the workspace with all effort: no other inside costs more [-]."""
+        efforts = self.co_contraction_weight + self.reflex_weight
+        corner = 2.0 * self.environment.workspace**2
+        return self.displacement_weight * corner + efforts * max(self.highest_level, 1.0) ** 2 + self.torque_weight
+
+    @property
     def steps_per_decision(self) -> int:
         """Simulation steps between decisions."""
         return round(1.0 / (self.control_rate * self.timestep))
 
-    def with_options(self, options: Mapping[str, Any] | None) -> Self:
-        """The settings of one trial, as `reset(options=...)` asks for them.
-
-        Raises:
-          TypeError: an option has the wrong type.
-          ValueError: an option is unknown or out of its range.
-        """
-        chosen = {key: value for key, value in (options or {}).items() if key != "trial"}
-        for key in chosen:
-            if key not in OPTIONS:
-                raise ValueError(f"reset: unknown option {key!r}; expected some of {', '.join(OPTIONS)}")
-        return replace(self, **chosen) if chosen else self
-
-    def trial(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> Trial:
-        """The next trial.
+    def drawing(self, options: Mapping[str, Any] | None = None) -> Callable[[np.random.Generator], Trial]:
+        """How trials are drawn; what has to be refused is refused here, before anything is drawn.
 
         Args:
-          rng: what it is drawn from.
-          options: what differs from the settings in this trial, see `OPTIONS`; a `trial` is taken as it is.
+          options: what differs from the settings, see `OPTIONS`, as `reset(options=...)` has it; a `trial` is taken as
+            it is.
+
+        Returns:
+          A function of what the trial is drawn from.
 
         Raises:
           TypeError: an option has the wrong type.
           ValueError: an option is unknown or out of its range, or the trial's subject is unstable, of the other task,
             too fast for the step, or has longer delays than the task's person.
         """
-        settings = self.with_options(options)
-        if options and "trial" in options:
-            if len(options) > 1:
-                raise ValueError(f"reset: options = {', '.join(options)}; expected nothing else beside a trial")
-            return self._checked(options["trial"])
-        number = int(rng.integers(REALISATIONS)) if settings.randomise else 0
-        start = float(rng.uniform(0.0, PERIOD)) if settings.randomise else 0.0
-        onset = float(rng.uniform(*settings.onset_window)) if settings.randomise else settings.onset_window[0]
+        if options is None:
+            return self._draw
+        if not isinstance(options, Mapping):
+            raise TypeError(f"reset: options = {options!r}; expected a dict of some of {', '.join(OPTIONS)}")
+        for key in options:
+            if key not in OPTIONS:
+                raise ValueError(f"reset: unknown option {key!r}; expected some of {', '.join(OPTIONS)}")
+        if "trial" not in options:
+            return replace(self, **options)._draw if options else self._draw
+        if len(options) > 1:
+            raise ValueError(f"reset: options = {', '.join(options)}; expected nothing else beside a trial")
+        trial = self._checked(options["trial"])
+        return lambda _: trial
+
+    def _draw(self, rng: np.random.Generator) -> Trial:
+        number = int(rng.integers(REALISATIONS)) if self.randomise else 0
+        start = float(rng.uniform(0.0, PERIOD)) if self.randomise else 0.0
+        onset = float(rng.uniform(*self.onset_window)) if self.randomise else self.onset_window[0]
 
         def choose(choices: Choices) -> float:
             values = _choices("choices", choices)
-            return float(values[int(rng.integers(len(values)))] if settings.randomise else values[0])
+            return float(values[int(rng.integers(len(values)))] if self.randomise else values[0])
 
         perturbation = _perturbation(
-            settings, number, start, onset, choose(settings.rms), choose(settings.peak), choose(settings.directions_deg)
+            self, number, start, onset, choose(self.rms), choose(self.peak), choose(self.directions_deg)
         )
         return Trial(
-            subject=settings.own,
+            subject=self.own,
             perturbation=perturbation,
-            condition=settings.task,
+            condition=self.task,
             seed=int(rng.integers(2**63)),
-            noise=HUMAN_NOISE[settings.task] if settings.noise else None,
+            noise=HUMAN_NOISE[self.task] if self.noise else None,
         )
 
     def _checked(self, trial: object) -> Trial:
@@ -279,7 +300,7 @@ def _choices(name: str, choices: object) -> tuple[Any, ...]:
 
 
 def _require_one_of(name: str, value: object, known: tuple[str, ...]) -> None:
-    if value not in known:
+    if not isinstance(value, str) or value not in known:
         raise ValueError(f"TaskSettings: {name} = {value!r}; expected one of {', '.join(known)}")
 
 
