@@ -39,7 +39,7 @@ LONGEST_ARROW = 0.3
 LONGEST_SCALE = 0.18
 """Length of the scale's axes at most [m], unless they would be shorter than `SHORTEST_AXIS`."""
 
-SHORTEST_AXIS = 2.0
+SHORTEST_AXIS = 1.5
 """Length of the scale's axes in the picture, over the size of its text."""
 
 BEFORE_PULSE, AFTER_PULSE = 0.2, 1.0
