@@ -163,7 +163,7 @@ def test_arrows_for_the_forces_of_one_instant():
 
 
 @needs_gl
-def test_a_camera_that_is_left_open_says_nothing_at_exit():
+def test_a_camera_that_is_left_open_says_nothing_at_exit(tmp_path):
     # dm_control ends EGL at exit, as MuJoCo does; whichever was imported last would do so first.
     code = (
         "from armperturb.envs.camera import Camera\nfrom armperturb.envs.gl import load_dm_control\n"
@@ -171,8 +171,9 @@ def test_a_camera_that_is_left_open_says_nothing_at_exit():
         "camera = Camera(build_model(RELAX), width=16, height=16)\nload_dm_control()\n"
         "camera.circle = camera\nprint(camera.draw().shape)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
     assert (done.stdout, done.stderr) == ("(16, 16, 3)\n", "")
+    assert not list(tmp_path.iterdir()), "nor in MuJoCo's log"
 
 
 @pytest.fixture
