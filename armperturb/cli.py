@@ -14,9 +14,7 @@ from tqdm import tqdm
 from armperturb.analysis.export import write_identification
 from armperturb.analysis.identify import Identification, identify_conditions
 from armperturb.environment import Environment
-from armperturb.envs.experiment import run_experiment
-from armperturb.envs.instruments import Instruments
-from armperturb.envs.trial import Trial
+from armperturb.envs.gl import require_simulator
 from armperturb.perturbations import load_csv
 from armperturb.recording import join_recordings, load_recording, save_recording
 from armperturb.subject import RELAX, TASKS, Subject
@@ -175,7 +173,8 @@ class Video:
     start: float | None = None
     """Where in the trial to start [s]; by default at its start."""
     stop: float | None = None
-    """Where in the trial to stop [s]; by default at its end. A pulse that is slowed down is shown from 0.2 s before its
+    """Where in the trial to stop [s]; by default at its end, or where the handle met the limit of the workspace: from
+    there on signals mean nothing, and are not shown. A pulse that is slowed down is shown from 0.2 s before its
     onset to 1 s after it, unless --start or --stop is given."""
 
 
@@ -262,6 +261,11 @@ def simulate(settings: Simulate) -> xr.Dataset:
       ValueError: subject or perturbation is refused, or the handle reached the workspace limit.
       OSError: a file cannot be read or written.
     """
+    # Here, so that `identify` does without the simulator.
+    from armperturb.envs.experiment import run_experiment
+    from armperturb.envs.instruments import Instruments
+    from armperturb.envs.trial import Trial
+
     person, perturbation = Subject.load(settings.subject), load_csv(settings.perturbation)
     if not settings.out.parent.is_dir():
         raise FileNotFoundError(f"{settings.out}: folder {settings.out.parent} does not exist; expected one that does")
@@ -472,6 +476,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.FlagCreatePairsOff),
     )
     try:
+        if not isinstance(command, Identify):
+            require_simulator()
         if isinstance(command, Study):
             print(f"{'recordings' if command.record_only else 'report'}: {study(command)}")
         elif isinstance(command, Report):

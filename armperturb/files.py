@@ -15,14 +15,17 @@ def written_whole(path: str | Path) -> Iterator[Path]:
       path: of the file to write; an existing one is replaced.
 
     Raises:
-      OSError: the folder is missing or cannot be written to.
+      OSError: the folder is missing or cannot be written to; the message names `path`.
     """
     path = Path(path)
     if not path.parent.is_dir():
         raise FileNotFoundError(f"{path}: folder {path.parent} does not exist; expected an existing folder")
     if path.is_dir():
         raise IsADirectoryError(f"{path}: is a folder; expected the name of a file to write")
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error  # of the same subclass, by its number
     os.close(handle)
     try:
         yield Path(name)
@@ -31,6 +34,10 @@ def written_whole(path: str | Path) -> Iterator[Path]:
         os.umask(mask)
         os.chmod(name, 0o666 & ~mask)
         os.replace(name, path)
+    except OSError as error:
+        if error.filename != name:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
     finally:
         Path(name).unlink(missing_ok=True)
 

@@ -53,7 +53,9 @@ def test_imports_follow_the_arrows(path):
     assert ours <= ARROWS[part(path)] | {part(path)}
 
 
-@pytest.mark.parametrize("module", ["armperturb", "armperturb.analysis", "armperturb.analysis.identify"])
+@pytest.mark.parametrize(
+    "module", ["armperturb", "armperturb.analysis", "armperturb.analysis.identify", "armperturb.cli"]
+)
 def test_importing_it_loads_no_simulator(module):
     code = f"import sys, {module}; sys.exit('mujoco' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,4 +1,5 @@
 import ctypes.util
+import gc
 import math
 import os
 import subprocess
@@ -162,7 +163,7 @@ def test_arrows_for_the_forces_of_one_instant():
 
 
 @needs_gl
-def test_a_camera_that_is_left_open_says_nothing_at_exit():
+def test_a_camera_that_is_left_open_says_nothing_at_exit(tmp_path):
     # dm_control ends EGL at exit, as MuJoCo does; whichever was imported last would do so first.
     code = (
         "from armperturb.envs.camera import Camera\nfrom armperturb.envs.gl import load_dm_control\n"
@@ -170,8 +171,9 @@ def test_a_camera_that_is_left_open_says_nothing_at_exit():
         "camera = Camera(build_model(RELAX), width=16, height=16)\nload_dm_control()\n"
         "camera.circle = camera\nprint(camera.draw().shape)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
     assert (done.stdout, done.stderr) == ("(16, 16, 3)\n", "")
+    assert not list(tmp_path.iterdir()), "nor in MuJoCo's log"
 
 
 @pytest.fixture
@@ -228,8 +230,28 @@ def test_says_what_to_install_without_gl(model, headless):
         render(model, width=16, height=16)
     assert "MUJOCO_GL" not in os.environ
     headless.setenv("MUJOCO_GL", "osmesa")
-    with pytest.raises(RuntimeError, match=r"MUJOCO_GL=osmesa.*apt-get install libegl1"):
+    with pytest.raises(RuntimeError, match=r"MUJOCO_GL=osmesa.*apt-get install libosmesa6$"):
         render(model, width=16, height=16)
+    headless.setenv("MUJOCO_GL", "Off")
+    with pytest.raises(RuntimeError, match=r"MUJOCO_GL=off: drawing is switched off; expected MUJOCO_GL unset or egl$"):
+        render(model, width=16, height=16)
+
+
+def test_a_window_that_does_not_open_leaves_no_error_behind(headless):
+    class Context:
+        def __init__(self, width, height):
+            raise RuntimeError("no display")
+
+        def __del__(self):
+            freed.append(self._context)
+
+    freed = []
+    headless.setitem(sys.modules, "mujoco.gl_context", SimpleNamespace(GLContext=Context))
+    headless.setenv("MUJOCO_GL", "glfw")
+    with pytest.raises(RuntimeError, match=r"MUJOCO_GL=glfw: no display; a window library needs a display"):
+        gl.new_context(8, 8)
+    gc.collect()
+    assert freed == [None]
 
 
 def test_dm_control_loads_without_gl():

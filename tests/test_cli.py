@@ -1,12 +1,17 @@
 """The commands as a stranger types them: what they write, and one clear line when they refuse."""
 
 import csv
+import errno
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 from armperturb import cli
+from armperturb.files import written_whole
 from armperturb.perturbations import Multisine, Pulse, save_csv
 from armperturb.recording import load_recording, save_recording
 from armperturb.study import runner
@@ -262,6 +267,57 @@ def test_calibrations_that_could_not_be_written_are_refused_before_they_run(tmp_
     assert "laws = ('linear',); expected 'full' among them" in message
     message = refused(capsys, "calibrate", "--out", tmp_path / "nowhere" / "person.toml")
     assert f"folder {tmp_path / 'nowhere'} does not exist" in message
+    assert not list(tmp_path.iterdir())
+
+
+def in_a_process(folder, backend, *arguments):
+    """Exit status and stderr of a command that is run in a folder with a value of MUJOCO_GL and no display."""
+    unset = ("DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM")
+    clean = {name: value for name, value in os.environ.items() if name not in unset} | {"MUJOCO_GL": backend}
+    # As on a machine without OSMesa, whether or not it is there.
+    hide = "import ctypes.util as u; f = u.find_library; u.find_library = lambda n: None if n == 'OSMesa' else f(n)"
+    code = f"{hide}\nimport sys; from armperturb.cli import main; sys.exit(main({list(map(str, arguments))!r}))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=clean, cwd=folder, check=False
+    )
+    return done.returncode, done.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="OSMesa is for Linux")
+@pytest.mark.parametrize(
+    ("backend", "message"),
+    [
+        ("osmesa", "with MUJOCO_GL=osmesa; on Debian or Ubuntu: apt-get install libosmesa6"),
+        ("foo", "MUJOCO_GL = 'foo'; expected egl, osmesa, glfw or off, or unset"),
+    ],
+)
+def test_a_library_that_does_not_load_is_one_line(tmp_path, backend, message):
+    status, said = in_a_process(tmp_path, backend, "study", "--out", tmp_path / "s", "--subjects", 0)
+    assert status == 1
+    assert said.startswith("armperturb: error: ")
+    assert said.endswith(f"{message}\n")
+    assert said.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_identify_needs_no_simulator(tmp_path):
+    status, said = in_a_process(tmp_path, "foo", "identify", "none.nc", "--model", "1", "--out", "r")
+    assert status == 1
+    assert said.startswith("armperturb: error: none.nc: no such file")
+
+
+def test_a_file_that_cannot_be_written_is_named_as_the_user_did(tmp_path, monkeypatch):
+    def denied(*_, **options):
+        raise OSError(errno.EACCES, os.strerror(errno.EACCES), str(tmp_path / f"{options['prefix']}xyz.part"))
+
+    gone = pytest.raises(FileNotFoundError, match=r"No such file or directory: '[^']*/a\.nc'$")
+    with gone, written_whole(tmp_path / "a.nc") as temporary:
+        temporary.unlink()
+    monkeypatch.setattr("tempfile.mkstemp", denied)
+    with pytest.raises(PermissionError) as caught, written_whole(tmp_path / "a.nc"):
+        pytest.fail("nothing is to be written")
+    assert caught.value.filename == str(tmp_path / "a.nc")
+    assert ".part" not in str(caught.value)
     assert not list(tmp_path.iterdir())
 
 

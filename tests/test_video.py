@@ -18,7 +18,7 @@ from armperturb.envs import gl, overlay, video, viewer
 from armperturb.envs.camera import DISTURBANCE, REACTION, Camera
 from armperturb.envs.overlay import StripChart, clock_text, nice_force
 from armperturb.envs.replay import Replay
-from armperturb.envs.video import Clip, arrow_scale, frame_times, frames, write_video
+from armperturb.envs.video import Clip, arrow_scale, frame_times, frames, scale_axes, write_video
 from armperturb.recording import make_recording, save_recording
 from armperturb.study import style
 from armperturb.subject import RELAX
@@ -130,6 +130,29 @@ def test_a_pulse_that_is_slowed_down_is_shown_alone(replay):
     assert replay.title == "S07, RT7.5, pulse level 1 at 20°"
 
 
+@pytest.mark.parametrize("level", [0.0, np.nan])
+def test_a_pulse_without_a_level_has_none_in_its_title(level):
+    assert Replay.of_trial(recorded(pulse_level=[level, 0.0]), 0).title == "S07, RT7.5, pulse at 20°"
+
+
+def test_what_follows_the_limit_of_the_workspace_is_not_shown():
+    replay = Replay.of_trial(recorded(limit_time=[1.5, 0.5]), 0)
+    assert Clip().window(replay) == pytest.approx((0.0, 1.5))
+    assert Clip(slow=10.0).window(replay) == pytest.approx((0.8, 1.5))
+    assert frame_times(replay, Clip(), 30.0).max() < 1.5
+    assert replay.title.endswith("limit at 1.50 s")
+    before_its_pulse = Replay.of_trial(recorded(limit_time=[0.5, np.nan]), 0)
+    assert Clip(slow=10.0).window(before_its_pulse) == pytest.approx((0.0, 0.5))
+
+
+@pytest.mark.parametrize("option", ["--start", "--stop"])
+def test_refuses_to_show_what_follows_the_limit(tmp_path, capsys, option):
+    save_recording(recorded(limit_time=[1.5, np.nan]), tmp_path / "rec.nc")
+    found = refused(capsys, "video", tmp_path / "rec.nc", "--trial", 0, "--out", tmp_path / "a.mp4", option, 1.8)
+    assert "both in the trial of 2 s, before the limit of the workspace at 1.5 s" in found
+    assert os.listdir(tmp_path) == ["rec.nc"]
+
+
 @pytest.mark.parametrize("signals", [("joint_angle",), (), ("joint_angle", "shoulder_marker"), ("shoulder_marker",)])
 def test_poses_are_those_of_the_recording(signals):
     recording = recorded(signals)
@@ -169,6 +192,22 @@ def test_arrows_stay_in_the_picture_and_are_as_long_as_they_can_be(replay):
         assert arrow_scale(camera, ("top",), *(np.array([v]) for v in ([9.0, 0.0], [0.0, 0.0], [0.0, 0.0]))) == (
             pytest.approx(video.LONGEST_ARROW / 9.0)
         )
+
+
+@needs_gl
+@pytest.mark.parametrize("size", [(160, 120), (320, 240), (640, 480)])
+@pytest.mark.parametrize("view", ["top", "oblique"])
+def test_the_scale_can_be_read_and_is_true(replay, size, view):
+    with Camera(replay.model, width=size[0], height=size[1]) as camera:
+        for scale in (0.3 / 37, 0.3 / 150, 0.05):
+            force, axes = scale_axes(camera, view, scale)
+            lengths = np.linalg.norm(axes, axis=1)
+            assert lengths.min() > 10.0
+            assert lengths.max() < size[1] / 3
+            assert f"{force:.6e}"[:8] in ("1.000000", "2.000000", "5.000000")
+            for axis, found in zip(np.eye(3)[:2], axes, strict=True):
+                ends = camera.project(np.add(camera.handle(), [np.zeros(3), force * scale * axis]), view)
+                np.testing.assert_allclose(found, ends[1] - ends[0], atol=1e-9)
 
 
 @needs_gl

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from armperturb.envs.gl import GL_HELP, close_at_exit, new_context
+from armperturb.envs.gl import close_at_exit, gl_help, new_context
 
 DISTURBANCE, REACTION, PATH = "#D55E00", "#0072B2", "#CC79A7"
 """Colours of the force on the manipulator, the force on the hand, and the handle's path, from Okabe and Ito's
@@ -88,7 +88,7 @@ class Camera:
             self._context: Any = _small_context(model, width, height)
         except Exception as error:
             self._window.free()
-            raise RuntimeError(f"Camera: MuJoCo cannot draw ({' '.join(str(error).split())}); {GL_HELP}") from error
+            raise RuntimeError(f"Camera: MuJoCo cannot draw ({' '.join(str(error).split())}); {gl_help()}") from error
         close_at_exit(self)
         # The first picture of a context may be a hair different from the same one later; so it is none that counts.
         self._eye.fixedcamid = 0

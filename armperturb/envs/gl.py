@@ -14,11 +14,11 @@ import warnings
 import weakref
 from typing import Any, Protocol
 
-GL_HELP = "on Debian or Ubuntu: apt-get install libegl1 libopengl0 libgl1-mesa-dri"
-"""What to install where nothing draws."""
+PACKAGES = {"egl": "libegl1 libopengl0 libgl1-mesa-dri", "osmesa": "libosmesa6"}
+"""Libraries that draw without a window, the better one first, and their packages in Debian and Ubuntu."""
 
-HEADLESS = ("egl", "osmesa")
-"""Libraries that draw without a window, the better one first."""
+OFF = ("disable", "disabled", "off", "false", "0")
+"""Values of MUJOCO_GL with which MuJoCo draws nothing."""
 
 
 class Closeable(Protocol):
@@ -36,27 +36,55 @@ def has_display() -> bool:
     return sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
+def gl_help() -> str:
+    """What to do where this process cannot draw, given MUJOCO_GL."""
+    chosen = _asked()
+    if chosen in OFF:
+        return "drawing is switched off; expected MUJOCO_GL unset or egl"
+    if chosen in PACKAGES or not (chosen or has_display()):
+        return f"on Debian or Ubuntu: apt-get install {PACKAGES[chosen or 'egl']}"
+    return "a window library needs a display that works; MUJOCO_GL=egl needs none"
+
+
+def require_simulator() -> None:
+    """Import MuJoCo, which loads the library that MUJOCO_GL names.
+
+    Raises:
+      RuntimeError: it cannot be imported; the message says why, and what helps.
+    """
+    try:
+        importlib.import_module("mujoco")
+    except Exception as error:  # of MuJoCo, PyOpenGL, or ctypes
+        if "invalid value" in str(error) and "MUJOCO_GL" in str(error):
+            given = os.environ["MUJOCO_GL"]
+            raise RuntimeError(f"MUJOCO_GL = {given!r}; expected egl, osmesa, glfw or off, or unset") from error
+        with_gl = f" with MUJOCO_GL={_asked()}; {gl_help()}" if _asked() else ""
+        raise RuntimeError(f"MuJoCo does not load ({_said(error)}){with_gl}") from error
+
+
 def choose_backend() -> str:
     """Settle MUJOCO_GL for this process and those that it starts, where nobody has and there is no display.
 
     Returns:
-      MUJOCO_GL as it is then; empty where a window library draws.
+      MUJOCO_GL as it is then, in small letters; empty where a window library draws.
 
     Raises:
       RuntimeError: nothing draws here; the message names what to install, and MUJOCO_GL stays unset.
     """
-    if not os.environ.get("MUJOCO_GL") and not has_display():
+    if not _asked() and not has_display():
         os.environ["MUJOCO_GL"] = _headless()
-    return os.environ.get("MUJOCO_GL", "")
+    return _asked()
 
 
 def load_dm_control() -> None:
     """Import dm_control with the library that draws here: by itself it tries a window library first, and warns.
 
     Where nothing draws, MUJOCO_GL is set to "off": dm_control is imported all the same, and refuses to render.
-    """
-    import mujoco  # noqa: F401 - first, as with a MUJOCO_GL whose library is missing it cannot be imported
 
+    Raises:
+      RuntimeError: with this MUJOCO_GL MuJoCo cannot be imported.
+    """
+    require_simulator()
     try:
         choose_backend()
     except RuntimeError:
@@ -85,26 +113,31 @@ def new_context(width: int, height: int) -> Any:
       RuntimeError: this machine cannot draw; the message names what to install.
     """
     chosen = choose_backend()
+    tried = f"MUJOCO_GL={chosen}" if chosen else "the display of this session"
+    if chosen in OFF:
+        raise RuntimeError(f"no OpenGL context with {tried}: {gl_help()}")
     # Not by mujoco.GLContext alone: MuJoCo may have been imported before anyone chose.
-    module = f"mujoco.{chosen}" if chosen in HEADLESS else "mujoco.gl_context"
+    module = f"mujoco.{chosen}" if chosen in PACKAGES else "mujoco.gl_context"
     try:
+        kind = importlib.import_module(module).GLContext
+        if not hasattr(kind, "_context"):
+            kind._context = None  # or one that does not open would print an error when it is freed
         with warnings.catch_warnings():
             warnings.filterwarnings("error", category=UserWarning)  # which is all that glfw makes of its errors
-            return importlib.import_module(module).GLContext(width, height)
-    except Exception as error:  # whatever a window library raises, or that there is none with MUJOCO_GL=off
-        tried = f"MUJOCO_GL={chosen}" if chosen else "the display of this session (MUJOCO_GL=egl needs none)"
-        raise RuntimeError(f"no OpenGL context with {tried}: {_said(error)}; {GL_HELP}") from error
+            return kind(width, height)
+    except Exception as error:  # whatever a window library raises
+        raise RuntimeError(f"no OpenGL context with {tried}: {_said(error)}; {gl_help()}") from error
 
 
 @functools.cache
 def _headless() -> str:
-    """The first of `HEADLESS` that gives a context.
+    """The first of `PACKAGES` that gives a context.
 
     Raises:
       RuntimeError: none does.
     """
     reasons = []
-    for name in HEADLESS:
+    for name in PACKAGES:
         before, modules = os.environ.get("PYOPENGL_PLATFORM"), set(sys.modules)
         try:
             context = importlib.import_module(f"mujoco.{name}").GLContext(16, 16)  # a driver may be missing, too
@@ -119,7 +152,12 @@ def _headless() -> str:
         for module in set(sys.modules) - modules:
             if module.split(".")[0] == "OpenGL" or module.startswith(f"mujoco.{name}"):
                 del sys.modules[module]
-    raise RuntimeError(f"no OpenGL context ({'; '.join(reasons)}); {GL_HELP}")
+    raise RuntimeError(f"no OpenGL context ({'; '.join(reasons)}); {gl_help()}")
+
+
+def _asked() -> str:
+    """MUJOCO_GL as MuJoCo reads it."""
+    return os.environ.get("MUJOCO_GL", "").lower().strip()
 
 
 def _said(error: Exception) -> str:

@@ -39,6 +39,8 @@ class Replay:
       reaction: f that the handle exerts on the hand [N], (time, axis).
       title: who and what.
       pulse_onset: [s]; None without a pulse.
+      limit_time: when the handle met the limit of the workspace, after which the signals mean nothing [s]; None if it
+        never did.
     """
 
     model: mujoco.MjModel
@@ -49,6 +51,7 @@ class Replay:
     reaction: Array
     title: str
     pulse_onset: float | None
+    limit_time: float | None
 
     @classmethod
     def of_trial(cls, recording: xr.Dataset, trial: int, source: str = "recording") -> Self:
@@ -95,7 +98,11 @@ class Replay:
         title = [str(label["subject"]), str(label["condition"])]
         onset = float(one["pulse_onset"].values[0])
         if np.isfinite(onset):
-            title.append(f"pulse level {label['pulse_level']:g} at {label['pulse_direction']:g}°")
+            level = f" level {label['pulse_level']:g}" if label["pulse_level"] > 0 else ""  # 0 and NaN: not said
+            title.append(f"pulse{level} at {label['pulse_direction']:g}°")
+        limit = float(one["limit_time"].values[0])
+        if np.isfinite(limit):
+            title.append(f"limit at {limit:.2f} s")
         return cls(
             model=build_model(subject, strap=None if shoulder is None else Strap()),
             time=one["time"].values,
@@ -105,12 +112,18 @@ class Replay:
             reaction=one["force"].values[0],
             title=", ".join(part for part in title if part),
             pulse_onset=onset if np.isfinite(onset) else None,
+            limit_time=limit if np.isfinite(limit) else None,
         )
 
     @property
     def duration(self) -> float:
         """Of the trial [s]; the last sample stands for its own step."""
         return float(self.time[-1] + self.time[1])
+
+    @property
+    def end(self) -> float:
+        """Until when there is something to see [s]: the end of the trial, or the limit of the workspace before it."""
+        return self.duration if self.limit_time is None else min(self.limit_time, self.duration)
 
     def at(self, values: Array, times: ArrayLike) -> Array:
         """Values of one of the signals at other times, linearly between samples, (..., column).

@@ -36,6 +36,12 @@ TRAIL = 1.0
 LONGEST_ARROW = 0.3
 """Length of the arrow of the largest force [m], unless it would leave the picture."""
 
+LONGEST_SCALE = 0.18
+"""Length of the scale's axes at most [m], unless they would be shorter than `SHORTEST_AXIS`."""
+
+SHORTEST_AXIS = 1.5
+"""Length of the scale's axes in the picture, over the size of its text."""
+
 BEFORE_PULSE, AFTER_PULSE = 0.2, 1.0
 """What a slow video shows before and after a pulse's onset [s]."""
 
@@ -50,8 +56,8 @@ class Clip:
       height: of each view [pixel], a multiple of 4, so that the strip chart of half that height is even, too.
       slow: how many times slower than life, > 0.
       start: in the trial [s]; None for its start.
-      stop: in the trial [s]; None for its end. Where both are None, a pulse that is slowed down is shown from
-        `BEFORE_PULSE` before its onset to `AFTER_PULSE` after it.
+      stop: in the trial [s]; None for its end, or for the limit of the workspace, where the handle met it. Where both
+        are None, a pulse that is slowed down is shown from `BEFORE_PULSE` before its onset to `AFTER_PULSE` after it.
 
     Raises:
       TypeError: a value has the wrong type.
@@ -85,17 +91,19 @@ class Clip:
         """Start and stop in a trial [s].
 
         Raises:
-          ValueError: they are outside the trial, or in the wrong order.
+          ValueError: they are outside the trial, after the limit of the workspace, or in the wrong order.
         """
+        end = replay.end
         first = 0.0 if self.start is None else self.start
-        last = replay.duration if self.stop is None else self.stop
-        if self.slow > 1.0 and replay.pulse_onset is not None and self.start is None and self.stop is None:
-            first = max(first, replay.pulse_onset - BEFORE_PULSE)
-            last = min(last, replay.pulse_onset + AFTER_PULSE)
-        if not first < last <= replay.duration:
+        last = end if self.stop is None else self.stop
+        onset = replay.pulse_onset
+        if self.slow > 1.0 and onset is not None and onset < end and self.start is None and self.stop is None:
+            first, last = max(first, onset - BEFORE_PULSE), min(last, onset + AFTER_PULSE)
+        if not first < last <= end:
+            met = "" if replay.limit_time is None else f", before the limit of the workspace at {end:g} s"
             raise ValueError(
                 f"video: from {first:g} s to {last:g} s; expected a start before the stop, and both in the trial of "
-                f"{replay.duration:g} s"
+                f"{replay.duration:g} s{met}"
             )
         return first, last
 
@@ -152,15 +160,8 @@ def frames(replay: Replay, clip: Clip, times: Array) -> Iterator[Picture]:
         scale = arrow_scale(
             camera, views, replay.disturbance[shown], replay.reaction[shown], replay.displacement[shown]
         )
-        force = nice_force(0.18 / scale)
-        along = camera.handle() + scale * force * np.eye(3)[:2]
         layers = [
-            label_layer(
-                size,
-                replay.title if i == 0 else "",
-                force,
-                camera.project(along, view) - camera.project(camera.handle(), view),
-            )
+            label_layer(size, replay.title if i == 0 else "", *scale_axes(camera, view, scale))
             for i, view in enumerate(views)
         ]
         for i, now in enumerate(times):
@@ -179,6 +180,23 @@ def frames(replay: Replay, clip: Clip, times: Array) -> Iterator[Picture]:
                     draw_clock(picture, float(now), clip.slow)
                 pictures.append(np.asarray(picture))
             yield np.vstack([np.hstack(pictures), chart.at(float(now))])
+
+
+def scale_axes(camera: Camera, view: str, scale: float) -> tuple[float, Array]:
+    """A round force [N], and its arrows along x and y in a picture, long enough to read [pixel], (axis, 2).
+
+    Args:
+      camera: that draws the picture.
+      view: "oblique" or "top".
+      scale: length per force of the arrows [m/N].
+    """
+    force = nice_force(LONGEST_SCALE / scale)
+    while True:
+        along = camera.handle() + scale * force * np.eye(3)[:2]
+        axes = camera.project(along, view) - camera.project(camera.handle(), view)
+        if np.linalg.norm(axes, axis=1).min() >= SHORTEST_AXIS * text_size(camera.height):
+            return force, axes
+        force = nice_force(2.5 * force)  # the next one
 
 
 def arrow_scale(
@@ -283,8 +301,12 @@ def _encoder(path: Path, shape: tuple[int, int], frame_rate: float) -> Any:
 
 
 def _simplify(model: mujoco.MjModel, height: int) -> None:
-    """Leave out what costs much time and hardly shows: fine shadows, fine facets and the floor's reflection."""
+    """Leave out what costs much time and hardly shows: fine shadows, fine facets and the floor's reflection.
+
+    Nor are edges smoothed: several samples per pixel take twice the time where the processor draws.
+    """
     quality = model.vis.quality
+    quality.offsamples = 0
     quality.shadowsize = 1024 if height <= 480 else 2048
     quality.numslices, quality.numstacks = 20, 10
     model.mat_reflectance[:] = 0.0

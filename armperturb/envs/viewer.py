@@ -13,20 +13,23 @@ from armperturb.subject import Subject
 
 
 def watch_trial(replay: Replay, *, slow: float = 1.0) -> None:
-    """Replay a trial over and over, until its window is closed.
+    """Replay a trial over and over, as far as the limit of the workspace, until its window is closed.
 
     Args:
       replay: the trial.
       slow: how many times slower than life, > 0.
 
     Raises:
+      ValueError: the handle is at the limit of the workspace from the start.
       RuntimeError: no window can be opened.
     """
+    if replay.end <= 0.0:
+        raise ValueError("view: the handle is at the limit of the workspace from the start; expected another trial")
     data = mujoco.MjData(replay.model)
     with open_window(replay.model, data) as window:
         begin = time.monotonic()
         while window.is_running():
-            now = (time.monotonic() - begin) / slow % replay.duration
+            now = (time.monotonic() - begin) / slow % replay.end
             with window.lock():
                 data.time = now
                 data.qpos[:] = replay.at(replay.qpos, now)
