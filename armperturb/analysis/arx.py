@@ -5,8 +5,8 @@ With y = (f, x) and u = d (`joint_records`), at each sample of each trial
     y(k) = c + D u(k) + sum_i [A_i y(k - i) + B_i u(k - i)] + e(k),    i = 1 .. order,
 
 with a constant c per trial. Least squares is consistent as the order grows with the data, whatever the colour of the
-noise (Ljung & Wahlberg 1992, Adv. Appl. Prob. 24), and its order need not be that of the system: lags that reach over the
-reflex delay take that in. A model starts anywhere, so that transients are data, and trials may have any lengths.
+noise (Ljung & Wahlberg 1992, Adv. Appl. Prob. 24), and its order need not be that of the system: lags that reach over
+the reflex delay take that in. A model starts anywhere, so that transients are data, and trials may have any lengths.
 
 Regressors stand in the order of their lags. One triangular factor of all data then holds the models of every order.
 
@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from armperturb.analysis.joint_records import JointRecords, What, system_of
+from armperturb.analysis.joint_records import JointRecords, What, admittance_of, variance_of
 from armperturb.validation import require_number
 
 Array = NDArray[np.float64]
@@ -80,11 +80,11 @@ class Arx(NamedTuple):
         return float(np.abs(np.linalg.eigvals(companion)).max())
 
     def response(self, frequency: Array) -> tuple[Response, Response, Response]:
-        """G from d to (f, x), (frequency, 4, 2), with noise and spread as `system_of` takes them."""
+        """G from d to (f, x), (frequency, 4, 2), with noise and spread as `variance_of` takes them."""
         lag = np.exp(-2j * np.pi * np.outer(frequency / self.rate, np.arange(1, self.order + 1)))
         left = np.linalg.inv(np.eye(len(self.direct)) - np.einsum("fl,lac->fac", lag, self.past_response))
-        joint = left @ (self.direct + np.einsum("fl,lab->fab", lag, self.past_input))
-        noise = left @ self.noise @ left.conj().swapaxes(1, 2)
+        joint = np.asarray(left @ (self.direct + np.einsum("fl,lab->fab", lag, self.past_input)), dtype=complex)
+        noise = np.asarray(left @ self.noise @ left.conj().swapaxes(1, 2), dtype=complex)
         # Response of the regressors, in the scale of the factor; inputs come first, then each lag's y and u.
         to_u = np.broadcast_to(np.diag(1.0 / self.input_scale), (len(frequency), *2 * (len(self.input_scale),)))
         of_lag = np.concatenate([joint / self.response_scale[:, None], to_u], axis=1)
@@ -93,7 +93,7 @@ class Arx(NamedTuple):
         columns = np.moveaxis(regressors, 0, -1).reshape(len(self.factor), -1)
         solved = linalg.solve_triangular(self.factor, columns, trans="T")
         solved = solved.reshape(len(self.factor), -1, len(frequency))
-        return joint, noise, np.einsum("wbf,wdf->fbd", solved, solved.conj())
+        return joint, noise, np.asarray(np.einsum("wbf,wdf->fbd", solved, solved.conj()), dtype=complex)
 
 
 class Regression:
@@ -193,25 +193,29 @@ def fit_arx(
         return Regression(records, order).model(order)
     regression = Regression(records, highest_order)
     models = [regression.model(n) for n in range(1, highest_order + 1)]
-    found = [system_of(what, *model.response(frequency)) for model in models]
-    errors = [error_over_size(response, variance, *found[-1]) for response, variance in found]
+    joints = [model.response(frequency) for model in models]
+    found = [admittance_of(what, joint) for joint, _, _ in joints]
+    variances = [variance_of(what, *joint) for joint in joints]
+    errors = [
+        error_over_size(response, variance, found[-1], variances[-1])
+        for response, variance in zip(found, variances, strict=True)
+    ]
     return models[int(np.argmin(errors))]
 
 
-def error_over_size(response: Response, variance: Array | None, best: Response, most: Array | None) -> float:
+def error_over_size(response: Response, variance: Array, best: Response, most: Array) -> float:
     """Estimated mean square of the error over the size of a response [-].
 
     Args:
       response: that is judged, (frequency, output, input).
       variance: of its elements.
-      best: one that is nested around it and has no bias.
+      best: of the highest order, which has no bias.
       most: variance of that one.
     """
-    assert variance is not None and most is not None
-    sizes = [np.sum(np.abs(values) ** 2, axis=(1, 2)) for values in (best, response - best)]
+    size, distance = (np.sum(np.abs(values) ** 2, axis=(1, 2)) for values in (best, response - best))
     own, all_of_it = variance.sum(axis=(1, 2)), most.sum(axis=(1, 2))
-    bias = np.maximum(sizes[1] - np.maximum(all_of_it - own, 0.0), 0.0)
-    return float(np.mean((bias + own) / sizes[0]))
+    bias = np.maximum(distance - np.maximum(all_of_it - own, 0.0), 0.0)
+    return float(np.mean((bias + own) / size))
 
 
 def require_order(name: str, order: int) -> None:

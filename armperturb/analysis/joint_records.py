@@ -1,9 +1,9 @@
 """Perturbation and response of several trials as one open-loop system, d to (f, x).
 
-Arm and environment are a closed loop: force moves the handle, and the handle's movement changes the force. A model from
-f to x is therefore biased by whatever else moves the handle: with a mass in the loop, force and displacement answer each
-other within the same sample, so that the noise of x is in the f of the same instant, which no delay separates. The
-disturbance d is outside the loop, and nothing else correlates with it. Seen from d everything is open loop,
+Arm and environment are a closed loop: force moves the handle, and the handle's movement changes the force. A model
+straight from f to x is biased by whatever else moves the handle: through the manipulator's mass the noise of x is in
+the f of the same instant, and no delay keeps them apart, as methods for closed loops ask for. The disturbance d is outside
+the loop, and nothing else correlates with it. Seen from d everything is open loop,
 
     f = T d + noise,    x = P d + noise,
 
@@ -13,8 +13,8 @@ and the noises may be as coloured and as correlated with each other as they are.
 
 where (a, b) is (0, 1) for the arm H (x over f), (1, -1) for the environment E (x over d - f) and (1, 0) for both, P.
 
-The three signals pass the same anti-alias filter, which cancels in T and P. What is then sampled holds nothing above half
-the sampling rate (but for traces at the onset), so that a model in discrete time has the frequency response of the
+The three signals pass the same anti-alias filter, which cancels in T and P. What is then sampled holds nothing above
+half the sampling rate (but for traces at the onset), so that a model in discrete time has the frequency response of the
 continuous system: nothing is held between samples, and x answers d within the sample.
 """
 
@@ -123,33 +123,49 @@ def joint_records(recording: xr.Dataset | Sequence[xr.Dataset]) -> JointRecords:
     return records
 
 
-def system_of(
-    what: What, joint: Response, noise: Response | None = None, spread: Response | None = None
-) -> tuple[Response, Array | None]:
-    """Arm, environment or both from the joint response, with the variance of each element.
+def admittance_of(what: What, joint: Response) -> Response:
+    """Arm, environment or both from the joint response.
 
     Args:
       what: "arm", "environment" or "total".
       joint: G from d to (f, x), (frequency, 4, 2).
-      noise: N, (frequency, 4, 4); None for no variance.
-      spread: S, (frequency, 2, 2), such that the covariance of dG_ab and dG_cd is N_ac S_bd.
 
     Returns:
-      Admittance, (frequency, output, input), and the mean of |error|^2 of each element to first order, or None.
+      Admittance [m/N], (frequency, output, input).
 
     Raises:
       ValueError: what is something else.
     """
-    require_what(what)
-    a, b = _WEIGHTS[what]
-    inverse = np.linalg.inv(a * np.eye(2) + b * joint[:, :2])
-    response = joint[:, 2:] @ inverse
-    if noise is None or spread is None:
-        return response, None
-    left = np.concatenate([-b * response, np.broadcast_to(np.eye(2), response.shape)], axis=2)
+    return np.asarray(joint[:, 2:] @ _moving(what, joint))
+
+
+def variance_of(what: What, joint: Response, noise: Response, spread: Response) -> Array:
+    """Variance of that admittance, to first order.
+
+    Args:
+      what: as in `admittance_of`.
+      joint: as in `admittance_of`.
+      noise: N, (frequency, 4, 4).
+      spread: S, (frequency, 2, 2), such that the covariance of dG_ab and dG_cd is N_ac S_bd.
+
+    Returns:
+      The mean of |error|^2 of each element [(m/N)^2], (frequency, output, input).
+
+    Raises:
+      ValueError: as `admittance_of`.
+    """
+    inverse, response = _moving(what, joint), admittance_of(what, joint)
+    left = np.concatenate([-_WEIGHTS[what][1] * response, np.broadcast_to(np.eye(2), response.shape)], axis=2)
     of_output = np.einsum("fia,fac,fic->fi", left, noise, left.conj()).real
     of_input = np.einsum("fbj,fbd,fdj->fj", inverse, spread, inverse.conj()).real
-    return response, of_output[:, :, None] * of_input[:, None, :]
+    return np.asarray(of_output[:, :, None] * of_input[:, None, :])
+
+
+def _moving(what: What, joint: Response) -> Response:
+    """W^-1: from what moves the system to d."""
+    require_what(what)
+    a, b = _WEIGHTS[what]
+    return np.asarray(np.linalg.inv(a * np.eye(2) + b * joint[:, :2]))
 
 
 def require_what(what: str) -> None:

@@ -12,7 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from armperturb.analysis.arx import HIGHEST_ORDER, fit_arx
 from armperturb.analysis.frequency_response import FrequencyResponse
-from armperturb.analysis.joint_records import JointRecords, What, joint_records, require_what, system_of
+from armperturb.analysis.joint_records import (
+    JointRecords,
+    What,
+    admittance_of,
+    joint_records,
+    require_what,
+    variance_of,
+)
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.subspace import PAST, fit_subspace
 from armperturb.recording import join_recordings
@@ -90,8 +97,13 @@ def arx_response(
     records = joint_records(recording)
     wanted = _wanted(frequency, records)
     model = fit_arx(records, wanted, what=what, order=order, highest_order=highest_order)
-    response, variance = system_of(what, *model.response(wanted))
-    return FrequencyResponse(frequency=wanted, response=response, covariance=variance, what=what)
+    joint, noise, spread = model.response(wanted)
+    return FrequencyResponse(
+        frequency=wanted,
+        response=admittance_of(what, joint),
+        covariance=variance_of(what, joint, noise, spread),
+        what=what,
+    )
 
 
 def subspace_response(
@@ -122,7 +134,7 @@ def subspace_response(
     wanted = _wanted(frequency, records)
     model = fit_subspace(records, wanted, what=what, order=order, past=past)
     return FrequencyResponse(
-        frequency=wanted, response=system_of(what, model.response(wanted))[0], covariance=None, what=what
+        frequency=wanted, response=admittance_of(what, model.response(wanted)), covariance=None, what=what
     )
 
 

@@ -4,18 +4,18 @@ Of the joint system from u = d to y = (f, x) (`joint_records`) in innovation for
 
     s(k+1) = A s(k) + B u(k) + K e(k),    y(k) = C s(k) + D u(k) + e(k),
 
-the state is, but for what came before the past window, a sum over past data: s(k) = M z(k), with z(k) the y and u of the
-last p samples. The high-order ARX model of the same data (`arx`) gives the products Gamma M of the extended
-observability matrix and M, and their singular values, weighted with the spread of z, which states matter. With states
-known, A, B, C, D and K are least squares (Chiuso 2007, Automatica 43: PBSIDopt). The predictor needs no noise-free past,
-so that the method bears feedback in the data; here, from the disturbance on, there is none.
+the state is, but for what came before the past window, a sum over past data: s(k) = M z(k), with z(k) the y and u of
+the last p samples. The ARX model of the same data with p lags (`arx`) gives the product Gamma M of the extended
+observability matrix and M; its singular values, weighted with the spread of z, tell which states matter. With states
+known, A, B, C, D and K are least squares (Chiuso 2007, Automatica 43: PBSIDopt). The method bears feedback from y to
+later u; here, from the disturbance on, there is none.
 
-States of the next sample are of z(k+1), which is z(k) without its oldest lag, and u(k) and y(k). So all is linear in what
-the regression's triangular factor holds, and data are visited once.
+The states of the next sample are those of z(k+1), which is z(k) less its oldest lag, with u(k) and y(k). So all is
+linear in what the regression's triangular factor holds, and data are visited once.
 
-**Order.** As for ARX models, the one whose estimated error of the wanted response is least, among those that are stable;
-unbiased is taken to be the ARX model of all p lags, whose p times 4 states vary as its covariance says, and n of them by
-the share n / 4p of that: no theory of this method gives a handy covariance, and this serves to choose only.
+**Order.** As for ARX models, the one whose estimated error of the wanted response is least, among those that are
+stable. The ARX model of p lags is taken to have no bias; its 4p states vary as its covariance says, and n of them by
+the share n / 4p of that. This serves to choose only: the method has no covariance that is as simple as that of ARX.
 """
 
 import warnings
@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armperturb.analysis.arx import Regression, error_over_size, require_order
-from armperturb.analysis.joint_records import JointRecords, What, system_of
+from armperturb.analysis.joint_records import JointRecords, What, admittance_of, variance_of
 
 Array = NDArray[np.float64]
 Response = NDArray[np.complex128]
@@ -74,7 +74,9 @@ class Subspace(NamedTuple):
         """G from d to (f, x), (frequency, 4, 2)."""
         z = np.exp(2j * np.pi * np.asarray(frequency) / self.rate)
         resolvent = z[:, None, None] * np.eye(self.order) - self.a
-        return np.asarray(self.c @ np.linalg.solve(resolvent, np.broadcast_to(self.b, (len(z), *self.b.shape))) + self.d)
+        return np.asarray(
+            self.c @ np.linalg.solve(resolvent, np.broadcast_to(self.b, (len(z), *self.b.shape))) + self.d
+        )
 
 
 def fit_subspace(
@@ -108,14 +110,14 @@ def fit_subspace(
             )
         chosen = states.model(order)
     else:
-        best, variance = system_of(what, *regression.model(past).response(frequency))
-        assert variance is not None
+        reference = regression.model(past).response(frequency)
+        best, variance = admittance_of(what, reference[0]), variance_of(what, *reference)
         n_states = past * regression.n_outputs
         models = [states.model(n) for n in range(1, min(MOST_STATES, n_states) + 1)]
         models = [model for model in models if model.largest_pole < 1.0] or models
         errors = [
             error_over_size(
-                system_of(what, model.response(frequency))[0], variance * model.order / n_states, best, variance
+                admittance_of(what, model.response(frequency)), variance * model.order / n_states, best, variance
             )
             for model in models
         ]
@@ -155,7 +157,7 @@ class _States:
 
     def model(self, order: int) -> Subspace:
         """The model of the first states."""
-        regression, n_outputs = self._regression, self._y.shape[1]
+        regression = self._regression
         now = np.concatenate([self._now[:, :order], self._u], axis=1)
         to_y = np.linalg.lstsq(now, self._y, rcond=None)[0]
         innovations = self._y - now @ to_y
