@@ -322,6 +322,10 @@ def with_nan(recording):
             lambda r: r.assign_coords(limit_time=("trial", [np.nan, 3.0], r["limit_time"].attrs)),
             "trial 1 reached the workspace limit at 3.000 s",
         ),
+        (
+            lambda r: r.assign_coords(pulse_onset=("trial", [9.0, 0.0], r["pulse_onset"].attrs)),
+            "trial 1 has its pulse at 0 s; expected a perturbation before it",
+        ),
     ],
 )
 def test_recordings_are_refused(load, method, spoil, message):

@@ -100,7 +100,7 @@ class Regression:
     """Triangular factor of regressors and responses of all trials, for all orders up to the highest.
 
     Args:
-      records: trials.
+      records: trials; one that is not longer than the highest order says nothing.
       highest: order.
 
     Raises:

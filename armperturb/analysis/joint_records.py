@@ -2,8 +2,8 @@
 
 Arm and environment are a closed loop: force moves the handle, and the handle's movement changes the force. A model
 straight from f to x is biased by whatever else moves the handle: through the manipulator's mass the noise of x is in
-the f of the same instant, and no delay keeps them apart, as methods for closed loops ask for. The disturbance d is outside
-the loop, and nothing else correlates with it. Seen from d everything is open loop,
+the f of the same instant, and no delay keeps them apart, as methods for closed loops ask for. The disturbance d is
+outside the loop, and nothing else correlates with it. Seen from d everything is open loop,
 
     f = T d + noise,    x = P d + noise,
 
@@ -74,11 +74,10 @@ class JointRecords:
 
     def excited_frequencies(self) -> Array:
         """Where the disturbance has power, in steps of about 0.1 Hz, up to 0.4 of the rate [Hz], (frequency,)."""
-        n_bin = min(round(BIN * self.rate), *map(len, self.perturbation))
-        power = np.zeros(n_bin // 2 + 1)
-        for d in self.perturbation:
-            frequency, found = signal.welch(d, self.rate, nperseg=n_bin, axis=0)
-            power += found.sum(axis=1) * len(d)
+        n_bin = min(round(BIN * self.rate), max(map(len, self.perturbation)))
+        long_enough = [d for d in self.perturbation if len(d) >= n_bin]
+        frequency = np.fft.rfftfreq(n_bin, 1.0 / self.rate)
+        power = np.sum([signal.welch(d, self.rate, nperseg=n_bin, axis=0)[1] for d in long_enough], axis=(0, 2))
         power[(frequency == 0.0) | (frequency > 0.4 * self.rate)] = 0.0
         return np.asarray(frequency[power > EXCITED * power.max()])
 
@@ -90,8 +89,8 @@ def joint_records(recording: xr.Dataset | Sequence[xr.Dataset]) -> JointRecords:
       recording: trials of one person in one condition, or several such recordings of the same rate, of any lengths.
 
     Raises:
-      ValueError: a recording is refused (see `check_recording`), a trial met the workspace limit or is too short to be
-        resampled, rates differ, a channel is constant, or the disturbances along x and y are one.
+      ValueError: a recording is refused (see `check_recording`), a trial met the workspace limit, begins with its pulse
+        or is too short to be resampled, rates differ, a channel is constant, or the disturbances along x and y are one.
     """
     recordings = [recording] if isinstance(recording, xr.Dataset) else list(recording)
     if not recordings:
@@ -114,6 +113,11 @@ def joint_records(recording: xr.Dataset | Sequence[xr.Dataset]) -> JointRecords:
                     "inside (leave this one out)"
                 )
             end = round(onsets[trial] * rates[0]) if np.isfinite(onsets[trial]) else d.shape[1]
+            if end < 2:
+                raise ValueError(
+                    f"trial {trial} has its pulse at {onsets[trial]:g} s; expected a perturbation before it (leave "
+                    "this one out)"
+                )
             signals = np.concatenate([d[trial, :end], f[trial, :end], x[trial, :end]], axis=1)
             signals = _resampled(signals, factor)
             perturbation.append(signals[:, :2])
