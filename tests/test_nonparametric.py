@@ -1,16 +1,18 @@
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
 from scipy import signal
 
 from armperturb import POSITION, Environment, Instruments, Multisine, Trial, arm_admittance, run_experiment
-from armperturb.analysis.arm_model import environment_admittance, total_admittance
+from armperturb.analysis.arm_model import environment_admittance, largest_real_pole, total_admittance
 from armperturb.analysis.arx import Regression, fit_arx
 from armperturb.analysis.joint_records import JointRecords, admittance_of, joint_records, variance_of
 from armperturb.analysis.nonparametric import METHODS, estimate_response
 from armperturb.analysis.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.subspace import fit_subspace
-from armperturb.controllers.remnant import HumanNoise
+from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.recording import make_recording
 
 ENVIRONMENT = Environment()
@@ -82,8 +84,9 @@ def load():
 
 @pytest.fixture(scope="module")
 def noisy_arm():
+    same = replace(HUMAN_NOISE["PT"], spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
     trials = [
-        Trial(subject=POSITION, perturbation=Multisine.draw(seed=seed, rms=5.4), seed=seed, noise=HumanNoise())
+        Trial(subject=POSITION, perturbation=Multisine.draw(seed=seed, rms=5.4), seed=seed, noise=same)
         for seed in range(3)
     ]
     return run_experiment(trials, linear=True, instruments=Instruments(marker_noise=None, emg=None), n_threads=1)
@@ -135,7 +138,30 @@ def test_of_a_noisy_arm_models_err_less_than_spectra(noisy_arm, method):
         name: np.sqrt(np.mean(relative_error(response, truth) ** 2))
         for name, response in (("model", found.response), ("spectra", spectra.arm[kept]))
     }
-    assert size["model"] < 0.7 * size["spectra"]
+    assert size["model"] < 0.6 * size["spectra"]
+    if method == "arx":
+        assert 0.6 < np.mean(np.abs(found.response - truth) ** 2 / found.covariance) < 1.6
+    else:
+        assert found.covariance is None
+
+
+@pytest.mark.parametrize("fit", [fit_arx, fit_subspace])
+def test_models_of_a_noisy_arm_are_stable_and_as_slow_as_it(noisy_arm, fit):
+    slowest = np.exp(largest_real_pole(POSITION, ENVIRONMENT) / noisy_arm.attrs["rate"])
+    assert fit(joint_records(noisy_arm), BELOW_20).largest_pole == pytest.approx(slowest, abs=0.003)
+
+
+def test_a_model_straight_from_force_to_displacement_would_be_biased(noisy_arm):
+    records = joint_records(noisy_arm)
+    straight = JointRecords(
+        perturbation=tuple(y[:, :2] for y in records.response),
+        response=tuple(y[:, 2:] for y in records.response),
+        rate=records.rate,
+    )
+    truth = arm_admittance(POSITION, BELOW_20)
+    direct = Regression(straight, 30).model(30).response(BELOW_20)[0]
+    joint = estimate_response(noisy_arm, "arx", BELOW_20, order=30).response
+    assert np.median(relative_error(joint, truth)) < 0.3 * np.median(relative_error(direct, truth))
 
 
 def test_responses_of_one_recording_fit_together(noisy_arm):
