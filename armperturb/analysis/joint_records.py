@@ -40,6 +40,10 @@ band cost regressors, and say nothing."""
 FILTER_REACH = 10
 """Samples of the lower rate at either end of a record that the filter for resampling spoils."""
 
+FILTER_CUTOFF = 0.7
+"""Cut-off of that filter over half the lower rate: signals that reach up to half the rate take many states, as no
+causal model in discrete time is a mass there."""
+
 SAME_DIRECTION = 1e-6
 """Determinant of the correlation of both disturbances below which they are one [-]."""
 
@@ -188,7 +192,8 @@ def _resampled(signals: Array, factor: int) -> Array:
     if len(signals) < 4 * FILTER_REACH * factor:
         raise ValueError(f"a trial holds {len(signals)} samples; expected at least {4 * FILTER_REACH * factor}")
     # All signals pass the same filter, so that it cancels.
-    return np.asarray(signal.resample_poly(signals, 1, factor, axis=0)[FILTER_REACH:-FILTER_REACH])
+    lowpass = signal.firwin(2 * FILTER_REACH * factor + 1, FILTER_CUTOFF / factor, window=("kaiser", 5.0))
+    return np.asarray(signal.resample_poly(signals, 1, factor, axis=0, window=lowpass)[FILTER_REACH:-FILTER_REACH])
 
 
 def _require_moving(records: JointRecords) -> None:
