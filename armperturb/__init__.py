@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from armperturb.analysis.arm_model import arm_admittance as arm_admittance
 from armperturb.analysis.identify import identify as identify
+from armperturb.analysis.nonparametric import estimate_response as estimate_response
 from armperturb.cohort import draw as draw
 from armperturb.environment import Environment as Environment
 from armperturb.environment import Strap as Strap
