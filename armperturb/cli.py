@@ -385,14 +385,16 @@ def design(settings: Design) -> str:
     from armperturb.study.design_report import design_text, write_design
 
     try:
-        limits = tuple(float(text) for text in settings.limits.split(","))
+        force, displacement, duration = map(float, settings.limits.split(","))
     except ValueError:
         raise ValueError(
             f"design: limits = {settings.limits!r}; expected three numbers with commas between: RMS force [N], RMS "
             "displacement [m], duration [s]"
         ) from None
     what = {name: value for name, value in vars(settings).items() if name not in ("subject", "limits", "out")}
-    result = plan(DesignSettings(subject=Subject.load(settings.subject), limits=limits, **what))
+    result = plan(
+        DesignSettings(subject=Subject.load(settings.subject), limits=(force, displacement, duration), **what)
+    )
     write_design(result, settings.out)
     return design_text(result)
 

@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import optimize
 
 from armperturb.analysis.arm_model import LinearArm, environment_admittance, hand_jacobian, parameter_vector
 from armperturb.analysis.displacement import EDGE, NoiseLevels
@@ -43,6 +44,9 @@ TOLERANCE = 1e-4
 
 GROWTH = 10.0
 """Factor from barrier to barrier of the interior-point method [-]."""
+
+LEAST_STEP = 1e-3
+"""Share of the way to the solution with the noise held below which no step is tried [-]."""
 
 MAX_STEPS = 60
 """Newton steps per barrier, and rounds in which the price of the noise is set."""
@@ -137,9 +141,7 @@ class Experiment:
         """Derivative of the information per second of lines by the demand, (joint, parameter, parameter)."""
         weighted = np.linalg.solve(self.noise(demand), self._own)
         felt = np.einsum("foj,foai->fjai", weighted.conj(), self._gradient)
-        return np.asarray(
-            -2.0 * np.einsum("f,fa,fjai,fjak->jik", self._noise.slope, power, felt.conj(), felt).real
-        )
+        return np.asarray(-2.0 * np.einsum("f,fa,fjai,fjak->jik", self._noise.slope, power, felt.conj(), felt).real)
 
     def standard_error(self, power: Array, duration: float, trials: int = 1) -> Array:
         """Least standard error of each parameter from trials under lines (Cramer-Rao), (parameter,), SI.
@@ -162,11 +164,25 @@ class Limits(NamedTuple):
 
     Attributes:
       force: largest RMS force per axis [N].
-      displacement: largest RMS displacement of the handle per axis that the multisine causes [m].
+      displacement: largest RMS displacement of the handle per axis that it causes, on average over phases [m].
     """
 
     force: float
     displacement: float
+
+
+class Optimum(NamedTuple):
+    """The best multisine.
+
+    Attributes:
+      power: of its lines [N^2], (frequency, axis).
+      excess: by how much the mean logarithm of the standard errors would fall within the limits if it fell all the way
+        as steeply as it does here [-]. With the noise held it is convex, and cannot fall further: a bound of how far it
+        is from the least.
+    """
+
+    power: Array
+    excess: float
 
 
 class _Shares(NamedTuple):
@@ -205,7 +221,7 @@ class _Shares(NamedTuple):
         return 0.5 * float(np.mean(np.log(np.diag(covariance)[self.goal])))
 
 
-def optimise(experiment: Experiment, clusters: int, goal: Sequence[str], limits: Limits, spread: float) -> Array:
+def optimise(experiment: Experiment, clusters: int, goal: Sequence[str], limits: Limits, spread: float) -> Optimum:
     """Powers of lines that make the geometric mean of some parameters' standard errors least.
 
     Args:
@@ -216,9 +232,6 @@ def optimise(experiment: Experiment, clusters: int, goal: Sequence[str], limits:
       limits: on force and displacement.
       spread: share of each axis's power that is spread evenly over all clusters, 0 to 1.
 
-    Returns:
-      Powers [N^2], (frequency, axis).
-
     Raises:
       ValueError: no multisine at these lines tells about all parameters; the message names those.
     """
@@ -226,35 +239,22 @@ def optimise(experiment: Experiment, clusters: int, goal: Sequence[str], limits:
     share = np.full(2 * clusters, 0.5 / (2 * clusters))
     share *= 0.5 / max(float(np.max(problem.limits @ share)), 0.5)
     require_informative(experiment.information(problem.power(share)), experiment.names)
-    best = problem.criterion(share)
+    best, excess = problem.criterion(share), _excess(problem, share)
     for _ in range(MAX_STEPS):
-        price = problem.price(share)
-        aim = _least(problem.parts(share), problem.goal, price, problem.limits, share)
-        step, before = 1.0, best
-        while step > 1e-3:
-            moved = (1.0 - step) * share + step * aim
-            now = problem.criterion(moved)
-            if now < best:
-                share, best = moved, now
-                break
-            step /= 2.0
-        if before - best < TOLERANCE:
+        if excess < TOLERANCE:
             break
-    return problem.power(share)
+        aim = _least(problem.parts(share), problem.goal, problem.price(share), problem.limits, share)
+        step = 1.0
+        while (now := problem.criterion(moved := (1.0 - step) * share + step * aim)) >= best and step > LEAST_STEP:
+            step /= 2.0
+        if now >= best:
+            break
+        share, best, excess = moved, now, _excess(problem, moved)
+    return Optimum(problem.power(share), excess)
 
 
-def excess(
-    experiment: Experiment, clusters: int, goal: Sequence[str], limits: Limits, spread: float, power: Array
-) -> float:
-    """By how much the criterion could still fall if it fell as fast as at these powers, at most [-].
-
-    With the noise held the criterion is convex, and cannot fall by more: a bound of how far from the least it is. The
-    slope counts how the noise follows the powers. Arguments are those of `optimise`, and what it gave.
-    """
-    from scipy import optimize
-
-    problem = _problem(experiment, clusters, goal, limits, spread)
-    share, *_ = np.linalg.lstsq(problem.spreading.reshape(-1, 2 * clusters), power.ravel(), rcond=None)
+def _excess(problem: _Shares, share: Array) -> float:
+    """By how much the criterion could fall along its slope within the limits [-]."""
     parts = problem.parts(share)
     covariance = _inverse(np.einsum("sij,s->ij", parts, share))
     slope = problem.price(share) - _weight(covariance, problem.goal, parts)

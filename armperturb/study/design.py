@@ -7,13 +7,13 @@ of it. The thesis's multisine, as strong as the same limits allow, stands beside
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import rfft
 
-from armperturb.analysis.arm_model import parameter_vector, require_stable
+from armperturb.analysis.arm_model import require_stable, total_admittance
 from armperturb.analysis.design import Experiment, Limits, Noise, optimise
 from armperturb.analysis.displacement import NoiseLevels
 from armperturb.analysis.structures import GRIP_UNITS, STRUCTURES, Structure, unit
@@ -173,6 +173,7 @@ class Design:
       thesis: its multisine, as strong as the limits allow.
       optimised: the best multisine within the limits.
       perturbations: realisations of the latter, one per trial.
+      excess: bound of how far the optimum is from the best, see `analysis.design.Optimum` [-].
     """
 
     settings: DesignSettings
@@ -181,6 +182,7 @@ class Design:
     thesis: Lines
     optimised: Lines
     perturbations: tuple[Sampled, ...]
+    excess: float
 
     @cached_property
     def factor(self) -> float:
@@ -221,13 +223,15 @@ class Design:
         ]
 
     def signal_rows(self) -> list[Row]:
-        """RMS and largest force of each realisation."""
+        """RMS and largest force, and RMS displacement of the handle, of each realisation."""
+        moved = [displacements(self.settings.subject, signal) for signal in self.perturbations]
         return [
             {
                 "trial": number,
                 "axis": axis,
-                "rms_force_N": float(np.sqrt(np.mean(signal.force[: round(PERIOD * signal.rate), column] ** 2))),
+                "rms_force_N": float(np.sqrt(np.mean(signal.force[:PERIOD_SAMPLES, column] ** 2))),
                 "peak_force_N": float(np.abs(signal.force[:, column]).max()),
+                "rms_displacement_m": float(moved[number - 1][column]),
             }
             for number, signal in enumerate(self.perturbations, start=1)
             for column, axis in enumerate(("x", "y"))
@@ -244,21 +248,19 @@ def design(settings: DesignSettings) -> Design:
     structure, starts = settings.structure(), cluster_starts()
     lines = (starts[:, None] + np.arange(CLUSTERS.shape[1])).ravel()
     best = experiment_at(settings, lines)
-    power = optimise(best, len(starts), settings.wanted(), Limits(force, displacement), settings.spread)
+    optimum = optimise(best, len(starts), settings.wanted(), Limits(force, displacement), settings.spread)
+    seeds = [trial_seed(settings.seed, "design", number) for number in range(settings.trials)]
+    drawn = [draw_multisine(lines, optimum.power, seed=seed, duration=duration) for seed in seeds]
+    # How x and y add up depends on the phases: the worst trial must be within the limits.
+    scale = min(1.0, displacement / max(float(displacements(settings.subject, one).max()) for one in drawn))
 
     usual = experiment_at(settings, CLUSTERS.ravel())
     multisine = Multisine(rms=force, phases=np.zeros((2, CLUSTERS.size)))
     thesis = np.repeat(multisine.amplitudes[:, None] ** 2 / 2.0, 2, axis=1)
     thesis /= max(1.0, float(usual.displacement(thesis).max()) / displacement**2)
-
-    seeds = [trial_seed(settings.seed, "design", number) for number in range(settings.trials)]
-    drawn = [draw_multisine(lines, power, seed=seed, duration=duration) for seed in seeds]
     if settings.peak is not None:
-        largest = max(float(np.abs(one.force).max()) for one in drawn)
-        scale = min(1.0, settings.peak / largest)
-        power, drawn = scale**2 * power, [Sampled(force=scale * one.force, rate=one.rate) for one in drawn]
-        rms = float(np.sqrt(thesis[:, 0].sum()))
-        multisines = [Multisine.draw(seed=seed, rms=rms) for seed in seeds]
+        scale = min(scale, settings.peak / max(float(np.abs(one.force).max()) for one in drawn))
+        multisines = [Multisine.draw(seed=seed, rms=float(np.sqrt(thesis[:, 0].sum()))) for seed in seeds]
         largest = max(float(np.abs(one.sample(DESIGN_RATE, PERIOD_SAMPLES)).max()) for one in multisines)
         thesis *= min(1.0, settings.peak / largest) ** 2
 
@@ -271,8 +273,9 @@ def design(settings: DesignSettings) -> Design:
         names=structure.free,
         truth=true_values(settings.subject, structure),
         thesis=signal(usual, CLUSTERS.ravel(), thesis),
-        optimised=signal(best, lines, power),
-        perturbations=tuple(drawn),
+        optimised=signal(best, lines, scale**2 * optimum.power),
+        perturbations=tuple(Sampled(force=scale * one.force, rate=one.rate) for one in drawn),
+        excess=optimum.excess,
     )
 
 
@@ -283,6 +286,13 @@ def experiment_at(settings: DesignSettings, lines: NDArray[np.int64]) -> Experim
     floor, louder = (human.torque_spectrum([rms, rms], TIMESTEP, frequency)[:, 0] for rms in (0.0, 1.0))
     noise = Noise(floor, louder - floor, noise_levels(instruments), DESIGN_RATE)
     return Experiment(settings.subject, settings.structure(), Environment(), frequency, noise)
+
+
+def displacements(subject: Subject, perturbation: Sampled) -> Array:
+    """RMS displacement of the handle that a periodic perturbation causes once its start is forgotten [m], (axis,)."""
+    spectrum = rfft(perturbation.force[:PERIOD_SAMPLES], axis=0)[1:] / PERIOD_SAMPLES
+    total = total_admittance(subject, Environment(), np.arange(1, len(spectrum) + 1) / PERIOD)
+    return np.asarray(np.sqrt(2.0 * np.sum(np.abs(np.einsum("fij,fj->fi", total, spectrum)) ** 2, axis=0)))
 
 
 def noise_levels(instruments: Instruments) -> NoiseLevels:

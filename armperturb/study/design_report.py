@@ -49,8 +49,8 @@ def design_text(design: Design) -> str:
     lines += [
         "SEM: least standard error of any unbiased estimator (Cramer-Rao); * counts",
         "",
-        f"geometric mean of the SEM of *: {design.factor:.2f} of the thesis's, as after {design.factor**-2:.1f} times as "
-        "many trials",
+        f"geometric mean of the SEM of *: {design.factor:.2f} of the thesis's, as from {design.factor**-2:.1f} times "
+        "as many trials",
     ]
     for name, signal in _signals(design):
         forces = ", ".join(f"{value:.2f}" for value in np.sqrt(signal.power.sum(axis=0)))
@@ -74,7 +74,7 @@ def design_figure(design: Design) -> Figure:
     figure = new_figure(5.2)
     (against_duration, against_trials), (on_x, on_y) = figure.subplots(2, 2, sharey="row")
     durations = np.geomspace(PERIOD, LONGEST * duration, 100)
-    trials = np.arange(1, LONGEST * settings.trials + 1)
+    trials = np.arange(1.0, LONGEST * settings.trials + 1.0)
     lengths = np.array([effective_duration(one) for one in durations]) / effective_duration(duration)
     for name, signal in _signals(design):
         error = signal.standard_error[columns] / (np.abs(design.truth[columns]) / 100.0 if known else 1.0)
@@ -103,6 +103,7 @@ def design_figure(design: Design) -> Figure:
             _spectrum(ax, signal, column, **LOOKS[name])
         ax.set_xscale("log")
         ax.set_yscale("log")
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         ax.set_xticks([0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0])
         ax.xaxis.set_minor_locator(NullLocator())
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -153,5 +154,6 @@ def write_design(design: Design, folder: Path) -> None:
         "versions": {name: importlib.metadata.version(name) for name in ("armperturb", "numpy", "scipy")},
         "settings": {**asdict(design.settings), "model": design.settings.model_name()},
         "factor": design.factor,
+        "excess": design.excess,
     }
     write_durably(folder / "settings.json", (json.dumps(made, indent=1, ensure_ascii=False) + "\n").encode())
