@@ -24,7 +24,7 @@ from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.envs.trial import Trial
-from armperturb.perturbations import CLUSTERS, Multisine, Perturbation
+from armperturb.perturbations import Multisine, Perturbation
 from armperturb.study.design import Design, DesignSettings, design, experiment_at
 from armperturb.study.protocol import trial_seed
 from armperturb.study.validate import ValidateSettings
@@ -35,6 +35,7 @@ Array = NDArray[np.float64]
 GROUPS = 200
 TRIALS = 4
 PEOPLE = 40
+OWN = 10
 TOLERANCE = 0.15
 """How far the measured factor may be off the predicted one."""
 
@@ -123,39 +124,44 @@ def check(case: str, settings: DesignSettings, groups: int) -> bool:
         f"geometric mean of *: predicted {plan.factor:.3f}, measured {found:.3f} +- {np.std(again):.3f}, off by "
         f"{100 * off:+.1f} % (at most {100 * TOLERANCE:.0f} %): {verdict}"
     )
+    print(f"were people as noisy under both: predicted {plan.factor_equally_noisy:.3f}")
     return abs(off) <= TOLERANCE
 
 
+def factor_for(plan: Design, person: DesignSettings) -> float:
+    """Geometric mean of the goal's predicted errors of a person under the plan's optimised signal over the thesis's.
+
+    Both are weakened where they would take this person beyond the limit of displacement.
+    """
+    found = []
+    columns = [plan.names.index(name) for name in plan.settings.wanted()]
+    for signal in (plan.thesis, plan.optimised):
+        experiment = experiment_at(person, signal.lines)
+        moved = float(experiment.displacement(signal.power).max()) / plan.settings.limits[1] ** 2
+        found.append(experiment.standard_error(signal.power / max(1.0, moved), plan.settings.limits[2])[columns])
+    return float(np.exp(np.mean(np.log(found[1] / found[0]))))
+
+
 def other_people(settings: DesignSettings) -> None:
-    """What the design for the mean person promises people of other parameters, and what a design of their own would."""
-    plan, columns = design(settings), [DesignSettings.structure(settings).free.index(n) for n in settings.wanted()]
-    factors, own = [], []
-    for seed in range(PEOPLE):
-        person = replace(settings, subject=draw("position", seed))
-        usual = experiment_at(person, CLUSTERS.ravel())
-        best = experiment_at(person, plan.optimised.lines)
-        _, displacement, duration = settings.limits
-        error = []
-        for at, power in ((usual, plan.thesis.power), (best, plan.optimised.power)):
-            moved = float(at.displacement(power).max()) / displacement**2
-            error.append(at.standard_error(power / max(1.0, moved), duration, settings.trials)[columns])
-        factors.append(np.exp(np.mean(np.log(error[1] / error[0]))))
-        if seed < 10:
-            own.append(design(replace(person, trials=1)).factor)
-    low, middle, high = np.quantile(factors, [0.0, 0.5, 1.0])
+    """What the design for the mean person promises others, and what designs of their own would."""
+    plan = design(settings)
+    people = [replace(settings, subject=draw("position", seed), trials=1) for seed in range(PEOPLE)]
+    factors = [factor_for(plan, person) for person in people]
+    own = [design(person).factor for person in people[:OWN]]
     print(
-        f"\n{PEOPLE} other people under the mean person's design: {middle:.2f} ({low:.2f} to {high:.2f}); "
-        f"under designs of their own, of the first {len(own)}: {np.median(own):.2f}"
+        f"\n{PEOPLE} other people under the mean person's signals: median {np.median(factors):.2f} "
+        f"({min(factors):.2f} to {max(factors):.2f})"
     )
-    print(f"the same of these {len(own)} under the mean person's: {np.median(factors[: len(own)]):.2f}")
+    print(f"the first {OWN}: {np.median(factors[:OWN]):.2f}, under signals of their own {np.median(own):.2f}")
 
 
 def spreading(settings: DesignSettings) -> None:
     """The factor against the share of power that is spread evenly."""
     shares = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
-    factors = [design(replace(settings, spread=share, trials=1)).factor for share in shares]
-    print("\nspread " + " ".join(f"{share:6.2f}" for share in shares))
-    print("factor " + " ".join(f"{factor:6.3f}" for factor in factors))
+    plans = [design(replace(settings, spread=share, trials=1)) for share in shares]
+    print("\nspread               " + " ".join(f"{share:6.2f}" for share in shares))
+    print("factor               " + " ".join(f"{plan.factor:6.3f}" for plan in plans))
+    print("were people as noisy " + " ".join(f"{plan.factor_equally_noisy:6.3f}" for plan in plans))
 
 
 def main() -> None:

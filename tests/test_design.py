@@ -13,6 +13,7 @@ from armperturb.analysis.arm_model import PARAMETERS, total_admittance
 from armperturb.analysis.body import body_of
 from armperturb.analysis.design import Experiment, Limits, Noise, effective_duration, optimise
 from armperturb.analysis.displacement import EDGE, NoiseLevels
+from armperturb.analysis.identify import identify
 from armperturb.analysis.likelihood import TAPER
 from armperturb.analysis.maximum_likelihood import Group, estimate
 from armperturb.analysis.structures import STRUCTURES
@@ -46,9 +47,9 @@ def plan():
     return design(REFLEX)
 
 
-def few(n_clusters=6):
+def few(n_clusters=4):
     """A small problem: the experiment at a few clusters of the thesis's multisine."""
-    lines = CLUSTERS[:: 18 // n_clusters][:n_clusters]
+    lines = CLUSTERS[2 :: 18 // n_clusters][:n_clusters]
     return experiment_at(REFLEX, lines.ravel()), n_clusters
 
 
@@ -92,7 +93,7 @@ def test_information_is_that_of_a_time_series_in_white_noise():
 def test_noise_is_what_a_person_at_rest_and_the_instruments_leave_in_a_record():
     # The handle unperturbed, but for a demand that the floor stands for.
     human = replace(HUMAN_NOISE["PT"], spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
-    silence = replace(Multisine.draw(seed=0, rms=1e-9, crested=False), duration=600.0)
+    silence = replace(Multisine.draw(seed=0, rms=1e-9, crested=False), duration=400.0)
     trial = Trial(subject=POSITION, perturbation=silence, noise=human)
     recording = run_experiment([trial], linear=True, n_threads=1)
     frequency, spectrum = signal.csd(
@@ -137,7 +138,7 @@ def test_effective_duration_is_that_of_the_taper():
 
 def test_noise_rises_with_the_demand_as_its_slope_says():
     experiment, _ = few()
-    power = RNG.uniform(0.5, 1.0, (24, 2))
+    power = RNG.uniform(0.5, 1.0, (16, 2))
     demand = np.array([2.0, 3.0])
     slopes = experiment.slopes(power, demand)
     for joint, step in enumerate(1e-4 * np.eye(2)):
@@ -164,7 +165,7 @@ def test_optimum_is_that_of_a_general_method_and_keeps_the_limits(limits):
         ),
     }
     rivals = []
-    for start in np.random.default_rng(0).dirichlet(np.ones(2 * n_clusters), 3):
+    for start in np.random.default_rng(0).dirichlet(np.ones(2 * n_clusters), 2):
         result = optimize.minimize(
             lambda share: criterion(experiment, power_of(np.maximum(share, 1e-9)), goal),
             0.2 * start,
@@ -175,7 +176,7 @@ def test_optimum_is_that_of_a_general_method_and_keeps_the_limits(limits):
         )
         rivals.append(result.fun)
     assert criterion(experiment, found.power, goal) == pytest.approx(min(rivals), abs=1e-3)
-    assert 0.0 <= found.excess < 2e-3
+    assert 0.0 <= found.excess < 1e-3
     assert (found.power.sum(axis=0) <= limits.force**2).all()
     assert (experiment.displacement(found.power) <= limits.displacement**2).all()
 
@@ -185,7 +186,7 @@ def test_no_random_rival_within_the_limits_is_better(plan):
     experiment = experiment_at(REFLEX, lines.ravel())
     best = optimise(experiment, len(lines), REFLEX.wanted(), Limits(*LIMITS[:2]), 0.0)
     least = criterion(experiment, best.power, REFLEX.wanted())
-    assert best.excess < 1e-3
+    assert 0.0 <= best.excess < 1e-3
     rng = np.random.default_rng(0)
     for _ in range(40):
         rival = np.repeat(rng.dirichlet(np.full(len(lines), 0.05), 2).T / 4.0, 4, axis=0)
@@ -222,19 +223,11 @@ def test_displacements_are_those_of_the_simulated_arm(plan):
     np.testing.assert_allclose(displacements(POSITION, plan.perturbations[0]), expected, rtol=2e-3)
 
 
-def test_a_limit_of_the_peak_binds_both_signals():
+def test_a_limit_of_the_peak_binds_both_signals(plan):
     weak = design(replace(REFLEX, peak=5.0, trials=1))
-    peaks = [row["peak_force_N"] for row in weak.signal_rows()]
-    assert max(peaks) == pytest.approx(5.0)
-    free = design(replace(REFLEX, trials=1))
+    assert max(row["peak_force_N"] for row in weak.signal_rows()) == pytest.approx(5.0)
     for name in ("thesis", "optimised"):
-        assert (getattr(weak, name).power.sum(axis=0) < getattr(free, name).power.sum(axis=0)).all()
-
-
-def test_errors_fall_with_the_root_of_trials():
-    one, four = (design(replace(REFLEX, goal="all", trials=trials)) for trials in (1, 4))
-    assert four.factor == pytest.approx(one.factor, rel=0.02)  # trials differ by what their worst phases allow
-    np.testing.assert_allclose(four.thesis.standard_error, one.thesis.standard_error / 2.0)
+        assert (getattr(weak, name).power.sum(axis=0) < getattr(plan, name).power.sum(axis=0)).all()
 
 
 def test_simulated_records_hold_the_predicted_information_and_estimates_scatter_by_it(plan):
@@ -242,6 +235,7 @@ def test_simulated_records_hold_the_predicted_information_and_estimates_scatter_
     structure = ValidateSettings(model="3b").structure()
     human = replace(HUMAN_NOISE["PT"], spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
     thesis = [replace(Multisine.draw(seed=seed, rms=5.4), duration=32.0) for seed in (0, 1)]
+    held = []
     for played, lines in ((plan.perturbations, plan.optimised), (thesis, plan.thesis)):
         experiment = experiment_at(REFLEX, lines.lines)
         predicted = experiment.information(lines.power) * effective_duration(32.0) * 2
@@ -261,10 +255,13 @@ def test_simulated_records_hold_the_predicted_information_and_estimates_scatter_
             ratios.append(np.sqrt(np.diag(np.linalg.inv(information))) / lines.standard_error)
             error = np.array([*estimate([prepared]).values.values()]) - plan.truth
             distance += error @ predicted @ error
-        # The noise that is estimated from the residual makes the records' own bound some per cent too low.
-        assert np.mean(ratios, axis=0) == pytest.approx(np.ones(13), abs=0.1)
+        # Two realisations only, whose x and y are not quite orthogonal, and a start from rest.
+        assert np.mean(ratios, axis=0) == pytest.approx(np.ones(13), abs=0.15)
+        held.append(np.mean(ratios, axis=0) * lines.standard_error)
         low, high = stats.chi2.ppf([1e-3, 1 - 1e-3], 13 * groups)
         assert low < distance < high
+    columns = [plan.names.index(name) for name in REFLEX.wanted()]
+    assert np.exp(np.mean(np.log(held[0] / held[1])[columns])) == pytest.approx(plan.factor, rel=0.1)
 
 
 def test_draw_multisine_refuses_and_repeats():
@@ -345,10 +342,9 @@ def test_the_command_writes_what_simulate_plays(tmp_path, capsys):
     assert sorted(path.name for path in (out / "perturbations").iterdir()) == ["trial_01.csv", "trial_02.csv"]
     played = load_csv(out / "perturbations" / "trial_01.csv")
     assert np.sqrt(np.mean(played.force[:PERIOD_SAMPLES] ** 2, axis=0)).max() <= 5.4 * (1 + 1e-9)
-    simulate = ["--subject", str(tmp_path / "subject.toml"), "--perturbation", str(out / "perturbations/trial_01.csv")]
-    assert cli.main(["simulate", *simulate, "--out", str(tmp_path / "trial.nc")]) == 0
-    assert cli.main(["identify", str(tmp_path / "trial.nc"), "--model", "3b", "--out", str(tmp_path / "found")]) == 0
-    assert "converged" in capsys.readouterr().out
+    recording = run_experiment([Trial(subject=POSITION, perturbation=played)], linear=True, n_threads=1)
+    found = identify(recording, "3b")
+    assert found.fit.values["kv_e"] == pytest.approx(POSITION.kv_e, rel=0.01)
 
 
 @pytest.mark.parametrize("limits", ["5.4", "5.4,0.0075", "5.4;0.0075;32", "a,b,c", "1,2,3,4", ""])

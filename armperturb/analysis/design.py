@@ -128,9 +128,15 @@ class Experiment:
         spectrum = np.einsum("fij,fj,fkj->fik", self._own, torque, self._own.conj())
         return np.asarray(spectrum + self._instruments[:, None, None] * np.eye(2))
 
-    def information(self, power: Array) -> Array:
-        """Fisher information per second, (parameter, parameter)."""
-        return np.asarray(np.einsum("fa,faij->ij", power, self.parts(self.demand(power))))
+    def information(self, power: Array, demand: Array | None = None) -> Array:
+        """Fisher information per second, (parameter, parameter).
+
+        Args:
+          power: of the lines [N^2], (frequency, axis).
+          demand: for which the person is as noisy [Nm^2], (joint,); that of the lines if None.
+        """
+        parts = self.parts(self.demand(power) if demand is None else demand)
+        return np.asarray(np.einsum("fa,faij->ij", power, parts))
 
     def parts(self, demand: Array) -> Array:
         """Fisher information per second and N^2 of each line, (frequency, axis, parameter, parameter)."""
@@ -143,18 +149,19 @@ class Experiment:
         felt = np.einsum("foj,foai->fjai", weighted.conj(), self._gradient)
         return np.asarray(-2.0 * np.einsum("f,fa,fjai,fjak->jik", self._noise.slope, power, felt.conj(), felt).real)
 
-    def standard_error(self, power: Array, duration: float, trials: int = 1) -> Array:
+    def standard_error(self, power: Array, duration: float, trials: int = 1, *, demand: Array | None = None) -> Array:
         """Least standard error of each parameter from trials under lines (Cramer-Rao), (parameter,), SI.
 
         Args:
           power: of the lines [N^2], (frequency, axis).
           duration: of each trial [s].
           trials: how many there are, each with phases of its own.
+          demand: as for `information`.
 
         Raises:
           ValueError: the lines tell nothing about some parameter, or direction of parameters; the message names it.
         """
-        information = self.information(power) * effective_duration(duration) * trials
+        information = self.information(power, demand) * effective_duration(duration) * trials
         require_informative(information, self.names)
         return np.asarray(np.sqrt(np.diag(_inverse(information))))
 

@@ -153,12 +153,14 @@ class Lines(NamedTuple):
       lines: in cycles per period, (line,).
       power: mean square force [N^2], (line, axis).
       standard_error: predicted, of each free parameter, from all trials, SI, (parameter,).
+      equally_noisy: the same, were the person as noisy as under the thesis's multisine, SI, (parameter,).
       displacement: RMS displacement of the handle that it causes, on average over phases [m], (axis,).
     """
 
     lines: NDArray[np.int64]
     power: Array
     standard_error: Array
+    equally_noisy: Array
     displacement: Array
 
 
@@ -187,9 +189,16 @@ class Design:
     @cached_property
     def factor(self) -> float:
         """Geometric mean of the goal's standard errors, optimised over thesis's [-]."""
+        return self._factor(self.optimised.standard_error)
+
+    @cached_property
+    def factor_equally_noisy(self) -> float:
+        """The same, were the person under the optimised multisine as noisy as under the thesis's [-]."""
+        return self._factor(self.optimised.equally_noisy)
+
+    def _factor(self, error: Array) -> float:
         columns = [self.names.index(name) for name in self.settings.wanted()]
-        ratio = self.optimised.standard_error / self.thesis.standard_error
-        return float(np.exp(np.mean(np.log(ratio[columns]))))
+        return float(np.exp(np.mean(np.log((error / self.thesis.standard_error)[columns]))))
 
     def rows(self) -> list[Row]:
         """Predicted standard errors per parameter, SI."""
@@ -265,8 +274,11 @@ def design(settings: DesignSettings) -> Design:
         thesis *= min(1.0, settings.peak / largest) ** 2
 
     def signal(of: Experiment, at: NDArray[np.int64], powers: Array) -> Lines:
-        error = of.standard_error(powers, duration, settings.trials)
-        return Lines(at, powers, error, np.sqrt(of.displacement(powers)))
+        error, equally_noisy = (
+            of.standard_error(powers, duration, settings.trials, demand=demand)
+            for demand in (None, usual.demand(thesis))
+        )
+        return Lines(at, powers, error, equally_noisy, np.sqrt(of.displacement(powers)))
 
     return Design(
         settings=settings,

@@ -50,7 +50,8 @@ def design_text(design: Design) -> str:
         "SEM: least standard error of any unbiased estimator (Cramer-Rao); * counts",
         "",
         f"geometric mean of the SEM of *: {design.factor:.2f} of the thesis's, as from {design.factor**-2:.1f} times "
-        "as many trials",
+        "as many trials;",
+        f"were the person as noisy as under the thesis's, {design.factor_equally_noisy:.2f}",
     ]
     for name, signal in _signals(design):
         forces = ", ".join(f"{value:.2f}" for value in np.sqrt(signal.power.sum(axis=0)))
@@ -154,6 +155,7 @@ def write_design(design: Design, folder: Path) -> None:
         "versions": {name: importlib.metadata.version(name) for name in ("armperturb", "numpy", "scipy")},
         "settings": {**asdict(design.settings), "model": design.settings.model_name()},
         "factor": design.factor,
+        "factor_equally_noisy": design.factor_equally_noisy,
         "excess": design.excess,
     }
     write_durably(folder / "settings.json", (json.dumps(made, indent=1, ensure_ascii=False) + "\n").encode())
