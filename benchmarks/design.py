@@ -78,7 +78,7 @@ def errors(plan: Design, played: list[Perturbation], groups: int, name: str) -> 
                 subject=subject,
                 perturbation=perturbation,
                 repetition=number,
-                seed=trial_seed(0, f"benchmark {name}", group, number),
+                seed=trial_seed(0, f"noise of {name}", group, number),
                 noise=noise,
             )
             for number, perturbation in enumerate(played)
@@ -100,7 +100,7 @@ def check(case: str, settings: DesignSettings, groups: int) -> bool:
     """Print what was promised and what came out; whether it is within the tolerance."""
     start = time.process_time()
     plan = design(settings)
-    of = {name: errors(plan, played, groups, name) for name, played in perturbations(plan).items()}
+    of = {name: errors(plan, played, groups, f"{case}, {name}") for name, played in perturbations(plan).items()}
     print(f"\n{case}: {groups} groups of {settings.trials} trials, {time.process_time() - start:.0f} s")
     print(f"{'parameter':10} {'predicted':>22} {'measured':>22} {'ratio':>13}")
     print(f"{'':10} {'thesis':>11}{'optimised':>11} {'thesis':>11}{'optimised':>11} {'pred.':>6} {'meas.':>6}")
