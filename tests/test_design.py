@@ -255,7 +255,7 @@ def test_simulated_records_hold_the_predicted_information_and_estimates_scatter_
             ratios.append(np.sqrt(np.diag(np.linalg.inv(information))) / lines.standard_error)
             error = np.array([*estimate([prepared]).values.values()]) - plan.truth
             distance += error @ predicted @ error
-        # Two realisations only, whose x and y are not quite orthogonal, and a start from rest.
+        # Two realisations only, whose x and y are not quite orthogonal, and a noise that is estimated from them.
         assert np.mean(ratios, axis=0) == pytest.approx(np.ones(13), abs=0.15)
         held.append(np.mean(ratios, axis=0) * lines.standard_error)
         low, high = stats.chi2.ppf([1e-3, 1 - 1e-3], 13 * groups)

@@ -27,6 +27,9 @@ LOOKS = {
 }
 """Colour of each signal, and what it is called."""
 
+LEAST_SHOWN = 1e-5
+"""Power of a line over that of the strongest from which on the figure shows it [-]."""
+
 LONGEST = 8
 """Longest duration, and most trials, of the figure, over those that are planned [-]."""
 
@@ -127,7 +130,9 @@ def _ticks(values: Array) -> tuple[list[float], list[str]]:
 
 
 def _spectrum(ax: Axes, signal: Lines, column: int, color: str) -> None:
-    ax.plot(signal.lines / PERIOD, np.sqrt(signal.power[:, column]), ".", markersize=3.5, color=color)
+    power = signal.power[:, column]
+    shown = power > LEAST_SHOWN * power.max()
+    ax.plot(signal.lines[shown] / PERIOD, np.sqrt(power[shown]), ".", markersize=3.5, color=color)
 
 
 def write_design(design: Design, folder: Path) -> None:
