@@ -93,13 +93,17 @@ class Experiment:
       environment: what the hand holds.
       frequency: of the lines [Hz], (frequency,).
       noise: at these frequencies.
+
+    Attributes:
+      frequency: of the lines [Hz], (frequency,).
+      names: of the free parameters.
     """
 
     def __init__(
         self, arm: Subject, structure: Structure, environment: Environment, frequency: Array, noise: Noise
     ) -> None:
         model, values = LinearArm(arm, frequency), parameter_vector(arm)
-        self.names, self._noise = structure.free, noise
+        self.frequency, self.names, self._noise = frequency, structure.free, noise
         total, gradient = model.total_and_gradient(values, environment)
         self._gradient = gradient @ structure.mixing
         self._jacobian = hand_jacobian(arm)
@@ -270,7 +274,7 @@ def _excess(problem: _Shares, share: Array) -> float:
 
 
 def _problem(experiment: Experiment, clusters: int, goal: Sequence[str], limits: Limits, spread: float) -> _Shares:
-    n_lines = len(experiment.noise(np.zeros(2))) // clusters
+    n_lines = len(experiment.frequency) // clusters
     even = np.kron((1.0 - spread) * np.eye(clusters) + spread / clusters, np.full((n_lines, 1), 1.0 / n_lines))
     spreading = np.zeros((clusters * n_lines, 2, 2 * clusters))
     spreading[:, 0, :clusters] = spreading[:, 1, clusters:] = limits.force**2 * even
