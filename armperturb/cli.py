@@ -133,6 +133,33 @@ class Validate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Design:
+    """Plan an experiment: predicted standard errors, and the multisine that makes those of the goal least."""
+
+    subject: Path
+    """TOML file of who will be perturbed, as far as is known."""
+    goal: str
+    """Parameters that matter: reflex, intrinsic, grip, mass or all."""
+    limits: str
+    """RMS force per axis [N], RMS displacement per axis [m] and duration of a trial [s], e.g. 5.4,0.0075,32."""
+    out: Path
+    """Folder for tables/design.csv, tables/spectrum.csv, tables/signals.csv, figures/design.svg, perturbations/ (one
+    CSV per trial, for simulate) and settings.json."""
+    trials: int = 8
+    """Number of trials that will be identified together."""
+    model: Literal["1", "2", "3", "4", "5", "6", "3a", "3b"] | None = None
+    """Model structure that will be fitted; what it fixes is known. By default 3b, or 1 for a person without
+    reflexes."""
+    peak: float | None = None
+    """Largest force that there may ever be on an axis [N]; by default any."""
+    spread: float = 0.2
+    """Share of each axis's power that is spread evenly over the band, 0 to 1, so that structure and admittances can be
+    judged from the same trials."""
+    seed: int = 0
+    """Of the phases."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Report:
     """Analyse the recordings of a study, whole or not, and write its report."""
 
@@ -348,6 +375,34 @@ def validate(settings: Validate) -> str:
     return summary_text(result)
 
 
+def design(settings: Design) -> str:
+    """Plan an experiment, write the results and return a summary to print.
+
+    Raises:
+      TypeError: a setting has the wrong type.
+      ValueError: a setting is out of its range, or no multisine tells about some of the model's parameters.
+      OSError: a file cannot be read or written.
+    """
+    # Here, so that the other commands start without the drawing library.
+    from armperturb.study.design import DesignSettings
+    from armperturb.study.design import design as plan
+    from armperturb.study.design_report import design_text, write_design
+
+    try:
+        force, displacement, duration = map(float, settings.limits.split(","))
+    except ValueError:
+        raise ValueError(
+            f"design: limits = {settings.limits!r}; expected three numbers with commas between: RMS force [N], RMS "
+            "displacement [m], duration [s]"
+        ) from None
+    what = {name: value for name, value in vars(settings).items() if name not in ("subject", "limits", "out")}
+    result = plan(
+        DesignSettings(subject=Subject.load(settings.subject), limits=(force, displacement, duration), **what)
+    )
+    write_design(result, settings.out)
+    return design_text(result)
+
+
 def score(settings: Score) -> str:
     """Compare a study with the published tables, write the results and return them to print.
 
@@ -469,7 +524,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
       The exit status: 0, 1 for an input that is refused (one line on stderr says why), 130 for Ctrl-C.
     """
     command = tyro.cli(
-        Study | Report | Score | Simulate | Identify | Validate | Calibrate | Video | View,
+        Study | Report | Score | Simulate | Identify | Validate | Design | Calibrate | Video | View,
         prog="armperturb",
         description="Human-arm perturbation experiments on synthetic people in MuJoCo, and their analysis.",
         args=arguments,
@@ -490,6 +545,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"results: {command.out or command.folder / 'score'}")
         elif isinstance(command, Validate):
             print(validate(command))
+            print(f"results: {command.out}")
+        elif isinstance(command, Design):
+            print(design(command))
             print(f"results: {command.out}")
         elif isinstance(command, Video):
             video(command)

@@ -385,21 +385,34 @@ class _Problem:
         for place in (values, self.published()):
             self.weigh(place)
             information += self.normal(place).information
-            scale, power, directions = _scaled(information)
-            if power[0] > SINGULAR:
+            if _scaled(information)[1][0] > SINGULAR:
                 return
-        silent = [name for name, size in zip(self.names, np.diag(information), strict=True) if not size > 0.0]
-        if silent:
-            raise ValueError(
-                f"{', '.join(silent)} cannot be identified: no effect on the movement; expected fixed values"
-            )
-        weak = directions[:, 0] / scale
-        weak /= np.abs(weak).max()
-        terms = [f"{w:+.2g} {name}" for w, name in zip(weak, self.names, strict=True) if abs(w) > PART_OF]
-        raise ValueError(
-            f"the structure cannot be identified: a change of {' '.join(terms)} leaves the movement as it is; "
-            "expected one of them fixed"
-        )
+        require_informative(information, self.names)
+
+
+def require_informative(information: Array, names: Sequence[str]) -> None:
+    """Refuse information that leaves some direction of the parameters unknown.
+
+    Args:
+      information: Fisher information, (parameter, parameter).
+      names: of the parameters.
+
+    Raises:
+      ValueError: there is such a direction; the message names it.
+    """
+    scale, power, directions = _scaled(information)
+    if power[0] > SINGULAR:
+        return
+    silent = [name for name, size in zip(names, np.diag(information), strict=True) if not size > 0.0]
+    if silent:
+        raise ValueError(f"{', '.join(silent)} cannot be identified: no effect on the movement; expected fixed values")
+    weak = directions[:, 0] / scale
+    weak /= np.abs(weak).max()
+    terms = [f"{w:+.2g} {name}" for w, name in zip(weak, names, strict=True) if abs(w) > PART_OF]
+    raise ValueError(
+        f"the structure cannot be identified: a change of {' '.join(terms)} leaves the movement as it is; "
+        "expected one of them fixed"
+    )
 
 
 class _Search(NamedTuple):

@@ -29,6 +29,9 @@ VOLUNTARY_ORDER = 4
 
 MAX_REDRAWS = 1000
 
+_PARTS = ((REMNANT_ORDER, "remnant_cutoff"), (VOLUNTARY_ORDER, "voluntary_cutoff"))
+"""Order and field of the cut-off of each part of the noise."""
+
 _VARIED = ("b", "k", "kv", "kp")
 
 
@@ -113,6 +116,25 @@ class HumanNoise:
             np.hypot(self.voluntary_floor, self.voluntary_share * demand),
         )
 
+    def torque_spectrum(self, demand: ArrayLike, timestep: float, frequency: ArrayLike) -> Array:
+        """One-sided power spectrum of what `torque` draws [Nm^2/Hz], (frequency, joint); linear in the demand squared.
+
+        Args:
+          demand: RMS torque with which the perturbation loads each joint [Nm], (joint,).
+          timestep: of the simulation [s].
+          frequency: [Hz], (frequency,).
+
+        Raises:
+          ValueError: a cut-off is not below half the simulation's rate.
+        """
+        spectrum = np.zeros((np.size(frequency), 2))
+        for (order, field), rms in zip(_PARTS, self.rms(demand), strict=True):
+            cutoff = getattr(self, field)
+            require_number("HumanNoise", field, cutoff, above=0.0, below=0.5 / timestep)
+            _, response = signal.sosfreqz(_unit_lowpass(order, cutoff, timestep), frequency, fs=1.0 / timestep)
+            spectrum += 2.0 * timestep * rms**2 * np.abs(response)[:, None] ** 2
+        return spectrum
+
     def torque(self, demand: ArrayLike, timestep: float, n_steps: int, rng: np.random.Generator) -> Array:
         """Torque to add at the joints, held over each step [Nm], (step, joint).
 
@@ -128,12 +150,8 @@ class HumanNoise:
           ValueError: a cut-off is not below half the simulation's rate.
         """
         torque = np.zeros((n_steps, 2))
-        parts = (
-            (REMNANT_ORDER, "remnant_cutoff"),
-            (VOLUNTARY_ORDER, "voluntary_cutoff"),
-        )
         # One stream for each part: switching one off leaves the other as it was.
-        for (order, field), rms, stream in zip(parts, self.rms(demand), rng.spawn(len(parts)), strict=True):
+        for (order, field), rms, stream in zip(_PARTS, self.rms(demand), rng.spawn(len(_PARTS)), strict=True):
             if not rms.any():
                 continue
             cutoff = getattr(self, field)

@@ -1,0 +1,166 @@
+"""What a plan says, for people and for other programs: text, tables, one figure, and perturbations to play."""
+
+import importlib.metadata
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullLocator
+from numpy.typing import NDArray
+
+from armperturb.analysis.design import effective_duration
+from armperturb.analysis.export import write_csv
+from armperturb.files import write_durably
+from armperturb.perturbations import save_csv
+from armperturb.perturbations.multisine import PERIOD
+from armperturb.study.design import Design, Lines
+from armperturb.study.style import INK, PUBLISHED, in_style, new_figure, save_svg
+
+Array = NDArray[np.float64]
+
+LOOKS = {
+    "thesis's multisine": {"color": PUBLISHED["color"]},
+    "optimised": {"color": INK},
+}
+"""Colour of each signal, and what it is called."""
+
+LEAST_SHOWN = 1e-5
+"""Power of a line over that of the strongest from which on the figure shows it [-]."""
+
+LONGEST = 8
+"""Longest duration, and most trials, of the figure, over those that are planned [-]."""
+
+
+def design_text(design: Design) -> str:
+    """The table for a terminal: standard errors in percent of the value, or in its unit where that is zero."""
+    settings = design.settings
+    force, displacement, duration = settings.limits
+    head = (
+        f"{settings.subject.name!r} ({settings.subject.task}), model {settings.model_name()}, goal {settings.goal}: "
+        f"{settings.trials} trial{'' if settings.trials == 1 else 's'} of {duration:g} s, RMS of at most {force:g} N "
+        f"and {1e3 * displacement:g} mm per axis"
+    )
+    lines = [head, "", f"{'parameter':9}{'value':>16}   {'SEM thesis':>11} {'optimised':>11} {'ratio':>6}"]
+    for row in design.rows():
+        scale, percent = (100.0 / abs(row["value"]), " %") if row["value"] else (1.0, "  ")
+        errors = " ".join(f"{scale * row[name]:>9.3g}{percent}" for name in ("sem_thesis", "sem_optimised"))
+        mark = " *" if row["goal"] else ""
+        lines.append(f"{row['parameter']:9}{row['value']:8.4g} {row['unit']:7}   {errors} {row['ratio']:>6.2f}{mark}")
+    lines += [
+        "SEM: least standard error of any unbiased estimator (Cramer-Rao); * counts",
+        "",
+        f"geometric mean of the SEM of *: {design.factor:.2f} of the thesis's, as from {design.factor**-2:.1f} times "
+        "as many trials;",
+        f"were the person as noisy as under the thesis's, {design.factor_equally_noisy:.2f}",
+    ]
+    for name, signal in _signals(design):
+        forces = ", ".join(f"{value:.2f}" for value in np.sqrt(signal.power.sum(axis=0)))
+        moves = ", ".join(f"{1e3 * value:.1f}" for value in signal.displacement)
+        lines.append(f"{name}: RMS force x, y {forces} N; RMS displacement {moves} mm")
+    peaks = [row["peak_force_N"] for row in design.signal_rows()]
+    lines.append(f"largest force of the realisations: {max(peaks):.1f} N")
+    return "\n".join(lines)
+
+
+def _signals(design: Design) -> list[tuple[str, Lines]]:
+    return list(zip(LOOKS, (design.thesis, design.optimised), strict=True))
+
+
+@in_style()
+def design_figure(design: Design) -> Figure:
+    """Standard errors against duration and number of trials, and the spectra, of both signals."""
+    settings, duration = design.settings, design.settings.limits[2]
+    columns = [design.names.index(name) for name in settings.wanted()]
+    known = bool(design.truth[columns].all())
+    figure = new_figure(5.2)
+    (against_duration, against_trials), (on_x, on_y) = figure.subplots(2, 2, sharey="row")
+    durations = np.geomspace(PERIOD, LONGEST * duration, 100)
+    trials = np.arange(1.0, LONGEST * settings.trials + 1.0)
+    lengths = np.array([effective_duration(one) for one in durations]) / effective_duration(duration)
+    for name, signal in _signals(design):
+        error = signal.standard_error[columns] / (np.abs(design.truth[columns]) / 100.0 if known else 1.0)
+        for ax, steps, share in (
+            (against_duration, durations, lengths),
+            (against_trials, trials, trials / settings.trials),
+        ):
+            for one in error:
+                ax.plot(steps, one / np.sqrt(share), linewidth=0.6, alpha=0.4, **LOOKS[name])
+            mean = float(np.exp(np.mean(np.log(error))))
+            ax.plot(steps, mean / np.sqrt(share), linewidth=2.0, label=name, **LOOKS[name])
+        against_duration.plot(duration, mean, "o", **LOOKS[name])
+        against_trials.plot(settings.trials, mean, "o", **LOOKS[name])
+    against_duration.set_xlabel(f"duration [s], {settings.trials} trial{'' if settings.trials == 1 else 's'}")
+    against_trials.set_xlabel(f"trials of {duration:g} s")
+    against_duration.set_ylabel("SEM [% of the value]" if known else "SEM [SI]")
+    for ax in (against_duration, against_trials):
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+        ax.xaxis.set_minor_locator(NullLocator())
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    against_duration.set_xticks(*_ticks(durations))
+    against_trials.set_xticks(*_ticks(trials))
+    for column, (ax, axis) in enumerate(((on_x, "x"), (on_y, "y"))):
+        for name, signal in _signals(design):
+            _spectrum(ax, signal, column, **LOOKS[name])
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ax.set_xticks([0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0])
+        ax.xaxis.set_minor_locator(NullLocator())
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ax.set_xlabel(f"frequency [Hz], {axis}")
+    on_x.set_ylabel("RMS force of a line [N]")
+    handles, labels = against_duration.get_legend_handles_labels()
+    figure.suptitle(
+        f"{settings.subject.name!r}, goal {settings.goal}: geometric mean (thick) and each SEM, "
+        f"{design.factor:.2f} of the thesis's",
+        fontsize=9,
+    )
+    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    return figure
+
+
+def _ticks(values: Array) -> tuple[list[float], list[str]]:
+    steps = [step * 10.0**power for power in range(4) for step in (1, 2, 5)]
+    inside = [step for step in steps if values[0] <= step <= values[-1]]
+    return inside, [f"{step:g}" for step in inside]
+
+
+def _spectrum(ax: Axes, signal: Lines, column: int, color: str) -> None:
+    power = signal.power[:, column]
+    shown = power > LEAST_SHOWN * power.max()
+    ax.plot(signal.lines[shown] / PERIOD, np.sqrt(power[shown]), ".", markersize=3.5, color=color)
+
+
+def write_design(design: Design, folder: Path) -> None:
+    """Write tables, figure, settings, and one perturbation per trial that `simulate` plays.
+
+    Args:
+      design: what was planned.
+      folder: is made if it is not there; files of an earlier plan in it are replaced.
+
+    Raises:
+      OSError: a file cannot be written.
+    """
+    tables, figures, perturbations = (folder / name for name in ("tables", "figures", "perturbations"))
+    for one in (tables, figures, perturbations):
+        one.mkdir(parents=True, exist_ok=True)
+    for old in perturbations.glob("trial_*.csv"):  # of a plan with more trials
+        old.unlink()
+    write_csv(design.rows(), tables / "design.csv")
+    write_csv(design.spectrum_rows(), tables / "spectrum.csv")
+    write_csv(design.signal_rows(), tables / "signals.csv")
+    for number, perturbation in enumerate(design.perturbations, start=1):
+        save_csv(perturbation, perturbations / f"trial_{number:02d}.csv", perturbation.rate)
+    save_svg(design_figure(design), figures / "design.svg")
+    made = {
+        "versions": {name: importlib.metadata.version(name) for name in ("armperturb", "numpy", "scipy")},
+        "settings": {**asdict(design.settings), "model": design.settings.model_name()},
+        "factor": design.factor,
+        "factor_equally_noisy": design.factor_equally_noisy,
+        "excess": design.excess,
+    }
+    write_durably(folder / "settings.json", (json.dumps(made, indent=1, ensure_ascii=False) + "\n").encode())
