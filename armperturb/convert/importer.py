@@ -43,6 +43,9 @@ Array = NDArray[np.float64]
 TEXT, MATLAB, C3D, OURS = (".csv", ".tsv", ".txt"), (".mat",), (".c3d",), (".nc",)
 """Endings of the formats."""
 
+LARGEST_NUMBER = 1e16
+"""In a file, whatever its unit: microseconds since 1970 are less [-]."""
+
 LARGEST_FORCE = 2000.0
 """That people and manipulators bear [N]; refuses millinewtons."""
 
@@ -234,6 +237,7 @@ def _timed(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, list[Fau
         if sizes.pop() < 2:
             raise ValueError(f"{where}: {name} has {len(channels[0])} samples; expected at least 2")
         signals[name], components[name] = np.stack(channels, axis=1), tuple(one.channels.values())
+        _require_numbers(where, name, signals[name])
         told = {raw.rates[channel] for channel in one.channels.values() if channel in raw.rates}
         if one.rate is not None:
             told.add(one.rate)
@@ -255,6 +259,7 @@ def _timed(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, list[Fau
             rates[name] = meaning.rate
         return Timed(signals=signals, rates=rates, components=components), []
     channel, factor = meaning.time
+    _require_numbers(where, channel, raw.channels[channel][:, None])
     time = raw.channels[channel] * factor
     there = np.isfinite(time)
     n_time = len(time) - int(np.argmax(there[::-1])) if there.any() else len(time)
@@ -272,6 +277,14 @@ def _timed(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, list[Fau
     except ValueError as error:
         raise ValueError(f"{where}: {channel}: {error}") from None
     return replace(timed, signals={**signals, **timed.signals}, rates={**rates, **timed.rates}), faults
+
+
+def _require_numbers(where: str, name: str, values: Array) -> None:
+    """Refuse what is beyond any unit, and would overflow."""
+    beyond = (np.abs(values) > LARGEST_NUMBER).any(axis=1)
+    if beyond.any():
+        at = int(np.argmax(beyond))
+        raise ValueError(f"{where}: {name} is {values[at].max():.6g} at sample {at}; expected numbers of a signal")
 
 
 def _require_unit(where: str, name: str, channel: str, stated: str, told: str | None) -> None:

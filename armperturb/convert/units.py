@@ -58,4 +58,6 @@ def quantity(value: object, ours: str, where: str) -> float:
         found = math.nan
     if not math.isfinite(found):
         raise ValueError(f"{where} = {value!r}; expected a finite number, or one with its unit, e.g. '12 {ours}'")
-    return found * factor_to(ours, unit.strip(), where)
+    if unit.strip() not in UNITS[ours]:
+        raise ValueError(f"{where} = {value!r}; expected a number with a unit: {', '.join(UNITS[ours])}")
+    return found * UNITS[ours][unit.strip()]
