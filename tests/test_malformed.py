@@ -168,7 +168,7 @@ SIDECARS = {
     "no subject": (redefined(lambda s: s["labels"].pop("subject")), "labels.subject is missing"),
     "task": (redefined(lambda s: s["labels"].update(task="hold")), "labels.task = 'hold'; expected one of PT, RT"),
     "length in cm": (redefined(lambda s: s["labels"].update(l_h=31)), "labels.l_h = 31; expected 0.1 to 0.7 m"),
-    "length in litres": (redefined(lambda s: s["labels"].update(l_h="31 l")), "labels.l_h = '31 l'; expected a number with a unit: m"),
+    "length in litres": (redefined(lambda s: s["labels"].update(l_h="31 l")), "'31 l'; expected a number with a unit"),
     "angle in rad": (redefined(lambda s: s["labels"].update(theta_e_deg=0.4)), "theta_e_deg = 0.4; expected 1 to 179"),
     "half a repetition": (redefined(lambda s: s["labels"].update(repetition=0.5)), "expected a whole number"),
     "name of control characters": (redefined(lambda s: s["labels"].update(subject="a\nb")), "expected printable text"),
@@ -370,7 +370,8 @@ PLACES = st.sampled_from(
     [
         ("rate",), ("time",), ("trial",), ("axes",), ("axes", "x"), ("signals",), ("labels",), ("trials",),
         ("environment",), ("csv",), ("csv", "delimiter"), ("csv", "decimal"), ("csv", "skip_lines"),
-        ("signals", "force"), ("signals", "force", "unit"), ("signals", "force", "channels"), ("signals", "force", "channels", "x"),
+        ("signals", "force"), ("signals", "force", "unit"), ("signals", "force", "channels"),
+        ("signals", "force", "channels", "x"),
         ("signals", "force", "exerted_by"), ("signals", "displacement", "start"), ("signals", "emg"),
         ("signals", "joint_angle"), ("labels", "subject"), ("labels", "l_h"), ("labels", "task"),
         ("labels", "repetition"), ("labels", "pulse_onset"), ("time", "channel"), ("time", "unit"),

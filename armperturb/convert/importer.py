@@ -162,7 +162,12 @@ def _ours(
             raise ValueError(f"{ours[0]}: {name} = {value!r}; expected none with netCDF, which says it all itself")
     for path in ours:
         require_whole_hdf5(path)
-    recordings = [load_recording(path) for path in ours]
+    recordings = []
+    for path in ours:
+        try:
+            recordings.append(load_recording(path))
+        except RuntimeError as error:  # of HDF5, where a file is damaged
+            raise ValueError(f"{path}: not a readable netCDF4 file ({error})") from None
     joined = recordings[0] if len(ours) == 1 else join_recordings(recordings, ", ".join(map(str, ours)))
     return Imported(joined, ())
 
