@@ -12,7 +12,7 @@ def handle(seed=0, rate=RATE, duration=N_TIME / RATE, late=0.0):
     """Disturbance d, reaction force f and displacement x of a trial [N, N, m], (time, axis) each.
 
     The path is a sum of sinusoids under a window, so that velocity and acceleration are known in closed form: nothing
-    here is computed as the package does it. Force is recorded late [s].
+    here is computed as the package does it. Force is recorded late [s], by a number or by one for each sample.
     """
     rng = np.random.default_rng(seed)
     frequency, phase = rng.uniform(0.3, 6.0, (30, 2)), rng.uniform(0.0, 2 * np.pi, (30, 2))
