@@ -13,7 +13,7 @@ from scipy.io import savemat
 from armperturb import cli
 from armperturb.analysis.displacement import Balance
 from armperturb.analysis.identify import identify
-from armperturb.convert import export_recording, import_recording
+from armperturb.convert import c3d, export_recording, import_recording
 from armperturb.convert.balance import check_balance
 from armperturb.convert.sidecar import Sidecar
 from armperturb.recording import REQUIRED_SIGNALS, load_recording, make_recording, save_recording
@@ -235,6 +235,13 @@ def test_c3d_units_that_the_file_contradicts_are_refused(tmp_path):
     text = (tmp_path / "lab.json").read_text()
     (tmp_path / "lab.json").write_text(text.replace('"unit": "mm"', '"unit": "cm"'))
     with pytest.raises(ValueError, match=r"HANDLE.X is in 'mm'; expected 'cm', as signals.displacement.unit"):
+        import_recording([tmp_path / "lab.c3d"], rate=200.0)
+
+
+def test_without_ezc3d_the_extra_is_named(tmp_path, monkeypatch):
+    write_c3d(tmp_path / "lab.c3d")
+    monkeypatch.setattr(c3d, "find_spec", lambda name: None)
+    with pytest.raises(RuntimeError, match=r"lab.c3d: C3D needs ezc3d; install armperturb\[c3d\]"):
         import_recording([tmp_path / "lab.c3d"], rate=200.0)
 
 

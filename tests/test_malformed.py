@@ -398,7 +398,7 @@ SPLICES = st.lists(
 )
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(changes=st.lists(st.tuples(PLACES, JSON), max_size=3), splices=SPLICES, repair=st.booleans())
 def test_no_text_and_no_sidecar_ends_in_a_traceback(tmp_path, changes, splices, repair):
     sidecar = meaning(time={"channel": "t", "unit": "s"}, csv={}, environment={"m_env": 3})
