@@ -13,10 +13,13 @@ from tqdm import tqdm
 
 from armperturb.analysis.export import write_identification
 from armperturb.analysis.identify import Identification, identify_conditions
+from armperturb.convert import export_recording, import_recording
+from armperturb.convert.exporter import COLUMNS, require_ending
+from armperturb.convert.faults import Repair
 from armperturb.environment import Environment
 from armperturb.envs.gl import require_simulator
 from armperturb.perturbations import load_csv
-from armperturb.recording import join_recordings, load_recording, save_recording
+from armperturb.recording import load_recording, save_recording
 from armperturb.subject import RELAX, TASKS, Subject
 from armperturb.validation import require_number
 
@@ -72,11 +75,30 @@ class Simulate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Convert:
+    """Turn a laboratory's files into a recording, or a recording into files for other programs."""
+
+    files: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """CSV, MATLAB or C3D files with a JSON sidecar that says what they hold, or recordings (netCDF4); their trials are
+    put together."""
+    out: Path
+    """Recording to write (.nc), or text (.csv) or MATLAB (.mat) with a sidecar beside it."""
+    sidecar: Path | None = None
+    """Sidecar of all files, see docs/recordings.md; by default FILE.json beside each."""
+    repair: tuple[Repair, ...] = ()
+    """Faults to repair instead of refusing them: gaps and drops of up to 0.1 s, an uneven clock, unequal lengths;
+    trials leaves out those with other faults."""
+    rate: float | None = None
+    """Sampling rate of the recording [Hz]; by default that of the files."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Identify:
     """Estimate the admittance from a recording and fit an arm model to it."""
 
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Recordings of one person to read (netCDF4); the trials of a condition are identified together."""
+    """Recordings of one person to read: netCDF4, or CSV, MATLAB or C3D with a sidecar (see convert); the trials of a
+    condition are identified together."""
     model: Literal["1", "2", "3", "4", "5", "6", "3a", "3b"]
     """Model structure: 1 intrinsic and grip; 2 with velocity, 3 with velocity and position feedback; 4, 5 and 6 with
     force, acceleration or both besides; 3a and 3b total mass and reflexes, with grip, delay and cut-off fixed, 3b
@@ -317,17 +339,35 @@ def simulate(settings: Simulate) -> xr.Dataset:
     return recording
 
 
+def convert(settings: Convert) -> tuple[tuple[str, ...], list[Path]]:
+    """Read recordings and write them in another format; return what is to be known, and the paths written.
+
+    Raises:
+      TypeError: a field of a sidecar has the wrong type.
+      ValueError: a file is refused, or has a fault that is not to be repaired.
+      RuntimeError: C3D is to be read without ezc3d.
+      OSError: a file cannot be read or written.
+    """
+    require_ending(settings.out)  # before long recordings are read
+    if not settings.out.parent.is_dir():
+        raise FileNotFoundError(f"{settings.out}: folder {settings.out.parent} does not exist; expected one that does")
+    found = import_recording(settings.files, sidecar=settings.sidecar, repair=settings.repair, rate=settings.rate)
+    paths = export_recording(found.recording, settings.out)
+    left_out = [name for name in found.recording.data_vars if settings.out.suffix == ".csv" and name not in COLUMNS]
+    return (*found.notes, *(f"{name} is left out, as text has one rate" for name in left_out)), paths
+
+
 def identify(settings: Identify) -> dict[str, Identification]:
     """Identify the arm from recordings, write the results and return them by condition.
 
     Raises:
+      TypeError: a field of a sidecar has the wrong type.
       ValueError: a recording is refused or cannot be identified.
+      RuntimeError: C3D is to be read without ezc3d.
       OSError: a file cannot be read or written.
     """
     named = ", ".join(map(str, settings.recordings))
-    if not settings.recordings:
-        raise ValueError("recordings is empty; expected at least one file")
-    recording = join_recordings([load_recording(path) for path in settings.recordings], named)
+    recording = import_recording(settings.recordings).recording
     for name in ("subject", "condition"):
         wanted = getattr(settings, name)
         if wanted is not None:
@@ -524,7 +564,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
       The exit status: 0, 1 for an input that is refused (one line on stderr says why), 130 for Ctrl-C.
     """
     command = tyro.cli(
-        Study | Report | Score | Simulate | Identify | Validate | Design | Calibrate | Video | View,
+        Study | Report | Score | Simulate | Convert | Identify | Validate | Design | Calibrate | Video | View,
         prog="armperturb",
         description="Human-arm perturbation experiments on synthetic people in MuJoCo, and their analysis.",
         args=arguments,
@@ -540,6 +580,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif isinstance(command, Simulate):
             simulate(command)
             print(f"recording: {command.out}")
+        elif isinstance(command, Convert):
+            notes, paths = convert(command)
+            for note in notes:
+                print(note)
+            print(f"recording: {', '.join(map(str, paths))}")
         elif isinstance(command, Score):
             print(score(command))
             print(f"results: {command.out or command.folder / 'score'}")

@@ -20,12 +20,13 @@ ARROWS = {
     "recording": {"files"},
     "perturbations": {"validation", "files"},
     "analysis": BASE,
+    "convert": BASE | {"analysis"},
     "cohort": BASE | {"analysis"},
     "controllers": {"muscle_law", "subject", "validation"},
     "models": {"subject", "environment", "validation"},
     "envs": BASE | {"cohort", "models", "controllers", "perturbations", "analysis"},
     "study": BASE | {"cohort", "models", "controllers", "perturbations", "analysis", "envs"},
-    "cli": BASE | {"cohort", "perturbations", "analysis", "envs", "study"},
+    "cli": BASE | {"cohort", "perturbations", "analysis", "convert", "envs", "study"},
 }
 """Part of the package to the parts that it may import, beside itself."""
 

@@ -1,0 +1,212 @@
+"""Whether a recording obeys physics: d - f must move a positive mass, spring and damper (thesis eqs 2.11, A.19).
+
+The environment is linear, isotropic and passive, whoever holds the handle. If d - f does not balance, or balances far
+better with other signs or axes, what is wrong can be named: all 64 ways in which the axes of force and of displacement
+can lie to those of the perturbation are tried. What turns all three signals alike cannot be seen.
+"""
+
+from itertools import permutations, product
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import fft, signal
+
+from armperturb.analysis.displacement import EDGE, Balance
+
+Array = NDArray[np.float64]
+
+LIGHTEST, HEAVIEST = 0.1, 60.0
+"""Of the handles that people hold [kg]: outside, a unit is wrong."""
+
+SET_TO = 1.5
+"""Factor within which the mass must be what the manipulator was set to [-]."""
+
+UNBALANCED = 0.02
+"""Share of the load that is left over from which on other signs, axes and units are tried [-]."""
+
+FAR_BETTER = 0.25
+"""Share of what is left over with which other signs or axes explain the load far better [-]."""
+
+RESCALED = 1.2
+"""Factor on the force from which on it counts as another unit, not as a gauge that is badly calibrated [-]."""
+
+SLOWEST = 20.0
+"""Sampling rate below which inertia is not seen [Hz]."""
+
+BAND = (0.2, 8.0)
+"""Frequencies at which signs and axes are tried [Hz]."""
+
+DRIFT = 5e-4
+"""Change of the skew of force and displacement over a trial that is refused, if beyond 2.5 standard errors [s]."""
+
+_SIGNED = [np.diag(s) @ np.eye(2)[list(p)] for p in permutations((0, 1)) for s in product((1.0, -1.0), repeat=2)]
+
+
+class _Explained(NamedTuple):
+    left: float
+    mass: float
+
+
+def check_balance(recording: xr.Dataset, mass: float | None = None) -> list[str]:
+    """Refuse a recording whose force, displacement and perturbation do not belong together.
+
+    Args:
+      recording: the trials.
+      mass: that the manipulator was set to [kg]; None if unknown.
+
+    Returns:
+      What a reader should know, a sentence each.
+
+    Raises:
+      ValueError: d - f does not move a positive mass, spring and damper, or one that is no handle's; the message says
+        what change of sign, axes or unit would put it right, if any does.
+    """
+    d, f, x = (recording[name].values for name in ("perturbation", "force", "displacement"))
+    rate, n_time = float(recording.attrs["rate"]), recording.sizes["time"]
+    if n_time < 10 * round(EDGE * rate) or rate < SLOWEST:
+        return [
+            f"{n_time / rate:.3g} s at {rate:g} Hz are too short to hold the force against the movement: signs, axes "
+            "and units are unchecked"
+        ]
+    gram = _gram(d, f, x, rate)
+    declared = _explained(gram, np.eye(2), np.eye(2))
+    found = f"its mass comes out at {declared.mass:.3g} kg, and {declared.left:.0%} of the load is left unexplained"
+    try:
+        environment = Balance(d, f, x, rate).fit()[0]
+    except ValueError:
+        environment = None
+    if environment is None or declared.left > UNBALANCED:
+        remedy = _remedy(gram, FAR_BETTER * declared.left if environment is not None else UNBALANCED)
+        if remedy is not None:
+            raise ValueError(
+                f"d - f does not move a mass, spring and damper ({found}); expected signs, axes and units with which "
+                f"it does, as it would if {remedy}"
+            )
+    if environment is None:
+        raise ValueError(
+            f"d - f does not move a mass, spring and damper ({found}); expected a positive mass and the force that the "
+            "handle exerts on the hand, and no change of signs, axes or scale of the force puts it right"
+        )
+    lower, upper = (LIGHTEST, HEAVIEST) if mass is None else (mass / SET_TO, mass * SET_TO)
+    if not lower <= environment.m_env <= upper:
+        raise ValueError(
+            f"d - f moves a mass of {environment.m_env:.4g} kg; expected {lower:.3g} to {upper:.3g} kg (a wrong unit "
+            "of displacement, or of both forces?)"
+        )
+    notes = [f"{found}: expected less than {UNBALANCED:.0%}"] if declared.left > UNBALANCED else []
+    return notes + _skews(d, f, x, rate)
+
+
+def _skews(d: Array, f: Array, x: Array, rate: float) -> list[str]:
+    """Whether the clocks of force and displacement agree, and go on to do so."""
+    half = d.shape[1] // 2
+    skews = []
+    for part in (slice(None), slice(half), slice(half, 2 * half)):
+        if part != slice(None) and half < 10 * round(EDGE * rate):
+            return []
+        balance = Balance(d[:, part], f[:, part], x[:, part], rate)
+        try:
+            skews.append(balance.skew(*balance.fit()))
+        except ValueError:  # nothing moves in this part
+            return []
+    whole, first, second = skews
+    change, error = second.time - first.time, float(np.hypot(first.standard_error, second.standard_error))
+    if abs(change) > max(DRIFT, 2.5 * error):
+        raise ValueError(
+            f"force drifts against displacement by {1e3 * change:.2f} ms from the first to the second half of "
+            f"{d.shape[1] / rate:.4g} s (standard error {1e3 * error:.2f} ms); expected clocks that run alike"
+        )
+    if abs(whole.time) > max(2e-4, 3.0 * whole.standard_error):
+        return [
+            f"force is recorded {1e3 * whole.time:.2f} ms later than displacement (standard error "
+            f"{1e3 * whole.standard_error:.2f} ms)"
+        ]
+    return []
+
+
+def _gram(d: Array, f: Array, x: Array, rate: float) -> Array:
+    """Inner products of d, f, acceleration, velocity and displacement, axis by axis, over a band, (10, 10)."""
+    n_samples, n_edge = d.shape[1], round(EDGE * rate)
+    n_padded = fft.next_fast_len(n_samples + 4 * n_edge, real=True)
+    s = 2j * np.pi * fft.rfftfreq(n_padded, 1.0 / rate)
+    top = min(BAND[1], 0.25 * rate)
+    smooth = 0.5 - 0.5 * np.cos(np.pi * np.clip((1.4 * top - np.abs(s) / (2 * np.pi)) / (0.3 * top), 0.0, 1.0))
+    taper = signal.windows.hann(n_samples - 2 * n_edge, sym=False)
+    frequency = fft.rfftfreq(len(taper), 1.0 / rate)
+    used = (frequency > BAND[0]) & (frequency < top)
+    columns = []
+    for values, powers in ((d, (0,)), (f, (0,)), (x, (2, 1, 0))):
+        spectrum = fft.rfft(values, n_padded, axis=1) * smooth[:, None]
+        for power in powers:
+            inner = fft.irfft(spectrum * (s**power)[:, None], n_padded, axis=1)[:, n_edge : n_edge + len(taper)]
+            part = fft.rfft(inner * taper[:, None], axis=1)[:, used]
+            columns += [np.ravel(part[..., axis]) for axis in range(2)]
+    stacked = np.array(columns)
+    return np.asarray((stacked @ stacked.conj().T).real)
+
+
+def _explained(gram: Array, of_force: Array, of_displacement: Array) -> _Explained:
+    """Share of the load that mass, damping and stiffness leave, with other axes of force and displacement."""
+    eye, none = np.eye(2), np.zeros((2, 2))
+    # Rows: x and y of what a term is made of, out of d, f, acceleration, velocity and displacement.
+    terms = [np.hstack([eye, -of_force, none, none, none])]
+    terms += [np.hstack([of_displacement if i == k else none for i in range(5)]) for k in (2, 3, 4)]
+    inner = np.array([[np.trace(a @ gram @ b.T) for b in terms] for a in terms])
+    weights, left = _regression(inner)
+    return _Explained(left, float(weights[0]))
+
+
+def _remedy(gram: Array, least: float) -> str | None:
+    """The least change of signs, axes or scale of the force that leaves at most so much, in words; None if none."""
+    found = []
+    for of_force, of_displacement in product(_SIGNED, repeat=2):
+        change, one = _in_words(of_force, of_displacement), _explained(gram, of_force, of_displacement)
+        if change and one.mass > 0.0 and one.left < least:
+            found.append((change, one.left))
+    gain, one = _rescaled(gram)
+    if gain > 0.0 and abs(np.log(gain)) > np.log(RESCALED) and one.mass > 0.0 and one.left < least:
+        found.append((f"force were multiplied by {gain:.4g} (its unit)", one.left))
+    best = min((left for _, left in found), default=0.0)
+    good = [entry for entry in found if entry[1] <= 2.0 * best + 1e-3]
+    return min(good, key=lambda entry: (entry[0].count(" and "), entry[1]))[0] if good else None
+
+
+def _in_words(of_force: Array, of_displacement: Array) -> str | None:
+    """What a change of both comes to; None for no change."""
+    if np.array_equal(of_force, of_displacement):
+        return _change("perturbation", of_force.T)
+    changes = [_change("force", of_force), _change("displacement", of_displacement)]
+    return " and ".join(change for change in changes if change)
+
+
+def _change(name: str, matrix: Array) -> str | None:
+    if np.array_equal(matrix, np.eye(2)):
+        return None
+    if np.array_equal(matrix, -np.eye(2)):
+        by = " (exerted_by: the other body)" if name == "force" else ""
+        return f"the sign of {name} were turned{by}"
+    turned = [axis for axis, row in zip("xy", matrix, strict=True) if row.sum() < 0.0]
+    if matrix[0, 0] == 0.0:
+        return f"x and y of {name} were swapped" + (f", {' plus '.join(turned)} with its sign turned" if turned else "")
+    return f"the sign of {turned[0]} of {name} were turned"
+
+
+def _rescaled(gram: Array) -> tuple[float, _Explained]:
+    """Factor on the force that explains the perturbation best, and how well it does."""
+    eye, none = np.eye(2), np.zeros((2, 2))
+    terms = [np.hstack([eye if i == k else none for i in range(5)]) for k in (0, 2, 3, 4, 1)]
+    inner = np.array([[np.trace(a @ gram @ b.T) for b in terms] for a in terms])
+    weights, left = _regression(inner)
+    return float(weights[-1]), _Explained(left, float(weights[0]))
+
+
+def _regression(inner: Array) -> tuple[Array, float]:
+    """Weights with which the other terms explain the first, and the share of it that they leave."""
+    scale = np.sqrt(np.diag(inner))
+    if not (scale > 0.0).all():
+        return np.zeros(len(inner) - 1), 1.0
+    scaled = inner / np.outer(scale, scale)
+    weights = np.linalg.lstsq(scaled[1:, 1:], scaled[1:, 0], rcond=None)[0]
+    return np.asarray(weights * scale[0] / scale[1:]), max(1.0 - float(weights @ scaled[1:, 0]), 0.0)

@@ -1,0 +1,286 @@
+"""What goes wrong between a laboratory's instruments and its files, found with its time, and repaired if asked.
+
+| fault | seen as | repaired as |
+|---|---|---|
+| `gaps` | values that are missing | up to 0.1 s by a cubic spline through the others |
+| `drops` | times that step by several samples | the same |
+| `clock` | times that run at another rate than stated, or not evenly | by a cubic spline on even times |
+| `lengths` | trials, or signals of a trial, that do not last equally long | by a cut to the shortest |
+| `trials` | any fault that is not repaired otherwise | by leaving out the trial |
+
+That a channel is stuck, clipped, or holds its last value, and times that step back, have no repair but the last.
+"""
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import interpolate
+
+from armperturb.recording import REQUIRED_SIGNALS
+
+Array = NDArray[np.float64]
+
+Repair = Literal["gaps", "drops", "clock", "lengths", "trials"]
+"""What may be repaired, see above."""
+
+LONGEST_GAP = 0.1
+"""That is filled [s]: a quarter period at the 2.5 Hz about which the arm is undamped, and more would be invention."""
+
+ROUNDED = 0.15
+"""Share of a step by which a time may be off even times [-]: times are written in whole milliseconds."""
+
+LEAST_RUN = 3
+"""Samples of equal value from which on a channel may be clipped."""
+
+STEEP = 0.3
+"""Share of a channel's RMS step with which it must run into a plateau, and out of it, to be clipped [-]."""
+
+BEYOND = 3.0
+"""Resolutions by which a channel must have gone on beyond a plateau, were it not clipped [-]."""
+
+
+class Fault(NamedTuple):
+    """Something wrong in a trial.
+
+    Attributes:
+      repair: what would repair it; "trials" if nothing else does.
+      text: what is wrong, where and when.
+      can: whether that repair can do it.
+    """
+
+    repair: Repair
+    text: str
+    can: bool = True
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Timed:
+    """Signals of a trial on even times.
+
+    Attributes:
+      signals: name to values in the file's units and axes, (time, component).
+      rates: name to sampling rate [Hz].
+      components: name to what its components are called in the file.
+    """
+
+    signals: Mapping[str, Array]
+    rates: Mapping[str, float]
+    components: Mapping[str, tuple[str, ...]]
+
+
+def even_times(
+    signals: Mapping[str, Array], components: Mapping[str, tuple[str, ...]], time: Array, stated: float | None
+) -> tuple[Timed, list[Fault]]:
+    """Signals on even times, and what was wrong with the times.
+
+    Args:
+      signals: name to values, (time, component), NaN where there is none.
+      components: what they are called in the file.
+      time: of the samples [s], (time,).
+      stated: sampling rate that the sidecar states [Hz]; None if the times tell.
+
+    Returns:
+      The signals as they are if the times are even, else put right as far as that can be.
+
+    Raises:
+      ValueError: times are missing or do not increase.
+    """
+    if not np.isfinite(time).all():
+        at = int(np.argmin(np.isfinite(time)))
+        raise ValueError(f"the time of sample {at} is missing; expected a number")
+    time = time - time[0]
+    steps = np.diff(time)
+    if (steps <= 0.0).any():
+        at = int(np.argmax(steps <= 0.0))
+        raise ValueError(
+            f"time steps back from {time[at]:.6g} s to {time[at + 1]:.6g} s at sample {at + 1}; expected increasing "
+            "times (two recordings in one file need a channel 'trial' that numbers them)"
+        )
+    usual = float(np.median(steps))
+    rate = stated if stated is not None else _rate_of(time, steps, usual)
+    faults = []
+    missing = np.rint(steps / usual).astype(np.int64) - 1
+    missing[steps < 1.5 * usual] = 0
+    for at in np.flatnonzero(missing).tolist():
+        faults.append(
+            Fault(
+                "drops",
+                f"{missing[at]} samples are dropped at {time[at]:.6g} s (time steps by {1e3 * steps[at]:.4g} ms, "
+                f"usually by {1e3 * usual:.4g} ms)",
+                bool(steps[at] <= LONGEST_GAP),
+            )
+        )
+    index = np.concatenate([[0], np.cumsum(missing + 1)])
+    off = np.abs(time - index / rate)
+    if off.max() > ROUNDED / rate:
+        at = int(np.argmax(off > ROUNDED / rate))
+        # Through the whole trial, so that single late samples do not count.
+        found = float(np.polyfit(time, index, 1)[0])
+        what = f"time runs at {found:.6g} Hz" if abs(found / rate - 1.0) > 1e-6 else "time does not run evenly"
+        faults.append(
+            Fault(
+                "clock",
+                f"{what}: sample {index[at]} is at {time[at]:.6g} s, and off by up to {1e3 * off.max():.4g} ms; "
+                f"expected even steps at rate = {rate:.6g} Hz",
+            )
+        )
+        grid = np.arange(math.floor(float(time[-1]) * rate * (1 + 1e-12)) + 1) / rate
+        signals = {name: _between(time, values, grid) for name, values in signals.items()}
+    elif len(faults):
+        grid = np.arange(index[-1] + 1, dtype=float)
+        signals = {name: _between(index.astype(float), values, grid) for name, values in signals.items()}
+    return Timed(signals=signals, rates=dict.fromkeys(signals, rate), components=components), faults
+
+
+def _rate_of(time: Array, steps: Array, usual: float) -> float:
+    """Sampling rate that the times tell [Hz]: a whole number if that explains them."""
+    regular = steps < 1.5 * usual
+    rate = float(regular.sum() / steps[regular].sum())
+    whole = float(max(round(rate), 1))
+    drift = abs(whole / rate - 1.0) * len(time)
+    return whole if drift < ROUNDED else rate
+
+
+def _between(at: Array, values: Array, grid: Array) -> Array:
+    """Cubic spline through what there is; NaN where a gap was, so that it is still seen."""
+    out = np.empty((len(grid), values.shape[1]))
+    for column, of_one in enumerate(values.T):
+        there = np.isfinite(of_one)
+        if there.sum() < 4:
+            out[:, column] = np.nan
+            continue
+        out[:, column] = interpolate.CubicSpline(at[there], of_one[there], extrapolate=False)(grid)
+        gone = ~there
+        if gone.any():
+            step = grid[1] - grid[0]
+            near = np.searchsorted(grid, at[gone] - 0.5 * step)
+            out[np.clip(near, 0, len(grid) - 1), column] = np.nan
+    return out
+
+
+def find_gaps(timed: Timed) -> tuple[Timed, list[Fault]]:
+    """Gaps of the signals, and the signals with those filled that can be."""
+    faults, mended = [], {}
+    for name, values in timed.signals.items():
+        rate = timed.rates[name]
+        values = values.copy()
+        for column, channel in enumerate(timed.components[name]):
+            there = np.isfinite(values[:, column])
+            if there.all():
+                continue
+            runs = _runs(~there)
+            n_there = int(there.sum())
+            for first, last in runs:
+                length = (last - first) / rate
+                can = first > 0 and last < len(values) and length <= LONGEST_GAP and n_there >= 4
+                place = f"at {first / rate:.6g} s" if n_there else "everywhere"
+                faults.append(Fault("gaps", f"{channel} ({name}) has a gap of {length:.4g} s {place}", can))
+            if n_there >= 4:
+                index = np.arange(len(values), dtype=float)
+                spline = interpolate.CubicSpline(index[there], values[there, column], extrapolate=False)
+                values[~there, column] = spline(index[~there])
+        mended[name] = values
+    return replace(timed, signals=mended), faults
+
+
+def without_padding(timed: Timed) -> Timed:
+    """Signals without the end at which all of them are missing, as a table of trials of unequal length has it."""
+    signals = {}
+    for name, values in timed.signals.items():
+        there = np.flatnonzero(np.isfinite(values).any(axis=1))
+        signals[name] = values[: there[-1] + 1] if len(there) else values
+    return replace(timed, signals=signals)
+
+
+def find_stuck(timed: Timed) -> list[Fault]:
+    """Channels that are constant, clipped, or held their last value; signals must be finite."""
+    faults = []
+    for name in REQUIRED_SIGNALS:
+        values, rate = timed.signals[name], timed.rates[name]
+        for column, channel in enumerate(timed.components[name]):
+            one = values[:, column]
+            if np.ptp(one) == 0.0:
+                # A disturbance may leave an axis, or a trial, alone.
+                if name != "perturbation" or one[0] != 0.0:
+                    faults.append(Fault("trials", f"{channel} ({name}) is constant at {one[0]:.6g}; expected a signal"))
+                continue
+            plateaus = [*_plateaus(one), *(_plateaus(-one))]
+            if plateaus:
+                first, last = min(plateaus)
+                faults.append(
+                    Fault(
+                        "trials",
+                        f"{channel} ({name}) is clipped at {one[first]:.6g} for {(last - first) / rate:.4g} s at "
+                        f"{first / rate:.6g} s, {len(plateaus)} times in all",
+                    )
+                )
+    faults += _held(timed)
+    return faults
+
+
+def _plateaus(values: Array) -> list[tuple[int, int]]:
+    """Where a channel runs into its largest value, stays there, and falls off as steeply: first sample and the end."""
+    top = float(values.max())
+    if top == 0.0:  # where a disturbance rests
+        return []
+    steps = np.abs(np.diff(values))
+    moving = steps[steps > 0.0]
+    resolution, usual = float(moving.min()), float(np.sqrt(np.mean(steps**2)))
+    found = []
+    for first, last in _runs(values == top):
+        if last - first < LEAST_RUN or first < 2 or last > len(values) - 2:
+            continue
+        slope = min(top - values[first - 2], top - values[last + 1]) / 2.0
+        # A peak that is rounded to the resolution rises by less than that within its plateau.
+        if slope > STEEP * usual and 0.25 * slope * (last - first) > BEYOND * resolution:
+            found.append((first, last))
+    return found
+
+
+def _held(timed: Timed) -> list[Fault]:
+    """Samples in which nothing changes although the disturbance did before and does after: a recorder that stood."""
+    parts = [timed.signals[name] for name in REQUIRED_SIGNALS]
+    if len({len(part) for part in parts}) > 1 or len({timed.rates[name] for name in REQUIRED_SIGNALS}) > 1:
+        return []
+    same = (np.diff(np.concatenate(parts, axis=1), axis=0) == 0.0).all(axis=1)
+    changes = (np.diff(parts[0], axis=0) != 0.0).any(axis=1)
+    rate = timed.rates["perturbation"]
+    faults = []
+    for first, last in _runs(same):
+        if last - first >= LEAST_RUN - 1 and first > 0 and last < len(same) and changes[first - 1] and changes[last]:
+            faults.append(
+                Fault(
+                    "trials", f"all channels hold their value for {(last - first) / rate:.4g} s at {first / rate:.6g} s"
+                )
+            )
+    return faults
+
+
+def equal_lengths(timed: Timed, names: Collection[str]) -> tuple[Timed, list[Fault]]:
+    """Signals of a trial cut to the shortest, and that they were not equally long."""
+    lengths = {name: len(timed.signals[name]) / timed.rates[name] for name in names}
+    shortest = min(lengths, key=lambda name: lengths[name])
+    longest = max(lengths, key=lambda name: lengths[name])
+    slack = 1.0 / min(timed.rates[name] for name in names) if len({timed.rates[n] for n in names}) > 1 else 0.0
+    if lengths[longest] - lengths[shortest] <= slack + 1e-9:
+        return timed, []
+    fault = Fault(
+        "lengths",
+        f"{longest} lasts {lengths[longest]:.6g} s and {shortest} {lengths[shortest]:.6g} s; expected equal lengths",
+    )
+    end = lengths[shortest]
+    cut = {
+        name: values[: round(end * timed.rates[name])] if name in names else values
+        for name, values in timed.signals.items()
+    }
+    return replace(timed, signals=cut), [fault]
+
+
+def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First sample and end of each run."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]

@@ -1,0 +1,338 @@
+"""The sidecar: a JSON file that says what the columns of a laboratory's file mean (docs/recordings.md)."""
+
+import json
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armperturb.convert.units import factor_to, quantity
+from armperturb.recording import LABELS, REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES
+from armperturb.subject import TASKS
+from armperturb.validation import require_number
+
+LARGEST = 2**20
+"""Of a sidecar [byte]."""
+
+DIRECTIONS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "forward": (0.0, 1.0), "backward": (0.0, -1.0)}
+"""Where an axis of the laboratory can point, in ours: x = right, y = forward."""
+
+BODIES = {"handle": 1.0, "hand": -1.0}
+"""Which body exerts the force on the other: ours is the handle's on the hand."""
+
+FIRST = "first"
+"""The handle's start is where its first sample is."""
+
+REQUIRED_LABELS = ("subject", "task", "l_h", "l_f", "theta_s_deg", "theta_e_deg")
+
+_RANGES: Mapping[str, tuple[float, float]] = {
+    "l_h": (0.1, 0.7),
+    "l_f": (0.1, 0.7),
+    "theta_s_deg": (-90.0, 180.0),
+    "theta_e_deg": (1.0, 179.0),
+    "repetition": (0.0, 1e6),
+    "order": (0.0, 1e6),
+    "pulse_level": (-1e3, 1e3),
+    "pulse_direction": (-360.0, 360.0),
+    "pulse_onset": (0.0, 1e5),
+    "limit_time": (0.0, 1e5),
+}
+"""What labels of people can be, in our units: beyond it is a slip, or another unit."""
+
+
+class Dialect(NamedTuple):
+    """How a text file is written.
+
+    Attributes:
+      delimiter: between the fields of a line.
+      decimal: point or comma of a number.
+      skip_lines: number of lines above the names of the columns.
+    """
+
+    delimiter: str = ","
+    decimal: str = "."
+    skip_lines: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Signal:
+    """Where a signal stands in the file, and what turns it into ours.
+
+    Attributes:
+      channels: component, e.g. "x", to the channel that holds it, in the order of our components.
+      unit: as the file has it.
+      matrix: ours = (values - start) @ matrix, (component, component): units, axes and sign.
+      start: handle's start in the file's unit and axes, (component,), or "first".
+      rate: sampling rate of this signal, if it is not that of the others [Hz].
+    """
+
+    channels: Mapping[str, str]
+    unit: str
+    matrix: NDArray[np.float64]
+    start: tuple[float, ...] | str
+    rate: float | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sidecar:
+    """What the columns of a file mean.
+
+    Attributes:
+      path: where it stands.
+      rate: sampling rate [Hz]; None if only the times, or the file itself, tell.
+      time: channel of the times, and the factor that turns them into seconds; None without.
+      trial: channel that numbers the trials; None if the file holds one, or has a dimension of its own for them.
+      signals: variable of a recording to where it stands.
+      labels: of all trials, in our units.
+      trials: name of a trial to labels of its own; empty if all are alike.
+      mass: that the manipulator was set to [kg]; None if unknown.
+      dialect: of a text file.
+    """
+
+    path: Path
+    rate: float | None
+    time: tuple[str, float] | None
+    trial: str | None
+    signals: Mapping[str, Signal]
+    labels: Mapping[str, Any]
+    trials: Mapping[str, Mapping[str, Any]]
+    mass: float | None
+    dialect: Dialect
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a sidecar.
+
+        Raises:
+          TypeError: a field has the wrong type.
+          ValueError: it is no JSON, a field is unknown, missing or out of its range; the message names file, field,
+            value and what was expected.
+          OSError: it cannot be read.
+        """
+        path = Path(path)
+        top = _Fields(_parsed(path), str(path), "")
+        top.require_only(
+            ("rate", "time", "trial", "axes", "signals", "labels", "trials", "environment", "csv"),
+            ("axes", "signals", "labels"),
+        )
+        rate, time = top.rate("rate"), None
+        if "time" in top:
+            of_time = top.fields("time")
+            of_time.require_only(("channel", "unit"), ("channel", "unit"))
+            time = of_time.text("channel"), factor_to("s", of_time["unit"], of_time.where("unit"))
+        of_signals = top.fields("signals")
+        of_signals.require_only(tuple(SIGNALS), REQUIRED_SIGNALS)
+        axes = _axes(top)
+        labels = _labels(top.fields("labels"))
+        trials = {}
+        if "trials" in top:
+            of_trials = top.fields("trials")
+            trials = {name: _labels(of_trials.fields(name)) for name in of_trials.content}
+            if not trials:
+                raise ValueError(f"{path}: trials is empty; expected labels of each trial, or no such field")
+        mass = None
+        if "environment" in top:
+            of_environment = top.fields("environment")
+            of_environment.require_only(("m_env",), ("m_env",))
+            mass = quantity(of_environment["m_env"], "kg", of_environment.where("m_env"))
+            require_number(str(path), "environment.m_env", mass, above=0.0, at_most=1e3)
+        return cls(
+            path=path,
+            rate=rate,
+            time=time,
+            trial=top.text("trial") if "trial" in top else None,
+            signals={name: _signal(of_signals.fields(name), name, axes) for name in SIGNALS if name in of_signals},
+            labels=labels,
+            trials=trials,
+            mass=mass,
+            dialect=_dialect(top.fields("csv")) if "csv" in top else Dialect(),
+        )
+
+    def labels_of(self, trial: str) -> dict[str, Any]:
+        """Labels of a trial, those that all trials have included.
+
+        Raises:
+          ValueError: it is not among `trials`, or lacks a label.
+        """
+        if self.trials and trial not in self.trials:
+            known = ", ".join(map(repr, list(self.trials)[:8]))
+            raise ValueError(f"{self.path}: trials has no {trial!r}; expected labels of each trial, it has {known}")
+        labels = {**self.labels, **self.trials.get(trial, {})}
+        for name in REQUIRED_LABELS:
+            if name not in labels:
+                raise ValueError(f"{self.path}: labels.{name} is missing for trial {trial!r}; expected a value")
+        if labels.get("pulse_level", 0.0) != 0.0 and "pulse_onset" not in labels:
+            raise ValueError(
+                f"{self.path}: pulse_level = {labels['pulse_level']:g} without pulse_onset for trial {trial!r}; "
+                "expected when the pulse begins"
+            )
+        return labels
+
+
+class _Fields:
+    """An object of the file, with its place for messages."""
+
+    def __init__(self, content: object, file: str, place: str) -> None:
+        self.file, self.place = file, place
+        if not isinstance(content, dict):
+            raise TypeError(f"{file}: {place or 'the file'} = {content!r:.60}; expected an object, {{...}}")
+        self.content = content
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.content
+
+    def __getitem__(self, name: str) -> Any:
+        return self.content[name]
+
+    def where(self, name: str) -> str:
+        shown = name if name.isprintable() else ascii(name)
+        return f"{self.file}: {self.place}.{shown}" if self.place else f"{self.file}: {shown}"
+
+    def fields(self, name: str) -> "_Fields":
+        return _Fields(self.content[name], self.file, self.where(name).removeprefix(f"{self.file}: "))
+
+    def require_only(self, known: Collection[str], required: Collection[str] = ()) -> None:
+        for name in self.content:
+            if name not in known:
+                raise ValueError(f"{self.where(name)}: unknown field; expected {', '.join(known)}")
+        for name in required:
+            if name not in self.content:
+                raise ValueError(f"{self.where(name)} is missing; expected {', '.join(required)}")
+
+    def text(self, name: str) -> str:
+        value = self.content[name]
+        if not isinstance(value, str):
+            raise TypeError(f"{self.where(name)} = {value!r:.60}; expected text")
+        if not value or not value.isprintable():
+            raise ValueError(f"{self.where(name)} = {value!r:.60}; expected printable text, not empty")
+        return value
+
+    def choice(self, name: str, known: Collection[str]) -> str:
+        value = self.content[name]
+        if not isinstance(value, str) or value not in known:
+            raise ValueError(f"{self.where(name)} = {value!r:.60}; expected one of {', '.join(known)}")
+        return value
+
+    def rate(self, name: str) -> float | None:
+        if name not in self.content:
+            return None
+        rate = quantity(self.content[name], "Hz", self.where(name))
+        require_number(self.file, self.where(name).removeprefix(f"{self.file}: "), rate, at_least=1.0, at_most=1e6)
+        return rate
+
+
+def _parsed(path: Path) -> object:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file, or a folder; expected the sidecar (JSON, docs/recordings.md)")
+    size = path.stat().st_size
+    if size > LARGEST:
+        raise ValueError(f"{path}: {size} bytes; expected a sidecar of at most {LARGEST}")
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        names = [name for name, _ in pairs]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"the field {name!r} comes twice")
+        return dict(pairs)
+
+    def refuse(text: str) -> NoReturn:
+        raise ValueError(f"{text} is no number of JSON")
+
+    try:
+        return json.loads(path.read_bytes().decode("utf-8-sig"), object_pairs_hook=once, parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: no readable JSON ({error}); expected a sidecar") from None
+
+
+def _axes(fields: _Fields) -> NDArray[np.float64]:
+    """Directions of the laboratory's x and y in our axes, (lab's axis, our axis)."""
+    of_axes = fields.fields("axes")
+    of_axes.require_only(("x", "y"), ("x", "y"))
+    directions = np.array([DIRECTIONS[of_axes.choice(name, DIRECTIONS)] for name in ("x", "y")])
+    if abs(np.linalg.det(directions)) < 0.5:
+        raise ValueError(
+            f"{of_axes.where('y')} = {of_axes['y']!r} beside x = {of_axes['x']!r}; expected a direction across it"
+        )
+    return directions
+
+
+def _signal(fields: _Fields, name: str, axes: NDArray[np.float64]) -> Signal:
+    dims, ours, _ = SIGNALS[name]
+    components, on_axes = LABELS[dims[1]], dims[1] == "axis"
+    known = ["channels", "unit"]
+    known += ["axes"] if on_axes else []
+    known += ["start"] if on_axes and ours == "m" else []
+    known += ["exerted_by"] if name == "force" else []
+    known += ["rate"] if name == "emg" else []
+    fields.require_only(known, [one for one in known if one in ("channels", "unit", "exerted_by")])
+    of_channels = fields.fields("channels")
+    of_channels.require_only(components, components)
+    channels = {component: of_channels.text(component) for component in components}
+    for component, channel in channels.items():
+        if list(channels.values()).count(channel) > 1:
+            raise ValueError(f"{of_channels.where(component)} = {channel!r} twice; expected a channel for each")
+    matrix = np.eye(len(components)) * factor_to(ours, fields["unit"], fields.where("unit"))
+    if on_axes:
+        matrix = matrix @ (_axes(fields) if "axes" in fields else axes)
+    if name == "force":
+        matrix = matrix * BODIES[fields.choice("exerted_by", BODIES)]
+    return Signal(
+        channels=channels,
+        unit=fields["unit"],
+        matrix=matrix,
+        start=_start(fields, components) if "start" in fields else (0.0,) * len(components),
+        rate=fields.rate("rate"),
+    )
+
+
+def _start(fields: _Fields, components: tuple[str, ...]) -> tuple[float, ...] | str:
+    value = fields["start"]
+    if value == FIRST:
+        return FIRST
+    if not isinstance(value, list) or len(value) != len(components):
+        raise ValueError(f"{fields.where('start')} = {value!r:.60}; expected 'first', or [x, y] in the signal's unit")
+    for one in value:
+        require_number(
+            fields.file, fields.where("start").removeprefix(f"{fields.file}: "), one, at_least=-1e6, at_most=1e6
+        )
+    return tuple(map(float, value))
+
+
+def _labels(fields: _Fields) -> dict[str, Any]:
+    """Labels that are there; null is as good as none."""
+    fields.require_only(tuple(TRIAL_COORDINATES))
+    labels: dict[str, Any] = {}
+    for name, value in fields.content.items():
+        if value is None:
+            continue
+        if name == "task":
+            labels[name] = fields.choice(name, TASKS)
+        elif name in TEXT_COORDINATES:
+            labels[name] = fields.text(name)
+        else:
+            unit = "deg" if name.endswith("_deg") else TRIAL_COORDINATES[name][0]
+            number = quantity(value, unit, fields.where(name))
+            lower, upper = _RANGES[name]
+            if not lower <= number <= upper:
+                raise ValueError(f"{fields.where(name)} = {value!r}; expected {lower:g} to {upper:g} {unit}".rstrip())
+            if name in ("repetition", "order"):
+                if number != int(number):
+                    raise ValueError(f"{fields.where(name)} = {value!r}; expected a whole number")
+                number = int(number)
+            labels[name] = number
+    return labels
+
+
+def _dialect(fields: _Fields) -> Dialect:
+    fields.require_only(Dialect._fields)
+    delimiter = fields.choice("delimiter", (",", ";", "\t", " ")) if "delimiter" in fields else ","
+    decimal = fields.choice("decimal", (".", ",")) if "decimal" in fields else "."
+    if decimal == delimiter:
+        raise ValueError(f"{fields.where('decimal')} = {decimal!r} as the delimiter; expected another one")
+    skip = fields.content.get("skip_lines", 0)
+    if isinstance(skip, bool) or not isinstance(skip, int) or not 0 <= skip <= 1000:
+        raise ValueError(f"{fields.where('skip_lines')} = {skip!r:.60}; expected a whole number of 0 to 1000")
+    return Dialect(delimiter, decimal, skip)

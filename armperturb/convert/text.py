@@ -1,0 +1,95 @@
+"""Reads CSV and its kin: one line per sample, columns with names."""
+
+import csv
+import math
+from array import array
+from collections.abc import Collection, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from armperturb.convert.raw import RawTrial, missing_channel, require_modest, split_trials
+from armperturb.convert.sidecar import Dialect
+
+MARKS = {b"PK\x03\x04": "a zip archive", b"\x89HDF": "an HDF5 file", b"MATLAB": "a MATLAB file", b"\x1f\x8b": "gzip"}
+"""How files begin that are no text."""
+
+
+def read_text(path: Path, names: Collection[str], number: str | None, dialect: Dialect) -> Sequence[RawTrial]:
+    """Columns of a text file.
+
+    Args:
+      path: of the file, in UTF-8.
+      names: of the columns that are wanted, that with the trial's number included.
+      number: column that numbers the trials, if there is one.
+      dialect: how the file is written.
+
+    Raises:
+      ValueError: the file is empty, no text, lacks a column, or holds what is no number; the message names the line.
+      OSError: it cannot be read.
+    """
+    require_modest(path, path.stat().st_size, "size")
+    with path.open("rb") as file:
+        start = file.read(8)
+    for mark, what in MARKS.items():
+        if start.startswith(mark):
+            raise ValueError(f"{path}: the file is {what}; expected text with columns")
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as lines:
+            for _ in range(dialect.skip_lines):
+                lines.readline()
+            reader = csv.reader(lines, delimiter=dialect.delimiter)
+            header = [name.strip() for name in next(reader, [])]
+            if not any(header):
+                raise ValueError(f"{path}: the file is empty; expected the names of the columns, then numbers")
+            columns = _columns(path, header, names)
+            values: dict[str, array[float]] = {name: array("d") for name in columns}
+            blank = 0
+            for fields in reader:
+                if not fields:
+                    blank = blank or reader.line_num
+                    continue
+                line = reader.line_num + dialect.skip_lines
+                if blank:
+                    raise ValueError(f"{path}, line {blank + dialect.skip_lines}: empty; expected {len(header)} values")
+                if len(fields) != len(header):
+                    raise ValueError(
+                        f"{path}, line {line}: {len(fields)} values; expected {len(header)} as in the header"
+                    )
+                for name, column in columns.items():
+                    values[name].append(_number(path, line, name, fields[column], dialect.decimal))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path}: no readable text ({error}); expected columns in UTF-8") from None
+    channels = {name: np.array(column) for name, column in values.items()}
+    n_rows = len(next(iter(channels.values())))
+    if n_rows < 2:
+        raise ValueError(f"{path}: rows = {n_rows}; expected at least 2 below the names of the columns")
+    return split_trials(path, channels, number)
+
+
+def _columns(path: Path, header: list[str], names: Collection[str]) -> dict[str, int]:
+    columns = {}
+    for name in names:
+        if name not in header:
+            raise missing_channel(path, name, header)
+        if header.count(name) > 1:
+            raise ValueError(f"{path}: column {name!r} comes {header.count(name)} times; expected once")
+        columns[name] = header.index(name)
+    return columns
+
+
+def _number(path: Path, line: int, name: str, text: str, decimal: str) -> float:
+    """A number, or NaN where there is none: an empty field, NaN, Inf."""
+    text = text.strip()
+    if not text:
+        return math.nan
+    plain = "_" not in text
+    if decimal == ",":
+        plain, text = plain and "." not in text, text.replace(",", ".")
+    try:
+        number = float(text) if plain else None
+    except ValueError:
+        number = None
+    if number is None:
+        raise ValueError(f"{path}, line {line}: {name} = {text[:40]!r}; expected a number with a decimal {decimal!r}")
+    return number if math.isfinite(number) else math.nan

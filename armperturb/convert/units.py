@@ -1,0 +1,63 @@
+"""Units that laboratories write, and what they are in SI."""
+
+import math
+from collections.abc import Mapping
+
+from armperturb.validation import require_number
+
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665, "lbf": 4.4482216152605},
+    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
+    "deg": {"deg": 1.0, "rad": 180.0 / math.pi},
+    "V": {"V": 1.0, "mV": 1e-3, "uV": 1e-6},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
+    "Hz": {"Hz": 1.0, "kHz": 1e3},
+    "kg": {"kg": 1.0, "g": 1e-3},
+    "": {"": 1.0},
+}
+"""Our unit to those that can be turned into it, with the factor."""
+
+
+def factor_to(ours: str, unit: object, where: str) -> float:
+    """By what to multiply a value to have it in our unit.
+
+    Args:
+      ours: unit of the result, a key of `UNITS`.
+      unit: of the value.
+      where: file and field, for the message.
+
+    Raises:
+      ValueError: the unit is none of this quantity.
+    """
+    if not isinstance(unit, str) or unit not in UNITS[ours]:
+        raise ValueError(f"{where} = {unit!r}; expected a unit: {', '.join(UNITS[ours])}")
+    return UNITS[ours][unit]
+
+
+def quantity(value: object, ours: str, where: str) -> float:
+    """A number in our unit, from a number or from text such as "31 cm".
+
+    Args:
+      value: as found.
+      ours: unit of the result, and of a number without one.
+      where: file and field, for the message.
+
+    Raises:
+      TypeError: it is neither a number nor text.
+      ValueError: it is not finite, or the unit is none of this quantity.
+    """
+    owner, _, field = where.rpartition(": ")
+    if not isinstance(value, str):
+        require_number(owner, field, value)
+        return float(value)  # type: ignore[arg-type]
+    number, _, unit = value.strip().partition(" ")
+    try:
+        found = float(number) if "_" not in number else math.nan
+    except ValueError:
+        found = math.nan
+    if not math.isfinite(found):
+        raise ValueError(f"{where} = {value!r}; expected a finite number, or one with its unit, e.g. '12 {ours}'")
+    if unit.strip() not in UNITS[ours]:
+        raise ValueError(f"{where} = {value!r}; expected a number with a unit: {', '.join(UNITS[ours])}")
+    return found * UNITS[ours][unit.strip()]
