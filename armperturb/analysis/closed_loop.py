@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy import signal
 
 from armperturb.analysis.frequency_response import FrequencyResponse
 from armperturb.analysis.local_polynomial import (
@@ -48,8 +49,14 @@ N_QUIET = 12
 LEAST_DOF = 8.0
 """Complex degrees of freedom that a covariance has at least: then bands are at most a third wider than with many."""
 
+FADE = 2.0
+"""Time over which the weights of samples of equal phase change [s]; less if a record is hardly longer than a period."""
+
 APERIODIC = 1e-2
 """Share of its power by which a disturbance may differ from one period to the next [-]."""
+
+HALF_WIDTH = (0.2, 0.03)
+"""Least half of the band around a frequency of which the response to noise is taken: [Hz], and over the frequency."""
 
 N_POINTS = 40
 """Frequencies at which the response to noise is estimated, unless asked otherwise."""
@@ -216,16 +223,32 @@ def periodic_trials(recordings: Recordings, *, period: float, start: float, line
 
 
 def _mean_period(record: Record, n: int) -> Periods:
+    """Mean over periods by weights that sum to one at each phase and fade in and out.
+
+    A jump in the weights would spread slow noise over all lines.
+    """
     signals = np.concatenate([record.perturbation, record.answer], axis=1)
-    total, count, contrasts = signals[:n].copy(), np.ones(n), []
-    for first in range(n, len(signals), n):
-        part = signals[first : first + n]
+    n_all = len(signals)
+    n_fade = min(round(FADE * record.rate), n_all - n)
+    inner = np.zeros(-(-n_all // n) * n)
+    inner[n_fade // 2 : n_all - (n_fade + 1) // 2] = 1.0
+    count = inner.reshape(-1, n).sum(axis=0)
+    weights = (inner.reshape(-1, n) / count).ravel()
+    if n_fade > 1:
+        # A fade keeps the sum over periods, as it averages over neighbouring phases.
+        fade = signal.windows.hann(n_fade + 1)
+        weights = signal.fftconvolve(weights, fade / fade.sum(), mode="same")
+    padded = np.zeros((len(weights), signals.shape[1]))
+    padded[:n_all] = signals
+    mean = (weights[:, None] * padded).reshape(-1, n, signals.shape[1]).sum(axis=0)
+    share = float(np.sum(weights[:n_all] ** 2) / n)
+    spectrum = np.fft.rfft(mean, axis=0) / np.sqrt(n * share)
+    contrasts, total = [], record.answer[:n].copy()
+    for first in range(n, n_all, n):
+        part = record.answer[first : first + n]
         m, k = first // n, len(part)
-        contrasts.append(np.sqrt(m / (m + 1)) * (part - total[:k] / m)[:, 2:])
+        contrasts.append(np.sqrt(m / (m + 1)) * (part - total[:k] / m))
         total[:k] += part
-        count[:k] += 1
-    share = float(np.mean(1.0 / count))
-    spectrum = np.fft.rfft(total / count[:, None], axis=0) / np.sqrt(n * share)
     return Periods(spectrum[:, :2], spectrum[:, 2:], share, tuple(contrasts))
 
 
@@ -296,7 +319,8 @@ def estimate_noise(
       start: of what is used [s].
       frequency: where the response is wanted [Hz], (frequency,); by default evenly on a logarithmic scale over the
         band that holds all but 1 % of the disturbance's power.
-      order: of the polynomials of response and leakage. The window is as wide as gives `LEAST_DOF` degrees of freedom.
+      order: of the polynomials of response and leakage. The band around a frequency is as wide as `HALF_WIDTH` says, and
+        wider where that gives fewer than `LEAST_DOF` degrees of freedom.
 
     Raises:
       ValueError: as `records_of` and `fit_locally`, or the records are too short.
@@ -327,10 +351,10 @@ def _band(spectra: Sequence[Window]) -> Array:
 
 
 def _around(spectra: Sequence[Window], centre: float, order: int) -> list[Window]:
-    """The lines of all records nearest to a frequency, as few as will do."""
-    step = max(1.0 / window.frequency[0] for window in spectra) ** -1
+    """The lines of all records near a frequency."""
+    step = min(float(window.frequency[0]) for window in spectra)
     highest = max(float(window.frequency[-1]) for window in spectra)
-    half = step
+    half = max(HALF_WIDTH[0], HALF_WIDTH[1] * centre)
     while half < highest:
         windows = [
             Window(*(values[np.abs(window.frequency - centre) <= half] for values in window)) for window in spectra
