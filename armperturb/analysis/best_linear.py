@@ -23,6 +23,7 @@ smooth change with frequency within a cluster, what its polynomial cannot follow
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +34,6 @@ from armperturb.analysis.frequency_response import FrequencyResponse
 from armperturb.analysis.local_polynomial import (
     LocalFit,
     Response,
-    System,
     Window,
     fit_locally,
     frequency_response,
@@ -44,7 +44,7 @@ from armperturb.analysis.local_polynomial import (
 Array = NDArray[np.float64]
 
 NOISE_BAND = 0.25
-"""Half the band around a cluster, beyond it, from which the noise is taken [Hz]."""
+"""Band on either side of a cluster from which the noise is taken [Hz]."""
 
 NOISE_LEAKAGE = 1
 """Order of the leakage's polynomial in that band, which holds few lines."""
@@ -65,7 +65,7 @@ class BestLinear:
       linear: power of the linear response H f, (frequency, output).
       noise: power of the noise in a single period, (frequency, output).
       distortion: power of the distortion; unbiased, so that it may come out negative, (frequency, output).
-      distortion_error: standard error of that, (frequency, output).
+      distortion_error: standard error that it has if the arm is linear, (frequency, output).
       statistic: distortion over its standard error, of all frequencies and outputs together, each weighed by its noise
         [-]; of linear arms standard normal.
       n_periods: periods per trial, with parts, (trial,).
@@ -92,13 +92,13 @@ class BestLinear:
 
     @property
     def share_error(self) -> Array:
-        """Standard error of `share`, (output,)."""
+        """Standard error that `share` has if the arm is linear, (output,)."""
         error = np.sqrt(np.sum(self.distortion_error**2, axis=0))
         return np.asarray(error / (self.linear + self.distortion).sum(axis=0))
 
 
 def estimate_best_linear(
-    recordings: Recordings, *, period: float = 20.48, start: float = 4.0, lines_per_average: int = 4
+    recordings: Recordings, *, period: float = 20.48, start: float = 2.0, lines_per_average: int = 4
 ) -> BestLinear:
     """Best linear approximation of the arm, from multisines.
 
@@ -125,39 +125,77 @@ def estimate_best_linear(
             f"trials hold {n_periods.max():.2f} periods from {start:g} s on; expected at least {1 + SHORTEST / period:.2f}"
         )
     fits = _fits(trials)
-    system: System = "arm"
     share = float(np.mean([trial.share for trial in trials.trials]))
     scale = 2.0 / (period * trials.rate)  # from |Z|^2 over the number of samples to the mean square of a sine wave
-    linear, noise, distortion, error, sums, variances = [], [], [], [], [], []
+    n_shared = _windows_per_quiet_line(trials)
+    linear, noise, distortion, error, excess, precision = [], [], [], [], [], []
     for group, fit in zip(trials.groups, fits, strict=True):
+        left = linearised(fit.answer, "arm").left
         noise_z, noise_dof = _noise(contrasts, group / period)
-        left = linearised(fit.answer, system).left
-        total, of_noise = left @ fit.excited_noise @ left.conj().T, left @ noise_z @ left.conj().T
-        total_power, noise_power = np.diagonal(total).real, np.diagonal(of_noise).real
-        total_dof = fit.excited_dof
-        force = np.mean(
-            [share * np.abs(trial.answer[group, :2] @ -left[:, :2].T) ** 2 for trial in trials.trials], axis=(0, 1)
-        )
-        linear.append(scale * force)
-        noise.append(scale * noise_power)
-        distortion.append(scale * share * (total_power - noise_power))
-        # If there is no distortion, this has a mean of exactly zero: total over pooled is independent of pooled.
-        dof = total_dof + noise_dof
-        pooled = (total_dof * total + noise_dof * of_noise) / dof
-        at_least = np.diagonal(pooled).real
-        spread = np.maximum(total_power, at_least) ** 2 / total_dof + np.maximum(noise_power, at_least) ** 2 / noise_dof
-        error.append(scale * share * np.sqrt(spread))
-        sums.append(0.5 * np.trace(np.linalg.solve(pooled, total - of_noise)).real)
-        variances.append(0.5 * dof**2 / (total_dof * noise_dof * (dof + 1)) * (1 - 1 / (dof - 1)))
+        of_noise = left @ noise_z @ left.conj().T
+        on_lines = _Excess(left @ fit.excited_noise @ left.conj().T, fit.excited_dof, of_noise, noise_dof)
+        # Distortion falls between the excited lines as well, and there it shows best.
+        quiet_dof = fit.dof - fit.excited_dof
+        quiet = left @ (fit.dof * fit.noise - fit.excited_dof * fit.excited_noise) @ left.conj().T
+        counted = fit.excited_dof + quiet_dof / n_shared
+        total = (fit.excited_dof * on_lines.total + quiet / n_shared) / counted
+        everywhere = _Excess(total, counted, of_noise, noise_dof)
+        force = [np.abs(trial.answer[group, :2] @ left[:, :2].T) ** 2 for trial in trials.trials]
+        linear.append(scale * share * np.mean(force, axis=(0, 1)))
+        noise.append(scale * np.diagonal(of_noise).real)
+        distortion.append(scale * share * np.diagonal(on_lines.total - of_noise).real)
+        error.append(scale * share * np.sqrt(on_lines.variance) * np.diagonal(on_lines.pooled).real)
+        excess.append(everywhere.relative)
+        precision.append(1.0 / everywhere.relative_variance)
     return BestLinear(
-        response=frequency_response(fits, system, [(fit.excited_noise, fit.excited_dof) for fit in fits]),
+        response=frequency_response(fits, "arm", [(fit.excited_noise, fit.excited_dof) for fit in fits]),
         linear=np.array(linear),
         noise=np.array(noise),
         distortion=np.array(distortion),
         distortion_error=np.array(error),
-        statistic=float(np.sum(sums) / np.sqrt(np.sum(variances))),
+        statistic=float(np.dot(precision, excess) / np.sqrt(np.sum(precision))),
         n_periods=n_periods,
     )
+
+
+class _Excess(NamedTuple):
+    """Covariance of noise and distortion beside that of noise, (2, 2) each, with their degrees of freedom.
+
+    Without distortion, total over pooled is independent of pooled and has a (matrix) beta distribution: its moments are
+    exact, however few the degrees of freedom.
+    """
+
+    total: Response
+    total_dof: float
+    noise: Response
+    noise_dof: float
+
+    @property
+    def pooled(self) -> Response:
+        both = self.total_dof * self.total + self.noise_dof * self.noise
+        return np.asarray(both / (self.total_dof + self.noise_dof))
+
+    @property
+    def variance(self) -> float:
+        """Of (total - noise) over pooled, of one output."""
+        dof = self.total_dof + self.noise_dof
+        return dof**2 / (self.total_dof * self.noise_dof * (dof + 1))
+
+    @property
+    def relative(self) -> float:
+        """Total less noise over pooled, mean over outputs; its mean is zero without distortion."""
+        return 0.5 * float(np.trace(np.linalg.solve(self.pooled, self.total - self.noise)).real)
+
+    @property
+    def relative_variance(self) -> float:
+        return 0.5 * self.variance * (1 - 1 / (self.total_dof + self.noise_dof - 1))
+
+
+def _windows_per_quiet_line(trials: Periodic) -> float:
+    """How many clusters a quiet line is counted for, on average."""
+    quiet = [window.frequency[~window.excited] for window in (trials.windows(group)[0] for group in trials.groups)]
+    every = np.concatenate(quiet)
+    return max(len(every), 1) / max(len(np.unique(every)), 1)
 
 
 def _fits(trials: Periodic) -> list[LocalFit]:

@@ -272,7 +272,7 @@ def estimate_multisine(
     *,
     what: System = "arm",
     period: float = 20.48,
-    start: float = 4.0,
+    start: float = 2.0,
     lines_per_average: int = 4,
     order: int | None = None,
 ) -> FrequencyResponse:
