@@ -127,7 +127,7 @@ def accuracy() -> None:
         errors = []
         for seed in range(10):
             rng = np.random.default_rng(seed)
-            recordings = [simulate_load(d, rng, gauge=0.005, encoder=5e-6) for d in draw(seed)]
+            recordings = [simulate_load(d, rng, gauge=0.002, encoder=1e-6) for d in draw(seed)]
             found = estimate_multisine(recordings) if "sines" in name else estimate_noise(recordings)
             used = found.frequency <= 20.0
             truth = load_admittance(found.frequency)

@@ -55,8 +55,10 @@ FADE = 2.0
 APERIODIC = 1e-2
 """Share of its power by which a disturbance may differ from one period to the next [-]."""
 
-HALF_WIDTH = (0.2, 0.03)
-"""Least half of the band around a frequency of which the response to noise is taken: [Hz], and over the frequency."""
+HALF_WIDTH = (0.2, 0.05)
+"""Least half of the band around a frequency that tells the response there: [Hz], and over the frequency [-].
+
+The former is for noise alone."""
 
 N_POINTS = 40
 """Frequencies at which the response to noise is estimated, unless asked otherwise."""
@@ -253,17 +255,27 @@ def _mean_period(record: Record, n: int) -> Periods:
 
 
 def _groups(excited: NDArray[np.int64], n_trials: int, size: int) -> tuple[NDArray[np.int64], ...]:
-    """Excited lines that share a polynomial."""
+    """Excited lines that share a polynomial.
+
+    Long runs have no quiet lines around, or many lines that single ones would be too noisy for: groups are as large as
+    the leakage asks for, and grow with frequency.
+    """
     gaps = np.diff(excited)
-    runs = np.split(excited, np.flatnonzero(gaps > 2 * gaps.min(initial=excited[-1])) + 1)
-    groups = []
+    closest = int(gaps.min(initial=excited[-1]))
+    runs = np.split(excited, np.flatnonzero(gaps > 2 * closest) + 1)
+    equations = n_unknowns(n_trials, HIGHEST_ORDER, LEAKAGE_ORDER) + LEAST_DOF
+    groups: list[NDArray[np.int64]] = []
     for run in runs:
-        span = run[-1] - run[0] + 1
-        wanted = size
-        if span - len(run) < N_QUIET < len(run):  # few quiet lines inside a long run
-            equations = n_unknowns(n_trials, 1, LEAKAGE_ORDER) + LEAST_DOF
-            wanted = max(size, int(np.ceil(equations / n_trials)))
-        groups += np.array_split(run, max(1, len(run) // wanted))
+        if len(run) <= N_QUIET:
+            groups += np.array_split(run, max(1, len(run) // size))
+            continue
+        least = max(size, int(np.ceil(equations / n_trials))) if closest == 1 else size
+        while len(run):
+            count = max(least, round(2 * HALF_WIDTH[1] * run[0] / closest))
+            if len(run) < 2 * count:
+                count = len(run)
+            groups.append(run[:count])
+            run = run[count:]
     return tuple(groups)
 
 
