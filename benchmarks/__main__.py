@@ -3,6 +3,7 @@
 from benchmarks import (
     batch_overhead,
     estimators,
+    frequency_response,
     multisine_crest,
     muscle_law,
     study_kills,
@@ -21,6 +22,7 @@ for module in (
     thesis_fit,
     thesis_sem,
     estimators,
+    frequency_response,
     study_speed,
     study_report,
     study_kills,

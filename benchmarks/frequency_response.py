@@ -76,10 +76,11 @@ def simulate_load(
     drive = np.einsum("fij,tfj->tfi", held, d) - np.einsum("fij,tfj->tfi", load, remnant)
     force = np.einsum("fij,tfj->tfi", np.linalg.inv(load + held), drive)
     displacement = np.einsum("fij,tfj->tfi", held, d - force)
+    white = rng.normal(size=(2, *perturbation.shape))
     signals = {
         "perturbation": perturbation,
-        "force": fft.irfft(force, n_padded, axis=1)[:, :n] + gauge * rng.normal(size=perturbation.shape),
-        "displacement": fft.irfft(displacement, n_padded, axis=1)[:, :n] + encoder * rng.normal(size=perturbation.shape),
+        "force": fft.irfft(force, n_padded, axis=1)[:, :n] + gauge * white[0],
+        "displacement": fft.irfft(displacement, n_padded, axis=1)[:, :n] + encoder * white[1],
     }
     numbers = {"repetition": 0, "pulse_level": 0.0, "l_h": 0.3, "l_f": 0.3, "theta_s_deg": 22.5, "theta_e_deg": 82.3}
     absent = dict.fromkeys(("pulse_direction", "pulse_onset", "limit_time"), np.nan)
@@ -198,7 +199,7 @@ def detection() -> None:
             print(
                 f"  {condition} {muscles} ({len(found)} people): statistic {statistic.mean():.2f}, SD "
                 f"{statistic.std():.2f}; detected (p < 0.05) {np.mean([one.p_value < 0.05 for one in found]):.1%}; "
-                f"statistic within 1.96 of zero {np.mean(np.abs(statistic) < 1.96):.1%}, level at a frequency {zero:.1%}, "
+                f"within 1.96 of zero {np.mean(np.abs(statistic) < 1.96):.1%}, level at a frequency {zero:.1%}, "
                 f"share {zero_share:.1%}; share x, y {share[0]:.3f}, {share[1]:.3f}; CPU "
                 f"{time.process_time() - began:.0f} s",
                 flush=True,

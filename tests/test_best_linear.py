@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from scipy import stats
+from test_frequency_response import CLUSTERS, N_PERIOD, PERIOD, RATE, TRUE, labels
 
 from armperturb.analysis.best_linear import estimate_best_linear
 from armperturb.recording import make_recording
-
-from test_frequency_response import CLUSTERS, N_PERIOD, PERIOD, RATE, TRUE, labels
+from armperturb.study.band_figures import distortion_levels, response_bands
 
 FREQUENCY = np.fft.rfftfreq(N_PERIOD, 1.0 / RATE)
 NOISE, DISTORTION = 1e-3, 3e-5
@@ -49,7 +49,9 @@ def test_levels_are_those_put_in(n_periods):
 @pytest.mark.parametrize(("n_trials", "n_periods", "spread"), [(2, 1.5, 0.0), (4, 1.5, 0.1), (2, 3, 0.1)])
 def test_linear_loads_are_linear(n_trials, n_periods, spread):
     # Loads that differ between trials as well, by their constant.
-    found = [estimate_best_linear(known(100 + seed, n_trials, n_periods, spread=spread), start=0.0) for seed in range(18)]
+    found = [
+        estimate_best_linear(known(100 + seed, n_trials, n_periods, spread=spread), start=0.0) for seed in range(18)
+    ]
     statistic = np.array([one.statistic for one in found])
     assert stats.kstest(statistic, "norm").pvalue > 0.01
     inside = [np.abs(one.distortion) <= 1.96 * one.distortion_error for one in found]
@@ -75,3 +77,15 @@ def test_bad_input_is_refused():
         estimate_best_linear(recording, start=0.4 * PERIOD)
     with pytest.raises(ValueError, match="a group has 2 excited lines; expected at least 3"):
         estimate_best_linear(recording, lines_per_average=2)
+
+
+def test_figures_show_what_was_found():
+    found = estimate_best_linear(known(1, 2, 1.5), start=0.0)
+    gain, phase = response_bands(found.response).axes[:2]
+    bands = found.response.bands()
+    shown = gain.collections[0].get_paths()[0].vertices
+    assert shown[:, 1].max() == pytest.approx(bands.gain_high[:, 0, 0].max())
+    turn = phase.collections[0].get_paths()[0].vertices[:, 1]
+    assert np.ptp(turn) > 90.0  # from spring to mass
+    lines = {line.get_label(): line.get_ydata() for line in distortion_levels(found).axes[0].get_lines()}
+    np.testing.assert_allclose(lines["noise"], 1e3 * np.sqrt(found.noise[:, 0]))

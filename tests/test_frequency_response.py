@@ -200,9 +200,9 @@ def test_bad_input_is_refused(excited):
         estimate_multisine(recording, period=5.12)
     with pytest.raises(ValueError, match=r"holds 12 s from 20 s on; expected a whole period of 20\.48 s"):
         estimate_multisine(recording, start=20.0)
+    same = recording.copy(deep=True)
+    same["perturbation"][..., 1] = same["perturbation"][..., 0]
     with pytest.raises(ValueError, match="cannot be told apart"):
-        same = recording.copy(deep=True)
-        same["perturbation"][..., 1] = same["perturbation"][..., 0]
         estimate_multisine(same)
     with pytest.raises(ValueError, match="what = 'hand'; expected one of arm, environment, total"):
         estimate_multisine(recording, what="hand")

@@ -32,10 +32,8 @@ from scipy import stats
 from armperturb.analysis.closed_loop import Periodic, Recordings, periodic_trials
 from armperturb.analysis.frequency_response import FrequencyResponse
 from armperturb.analysis.local_polynomial import (
-    LocalFit,
     Response,
     Window,
-    fit_locally,
     frequency_response,
     linearised,
     without,
@@ -122,9 +120,10 @@ def estimate_best_linear(
     contrasts = _contrasts(trials)
     if not contrasts:
         raise ValueError(
-            f"trials hold {n_periods.max():.2f} periods from {start:g} s on; expected at least {1 + SHORTEST / period:.2f}"
+            f"trials hold {n_periods.max():.2f} periods from {start:g} s on; expected at least "
+            f"{1 + SHORTEST / period:.2f}"
         )
-    fits = _fits(trials)
+    fits = trials.fit(2 if len(trials.trials) >= 4 else 1, own_levels=True)
     share = float(np.mean([trial.share for trial in trials.trials]))
     scale = 2.0 / (period * trials.rate)  # from |Z|^2 over the number of samples to the mean square of a sine wave
     n_shared = _windows_per_quiet_line(trials)
@@ -198,10 +197,6 @@ def _windows_per_quiet_line(trials: Periodic) -> float:
     return max(len(every), 1) / max(len(np.unique(every)), 1)
 
 
-def _fits(trials: Periodic) -> list[LocalFit]:
-    return trials.fit(2 if len(trials.trials) >= 4 else 1, own_levels=True)
-
-
 def _contrasts(trials: Periodic) -> list[Window]:
     """Spectra of what differs between periods."""
     pieces = []
@@ -210,7 +205,7 @@ def _contrasts(trials: Periodic) -> list[Window]:
             n = len(values)
             if n >= SHORTEST * trials.rate:
                 spectrum = np.fft.rfft(values, axis=0)[1:] / np.sqrt(n)
-                frequency = np.fft.rfftfreq(n, 1.0 / trials.rate)[1:]
+                frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / trials.rate)[1:], dtype=float)
                 pieces.append(Window(frequency, spectrum[:, :0], spectrum, np.zeros(len(frequency), dtype=bool)))
     return pieces
 
@@ -220,10 +215,7 @@ def _noise(contrasts: list[Window], frequency: Array) -> tuple[Response, float]:
     half = NOISE_BAND
     while True:
         low, high = frequency[0] - half, frequency[-1] + half
-        near = [
-            Window(*(values[(piece.frequency >= low) & (piece.frequency <= high)] for values in piece))
-            for piece in contrasts
-        ]
+        near = [piece.within(low, high) for piece in contrasts]
         noise, dof = without(near, NOISE_LEAKAGE)
         if dof >= 6.0:
             return noise, dof

@@ -163,7 +163,9 @@ def records_of(recordings: Recordings, start: float) -> list[Record]:
         check_recording(recording)
         rate = float(recording.attrs["rate"])
         if rate != float(recordings[0].attrs["rate"]):
-            raise ValueError(f"rate = {rate:g} Hz; expected {recordings[0].attrs['rate']:g} Hz as in the first recording")
+            raise ValueError(
+                f"rate = {rate:g} Hz; expected {recordings[0].attrs['rate']:g} Hz as in the first recording"
+            )
         d = recording["perturbation"].values
         z = np.concatenate([recording["force"].values, recording["displacement"].values], axis=-1)
         ends = recording["pulse_onset"].values
@@ -180,7 +182,9 @@ def records_of(recordings: Recordings, start: float) -> list[Record]:
             records.append(Record(d[trial, judged], z[trial, judged], rate))
             for name, values in (("the perturbation", records[-1].perturbation), ("force", z[trial, judged, :2])):
                 if not np.ptp(values, axis=0).any():
-                    raise ValueError(f"{name} of trial {trial} is constant from {start:g} s on; expected a perturbation")
+                    raise ValueError(
+                        f"{name} of trial {trial} is constant from {start:g} s on; expected a perturbation"
+                    )
     return records
 
 
@@ -216,7 +220,9 @@ def periodic_trials(recordings: Recordings, *, period: float, start: float, line
                 f"trial {number} holds {len(d) / rate:g} s from {start:g} s on; expected a whole period of {period:g} s"
             )
         if np.mean((d[n:] - d[:-n]) ** 2 if len(d) > n else 0.0) > APERIODIC * np.mean(d**2):
-            raise ValueError(f"the perturbation of trial {number} does not repeat after {period:g} s; expected its period")
+            raise ValueError(
+                f"the perturbation of trial {number} does not repeat after {period:g} s; expected its own period"
+            )
         trials.append(_mean_period(record, n))
     power = np.sum([np.abs(trial.perturbation) ** 2 for trial in trials], axis=(0, 2))
     power[[0, -1]] = 0.0
@@ -331,8 +337,8 @@ def estimate_noise(
       start: of what is used [s].
       frequency: where the response is wanted [Hz], (frequency,); by default evenly on a logarithmic scale over the
         band that holds all but 1 % of the disturbance's power.
-      order: of the polynomials of response and leakage. The band around a frequency is as wide as `HALF_WIDTH` says, and
-        wider where that gives fewer than `LEAST_DOF` degrees of freedom.
+      order: of the polynomials of response and leakage. The band around a frequency is as wide as `HALF_WIDTH` says,
+        and wider where that gives fewer than `LEAST_DOF` degrees of freedom.
 
     Raises:
       ValueError: as `records_of` and `fit_locally`, or the records are too short.
@@ -351,7 +357,8 @@ def _whole(record: Record) -> Window:
     """DFT of a whole record, without the mean."""
     n = len(record.perturbation)
     d, z = (np.fft.rfft(values, axis=0)[1:] / np.sqrt(n) for values in (record.perturbation, record.answer))
-    return Window(np.fft.rfftfreq(n, 1.0 / record.rate)[1:], d, z, np.ones(len(d), dtype=bool))
+    frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / record.rate)[1:], dtype=float)
+    return Window(frequency, d, z, np.ones(len(d), dtype=bool))
 
 
 def _band(spectra: Sequence[Window]) -> Array:
@@ -368,9 +375,7 @@ def _around(spectra: Sequence[Window], centre: float, order: int) -> list[Window
     highest = max(float(window.frequency[-1]) for window in spectra)
     half = max(HALF_WIDTH[0], HALF_WIDTH[1] * centre)
     while half < highest:
-        windows = [
-            Window(*(values[np.abs(window.frequency - centre) <= half] for values in window)) for window in spectra
-        ]
+        windows = [window.within(centre - half, centre + half) for window in spectra]
         used = [window for window in windows if len(window.frequency) > order + 1]
         rows = sum(len(window.frequency) for window in used)
         if used and rows >= n_unknowns(len(used), order, order) + LEAST_DOF:

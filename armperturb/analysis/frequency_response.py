@@ -81,7 +81,7 @@ class FrequencyResponse:
         if self.covariance is None:
             raise ValueError("FrequencyResponse: covariance = None; expected the variance of each element")
         dof = np.full(len(self.frequency), np.inf) if self.dof is None else self.dof
-        quantile = np.where(np.isinf(dof), stats.chi2.ppf(level, 2) / 2, stats.f.ppf(level, 2, 2 * np.minimum(dof, 1e9)))
+        quantile = np.where(np.isinf(dof), -np.log1p(-level), stats.f.ppf(level, 2, 2 * np.minimum(dof, 1e9)))
         return np.asarray(np.sqrt(quantile[:, None, None] * self.covariance))
 
     def covers(self, truth: NDArray[np.complex128], level: float = 0.95) -> NDArray[np.bool_]:

@@ -54,6 +54,11 @@ class Window(NamedTuple):
     answer: Response
     excited: NDArray[np.bool_]
 
+    def within(self, low: float, high: float) -> "Window":
+        """The lines from low to high [Hz]."""
+        chosen = (self.frequency >= low) & (self.frequency <= high)
+        return Window(self.frequency[chosen], self.perturbation[chosen], self.answer[chosen], self.excited[chosen])
+
 
 class LocalFit(NamedTuple):
     """Response from d to f and x at one frequency.
@@ -127,8 +132,8 @@ def fit_locally(
     orthonormal, triangle = np.linalg.qr(matrix / lengths)
     if np.linalg.cond(triangle) > LARGEST_CONDITION:
         raise ValueError(
-            f"the disturbances along x and y cannot be told apart at {centre:.3f} Hz; expected independent disturbances "
-            "(other realisations, one trial for each direction, or more lines per average)"
+            f"the disturbances along x and y cannot be told apart at {centre:.3f} Hz; expected independent "
+            "disturbances (other realisations, one trial for each direction, or more lines per average)"
         )
     answer = np.concatenate([window.answer for window in windows])
     projected = orthonormal.conj().T @ answer
@@ -142,7 +147,8 @@ def fit_locally(
 
     def covariance(chosen: NDArray[np.bool_]) -> tuple[Response, float]:
         dof = float(free[chosen].sum())
-        return np.einsum("ra,rb->ab", left[chosen], left[chosen].conj()) / max(dof, 1e-12), dof
+        products = np.einsum("ra,rb->ab", left[chosen], left[chosen].conj())
+        return np.asarray(products / max(dof, 1e-12), dtype=complex), dof
 
     noise, dof = covariance(np.ones(len(left), dtype=bool))
     excited_noise, excited_dof = covariance(excited)
@@ -172,7 +178,7 @@ def without(windows: Sequence[Window], leakage_order: int) -> tuple[Response, fl
         left = window.answer - basis @ (basis.T @ window.answer)
         total += np.einsum("ra,rb->ab", left, left.conj())
         dof += len(left) - (leakage_order + 1)
-    return total / max(dof, 1.0), dof
+    return np.asarray(total / max(dof, 1.0), dtype=complex), dof
 
 
 class Linearised(NamedTuple):
@@ -197,12 +203,12 @@ def linearised(answer: Response, what: System) -> Linearised:
     """
     if what not in get_args(System):
         raise ValueError(f"what = {what!r}; expected one of {', '.join(get_args(System))}")
-    eye = np.eye(N_INPUTS)
+    eye = np.eye(N_INPUTS, dtype=complex)
     force, displacement = answer[:2], answer[2:]
     if what == "total":
         return Linearised(displacement, np.hstack([0 * eye, eye]), eye)
     sign = 1.0 if what == "arm" else -1.0
-    right = np.linalg.inv(force if what == "arm" else eye - force)
+    right = np.asarray(np.linalg.inv(force if what == "arm" else eye - force), dtype=complex)
     response = displacement @ right
     return Linearised(response, np.hstack([-sign * response, eye]), right)
 
