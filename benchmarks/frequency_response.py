@@ -1,6 +1,6 @@
 """Frequency responses from any excitation: accuracy, coverage of their bands, and detection of nonlinear arms.
 
-Run by `python -m benchmarks.frequency_response`; about 10 min of one core, nearly all of it for simulating people.
+Run by `python -m benchmarks.frequency_response`; some 17 min of one core, nearly all of it for simulating people.
 
 A load of known mass, damping and stiffness takes the place of the arm; it is moved by d, and by a force of its own as a
 person's remnant. Its simulation is exact. People are those of the default cohort at the forces of the thesis's table
@@ -114,7 +114,7 @@ def noises(n: int, seed: int, duration: float = DURATION) -> Array:
 
 
 def accuracy() -> None:
-    """Largest error over the largest element, to 20 Hz, with the instruments' noise alone."""
+    """Largest error over the largest element, to 20 Hz, with a tenth of the instruments' noise and none of the load."""
     print("known load, error over the largest element, worst to 20 Hz of 10 seeds [%]")
     ways: dict[str, Callable[[int], tuple[Array, ...]]] = {
         "thesis multisines": lambda seed: (multisines(N_TRIALS, seed),),

@@ -18,8 +18,9 @@ response.
 
 Assumed, beside what `local_polynomial` assumes: realisations are independent, of the same power spectrum and of random
 phases; noise one period apart is independent; the arm has forgotten its start, and is the same in all periods of a
-trial. Between trials it may differ: each has a constant term of its own, and none of that counts as distortion. Of a
-smooth change with frequency within a cluster, what its polynomial cannot follow does count.
+trial. Between trials it may differ: each has a constant term of its own, and none of that counts as distortion. What
+the polynomial of a cluster cannot follow does count: with noise far below that of people (a hundredth of the response),
+linear arms look nonlinear in two or three trials, for want of a term of second order.
 """
 
 from dataclasses import dataclass
