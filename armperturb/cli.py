@@ -571,7 +571,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.FlagCreatePairsOff),
     )
     try:
-        if not isinstance(command, Identify):
+        if not isinstance(command, Convert | Identify):
             require_simulator()
         if isinstance(command, Study):
             print(f"{'recordings' if command.record_only else 'report'}: {study(command)}")

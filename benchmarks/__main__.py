@@ -3,6 +3,7 @@
 from benchmarks import (
     batch_overhead,
     estimators,
+    frequency_response,
     multisine_crest,
     muscle_law,
     nonparametric,
@@ -23,6 +24,7 @@ for module in (
     thesis_sem,
     estimators,
     nonparametric,
+    frequency_response,
     study_speed,
     study_report,
     study_kills,

@@ -1,24 +1,103 @@
-"""A frequency response and how well it is known."""
+"""A frequency response with the uncertainty of each of its elements, whichever method estimated it."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
+
+from armperturb.validation import require_number
+
+Array = NDArray[np.float64]
+
+
+class Bands(NamedTuple):
+    """Limits of gain and phase.
+
+    Attributes:
+      gain_low: [m/N], not below zero, (frequency, output, input).
+      gain_high: [m/N], likewise.
+      phase_low: [rad], (frequency, output, input).
+      phase_high: [rad], likewise; a whole turn above `phase_low` where the phase is not known at all.
+    """
+
+    gain_low: Array
+    gain_high: Array
+    phase_low: Array
+    phase_high: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrequencyResponse:
     """An estimated frequency response.
 
+    The error of an element is taken to be circular complex normal: its real and imaginary part are independent and
+    have half its variance each. That holds for estimates that are linear in many samples of noise.
+
     Attributes:
       frequency: [Hz], (frequency,).
-      response: complex, (frequency, output, input).
-      covariance: variance of each complex element, the mean of |error|^2, (frequency, output, input); None where the
-        method gives none.
-      what: of which system, e.g. "arm".
+      response: [m/N], (frequency, output, input).
+      covariance: variance of each element, the mean of |error|^2 [(m/N)^2], (frequency, output, input); None if the
+        method does not tell.
+      what: of which system, e.g. "arm" (from f to x), "environment" (from d - f to x), "total" (from d to x).
+      dof: complex degrees of freedom behind `covariance`, (frequency,); None if it is as good as exact.
+
+    Raises:
+      ValueError: shapes do not fit together.
     """
 
-    frequency: NDArray[np.float64]
+    frequency: Array
     response: NDArray[np.complex128]
-    covariance: NDArray[np.float64] | None
+    covariance: Array | None
     what: str
+    dof: Array | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.frequency)
+        if self.response.ndim != 3 or len(self.response) != n:
+            raise ValueError(
+                f"FrequencyResponse: response of shape {self.response.shape}; expected ({n}, output, input)"
+            )
+        if self.covariance is not None and self.covariance.shape != self.response.shape:
+            raise ValueError(
+                f"FrequencyResponse: covariance of shape {self.covariance.shape}; expected {self.response.shape}"
+            )
+        if self.dof is not None and self.dof.shape != (n,):
+            raise ValueError(f"FrequencyResponse: dof of shape {self.dof.shape}; expected ({n},)")
+
+    def radius(self, level: float = 0.95) -> Array:
+        """Radius of the circle about each element in which the true one lies [m/N], (frequency, output, input).
+
+        |error|^2 over its estimated variance has an F distribution with 2 and 2 dof degrees of freedom.
+
+        Args:
+          level: probability of that, of each element by itself [-].
+
+        Raises:
+          ValueError: there is no covariance, or level is no probability.
+        """
+        require_number("radius", "level", level, above=0.0, below=1.0)
+        if self.covariance is None:
+            raise ValueError("FrequencyResponse: covariance = None; expected the variance of each element")
+        dof = np.full(len(self.frequency), np.inf) if self.dof is None else self.dof
+        quantile = np.where(np.isinf(dof), -np.log1p(-level), stats.f.ppf(level, 2, 2 * np.minimum(dof, 1e9)))
+        return np.asarray(np.sqrt(quantile[:, None, None] * self.covariance))
+
+    def covers(self, truth: NDArray[np.complex128], level: float = 0.95) -> NDArray[np.bool_]:
+        """Whether the circle about each element holds the true one, (frequency, output, input).
+
+        Raises:
+          ValueError: as `radius`.
+        """
+        return np.asarray(np.abs(self.response - truth) <= self.radius(level))
+
+    def bands(self, level: float = 0.95) -> Bands:
+        """Largest and smallest gain and phase of the circles of `radius`.
+
+        Raises:
+          ValueError: as `radius`.
+        """
+        radius, gain, phase = self.radius(level), np.abs(self.response), np.angle(self.response)
+        angle = np.where(radius < gain, np.arcsin(np.minimum(radius / gain, 1.0)), np.pi)
+        return Bands(np.maximum(gain - radius, 0.0), gain + radius, phase - angle, phase + angle)

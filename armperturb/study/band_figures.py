@@ -1,0 +1,68 @@
+"""Figures of a frequency response with its uncertainty, and of the levels of noise and distortion."""
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from armperturb.analysis.best_linear import BestLinear
+from armperturb.analysis.frequency_response import FrequencyResponse
+from armperturb.study.axes import AXES, PHASES, admittance_panels, label_frequency, legend, plot_admittance
+from armperturb.study.style import COLOURS, GREY, INK, in_style, new_figure
+
+
+@in_style()
+def response_bands(found: FrequencyResponse, level: float = 0.95) -> Figure:
+    """Gain and phase of each element, with the limits within which it lies with a probability.
+
+    Raises:
+      ValueError: as `FrequencyResponse.radius`.
+    """
+    bands = found.bands(level)
+    figure, panels = admittance_panels()
+    for element, (gain_ax, phase_ax) in panels.items():
+        at = (slice(None), *element)
+        gain = np.abs(found.response[at])
+        # A logarithmic axis has no zero.
+        gain_ax.fill_between(
+            found.frequency,
+            np.maximum(bands.gain_low[at], 1e-2 * gain),
+            bands.gain_high[at],
+            color=GREY,
+            alpha=0.4,
+            lw=0,
+        )
+        phase = np.degrees(np.angle(found.response[at]))
+        turn = PHASES[0] + np.mod(phase - PHASES[0], 360.0) - phase
+        low, high = np.degrees(bands.phase_low[at]) + turn, np.degrees(bands.phase_high[at]) + turn
+        phase_ax.fill_between(found.frequency, low, high, color=GREY, alpha=0.4, lw=0)
+    plot_admittance(panels, found.frequency, found.response, color=INK, marker="o", markersize=2.5)
+    legend(
+        figure,
+        Line2D([], [], color=INK, marker="o", markersize=2.5, label=f"estimate ({found.what})"),
+        Patch(facecolor=GREY, alpha=0.4, label=f"{level:.0%} of each element"),
+    )
+    return figure
+
+
+@in_style()
+def distortion_levels(found: BestLinear) -> Figure:
+    """Root mean squares of linear response, distortion and noise at a line, of each displacement."""
+    figure = new_figure(3.2)
+    frequency = found.response.frequency
+    for output, ax in enumerate(figure.subplots(1, 2, sharey=True)):
+        for power, colour, label in (
+            (found.linear, INK, "linear response"),
+            (found.distortion, COLOURS["RT"], "distortion"),
+            (found.noise, GREY, "noise"),
+        ):
+            shown = np.where(power[:, output] > 0.0, power[:, output], np.nan)
+            ax.plot(frequency, 1e3 * np.sqrt(shown), color=colour, marker="o", markersize=3, label=label)
+        limit = 1e3 * np.sqrt(1.96 * found.distortion_error[:, output])
+        ax.plot(frequency, limit, color=COLOURS["RT"], linestyle=":", label="distortion of a linear arm, 95 %")
+        ax.set(xscale="log", yscale="log", title=f"displacement {AXES[output]}")
+        label_frequency(ax)
+    axes = figure.axes
+    axes[0].set_ylabel("RMS at a line [mm]")
+    legend(figure, *[handle for handle in axes[0].get_lines() if isinstance(handle, Line2D)], n_columns=4)
+    return figure

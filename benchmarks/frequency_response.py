@@ -1,0 +1,216 @@
+"""Frequency responses from any excitation: accuracy, coverage of their bands, and detection of nonlinear arms.
+
+Run by `python -m benchmarks.frequency_response`; some 17 min of one core, nearly all of it for simulating people.
+
+A load of known mass, damping and stiffness takes the place of the arm; it is moved by d, and by a force of its own as a
+person's remnant. Its simulation is exact. People are those of the default cohort at the forces of the thesis's table
+2.1, with their noise and the instruments', four trials of 32 s with a multisine of their own each; linear people are
+drawn likewise. Nothing that is estimated knows the truth.
+"""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import fft, signal
+
+from armperturb.analysis.arm_model import environment_admittance
+from armperturb.analysis.best_linear import BestLinear, estimate_best_linear
+from armperturb.analysis.closed_loop import estimate_multisine, estimate_noise
+from armperturb.cohort import draw_person
+from armperturb.controllers.remnant import HUMAN_NOISE
+from armperturb.environment import Environment
+from armperturb.envs.experiment import run_experiment
+from armperturb.envs.instruments import Instruments
+from armperturb.envs.trial import Trial
+from armperturb.perturbations import Multisine
+from armperturb.recording import make_recording
+
+Array = NDArray[np.float64]
+
+RATE = 200.0
+DURATION = 32.0
+N_TRIALS = 4
+N_SEEDS = 200
+N_PEOPLE = 100
+BATCH = 20
+FORCES = {"RT7.5": 0.9, "RT22.5": 1.8}
+"""Condition to the RMS force per axis [N] of table 2.1."""
+
+MASS = np.array([[1.8, 0.3], [0.3, 1.2]])
+DAMPING = np.array([[18.0, 4.0], [4.0, 14.0]])
+STIFFNESS = np.array([[240.0, 60.0], [60.0, 160.0]])
+
+FREQUENCY = np.geomspace(0.3, 30.0, 20)
+"""Where the response to noise is estimated [Hz]."""
+
+
+def load_admittance(frequency: Array) -> NDArray[np.complex128]:
+    """Of the known load [m/N], (frequency, output, input)."""
+    s = 2j * np.pi * frequency[:, None, None]
+    return np.asarray(np.linalg.inv(MASS * s**2 + DAMPING * s + STIFFNESS))
+
+
+def simulate_load(
+    perturbation: Array, rng: np.random.Generator, own: float = 0.0, gauge: float = 0.0, encoder: float = 0.0
+) -> xr.Dataset:
+    """A recording of the load and the thesis's manipulator, from rest.
+
+    Args:
+      perturbation: d [N], (trial, time, axis).
+      rng: of the noise.
+      own: RMS of the load's own force, below 3 Hz [N].
+      gauge: SD of the noise of the force [N].
+      encoder: SD of the noise of the displacement [m].
+    """
+    n_trials, n, _ = perturbation.shape
+    n_padded = fft.next_fast_len(n + round(20.0 * RATE), real=True)
+    frequency = np.maximum(fft.rfftfreq(n_padded, 1.0 / RATE), 1e-6)
+    load, held = load_admittance(frequency), environment_admittance(Environment(), frequency)
+    remnant = signal.lfilter(*signal.butter(2, 3.0, fs=RATE), rng.normal(size=(n_trials, n + 1000, 2)), axis=1)
+    remnant = fft.rfft((own / remnant.std() * remnant)[:, 1000:], n_padded, axis=1)
+    d = fft.rfft(perturbation, n_padded, axis=1)
+    # x = H (f + remnant) = E (d - f)
+    drive = np.einsum("fij,tfj->tfi", held, d) - np.einsum("fij,tfj->tfi", load, remnant)
+    force = np.einsum("fij,tfj->tfi", np.linalg.inv(load + held), drive)
+    displacement = np.einsum("fij,tfj->tfi", held, d - force)
+    white = rng.normal(size=(2, *perturbation.shape))
+    signals = {
+        "perturbation": perturbation,
+        "force": fft.irfft(force, n_padded, axis=1)[:, :n] + gauge * white[0],
+        "displacement": fft.irfft(displacement, n_padded, axis=1)[:, :n] + encoder * white[1],
+    }
+    numbers = {"repetition": 0, "pulse_level": 0.0, "l_h": 0.3, "l_f": 0.3, "theta_s_deg": 22.5, "theta_e_deg": 82.3}
+    absent = dict.fromkeys(("pulse_direction", "pulse_onset", "limit_time"), np.nan)
+    labels = {"subject": "load", "task": "RT", "condition": "RT", **numbers, **absent}
+    return make_recording(signals, {name: [value] * n_trials for name, value in labels.items()}, RATE)
+
+
+def multisines(n: int, seed: int, duration: float = DURATION) -> Array:
+    """Thesis multisines of 2 N, (trial, time, axis)."""
+    drawn = [Multisine.draw(seed=1000 * seed + i, rms=2.0, duration=duration, crested=False) for i in range(n)]
+    return np.stack([one.sample(RATE, round(duration * RATE)) for one in drawn])
+
+
+def odd_multisines(n: int, seed: int, duration: float = DURATION) -> Array:
+    """Multisines of the same period on all odd lines from 0.15 to 25 Hz, falling with frequency from 2 Hz on."""
+    n_period = 4096
+    lines = np.arange(3, 512, 2)
+    phases = np.random.default_rng([seed, 1]).uniform(-np.pi, np.pi, (n, len(lines), 2))
+    spectrum = np.zeros((n, n_period // 2 + 1, 2), dtype=complex)
+    spectrum[:, lines] = np.exp(1j * phases) / np.maximum(1.0, lines / 41.0)[:, None]
+    period = fft.irfft(spectrum, n_period, axis=1)
+    n_time = round(duration * RATE)
+    return np.take(2.0 * period / period.std(), np.arange(n_time), axis=1, mode="wrap")
+
+
+def noises(n: int, seed: int, duration: float = DURATION) -> Array:
+    """Noise of 2 N below 8 Hz (first order), (trial, time, axis)."""
+    white = np.random.default_rng([seed, 2]).normal(size=(n, round(duration * RATE), 2))
+    coloured = signal.lfilter(*signal.butter(1, 8.0, fs=RATE), white, axis=1)
+    return 2.0 * coloured / coloured.std()
+
+
+def accuracy() -> None:
+    """Largest error over the largest element, to 20 Hz, with a tenth of the instruments' noise and none of the load."""
+    print("known load, error over the largest element, worst to 20 Hz of 10 seeds [%]")
+    ways: dict[str, Callable[[int], tuple[Array, ...]]] = {
+        "thesis multisines": lambda seed: (multisines(N_TRIALS, seed),),
+        "odd multisines": lambda seed: (odd_multisines(N_TRIALS, seed),),
+        "noise": lambda seed: (noises(N_TRIALS, seed),),
+        "noise, 40 s, 25 s and 60 s": lambda seed: tuple(
+            noises(n, 10 * seed + n, duration) for n, duration in ((2, 40.0), (1, 25.0), (1, 60.0))
+        ),
+    }
+    for name, draw in ways.items():
+        errors = []
+        for seed in range(10):
+            rng = np.random.default_rng(seed)
+            recordings = [simulate_load(d, rng, gauge=0.002, encoder=1e-6) for d in draw(seed)]
+            found = estimate_multisine(recordings) if "sines" in name else estimate_noise(recordings)
+            used = found.frequency <= 20.0
+            truth = load_admittance(found.frequency)
+            relative = np.abs(found.response - truth) / np.abs(truth).max(axis=(1, 2), keepdims=True)
+            errors.append(relative[used].max())
+        print(f"  {name:28} {100 * max(errors):5.2f}")
+
+
+def coverage() -> None:
+    """Share of the seeds in which the 95 % circle holds the truth."""
+    print(f"coverage of 95 % circles over {N_SEEDS} seeds [%]: all, and the extremes of single frequencies")
+    for name, draw in (("multisine", multisines), ("odd multisine", odd_multisines), ("noise", noises)):
+        for n_trials in (1, 2, N_TRIALS):
+            began = time.process_time()
+            covered = []
+            for seed in range(N_SEEDS):
+                rng = np.random.default_rng([seed, 3])
+                recording = simulate_load(draw(n_trials, seed), rng, own=0.3, gauge=0.02, encoder=2e-5)
+                if name == "noise":
+                    found = estimate_noise(recording, frequency=FREQUENCY)
+                else:
+                    found = estimate_multisine(recording)
+                covered.append(found.covers(load_admittance(found.frequency)))
+            mean = 100 * np.mean(covered, axis=(0, 2, 3))
+            print(
+                f"  {name:14} {n_trials} trials: {mean.mean():5.1f} ({mean.min():5.1f} to {mean.max():5.1f}), "
+                f"CPU {time.process_time() - began:.0f} s"
+            )
+
+
+def person_recording(condition: str, seeds: range, muscles: str) -> xr.Dataset:
+    """Trials of one person for each seed, one after the other."""
+    trials = []
+    for seed in seeds:
+        subject = draw_person(seed, 0, muscles=muscles).subjects["RT"]
+        for i in range(N_TRIALS):
+            force = Multisine.draw(seed=1000 * seed + i, rms=FORCES[condition], duration=DURATION, crested=False)
+            noise, number = HUMAN_NOISE["RT"], 1000 * seed + i
+            trials.append(Trial(subject=subject, perturbation=force, condition=condition, seed=number, noise=noise))
+    instruments = Instruments(emg=None, marker_noise=None)
+    return run_experiment(trials, linear=muscles == "linear", instruments=instruments, n_threads=1)
+
+
+def people(condition: str, muscles: str, n: int) -> list[BestLinear]:
+    """What the trials of each person tell; those who reached the workspace limit are left out."""
+    found = []
+    for first in range(0, n, BATCH):
+        recording = person_recording(condition, range(first, min(first + BATCH, n)), muscles)
+        for i in range(0, recording.sizes["trial"], N_TRIALS):
+            of_person = recording.isel(trial=slice(i, i + N_TRIALS))
+            inside = np.flatnonzero(np.isnan(of_person["limit_time"].values))
+            if len(inside) > 1:
+                found.append(estimate_best_linear(of_person.isel(trial=inside)))
+    return found
+
+
+def detection() -> None:
+    """Whether linear people look linear, and the default cohort does not."""
+    print(f"distortion in {N_TRIALS} trials of {DURATION:g} s")
+    for condition in FORCES:
+        for muscles, n in (("linear", N_SEEDS), ("nonlinear", N_PEOPLE)):
+            began = time.process_time()
+            found = people(condition, muscles, n)
+            statistic = np.array([one.statistic for one in found])
+            zero = np.mean([np.abs(one.distortion) <= 1.96 * one.distortion_error for one in found])
+            zero_share = np.mean([np.abs(one.share) <= 1.96 * one.share_error for one in found])
+            share = np.mean([one.share for one in found], axis=0)
+            print(
+                f"  {condition} {muscles} ({len(found)} people): statistic {statistic.mean():.2f}, SD "
+                f"{statistic.std():.2f}; detected (p < 0.05) {np.mean([one.p_value < 0.05 for one in found]):.1%}; "
+                f"within 1.96 of zero {np.mean(np.abs(statistic) < 1.96):.1%}, level at a frequency {zero:.1%}, "
+                f"share {zero_share:.1%}; share x, y {share[0]:.3f}, {share[1]:.3f}; CPU "
+                f"{time.process_time() - began:.0f} s",
+                flush=True,
+            )
+
+
+def main() -> None:
+    accuracy()
+    coverage()
+    detection()
+
+
+if __name__ == "__main__":
+    main()
