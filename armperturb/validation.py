@@ -1,6 +1,7 @@
 """The one way in which a bad value is refused: field, value, what was expected."""
 
 import math
+from collections.abc import Sequence
 from numbers import Integral, Real
 
 
@@ -61,3 +62,20 @@ def require_whole(owner: str, field: str, value: object, *, at_least: int) -> No
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError(f"{owner}: {field} = {value!r}; expected a whole number")
     require_number(owner, field, value, at_least=at_least)
+
+
+def require_one_of(owner: str, field: str, value: object, known: Sequence[str | None]) -> None:
+    """Refuse anything but one of a few texts (or None, where that is among them).
+
+    Args:
+      owner: what the field belongs to, for the message.
+      field: name of the field, for the message.
+      value: the value to check.
+      known: what it may be.
+
+    Raises:
+      ValueError: value is something else.
+    """
+    # Not by `in` alone: an array has no single answer to that.
+    if not (value is None or isinstance(value, str)) or value not in known:
+        raise ValueError(f"{owner}: {field} = {value!r}; expected one of {', '.join(map(str, known))}")

@@ -17,6 +17,9 @@ colour-blind-safe palette (vermillion, blue, reddish purple)."""
 ARROW_HEIGHT = 0.105
 """Height of the arrows over the middle of the handle [m]: just over its end."""
 
+TRAIL = 1.0
+"""How long a path of the handle a trail shows [s]."""
+
 MAX_SEGMENTS = 240
 """Of a trail; more would not show."""
 

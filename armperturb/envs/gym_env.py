@@ -13,7 +13,7 @@ from armperturb.envs.participants import action_bounds, observation_bounds, own_
 from armperturb.envs.session import Session
 from armperturb.envs.task import TaskSettings
 from armperturb.envs.viewer import require_display
-from armperturb.validation import require_whole
+from armperturb.validation import require_one_of, require_whole
 
 VIEWS = ("oblique", "top")
 """Cameras of the rig."""
@@ -72,7 +72,7 @@ class ArmPerturbEnv(gym.Env):
           RuntimeError: render_mode is "human", and there is no display.
         """
         self.settings = task_settings(settings)
-        require_one_of("render_mode", render_mode, (None, *ArmPerturbEnv.metadata["render_modes"]))
+        require_one_of("ArmPerturbEnv", "render_mode", render_mode, (None, *ArmPerturbEnv.metadata["render_modes"]))
         if render_mode == "human":
             require_display()
         self.render_mode = render_mode
@@ -169,7 +169,7 @@ def checked_picture(view: str, width: int, height: int) -> tuple[str, int, int]:
       TypeError: width or height is no whole number.
       ValueError: the view is unknown, or width or height is below 1.
     """
-    require_one_of("view", view, VIEWS)
+    require_one_of("render", "view", view, VIEWS)
     for name, value in (("width", width), ("height", height)):
         require_whole("render", name, value, at_least=1)
     return view, int(width), int(height)
@@ -186,13 +186,3 @@ def task_settings(settings: dict[str, Any]) -> TaskSettings:
         if name not in known:
             raise TypeError(f"unknown setting {name!r}; expected some of {', '.join(known)}")
     return TaskSettings(**settings)
-
-
-def require_one_of(name: str, value: object, known: tuple[object, ...]) -> None:
-    """Refuse what is not known.
-
-    Raises:
-      ValueError: value is not among the known.
-    """
-    if not (value is None or isinstance(value, str)) or value not in known:
-        raise ValueError(f"{name} = {value!r}; expected one of {', '.join(map(str, known))}")

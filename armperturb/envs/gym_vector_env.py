@@ -16,14 +16,13 @@ from armperturb.envs.gym_env import (
     ArmPerturbEnv,
     checked_picture,
     onlooker,
-    require_one_of,
     spaces,
     task_settings,
 )
 from armperturb.envs.participants import own_action
 from armperturb.envs.session import Session
 from armperturb.envs.trial import Trial
-from armperturb.validation import require_whole
+from armperturb.validation import require_one_of, require_whole
 
 Flags = NDArray[np.bool_]
 
@@ -78,11 +77,11 @@ class ArmPerturbVectorEnv(VectorEnv):
                 require_whole("ArmPerturbVectorEnv", name, value, at_least=least)
         self.settings = task_settings(settings)
         self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
-        require_one_of("render_mode", render_mode, (None, "rgb_array"))
+        require_one_of("ArmPerturbVectorEnv", "render_mode", render_mode, (None, "rgb_array"))
         self.render_mode = render_mode
         modes = tuple(mode.value for mode in AutoresetMode)
         if not isinstance(autoreset_mode, AutoresetMode):
-            require_one_of("autoreset_mode", autoreset_mode, modes)
+            require_one_of("ArmPerturbVectorEnv", "autoreset_mode", autoreset_mode, modes)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {
             "render_modes": ["rgb_array"],

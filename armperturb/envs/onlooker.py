@@ -9,15 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armperturb.environment import Environment
-from armperturb.envs.camera import Camera, force_arrows
+from armperturb.envs.camera import TRAIL, Camera, force_arrows
 from armperturb.envs.viewer import open_window
 from armperturb.models import build_model
 from armperturb.subject import Subject
 
 Array = NDArray[np.float64]
-
-TRAIL = 1.0
-"""How much of the handle's path shows [s]."""
 
 
 class Onlooker:

@@ -16,7 +16,7 @@ from armperturb.envs.trial import Trial, require_integrable
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, Sampled, check_bandwidth
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.subject import POSITION, RELAX, TASKS, Subject, at_level
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_one_of
 
 PERTURBATIONS = ("none", "multisine", "pulse", "multisine-pulse")
 """What may push the handle."""
@@ -110,15 +110,15 @@ class TaskSettings:
 
     def __post_init__(self) -> None:
         owner = "TaskSettings"
-        _require_one_of("task", self.task, TASKS)
-        _require_one_of("perturbation", self.perturbation, PERTURBATIONS)
-        _require_one_of("co_contraction", self.co_contraction, CO_CONTRACTION)
+        require_one_of(owner, "task", self.task, TASKS)
+        require_one_of(owner, "perturbation", self.perturbation, PERTURBATIONS)
+        require_one_of(owner, "co_contraction", self.co_contraction, CO_CONTRACTION)
         if isinstance(self.person, Person):
             missing = [task for task in TASKS if task not in self.person.subjects]
             if missing:
                 raise ValueError(f"{owner}: person {self.person.name!r} has no task {missing[0]}; expected both tasks")
         else:
-            _require_one_of("person", self.person, PEOPLE)
+            require_one_of(owner, "person", self.person, PEOPLE)
         for name in ("randomise", "noise", "reflexes", "torque"):
             if not isinstance(getattr(self, name), bool):
                 raise TypeError(f"{owner}: {name} = {getattr(self, name)!r}; expected True or False")
@@ -297,11 +297,6 @@ def _choices(name: str, choices: object) -> tuple[Any, ...]:
     if not values:
         raise ValueError(f"TaskSettings: {name} = {choices!r}; expected at least one number")
     return tuple(values)
-
-
-def _require_one_of(name: str, value: object, known: tuple[str, ...]) -> None:
-    if not isinstance(value, str) or value not in known:
-        raise ValueError(f"TaskSettings: {name} = {value!r}; expected one of {', '.join(known)}")
 
 
 def _require_whole(name: str, value: float, unit: str, number: float, what: str) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from armperturb.envs.camera import Camera, force_arrows
+from armperturb.envs.camera import TRAIL, Camera, force_arrows
 from armperturb.envs.overlay import StripChart, draw_clock, label_layer, nice_force, text_size
 from armperturb.envs.replay import Replay
 from armperturb.files import written_whole
@@ -29,9 +29,6 @@ FRAME_RATES = {".mp4": 30.0, ".gif": 20.0}
 
 SMALLEST = (160, 120)
 """Width and height of a view below which nothing can be read [pixel]."""
-
-TRAIL = 1.0
-"""How long a path of the handle the trail shows [s]."""
 
 LONGEST_ARROW = 0.3
 """Length of the arrow of the largest force [m], unless it would leave the picture."""
