@@ -136,7 +136,7 @@ class Likelihood:
             slice(int(np.searchsorted(index, run.start)), int(np.searchsorted(index, run.stop)))
             for run in _bands(frequency, force)
         ]
-        self._smoother = _smoother(len(frequency), len(force))[index]
+        self._smoother = smoother(len(frequency), len(force))[index]
         self._least = float(ROUND_OFF * np.abs(force).max()) ** 2
         self._white = np.zeros((2, 2, len(index)), dtype=complex)
         self._latest: tuple[bytes, Response] = b"", self._observed
@@ -345,7 +345,7 @@ def _real(values: Response) -> Array:
     return np.concatenate([values.real, values.imag], axis=-1)
 
 
-def _smoother(n: int, n_trials: int) -> sparse.csr_array:
+def smoother(n: int, n_trials: int) -> sparse.csr_array:
     """Matrix that averages over nearby frequencies, the same of each of n_trials trials, (frequency, frequency)."""
     index = np.arange(n)
     half = np.maximum(int(np.ceil(N_SMOOTH / n_trials / 2)), (RELATIVE_WIDTH * index).astype(int))

@@ -1,0 +1,115 @@
+"""What a person and the instruments add to a trial: its spectrum, white residuals, and other draws of it.
+
+As in `analysis.likelihood`, the spectrum of the hand force that would move the handle like the residual is smooth, and
+is averaged over trials and neighbouring frequencies; a linear arm near the person tells how a hand force moves the
+handle. Records begin at rest and fade out.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, sparse
+
+from armperturb.analysis.arm_model import LinearArm, parameter_vector
+from armperturb.analysis.likelihood import ROUND_OFF, TAPER, smoother, whitened, whitening
+from armperturb.environment import Environment
+from armperturb.subject import Subject
+
+Array = NDArray[np.float64]
+Response = NDArray[np.complex128]
+
+TOP = 20.0
+"""Highest frequency that counts [Hz]: the thesis's perturbations reach it."""
+
+
+class Noise:
+    """Noise of the trials of one condition.
+
+    Args:
+      arm: linear, near the person in this condition.
+      environment: what the hand held.
+      n: samples that are judged.
+      n_trials: whose residuals tell the noise together.
+      rate: of the samples [Hz].
+    """
+
+    def __init__(self, arm: Subject, environment: Environment, n: int, n_trials: int, rate: float) -> None:
+        self._n, self._rate = n, rate
+        n_taper = round(TAPER * rate)
+        self._taper = np.ones(n)
+        self._taper[-n_taper:] = 0.5 + 0.5 * np.cos(np.pi * (np.arange(n_taper) + 0.5) / n_taper)
+        frequency = fft.rfftfreq(n, 1.0 / rate)
+        self._used = slice(1, int(np.searchsorted(frequency, min(TOP, 0.45 * rate))))
+        self._frequency = frequency[self._used]
+        total = LinearArm(arm, self._frequency).total_admittance(parameter_vector(arm), environment)
+        (a, b), (c, d) = np.moveaxis(total * whitening(self._frequency, rate)[:, None, None], 0, -1)
+        self._to_force = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
+        self._smoother: sparse.csr_array = smoother(len(self._frequency), n_trials)
+        self._root = np.zeros((len(self._frequency), 2, 2), dtype=complex)
+        self._white = self._to_force
+
+    def _force(self, residual: Array) -> Response:
+        """DFT of the hand force behind residuals (trial, time, axis), (trial, axis, frequency)."""
+        faded = whitened(residual[:, : self._n], self._rate) * self._taper[:, None]
+        spectrum = fft.rfft(faded, axis=1)[:, self._used].transpose(0, 2, 1)
+        return np.einsum("abf,tbf->taf", self._to_force, spectrum)
+
+    def _power(self, residual: Array) -> Response:
+        force = self._force(residual)
+        power = np.einsum("taf,tbf->fab", force, force.conj()) / len(force)
+        return np.asarray(self._smoother @ power.reshape(-1, 4)).reshape(-1, 2, 2)
+
+    def weigh(self, residual: Array) -> None:
+        """Estimate the noise from what is left, (trial, time, axis); it holds until the next call."""
+        smooth = self._power(residual)
+        floor = ROUND_OFF * np.trace(smooth, axis1=1, axis2=2).real + np.finfo(float).tiny
+        self._root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(2))
+        # Real and imaginary part of the residual have half its power each.
+        white = np.sqrt(2.0) * np.linalg.solve(self._root, np.moveaxis(self._to_force, -1, 0))
+        self._white = np.moveaxis(white, 0, -1)
+
+    @property
+    def log_determinant(self) -> float:
+        """Twice the logarithm of the density's Jacobian in one trial: what goes with the sum of squares."""
+        (a, b), (c, d) = self._white
+        return 4.0 * float(np.sum(np.log(np.abs(a * d - b * c))))
+
+    def white(self, residual: Array) -> Array:
+        """Residuals (lane, time, axis) as numbers of unit variance, (lane, number)."""
+        faded = whitened(residual[:, : self._n], self._rate) * self._taper[:, None]
+        spectrum = fft.rfft(faded, axis=1)[:, self._used].transpose(0, 2, 1)
+        white = np.einsum("abf,tbf->taf", self._white, spectrum).reshape(len(residual), -1)
+        return np.concatenate([white.real, white.imag], axis=1)
+
+    def draw(self, standard: Array, gain: Array | float = 1.0) -> Array:
+        """Hand force with the spectrum of the noise [N], (time, axis).
+
+        Args:
+          standard: independent standard normal numbers, (time, axis).
+          gain: factor on the amplitude at each judged frequency, from `gain`.
+        """
+        n = len(standard)
+        frequency = fft.rfftfreq(n, 1.0 / self._rate)
+        shaped = (self._root * np.reshape(gain, (-1, 1, 1))).reshape(len(self._root), 4)
+        root = np.stack(
+            [
+                np.interp(frequency, self._frequency, of.real, right=0.0)
+                + 1j * np.interp(frequency, self._frequency, of.imag, right=0.0)
+                for of in shaped.T
+            ],
+            axis=1,
+        ).reshape(-1, 2, 2)
+        root[0] = 0.0
+        spectrum = np.einsum("fab,fb->fa", root, fft.rfft(standard, axis=0) / np.sqrt(n))
+        return np.asarray(fft.irfft(spectrum * np.sqrt(n / np.sum(self._taper**2)), n, axis=0))
+
+    def gain(self, residual: Array, simulated: Array) -> Array:
+        """Factor on the amplitude of draws for simulated noise to be as strong as the residual, (frequency,).
+
+        Args:
+          residual: of the trials [m], (trial, time, axis).
+          simulated: how drawn noise moved the handle, likewise.
+        """
+        wanted, found = (
+            np.trace(self._power(values), axis1=1, axis2=2).real for values in (residual, simulated)
+        )
+        return np.clip(np.sqrt(wanted / np.maximum(found, np.finfo(float).tiny)), 0.5, 2.0)
