@@ -24,6 +24,9 @@ TOP = 20.0
 class Noise:
     """Noise of the trials of one condition.
 
+    Attributes:
+      root: of the spectrum of its hand force, as last estimated, (frequency, axis, axis).
+
     Args:
       arm: linear, near the person in this condition.
       environment: what the hand held.
@@ -44,7 +47,7 @@ class Noise:
         (a, b), (c, d) = np.moveaxis(total * whitening(self._frequency, rate)[:, None, None], 0, -1)
         self._to_force = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
         self._smoother: sparse.csr_array = smoother(len(self._frequency), n_trials)
-        self._root = np.zeros((len(self._frequency), 2, 2), dtype=complex)
+        self.root = np.zeros((len(self._frequency), 2, 2), dtype=complex)
         self._white = self._to_force
 
     def _force(self, residual: Array) -> Response:
@@ -62,9 +65,9 @@ class Noise:
         """Estimate the noise from what is left, (trial, time, axis); it holds until the next call."""
         smooth = self._power(residual)
         floor = ROUND_OFF * np.trace(smooth, axis1=1, axis2=2).real + np.finfo(float).tiny
-        self._root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(2))
+        self.root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(2))
         # Real and imaginary part of the residual have half its power each.
-        white = np.sqrt(2.0) * np.linalg.solve(self._root, np.moveaxis(self._to_force, -1, 0))
+        white = np.sqrt(2.0) * np.linalg.solve(self.root, np.moveaxis(self._to_force, -1, 0))
         self._white = np.moveaxis(white, 0, -1)
 
     @property
@@ -89,7 +92,7 @@ class Noise:
         """
         n = len(standard)
         frequency = fft.rfftfreq(n, 1.0 / self._rate)
-        shaped = (self._root * np.reshape(gain, (-1, 1, 1))).reshape(len(self._root), 4)
+        shaped = (self.root * np.reshape(gain, (-1, 1, 1))).reshape(len(self.root), 4)
         root = np.stack(
             [
                 np.interp(frequency, self._frequency, of.real, right=0.0)

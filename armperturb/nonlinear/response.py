@@ -1,15 +1,10 @@
 """How people whose muscles may follow the muscle law answer recorded disturbances, many lanes side by side."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import interpolate
 
-from armperturb.environment import Environment
-from armperturb.nonlinear.lanes import lane_table
 from armperturb.nonlinear.planar_arm import simulate_lanes
-from armperturb.subject import Subject
 
 Array = NDArray[np.float64]
 
@@ -19,6 +14,11 @@ STEP = 2.5e-3
 
 class Disturbances:
     """Recorded disturbances, ready to be answered by any number of people.
+
+    Attributes:
+      decimation: steps of the simulation per sample.
+      timestep: of the simulation [s].
+      n_samples: of each disturbance.
 
     Args:
       perturbation: d as recorded, smooth between its samples [N], (trial, time, axis).
@@ -32,31 +32,20 @@ class Disturbances:
         self._held = _held(perturbation, self.decimation)
 
     def responses(
-        self,
-        subjects: Sequence[Subject],
-        environments: Sequence[Environment],
-        of_lane: NDArray[np.intp],
-        n_samples: NDArray[np.intp] | None = None,
+        self, lanes: NDArray[np.void], of_lane: NDArray[np.intp], n_samples: NDArray[np.intp] | None = None
     ) -> Array:
         """Displacement of the handle from rest [m], (lane, time, axis); NaN from where an arm blows up.
 
         Args:
-          subjects: one per lane, without noise.
-          environments: what the hands hold, one per lane.
-          of_lane: which trial each lane is of, (lane,).
+          lanes: who answers, from `lane_table` with this object's `timestep`.
+          of_lane: which disturbance each lane answers, (lane,).
           n_samples: how many samples of each lane are wanted, (lane,); the others are zero. By default all.
-
-        Raises:
-          ValueError: see `lane_table`.
         """
-        lanes = lane_table(subjects, environments, self.timestep)
-        n_samples = np.full(len(lanes), self.n_samples) if n_samples is None else np.asarray(n_samples)
+        wanted = np.full(len(lanes), self.n_samples) if n_samples is None else np.asarray(n_samples)
         n_history = int(np.ceil(lanes["delay"].max() / self.timestep)) + 3
         displacement = np.zeros((len(lanes), self.n_samples, 2))
-        of_lane = np.asarray(of_lane, dtype=np.intp)
-        simulate_lanes(
-            lanes, self._held, of_lane, n_samples.astype(np.intp), self.decimation, self.timestep, n_history, displacement
-        )
+        of_lane, wanted = (np.asarray(values, dtype=np.intp) for values in (of_lane, wanted))
+        simulate_lanes(lanes, self._held, of_lane, wanted, self.decimation, self.timestep, n_history, displacement)
         return displacement
 
 

@@ -1,0 +1,114 @@
+"""Where a nonlinear fit starts: linear arms of several amplitudes, and a coarse look at what they cannot tell."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armperturb.nonlinear.model import ELEMENTS, GROUPS, Parameters, stem
+from armperturb.nonlinear.problem import Problem, State
+from armperturb.nonlinear.trials import TrialSet
+from armperturb.subject import Subject
+
+Array = NDArray[np.float64]
+
+LEAST: Mapping[str, float] = {"k": 0.5, "b": 0.3, "kv": 1.0, "kp": 1.0}
+"""What a muscle group starts with at least, where the linear arm has little or a negative value."""
+
+LONG_RANGE = 0.6
+"""Share of the softest linear stiffness that is taken to be long-range [-]."""
+
+USUAL: Mapping[str, Mapping[str, float]] = {
+    "PT": {"thinning_velocity": 1.5, "spindle_saturation": 1.5, "loss_angle_deg": 40.0, "recovery_time": 1.5},
+    "RT": {"thinning_velocity": 0.3, "loss_angle_deg": 30.0, "recovery_time": 1.0},
+}
+TRIED: Mapping[str, tuple[float, ...]] = {
+    "elastic_limit_deg": (0.5, 1.0, 2.0),
+    "short_range_stiffness": (0.6, 1.0, 1.6),
+    "thinning_velocity": (0.4, 1.0, 3.0),
+}
+"""Factors on the start of these parameters, all combinations of which are simulated."""
+
+SPREAD = 0.08
+"""SD of the logarithms of the trials' own factors [-]."""
+
+
+def start_values(
+    parameters: Parameters, sets: Sequence[TrialSet], arms: Mapping[str, Subject], given: Mapping[str, float]
+) -> Array:
+    """Logarithms of the free parameters from linear arms, (parameter,).
+
+    The softest arm tells the long-range stiffness, the stiffest one how much short-range stiffness comes on top.
+
+    Args:
+      parameters: what is free.
+      sets: the trials.
+      arms: condition to its linear arm.
+      given: parameter to the value that it starts with instead.
+
+    Raises:
+      ValueError: a given parameter is not free, or out of its bounds.
+    """
+    values: dict[str, float] = {}
+    for task in parameters.bodies:
+        own = [arms[label] for label in dict.fromkeys(one.label for one in sets if one.body.task == task)]
+        groups = {group: np.array([arm.muscle_groups(group) for arm in own]) for group in GROUPS}
+        softest = groups["k"].sum(axis=1).argmin()
+        found: dict[str, float] = {
+            name: float(np.mean([getattr(arm, name) for arm in own])) for name in ("m_h", "m_f", "k_h", "b_h")
+        }
+        linear = parameters.model.law == "linear"
+        for i, element in enumerate(ELEMENTS):
+            k = groups["k"][softest, i] * (1.0 if linear else LONG_RANGE)
+            found[f"k.{element}"] = max(k, LEAST["k"])
+            found[f"short_range_stiffness.{element}"] = max(groups["k"][:, i].max() - k, 2.0 * LEAST["k"])
+            found[f"b.{element}"] = max(groups["b"][:, i].max(), LEAST["b"])
+            found[f"elastic_limit_deg.{element}"] = 1.0
+            for group in ("kv", "kp"):
+                found[f"{group}.{element}"] = max(groups[group][:, i].mean(), LEAST[group])
+        found |= {"Td": own[0].Td_s, "fact": own[0].fact_s, "elastic_limit_spread": 0.5, **USUAL[task]}
+        for name in parameters.names:
+            bare = name.removesuffix(f" [{task}]")
+            values.setdefault(name, found.get(bare, 1.0 if stem(name) == "level" else np.nan))
+            if bare in found and np.isnan(values[name]):
+                values[name] = found[bare]
+    for name, value in given.items():
+        if name not in parameters.names:
+            raise ValueError(f"start: {name!r} is not free; expected {', '.join(parameters.names)}")
+        low, high = np.exp([limit[parameters.names.index(name)] for limit in (parameters.lower, parameters.upper)])
+        if not low <= value <= high:
+            raise ValueError(f"start: {name} = {value:g}; expected {low:g} to {high:g}")
+        values[name] = value
+    logarithms = np.log([values[name] for name in parameters.names])
+    return np.clip(logarithms, parameters.lower + 1e-6, parameters.upper - 1e-6)
+
+
+def best_start(problem: Problem, point: Array, given: Mapping[str, float]) -> State:
+    """The likeliest of some starts that differ in what linear arms do not tell.
+
+    Raises:
+      ValueError: no arm among them is stable.
+    """
+    parameters = problem.parameters
+    effects, spread = np.zeros(len(problem.kind_of)), np.full(len(problem.kinds), SPREAD)
+    states = []
+    for factors in itertools.product(*TRIED.values()):
+        shift = {name: np.log(factor) for name, factor in zip(TRIED, factors, strict=True)}
+        moved = [0.0 if name in given else shift.get(stem(name), 0.0) for name in parameters.names]
+        states.append(State(np.clip(point + moved, parameters.lower, parameters.upper), effects, spread))
+    unique = list({state.point.tobytes(): state for state in states}.values())
+    objectives = []
+    for state in unique:
+        predicted = problem.predict([state])[0]
+        if np.isfinite(predicted).all():
+            problem.weigh(problem.residual(predicted))
+            objectives.append(problem.objective(state, predicted))
+        else:
+            objectives.append(np.inf)
+    if not np.isfinite(objectives).any():
+        raise ValueError(
+            "start: the arm is unstable, and so are all arms near it; expected a start that comes to rest (less "
+            "feedback, or more damping)"
+        )
+    return unique[int(np.argmin(objectives))]
