@@ -25,8 +25,9 @@ ARROWS = {
     "controllers": {"muscle_law", "subject", "validation"},
     "models": {"subject", "environment", "validation"},
     "envs": BASE | {"cohort", "models", "controllers", "perturbations", "analysis"},
-    "study": BASE | {"cohort", "models", "controllers", "perturbations", "analysis", "envs"},
-    "cli": BASE | {"cohort", "perturbations", "analysis", "convert", "envs", "study"},
+    "nonlinear": BASE | {"controllers", "analysis"},
+    "study": BASE | {"cohort", "models", "controllers", "perturbations", "analysis", "envs", "nonlinear"},
+    "cli": BASE | {"cohort", "perturbations", "analysis", "convert", "envs", "nonlinear", "study"},
 }
 """Part of the package to the parts that it may import, beside itself."""
 

@@ -1,1 +1,1 @@
-"""Nonlinear identification: the muscle law of one person, from raw recordings of several amplitudes, tasks and pulses."""
+"""Nonlinear identification: muscle law and reflexes of one person, from raw trials of any amplitude, task and pulse."""

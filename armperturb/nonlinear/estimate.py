@@ -356,4 +356,3 @@ def _inverse(matrix: Array) -> Array:
     scaled = matrix / np.outer(scale, scale)
     inverse = linalg.pinvh(scaled + 1e-12 * np.eye(len(scale)))
     return np.asarray(inverse / np.outer(scale, scale))
-

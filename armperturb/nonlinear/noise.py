@@ -112,7 +112,5 @@ class Noise:
           residual: of the trials [m], (trial, time, axis).
           simulated: how drawn noise moved the handle, likewise.
         """
-        wanted, found = (
-            np.trace(self._power(values), axis1=1, axis2=2).real for values in (residual, simulated)
-        )
+        wanted, found = (np.trace(self._power(values), axis1=1, axis2=2).real for values in (residual, simulated))
         return np.clip(np.sqrt(wanted / np.maximum(found, np.finfo(float).tiny)), 0.5, 2.0)

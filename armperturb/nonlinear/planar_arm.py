@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _slope(p, z, push_x, push_y, torque_s, torque_e, start_x, start_y, out):  # noqa: ANN001, ANN202
+def _slope(p, z, push_x, push_y, torque_s, torque_e, start_x, start_y, out):
     """Derivative of (q_s, q_e, x, y, their velocities), q from the posture and x from the start."""
     q_s, q_e, x, y, w_s, w_e, v_x, v_y = z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]
     upper, lower = p.posture[0] + q_s, p.posture[0] + p.posture[1] + q_s + q_e
@@ -42,7 +42,7 @@ def _slope(p, z, push_x, push_y, torque_s, torque_e, start_x, start_y, out):  # 
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _muscles(p, bond, intact, last, stretch, velocity, out):  # noqa: ANN001, ANN202
+def _muscles(p, bond, intact, last, stretch, velocity, out):
     """Torque of the law on both joints, see `controllers.muscle.muscle_torque`."""
     out[0] = out[1] = 0.0
     for element in range(3):
@@ -68,7 +68,7 @@ def _muscles(p, bond, intact, last, stretch, velocity, out):  # noqa: ANN001, AN
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _excitation(p, q_s, q_e, w_s, w_e, out):  # noqa: ANN001, ANN202
+def _excitation(p, q_s, q_e, w_s, w_e, out):
     """Reflexive excitation of both joints, see `controllers.reflex`."""
     out[0] = p.kv[0] * w_s + p.kv[1] * w_e + p.kp[0] * q_s + p.kp[1] * q_e
     out[1] = p.kv[1] * w_s + p.kv[2] * w_e + p.kp[1] * q_s + p.kp[2] * q_e
@@ -142,7 +142,7 @@ def simulate_lanes(
                     motor[step % n_history, joint] = -sent
                     for stage in range(3):
                         back = p.delay[joint] / timestep - 0.5 * stage
-                        whole = int(math.floor(back))
+                        whole = math.floor(back)
                         newer = motor[(step - whole) % n_history, joint]
                         older = motor[(step - whole - 1) % n_history, joint]
                         active[stage, joint] = newer + (back - whole) * (older - newer)

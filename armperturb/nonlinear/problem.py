@@ -9,6 +9,7 @@ Trials of a person differ: each has its own factor on stiffness, damping and fee
 estimated as well. Its logarithm is a random effect, an unknown with a prior.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -84,7 +85,7 @@ class Problem:
         self._environments = [one.environment for one in sets for _ in range(one.n_trials)]
         self._ends = np.array([one.end for one in sets for _ in range(one.n_trials)])
         firsts = np.cumsum([0, *(one.n_trials for one in sets)])
-        self._rows = [slice(a, b) for a, b in zip(firsts[:-1], firsts[1:], strict=True)]
+        self._rows = [slice(a, b) for a, b in itertools.pairwise(firsts.tolist())]
         self.kinds = [(task, quantity) for task in dict.fromkeys(self._tasks) for quantity in EFFECTS[task]]
         self._own: list[slice] = []
         kind_of: list[int] = []
@@ -101,9 +102,7 @@ class Problem:
             np.concatenate([_padded(getattr(one, name), n) for one in sets])
             for name in ("perturbation", "displacement")
         )
-        self.noises = [
-            Noise(arms[one.label], one.environment, one.end, one.n_trials, one.rate) for one in self.sets
-        ]
+        self.noises = [Noise(arms[one.label], one.environment, one.end, one.n_trials, one.rate) for one in self.sets]
         self._draws = [Disturbances(self._perturbation, self._rate)]
 
     @property
@@ -184,9 +183,7 @@ class Problem:
 
     def objective(self, state: State, predicted: Array) -> float:
         """Minus twice the logarithm of likelihood and prior, but for a constant, the noise being as last weighed."""
-        jacobian = sum(
-            one.n_trials * noise.log_determinant for one, noise in zip(self.sets, self.noises, strict=True)
-        )
+        jacobian = sum(one.n_trials * noise.log_determinant for one, noise in zip(self.sets, self.noises, strict=True))
         return self.cost(state, predicted) - jacobian + 2.0 * float(np.sum(np.log(state.spread[self.kind_of])))
 
     def normal(self, state: State, predicted: Array) -> Normal:

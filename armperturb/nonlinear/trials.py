@@ -52,9 +52,7 @@ class TrialSet:
     end: int
 
     @classmethod
-    def prepare(
-        cls, recording: xr.Dataset, instruments: tuple[Environment, NoiseLevels] | None = None
-    ) -> Self:
+    def prepare(cls, recording: xr.Dataset, instruments: tuple[Environment, NoiseLevels] | None = None) -> Self:
         """Prepare trials.
 
         Args:
