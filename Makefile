@@ -19,7 +19,7 @@ check: .venv/installed-test .venv/installed-check docs
 
 # Into site/. While writing, `.venv/bin/mkdocs serve` shows each change at once.
 docs: .venv/installed-docs
-	NO_MKDOCS_2_WARNING=1 $(BIN)/python -W error -m mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -W error -m mkdocs build --strict
 
 bench: .venv/installed-test
 	$(BIN)/python -m benchmarks
