@@ -1,6 +1,7 @@
 """What mkdocs puts into pages that it builds: the command reference, from the dataclasses that parse the commands."""
 
 import ast
+import functools
 import inspect
 import types
 from collections.abc import Iterator
@@ -107,11 +108,15 @@ def _default(field: "Field[Any]") -> str:
 
 def _field_texts(kind: type) -> dict[str, str]:
     """Name of each field to the text below it, in one line."""
-    (definition,) = ast.parse(inspect.getsource(kind)).body
-    assert isinstance(definition, ast.ClassDef)
+    (definition,) = (one for one in _module().body if isinstance(one, ast.ClassDef) and one.name == kind.__name__)
     texts = {}
     for field, text in zip(definition.body, definition.body[1:], strict=False):
         match field, text:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
                 texts[name] = " ".join(words.split())
     return texts
+
+
+@functools.cache
+def _module() -> ast.Module:
+    return ast.parse(inspect.getsource(cli))

@@ -18,6 +18,7 @@ DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 TEXTS = [*PAGES, ROOT / "README.md"]
 HOOKS = runpy.run_path(str(DOCS / "hooks.py"))
+COMMANDS, REFERENCE = HOOKS["commands"](), HOOKS["reference"]()
 
 
 def relative(path):
@@ -77,14 +78,14 @@ def typed_help(capsys, *arguments):
 
 def test_reference_has_the_commands_that_can_be_typed(capsys):
     offered = re.search(r"\{([a-z,\s]+)\}", typed_help(capsys)).group(1)
-    assert set(HOOKS["commands"]()) == {one.strip() for one in offered.split(",")}
+    assert set(COMMANDS) == {one.strip() for one in offered.split(",")}
     assert (DOCS / "commands.md").read_text(encoding="utf-8").count(HOOKS["PLACE"]) == 1
 
 
-@pytest.mark.parametrize("command", list(HOOKS["commands"]()))
+@pytest.mark.parametrize("command", list(COMMANDS))
 def test_reference_has_all_arguments_of_a_command(command, capsys):
     text = typed_help(capsys, command)
-    section = HOOKS["reference"]().split(f"## {command}\n", 1)[1].split("\n## ", 1)[0]
+    section = REFERENCE.split(f"## {command}\n", 1)[1].split("\n## ", 1)[0]
     documented = {cells(row)[0].strip("`") for row in section.splitlines() if row.startswith("| `")}
     typed = set(re.findall(r"--[a-z][a-z-]*", text)) - {"--help"}
     assert {one for one in documented if one.startswith("--")} == typed
@@ -112,7 +113,7 @@ def test_commands_that_are_shown_can_be_typed(arguments, monkeypatch, capsys):
     def understood(*_):
         raise ValueError("understood")
 
-    for name in HOOKS["commands"]():
+    for name in COMMANDS:
         monkeypatch.setattr(cli, name, understood)
     monkeypatch.setattr(cli, "require_simulator", lambda: None)
     assert cli.main(arguments) == 1
