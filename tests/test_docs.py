@@ -180,6 +180,18 @@ def test_recording_format_is_that_of_the_code():
     assert [name for name in re.findall(r"`(\w+)`", text.split("Muscles, in order:")[1])][: len(MUSCLES)] == [*MUSCLES]
 
 
+def test_page_on_the_report_names_every_section_table_and_figure():
+    text = (DOCS / "report.md").read_text(encoding="utf-8")
+    study = ROOT / "armperturb" / "study"
+    templates = "".join(path.read_text(encoding="utf-8") for path in sorted((study / "templates").glob("*.html")))
+    shown = re.findall(r'call (?:figure|table)\("(\w+)"', templates)
+    assert len(shown) > 30
+    for name in shown:
+        assert re.search(rf"`(?:tables/)?{name}(?:\*|PT)?`|`tables/{name}\.csv`", text), name
+    for title in re.findall(r'title="([^"]+)"', (study / "sections.py").read_text(encoding="utf-8")):
+        assert re.search(rf"^## .*{title}", text, re.M | re.I), title
+
+
 def python_blocks(name):
     return re.findall(r"```python\n(.*?)```", (DOCS / name).read_text(encoding="utf-8"), re.S)
 
