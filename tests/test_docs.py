@@ -163,6 +163,17 @@ def test_every_parameter_of_a_person_and_the_manipulator_has_a_symbol():
             assert field.name in others or f".{kind.__name__}.{field.name}`" in named, field.name
 
 
+def test_every_parameter_of_a_muscle_law_has_a_symbol():
+    from armperturb.controllers.muscle import MuscleState
+    from armperturb.muscle_law import MuscleLaw
+
+    rows = table_below((DOCS / "muscle.md").read_text(encoding="utf-8"), "Equations")
+    named = [row[1].strip("`").removeprefix("MuscleState.") for row in rows]
+    of_law = [field.name for field in dataclasses.fields(MuscleLaw)]
+    assert set(named) - set(of_law) <= set(MuscleState.__annotations__)
+    assert set(of_law) <= set(named)
+
+
 def test_symbols_have_sources():
     for symbol, name, meaning, _, source in symbol_rows():
         assert meaning, (symbol, name)
