@@ -101,11 +101,12 @@ def test_reference_has_all_arguments_of_a_command(command, capsys):
 def commands_shown():
     """Command lines in code blocks, but for synopses with brackets."""
     for page in TEXTS:
-        for block in re.findall(r"```(?:sh)?\n(.*?)```", page.read_text(encoding="utf-8"), re.S):
-            for line in block.splitlines():
-                line = line.partition(" #")[0].strip()
-                if line.startswith("armperturb ") and not re.search(r"[\[|]", line):
-                    yield pytest.param(line.split()[1:], id=f"{page.name}: {line}")
+        blocks = re.findall(r"^```(\w*)\n(.*?)^```$", page.read_text(encoding="utf-8"), re.S | re.M)
+        lines = [line for language, block in blocks if language in ("", "sh") for line in block.splitlines()]
+        for line in lines:
+            typed = line.lstrip("$ ").partition(" #")[0].strip()
+            if typed.startswith("armperturb ") and not re.search(r"[\[|]", typed):
+                yield pytest.param(typed.split()[1:], id=f"{page.name}: {typed}")
 
 
 @pytest.mark.parametrize("arguments", list(commands_shown()))
