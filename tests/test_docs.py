@@ -102,7 +102,8 @@ def commands_shown():
     """Command lines in code blocks, but for synopses with brackets."""
     for page in TEXTS:
         blocks = re.findall(r"^```(\w*)\n(.*?)^```$", page.read_text(encoding="utf-8"), re.S | re.M)
-        lines = [line for language, block in blocks if language in ("", "sh") for line in block.splitlines()]
+        lines = re.findall(r"^ {4}(armperturb .*)$", page.read_text(encoding="utf-8"), re.M)
+        lines += [line for language, block in blocks if language in ("", "sh") for line in block.splitlines()]
         for line in lines:
             typed = line.lstrip("$ ").partition(" #")[0].strip()
             if typed.startswith("armperturb ") and not re.search(r"[\[|]", typed):
@@ -151,6 +152,13 @@ def test_symbols_name_code_that_exists():
             assert variable.group(1) in {**SIGNALS, **TRIAL_COORDINATES}, name
         else:
             assert resolved(name) is not None, name
+
+
+def test_page_on_the_report_names_code_that_exists():
+    names = re.findall(r"`((?:study|analysis)\.[\w.]+)`", (DOCS / "report.md").read_text(encoding="utf-8"))
+    assert len(names) > 15
+    for name in names:
+        assert resolved(name) is not None, name
 
 
 def test_every_parameter_of_a_person_and_the_manipulator_has_a_symbol():
