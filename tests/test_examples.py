@@ -133,15 +133,13 @@ def test_fit_of_a_recording_finds_the_truth(run):
     assert "no faults" in printed
 
 
-def test_fit_of_a_recording_takes_any_file(run):
-    printed, _ = run(
-        "fit_my_own_recording",
-        str(DATA / "position_1.c3d"),
-        str(DATA / "position_2.c3d"),
-        "--sidecar",
-        str(DATA / "position_c3d.json"),
-    )
-    assert "2 trials of 32 s, PT7.5" in printed
+def test_fit_of_a_recording_with_the_wrong_sign_ends_in_one_line(run, tmp_path):
+    (tmp_path / "mine.csv").symlink_to(DATA / "position.csv")
+    sidecar = (DATA / "position.json").read_text(encoding="utf-8")
+    (tmp_path / "other.json").write_text(sidecar.replace('"hand"', '"handle"'), encoding="utf-8")
+    with pytest.raises(SystemExit, match="if the sign of force were turned") as refused:
+        run("fit_my_own_recording", str(tmp_path / "mine.csv"), "--sidecar", str(tmp_path / "other.json"))
+    assert "\n" not in str(refused.value)
 
 
 def test_the_one_who_yields_is_not_linear_and_the_linear_one_is(run):
