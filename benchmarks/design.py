@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.body import body_of
 from armperturb.analysis.maximum_likelihood import Group, estimate
-from armperturb.analysis.structures import STRUCTURES
 from armperturb.cohort import draw
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.experiment import run_experiment
@@ -29,7 +28,7 @@ from armperturb.envs.trial import Trial
 from armperturb.perturbations import Multisine, Perturbation
 from armperturb.study.design import Design, DesignSettings, NoiseLaw, design, experiment_at
 from armperturb.study.protocol import trial_seed
-from armperturb.study.validate import at_truth
+from armperturb.study.validate import ValidateSettings, at_truth
 from armperturb.subject import POSITION, RELAX
 
 Array = NDArray[np.float64]
@@ -77,7 +76,8 @@ def perturbations(plan: Design) -> dict[str, list[Perturbation]]:
 def errors(plan: Design, played: list[Perturbation], groups: int, name: str) -> Array:
     """Estimate minus truth, (group, parameter)."""
     subject = plan.settings.subject
-    structure = at_truth(STRUCTURES[plan.settings.model_name()], subject)
+    structure = ValidateSettings(task=subject.task, model=plan.settings.model_name()).structure()
+    structure = at_truth(structure, subject)
     noise = replace(HUMAN_NOISE[subject.task], spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
     found = np.empty((groups, len(plan.names)))
     for group in range(groups):
