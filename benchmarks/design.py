@@ -1,10 +1,10 @@
 """Whether a design keeps its promise: measured errors under the optimised multisine over those under the thesis's.
 
 Run by `python -m benchmarks.design`, or with 40 groups by `python -m benchmarks.design 40`. Linear people with the
-noise of people, which follows the load, and of instruments are perturbed by the realisations that `armperturb design` writes, and by the thesis's
-multisines as strong as the same limits allow; both are identified from whole records. Measured is the RMS error about
-the truth over the groups, and the geometric mean of its ratio over the goal's parameters; its standard error comes from
-resampling the groups.
+noise of people, which follows the load, and of instruments are perturbed by the realisations that `armperturb design`
+writes, and by the thesis's multisines as strong as the same limits allow; both are identified from whole records.
+Measured is the RMS error about the truth over the groups, and the geometric mean of its ratio over the goal's
+parameters; its standard error comes from resampling the groups.
 
 Then, without simulation: what the design for the mean person promises other people, drawn around that person, and what
 spreading power over the band costs.

@@ -207,7 +207,7 @@ class Optimum(NamedTuple):
 
 
 class _Shares(NamedTuple):
-    """The problem in shares of the largest mean square force, one per cluster and axis, x first.
+    """The problem in shares of some mean square force that the limits allow, one per cluster and axis, x first.
 
     Attributes:
       experiment: at the lines of the clusters.
@@ -308,12 +308,15 @@ def _problem(
     force = np.array([column.sum(axis=0) for column in columns]).T / limits.force**2
     displacement = np.array([experiment.displacement(column) for column in columns]).T / limits.displacement**2
     demand = np.array([experiment.demand(column) for column in columns]).T
+    allowed = np.concatenate([force, displacement, *([] if held is None else [demand / held[:, None]])])
+    # In shares of about one, where limits other than that of the force allow far less than it.
+    unit = 1.0 / max(1.0, float(allowed.max(axis=0).min()))
     return _Shares(
         experiment=experiment,
         goal=[experiment.names.index(name) for name in goal],
-        limits=np.concatenate([force, displacement, *([] if held is None else [demand / held[:, None]])]),
-        spreading=spreading,
-        demand=demand,
+        limits=unit * allowed,
+        spreading=unit * spreading,
+        demand=unit * demand,
         held=held,
     )
 

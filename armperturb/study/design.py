@@ -71,6 +71,9 @@ USUAL_START = 8.0
 
 MOST_TRIALS = 1000
 
+LEAST_FORCE, MOST_FORCE = 1e-3, 1e3
+"""Of a limit [N]: below gauges tell nothing, above no manipulator goes."""
+
 
 def cluster_starts(period: float = PERIOD) -> NDArray[np.int64]:
     """First lines of the clusters that may be used, in cycles per period, over the thesis's band, (cluster,).
@@ -130,7 +133,7 @@ class DesignSettings:
                 "duration [s]"
             )
         force, displacement, duration = self.limits
-        require_number("design", "limit of the force [N]", force, above=0.0)
+        require_number("design", "limit of the force [N]", force, at_least=LEAST_FORCE, at_most=MOST_FORCE)
         name = "limit of the displacement [m]"
         require_number("design", name, displacement, above=0.0, at_most=LARGEST_RMS_DISPLACEMENT)
         # What is less than the encoders' steps is lost in them.
@@ -150,7 +153,7 @@ class DesignSettings:
             if not isinstance(getattr(self, field), int):
                 raise TypeError(f"design: {field} = {getattr(self, field)!r}; expected a whole number")
         if self.peak is not None:
-            require_number("design", "peak", self.peak, above=0.0)
+            require_number("design", "peak [N]", self.peak, at_least=LEAST_FORCE)
         require_number("design", "spread", self.spread, at_least=0.0, at_most=1.0)
         if self.proposed is not None:
             name = "duration of the proposed perturbation [s]"
@@ -363,35 +366,18 @@ def design(settings: DesignSettings) -> Design:
     if settings.peak is not None:
         scale = min(scale, settings.peak / max(float(np.abs(one.force).max()) for one in drawn))
 
-    def signal(
-        of: Experiment, powers: Array, lasts: float = duration, told: Callable[[Array], Array] | None = None
-    ) -> Signal:
-        """What lines tell; `told` gives the information per second for a demand, if not that of random phases."""
-        own = of.demand(powers)
-        demands: dict[NoiseLaw, Array] = {"held": np.maximum(own, usual_demand), "follows": own}
-        information = {
-            law: of.information(powers, demand) if told is None else told(demand) for law, demand in demands.items()
-        }
-        errors = {law: of.standard_error(one, lasts, settings.trials) for law, one in information.items()}
-        return Signal(of.frequency, powers, errors, np.sqrt(of.displacement(powers)))
-
-    proposed = None
-    if settings.proposed is not None:
-        frequency, amplitudes = _lines_of(settings.proposed)
-        at = experiment_at(settings, frequency)
-        proposed = signal(
-            at,
-            np.abs(amplitudes) ** 2 / 2.0,
-            settings.proposed.duration,
-            lambda demand: at.information_of(amplitudes, demand),
+    def signal(of: Experiment, powers: Array) -> Signal:
+        return _signal(
+            of, powers, usual_demand, lambda demand: of.information(powers, demand), duration, settings.trials
         )
+
     return Design(
         settings=settings,
         names=structure.free,
         truth=true_values(settings.subject, structure),
         thesis=signal(usual, thesis),
         optimised=signal(best, scale**2 * optimum.power),
-        proposed=proposed,
+        proposed=None if settings.proposed is None else proposed_signal(settings, usual_demand),
         perturbations=tuple(Sampled(force=scale * one.force, rate=one.rate) for one in drawn),
         excess=optimum.excess,
     )
@@ -405,13 +391,49 @@ def experiment_at(settings: DesignSettings, frequency: Array) -> Experiment:
     return Experiment(settings.subject, settings.structure(), Environment(), frequency, noise)
 
 
-def _lines_of(perturbation: Perturbation) -> tuple[Array, NDArray[np.complex128]]:
-    """Frequencies [Hz] and amplitudes [N], (line, axis), of what a perturbation is as a whole, its mean left out."""
-    n_samples = round(perturbation.duration * DESIGN_RATE)
-    amplitudes = 2.0 * rfft(perturbation.sample(DESIGN_RATE, n_samples), axis=0) / n_samples
-    frequency = np.arange(len(amplitudes)) * DESIGN_RATE / n_samples
-    kept = (frequency > 0.0) & (frequency < DESIGN_RATE / 2.0)
-    return frequency[kept], amplitudes[kept]
+def proposed_signal(settings: DesignSettings, usual_demand: Array) -> Signal:
+    """What the proposed perturbation tells, with the phases that it has.
+
+    Args:
+      settings: with a proposed perturbation; each trial plays it for as long as it lasts.
+      usual_demand: with which the thesis's multisine loads each joint [Nm^2], (joint,).
+
+    Raises:
+      ValueError: it tells nothing about some of the model's parameters; the message names them.
+    """
+    assert settings.proposed is not None
+    lasts = settings.proposed.duration
+    n_samples = round(lasts * DESIGN_RATE)
+    spectrum = 2.0 * rfft(settings.proposed.sample(DESIGN_RATE, n_samples), axis=0) / n_samples
+    frequency = np.arange(len(spectrum)) * DESIGN_RATE / n_samples
+    kept = (frequency > 0.0) & (frequency < DESIGN_RATE / 2.0)  # a constant force tells nothing of what moves
+    of, amplitudes = experiment_at(settings, frequency[kept]), spectrum[kept]
+    try:
+        return _signal(
+            of,
+            np.abs(amplitudes) ** 2 / 2.0,
+            usual_demand,
+            lambda demand: of.information_of(amplitudes, demand),
+            lasts,
+            settings.trials,
+        )
+    except ValueError as error:
+        raise ValueError(f"proposed perturbation: {error}") from None
+
+
+def _signal(
+    of: Experiment,
+    powers: Array,
+    usual_demand: Array,
+    told: Callable[[Array], Array],
+    duration: float,
+    trials: int,
+) -> Signal:
+    """What lines tell; `told` gives the information per second for a demand."""
+    own = of.demand(powers)
+    demands: dict[NoiseLaw, Array] = {"held": np.maximum(own, usual_demand), "follows": own}
+    errors = {law: of.standard_error(told(demand), duration, trials) for law, demand in demands.items()}
+    return Signal(of.frequency, powers, errors, np.sqrt(of.displacement(powers)))
 
 
 def balanced(subject: Subject, perturbation: Sampled, n_period: int) -> Sampled:
