@@ -211,12 +211,14 @@ class Signal(NamedTuple):
       standard_error: law of the noise to the least standard error of each free parameter, from all trials, SI,
         (parameter,).
       displacement: RMS displacement of the handle that it causes, on average over phases [m], (axis,).
+      duration: of a trial [s].
     """
 
     frequency: Array
     power: Array
     standard_error: Mapping[NoiseLaw, Array]
     displacement: Array
+    duration: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -433,7 +435,7 @@ def _signal(
     own = of.demand(powers)
     demands: dict[NoiseLaw, Array] = {"held": np.maximum(own, usual_demand), "follows": own}
     errors = {law: of.standard_error(told(demand), duration, trials) for law, demand in demands.items()}
-    return Signal(of.frequency, powers, errors, np.sqrt(of.displacement(powers)))
+    return Signal(of.frequency, powers, errors, np.sqrt(of.displacement(powers)), duration)
 
 
 def balanced(subject: Subject, perturbation: Sampled, n_period: int) -> Sampled:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from numpy.typing import NDArray
 
 from armperturb.analysis.design import effective_duration
@@ -76,7 +76,8 @@ def design_text(design: Design) -> str:
     for name, signal in _signals(design):
         forces = ", ".join(f"{value:.2f}" for value in np.sqrt(signal.power.sum(axis=0)))
         moves = ", ".join(f"{1e3 * value:.1f}" for value in signal.displacement)
-        lines.append(f"{name}: RMS force x, y {forces} N; RMS displacement {moves} mm")
+        lasts = "" if signal.duration == duration else f"; {signal.duration:g} s"
+        lines.append(f"{name}: RMS force x, y {forces} N; RMS displacement {moves} mm{lasts}")
     peaks = [row["peak_force_N"] for row in design.signal_rows()]
     lines.append(f"largest force of the realisations: {max(peaks):.1f} N")
     if settings.period < PERIOD or settings.start < USUAL_START:
@@ -102,20 +103,22 @@ def design_figure(design: Design) -> Figure:
     (against_duration, against_trials), (on_x, on_y) = figure.subplots(2, 2, sharey="row")
     durations = np.geomspace(min(duration, PERIOD + SETTLING), LONGEST * duration, 100)
     trials = np.arange(1.0, LONGEST * settings.trials + 1.0)
-    lengths = np.array([effective_duration(one) for one in durations]) / effective_duration(duration)
+    lengths = np.array([effective_duration(one) for one in durations])
+    planned = effective_duration(duration)
     for name, signal in _signals(design):
-        error = signal.standard_error[settings.noise][columns]
-        error = error / (np.abs(design.truth[columns]) / 100.0 if known else 1.0)
-        for ax, steps, share in (
-            (against_duration, durations, lengths),
-            (against_trials, trials, trials / settings.trials),
+        size = np.abs(design.truth[columns]) / 100.0 if known else 1.0
+        # A second of one trial; a proposed perturbation may last longer than what is planned.
+        of_a_second = signal.standard_error[settings.noise][columns] / size
+        of_a_second *= np.sqrt(settings.trials * effective_duration(signal.duration))
+        for ax, steps, seconds, planned_step in (
+            (against_duration, durations, settings.trials * lengths, duration),
+            (against_trials, trials, trials * planned, settings.trials),
         ):
-            for one in error:
-                ax.plot(steps, one / np.sqrt(share), linewidth=0.6, alpha=0.4, **LOOKS[name])
-            mean = float(np.exp(np.mean(np.log(error))))
-            ax.plot(steps, mean / np.sqrt(share), linewidth=2.0, label=name, **LOOKS[name])
-        against_duration.plot(duration, mean, "o", **LOOKS[name])
-        against_trials.plot(settings.trials, mean, "o", **LOOKS[name])
+            for one in of_a_second:
+                ax.plot(steps, one / np.sqrt(seconds), linewidth=0.6, alpha=0.4, **LOOKS[name])
+            mean = float(np.exp(np.mean(np.log(of_a_second))))
+            ax.plot(steps, mean / np.sqrt(seconds), linewidth=2.0, label=name, **LOOKS[name])
+            ax.plot(planned_step, mean / np.sqrt(settings.trials * planned), "o", **LOOKS[name])
     against_duration.set_xlabel(f"duration [s], {settings.trials} trial{'' if settings.trials == 1 else 's'}")
     against_trials.set_xlabel(f"trials of {duration:g} s")
     against_duration.set_ylabel("SEM [% of the value]" if known else "SEM [SI]")
@@ -123,7 +126,7 @@ def design_figure(design: Design) -> Figure:
         ax.set_xscale("log")
         ax.set_yscale("log")
         ax.xaxis.set_minor_locator(NullLocator())
-        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        _label_decades(ax)
     against_duration.set_xticks(*_ticks(durations))
     against_trials.set_xticks(*_ticks(trials))
     for column, (ax, axis) in enumerate(((on_x, "x"), (on_y, "y"))):
@@ -131,7 +134,7 @@ def design_figure(design: Design) -> Figure:
             _spectrum(ax, signal, column, **LOOKS[name])
         ax.set_xscale("log")
         ax.set_yscale("log")
-        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        _label_decades(ax)
         ax.set_xticks([0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0])
         ax.xaxis.set_minor_locator(NullLocator())
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
@@ -143,7 +146,7 @@ def design_figure(design: Design) -> Figure:
         f"{design.factor:.2f} of the thesis's\n(noise {NOISE[settings.noise]})",
         fontsize=9,
     )
-    figure.legend(handles, labels, loc="outside lower center", ncols=2)
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
 
 
@@ -151,6 +154,14 @@ def _ticks(values: Array) -> tuple[list[float], list[str]]:
     steps = [step * 10.0**power for power in range(4) for step in (1, 2, 5)]
     inside = [step for step in steps if values[0] <= step <= values[-1]]
     return inside, [f"{step:g}" for step in inside]
+
+
+def _label_decades(ax: Axes) -> None:
+    """Plain numbers, also where an axis spans less than a decade."""
+    low, high = ax.get_ylim()
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 30.0 * low else (1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_locator(NullLocator())
 
 
 def _spectrum(ax: Axes, signal: Signal, column: int, color: str) -> None:
