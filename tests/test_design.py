@@ -22,7 +22,7 @@ from armperturb.environment import Environment
 from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.envs.trial import Trial
-from armperturb.perturbations import CLUSTERS, Multisine, Sampled, line_spectrum, load_csv, multisine, save_csv
+from armperturb.perturbations import CLUSTERS, Multisine, Sampled, line_spectrum, load_csv, save_csv
 from armperturb.perturbations.line_spectrum import draw_multisine
 from armperturb.perturbations.multisine import PERIOD, PERIOD_SAMPLES
 from armperturb.study.design import (
@@ -48,7 +48,6 @@ def quick():
     """Phases from one start: peaks are somewhat higher, and that is where the time goes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(line_spectrum, "N_STARTS", 1)
-        patch.setattr(multisine, "N_STARTS", 1)
         yield
 
 
