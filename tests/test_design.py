@@ -344,9 +344,8 @@ def test_bad_settings_are_refused(change, words):
         replace(REFLEX, **change)
 
 
-@pytest.mark.parametrize("change", [{"limits": (1e3, 1e-5, 32.0)}, {"peak": 1e-3}], ids=["force", "peak"])
-def test_limits_of_very_different_sizes_are_kept(change):
-    plan = design(replace(REFLEX, trials=1, **change))
+def test_limits_of_very_different_sizes_are_kept():
+    plan = design(replace(REFLEX, trials=1, limits=(1e3, 1e-5, 32.0)))
     assert 0.0 <= plan.excess < 1e-3
     assert plan.factor < 1.0
 
