@@ -177,6 +177,12 @@ class Design:
     spread: float = 0.2
     """Share of each axis's power that is spread evenly over the band, 0 to 1, so that structure and admittances can be
     judged from the same trials."""
+    noise: Literal["held", "follows"] = "held"
+    """Of the person: held at what it is under the thesis's multisine, also under less load; or following the load, as
+    the noise of the synthetic people does."""
+    perturbation: Path | None = None
+    """CSV file (see simulate) of a perturbation of your own, whose standard errors are told beside; it need not keep
+    the limits."""
     seed: int = 0
     """Of the phases."""
 
@@ -435,9 +441,15 @@ def design(settings: Design) -> str:
             f"design: limits = {settings.limits!r}; expected three numbers with commas between: RMS force [N], RMS "
             "displacement [m], duration [s]"
         ) from None
-    what = {name: value for name, value in vars(settings).items() if name not in ("subject", "limits", "out")}
+    apart = ("subject", "limits", "out", "perturbation")
+    what = {name: value for name, value in vars(settings).items() if name not in apart}
     result = plan(
-        DesignSettings(subject=Subject.load(settings.subject), limits=(force, displacement, duration), **what)
+        DesignSettings(
+            subject=Subject.load(settings.subject),
+            limits=(force, displacement, duration),
+            proposed=None if settings.perturbation is None else load_csv(settings.perturbation),
+            **what,
+        )
     )
     write_design(result, settings.out)
     return design_text(result)
