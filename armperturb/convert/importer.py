@@ -142,7 +142,7 @@ def import_recording(
     if len(masses) > 1:
         raise ValueError(f"{named}: environment.m_env differs between sidecars; expected one manipulator")
     try:
-        notes += check_balance(recording, masses.pop())
+        notes += check_balance(recording, masses.pop(), [trial.where for trial in trials])
     except ValueError as error:
         raise ValueError(f"{named}: {error}") from None
     return Imported(recording, tuple(notes))
