@@ -1,12 +1,11 @@
 """Whether a recording obeys physics: d - f must move a positive mass, spring and damper (thesis eqs 2.11, A.19).
 
-The environment is linear, isotropic and passive, whoever holds the handle. If d - f balances far better with other signs
-or axes, what is wrong can be named: all 64 ways in which the axes of force and of displacement can lie to those of the
-perturbation are tried in each trial. What turns all three signals alike cannot be seen.
+The environment is linear, isotropic and passive, whoever holds the handle. If d - f balances far better with other
+signs or axes, what is wrong can be named: all 64 ways in which the axes of force and of displacement can lie to those
+of the perturbation are tried in each trial. What turns all three signals alike cannot be seen.
 """
 
 from collections.abc import Sequence
-
 from itertools import permutations, product
 from typing import NamedTuple
 
@@ -26,10 +25,16 @@ SET_TO = 1.5
 """Factor within which the mass must be what the manipulator was set to [-]."""
 
 UNBALANCED = 0.02
-"""Share of the load that is left over from which on a reader should know [-]."""
+"""Share of the load that is left over from which on a reader should know, and below which a mass is certain [-]."""
+
+TOO_MUCH = 0.1
+"""Share of the load that is left over from which on a recording is refused [-]."""
 
 FAR_BETTER = 0.5
 """Share of what is left over with which other signs or axes explain the load far better [-]: chance gives 0.9."""
+
+RIGHT = 0.05
+"""Share of the load that other signs, axes or units may leave over to be named as what is right [-]."""
 
 SEEN = 0.01
 """Share of the load's power that a disturbance must have for its sign and axes to be seen [-]."""
@@ -75,27 +80,31 @@ def check_balance(recording: xr.Dataset, mass: float | None = None, names: Seque
     d, f, x = (recording[name].values[trials, :n_time] for name in ("perturbation", "force", "displacement"))
     if n_time < 10 * round(EDGE * rate) or rate < SLOWEST:
         return [
-            f"{n_time / rate:.3g} s at {rate:g} Hz are too short to hold the force against the movement: signs, axes "
-            "and units are unchecked"
+            f"{n_time / rate:.3g} s at {rate:g} Hz are too short, or too slow, to hold the force against the movement: "
+            "signs, axes and units are unchecked"
         ]
     grams = _grams(d, f, x, rate)
     for trial, gram in zip(trials, grams, strict=True):
         declared = _explained(gram, np.eye(2), np.eye(2))
-        remedy = _remedy(gram, FAR_BETTER * declared.left)
+        remedy = _remedy(gram, min(FAR_BETTER * declared.left, RIGHT) if declared.mass > 0.0 else UNBALANCED)
         if remedy is not None:
             raise ValueError(
-                f"d - f does not move a mass, spring and damper in {names[trial]} ({_in_numbers(declared)}); expected "
+                f"d - f does not move a mass, spring and damper{f' in {names[trial]}' if names[trial] else ''} ({_in_numbers(declared)}); expected "
                 f"signs, axes and units with which it does, as it would if {remedy}"
             )
     gram = grams.sum(axis=0)
     declared = _explained(gram, np.eye(2), np.eye(2))
     try:
-        environment = Balance(d, f, x, rate).fit()[0]
-    except ValueError:
+        with np.errstate(all="ignore"):  # where nothing moves there is nothing to divide by
+            environment = Balance(d, f, x, rate).fit()[0]
+    except (ValueError, np.linalg.LinAlgError):
+        environment = None
+    if environment is None or declared.left > TOO_MUCH:
         raise ValueError(
-            f"d - f does not move a mass, spring and damper ({_in_numbers(declared)}); expected a positive mass and the "
-            "force that the handle exerts on the hand, and no change of signs, axes or scale of the force puts it right"
-        ) from None
+            f"d - f does not move a mass, spring and damper ({_in_numbers(declared)}); expected a positive mass and "
+            "the force that the handle exerts on the hand, and no change of signs, axes or scale of the force puts it "
+            "right (a sensor that failed, dropped samples, two recordings in one?)"
+        )
     lower, upper = (LIGHTEST, HEAVIEST) if mass is None else (mass / SET_TO, mass * SET_TO)
     if not lower <= environment.m_env <= upper:
         raise ValueError(

@@ -33,6 +33,9 @@ LONGEST_GAP = 0.1
 ROUNDED = 0.15
 """Share of a step by which a time may be off even times [-]: times are written in whole milliseconds."""
 
+OFF = 0.1
+"""Share by which a clock may be off the stated rate to be put right [-]: beyond, a unit or the rate is wrong."""
+
 LEAST_RUN = 3
 """Samples of equal value from which on a channel may be clipped."""
 
@@ -121,13 +124,19 @@ def even_times(
         # Through the whole trial, so that single late samples do not count.
         found = float(np.polyfit(time, index, 1)[0])
         what = f"time runs at {found:.6g} Hz" if abs(found / rate - 1.0) > 1e-6 else "time does not run evenly"
+        near = abs(found / rate - 1.0) < OFF
+        unit = "" if near else " (a wrong unit of the times?)"
         faults.append(
             Fault(
                 "clock",
                 f"{what}: sample {index[at]} is at {time[at]:.6g} s, and off by up to {1e3 * off.max():.4g} ms; "
-                f"expected even steps at rate = {rate:.6g} Hz",
+                f"expected even steps at rate = {rate:.6g} Hz{unit}",
+                near,
             )
         )
+    if not all(fault.can for fault in faults):  # times may claim any length then
+        return Timed(signals=signals, rates=dict.fromkeys(signals, rate), components=components), faults
+    if off.max() > ROUNDED / rate:
         grid = np.arange(math.floor(float(time[-1]) * rate * (1 + 1e-12)) + 1) / rate
         signals = {name: _between(time, values, grid) for name, values in signals.items()}
     elif len(faults):
@@ -206,7 +215,7 @@ def find_stuck(timed: Timed) -> list[Fault]:
             if np.ptp(one) == 0.0:
                 # A disturbance may leave an axis, or a trial, alone.
                 if name != "perturbation" or one[0] != 0.0:
-                    faults.append(Fault("trials", f"{channel} ({name}) is constant at {one[0]:.6g}; expected a signal"))
+                    faults.append(Fault("trials", f"{channel} ({name}) is constant at {one[0]:.6g}"))
                 continue
             plateaus = [*_plateaus(one), *(_plateaus(-one))]
             if plateaus:
