@@ -88,9 +88,10 @@ def check_balance(recording: xr.Dataset, mass: float | None = None, names: Seque
         declared = _explained(gram, np.eye(2), np.eye(2))
         remedy = _remedy(gram, min(FAR_BETTER * declared.left, RIGHT) if declared.mass > 0.0 else UNBALANCED)
         if remedy is not None:
+            where = f" in {names[trial]}" if names[trial] else ""
             raise ValueError(
-                f"d - f does not move a mass, spring and damper{f' in {names[trial]}' if names[trial] else ''} ({_in_numbers(declared)}); expected "
-                f"signs, axes and units with which it does, as it would if {remedy}"
+                f"d - f does not move a mass, spring and damper{where} ({_in_numbers(declared)}); expected signs, axes "
+                f"and units with which it does, as it would if {remedy}"
             )
     gram = grams.sum(axis=0)
     declared = _explained(gram, np.eye(2), np.eye(2))
@@ -135,20 +136,20 @@ def _in_numbers(found: _Explained) -> str:
 def _skews(d: Array, f: Array, x: Array, rate: float) -> list[str]:
     """Whether the clocks of force and displacement agree, and go on to do so."""
     half = d.shape[1] // 2
+    halves = (slice(half), slice(half, 2 * half)) if half >= 10 * round(EDGE * rate) else ()
     skews = []
-    for part in (slice(None), slice(half), slice(half, 2 * half)):
-        if part != slice(None) and half < 10 * round(EDGE * rate):
-            return []
+    for part in (slice(None), *halves):
         balance = Balance(d[:, part], f[:, part], x[:, part], rate)
         try:
-            with np.errstate(invalid="ignore"):  # without information there is no standard error
+            with np.errstate(all="ignore"):  # without information there is no standard error
                 skews.append(balance.skew(*balance.fit()))
         except (ValueError, np.linalg.LinAlgError):  # nothing moves in this part
             return []
         if not np.isfinite(skews[-1].standard_error):
             return []
-    whole, first, second = skews
-    change, error = second.time - first.time, float(np.hypot(first.standard_error, second.standard_error))
+    whole, *parts = skews
+    change = parts[1].time - parts[0].time if parts else 0.0
+    error = float(np.hypot(*(part.standard_error for part in parts))) if parts else 0.0
     if abs(change) > max(DRIFT, 4.0 * error):
         raise ValueError(
             f"force drifts against displacement by {1e3 * change:.2f} ms from the first to the second half of "
@@ -208,7 +209,7 @@ def _remedy(gram: Array, least: float) -> str | None:
         if change and one.mass > 0.0 and one.left < least:
             found.append((change, one.left))
     gain, one = _rescaled(gram)
-    if gain > 0.0 and abs(np.log(gain)) > np.log(RESCALED) and one.mass > 0.0 and one.left < least:
+    if gain > 0.0 and abs(np.log(gain)) > np.log(RESCALED) and one.mass > 0.0 and one.left < min(least, UNBALANCED):
         found.append((f"force were multiplied by {gain:.4g} (the unit of one of the two forces)", one.left))
     best = min((left for _, left in found), default=0.0)
     good = [entry for entry in found if entry[1] <= 2.0 * best + 1e-3]
