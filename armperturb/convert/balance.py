@@ -112,12 +112,14 @@ def check_balance(recording: xr.Dataset, mass: float | None = None, names: Seque
             f"d - f moves a mass of {environment.m_env:.4g} kg; expected {lower:.3g} to {upper:.3g} kg (a wrong unit "
             "of displacement, or of both forces?)"
         )
-    notes = [f"{_in_numbers(declared)}: expected less than {UNBALANCED:.0%}"] if declared.left > UNBALANCED else []
+    notes = _skews(d, f, x, rate)
+    if declared.left > UNBALANCED and not notes:  # which a skew would explain
+        notes.append(f"{_in_numbers(declared)}; expected less than {UNBALANCED:g} of it")
     # Rows 0 and 1 of the products are d, 2 and 3 are f.
     pushed, load = (float(np.trace(sides @ gram @ sides.T)) for sides in (_row(0), _row(0) - _row(1)))
     if pushed < SEEN * load:
         notes.append("the perturbation is too weak beside other forces: its sign, axes and unit are unchecked")
-    return notes + _skews(d, f, x, rate)
+    return notes
 
 
 def _before_limit(recording: xr.Dataset, rate: float) -> tuple[list[int], int]:

@@ -195,17 +195,15 @@ def _read(path: Path, meaning: Sidecar) -> Sequence[RawTrial]:
         names.add(meaning.trial)
     if path.suffix.lower() in MATLAB:
         return read_matlab(path, sorted(names), meaning.trial)
-    trials = read_text(path, sorted(names), meaning.trial, meaning.dialect)
-    if emg is None or emg.rate is None:
-        return trials
-    if emg.file is None:
+    if emg is not None and emg.rate is not None and emg.file is None:
         raise ValueError(f"{meaning.path}: signals.emg.rate without signals.emg.file; expected both with text, or none")
-    return _with_emg(path, trials, meaning, emg)
+    trials = read_text(path, sorted(names), meaning.trial, meaning.dialect)
+    return trials if emg is None or emg.file is None else _with_emg(path, trials, meaning, emg, emg.file)
 
 
-def _with_emg(path: Path, trials: Sequence[RawTrial], meaning: Sidecar, emg: Signal) -> Sequence[RawTrial]:
+def _with_emg(path: Path, trials: Sequence[RawTrial], meaning: Sidecar, emg: Signal, name: str) -> Sequence[RawTrial]:
     """The trials of a text file, with the EMG that another holds."""
-    beside = meaning.path.with_name(emg.file or "")
+    beside = meaning.path.with_name(name)
     if not beside.is_file():
         raise FileNotFoundError(f"{beside}: no such file, or a folder; expected signals.emg.file of {meaning.path}")
     names = [*emg.channels.values(), *([] if meaning.trial is None else [meaning.trial])]
