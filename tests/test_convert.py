@@ -45,14 +45,15 @@ def test_exported_and_read_back_the_estimates_are_the_same(position_recording, e
     export_recording(position_recording, tmp_path / f"r.{ending}")
     found = import_recording([tmp_path / f"r.{ending}"])
     assert found.notes == ()
+    for name in (*position_recording.data_vars, *position_recording.coords):
+        np.testing.assert_array_equal(found.recording[name].values, position_recording[name].values)
+    if ending != "csv":
+        return  # what is the same to the last bit gives the same estimates
     again = identify(found.recording, "3b", estimator="frequency")
     np.testing.assert_allclose(again.spectra.arm, estimates.spectra.arm, rtol=tolerance)
     np.testing.assert_allclose(again.spectra.coherence, estimates.spectra.coherence, rtol=tolerance)
     assert again.fit.values == pytest.approx(estimates.fit.values, rel=tolerance)
     assert again.fit.standard_error == pytest.approx(estimates.fit.standard_error, rel=tolerance)
-    for name in position_recording.coords:
-        np.testing.assert_array_equal(found.recording[name].values, position_recording[name].values)
-    np.testing.assert_array_equal(found.recording["joint_angle"], position_recording["joint_angle"])
 
 
 def test_units_axes_signs_starts_and_dialects_are_turned_into_ours(tmp_path):
@@ -452,9 +453,9 @@ def test_clipped_and_stuck_channels_are_refused_with_their_time(tmp_path):
 
 def test_coarse_encoders_and_pulses_are_not_taken_for_clipped(tmp_path):
     for step in (1e-5, 3e-5, 1e-4):
-        values = table(4)
+        values = table()
         values[:, X] = step * np.round(values[:, X] / step)
-        assert import_recording([write(tmp_path, values)]).recording.sizes["trial"] == 4
+        assert import_recording([write(tmp_path, values)]).recording.sizes["trial"] == 2
 
 
 def test_identify_takes_other_formats_and_its_errors_name_them(position_recording, tmp_path, capsys):
@@ -497,10 +498,10 @@ def test_emg_markers_and_joints_survive(tmp_path, ending):
     rng = np.random.default_rng(0)
     signals = {name: truth(name) for name in REQUIRED_SIGNALS}
     signals["shoulder_marker"] = 1e-3 * rng.normal(size=(N_TRIALS, N_TIME, 2))
-    signals["emg"] = rng.normal(size=(N_TRIALS, 10 * N_TIME, 8)).astype(np.float32)
+    signals["emg"] = rng.normal(size=(N_TRIALS, 3 * N_TIME, 8)).astype(np.float32)
     labels = {name: [value] * N_TRIALS for name, value in LABELS.items()} | {"repetition": [0, 1], "order": [4, 2]}
     labels |= {"pulse_level": [0.0, 1.0], "pulse_direction": [np.nan, 20.0], "pulse_onset": [np.nan, 4.0]}
-    recording = make_recording(signals, {**labels, "limit_time": [np.nan] * 2}, RATE, emg_rate=2000.0)
+    recording = make_recording(signals, {**labels, "limit_time": [np.nan] * 2}, RATE, emg_rate=3 * RATE)
     export_recording(recording, tmp_path / f"r.{ending}")
     found = import_recording([tmp_path / f"r.{ending}"]).recording
     for name in (*recording.data_vars, *recording.coords):

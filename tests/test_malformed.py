@@ -118,8 +118,8 @@ TEXTS = {
     "trials mixed": (edited(lambda v: v[np.argsort(v[:, 1], kind="stable")]), "again at sample"),
     "199.3 Hz": (with_time(table(rate=199.3)), "time runs at 199.3 Hz"),
     "dropped": (with_time(np.delete(VALUES, slice(500, 503), axis=0)), "3 samples are dropped at 2.495 s"),
-    "microseconds": (with_time(put(VALUES.copy(), slice(None), "t", 1e6 * VALUES[:, 1])), "a wrong unit of the times?"),
-    "time far away": (with_time(put(VALUES.copy(), -1, "t", 1e12)), "samples are dropped at 5.99 s (time steps by 1e+15 ms"),
+    "microseconds": (with_time(VALUES * np.where(np.arange(8) == 1, 1e6, 1.0)), "a wrong unit of the times?"),
+    "time far away": (with_time(put(VALUES.copy(), -1, "t", 1e12)), "samples are dropped at 5.99 s (time steps by 1e+15"),
     "time backwards": (with_time(put(VALUES.copy(), 700, "t", 0.1)), "time steps back from 3.495 s to 0.1 s"),
     "time stands": (with_time(put(VALUES.copy(), slice(None), "t", 0.0)), "time steps back from 0 s to 0 s"),
     "time missing": (with_time(put(VALUES.copy(), 700, "t", np.nan)), "the time of sample 700 is missing"),
@@ -472,7 +472,7 @@ SPLICES = st.lists(
 )
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(changes=st.lists(st.tuples(PLACES, JSON), max_size=3), splices=SPLICES, repair=st.booleans())
 def test_no_text_and_no_sidecar_ends_in_a_traceback(tmp_path, changes, splices, repair):
     sidecar = meaning(time={"channel": "t", "unit": "s"}, csv={}, environment={"m_env": 3})

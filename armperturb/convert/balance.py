@@ -49,7 +49,7 @@ BAND = (0.2, 8.0)
 """Frequencies at which signs and axes are tried [Hz]."""
 
 DRIFT = 5e-4
-"""Change of the skew of force and displacement over a trial that is refused, if beyond 4 standard errors [s]."""
+"""Change of the skew of force and displacement over a trial that is refused, if beyond 3 standard errors [s]."""
 
 _SIGNED = [np.diag(s) @ np.eye(2)[list(p)] for p in permutations((0, 1)) for s in product((1.0, -1.0), repeat=2)]
 
@@ -152,7 +152,7 @@ def _skews(d: Array, f: Array, x: Array, rate: float) -> list[str]:
     whole, *parts = skews
     change = parts[1].time - parts[0].time if parts else 0.0
     error = float(np.hypot(*(part.standard_error for part in parts))) if parts else 0.0
-    if abs(change) > max(DRIFT, 4.0 * error):
+    if abs(change) > max(DRIFT, 3.0 * error):
         raise ValueError(
             f"force drifts against displacement by {1e3 * change:.2f} ms from the first to the second half of "
             f"{d.shape[1] / rate:.4g} s (standard error {1e3 * error:.2f} ms); expected clocks that run alike"
