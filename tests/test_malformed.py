@@ -119,7 +119,7 @@ TEXTS = {
     "199.3 Hz": (with_time(table(rate=199.3)), "time runs at 199.3 Hz"),
     "dropped": (with_time(np.delete(VALUES, slice(500, 503), axis=0)), "3 samples are dropped at 2.495 s"),
     "microseconds": (with_time(VALUES * np.where(np.arange(8) == 1, 1e6, 1.0)), "a wrong unit of the times?"),
-    "time far away": (with_time(put(VALUES.copy(), -1, "t", 1e12)), "samples are dropped at 5.99 s (time steps by 1e+15"),
+    "time far away": (with_time(put(VALUES.copy(), -1, "t", 1e12)), "dropped at 5.99 s (time steps by 1e+15"),
     "time backwards": (with_time(put(VALUES.copy(), 700, "t", 0.1)), "time steps back from 3.495 s to 0.1 s"),
     "time stands": (with_time(put(VALUES.copy(), slice(None), "t", 0.0)), "time steps back from 0 s to 0 s"),
     "time missing": (with_time(put(VALUES.copy(), 700, "t", np.nan)), "the time of sample 700 is missing"),

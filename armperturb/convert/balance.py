@@ -5,6 +5,7 @@ signs or axes, what is wrong can be named: all 64 ways in which the axes of forc
 of the perturbation are tried in each trial. What turns all three signals alike cannot be seen.
 """
 
+import math
 from collections.abc import Sequence
 from itertools import permutations, product
 from typing import NamedTuple
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from armperturb.analysis.displacement import EDGE, Balance
+from armperturb.recording import REQUIRED_SIGNALS
 
 Array = NDArray[np.float64]
 
@@ -75,24 +77,14 @@ def check_balance(recording: xr.Dataset, mass: float | None = None, names: Seque
         what change of sign, axes or unit would put it right, if any does.
     """
     rate = float(recording.attrs["rate"])
-    names = names or [f"trial {trial + 1}" for trial in range(recording.sizes["trial"])]
+    grams = require_signs(recording, names)
     trials, n_time = _before_limit(recording, rate)
-    d, f, x = (recording[name].values[trials, :n_time] for name in ("perturbation", "force", "displacement"))
-    if n_time < 10 * round(EDGE * rate) or rate < SLOWEST:
+    d, f, x = (recording[name].values[trials, :n_time] for name in REQUIRED_SIGNALS)
+    if grams is None:
         return [
             f"{n_time / rate:.3g} s at {rate:g} Hz are too short, or too slow, to hold the force against the movement: "
             "signs, axes and units are unchecked"
         ]
-    grams = _grams(d, f, x, rate)
-    for trial, gram in zip(trials, grams, strict=True):
-        declared = _explained(gram, np.eye(2), np.eye(2))
-        remedy = _remedy(gram, min(FAR_BETTER * declared.left, RIGHT) if declared.mass > 0.0 else UNBALANCED)
-        if remedy is not None:
-            where = f" in {names[trial]}" if names[trial] else ""
-            raise ValueError(
-                f"d - f does not move a mass, spring and damper{where} ({_in_numbers(declared)}); expected signs, axes "
-                f"and units with which it does, as it would if {remedy}"
-            )
     gram = grams.sum(axis=0)
     declared = _explained(gram, np.eye(2), np.eye(2))
     try:
@@ -120,6 +112,38 @@ def check_balance(recording: xr.Dataset, mass: float | None = None, names: Seque
     if pushed < SEEN * load:
         notes.append("the perturbation is too weak beside other forces: its sign, axes and unit are unchecked")
     return notes
+
+
+def require_signs(recording: xr.Dataset, names: Sequence[str] = ()) -> Array | None:
+    """Refuse a recording that other signs, axes or scales would explain far better.
+
+    Args:
+      recording: as in `check_balance`.
+      names: as there.
+
+    Returns:
+      Inner products of the signals of each trial, see `_grams`; None if it is too short, or too slow, to tell.
+
+    Raises:
+      ValueError: they would; the message says which.
+    """
+    rate = float(recording.attrs["rate"])
+    names = names or [f"trial {trial + 1}" for trial in range(recording.sizes["trial"])]
+    trials, n_time = _before_limit(recording, rate)
+    if n_time < 10 * round(EDGE * rate) or rate < SLOWEST:
+        return None
+    grams = _grams(*(recording[name].values[trials, :n_time] for name in REQUIRED_SIGNALS), rate)
+    for trial, gram in zip(trials, grams, strict=True):
+        declared = _explained(gram, np.eye(2), np.eye(2))
+        remedy = _remedy(gram, min(FAR_BETTER * declared.left, RIGHT) if declared.mass > 0.0 else UNBALANCED)
+        if remedy is not None:
+            where = f" in {names[trial]}" if names[trial] else ""
+            raise ValueError(
+                f"d - f does not move a mass, spring and damper{where} ({_in_numbers(declared)}); expected signs, axes "
+                "and units with which it does (force must be the reaction force that the handle exerts on the hand), "
+                f"as it would if {remedy}"
+            )
+    return grams
 
 
 def _before_limit(recording: xr.Dataset, rate: float) -> tuple[list[int], int]:
@@ -151,7 +175,7 @@ def _skews(d: Array, f: Array, x: Array, rate: float) -> list[str]:
             return []
     whole, *parts = skews
     change = parts[1].time - parts[0].time if parts else 0.0
-    error = float(np.hypot(*(part.standard_error for part in parts))) if parts else 0.0
+    error = math.hypot(*(part.standard_error for part in parts))
     if abs(change) > max(DRIFT, 3.0 * error):
         raise ValueError(
             f"force drifts against displacement by {1e3 * change:.2f} ms from the first to the second half of "

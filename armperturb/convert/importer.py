@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import signal
 
-from armperturb.convert.balance import check_balance
+from armperturb.convert.balance import check_balance, require_signs
 from armperturb.convert.c3d import read_c3d
 from armperturb.convert.faults import (
     Fault,
@@ -167,14 +167,13 @@ def _ours(
     for path in ours:
         require_whole_hdf5(path)
     recordings = [load_recording(path) for path in ours]
-    notes = []
     for path, recording in zip(ours, recordings, strict=True):
         try:
-            notes += check_balance(recording)
+            require_signs(recording)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from None
     joined = recordings[0] if len(ours) == 1 else join_recordings(recordings, ", ".join(map(str, ours)))
-    return Imported(joined, tuple(notes))
+    return Imported(joined, ())
 
 
 def _read(path: Path, meaning: Sidecar) -> Sequence[RawTrial]:
