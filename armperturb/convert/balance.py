@@ -132,7 +132,8 @@ def require_signs(recording: xr.Dataset, names: Sequence[str] = ()) -> Array | N
     trials, n_time = _before_limit(recording, rate)
     if n_time < 10 * round(EDGE * rate) or rate < SLOWEST:
         return None
-    grams = _grams(*(recording[name].values[trials, :n_time] for name in REQUIRED_SIGNALS), rate)
+    d, f, x = (recording[name].values[trials, :n_time] for name in REQUIRED_SIGNALS)
+    grams = _grams(d, f, x, rate)
     for trial, gram in zip(trials, grams, strict=True):
         declared = _explained(gram, np.eye(2), np.eye(2))
         remedy = _remedy(gram, min(FAR_BETTER * declared.left, RIGHT) if declared.mass > 0.0 else UNBALANCED)
