@@ -14,7 +14,7 @@ from tqdm import tqdm
 from armperturb.analysis.export import write_identification
 from armperturb.analysis.identify import Identification, identify_conditions
 from armperturb.convert import export_recording, import_recording
-from armperturb.convert.exporter import COLUMNS, require_ending
+from armperturb.convert.exporter import require_ending
 from armperturb.convert.faults import Repair
 from armperturb.environment import Environment
 from armperturb.envs.gl import require_simulator
@@ -359,8 +359,7 @@ def convert(settings: Convert) -> tuple[tuple[str, ...], list[Path]]:
         raise FileNotFoundError(f"{settings.out}: folder {settings.out.parent} does not exist; expected one that does")
     found = import_recording(settings.files, sidecar=settings.sidecar, repair=settings.repair, rate=settings.rate)
     paths = export_recording(found.recording, settings.out)
-    left_out = [name for name in found.recording.data_vars if settings.out.suffix == ".csv" and name not in COLUMNS]
-    return (*found.notes, *(f"{name} is left out, as text has one rate" for name in left_out)), paths
+    return found.notes, paths
 
 
 def identify(settings: Identify) -> dict[str, Identification]:
