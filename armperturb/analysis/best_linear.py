@@ -5,25 +5,31 @@ average (its best linear approximation), and adds a stochastic distortion: as pe
 for every realisation. Noise is not periodic. So
 
 - what differs from one period to the next is noise;
-- what a smooth response leaves on the excited lines of mean periods is noise and distortion.
+- what a smooth response leaves on the excited lines of mean periods is noise and distortion, and so is all that is on
+  the quiet lines beside them.
 
 (Pintelon & Schoukens, System Identification, 2nd ed., chapters 3 and 4: robust method, in closed loop by projection on
 d.) Two inputs act at once: as their phases are independent, each cluster of lines of each realisation gives as many
 equations as it has lines for the two responses, and no trials with one direction alone are needed.
 
-Differences between periods are orthonormal contrasts, each of a period (the last may be short) with the mean of those
-before, and their spectrum around a cluster is that of the noise; leakage is removed from both as
-`local_polynomial` does. All is said of w = x - H f, the part of the displacement that the arm adds to its linear
-response.
+All is said of the force that the arm adds to its linear response, v = H^-1 x - f, with H^-1 interpolated between the
+clusters: for three reasons. The noise of x and f has the resonances of arm and environment, that of v hardly any, so
+that noise may be compared among lines some tenths of a hertz apart. The edges of a record of a mass, spring and damper
+leave in v a polynomial of first order, and where periods fade into one another nearly nothing: mean periods need no
+leakage removed, which would take more of the noise around a record's start, where fewer periods are averaged, than of
+the rest. And d explains so little of v that the polynomial of a cluster need not follow resonances. Powers are given
+as displacement, H v.
 
-Assumed, beside what `local_polynomial` assumes: realisations are independent, of the same power spectrum and of random
-phases; noise one period apart is independent; the arm has forgotten its start, and is the same in all periods of a
-trial. Between trials it may differ: each has a constant term of its own, and none of that counts as distortion. What
-the polynomial of a cluster cannot follow does count: with noise far below that of people (a hundredth of the response),
-linear arms look nonlinear in two or three trials, for want of a term of second order.
+Differences between periods are orthonormal contrasts, each of a period (the last may be short) with the mean of those
+before.
+
+Assumed: d is known; realisations are independent, of the same power spectrum and of random phases; noise one period
+apart is independent; the arm has forgotten its start, and is the same in all periods of a trial. Between trials it may
+differ: each has a constant term of its own, and none of that counts as distortion. What is below a thousandth of the
+linear response is taken for what interpolation and a start that is not quite forgotten leave.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -37,6 +43,7 @@ from armperturb.analysis.local_polynomial import (
     LocalFit,
     Response,
     Window,
+    element_variance,
     fit_locally,
     frequency_response,
     linearised,
@@ -44,9 +51,13 @@ from armperturb.analysis.local_polynomial import (
 )
 
 Array = NDArray[np.float64]
+Impedance = Callable[[Array], Response]
 
 ORDER = {1: 0, 2: 1, 3: 1}
 """Number of trials to the order of the response's polynomial over a cluster; `HIGHEST_ORDER` of more trials."""
+
+LARGEST_ERROR = 0.3
+"""Error of the response over its size from which on its inverse is of no use [-]."""
 
 ROUNDS = 2
 """How often what the arm does between clusters is estimated."""
@@ -140,29 +151,32 @@ def estimate_best_linear(
     order = ORDER.get(len(trials.trials), HIGHEST_ORDER)
     fits = trials.fit(order, own_levels=True)
     windows = [trials.windows(group) for group in trials.groups]
-    between, own_fits = _own_forces(windows, fits, order)
-    quiet = [[_own_force(window.only(~window.excited), between) for window in near] for near in windows]
-    contrasts = [_own_force(piece, between) for piece in contrasts]
-    noises = [_near(contrasts, near[0].frequency) for near in windows]
+    around, own_fits = _own_forces(windows, fits, order)
+    quiet = [
+        [_own_force(window.only(~window.excited), own) for window in near]
+        for near, own in zip(windows, around, strict=True)
+    ]
+    noises = [
+        [_own_force(piece, own) for piece in _near(contrasts, near[0].frequency)]
+        for near, own in zip(windows, around, strict=True)
+    ]
     uneven = _unevenness(n_periods)
     share = float(np.mean([trial.share for trial in trials.trials]))
     scale = 2.0 / (period * trials.rate)  # from |Z|^2 over the number of samples to the mean square of a sine wave
     linear, noise, distortion, error, excess, precision = [], [], [], [], [], []
-    for group, fit, own, near, quiet_uses, near_noises, noise_uses in zip(
-        trials.groups, fits, own_fits, quiet, _uses(quiet), noises, _uses(noises), strict=True
+    for group, fit, impedance, own, near, quiet_uses, near_noises, noise_uses in zip(
+        trials.groups, fits, around, own_fits, quiet, _uses(quiet), noises, _uses(noises), strict=True
     ):
-        arm = linearised(fit.answer, "arm").response
+        arm = np.linalg.inv(impedance(np.array([fit.frequency])))[0]
         force = np.concatenate([trial.answer[group, :2] for trial in trials.trials]) @ arm.T
         linear.append(scale * share * np.mean(np.abs(force) ** 2, axis=0))
-        floor = RESOLUTION**2 * np.diag(np.mean(np.abs(force) ** 2, axis=0))
+        floor = np.diag(RESOLUTION**2 * np.mean(np.abs(force) ** 2, axis=0)).astype(complex)
 
         def moves(covariance: Response, arm: Response = arm) -> Response:
             return np.asarray(arm @ covariance @ arm.conj().T)
 
         of_noise, noise_dof = without(near_noises, NOISE_LEAKAGE)
-        on_lines = _Excess(
-            moves(own.excited_noise), own.excited_dof / uneven, moves(of_noise), noise_dof, floor
-        )
+        on_lines = _Excess(moves(own.excited_noise), own.excited_dof / uneven, moves(of_noise), noise_dof, floor)
         noise.append(scale * np.diagonal(on_lines.noise).real)
         distortion.append(scale * share * np.diagonal(on_lines.total - on_lines.noise).real)
         error.append(scale * share * np.sqrt(on_lines.variance) * np.diagonal(on_lines.pooled).real)
@@ -187,36 +201,50 @@ def estimate_best_linear(
 
 def _own_forces(
     windows: Sequence[Sequence[Window]], fits: Sequence[LocalFit], order: int
-) -> tuple[interpolate.BSpline, list[LocalFit]]:
-    """The arm's impedance H^-1 [N/m] at any frequency, and what d explains of the arm's own force.
+) -> tuple[list[Impedance], list[LocalFit]]:
+    """The arm's impedance H^-1 [N/m] around each cluster, and what d explains of the arm's own force there.
 
-    That is little, as the impedance between clusters comes from their neighbours, and what is left is no larger for a
-    polynomial that cannot follow the arm's response. What d does explain in the middle of a cluster corrects the
-    impedance there.
+    That is little, as the impedance beside the middle of a cluster comes from its neighbours, and what is left is no
+    larger for a polynomial that cannot follow the arm's response. What d does explain in the middle corrects the
+    impedance there. Where it is hardly known, it is taken for constant, and tells its neighbours nothing.
     """
     frequency = np.array([fit.frequency for fit in fits])
     impedance = np.linalg.inv([linearised(fit.answer, "arm").response for fit in fits])
-    degree = min(3, 2 * len(fits) - 1)
+    known = np.array([_relative_error(fit) < LARGEST_ERROR for fit in fits])
+    # A real system at -f is the conjugate of that at f, so that nothing is extrapolated towards zero.
+    knots = np.concatenate([-frequency[known][::-1], frequency[known]])
     for _ in range(ROUNDS):
-        # A real system at -f is the conjugate of that at f, so that nothing is extrapolated towards zero.
-        both = np.concatenate([impedance[::-1].conj(), impedance])
-        between = interpolate.make_interp_spline(np.concatenate([-frequency[::-1], frequency]), both, degree)
+        around: list[Impedance] = [_constant(values) for values in impedance]
+        if known.any():
+            both = np.concatenate([impedance[known][::-1].conj(), impedance[known]])
+            spline = interpolate.make_interp_spline(knots, both, min(3, len(knots) - 1))
+            around = [spline if is_known else constant for is_known, constant in zip(known, around, strict=True)]
         own_fits = [
             fit_locally(
-                [_own_force(window.only(window.excited), between) for window in near],
+                [_own_force(window.only(window.excited), own) for window in near],
                 fit.frequency,
                 order=order,
                 leakage_order=-1,
                 own_levels=True,
             )
-            for near, fit in zip(windows, fits, strict=True)
+            for near, fit, own in zip(windows, fits, around, strict=True)
         ]
         moved = [own.answer @ np.linalg.inv(fit.answer[2:]) for own, fit in zip(own_fits, fits, strict=True)]
         impedance = impedance - np.array(moved)
-    return between, own_fits
+    return around, own_fits
 
 
-def _own_force(window: Window, impedance: interpolate.BSpline) -> Window:
+def _relative_error(fit: LocalFit) -> float:
+    """Root mean square error of the arm's response over its size."""
+    arm = linearised(fit.answer, "arm")
+    return float(np.sqrt(element_variance(arm, fit.factor, fit.noise).sum() / np.sum(np.abs(arm.response) ** 2)))
+
+
+def _constant(values: Response) -> Impedance:
+    return lambda frequency: np.broadcast_to(values, (*np.shape(frequency), *values.shape))
+
+
+def _own_force(window: Window, impedance: Impedance) -> Window:
     """Lines with the force that the arm adds to its linear response, H^-1 x - f, (line, 2), as their answer."""
     force, displacement = window.answer[:, :2], window.answer[:, 2:]
     return window._replace(answer=np.einsum("kij,kj->ki", impedance(window.frequency), displacement) - force)
@@ -225,8 +253,9 @@ def _own_force(window: Window, impedance: interpolate.BSpline) -> Window:
 class _Excess(NamedTuple):
     """Covariance of noise and distortion beside that of noise, (2, 2) each, with their degrees of freedom.
 
-    What is far below the floor counts as nothing. Without distortion, and well above it, total over pooled is independent of pooled and has a (matrix) beta distribution: its moments are
-    exact, however few the degrees of freedom.
+    Far below `floor`, (2, 2), both count as nothing. Far above it and without distortion, total over pooled is
+    independent of pooled and has a (matrix) beta distribution: its moments are exact, however few the degrees of
+    freedom.
     """
 
     total: Response
