@@ -237,7 +237,7 @@ def _own_forces(
 def _relative_error(fit: LocalFit) -> float:
     """Root mean square error of the arm's response over its size."""
     arm = linearised(fit.answer, "arm")
-    return float(np.sqrt(element_variance(arm, fit.factor, fit.noise).sum() / np.sum(np.abs(arm.response) ** 2)))
+    return float(np.sqrt(element_variance(arm, fit.factor, fit.excited_noise).sum() / np.sum(np.abs(arm.response) ** 2)))
 
 
 def _constant(values: Response) -> Impedance:
