@@ -92,7 +92,7 @@ class BestLinear:
       distortion: power of the distortion; unbiased, so that it may come out negative, (frequency, output).
       distortion_error: standard error that it has if the arm is linear, (frequency, output).
       statistic: distortion over its standard error, of all frequencies and outputs together, each weighed by its noise
-        [-]; of linear arms standard normal.
+        and by how fast the linear response moves [-]; of linear arms standard normal.
       n_periods: periods per trial, with parts, (trial,).
     """
 
@@ -188,13 +188,16 @@ def estimate_best_linear(
         everywhere = _Excess(moves(total), dof / uneven, moves(of_noise), noise_dof, floor)
         excess.append(everywhere.relative)
         precision.append(1.0 / everywhere.relative_variance)
+    # Arms depart from a linear one where they move.
+    speed = np.array([fit.frequency * np.sqrt(of_one.sum()) for fit, of_one in zip(fits, linear, strict=True)])
+    weight = speed * precision
     return BestLinear(
         response=frequency_response(fits, "arm", [(fit.excited_noise, fit.excited_dof) for fit in fits]),
         linear=np.array(linear),
         noise=np.array(noise),
         distortion=np.array(distortion),
         distortion_error=np.array(error),
-        statistic=float(np.dot(precision, excess) / np.sqrt(np.sum(precision))),
+        statistic=float(np.dot(weight, excess) / np.sqrt(np.dot(weight, speed))),
         n_periods=n_periods,
     )
 
@@ -237,7 +240,8 @@ def _own_forces(
 def _relative_error(fit: LocalFit) -> float:
     """Root mean square error of the arm's response over its size."""
     arm = linearised(fit.answer, "arm")
-    return float(np.sqrt(element_variance(arm, fit.factor, fit.excited_noise).sum() / np.sum(np.abs(arm.response) ** 2)))
+    variance = element_variance(arm, fit.factor, fit.excited_noise).sum()
+    return float(np.sqrt(variance / np.sum(np.abs(arm.response) ** 2)))
 
 
 def _constant(values: Response) -> Impedance:
