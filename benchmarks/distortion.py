@@ -5,8 +5,17 @@ one core, nearly all of it for simulating the nonlinear people (the linear ones 
 
 People are those of the default cohort at the forces of the thesis's table 2.1, with their noise and the instruments',
 trials of 32 s with a multisine of their own each. Linear people are drawn likewise; "short-range" are the default ones
-with nothing but the short-range stiffness and its elastic limit left of their muscles' law. Seeds were not used to
-develop the estimate.
+with nothing but the short-range stiffness and its elastic limit left of their muscles' law.
+
+Measured (people of seeds from 10000 on; RT7.5 / RT22.5; p < 0.05 is "detected"):
+
+    linear, 4 trials, 200 people each       detected 3.5 / 6.0 %, statistic within 1.96 of zero 97.0 / 94.5 %,
+                                            level at a frequency within 1.96 standard errors of zero 96.3 / 96.5 %
+    nonlinear, 20 people (10020 to 10039)   detected with 4 trials 20 / 20, with 2 trials 20 / 18, with 1 trial 20 / 14
+    short-range, 20 people                  detected with 4 trials 20 / 20, with 2 trials 19 / 17, with 1 trial 14 / 12
+
+Linear people of RT22.5 have the seeds from 10200 on there. These linear people were looked at while the estimate was
+developed, and the short-range ones are the first 20, whose nonlinear counterparts were; nonlinear ones were not.
 """
 
 import sys
