@@ -131,7 +131,7 @@ def estimate_best_linear(
       recordings: trials of one subject in one condition, with different multisines of one power spectrum, each longer
         than a period by a fifth or more. Of a single trial, the distortion is that of its realisation alone.
       period: of the disturbance [s].
-      start: of what is used [s].
+      start: of what is used [s]; later for loads that ring on, whose start otherwise passes for distortion.
       lines_per_average: as in `estimate_multisine`; 3 or more.
 
     Raises:
