@@ -1,11 +1,9 @@
-"""Frequency responses from any excitation: accuracy, coverage of their bands, and detection of nonlinear arms.
+"""Frequency responses from any excitation: accuracy, and coverage of their bands.
 
-Run by `python -m benchmarks.frequency_response`; some 17 min of one core, nearly all of it for simulating people.
+Run by `python -m benchmarks.frequency_response`; `benchmarks.distortion` judges the levels of noise and distortion.
 
 A load of known mass, damping and stiffness takes the place of the arm; it is moved by d, and by a force of its own as a
-person's remnant. Its simulation is exact. People are those of the default cohort at the forces of the thesis's table
-2.1, with their noise and the instruments', four trials of 32 s with a multisine of their own each; linear people are
-drawn likewise. Nothing that is estimated knows the truth.
+person's remnant. Its simulation is exact. Nothing that is estimated knows the truth.
 """
 
 import time
@@ -17,14 +15,8 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from armperturb.analysis.arm_model import environment_admittance
-from armperturb.analysis.best_linear import BestLinear, estimate_best_linear
 from armperturb.analysis.closed_loop import estimate_multisine, estimate_noise
-from armperturb.cohort import draw_person
-from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
-from armperturb.envs.experiment import run_experiment
-from armperturb.envs.instruments import Instruments
-from armperturb.envs.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.recording import make_recording
 
@@ -34,10 +26,6 @@ RATE = 200.0
 DURATION = 32.0
 N_TRIALS = 4
 N_SEEDS = 200
-N_PEOPLE = 100
-BATCH = 20
-FORCES = {"RT7.5": 0.9, "RT22.5": 1.8}
-"""Condition to the RMS force per axis [N] of table 2.1."""
 
 MASS = np.array([[1.8, 0.3], [0.3, 1.2]])
 DAMPING = np.array([[18.0, 4.0], [4.0, 14.0]])
@@ -159,57 +147,9 @@ def coverage() -> None:
             )
 
 
-def person_recording(condition: str, seeds: range, muscles: str) -> xr.Dataset:
-    """Trials of one person for each seed, one after the other."""
-    trials = []
-    for seed in seeds:
-        subject = draw_person(seed, 0, muscles=muscles).subjects["RT"]
-        for i in range(N_TRIALS):
-            force = Multisine.draw(seed=1000 * seed + i, rms=FORCES[condition], duration=DURATION, crested=False)
-            noise, number = HUMAN_NOISE["RT"], 1000 * seed + i
-            trials.append(Trial(subject=subject, perturbation=force, condition=condition, seed=number, noise=noise))
-    instruments = Instruments(emg=None, marker_noise=None)
-    return run_experiment(trials, linear=muscles == "linear", instruments=instruments, n_threads=1)
-
-
-def people(condition: str, muscles: str, n: int) -> list[BestLinear]:
-    """What the trials of each person tell; those who reached the workspace limit are left out."""
-    found = []
-    for first in range(0, n, BATCH):
-        recording = person_recording(condition, range(first, min(first + BATCH, n)), muscles)
-        for i in range(0, recording.sizes["trial"], N_TRIALS):
-            of_person = recording.isel(trial=slice(i, i + N_TRIALS))
-            inside = np.flatnonzero(np.isnan(of_person["limit_time"].values))
-            if len(inside) > 1:
-                found.append(estimate_best_linear(of_person.isel(trial=inside)))
-    return found
-
-
-def detection() -> None:
-    """Whether linear people look linear, and the default cohort does not."""
-    print(f"distortion in {N_TRIALS} trials of {DURATION:g} s")
-    for condition in FORCES:
-        for muscles, n in (("linear", N_SEEDS), ("nonlinear", N_PEOPLE)):
-            began = time.process_time()
-            found = people(condition, muscles, n)
-            statistic = np.array([one.statistic for one in found])
-            zero = np.mean([np.abs(one.distortion) <= 1.96 * one.distortion_error for one in found])
-            zero_share = np.mean([np.abs(one.share) <= 1.96 * one.share_error for one in found])
-            share = np.mean([one.share for one in found], axis=0)
-            print(
-                f"  {condition} {muscles} ({len(found)} people): statistic {statistic.mean():.2f}, SD "
-                f"{statistic.std():.2f}; detected (p < 0.05) {np.mean([one.p_value < 0.05 for one in found]):.1%}; "
-                f"within 1.96 of zero {np.mean(np.abs(statistic) < 1.96):.1%}, level at a frequency {zero:.1%}, "
-                f"share {zero_share:.1%}; share x, y {share[0]:.3f}, {share[1]:.3f}; CPU "
-                f"{time.process_time() - began:.0f} s",
-                flush=True,
-            )
-
-
 def main() -> None:
     accuracy()
     coverage()
-    detection()
 
 
 if __name__ == "__main__":
