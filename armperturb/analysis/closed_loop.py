@@ -11,15 +11,16 @@ excited lines alone, and the quiet lines beside them show leakage and noise. Lin
 **Noise**, or any other disturbance: the record is transformed as it is, and all lines near a frequency are used.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from armperturb.analysis.frequency_response import FrequencyResponse
+from armperturb.analysis.frequency_response import FrequencyResponse, require_frequencies
+from armperturb.analysis.line_balance import LineBalance, find_balance, holds
 from armperturb.analysis.local_polynomial import (
     N_INPUTS,
     LocalFit,
@@ -29,6 +30,7 @@ from armperturb.analysis.local_polynomial import (
     frequency_response,
     n_unknowns,
 )
+from armperturb.analysis.periodicity import find_period
 from armperturb.analysis.spectra import EXCITED
 from armperturb.recording import check_recording
 from armperturb.validation import require_number
@@ -36,6 +38,8 @@ from armperturb.validation import require_number
 Array = NDArray[np.float64]
 Response = NDArray[np.complex128]
 Recordings = xr.Dataset | Sequence[xr.Dataset]
+Answer = Callable[[Array, Response, Response], Response]
+"""From frequency, D and (F, X) of lines to what takes the place of the latter."""
 
 HIGHEST_ORDER = 2
 """Of the response's polynomial over a cluster, unless asked otherwise."""
@@ -45,6 +49,9 @@ LEAKAGE_ORDER = 2
 
 N_QUIET = 12
 """Quiet lines beside a cluster that tell its leakage and noise, on both sides together."""
+
+WIDE = 0.15
+"""Width of a group over its frequency from which on the response may bend within it [-]."""
 
 LEAST_DOF = 8.0
 """Complex degrees of freedom that a covariance has at least: then bands are at most a third wider than with many."""
@@ -112,6 +119,15 @@ class Periodic(NamedTuple):
     period: float
     rate: float
 
+    def replaced(self, answer: Answer) -> "Periodic":
+        """The same with what a function makes of frequency, D and (F, X) of each trial in place of the latter."""
+        frequency = np.arange(len(self.trials[0].answer)) / self.period
+        return self._replace(
+            trials=tuple(
+                trial._replace(answer=answer(frequency, trial.perturbation, trial.answer)) for trial in self.trials
+            )
+        )
+
     def windows(self, group: NDArray[np.int64]) -> list[Window]:
         """The lines of a group and the quiet ones nearest to it, of each trial."""
         quiet = np.setdiff1d(np.arange(1, len(self.trials[0].perturbation) - 1), self.excited)
@@ -129,12 +145,14 @@ class Periodic(NamedTuple):
         """The response near the middle of each group.
 
         Polynomials have at most one term per excited line; by default at most `HIGHEST_ORDER`, and beyond the first
-        order only half as many terms as equations.
+        order only half as many terms as equations, or one less than equations where the group is `WIDE`.
         """
         fits = []
         for group in self.groups:
             equations = len(group) * len(self.trials) // N_INPUTS
-            chosen = min(max(1, equations // 2 - 1), HIGHEST_ORDER) if order is None else order
+            wide = np.ptp(group) > WIDE * group.mean()
+            terms = equations - 1 if wide else equations // 2
+            chosen = min(max(1, terms - 1), HIGHEST_ORDER) if order is None else order
             fits.append(
                 fit_locally(
                     self.windows(group),
@@ -188,12 +206,12 @@ def records_of(recordings: Recordings, start: float) -> list[Record]:
     return records
 
 
-def periodic_trials(recordings: Recordings, *, period: float, start: float, lines_per_average: int) -> Periodic:
+def periodic_trials(recordings: Recordings, *, period: float | None, start: float, lines_per_average: int) -> Periodic:
     """Mean periods and what differs between them.
 
     Args:
       recordings: trials of one subject in one condition.
-      period: of the disturbance [s].
+      period: of the disturbance [s]; None finds it, see `periodicity`.
       start: of what is used [s].
       lines_per_average: excited lines in a group, where there are as many without a wider gap than between the closest
         two; more where quiet lines are too few to tell leakage and noise.
@@ -202,10 +220,13 @@ def periodic_trials(recordings: Recordings, *, period: float, start: float, line
       ValueError: as `records_of`; or a trial is shorter than a period, the disturbance is not periodic, or the period
         is not a whole number of samples.
     """
-    require_number("periodic_trials", "period", period, above=0.0)
+    if period is not None:
+        require_number("periodic_trials", "period", period, above=0.0)
     require_number("periodic_trials", "lines_per_average", lines_per_average, at_least=1)
     records = records_of(recordings, start)
     rate = records[0].rate
+    if period is None:
+        period = find_period([record.perturbation for record in records], rate, start)
     n = round(period * rate)
     if abs(n - period * rate) > 1e-6 * n:
         raise ValueError(
@@ -221,7 +242,8 @@ def periodic_trials(recordings: Recordings, *, period: float, start: float, line
             )
         if np.mean((d[n:] - d[:-n]) ** 2 if len(d) > n else 0.0) > APERIODIC * np.mean(d**2):
             raise ValueError(
-                f"the perturbation of trial {number} does not repeat after {period:g} s; expected its own period"
+                f"the perturbation of trial {number} does not repeat after {period:g} s; expected its own period (None "
+                "finds it; for noise there is the method noise)"
             )
         trials.append(_mean_period(record, n))
     power = np.sum([np.abs(trial.perturbation) ** 2 for trial in trials], axis=(0, 2))
@@ -289,10 +311,11 @@ def estimate_multisine(
     recordings: Recordings,
     *,
     what: System = "arm",
-    period: float = 20.48,
+    period: float | None = None,
     start: float = 2.0,
     lines_per_average: int = 4,
     order: int | None = None,
+    balance: bool = True,
 ) -> FrequencyResponse:
     """Frequency response from periodic multisines.
 
@@ -303,10 +326,13 @@ def estimate_multisine(
     Args:
       recordings: trials of one subject in one condition; the same or different multisines of one period.
       what: "arm" (from f to x), "environment" (from d - f to x) or "total" (from d to x).
-      period: of the disturbance [s].
+      period: of the disturbance [s]; None finds it in what was recorded, for at least 1.1 periods.
       start: of what is used [s].
       lines_per_average: neighbouring lines that share a polynomial: the clusters of the thesis's multisine have 4.
-      order: of that polynomial; by default 2 if there are at least twice as many equations as it has terms, and else 1.
+      order: of that polynomial; by default 2 if there are at least twice as many equations as it has terms, or lines
+        are far apart, and else 1.
+      balance: whether displacement and force are made better by the environment's force balance where that holds, see
+        `line_balance`; not of what="environment", which then would be what was put in.
 
     Raises:
       ValueError: as `periodic_trials` and `fit_locally`, or `what` is something else.
@@ -314,11 +340,17 @@ def estimate_multisine(
     if order is not None:
         require_number("estimate_multisine", "order", order, at_least=0)
     trials = periodic_trials(recordings, period=period, start=start, lines_per_average=lines_per_average)
+    found = _balance(recordings) if balance and what != "environment" else None
+    if found is not None:
+        if holds(trials.replaced(found.left_over).fit(order)):
+            trials = trials.replaced(found.corrected)
+        else:
+            found = None
     fits = trials.fit(order)
     noises = [
         (fit.excited_noise, fit.excited_dof) if fit.excited_dof >= LEAST_DOF else (fit.noise, fit.dof) for fit in fits
     ]
-    return frequency_response(fits, what, noises)
+    return frequency_response(fits, what, noises, None if found is None else found.environment)
 
 
 def estimate_noise(
@@ -326,8 +358,9 @@ def estimate_noise(
     *,
     what: System = "arm",
     start: float = 0.0,
-    frequency: Array | None = None,
+    frequency: ArrayLike | None = None,
     order: int = 2,
+    balance: bool = True,
 ) -> FrequencyResponse:
     """Frequency response from noise, or any disturbance that has power at all frequencies of interest.
 
@@ -339,18 +372,38 @@ def estimate_noise(
         band that holds all but 1 % of the disturbance's power.
       order: of the polynomials of response and leakage. The band around a frequency is as wide as `HALF_WIDTH` says,
         and wider where that gives fewer than `LEAST_DOF` degrees of freedom.
+      balance: as in `estimate_multisine`.
 
     Raises:
       ValueError: as `records_of` and `fit_locally`, or the records are too short.
     """
     require_number("estimate_noise", "order", order, at_least=0)
-    spectra = [_whole(record) for record in records_of(recordings, start)]
-    wanted = _band(spectra) if frequency is None else np.asarray(frequency, dtype=float)
-    fits = [
-        fit_locally(_around(spectra, float(centre), order), float(centre), order=order, leakage_order=order)
-        for centre in wanted
-    ]
-    return frequency_response(fits, what, [(fit.noise, fit.dof) for fit in fits])
+    records = records_of(recordings, start)
+    spectra = [_whole(record) for record in records]
+    wanted = _band(spectra) if frequency is None else require_frequencies(frequency, records[0].rate)
+
+    def fit(windows: Sequence[Window]) -> list[LocalFit]:
+        return [
+            fit_locally(_around(windows, float(centre), order), float(centre), order=order, leakage_order=order)
+            for centre in wanted
+        ]
+
+    found = _balance(recordings) if balance and what != "environment" else None
+    if found is not None:
+        if holds(fit([_replaced(window, found.left_over) for window in spectra])):
+            spectra = [_replaced(window, found.corrected) for window in spectra]
+        else:
+            found = None
+    fits = fit(spectra)
+    return frequency_response(fits, what, [(fit.noise, fit.dof) for fit in fits], None if found is None else found.environment)
+
+
+def _balance(recordings: Recordings) -> LineBalance | None:
+    return find_balance([recordings] if isinstance(recordings, xr.Dataset) else recordings)
+
+
+def _replaced(window: Window, answer: Answer) -> Window:
+    return window._replace(answer=answer(window.frequency, window.perturbation, window.answer))
 
 
 def _whole(record: Record) -> Window:

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from armperturb.environment import Environment
 from armperturb.validation import require_number
 
 Array = NDArray[np.float64]
@@ -42,6 +43,7 @@ class FrequencyResponse:
         method does not tell.
       what: of which system, e.g. "arm" (from f to x), "environment" (from d - f to x), "total" (from d to x).
       dof: complex degrees of freedom behind `covariance`, (frequency,); None if it is as good as exact.
+      environment: mass, damping and stiffness whose force balance made the signals better; None if none did.
 
     Raises:
       ValueError: shapes do not fit together.
@@ -52,6 +54,7 @@ class FrequencyResponse:
     covariance: Array | None
     what: str
     dof: Array | None = None
+    environment: Environment | None = None
 
     def __post_init__(self) -> None:
         n = len(self.frequency)
@@ -101,3 +104,22 @@ class FrequencyResponse:
         radius, gain, phase = self.radius(level), np.abs(self.response), np.angle(self.response)
         angle = np.where(radius < gain, np.arcsin(np.minimum(radius / gain, 1.0)), np.pi)
         return Bands(np.maximum(gain - radius, 0.0), gain + radius, phase - angle, phase + angle)
+
+
+def require_frequencies(frequency: ArrayLike, rate: float) -> Array:
+    """Frequencies as an array, (frequency,).
+
+    Args:
+      frequency: [Hz].
+      rate: of the samples [Hz].
+
+    Raises:
+      ValueError: there are none, they are no row of numbers, or one is not between 0 and half the rate.
+    """
+    wanted = np.array(frequency, dtype=float)
+    if wanted.ndim != 1 or not len(wanted):
+        raise ValueError(f"frequency has shape {wanted.shape}; expected (frequency,), at least one")
+    wrong = ~((wanted > 0.0) & (wanted < 0.5 * rate))
+    if wrong.any():
+        raise ValueError(f"frequency = {wanted[wrong][0]:g} Hz; expected above 0 and below {0.5 * rate:g} Hz")
+    return wanted
