@@ -12,6 +12,7 @@ excited lines alone, and the quiet lines beside them show leakage and noise. Lin
 """
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -44,14 +45,20 @@ Answer = Callable[[Array, Response, Response], Response]
 HIGHEST_ORDER = 2
 """Of the response's polynomial over a cluster, unless asked otherwise."""
 
+HIGH_ORDERS = (2, 3, 4, 5)
+"""Orders that are tried over many lines."""
+
 LEAKAGE_ORDER = 2
 """Order of the leakage's polynomial."""
 
 N_QUIET = 12
 """Quiet lines beside a cluster that tell its leakage and noise, on both sides together."""
 
-WIDE = 0.15
-"""Width of a group over its frequency from which on the response may bend within it [-]."""
+NARROW, WIDE = 0.03, 0.15
+"""Width of a group over its frequency: below the first the response does not bend, above the second it may [-]."""
+
+CLEARLY = 3.0
+"""Standard deviations by which a higher order has to fit better than chance to be taken [-]."""
 
 LEAST_DOF = 8.0
 """Complex degrees of freedom that a covariance has at least: then bands are at most a third wider than with many."""
@@ -62,7 +69,7 @@ FADE = 2.0
 APERIODIC = 1e-2
 """Share of its power by which a disturbance may differ from one period to the next [-]."""
 
-HALF_WIDTH = (0.2, 0.05)
+HALF_WIDTH = (0.2, 0.1)
 """Least half of the band around a frequency that tells the response there: [Hz], and over the frequency [-].
 
 The former is for noise alone."""
@@ -144,25 +151,54 @@ class Periodic(NamedTuple):
     def fit(self, order: int | None, *, own_levels: bool = False) -> list[LocalFit]:
         """The response near the middle of each group.
 
-        Polynomials have at most one term per excited line; by default at most `HIGHEST_ORDER`, and beyond the first
-        order only half as many terms as equations, or one less than equations where the group is `WIDE`.
+        Polynomials have at most one term per excited line; by default at most `HIGHEST_ORDER`, beyond the first order
+        only half as many terms as equations, or one less than equations where the group is `WIDE`; of groups of many
+        lines more, if those fit clearly better.
         """
         fits = []
         for group in self.groups:
-            equations = len(group) * len(self.trials) // N_INPUTS
-            wide = np.ptp(group) > WIDE * group.mean()
-            terms = equations - 1 if wide else equations // 2
-            chosen = min(max(1, terms - 1), HIGHEST_ORDER) if order is None else order
+            chosen = (self._order(len(group), float(np.ptp(group) / group.mean())),) if order is None else (order,)
+            if order is None and len(group) > N_QUIET:
+                chosen = HIGH_ORDERS
             fits.append(
-                fit_locally(
+                _fit(
                     self.windows(group),
                     float(group.mean()) / self.period,
-                    order=min(chosen, len(group) - 1),
+                    orders=[min(one, len(group) - 1) for one in chosen],
                     leakage_order=LEAKAGE_ORDER,
                     own_levels=own_levels,
                 )
             )
         return fits
+
+    def _order(self, n_lines: int, width: float) -> int:
+        """Of the polynomial over a group of that width over its frequency."""
+        equations = n_lines * len(self.trials) // N_INPUTS
+        terms = equations - 1 if width > WIDE else equations // 2
+        return min(max(1, terms - 1), HIGHEST_ORDER if width > NARROW else 1)
+
+
+def _fit(
+    windows: Sequence[Window], centre: float, *, orders: Sequence[int], leakage_order: int, own_levels: bool = False
+) -> LocalFit:
+    """The local fit of the first order, or of later ones as long as these are clearly better and can be told.
+
+    Without need for it, a further complex coefficient of an output lowers the logarithm of its sum of squares, times
+    the number of lines, by about a gamma variable of shape one.
+    """
+    n_lines = sum(len(window.frequency) for window in windows)
+    best = fit_locally(windows, centre, order=orders[0], leakage_order=leakage_order, own_levels=own_levels)
+    for lower, order in pairwise(orders):
+        extra = N_INPUTS * (order - lower)
+        if best.dof - extra < 2 * LEAST_DOF:
+            break
+        better = fit_locally(windows, centre, order=order, leakage_order=leakage_order, own_levels=own_levels)
+        before, after = (np.log(fit.dof * np.diagonal(fit.noise).real) for fit in (best, better))
+        gain = float(np.max(before - after)) * (best.dof + better.dof) / 2
+        if gain < extra + CLEARLY * np.sqrt(extra):
+            break
+        best = better
+    return best
 
 
 def records_of(recordings: Recordings, start: float) -> list[Record]:
@@ -359,7 +395,7 @@ def estimate_noise(
     what: System = "arm",
     start: float = 0.0,
     frequency: ArrayLike | None = None,
-    order: int = 2,
+    order: int | None = None,
     balance: bool = True,
 ) -> FrequencyResponse:
     """Frequency response from noise, or any disturbance that has power at all frequencies of interest.
@@ -370,21 +406,23 @@ def estimate_noise(
       start: of what is used [s].
       frequency: where the response is wanted [Hz], (frequency,); by default evenly on a logarithmic scale over the
         band that holds all but 1 % of the disturbance's power.
-      order: of the polynomials of response and leakage. The band around a frequency is as wide as `HALF_WIDTH` says,
-        and wider where that gives fewer than `LEAST_DOF` degrees of freedom.
+      order: of the response's polynomial; by default 2, or up to 5 where that fits clearly better. The band around a
+        frequency is as wide as `HALF_WIDTH` says, and wider where that gives fewer than `LEAST_DOF` degrees of freedom.
       balance: as in `estimate_multisine`.
 
     Raises:
       ValueError: as `records_of` and `fit_locally`, or the records are too short.
     """
-    require_number("estimate_noise", "order", order, at_least=0)
+    if order is not None:
+        require_number("estimate_noise", "order", order, at_least=0)
+    orders = HIGH_ORDERS if order is None else (order,)
     records = records_of(recordings, start)
     spectra = [_whole(record) for record in records]
     wanted = _band(spectra) if frequency is None else require_frequencies(frequency, records[0].rate)
 
     def fit(windows: Sequence[Window]) -> list[LocalFit]:
         return [
-            fit_locally(_around(windows, float(centre), order), float(centre), order=order, leakage_order=order)
+            _fit(_around(windows, float(centre), orders[0]), float(centre), orders=orders, leakage_order=LEAKAGE_ORDER)
             for centre in wanted
         ]
 
@@ -429,9 +467,9 @@ def _around(spectra: Sequence[Window], centre: float, order: int) -> list[Window
     half = max(HALF_WIDTH[0], HALF_WIDTH[1] * centre)
     while half < highest:
         windows = [window.within(centre - half, centre + half) for window in spectra]
-        used = [window for window in windows if len(window.frequency) > order + 1]
+        used = [window for window in windows if len(window.frequency) > LEAKAGE_ORDER + 1]
         rows = sum(len(window.frequency) for window in used)
-        if used and rows >= n_unknowns(len(used), order, order) + LEAST_DOF:
+        if used and rows >= n_unknowns(len(used), order, LEAKAGE_ORDER) + LEAST_DOF:
             return used
         half += step / 2
     raise ValueError(f"the recordings hold too few lines around {centre:.3f} Hz; expected longer or more trials")
