@@ -363,7 +363,12 @@ def test_recordings_are_refused(load, method, spoil, message):
 @pytest.mark.parametrize(
     ("arguments", "options", "error", "message"),
     [
-        (("welch",), {}, ValueError, "method = 'welch'; expected one of spectral, arx, subspace"),
+        (
+            ("wavelet",),
+            {},
+            ValueError,
+            "method = 'wavelet'; expected one of multisine, noise, welch, multitaper, spectral, arx, subspace",
+        ),
         (("arx", [0.0, 1.0]), {}, ValueError, "frequency = 0 Hz; expected above 0 and below 100 Hz"),
         (("subspace", [100.0]), {}, ValueError, "frequency = 100 Hz"),
         (("arx", [np.nan]), {}, ValueError, "frequency = nan Hz"),

@@ -157,9 +157,12 @@ class Periodic(NamedTuple):
         """
         fits = []
         for group in self.groups:
-            chosen = (self._order(len(group), float(np.ptp(group) / group.mean())),) if order is None else (order,)
-            if order is None and len(group) > N_QUIET:
+            if order is not None:
+                chosen: tuple[int, ...] = (order,)
+            elif len(group) > N_QUIET:
                 chosen = HIGH_ORDERS
+            else:
+                chosen = (self._order(len(group), float(np.ptp(group) / group.mean())),)
             fits.append(
                 _fit(
                     self.windows(group),
@@ -186,7 +189,6 @@ def _fit(
     Without need for it, a further complex coefficient of an output lowers the logarithm of its sum of squares, times
     the number of lines, by about a gamma variable of shape one.
     """
-    n_lines = sum(len(window.frequency) for window in windows)
     best = fit_locally(windows, centre, order=orders[0], leakage_order=leakage_order, own_levels=own_levels)
     for lower, order in pairwise(orders):
         extra = N_INPUTS * (order - lower)
@@ -240,6 +242,16 @@ def records_of(recordings: Recordings, start: float) -> list[Record]:
                         f"{name} of trial {trial} is constant from {start:g} s on; expected a perturbation"
                     )
     return records
+
+
+def period_of(recordings: Recordings, start: float) -> float:
+    """Period of the disturbance [s], as found in what was recorded of it from `start` on.
+
+    Raises:
+      ValueError: as `records_of` and `find_period`.
+    """
+    records = records_of(recordings, start)
+    return find_period([record.perturbation for record in records], records[0].rate, start)
 
 
 def periodic_trials(recordings: Recordings, *, period: float | None, start: float, lines_per_average: int) -> Periodic:
@@ -415,7 +427,7 @@ def estimate_noise(
     """
     if order is not None:
         require_number("estimate_noise", "order", order, at_least=0)
-    orders = HIGH_ORDERS if order is None else (order,)
+    orders: tuple[int, ...] = HIGH_ORDERS if order is None else (order,)
     records = records_of(recordings, start)
     spectra = [_whole(record) for record in records]
     wanted = _band(spectra) if frequency is None else require_frequencies(frequency, records[0].rate)
@@ -433,7 +445,9 @@ def estimate_noise(
         else:
             found = None
     fits = fit(spectra)
-    return frequency_response(fits, what, [(fit.noise, fit.dof) for fit in fits], None if found is None else found.environment)
+    return frequency_response(
+        fits, what, [(fit.noise, fit.dof) for fit in fits], None if found is None else found.environment
+    )
 
 
 def _balance(recordings: Recordings) -> LineBalance | None:

@@ -1,13 +1,14 @@
 """A frequency response with the uncertainty of each of its elements, whichever method estimated it."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 from armperturb.environment import Environment
+from armperturb.recording import LABELS
 from armperturb.validation import require_number
 
 Array = NDArray[np.float64]
@@ -104,6 +105,33 @@ class FrequencyResponse:
         radius, gain, phase = self.radius(level), np.abs(self.response), np.angle(self.response)
         angle = np.where(radius < gain, np.arcsin(np.minimum(radius / gain, 1.0)), np.pi)
         return Bands(np.maximum(gain - radius, 0.0), gain + radius, phase - angle, phase + angle)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row per frequency, output and input, ready for `export.write_csv`.
+
+        `standard_error` is that of the real and of the imaginary part, each; `radius_95` that of the circle in which the
+        element lies with 95 %. Both are empty without covariance.
+        """
+        known = self.covariance is not None
+        error = np.sqrt(self.covariance / 2) if self.covariance is not None else np.empty(0)
+        radius = self.radius() if known else error
+        return [
+            {
+                "frequency_hz": float(frequency),
+                "output": LABELS["axis"][output],
+                "input": LABELS["axis"][input_],
+                "real": float(value.real),
+                "imag": float(value.imag),
+                "gain_m_per_N": float(abs(value)),
+                "phase_deg": float(np.degrees(np.angle(value))),
+                "standard_error": float(error[k, output, input_]) if known else "",
+                "radius_95": float(radius[k, output, input_]) if known else "",
+            }
+            for k, frequency in enumerate(self.frequency)
+            for output in range(2)
+            for input_ in range(2)
+            for value in (self.response[k, output, input_],)
+        ]
 
 
 def require_frequencies(frequency: ArrayLike, rate: float) -> Array:

@@ -52,7 +52,8 @@ class LineBalance(NamedTuple):
     def _stiffness(self, frequency: Array) -> Response:
         s = 2j * np.pi * frequency
         environment = self.environment
-        return np.asarray(environment.m_env * s**2 + environment.b_env * s + environment.k_env)[:, None]
+        stiffness = environment.m_env * s**2 + environment.b_env * s + environment.k_env
+        return np.asarray(stiffness[:, None], dtype=complex)
 
     def left_over(self, frequency: Array, perturbation: Response, answer: Response) -> Response:
         """N, (line, axis), from frequency [Hz], (line,); D, (line, axis); and F and X, (line, 4)."""
@@ -73,7 +74,7 @@ def find_balance(recordings: Sequence[xr.Dataset]) -> LineBalance | None:
     if not long_enough:
         return None
     n = min(one.sizes["time"] for one in long_enough)
-    pieces = [
+    d, f, x = (
         np.concatenate(
             [
                 one[name].values[:, first : first + n]
@@ -82,9 +83,9 @@ def find_balance(recordings: Sequence[xr.Dataset]) -> LineBalance | None:
             ]
         )
         for name in ("perturbation", "force", "displacement")
-    ]
+    )
     try:
-        return LineBalance(*Balance(*pieces, rate).fit())
+        return LineBalance(*Balance(d, f, x, rate).fit())
     except ValueError:
         return None
 
