@@ -109,8 +109,8 @@ class FrequencyResponse:
     def rows(self) -> list[dict[str, Any]]:
         """One row per frequency, output and input, ready for `export.write_csv`.
 
-        `standard_error` is that of the real and of the imaginary part, each; `radius_95` that of the circle in which the
-        element lies with 95 %. Both are empty without covariance.
+        `standard_error` is that of the real and of the imaginary part, each; `radius_95` that of the circle in which
+        the element lies with 95 %. Both are empty without covariance.
         """
         known = self.covariance is not None
         error = np.sqrt(self.covariance / 2) if self.covariance is not None else np.empty(0)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from armperturb.analysis.closed_loop import LEAST_DOF, Record, Recordings, records_of
+from armperturb.analysis.closed_loop import LEAST_DOF, N_POINTS, Record, Recordings, records_of
 from armperturb.analysis.frequency_response import FrequencyResponse, require_frequencies
 from armperturb.analysis.joint_records import JointRecords
 from armperturb.analysis.local_polynomial import N_INPUTS, System, Window, fit_locally, frequency_response
@@ -53,7 +53,8 @@ def estimate_welch(
       recordings: trials of one subject in one condition; their lengths may differ.
       what: "arm" (from f to x), "environment" (from d - f to x) or "total" (from d to x).
       start: of what is used [s].
-      frequency: where the response is wanted [Hz], (frequency,); None takes those that the disturbance excites.
+      frequency: where the response is wanted [Hz], (frequency,); None takes up to 40 of those that the disturbance
+        excites.
       segment: length of the segments [s]. Trials that are shorter are left out.
 
     Raises:
@@ -127,7 +128,9 @@ def _estimate(
             response=tuple(record.answer for record in records),
             rate=rate,
         )
-        frequency = joint.excited_frequencies()
+        excited = joint.excited_frequencies()
+        even = np.geomspace(excited[0], excited[-1], N_POINTS)
+        frequency = np.unique(excited[np.abs(excited - even[:, None]).argmin(axis=1)])
     wanted = require_frequencies(frequency, rate)
     spectra: list[Response] = []
     independent = 0.0

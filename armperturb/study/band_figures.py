@@ -47,10 +47,15 @@ def _draw_bands(panels: Mapping[Element, tuple[Axes, Axes]], found: FrequencyRes
             alpha=0.4,
             lw=0,
         )
-        phase = np.degrees(np.angle(found.response[at]))
-        turn = PHASES[0] + np.mod(phase - PHASES[0], 360.0) - phase
-        low, high = np.degrees(bands.phase_low[at]) + turn, np.degrees(bands.phase_high[at]) + turn
-        phase_ax.fill_between(found.frequency, low, high, color=GREY, alpha=0.4, lw=0)
+        # Bands go on where the line starts again at the other end of the axis.
+        angle = np.angle(found.response[at])
+        whole = np.unwrap(angle)
+        low, high = (np.degrees(limit[at] + whole - angle) for limit in (bands.phase_low, bands.phase_high))
+        first, last = np.floor((PHASES[0] - high.max()) / 360.0), np.ceil((PHASES[1] - low.min()) / 360.0)
+        limits = phase_ax.get_ylim()
+        for turn in 360.0 * np.arange(first, last + 1):
+            phase_ax.fill_between(found.frequency, low + turn, high + turn, color=GREY, alpha=0.4, lw=0)
+        phase_ax.set_ylim(limits)
 
 
 @in_style()

@@ -29,9 +29,8 @@ def distortion_rows(found: BestLinear) -> list[dict[str, Any]]:
 
 def distortion_text(found: BestLinear) -> str:
     """The share of the distortion in one line; negative shares, which chance makes, are none."""
-    shares = (
-        f"{max(share, 0.0):.1%} (+- {error:.1%})" for share, error in zip(found.share, found.share_error, strict=True)
-    )
+    both = zip(found.share, found.share_error, strict=True)
+    shares = (f"{max(share, 0.0):.1%} (+- {error:.1%})" for share, error in both)
     in_each = " and ".join(f"{share} in {axis}" for share, axis in zip(shares, LABELS["axis"], strict=True))
     return f"nonlinear distortion: of the response's power {in_each}; p = {found.p_value:.2g} if the arm is linear"
 
