@@ -238,6 +238,7 @@ def estimate_response(
     """
     if method not in METHODS:
         raise ValueError(f"method = {method!r}; expected one of {', '.join(METHODS)}")
+    require_what(options.get("what", "arm"))
     return METHODS[method](recording, frequency=frequency, **options)
 
 

@@ -71,7 +71,7 @@ def find_period(perturbation: Sequence[Array], rate: float, start: float = 0.0) 
             raise ValueError(refusal)
     found = dips[best] + offset[best]
     raise ValueError(
-        f"rate = {rate:g} Hz; expected one at which the perturbation's period of {found / rate:.6g} s is a whole "
+        f"rate = {rate:g} Hz; expected one at which the perturbation's period of {found / rate:.5g} s is a whole "
         f"number of samples (it is {found:.2f}): resample the recording"
     )
 
