@@ -95,7 +95,7 @@ def test_it_refuses_in_one_line(folder, tmp_path, capsys):
     assert "trial 0 ends at 25 s; expected more than 30 s" in refused(
         capsys, "response", folder / "noise.nc", "--method", "noise", "--start", 30, *out
     )
-    assert "No such file" in refused(capsys, "response", tmp_path / "none.nc", *out)
+    assert "no such file" in refused(capsys, "response", tmp_path / "none.nc", *out)
     recording = recorded(noise(np.random.default_rng(2), 2, 12.0), np.random.default_rng(2))
     save_recording(recording.assign_coords(condition=("trial", ["PT", "RT"])), tmp_path / "two.nc")
     assert "conditions PT, RT; expected one (choose a --condition)" in refused(
