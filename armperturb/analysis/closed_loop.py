@@ -153,32 +153,29 @@ class Periodic(NamedTuple):
 
         Polynomials have at most one term per excited line; by default at most `HIGHEST_ORDER`, beyond the first order
         only half as many terms as equations, or one less than equations where the group is `WIDE`; of groups of many
-        lines more, if those fit clearly better.
+        lines, or wide ones, more if those fit clearly better.
         """
         fits = []
         for group in self.groups:
-            if order is not None:
-                chosen: tuple[int, ...] = (order,)
-            elif len(group) > N_QUIET:
-                chosen = HIGH_ORDERS
-            else:
-                chosen = (self._order(len(group), float(np.ptp(group) / group.mean())),)
+            chosen = self._orders(len(group), float(np.ptp(group) / group.mean())) if order is None else (order,)
             fits.append(
                 _fit(
                     self.windows(group),
                     float(group.mean()) / self.period,
-                    orders=[min(one, len(group) - 1) for one in chosen],
+                    orders=sorted({min(one, len(group) - 1) for one in chosen}),
                     leakage_order=LEAKAGE_ORDER,
                     own_levels=own_levels,
                 )
             )
         return fits
 
-    def _order(self, n_lines: int, width: float) -> int:
-        """Of the polynomial over a group of that width over its frequency."""
+    def _orders(self, n_lines: int, width: float) -> tuple[int, ...]:
+        """Of the polynomial over a group of that width over its frequency; later ones if they fit clearly better."""
         equations = n_lines * len(self.trials) // N_INPUTS
         terms = equations - 1 if width > WIDE else equations // 2
-        return min(max(1, terms - 1), HIGHEST_ORDER if width > NARROW else 1)
+        if n_lines > N_QUIET or (width > WIDE and terms > HIGHEST_ORDER + 1):
+            return HIGH_ORDERS
+        return (min(max(1, terms - 1), HIGHEST_ORDER if width > NARROW else 1),)
 
 
 def _fit(
