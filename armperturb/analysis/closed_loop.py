@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
 from armperturb.analysis.frequency_response import FrequencyResponse, require_frequencies
+from armperturb.analysis.joint_records import JointRecords
 from armperturb.analysis.line_balance import LineBalance, find_balance, holds
 from armperturb.analysis.local_polynomial import (
     N_INPUTS,
@@ -413,8 +414,8 @@ def estimate_noise(
       recordings: trials of one subject in one condition; their lengths may differ.
       what: as in `estimate_multisine`.
       start: of what is used [s].
-      frequency: where the response is wanted [Hz], (frequency,); by default evenly on a logarithmic scale over the
-        band that holds all but 1 % of the disturbance's power.
+      frequency: where the response is wanted [Hz], (frequency,); None takes up to 40 of those that the disturbance
+        excites.
       order: of the response's polynomial; by default 2, or up to 5 where that fits clearly better. The band around a
         frequency is as wide as `HALF_WIDTH` says, and wider where that gives fewer than `LEAST_DOF` degrees of freedom.
       balance: as in `estimate_multisine`.
@@ -427,7 +428,7 @@ def estimate_noise(
     orders: tuple[int, ...] = HIGH_ORDERS if order is None else (order,)
     records = records_of(recordings, start)
     spectra = [_whole(record) for record in records]
-    wanted = _band(spectra) if frequency is None else require_frequencies(frequency, records[0].rate)
+    wanted = excited_band(records) if frequency is None else require_frequencies(frequency, records[0].rate)
 
     def fit(windows: Sequence[Window]) -> list[LocalFit]:
         return [
@@ -463,12 +464,22 @@ def _whole(record: Record) -> Window:
     return Window(frequency, d, z, np.ones(len(d), dtype=bool))
 
 
-def _band(spectra: Sequence[Window]) -> Array:
-    """Frequencies that share out the band of the disturbance evenly on a logarithmic scale."""
-    longest = max(spectra, key=lambda window: len(window.frequency))
+def excited_band(records: Sequence[Record]) -> Array:
+    """At most `N_POINTS` frequencies [Hz] that the disturbance excites, (frequency,).
+
+    They share out the band that holds all but 1 % of its power evenly on a logarithmic scale, as far as there is power.
+    """
+    joint = JointRecords(
+        perturbation=tuple(record.perturbation for record in records),
+        response=tuple(record.answer for record in records),
+        rate=records[0].rate,
+    )
+    excited = joint.excited_frequencies()
+    longest = _whole(max(records, key=lambda record: len(record.perturbation)))
     power = np.cumsum(np.sum(np.abs(longest.perturbation) ** 2, axis=1))
     low, high = np.interp([0.005, 0.995], power / power[-1], longest.frequency)
-    return np.geomspace(low, high, N_POINTS)
+    even = np.geomspace(low, high, N_POINTS)
+    return np.unique(excited[np.abs(excited - even[:, None]).argmin(axis=1)])
 
 
 def _around(spectra: Sequence[Window], centre: float, order: int) -> list[Window]:

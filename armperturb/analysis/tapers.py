@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from armperturb.analysis.closed_loop import LEAST_DOF, N_POINTS, Record, Recordings, records_of
+from armperturb.analysis.closed_loop import LEAST_DOF, Record, Recordings, excited_band, records_of
 from armperturb.analysis.frequency_response import FrequencyResponse, require_frequencies
-from armperturb.analysis.joint_records import JointRecords
 from armperturb.analysis.local_polynomial import N_INPUTS, System, Window, fit_locally, frequency_response
 from armperturb.validation import require_number
 
@@ -122,16 +121,7 @@ def _estimate(
 ) -> FrequencyResponse:
     """Response from pieces of records, tapers of each piece, and how many independent spectra that is worth."""
     rate = records[0].rate
-    if frequency is None:
-        joint = JointRecords(
-            perturbation=tuple(record.perturbation for record in records),
-            response=tuple(record.answer for record in records),
-            rate=rate,
-        )
-        excited = joint.excited_frequencies()
-        even = np.geomspace(excited[0], excited[-1], N_POINTS)
-        frequency = np.unique(excited[np.abs(excited - even[:, None]).argmin(axis=1)])
-    wanted = require_frequencies(frequency, rate)
+    wanted = excited_band(records) if frequency is None else require_frequencies(frequency, rate)
     spectra: list[Response] = []
     independent = 0.0
     waves: dict[int, Response] = {}
