@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armperturb.analysis.frequency_response import FrequencyResponse
+from armperturb.environment import Environment
 
 Array = NDArray[np.float64]
 Response = NDArray[np.complex128]
@@ -228,7 +229,10 @@ def element_variance(system: Linearised, factor: Response, noise: Response) -> A
 
 
 def frequency_response(
-    fits: Sequence[LocalFit], what: System, noises: Sequence[tuple[Response, float]]
+    fits: Sequence[LocalFit],
+    what: System,
+    noises: Sequence[tuple[Response, float]],
+    environment: Environment | None = None,
 ) -> FrequencyResponse:
     """One system at all frequencies, with the covariance of the noise and its degrees of freedom at each."""
     systems = [linearised(fit.answer, what) for fit in fits]
@@ -243,4 +247,5 @@ def frequency_response(
         ),
         what=what,
         dof=np.array([dof for _, dof in noises]),
+        environment=environment,
     )
