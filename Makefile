@@ -3,7 +3,7 @@ PYTHON ?= python3
 OUT ?= results
 BIN := .venv/bin
 
-.PHONY: run test check bench clean
+.PHONY: run test check docs bench clean
 .DELETE_ON_ERROR:
 
 run: .venv/installed
@@ -12,16 +12,20 @@ run: .venv/installed
 test: .venv/installed-test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
-check: .venv/installed-test .venv/installed-check
+check: .venv/installed-test .venv/installed-check docs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# Into site/. While writing, `.venv/bin/mkdocs serve` shows each change at once.
+docs: .venv/installed-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -W error -m mkdocs build --strict
 
 bench: .venv/installed-test
 	$(BIN)/python -m benchmarks
 
 clean:
-	rm -rf .venv $(OUT)
+	rm -rf .venv site $(OUT)
 
 .venv/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "armperturb needs Python 3.11 or newer, this is " + sys.version)'
@@ -38,4 +42,8 @@ clean:
 
 .venv/installed-check: .venv/bin/python pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[check]'
+	touch $@
+
+.venv/installed-docs: .venv/bin/python pyproject.toml constraints.txt
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[docs]'
 	touch $@

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -14,7 +14,7 @@ from tqdm import tqdm
 from armperturb.analysis.export import write_identification
 from armperturb.analysis.identify import Identification, identify_conditions
 from armperturb.convert import export_recording, import_recording
-from armperturb.convert.exporter import COLUMNS, require_ending
+from armperturb.convert.exporter import require_ending
 from armperturb.convert.faults import Repair
 from armperturb.environment import Environment
 from armperturb.envs.gl import require_simulator
@@ -123,6 +123,30 @@ class Identify:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Response:
+    """Estimate a frequency response without a model of the arm, its uncertainty, and how nonlinear the arm is."""
+
+    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Recordings of one person in one condition: netCDF4, or CSV, MATLAB or C3D with a sidecar (see convert); their
+    lengths may differ."""
+    out: Path
+    """Folder for response.csv and response.svg; with multisines in two trials or more also distortion.csv and .svg."""
+    method: Literal["multisine", "noise", "welch", "multitaper", "spectral", "arx", "subspace"] = "multisine"
+    """How: for multisines of any lines and period, multisine, or spectral as in the thesis; for any disturbance with
+    power at all frequencies, noise, welch or multitaper; for either, the models arx and subspace."""
+    what: Literal["arm", "environment", "total"] = "arm"
+    """Of what: the arm (from force to displacement), the manipulator, or both (from perturbation to displacement)."""
+    subject: str | None = None
+    """Which subject, if the recordings hold several."""
+    condition: str | None = None
+    """Which condition, if they hold several."""
+    start: float | None = None
+    """Start of what is used [s]; by default 2 of multisine, 8 of spectral, and else 0."""
+    period: float | None = None
+    """Period of a multisine [s]; by default it is found."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Validate:
     """Judge the estimators on synthetic trials whose truth is known: bias, error over Cramer-Rao bound, coverage."""
 
@@ -177,6 +201,12 @@ class Design:
     spread: float = 0.2
     """Share of each axis's power that is spread evenly over the band, 0 to 1, so that structure and admittances can be
     judged from the same trials."""
+    noise: Literal["held", "follows"] = "held"
+    """Of the person: held at what it is under the thesis's multisine, also under less load; or following the load, as
+    the noise of the synthetic people does."""
+    perturbation: Path | None = None
+    """CSV file (see simulate) of a perturbation of your own, whose standard errors are told beside; it need not keep
+    the limits."""
     seed: int = 0
     """Of the phases."""
 
@@ -353,8 +383,7 @@ def convert(settings: Convert) -> tuple[tuple[str, ...], list[Path]]:
         raise FileNotFoundError(f"{settings.out}: folder {settings.out.parent} does not exist; expected one that does")
     found = import_recording(settings.files, sidecar=settings.sidecar, repair=settings.repair, rate=settings.rate)
     paths = export_recording(found.recording, settings.out)
-    left_out = [name for name in found.recording.data_vars if settings.out.suffix == ".csv" and name not in COLUMNS]
-    return (*found.notes, *(f"{name} is left out, as text has one rate" for name in left_out)), paths
+    return found.notes, paths
 
 
 def identify(settings: Identify) -> dict[str, Identification]:
@@ -393,6 +422,66 @@ def identify(settings: Identify) -> dict[str, Identification]:
         raise ValueError(f"{named}: {error}") from None
     write_identification(result, settings.out)
     return result
+
+
+def response(settings: Response) -> list[str]:
+    """Estimate a frequency response, write it, and return what is to be said of it, a line each.
+
+    Raises:
+      TypeError: a field of a sidecar has the wrong type.
+      ValueError: a recording is refused, or does not suit the method.
+      RuntimeError: C3D is to be read without ezc3d.
+      OSError: a file cannot be read or written.
+    """
+    # Here, so that the other commands start without the drawing library.
+    from armperturb.analysis.best_linear import estimate_best_linear
+    from armperturb.analysis.closed_loop import period_of
+    from armperturb.analysis.nonparametric import estimate_response
+    from armperturb.study.response_report import distortion_text, write_response
+
+    periodic = settings.method in ("multisine", "spectral")
+    if settings.period is not None and not periodic:
+        raise ValueError(f"response: period = {settings.period:g}; expected none with the method {settings.method}")
+    recordings = [import_recording([path]).recording for path in settings.recordings]
+    named = ", ".join(map(str, settings.recordings))
+    for name in ("subject", "condition"):
+        wanted = getattr(settings, name)
+        held = list(dict.fromkeys(label for one in recordings for label in one[name].values.tolist()))
+        if wanted is None and len(held) > 1:
+            raise ValueError(f"{named}: {name}s {', '.join(held)}; expected one (choose a --{name})")
+        if wanted is not None and wanted not in held:
+            raise ValueError(f"{named}: no {name} {wanted!r}; expected one of {', '.join(held)}")
+        chosen = held[0] if wanted is None else wanted
+        recordings = [one.isel(trial=np.flatnonzero(one[name].values == chosen)) for one in recordings]
+        recordings = [one for one in recordings if one.sizes["trial"]]
+    options: dict[str, Any] = {} if settings.start is None else {"start": settings.start}
+    said, distortion = [], None
+    try:
+        if settings.method == "multisine":
+            start = 2.0 if settings.start is None else settings.start
+            options |= {"period": period_of(recordings, start) if settings.period is None else settings.period}
+            said.append(f"period: {options['period']:g} s")
+        elif settings.period is not None:
+            options |= {"period": settings.period}
+        found = estimate_response(recordings, settings.method, what=settings.what, **options)
+    except ValueError as error:
+        raise ValueError(f"{named}: {error}") from None
+    if found.environment is not None:
+        held_by = found.environment
+        said.append(
+            f"force balance of the manipulator used: {held_by.m_env:.4g} kg, {held_by.b_env:.3g} Ns/m, "
+            f"{held_by.k_env:.4g} N/m"
+        )
+    if found.covariance is None:
+        said.append(f"no uncertainty: {settings.method} needs more trials for one")
+    if settings.method == "multisine" and settings.what == "arm":
+        try:
+            distortion = estimate_best_linear(recordings, **options)
+            said.append(distortion_text(distortion))
+        except ValueError as error:
+            said.append(f"nonlinear distortion: not told ({error})")
+    write_response(found, distortion, settings.out, str(recordings[0]["condition"].values[0]))
+    return said
 
 
 def validate(settings: Validate) -> str:
@@ -435,9 +524,15 @@ def design(settings: Design) -> str:
             f"design: limits = {settings.limits!r}; expected three numbers with commas between: RMS force [N], RMS "
             "displacement [m], duration [s]"
         ) from None
-    what = {name: value for name, value in vars(settings).items() if name not in ("subject", "limits", "out")}
+    apart = ("subject", "limits", "out", "perturbation")
+    what = {name: value for name, value in vars(settings).items() if name not in apart}
     result = plan(
-        DesignSettings(subject=Subject.load(settings.subject), limits=(force, displacement, duration), **what)
+        DesignSettings(
+            subject=Subject.load(settings.subject),
+            limits=(force, displacement, duration),
+            proposed=None if settings.perturbation is None else load_csv(settings.perturbation),
+            **what,
+        )
     )
     write_design(result, settings.out)
     return design_text(result)
@@ -564,14 +659,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
       The exit status: 0, 1 for an input that is refused (one line on stderr says why), 130 for Ctrl-C.
     """
     command = tyro.cli(
-        Study | Report | Score | Simulate | Convert | Identify | Validate | Design | Calibrate | Video | View,
+        Study
+        | Report
+        | Score
+        | Simulate
+        | Convert
+        | Identify
+        | Response
+        | Validate
+        | Design
+        | Calibrate
+        | Video
+        | View,
         prog="armperturb",
         description="Human-arm perturbation experiments on synthetic people in MuJoCo, and their analysis.",
         args=arguments,
         config=(tyro.conf.OmitSubcommandPrefixes, tyro.conf.FlagCreatePairsOff),
     )
     try:
-        if not isinstance(command, Convert | Identify):
+        if not isinstance(command, Convert | Identify | Response):
             require_simulator()
         if isinstance(command, Study):
             print(f"{'recordings' if command.record_only else 'report'}: {study(command)}")
@@ -585,6 +691,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for note in notes:
                 print(note)
             print(f"recording: {', '.join(map(str, paths))}")
+        elif isinstance(command, Response):
+            for line in response(command):
+                print(line)
+            print(f"results: {command.out}")
         elif isinstance(command, Score):
             print(score(command))
             print(f"results: {command.out or command.folder / 'score'}")

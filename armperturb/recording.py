@@ -195,7 +195,7 @@ def check_recording(
         if variable.dims != ("trial", *dims):
             expected = ", ".join(f"'{dim}'" for dim in ("trial", *dims))
             raise ValueError(f"{source}: {name} has dims {variable.dims}; expected ({expected})")
-        if variable.attrs.get("units") != units:
+        if not isinstance(variable.attrs.get("units"), str) or variable.attrs["units"] != units:
             raise ValueError(f"{source}: {name} has units {variable.attrs.get('units')!r}; expected {units!r}")
         if last not in recording.coords or tuple(map(str, recording[last].values)) != LABELS[last]:
             raise ValueError(f"{source}: dimension {last!r} is not labelled; expected {', '.join(LABELS[last])}")
@@ -320,8 +320,10 @@ def load_recording(path: str | Path, optional: Iterable[str] = OPTIONAL_SIGNALS)
         with xr.open_dataset(path, engine="h5netcdf") as opened:
             kept = [name for name in opened.data_vars if name in wanted or name not in OPTIONAL_SIGNALS]
             recording = opened[kept].load()
-    except (OSError, ValueError, KeyError) as error:
-        raise ValueError(f"{path}: not a readable netCDF4 file ({error})".replace("\n", " ")) from None
+    except PermissionError:
+        raise
+    except Exception as error:  # a damaged file makes HDF5 fail in any way
+        raise ValueError(f"{path}: not a readable netCDF4 file ({' '.join(str(error).split())})") from None
     for name in TEXT_COORDINATES:
         if name in recording.coords:
             recording[name] = recording[name].astype(str)

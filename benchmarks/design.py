@@ -1,10 +1,10 @@
 """Whether a design keeps its promise: measured errors under the optimised multisine over those under the thesis's.
 
 Run by `python -m benchmarks.design`, or with 40 groups by `python -m benchmarks.design 40`. Linear people with the
-noise of people and instruments are perturbed by the realisations that `armperturb design` writes, and by the thesis's
-multisines as strong as the same limits allow; both are identified from whole records. Measured is the RMS error about
-the truth over the groups, and the geometric mean of its ratio over the goal's parameters; its standard error comes from
-resampling the groups.
+noise of people, which follows the load, and of instruments are perturbed by the realisations that `armperturb design`
+writes, and by the thesis's multisines as strong as the same limits allow; both are identified from whole records.
+Measured is the RMS error about the truth over the groups, and the geometric mean of its ratio over the goal's
+parameters; its standard error comes from resampling the groups.
 
 Then, without simulation: what the design for the mean person promises other people, drawn around that person, and what
 spreading power over the band costs.
@@ -13,6 +13,7 @@ spreading power over the band costs.
 import sys
 import time
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,9 @@ from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.envs.trial import Trial
 from armperturb.perturbations import Multisine, Perturbation
-from armperturb.study.design import Design, DesignSettings, design, experiment_at
+from armperturb.study.design import Design, DesignSettings, NoiseLaw, design, experiment_at
 from armperturb.study.protocol import trial_seed
-from armperturb.study.validate import ValidateSettings
+from armperturb.study.validate import ValidateSettings, at_truth
 from armperturb.subject import POSITION, RELAX
 
 Array = NDArray[np.float64]
@@ -41,6 +42,12 @@ TOLERANCE = 0.15
 
 CASES = {
     "PT7.5, reflexes": DesignSettings(subject=POSITION, goal="reflex", limits=(5.4, 7.5e-3, 32.0), trials=TRIALS),
+    "PT7.5, reflexes, noise follows": DesignSettings(
+        subject=POSITION, goal="reflex", limits=(5.4, 7.5e-3, 32.0), trials=TRIALS, noise="follows"
+    ),
+    "a person of the PT cohort, reflexes": DesignSettings(
+        subject=draw("position", 3), goal="reflex", limits=(5.4, 7.5e-3, 32.0), trials=TRIALS
+    ),
     "PT7.5, stiffness, damping": DesignSettings(
         subject=POSITION, goal="intrinsic", limits=(5.4, 7.5e-3, 32.0), trials=TRIALS
     ),
@@ -70,6 +77,7 @@ def errors(plan: Design, played: list[Perturbation], groups: int, name: str) -> 
     """Estimate minus truth, (group, parameter)."""
     subject = plan.settings.subject
     structure = ValidateSettings(task=subject.task, model=plan.settings.model_name()).structure()
+    structure = at_truth(structure, subject)
     noise = replace(HUMAN_NOISE[subject.task], spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
     found = np.empty((groups, len(plan.names)))
     for group in range(groups):
@@ -124,7 +132,7 @@ def check(case: str, settings: DesignSettings, groups: int) -> bool:
         f"geometric mean of *: predicted {plan.factor:.3f}, measured {found:.3f} +- {np.std(again):.3f}, off by "
         f"{100 * off:+.1f} % (at most {100 * TOLERANCE:.0f} %): {verdict}"
     )
-    print(f"were people as noisy under both: predicted {plan.factor_equally_noisy:.3f}")
+    print(", ".join(f"noise {law}: predicted {factor:.3f}" for law, factor in plan.factors.items()))
     return abs(off) <= TOLERANCE
 
 
@@ -136,9 +144,10 @@ def factor_for(plan: Design, person: DesignSettings) -> float:
     found = []
     columns = [plan.names.index(name) for name in plan.settings.wanted()]
     for signal in (plan.thesis, plan.optimised):
-        experiment = experiment_at(person, signal.lines)
+        experiment = experiment_at(person, signal.frequency)
         moved = float(experiment.displacement(signal.power).max()) / plan.settings.limits[1] ** 2
-        found.append(experiment.standard_error(signal.power / max(1.0, moved), plan.settings.limits[2])[columns])
+        information = experiment.information(signal.power / max(1.0, moved))
+        found.append(experiment.standard_error(information, plan.settings.limits[2])[columns])
     return float(np.exp(np.mean(np.log(found[1] / found[0]))))
 
 
@@ -158,10 +167,10 @@ def other_people(settings: DesignSettings) -> None:
 def spreading(settings: DesignSettings) -> None:
     """The factor against the share of power that is spread evenly."""
     shares = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0)
-    plans = [design(replace(settings, spread=share, trials=1)) for share in shares]
     print("\nspread               " + " ".join(f"{share:6.2f}" for share in shares))
-    print("factor               " + " ".join(f"{plan.factor:6.3f}" for plan in plans))
-    print("were people as noisy " + " ".join(f"{plan.factor_equally_noisy:6.3f}" for plan in plans))
+    for law in get_args(NoiseLaw):
+        factors = [design(replace(settings, spread=share, trials=1, noise=law)).factor for share in shares]
+        print(f"factor, {law:13}" + " ".join(f"{factor:6.3f}" for factor in factors))
 
 
 def main() -> None:

@@ -1,8 +1,8 @@
 """Estimates without an arm model beside each other, and beside the parametric one, where the truth is known.
 
-Run by `python -m benchmarks.nonparametric`; some 2 min of one core. For each case and method: the RMS over frequencies
+Run by `python -m benchmarks.nonparametric`; some 3 min of one core. For each case and method: the RMS over frequencies
 to 20 Hz of |estimate - truth| / |truth| (norms of the matrices; mean and largest of the seeds), the order that was
-chosen (median), the largest pole of any seed, how large the error is beside its own standard deviation (ARX; 1 if the
+chosen (median), the largest pole of any seed, how large the error is beside its own standard deviation (1 if the
 covariance is right), and processor time from the recording on. Frequencies are those at which the spectral estimates
 stand. "direct" is what the models from d avoid: an ARX model straight from f to x, of as many lags as "arx" may choose.
 A second table has the error of ARX models by the order that is chosen for the response, by that of the least Bayesian
@@ -212,7 +212,8 @@ def compare_methods() -> None:
         frequency = estimate_spectra(line_spectra(whole[0])).frequency
         frequency = frequency[frequency <= TOP]
         periodic = np.isnan(recordings[0]["pulse_onset"]).all()
-        methods = ("spectral",) * bool(periodic) + ("arx", "subspace", "direct") + ("parametric",) * bool(case.model)
+        methods = ("spectral", "multisine", "welch", "multitaper") * bool(periodic)
+        methods += ("noise", "arx", "subspace", "direct") + ("parametric",) * bool(case.model)
         for method in methods:
             rows = [run(case, method, recording, frequency) for recording in recordings]
             found = {key: np.array([row[key] for row in rows]) for key in rows[0]}

@@ -1,6 +1,7 @@
 """What a laboratory might bring: a handle that moves as a known mass, spring and damper, and its files."""
 
 import json
+from functools import lru_cache
 
 import numpy as np
 
@@ -9,11 +10,16 @@ MASS, DAMPING, STIFFNESS = 3.0, 2.0, 40.0
 
 
 def handle(seed=0, rate=RATE, duration=N_TIME / RATE, late=0.0):
-    """Disturbance d, reaction force f and displacement x of a trial [N, N, m], (time, axis) each.
+    """Disturbance d, reaction force f and displacement x of a trial [N, N, m], (time, axis) each, not to be changed.
 
     The path is a sum of sinusoids under a window, so that velocity and acceleration are known in closed form: nothing
     here is computed as the package does it. Force is recorded late [s], by a number or by one for each sample.
     """
+    return _handle(seed, rate, duration, late) if np.isscalar(late) else _handle.__wrapped__(seed, rate, duration, late)
+
+
+@lru_cache(maxsize=64)
+def _handle(seed, rate, duration, late):
     rng = np.random.default_rng(seed)
     frequency, phase = rng.uniform(0.3, 6.0, (30, 2)), rng.uniform(0.0, 2 * np.pi, (30, 2))
     amplitude = 0.006 / (1.0 + frequency**2)
@@ -38,6 +44,8 @@ def handle(seed=0, rate=RATE, duration=N_TIME / RATE, late=0.0):
     past = time - late
     x_past, v_past, a_past = path(past)
     f = push(past) - MASS * a_past - DAMPING * v_past - STIFFNESS * x_past
+    for values in (d, f, x):
+        values.flags.writeable = False
     return d, f, x
 
 
@@ -81,9 +89,9 @@ def table(n_trials=N_TRIALS, **options):
 
 
 def as_text(values, columns=COLUMNS, delimiter=",", decimal="."):
-    lines = [delimiter.join(columns)]
-    lines += [delimiter.join(repr(v).replace(".", decimal) for v in row) for row in np.asarray(values).tolist()]
-    return "\n".join(lines) + "\n"
+    line = delimiter.join(["%r"] * len(columns)) + "\n"
+    text = "".join(line % tuple(row) for row in np.asarray(values).tolist())
+    return delimiter.join(columns) + "\n" + text.replace(".", decimal)
 
 
 def write(folder, values=None, sidecar=None, name="lab", text=None):

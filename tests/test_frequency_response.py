@@ -5,8 +5,13 @@ import pytest
 from scipy import signal
 
 from armperturb.analysis.closed_loop import estimate_multisine, estimate_noise
+from armperturb.analysis.displacement import NoiseLevels
 from armperturb.analysis.frequency_response import FrequencyResponse
+from armperturb.analysis.line_balance import LineBalance
 from armperturb.analysis.local_polynomial import Window, fit_locally
+from armperturb.analysis.nonparametric import estimate_response
+from armperturb.analysis.periodicity import find_period
+from armperturb.environment import Environment
 from armperturb.recording import make_recording
 
 RATE, PERIOD = 200.0, 20.48
@@ -102,10 +107,132 @@ def test_known_load_from_every_excitation(excited, way, what):
     assert worst(estimate(recordings, what=what), what) < 0.02
 
 
-def test_multisines_of_unequal_length():
-    rng = np.random.default_rng(2)
-    recordings = [recorded(multisine(rng, 2, duration), rng) for duration in (25.0, 44.0)]
-    assert worst(estimate_multisine(recordings), "arm") < 0.02
+@pytest.fixture(scope="module")
+def measured():
+    """The same by the thesis's gauge and encoders."""
+    rng = np.random.default_rng(8)
+
+    def by_instruments(d):
+        return recorded(d, rng, instruments=1.0)
+
+    odd = np.arange(3, 512, 2)
+    return {
+        "clusters": (by_instruments(multisine(rng, 4, 32.0)), estimate_multisine),
+        "odd lines": (by_instruments(multisine(rng, 4, 32.0, odd)), estimate_multisine),
+        "clusters, unequal": ([by_instruments(multisine(rng, 2, t)) for t in (25.0, 44.0)], estimate_multisine),
+        "noise": (by_instruments(noise(rng, 4, 32.0)), estimate_noise),
+        "noise, unequal": ([by_instruments(noise(rng, n, t)) for n, t in ((2, 25.0), (2, 41.0))], estimate_noise),
+    }
+
+
+@pytest.mark.parametrize("way", ["clusters", "odd lines", "clusters, unequal", "noise", "noise, unequal"])
+def test_known_load_by_the_thesis_instruments(measured, way):
+    recordings, estimate = measured[way]
+    found = estimate(recordings)
+    assert worst(found, "arm") < 0.02
+    assert found.environment.m_env == pytest.approx(3.27, rel=1e-3)
+    # Encoders alone do not see the load's micrometres.
+    assert worst(estimate(recordings, balance=False), "arm") > 1.5 * worst(found, "arm")
+
+
+def test_a_manipulator_that_does_not_balance_is_found_out(measured):
+    recording, _ = measured["clusters"]
+    rate = recording.attrs["rate"]
+    shifted = recording["force"].copy(data=np.roll(recording["force"].values, 1, axis=1))
+    heavy = recording["force"].values.copy()
+    heavy[..., 1] -= 0.2 * np.gradient(
+        np.gradient(recording["displacement"].values[..., 1], 1 / rate, axis=1), 1 / rate, axis=1
+    )
+    heavy = recording["force"].copy(data=heavy)
+    for force in (shifted, heavy, -recording["force"]):
+        spoiled = recording.assign(force=force)
+        found, raw = (estimate_multisine(spoiled, **options) for options in ({}, {"balance": False}))
+        assert found.environment is None
+        np.testing.assert_array_equal(found.response, raw.response)
+
+
+def test_corrected_lines_obey_the_balance_and_are_least_noisy():
+    rng = np.random.default_rng(9)
+    frequency = np.geomspace(0.5, 40.0, 6)
+    held = 1.0 / (3.0 * (2j * np.pi * frequency) ** 2 + 5.0 * 2j * np.pi * frequency + 20.0)[:, None]
+    balance = LineBalance(Environment(m_env=3.0, b_env=5.0, k_env=20.0), NoiseLevels(0.02, 1e-5))
+    d, f = rng.normal(size=(2, 6, 2)) + 1j * rng.normal(size=(2, 6, 2))
+    true = np.concatenate([f, held * (d - f)], axis=1)
+    np.testing.assert_allclose(balance.corrected(frequency, d, true), true, atol=1e-12)
+    white = rng.normal(size=(2, 4000, 6, 4)) * [0.02, 0.02, 1e-5, 1e-5]
+    better = np.array([balance.corrected(frequency, d, true + one) for one in white[0] + 1j * white[1]])
+    np.testing.assert_allclose(better[..., 2:], held * (d - better[..., :2]), atol=1e-12)
+    # The mean of two measurements of x, weighted inversely with their variances, has the inverse sum of these.
+    least = 2.0 / (1.0 / 1e-5**2 + 1.0 / np.abs(held * 0.02) ** 2)
+    np.testing.assert_allclose(np.mean(np.abs(better - true) ** 2, axis=0)[:, 2:], least.repeat(2, axis=1), rtol=0.1)
+
+
+def realisations(period, duration, rate, n_trials=2, top=12.0):
+    """Multisines of all lines up to a frequency, computed line by line: no sample need fall on a period."""
+    rng = np.random.default_rng(10)
+    lines = np.arange(1, int(top * period))
+    angle = 2 * np.pi * np.outer(np.arange(round(duration * rate)) / rate, lines) / period
+    return [np.cos(angle[:, None] + 2 * np.pi * rng.random((2, len(lines)))).sum(axis=2) for _ in range(n_trials)]
+
+
+@pytest.mark.parametrize(("period", "duration"), [(20.48, 24.0), (8.0, 9.0), (5.12, 30.0), (0.5, 4.0)])
+def test_the_period_is_found(period, duration):
+    rng = np.random.default_rng(11)
+    d = realisations(period, duration, RATE)
+    assert find_period(d, RATE) == pytest.approx(period, rel=1e-12)
+    rough = [np.round((one + 0.03 * one.std() * rng.normal(size=one.shape)) / 0.1) * 0.1 for one in d]
+    assert find_period([rough[0], rough[1][: round(1.2 * period * RATE)]], RATE) == pytest.approx(period, rel=1e-12)
+
+
+def test_without_a_period_there_is_one_line():
+    with pytest.raises(
+        ValueError, match=r"rate = 199\.3 Hz; expected one at which .* period of 7\.7 s is a whole number"
+    ):
+        find_period(realisations(7.7, 12.0, 199.3), 199.3)
+    rng = np.random.default_rng(12)
+    for d in (noise(rng, 2, 20.0), 0.0 * noise(rng, 1, 5.0), noise(rng, 1, 0.02), multisine(rng, 1, 21.0)):
+        with pytest.raises(ValueError, match=r"does not repeat within .* there is the method noise"):
+            find_period(list(d), RATE)
+
+
+def test_the_period_and_the_lines_are_found_in_the_recording(excited):
+    recording, _ = excited["clusters"]
+    stated, found = (estimate_multisine(recording, period=period) for period in (PERIOD, None))
+    np.testing.assert_array_equal(found.response, stated.response)
+    np.testing.assert_allclose(found.frequency * PERIOD, CLUSTERS.reshape(-1, 4).mean(axis=1))
+
+
+@pytest.mark.parametrize("method", ["welch", "multitaper"])
+def test_tapers_of_unequal_records(method):
+    # Of a load that pushes: its own force is what their covariance is for.
+    frequency = np.geomspace(0.4, 15.0, 10)
+    covered, errors = [], []
+    for seed in range(12):
+        rng = np.random.default_rng([seed, 5])
+        recordings = [recorded(noise(rng, n, t), rng, own=0.3, instruments=1.0) for n, t in ((2, 25.0), (1, 41.0))]
+        found = estimate_response(recordings, method, frequency)
+        covered.append(found.covers(TRUE["arm"](frequency)).mean())
+        errors.append(
+            np.abs(found.response - TRUE["arm"](frequency))
+            / np.abs(TRUE["arm"](frequency)).max(axis=(1, 2), keepdims=True)
+        )
+    assert 0.90 <= np.mean(covered) <= 0.98
+    assert np.abs(np.median(errors)) < 0.1
+
+
+def test_tapers_against_scipy():
+    # One trial, one segmentation: Welch's cross-spectra by another library function.
+    rng = np.random.default_rng(13)
+    recording = recorded(noise(rng, 1, 40.0), rng)
+    d, f, x = (recording[name].values[0] for name in ("perturbation", "force", "displacement"))
+    n = round(5.12 * RATE)
+
+    def cross(u, y):
+        return signal.csd(u[:, :, None], y[:, None], RATE, nperseg=n, axis=0)[1]
+
+    own = np.fft.rfftfreq(n, 1 / RATE)[10:60]
+    arm = np.linalg.solve(cross(d, f), cross(d, x)).swapaxes(1, 2)[10:60]
+    np.testing.assert_allclose(estimate_response(recording, "welch", own).response, arm, rtol=1e-9)
 
 
 @pytest.mark.parametrize(("draw", "estimate"), [(multisine, estimate_multisine), (noise, estimate_noise)])
@@ -125,7 +252,7 @@ def test_a_longer_record_says_more():
         rng = np.random.default_rng(4)
         recording = recorded(multisine(rng, 4, 34.0), rng, own=0.3, instruments=1.0)
         recording = recording.isel(time=slice(0, round(duration * RATE)))
-        return np.median(estimate_multisine(recording).covariance, axis=0).mean()
+        return np.median(estimate_multisine(recording, period=PERIOD).covariance, axis=0).mean()
 
     # 11.5 s of 20.48 s twice: noise falls to 0.72 if nothing is lost.
     assert 0.55 < variance(34.0) / variance(22.5) < 0.9
@@ -199,7 +326,11 @@ def test_bad_input_is_refused(excited):
     with pytest.raises(ValueError, match=r"does not repeat after 5\.12 s"):
         estimate_multisine(recording, period=5.12)
     with pytest.raises(ValueError, match=r"holds 12 s from 20 s on; expected a whole period of 20\.48 s"):
-        estimate_multisine(recording, start=20.0)
+        estimate_multisine(recording, start=20.0, period=PERIOD)
+    with pytest.raises(ValueError, match=r"hold 0 independent spectra with 40 s of Welch's segments"):
+        estimate_response(recording, "welch", segment=40.0)
+    with pytest.raises(ValueError, match=r"hold 0 independent spectra with a half bandwidth of 0\.01 Hz"):
+        estimate_response(recording, "multitaper", half_bandwidth=0.01)
     same = recording.copy(deep=True)
     same["perturbation"][..., 1] = same["perturbation"][..., 0]
     with pytest.raises(ValueError, match="cannot be told apart"):

@@ -5,6 +5,9 @@ import re
 import struct
 import zipfile
 import zlib
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import h5py
 import numpy as np
@@ -16,7 +19,8 @@ from scipy.io import savemat
 from test_convert import v73, write_c3d
 
 from armperturb import cli
-from armperturb.convert import export_recording, import_recording
+from armperturb.convert import child, import_recording
+from armperturb.recording import MUSCLES, encode_recording
 
 VALUES = table(duration=6.0)
 TEXT = as_text(VALUES)
@@ -33,13 +37,13 @@ def retyped(function):
     return lambda folder: write(folder, text=function(TEXT))
 
 
-def redefined(function, values=VALUES):
+def redefined(function):
     """A file whose sidecar is changed."""
 
     def make(folder):
         sidecar = meaning()
         function(sidecar)
-        return write(folder, values, sidecar)
+        return write(folder, sidecar=sidecar, text=TEXT)
 
     return make
 
@@ -48,7 +52,7 @@ def resaid(function):
     """A file whose sidecar's text is changed."""
 
     def make(folder):
-        path = write(folder, VALUES)
+        path = write(folder, text=TEXT)
         side = path.with_suffix(".json")
         side.write_bytes(function(side.read_bytes()))
         return path
@@ -114,6 +118,8 @@ TEXTS = {
     "trials mixed": (edited(lambda v: v[np.argsort(v[:, 1], kind="stable")]), "again at sample"),
     "199.3 Hz": (with_time(table(rate=199.3)), "time runs at 199.3 Hz"),
     "dropped": (with_time(np.delete(VALUES, slice(500, 503), axis=0)), "3 samples are dropped at 2.495 s"),
+    "microseconds": (with_time(VALUES * np.where(np.arange(8) == 1, 1e6, 1.0)), "a wrong unit of the times?"),
+    "time far away": (with_time(put(VALUES.copy(), -1, "t", 1e12)), "dropped at 5.99 s (time steps by 1e+15"),
     "time backwards": (with_time(put(VALUES.copy(), 700, "t", 0.1)), "time steps back from 3.495 s to 0.1 s"),
     "time stands": (with_time(put(VALUES.copy(), slice(None), "t", 0.0)), "time steps back from 0 s to 0 s"),
     "time missing": (with_time(put(VALUES.copy(), 700, "t", np.nan)), "the time of sample 700 is missing"),
@@ -131,6 +137,8 @@ def utf16(folder):
     path.write_text(path.read_text(), encoding="utf-16")
     return path
 
+
+EMG = {"channels": {name: name for name in MUSCLES}, "unit": "V", "rate": 2000}
 
 SIDECARS = {
     "no sidecar": (lambda f: without(write(f, VALUES)), "no such file, or a folder; expected the sidecar"),
@@ -159,7 +167,32 @@ SIDECARS = {
     "no rate": (redefined(lambda s: s.pop("rate")), "rate and time are missing"),
     "rate in words": (redefined(lambda s: s.update(rate="fast")), "rate = 'fast'; expected a finite number"),
     "rate negative": (redefined(lambda s: s.update(rate=-200)), "rate = -200.0; expected a finite number at least 1"),
-    "rate of a hundred digits": (redefined(lambda s: s.update(rate=10**400)), "expected a finite number"),
+    "rate of a hundred digits": (redefined(lambda s: s.update(rate=10**400)), "rate has more than 50 digits; expected"),
+    "sidecar of many fields": (
+        resaid(lambda b: json.dumps({f"k{i}": 1 for i in range(50_000)}).encode()),
+        "k0: unknown field",
+    ),
+    "rate of a thousand letters": (redefined(lambda s: s.update(rate="x" * 1000)), "xx; expected a finite number"),
+    "channel of a thousand letters": (
+        of_signal("force", channels={"x": "x" * 1000, "y": "Fy"}),
+        "expected printable text of 1 to 200 characters",
+    ),
+    "a channel of two signals": (
+        of_signal("force", channels={"x": "Dx", "y": "Fy"}),
+        "signals.force.channels has 'Dx', as perturbation has",
+    ),
+    "EMG in a folder": (
+        redefined(lambda s: s["signals"].update(emg=EMG | {"file": "../emg.csv"})),
+        "file = '../emg.csv'; expected the name of a file",
+    ),
+    "EMG missing": (
+        redefined(lambda s: s["signals"].update(emg=EMG | {"file": "emg.csv"})),
+        "emg.csv: no such file, or a folder; expected signals.emg.file",
+    ),
+    "EMG of another rate in one file": (
+        redefined(lambda s: s["signals"].update(emg=EMG)),
+        "signals.emg.rate without signals.emg.file",
+    ),
     "rate true": (redefined(lambda s: s.update(rate=True)), "rate = True; expected a number"),
     "half the rate": (
         redefined(lambda s: s.update(rate=100.0, environment={"m_env": 3.0})),
@@ -255,26 +288,53 @@ def claims_gigabytes(folder):
     return path
 
 
+@cache
+def good_c3d():
+    """Content of a good C3D file, and its sidecar's."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "lab.c3d")
+        write_c3d(path)
+        return path.read_bytes(), path.with_suffix(".json").read_bytes()
+
+
 def c3d(function):
     def make(folder):
-        path = folder / "lab.c3d"
-        write_c3d(path)
-        path.write_bytes(function(path.read_bytes()))
-        return path
+        content, sidecar = good_c3d()
+        (folder / "lab.json").write_bytes(sidecar)
+        (folder / "lab.c3d").write_bytes(function(content))
+        return folder / "lab.c3d"
 
     return make
+
+
+@cache
+def good_netcdf():
+    with TemporaryDirectory() as folder:
+        return encode_recording(import_recording([write(Path(folder), text=TEXT)]).recording)
 
 
 def netcdf(function):
     def make(folder):
-        good = write(folder, VALUES)
-        path = folder / "r.nc"
-        export_recording(import_recording([good]).recording, path)
-        content = path.read_bytes()
-        path.write_bytes(function(content))
+        (folder / "r.nc").write_bytes(function(good_netcdf()))
+        return folder / "r.nc"
+
+    return make
+
+
+def rewritten(function):
+    """A netCDF file in which something else is written."""
+
+    def make(folder):
+        path = netcdf(lambda content: content)(folder)
+        with h5py.File(path, "a") as file:
+            function(file)
         return path
 
     return make
+
+
+def backwards(file):
+    file["force"][...] = -file["force"][...]
 
 
 def text_in_matlab(folder):
@@ -306,9 +366,15 @@ BINARIES = {
     "two netCDF in one": (netcdf(lambda b: b + b), "two files in one?"),
     "netCDF cut off": (netcdf(lambda b: b[: len(b) // 2]), "(the file is cut off)"),
     "netCDF empty": (netcdf(lambda b: b""), "no HDF5 file"),
+    "netCDF with the force turned": (rewritten(backwards), "the sign of force were turned"),
+    "netCDF with units of an array": (
+        rewritten(lambda f: f["force"].attrs.__setitem__("units", np.arange(3))),
+        "force has units array([0, 1, 2]); expected 'N'",
+    ),
     "netCDF is text": (netcdf(lambda b: TEXT.encode()), "no HDF5 file (begins with b'trial"),
     "C3D cut off": (c3d(lambda b: b[: len(b) // 2]), "header claims"),
     "C3D claims 5 GB": (c3d(lambda b: b[:2] + struct.pack("<4H", 4000, 4000, 1, 60000) + b[10:]), "claims 4800000000"),
+    "two C3D in one": (c3d(lambda b: b + b), "a second header follows the data"),
     "C3D empty": (c3d(lambda b: b""), "no C3D file (the file is empty)"),
     "C3D is text": (c3d(lambda b: TEXT.encode()), "no C3D file"),
     "C3D without frames": (c3d(lambda b: b[:6] + struct.pack("<2H", 9, 1) + b[10:]), "0 frames; expected at least one"),
@@ -354,6 +420,7 @@ def test_what_does_not_go_together_is_refused(tmp_path, capsys):
         ([path, good, "--out", tmp_path / "o.nc"], "beside files of other formats; expected netCDF alone or none"),
         ([good, "--sidecar", path.with_suffix(".json"), "--out", tmp_path / "o.nc"], "expected none with netCDF"),
         ([good, "--rate", "100", "--out", tmp_path / "o.nc"], "rate = 100.0; expected none with netCDF"),
+        ([path, path, "--out", tmp_path / "o.nc"], "comes twice; expected each recording once"),
         ([path, "--out", tmp_path / "o.xls"], "ending '.xls'; expected one of .nc, .csv, .mat"),
         ([path, "--out", tmp_path / "no" / "o.nc"], "does not exist"),
         ([path, "--rate", "0", "--out", tmp_path / "o.nc"], "rate = 0.0; expected a finite number at least 1"),
@@ -361,6 +428,13 @@ def test_what_does_not_go_together_is_refused(tmp_path, capsys):
         assert cli.main(["convert", *map(str, arguments)]) == 1
         assert message in capsys.readouterr().err
         assert not list(tmp_path.glob("o.*"))
+
+
+def test_a_reader_that_does_not_come_to_an_end_is_stopped(tmp_path, monkeypatch):
+    path = netcdf(lambda content: content)(tmp_path)
+    monkeypatch.setattr(child, "LONGEST", 0.01)
+    with pytest.raises(ValueError, match=r"r.nc: not a readable HDF5 file \(its reader took 0.01 s\)"):
+        import_recording([path])
 
 
 SHORT = table(1, duration=0.5)[:, [0, 1, 2, 3, 4, 5, 6, 7]]
@@ -398,7 +472,7 @@ SPLICES = st.lists(
 )
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(changes=st.lists(st.tuples(PLACES, JSON), max_size=3), splices=SPLICES, repair=st.booleans())
 def test_no_text_and_no_sidecar_ends_in_a_traceback(tmp_path, changes, splices, repair):
     sidecar = meaning(time={"channel": "t", "unit": "s"}, csv={}, environment={"m_env": 3})

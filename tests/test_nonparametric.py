@@ -94,7 +94,7 @@ def noisy_arm():
 
 
 @pytest.mark.parametrize("what", ["arm", "environment", "total"])
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", sorted(set(METHODS) - {"welch", "multitaper"}))
 def test_a_load_is_recovered_from_multisines(load, method, what):
     # Spectra are averages over clusters: they stand for their mean frequency where responses bend little, above 2 Hz.
     frequency = estimate_response(load, "spectral").frequency
@@ -143,7 +143,7 @@ def test_of_a_noisy_arm_models_err_less_than_spectra(noisy_arm, method):
     if method == "arx":
         assert 0.6 < np.mean(np.abs(found.response - truth) ** 2 / found.covariance) < 1.6
     else:
-        assert found.covariance is None
+        assert found.covariance is None  # three trials are too few
 
 
 @pytest.mark.parametrize("fit", [fit_arx, fit_subspace])
@@ -175,6 +175,51 @@ def test_responses_of_one_recording_fit_together(noisy_arm):
     np.testing.assert_allclose(np.linalg.inv(total), np.linalg.inv(arm) + np.linalg.inv(environment), rtol=1e-6)
     truth = total_admittance(POSITION, ENVIRONMENT, frequency)
     assert np.median(relative_error(total, truth)) < 0.1
+
+
+@pytest.mark.parametrize("method", ["multisine", "spectral"])
+def test_some_frequencies_of_a_multisine(load, method):
+    whole = estimate_response(load, method)
+    some = estimate_response(load, method, whole.frequency[[4, 2]])
+    for name in ("frequency", "response", "covariance", "dof"):
+        np.testing.assert_array_equal(getattr(some, name), getattr(whole, name)[[4, 2]])
+
+
+def test_as_many_averages_as_inputs_tell_no_covariance(load):
+    with pytest.warns(RuntimeWarning, match="as many averages as inputs"):
+        found = estimate_response(load, "spectral", lines_per_average=1)
+    assert found.covariance is None
+
+
+def test_circles_hold_a_load_whose_force_is_noisy(load):
+    wanted = estimate_response(load, "spectral").frequency
+    wanted = wanted[(wanted > 4.0) & (wanted < 16.0)]
+    covered = {"spectral": [], "subspace": []}
+    for seed in range(4):
+        white = np.random.default_rng(seed).normal(size=load["force"].shape)
+        own = signal.sosfilt(signal.butter(2, 30.0, fs=200.0, output="sos"), white, axis=1)
+        noisy = load.assign(force=load["force"] + 0.3 * own)
+        # Four trials for the jackknife.
+        later = noisy.isel(time=slice(3000, None)).assign_coords(time=noisy["time"].values[:3000])
+        halves = [noisy.isel(time=slice(0, 3000)), later]
+        for method, recording, options in (("spectral", noisy, {}), ("subspace", halves, {"order": 8})):
+            found = estimate_response(recording, method, wanted, **options)
+            covered[method].append(found.covers(load_admittance(wanted)).mean())
+    for values in covered.values():
+        assert np.mean(values) >= 0.85
+
+
+@pytest.mark.parametrize("method", ["arx", "subspace", "welch", "multitaper", "noise"])
+def test_what_is_before_the_start_is_left_out(load, method):
+    later = load.isel(time=slice(1000, None)).assign_coords(time=load["time"].values[:-1000])
+    frequency = estimate_response(load, "spectral").frequency[3:8]
+    found, expected = (
+        estimate_response(
+            recording, method, frequency, start=start, **({"balance": False} if method == "noise" else {})
+        )
+        for recording, start in ((load, 5.0), (later, 0.0))
+    )
+    np.testing.assert_allclose(found.response, expected.response, rtol=1e-9)
 
 
 # ARX models against difference equations.
@@ -363,7 +408,12 @@ def test_recordings_are_refused(load, method, spoil, message):
 @pytest.mark.parametrize(
     ("arguments", "options", "error", "message"),
     [
-        (("welch",), {}, ValueError, "method = 'welch'; expected one of spectral, arx, subspace"),
+        (
+            ("wavelet",),
+            {},
+            ValueError,
+            "method = 'wavelet'; expected one of multisine, noise, welch, multitaper, spectral, arx, subspace",
+        ),
         (("arx", [0.0, 1.0]), {}, ValueError, "frequency = 0 Hz; expected above 0 and below 100 Hz"),
         (("subspace", [100.0]), {}, ValueError, "frequency = 100 Hz"),
         (("arx", [np.nan]), {}, ValueError, "frequency = nan Hz"),
@@ -381,6 +431,16 @@ def test_recordings_are_refused(load, method, spoil, message):
         (("subspace",), {"order": 97}, ValueError, "order = 97; expected at most 96 with past = 24"),
         (("subspace",), {"past": 0}, ValueError, "past = 0"),
         (("arx",), {"past": 3}, TypeError, "past"),
+        (("multisine", [1.0]), {}, ValueError, "frequency = 1 Hz; expected one of the averaged lines"),
+        (("multisine",), {"period": 0.0}, ValueError, "period = 0"),
+        (("welch", [0.0]), {}, ValueError, "frequency = 0 Hz; expected above 0 and below 100 Hz"),
+        (("noise", [100.0]), {}, ValueError, "frequency = 100 Hz; expected above 0 and below 100 Hz"),
+        (("multitaper",), {"half_bandwidth": -1.0}, ValueError, "half_bandwidth = -1"),
+        (("welch",), {"segment": 0.0}, ValueError, "segment = 0"),
+        (("welch",), {"what": "leg"}, ValueError, "what = 'leg'"),
+        (("noise",), {"what": "leg"}, ValueError, "what = 'leg'"),
+        (("arx",), {"start": 40.0}, ValueError, "trial 0 ends at 30 s; expected more than 40 s"),
+        (("multitaper",), {"start": 40.0}, ValueError, "trial 0 ends at 30 s; expected more than 40 s"),
     ],
 )
 def test_requests_are_refused(load, arguments, options, error, message):

@@ -20,7 +20,9 @@ JASA 98): variance as above, and the square of the bias from the distance to the
 
     |R_n - R_N|^2 - (V_N - V_n),
 
-as the difference of nested least squares varies by the difference of the variances.
+as the difference of nested least squares varies by the difference of the variances. The variance of an order that was
+chosen so tells too little: it knows neither the bias nor that there was a choice. An order is chosen because its
+estimated error is no greater than that of the highest, which is V_N. So V_N is what a chosen model gives for its own.
 """
 
 from typing import NamedTuple
@@ -59,6 +61,8 @@ class Arx(NamedTuple):
       input_scale: of u in the factor, (input,).
       response_scale: of y in the factor, (output,).
       rate: of the samples [Hz].
+      highest: model of the highest order among which this one was chosen, whose covariance it gives for its own; None
+        for an order that was given.
     """
 
     order: int
@@ -70,6 +74,7 @@ class Arx(NamedTuple):
     input_scale: Array
     response_scale: Array
     rate: float
+    highest: "Arx | None" = None
 
     @property
     def largest_pole(self) -> float:
@@ -81,6 +86,11 @@ class Arx(NamedTuple):
 
     def response(self, frequency: Array) -> tuple[Response, Response, Response]:
         """G from d to (f, x), (frequency, 4, 2), with noise and spread as `variance_of` takes them."""
+        joint, noise, spread = self.own_response(frequency)
+        return joint, *((noise, spread) if self.highest is None else self.highest.own_response(frequency)[1:])
+
+    def own_response(self, frequency: Array) -> tuple[Response, Response, Response]:
+        """The same with the covariance of this order, which holds no bias."""
         lag = np.exp(-2j * np.pi * np.outer(frequency / self.rate, np.arange(1, self.order + 1)))
         left = np.linalg.inv(np.eye(len(self.direct)) - np.einsum("fl,lac->fac", lag, self.past_response))
         joint = np.asarray(left @ (self.direct + np.einsum("fl,lab->fab", lag, self.past_input)), dtype=complex)
@@ -193,14 +203,14 @@ def fit_arx(
         return Regression(records, order).model(order)
     regression = Regression(records, highest_order)
     models = [regression.model(n) for n in range(1, highest_order + 1)]
-    joints = [model.response(frequency) for model in models]
+    joints = [model.own_response(frequency) for model in models]
     found = [admittance_of(what, joint) for joint, _, _ in joints]
     variances = [variance_of(what, *joint) for joint in joints]
     errors = [
         error_over_size(response, variance, found[-1], variances[-1])
         for response, variance in zip(found, variances, strict=True)
     ]
-    return models[int(np.argmin(errors))]
+    return models[int(np.argmin(errors))]._replace(highest=models[-1])
 
 
 def error_over_size(response: Response, variance: Array, best: Response, most: Array) -> float:

@@ -11,15 +11,18 @@ excited lines alone, and the quiet lines beside them show leakage and noise. Lin
 **Noise**, or any other disturbance: the record is transformed as it is, and all lines near a frequency are used.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from armperturb.analysis.frequency_response import FrequencyResponse
+from armperturb.analysis.frequency_response import FrequencyResponse, require_frequencies
+from armperturb.analysis.joint_records import JointRecords
+from armperturb.analysis.line_balance import LineBalance, find_balance, holds
 from armperturb.analysis.local_polynomial import (
     N_INPUTS,
     LocalFit,
@@ -29,6 +32,7 @@ from armperturb.analysis.local_polynomial import (
     frequency_response,
     n_unknowns,
 )
+from armperturb.analysis.periodicity import find_period
 from armperturb.analysis.spectra import EXCITED
 from armperturb.recording import check_recording
 from armperturb.validation import require_number
@@ -36,15 +40,26 @@ from armperturb.validation import require_number
 Array = NDArray[np.float64]
 Response = NDArray[np.complex128]
 Recordings = xr.Dataset | Sequence[xr.Dataset]
+Answer = Callable[[Array, Response, Response], Response]
+"""From frequency, D and (F, X) of lines to what takes the place of the latter."""
 
 HIGHEST_ORDER = 2
 """Of the response's polynomial over a cluster, unless asked otherwise."""
+
+HIGH_ORDERS = (2, 3, 4, 5)
+"""Orders that are tried over many lines."""
 
 LEAKAGE_ORDER = 2
 """Order of the leakage's polynomial."""
 
 N_QUIET = 12
 """Quiet lines beside a cluster that tell its leakage and noise, on both sides together."""
+
+NARROW, WIDE = 0.03, 0.15
+"""Width of a group over its frequency: below the first the response does not bend, above the second it may [-]."""
+
+CLEARLY = 3.0
+"""Standard deviations by which a higher order has to fit better than chance to be taken [-]."""
 
 LEAST_DOF = 8.0
 """Complex degrees of freedom that a covariance has at least: then bands are at most a third wider than with many."""
@@ -55,7 +70,7 @@ FADE = 2.0
 APERIODIC = 1e-2
 """Share of its power by which a disturbance may differ from one period to the next [-]."""
 
-HALF_WIDTH = (0.2, 0.05)
+HALF_WIDTH = (0.2, 0.1)
 """Least half of the band around a frequency that tells the response there: [Hz], and over the frequency [-].
 
 The former is for noise alone."""
@@ -112,6 +127,15 @@ class Periodic(NamedTuple):
     period: float
     rate: float
 
+    def replaced(self, answer: Answer) -> "Periodic":
+        """The same with what a function makes of frequency, D and (F, X) of each trial in place of the latter."""
+        frequency = np.arange(len(self.trials[0].answer)) / self.period
+        return self._replace(
+            trials=tuple(
+                trial._replace(answer=answer(frequency, trial.perturbation, trial.answer)) for trial in self.trials
+            )
+        )
+
     def windows(self, group: NDArray[np.int64]) -> list[Window]:
         """The lines of a group and the quiet ones nearest to it, of each trial."""
         quiet = np.setdiff1d(np.arange(1, len(self.trials[0].perturbation) - 1), self.excited)
@@ -128,23 +152,53 @@ class Periodic(NamedTuple):
     def fit(self, order: int | None, *, own_levels: bool = False) -> list[LocalFit]:
         """The response near the middle of each group.
 
-        Polynomials have at most one term per excited line; by default at most `HIGHEST_ORDER`, and beyond the first
-        order only half as many terms as equations.
+        Polynomials have at most one term per excited line; by default at most `HIGHEST_ORDER`, beyond the first order
+        only half as many terms as equations, or one less than equations where the group is `WIDE`; of groups of many
+        lines, or wide ones, more if those fit clearly better.
         """
         fits = []
         for group in self.groups:
-            equations = len(group) * len(self.trials) // N_INPUTS
-            chosen = min(max(1, equations // 2 - 1), HIGHEST_ORDER) if order is None else order
+            chosen = self._orders(len(group), float(np.ptp(group) / group.mean())) if order is None else (order,)
             fits.append(
-                fit_locally(
+                _fit(
                     self.windows(group),
                     float(group.mean()) / self.period,
-                    order=min(chosen, len(group) - 1),
+                    orders=sorted({min(one, len(group) - 1) for one in chosen}),
                     leakage_order=LEAKAGE_ORDER,
                     own_levels=own_levels,
                 )
             )
         return fits
+
+    def _orders(self, n_lines: int, width: float) -> tuple[int, ...]:
+        """Of the polynomial over a group of that width over its frequency; later ones if they fit clearly better."""
+        equations = n_lines * len(self.trials) // N_INPUTS
+        terms = equations - 1 if width > WIDE else equations // 2
+        if n_lines > N_QUIET or (width > WIDE and terms > HIGHEST_ORDER + 1):
+            return HIGH_ORDERS
+        return (min(max(1, terms - 1), HIGHEST_ORDER if width > NARROW else 1),)
+
+
+def _fit(
+    windows: Sequence[Window], centre: float, *, orders: Sequence[int], leakage_order: int, own_levels: bool = False
+) -> LocalFit:
+    """The local fit of the first order, or of later ones as long as these are clearly better and can be told.
+
+    Without need for it, a further complex coefficient of an output lowers the logarithm of its sum of squares, times
+    the number of lines, by about a gamma variable of shape one.
+    """
+    best = fit_locally(windows, centre, order=orders[0], leakage_order=leakage_order, own_levels=own_levels)
+    for lower, order in pairwise(orders):
+        extra = N_INPUTS * (order - lower)
+        if best.dof - extra < 2 * LEAST_DOF:
+            break
+        better = fit_locally(windows, centre, order=order, leakage_order=leakage_order, own_levels=own_levels)
+        before, after = (np.log(fit.dof * np.diagonal(fit.noise).real) for fit in (best, better))
+        gain = float(np.max(before - after)) * (best.dof + better.dof) / 2
+        if gain < extra + CLEARLY * np.sqrt(extra):
+            break
+        best = better
+    return best
 
 
 def records_of(recordings: Recordings, start: float) -> list[Record]:
@@ -188,12 +242,22 @@ def records_of(recordings: Recordings, start: float) -> list[Record]:
     return records
 
 
-def periodic_trials(recordings: Recordings, *, period: float, start: float, lines_per_average: int) -> Periodic:
+def period_of(recordings: Recordings, start: float) -> float:
+    """Period of the disturbance [s], as found in what was recorded of it from `start` on.
+
+    Raises:
+      ValueError: as `records_of` and `find_period`.
+    """
+    records = records_of(recordings, start)
+    return find_period([record.perturbation for record in records], records[0].rate, start)
+
+
+def periodic_trials(recordings: Recordings, *, period: float | None, start: float, lines_per_average: int) -> Periodic:
     """Mean periods and what differs between them.
 
     Args:
       recordings: trials of one subject in one condition.
-      period: of the disturbance [s].
+      period: of the disturbance [s]; None finds it, see `periodicity`.
       start: of what is used [s].
       lines_per_average: excited lines in a group, where there are as many without a wider gap than between the closest
         two; more where quiet lines are too few to tell leakage and noise.
@@ -202,10 +266,13 @@ def periodic_trials(recordings: Recordings, *, period: float, start: float, line
       ValueError: as `records_of`; or a trial is shorter than a period, the disturbance is not periodic, or the period
         is not a whole number of samples.
     """
-    require_number("periodic_trials", "period", period, above=0.0)
+    if period is not None:
+        require_number("periodic_trials", "period", period, above=0.0)
     require_number("periodic_trials", "lines_per_average", lines_per_average, at_least=1)
     records = records_of(recordings, start)
     rate = records[0].rate
+    if period is None:
+        period = find_period([record.perturbation for record in records], rate, start)
     n = round(period * rate)
     if abs(n - period * rate) > 1e-6 * n:
         raise ValueError(
@@ -221,7 +288,8 @@ def periodic_trials(recordings: Recordings, *, period: float, start: float, line
             )
         if np.mean((d[n:] - d[:-n]) ** 2 if len(d) > n else 0.0) > APERIODIC * np.mean(d**2):
             raise ValueError(
-                f"the perturbation of trial {number} does not repeat after {period:g} s; expected its own period"
+                f"the perturbation of trial {number} does not repeat after {period:g} s; expected its own period (None "
+                "finds it; for noise there is the method noise)"
             )
         trials.append(_mean_period(record, n))
     power = np.sum([np.abs(trial.perturbation) ** 2 for trial in trials], axis=(0, 2))
@@ -289,10 +357,11 @@ def estimate_multisine(
     recordings: Recordings,
     *,
     what: System = "arm",
-    period: float = 20.48,
+    period: float | None = None,
     start: float = 2.0,
     lines_per_average: int = 4,
     order: int | None = None,
+    balance: bool = True,
 ) -> FrequencyResponse:
     """Frequency response from periodic multisines.
 
@@ -303,10 +372,13 @@ def estimate_multisine(
     Args:
       recordings: trials of one subject in one condition; the same or different multisines of one period.
       what: "arm" (from f to x), "environment" (from d - f to x) or "total" (from d to x).
-      period: of the disturbance [s].
+      period: of the disturbance [s]; None finds it in what was recorded, for at least 1.1 periods.
       start: of what is used [s].
       lines_per_average: neighbouring lines that share a polynomial: the clusters of the thesis's multisine have 4.
-      order: of that polynomial; by default 2 if there are at least twice as many equations as it has terms, and else 1.
+      order: of that polynomial; by default 2 if there are at least twice as many equations as it has terms, or lines
+        are far apart, and else 1.
+      balance: whether displacement and force are made better by the environment's force balance where that holds, see
+        `line_balance`; not of what="environment", which then would be what was put in.
 
     Raises:
       ValueError: as `periodic_trials` and `fit_locally`, or `what` is something else.
@@ -314,11 +386,17 @@ def estimate_multisine(
     if order is not None:
         require_number("estimate_multisine", "order", order, at_least=0)
     trials = periodic_trials(recordings, period=period, start=start, lines_per_average=lines_per_average)
+    found = _balance(recordings) if balance and what != "environment" else None
+    if found is not None:
+        if holds(trials.replaced(found.left_over).fit(order)):
+            trials = trials.replaced(found.corrected)
+        else:
+            found = None
     fits = trials.fit(order)
     noises = [
         (fit.excited_noise, fit.excited_dof) if fit.excited_dof >= LEAST_DOF else (fit.noise, fit.dof) for fit in fits
     ]
-    return frequency_response(fits, what, noises)
+    return frequency_response(fits, what, noises, None if found is None else found.environment)
 
 
 def estimate_noise(
@@ -326,8 +404,9 @@ def estimate_noise(
     *,
     what: System = "arm",
     start: float = 0.0,
-    frequency: Array | None = None,
-    order: int = 2,
+    frequency: ArrayLike | None = None,
+    order: int | None = None,
+    balance: bool = True,
 ) -> FrequencyResponse:
     """Frequency response from noise, or any disturbance that has power at all frequencies of interest.
 
@@ -335,22 +414,46 @@ def estimate_noise(
       recordings: trials of one subject in one condition; their lengths may differ.
       what: as in `estimate_multisine`.
       start: of what is used [s].
-      frequency: where the response is wanted [Hz], (frequency,); by default evenly on a logarithmic scale over the
-        band that holds all but 1 % of the disturbance's power.
-      order: of the polynomials of response and leakage. The band around a frequency is as wide as `HALF_WIDTH` says,
-        and wider where that gives fewer than `LEAST_DOF` degrees of freedom.
+      frequency: where the response is wanted [Hz], (frequency,); None takes up to 40 of those that the disturbance
+        excites.
+      order: of the response's polynomial; by default 2, or up to 5 where that fits clearly better. The band around a
+        frequency is as wide as `HALF_WIDTH` says, and wider where that gives fewer than `LEAST_DOF` degrees of freedom.
+      balance: as in `estimate_multisine`.
 
     Raises:
       ValueError: as `records_of` and `fit_locally`, or the records are too short.
     """
-    require_number("estimate_noise", "order", order, at_least=0)
-    spectra = [_whole(record) for record in records_of(recordings, start)]
-    wanted = _band(spectra) if frequency is None else np.asarray(frequency, dtype=float)
-    fits = [
-        fit_locally(_around(spectra, float(centre), order), float(centre), order=order, leakage_order=order)
-        for centre in wanted
-    ]
-    return frequency_response(fits, what, [(fit.noise, fit.dof) for fit in fits])
+    if order is not None:
+        require_number("estimate_noise", "order", order, at_least=0)
+    orders: tuple[int, ...] = HIGH_ORDERS if order is None else (order,)
+    records = records_of(recordings, start)
+    spectra = [_whole(record) for record in records]
+    wanted = excited_band(records) if frequency is None else require_frequencies(frequency, records[0].rate)
+
+    def fit(windows: Sequence[Window]) -> list[LocalFit]:
+        return [
+            _fit(_around(windows, float(centre), orders[0]), float(centre), orders=orders, leakage_order=LEAKAGE_ORDER)
+            for centre in wanted
+        ]
+
+    found = _balance(recordings) if balance and what != "environment" else None
+    if found is not None:
+        if holds(fit([_replaced(window, found.left_over) for window in spectra])):
+            spectra = [_replaced(window, found.corrected) for window in spectra]
+        else:
+            found = None
+    fits = fit(spectra)
+    return frequency_response(
+        fits, what, [(fit.noise, fit.dof) for fit in fits], None if found is None else found.environment
+    )
+
+
+def _balance(recordings: Recordings) -> LineBalance | None:
+    return find_balance([recordings] if isinstance(recordings, xr.Dataset) else recordings)
+
+
+def _replaced(window: Window, answer: Answer) -> Window:
+    return window._replace(answer=answer(window.frequency, window.perturbation, window.answer))
 
 
 def _whole(record: Record) -> Window:
@@ -361,12 +464,22 @@ def _whole(record: Record) -> Window:
     return Window(frequency, d, z, np.ones(len(d), dtype=bool))
 
 
-def _band(spectra: Sequence[Window]) -> Array:
-    """Frequencies that share out the band of the disturbance evenly on a logarithmic scale."""
-    longest = max(spectra, key=lambda window: len(window.frequency))
+def excited_band(records: Sequence[Record]) -> Array:
+    """At most `N_POINTS` frequencies [Hz] that the disturbance excites, (frequency,).
+
+    They share out the band that holds all but 1 % of its power evenly on a logarithmic scale, as far as there is power.
+    """
+    joint = JointRecords(
+        perturbation=tuple(record.perturbation for record in records),
+        response=tuple(record.answer for record in records),
+        rate=records[0].rate,
+    )
+    excited = joint.excited_frequencies()
+    longest = _whole(max(records, key=lambda record: len(record.perturbation)))
     power = np.cumsum(np.sum(np.abs(longest.perturbation) ** 2, axis=1))
     low, high = np.interp([0.005, 0.995], power / power[-1], longest.frequency)
-    return np.geomspace(low, high, N_POINTS)
+    even = np.geomspace(low, high, N_POINTS)
+    return np.unique(excited[np.abs(excited - even[:, None]).argmin(axis=1)])
 
 
 def _around(spectra: Sequence[Window], centre: float, order: int) -> list[Window]:
@@ -376,9 +489,9 @@ def _around(spectra: Sequence[Window], centre: float, order: int) -> list[Window
     half = max(HALF_WIDTH[0], HALF_WIDTH[1] * centre)
     while half < highest:
         windows = [window.within(centre - half, centre + half) for window in spectra]
-        used = [window for window in windows if len(window.frequency) > order + 1]
+        used = [window for window in windows if len(window.frequency) > LEAKAGE_ORDER + 1]
         rows = sum(len(window.frequency) for window in used)
-        if used and rows >= n_unknowns(len(used), order, order) + LEAST_DOF:
+        if used and rows >= n_unknowns(len(used), order, LEAKAGE_ORDER) + LEAST_DOF:
             return used
         half += step / 2
     raise ValueError(f"the recordings hold too few lines around {centre:.3f} Hz; expected longer or more trials")

@@ -15,10 +15,10 @@ averages them. S rises with the RMS torque that the perturbation puts on the joi
 
 With the noise held, information is linear in the powers. The criterion is the mean logarithm of the standard errors of
 some parameters, all others being unknown too. Each is -log(1 / (I^-1)_ii) / 2; 1 / (I^-1)_ii, a Schur complement, is
-concave in I, so that the criterion is convex in the powers: under linear limits (mean square force and displacement) an
-interior-point method finds the least value there is. The noise follows the demand, though, which is linear in the
-powers too: what it costs is priced by its slope, the convex problem solved again from there, and a step taken towards
-its solution, until the price is right. That ends at a stationary point of the whole problem.
+concave in I, so that the criterion is convex in the powers: under linear limits (mean square force, displacement and
+demand) an interior-point method finds the least value there is. If the noise is to follow the demand, which is linear
+in the powers too, what it costs is priced by its slope, the convex problem solved again from there, and a step taken
+towards its solution, until the price is right. That ends at a stationary point of the whole problem.
 """
 
 from collections.abc import Sequence
@@ -153,21 +153,31 @@ class Experiment:
         felt = np.einsum("foj,foai->fjai", weighted.conj(), self._gradient)
         return np.asarray(-2.0 * np.einsum("f,fa,fjai,fjak->jik", self._noise.slope, power, felt.conj(), felt).real)
 
-    def standard_error(self, power: Array, duration: float, trials: int = 1, *, demand: Array | None = None) -> Array:
-        """Least standard error of each parameter from trials under lines (Cramer-Rao), (parameter,), SI.
+    def information_of(self, amplitudes: Response, demand: Array) -> Array:
+        """Fisher information per second of lines of known phases, (parameter, parameter).
 
         Args:
-          power: of the lines [N^2], (frequency, axis).
+          amplitudes: of the lines, complex [N], (frequency, axis); the mean square of one is |amplitude|^2 / 2.
+          demand: for which the person is as noisy [Nm^2], (joint,).
+        """
+        moved = np.einsum("foai,fa->foi", self._gradient, amplitudes)
+        weighted = np.linalg.solve(self.noise(demand), moved)
+        return np.asarray(np.einsum("foi,foj->ij", moved.conj(), weighted).real)
+
+    def standard_error(self, information: Array, duration: float, trials: int = 1) -> Array:
+        """Least standard error of each parameter (Cramer-Rao), (parameter,), SI.
+
+        Args:
+          information: per second, (parameter, parameter).
           duration: of each trial [s].
           trials: how many there are, each with phases of its own.
-          demand: as for `information`.
 
         Raises:
-          ValueError: the lines tell nothing about some parameter, or direction of parameters; the message names it.
+          ValueError: there is none about some parameter, or direction of parameters; the message names it.
         """
-        information = self.information(power, demand) * effective_duration(duration) * trials
-        require_informative(information, self.names)
-        return np.asarray(np.sqrt(np.diag(_inverse(information))))
+        whole = information * effective_duration(duration) * trials
+        require_informative(whole, self.names)
+        return np.asarray(np.sqrt(np.diag(_inverse(whole))))
 
 
 class Limits(NamedTuple):
@@ -189,7 +199,7 @@ class Optimum(NamedTuple):
       power: of its lines [N^2], (frequency, axis).
       excess: by how much the mean logarithm of the standard errors would fall within the limits if it fell all the way
         as steeply as it does here [-]. With the noise held it is convex, and cannot fall further: a bound of how far it
-        is from the least.
+        is from the least. With the noise following the demand it says that the point is stationary.
     """
 
     power: Array
@@ -197,7 +207,7 @@ class Optimum(NamedTuple):
 
 
 class _Shares(NamedTuple):
-    """The problem in shares of the largest mean square force, one per cluster and axis, x first.
+    """The problem in shares of some mean square force that the limits allow, one per cluster and axis, x first.
 
     Attributes:
       experiment: at the lines of the clusters.
@@ -205,6 +215,7 @@ class _Shares(NamedTuple):
       limits: what the shares must keep: limits @ share <= 1, (limit, share).
       spreading: shares to powers of the lines [N^2], (frequency, axis, share).
       demand: shares to the demand [Nm^2], (joint, share).
+      held: demand for which the person is as noisy, whatever the shares [Nm^2], (joint,); None for that of the shares.
     """
 
     experiment: Experiment
@@ -212,27 +223,38 @@ class _Shares(NamedTuple):
     limits: Array
     spreading: Array
     demand: Array
+    held: Array | None
 
     def power(self, share: Array) -> Array:
         return np.asarray(self.spreading @ share)
 
     def parts(self, share: Array) -> Array:
-        """Information per share with the noise held, (share, parameter, parameter)."""
-        return np.einsum("faij,fas->sij", self.experiment.parts(self.demand @ share), self.spreading, optimize=True)
+        """Information per share with the noise as it is at these shares, (share, parameter, parameter)."""
+        demand = self.demand @ share if self.held is None else self.held
+        return np.einsum("faij,fas->sij", self.experiment.parts(demand), self.spreading, optimize=True)
 
     def price(self, share: Array) -> Array:
         """By how much the criterion rises with each share because the noise does, (share,)."""
+        if self.held is not None:
+            return np.zeros_like(share)
         slopes = self.experiment.slopes(self.power(share), self.demand @ share)
         covariance = _inverse(np.einsum("sij,s->ij", self.parts(share), share))
         return -_weight(covariance, self.goal, slopes) @ self.demand
 
     def criterion(self, share: Array) -> float:
-        """Mean logarithm of the goal's standard errors from a second, with the noise that the shares cause."""
+        """Mean logarithm of the goal's standard errors from a second."""
         covariance = _inverse(np.einsum("sij,s->ij", self.parts(share), share))
         return 0.5 * float(np.mean(np.log(np.diag(covariance)[self.goal])))
 
 
-def optimise(experiment: Experiment, clusters: int, goal: Sequence[str], limits: Limits, spread: float) -> Optimum:
+def optimise(
+    experiment: Experiment,
+    clusters: int,
+    goal: Sequence[str],
+    limits: Limits,
+    spread: float,
+    held: Array | None = None,
+) -> Optimum:
     """Powers of lines that make the geometric mean of some parameters' standard errors least.
 
     Args:
@@ -242,14 +264,16 @@ def optimise(experiment: Experiment, clusters: int, goal: Sequence[str], limits:
       goal: names of the parameters whose errors count.
       limits: on force and displacement.
       spread: share of each axis's power that is spread evenly over all clusters, 0 to 1.
+      held: demand [Nm^2], (joint,), that the lines must keep, and for which the person is as noisy, also under less;
+        None lets the noise follow the demand, which then has no limit.
 
     Raises:
       ValueError: no multisine at these lines tells about all parameters; the message names those.
     """
-    problem = _problem(experiment, clusters, goal, limits, spread)
+    problem = _problem(experiment, clusters, goal, limits, spread, held)
     share = np.full(2 * clusters, 0.5 / (2 * clusters))
     share *= 0.5 / max(float(np.max(problem.limits @ share)), 0.5)
-    require_informative(experiment.information(problem.power(share)), experiment.names)
+    require_informative(np.einsum("sij,s->ij", problem.parts(share), share), experiment.names)
     best, excess = problem.criterion(share), _excess(problem, share)
     for _ in range(MAX_STEPS):
         if excess < TOLERANCE:
@@ -273,7 +297,9 @@ def _excess(problem: _Shares, share: Array) -> float:
     return float(slope @ share - furthest.fun)
 
 
-def _problem(experiment: Experiment, clusters: int, goal: Sequence[str], limits: Limits, spread: float) -> _Shares:
+def _problem(
+    experiment: Experiment, clusters: int, goal: Sequence[str], limits: Limits, spread: float, held: Array | None
+) -> _Shares:
     n_lines = len(experiment.frequency) // clusters
     even = np.kron((1.0 - spread) * np.eye(clusters) + spread / clusters, np.full((n_lines, 1), 1.0 / n_lines))
     spreading = np.zeros((clusters * n_lines, 2, 2 * clusters))
@@ -281,12 +307,17 @@ def _problem(experiment: Experiment, clusters: int, goal: Sequence[str], limits:
     columns = np.moveaxis(spreading, 2, 0)
     force = np.array([column.sum(axis=0) for column in columns]).T / limits.force**2
     displacement = np.array([experiment.displacement(column) for column in columns]).T / limits.displacement**2
+    demand = np.array([experiment.demand(column) for column in columns]).T
+    allowed = np.concatenate([force, displacement, *([] if held is None else [demand / held[:, None]])])
+    # In shares of about one, where limits other than that of the force allow far less than it.
+    unit = 1.0 / max(1.0, float(allowed.max(axis=0).min()))
     return _Shares(
         experiment=experiment,
         goal=[experiment.names.index(name) for name in goal],
-        limits=np.concatenate([force, displacement]),
-        spreading=spreading,
-        demand=np.array([experiment.demand(column) for column in columns]).T,
+        limits=unit * allowed,
+        spreading=unit * spreading,
+        demand=unit * demand,
+        held=held,
     )
 
 

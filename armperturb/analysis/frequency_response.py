@@ -1,12 +1,14 @@
 """A frequency response with the uncertainty of each of its elements, whichever method estimated it."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from armperturb.environment import Environment
+from armperturb.recording import LABELS
 from armperturb.validation import require_number
 
 Array = NDArray[np.float64]
@@ -42,6 +44,7 @@ class FrequencyResponse:
         method does not tell.
       what: of which system, e.g. "arm" (from f to x), "environment" (from d - f to x), "total" (from d to x).
       dof: complex degrees of freedom behind `covariance`, (frequency,); None if it is as good as exact.
+      environment: mass, damping and stiffness whose force balance made the signals better; None if none did.
 
     Raises:
       ValueError: shapes do not fit together.
@@ -52,6 +55,7 @@ class FrequencyResponse:
     covariance: Array | None
     what: str
     dof: Array | None = None
+    environment: Environment | None = None
 
     def __post_init__(self) -> None:
         n = len(self.frequency)
@@ -101,3 +105,49 @@ class FrequencyResponse:
         radius, gain, phase = self.radius(level), np.abs(self.response), np.angle(self.response)
         angle = np.where(radius < gain, np.arcsin(np.minimum(radius / gain, 1.0)), np.pi)
         return Bands(np.maximum(gain - radius, 0.0), gain + radius, phase - angle, phase + angle)
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row per frequency, output and input, ready for `export.write_csv`.
+
+        `standard_error` is that of the real and of the imaginary part, each; `radius_95` that of the circle in which
+        the element lies with 95 %. Both are empty without covariance.
+        """
+        known = self.covariance is not None
+        error = np.sqrt(self.covariance / 2) if self.covariance is not None else np.empty(0)
+        radius = self.radius() if known else error
+        return [
+            {
+                "frequency_hz": float(frequency),
+                "output": LABELS["axis"][output],
+                "input": LABELS["axis"][input_],
+                "real": float(value.real),
+                "imag": float(value.imag),
+                "gain_m_per_N": float(abs(value)),
+                "phase_deg": float(np.degrees(np.angle(value))),
+                "standard_error": float(error[k, output, input_]) if known else "",
+                "radius_95": float(radius[k, output, input_]) if known else "",
+            }
+            for k, frequency in enumerate(self.frequency)
+            for output in range(2)
+            for input_ in range(2)
+            for value in (self.response[k, output, input_],)
+        ]
+
+
+def require_frequencies(frequency: ArrayLike, rate: float) -> Array:
+    """Frequencies as an array, (frequency,).
+
+    Args:
+      frequency: [Hz].
+      rate: of the samples [Hz].
+
+    Raises:
+      ValueError: there are none, they are no row of numbers, or one is not between 0 and half the rate.
+    """
+    wanted = np.array(frequency, dtype=float)
+    if wanted.ndim != 1 or not len(wanted):
+        raise ValueError(f"frequency has shape {wanted.shape}; expected (frequency,), at least one")
+    wrong = ~((wanted > 0.0) & (wanted < 0.5 * rate))
+    if wrong.any():
+        raise ValueError(f"frequency = {wanted[wrong][0]:g} Hz; expected above 0 and below {0.5 * rate:g} Hz")
+    return wanted

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from armperturb.recording import check_recording
+from armperturb.validation import require_number
 
 Array = NDArray[np.float64]
 Response = NDArray[np.complex128]
@@ -86,16 +87,19 @@ class JointRecords:
         return np.asarray(frequency[power > EXCITED * power.max()])
 
 
-def joint_records(recording: xr.Dataset | Sequence[xr.Dataset]) -> JointRecords:
+def joint_records(recording: xr.Dataset | Sequence[xr.Dataset], start: float = 0.0) -> JointRecords:
     """The signals of trials up to their pulses.
 
     Args:
       recording: trials of one person in one condition, or several such recordings of the same rate, of any lengths.
+      start: of what is used [s].
 
     Raises:
-      ValueError: a recording is refused (see `check_recording`), a trial met the workspace limit, begins with its pulse
-        or is too short to be resampled, rates differ, a channel is constant, or the disturbances along x and y are one.
+      ValueError: a recording is refused (see `check_recording`), a trial met the workspace limit, begins with its
+        pulse, ends before `start` or is too short to be resampled, rates differ, a channel is constant, or the
+        disturbances along x and y are one.
     """
+    require_number("joint_records", "start", start, at_least=0.0)
     recordings = [recording] if isinstance(recording, xr.Dataset) else list(recording)
     if not recordings:
         raise ValueError("recording is empty; expected at least one recording")
@@ -106,7 +110,7 @@ def joint_records(recording: xr.Dataset | Sequence[xr.Dataset]) -> JointRecords:
     rates = sorted({float(one.attrs["rate"]) for one in recordings})
     if len(rates) > 1:
         raise ValueError(f"recordings at {', '.join(f'{rate:g}' for rate in rates)} Hz; expected one rate")
-    factor = max(1, round(rates[0] / MODEL_RATE))
+    factor, first = max(1, round(rates[0] / MODEL_RATE)), round(start * rates[0])
     for one in recordings:
         d, f, x = (np.asarray(one[name].values, dtype=float) for name in ("perturbation", "force", "displacement"))
         onsets, hits = one["pulse_onset"].values, one["limit_time"].values
@@ -122,7 +126,10 @@ def joint_records(recording: xr.Dataset | Sequence[xr.Dataset]) -> JointRecords:
                     f"trial {trial} has its pulse at {onsets[trial]:g} s; expected a perturbation before it (leave "
                     "this one out)"
                 )
-            signals = np.concatenate([d[trial, :end], f[trial, :end], x[trial, :end]], axis=1)
+            used = slice(first, min(end, d.shape[1]))
+            if used.stop - used.start < 2:
+                raise ValueError(f"trial {trial} ends at {used.stop / rates[0]:g} s; expected more than {start:g} s")
+            signals = np.concatenate([d[trial, used], f[trial, used], x[trial, used]], axis=1)
             signals = _resampled(signals, factor)
             perturbation.append(signals[:, :2])
             response.append(signals[:, 2:])

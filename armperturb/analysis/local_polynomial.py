@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armperturb.analysis.frequency_response import FrequencyResponse
+from armperturb.environment import Environment
 
 Array = NDArray[np.float64]
 Response = NDArray[np.complex128]
@@ -56,7 +57,10 @@ class Window(NamedTuple):
 
     def within(self, low: float, high: float) -> "Window":
         """The lines from low to high [Hz]."""
-        chosen = (self.frequency >= low) & (self.frequency <= high)
+        return self.only((self.frequency >= low) & (self.frequency <= high))
+
+    def only(self, chosen: NDArray[np.bool_]) -> "Window":
+        """Some of the lines."""
         return Window(self.frequency[chosen], self.perturbation[chosen], self.answer[chosen], self.excited[chosen])
 
 
@@ -163,22 +167,26 @@ def fit_locally(
     )
 
 
-def without(windows: Sequence[Window], leakage_order: int) -> tuple[Response, float]:
-    """Covariance of the noise of records that hold no response, (4, 4), and its complex degrees of freedom.
+def without(
+    windows: Sequence[Window], leakage_order: int, weights: Sequence[Array] | None = None
+) -> tuple[Response, float]:
+    """Covariance of the noise of records that hold no response, (answer, answer), and its complex degrees of freedom.
 
-    Leakage of each record is removed as in `fit_locally`.
+    Leakage of each record is removed as in `fit_locally`; the weights of lines, 1 unless given, are those in the mean.
     """
-    total, dof = np.zeros((4, 4), dtype=complex), 0.0
-    for window in windows:
+    n = windows[0].answer.shape[1]
+    total, dof = np.zeros((n, n), dtype=complex), 0.0
+    for i, window in enumerate(windows):
         if len(window.frequency) <= leakage_order + 1:
             continue
+        weight = np.ones(len(window.frequency)) if weights is None else weights[i]
         offset = window.frequency - window.frequency.mean()
-        powers = (offset[:, None] / np.abs(offset).max()) ** np.arange(leakage_order + 1)
+        powers = (offset[:, None] / (np.abs(offset).max() or 1.0)) ** np.arange(leakage_order + 1)
         basis, _ = np.linalg.qr(powers)
         left = window.answer - basis @ (basis.T @ window.answer)
-        total += np.einsum("ra,rb->ab", left, left.conj())
-        dof += len(left) - (leakage_order + 1)
-    return np.asarray(total / max(dof, 1.0), dtype=complex), dof
+        total += np.einsum("r,ra,rb->ab", weight, left, left.conj())
+        dof += float(weight @ (1.0 - np.sum(basis**2, axis=1)))
+    return np.asarray(total / max(dof, 1e-12), dtype=complex), dof
 
 
 class Linearised(NamedTuple):
@@ -221,7 +229,10 @@ def element_variance(system: Linearised, factor: Response, noise: Response) -> A
 
 
 def frequency_response(
-    fits: Sequence[LocalFit], what: System, noises: Sequence[tuple[Response, float]]
+    fits: Sequence[LocalFit],
+    what: System,
+    noises: Sequence[tuple[Response, float]],
+    environment: Environment | None = None,
 ) -> FrequencyResponse:
     """One system at all frequencies, with the covariance of the noise and its degrees of freedom at each."""
     systems = [linearised(fit.answer, what) for fit in fits]
@@ -236,4 +247,5 @@ def frequency_response(
         ),
         what=what,
         dof=np.array([dof for _, dof in noises]),
+        environment=environment,
     )

@@ -1,10 +1,12 @@
 """Whether a recording obeys physics: d - f must move a positive mass, spring and damper (thesis eqs 2.11, A.19).
 
-The environment is linear, isotropic and passive, whoever holds the handle. If d - f does not balance, or balances far
-better with other signs or axes, what is wrong can be named: all 64 ways in which the axes of force and of displacement
-can lie to those of the perturbation are tried. What turns all three signals alike cannot be seen.
+The environment is linear, isotropic and passive, whoever holds the handle. If d - f balances far better with other
+signs or axes, what is wrong can be named: all 64 ways in which the axes of force and of displacement can lie to those
+of the perturbation are tried in each trial. What turns all three signals alike cannot be seen.
 """
 
+import math
+from collections.abc import Sequence
 from itertools import permutations, product
 from typing import NamedTuple
 
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import fft, signal
 
 from armperturb.analysis.displacement import EDGE, Balance
+from armperturb.recording import REQUIRED_SIGNALS
 
 Array = NDArray[np.float64]
 
@@ -24,10 +27,19 @@ SET_TO = 1.5
 """Factor within which the mass must be what the manipulator was set to [-]."""
 
 UNBALANCED = 0.02
-"""Share of the load that is left over from which on other signs, axes and units are tried [-]."""
+"""Share of the load that is left over from which on a reader should know, and below which a mass is certain [-]."""
 
-FAR_BETTER = 0.25
-"""Share of what is left over with which other signs or axes explain the load far better [-]."""
+TOO_MUCH = 0.1
+"""Share of the load that is left over from which on a recording is refused [-]."""
+
+FAR_BETTER = 0.5
+"""Share of what is left over with which other signs or axes explain the load far better [-]: chance gives 0.9."""
+
+RIGHT = 0.05
+"""Share of the load that other signs, axes or units may leave over to be named as what is right [-]."""
+
+SEEN = 0.01
+"""Share of the load's power that a disturbance must have for its sign and axes to be seen [-]."""
 
 RESCALED = 1.2
 """Factor on the force from which on it counts as another unit, not as a gauge that is badly calibrated [-]."""
@@ -39,7 +51,7 @@ BAND = (0.2, 8.0)
 """Frequencies at which signs and axes are tried [Hz]."""
 
 DRIFT = 5e-4
-"""Change of the skew of force and displacement over a trial that is refused, if beyond 2.5 standard errors [s]."""
+"""Change of the skew of force and displacement over a trial that is refused, if beyond 3 standard errors [s]."""
 
 _SIGNED = [np.diag(s) @ np.eye(2)[list(p)] for p in permutations((0, 1)) for s in product((1.0, -1.0), repeat=2)]
 
@@ -49,12 +61,13 @@ class _Explained(NamedTuple):
     mass: float
 
 
-def check_balance(recording: xr.Dataset, mass: float | None = None) -> list[str]:
+def check_balance(recording: xr.Dataset, mass: float | None = None, names: Sequence[str] = ()) -> list[str]:
     """Refuse a recording whose force, displacement and perturbation do not belong together.
 
     Args:
-      recording: the trials.
+      recording: the trials. Those that reached the workspace limit count up to there, if there are no others.
       mass: that the manipulator was set to [kg]; None if unknown.
+      names: of the trials, for the message; by default their numbers, from 1.
 
     Returns:
       What a reader should know, a sentence each.
@@ -63,31 +76,27 @@ def check_balance(recording: xr.Dataset, mass: float | None = None) -> list[str]
       ValueError: d - f does not move a positive mass, spring and damper, or one that is no handle's; the message says
         what change of sign, axes or unit would put it right, if any does.
     """
-    d, f, x = (recording[name].values for name in ("perturbation", "force", "displacement"))
-    rate, n_time = float(recording.attrs["rate"]), recording.sizes["time"]
-    if n_time < 10 * round(EDGE * rate) or rate < SLOWEST:
+    rate = float(recording.attrs["rate"])
+    grams = require_signs(recording, names)
+    trials, n_time = _before_limit(recording, rate)
+    d, f, x = (recording[name].values[trials, :n_time] for name in REQUIRED_SIGNALS)
+    if grams is None:
         return [
-            f"{n_time / rate:.3g} s at {rate:g} Hz are too short to hold the force against the movement: signs, axes "
-            "and units are unchecked"
+            f"{n_time / rate:.3g} s at {rate:g} Hz are too short, or too slow, to hold the force against the movement: "
+            "signs, axes and units are unchecked"
         ]
-    gram = _gram(d, f, x, rate)
+    gram = grams.sum(axis=0)
     declared = _explained(gram, np.eye(2), np.eye(2))
-    found = f"its mass comes out at {declared.mass:.3g} kg, and {declared.left:.0%} of the load is left unexplained"
     try:
-        environment = Balance(d, f, x, rate).fit()[0]
-    except ValueError:
+        with np.errstate(all="ignore"):  # where nothing moves there is nothing to divide by
+            environment = Balance(d, f, x, rate).fit()[0]
+    except (ValueError, np.linalg.LinAlgError):
         environment = None
-    if environment is None or declared.left > UNBALANCED:
-        remedy = _remedy(gram, FAR_BETTER * declared.left if environment is not None else UNBALANCED)
-        if remedy is not None:
-            raise ValueError(
-                f"d - f does not move a mass, spring and damper ({found}); expected signs, axes and units with which "
-                f"it does, as it would if {remedy}"
-            )
-    if environment is None:
+    if environment is None or declared.left > TOO_MUCH:
         raise ValueError(
-            f"d - f does not move a mass, spring and damper ({found}); expected a positive mass and the force that the "
-            "handle exerts on the hand, and no change of signs, axes or scale of the force puts it right"
+            f"d - f does not move a mass, spring and damper ({_in_numbers(declared)}); expected a positive mass and "
+            "the force that the handle exerts on the hand, and no change of signs, axes or scale of the force puts it "
+            "right (a sensor that failed, dropped samples, two recordings in one?)"
         )
     lower, upper = (LIGHTEST, HEAVIEST) if mass is None else (mass / SET_TO, mass * SET_TO)
     if not lower <= environment.m_env <= upper:
@@ -95,25 +104,80 @@ def check_balance(recording: xr.Dataset, mass: float | None = None) -> list[str]
             f"d - f moves a mass of {environment.m_env:.4g} kg; expected {lower:.3g} to {upper:.3g} kg (a wrong unit "
             "of displacement, or of both forces?)"
         )
-    notes = [f"{found}: expected less than {UNBALANCED:.0%}"] if declared.left > UNBALANCED else []
-    return notes + _skews(d, f, x, rate)
+    notes = _skews(d, f, x, rate)
+    if declared.left > UNBALANCED and not notes:  # which a skew would explain
+        notes.append(f"{_in_numbers(declared)}; expected less than {UNBALANCED:g} of it")
+    # Rows 0 and 1 of the products are d, 2 and 3 are f.
+    pushed, load = (float(np.trace(sides @ gram @ sides.T)) for sides in (_row(0), _row(0) - _row(1)))
+    if pushed < SEEN * load:
+        notes.append("the perturbation is too weak beside other forces: its sign, axes and unit are unchecked")
+    return notes
+
+
+def require_signs(recording: xr.Dataset, names: Sequence[str] = ()) -> Array | None:
+    """Refuse a recording that other signs, axes or scales would explain far better.
+
+    Args:
+      recording: as in `check_balance`.
+      names: as there.
+
+    Returns:
+      Inner products of the signals of each trial, see `_grams`; None if it is too short, or too slow, to tell.
+
+    Raises:
+      ValueError: they would; the message says which.
+    """
+    rate = float(recording.attrs["rate"])
+    names = names or [f"trial {trial + 1}" for trial in range(recording.sizes["trial"])]
+    trials, n_time = _before_limit(recording, rate)
+    if n_time < 10 * round(EDGE * rate) or rate < SLOWEST:
+        return None
+    d, f, x = (recording[name].values[trials, :n_time] for name in REQUIRED_SIGNALS)
+    grams = _grams(d, f, x, rate)
+    for trial, gram in zip(trials, grams, strict=True):
+        declared = _explained(gram, np.eye(2), np.eye(2))
+        remedy = _remedy(gram, min(FAR_BETTER * declared.left, RIGHT) if declared.mass > 0.0 else UNBALANCED)
+        if remedy is not None:
+            where = f" in {names[trial]}" if names[trial] else ""
+            raise ValueError(
+                f"d - f does not move a mass, spring and damper{where} ({_in_numbers(declared)}); expected signs, axes "
+                "and units with which it does (force must be the reaction force that the handle exerts on the hand), "
+                f"as it would if {remedy}"
+            )
+    return grams
+
+
+def _before_limit(recording: xr.Dataset, rate: float) -> tuple[list[int], int]:
+    """Trials that mean something to the end, and all samples; or all trials, and samples before any met the limit."""
+    limit, n_time = recording["limit_time"].values, recording.sizes["time"]
+    free = np.flatnonzero(np.isnan(limit)).tolist()
+    if free:
+        return free, n_time
+    return list(range(len(limit))), min(n_time, int(np.min(limit) * rate))
+
+
+def _in_numbers(found: _Explained) -> str:
+    return f"its mass comes out at {found.mass:.3g} kg, and {found.left:.2g} of the load is left unexplained"
 
 
 def _skews(d: Array, f: Array, x: Array, rate: float) -> list[str]:
     """Whether the clocks of force and displacement agree, and go on to do so."""
     half = d.shape[1] // 2
+    halves = (slice(half), slice(half, 2 * half)) if half >= 10 * round(EDGE * rate) else ()
     skews = []
-    for part in (slice(None), slice(half), slice(half, 2 * half)):
-        if part != slice(None) and half < 10 * round(EDGE * rate):
-            return []
+    for part in (slice(None), *halves):
         balance = Balance(d[:, part], f[:, part], x[:, part], rate)
         try:
-            skews.append(balance.skew(*balance.fit()))
-        except ValueError:  # nothing moves in this part
+            with np.errstate(all="ignore"):  # without information there is no standard error
+                skews.append(balance.skew(*balance.fit()))
+        except (ValueError, np.linalg.LinAlgError):  # nothing moves in this part
             return []
-    whole, first, second = skews
-    change, error = second.time - first.time, float(np.hypot(first.standard_error, second.standard_error))
-    if abs(change) > max(DRIFT, 2.5 * error):
+        if not np.isfinite(skews[-1].standard_error):
+            return []
+    whole, *parts = skews
+    change = parts[1].time - parts[0].time if parts else 0.0
+    error = math.hypot(*(part.standard_error for part in parts))
+    if abs(change) > max(DRIFT, 3.0 * error):
         raise ValueError(
             f"force drifts against displacement by {1e3 * change:.2f} ms from the first to the second half of "
             f"{d.shape[1] / rate:.4g} s (standard error {1e3 * error:.2f} ms); expected clocks that run alike"
@@ -126,34 +190,40 @@ def _skews(d: Array, f: Array, x: Array, rate: float) -> list[str]:
     return []
 
 
-def _gram(d: Array, f: Array, x: Array, rate: float) -> Array:
-    """Inner products of d, f, acceleration, velocity and displacement, axis by axis, over a band, (10, 10)."""
+def _grams(d: Array, f: Array, x: Array, rate: float) -> Array:
+    """Inner products of d, f, acceleration, velocity and displacement, axis by axis, over a band, (trial, 10, 10)."""
     n_samples, n_edge = d.shape[1], round(EDGE * rate)
     n_padded = fft.next_fast_len(n_samples + 4 * n_edge, real=True)
     s = 2j * np.pi * fft.rfftfreq(n_padded, 1.0 / rate)
     top = min(BAND[1], 0.25 * rate)
     smooth = 0.5 - 0.5 * np.cos(np.pi * np.clip((1.4 * top - np.abs(s) / (2 * np.pi)) / (0.3 * top), 0.0, 1.0))
-    taper = signal.windows.hann(n_samples - 2 * n_edge, sym=False)
-    frequency = fft.rfftfreq(len(taper), 1.0 / rate)
+    # Flat, so that a pulse shortly before the end counts.
+    n_inner = n_samples - 2 * n_edge
+    taper = signal.windows.tukey(n_inner, n_edge / n_inner, sym=False)
+    frequency = fft.rfftfreq(n_inner, 1.0 / rate)
     used = (frequency > BAND[0]) & (frequency < top)
     columns = []
     for values, powers in ((d, (0,)), (f, (0,)), (x, (2, 1, 0))):
         spectrum = fft.rfft(values, n_padded, axis=1) * smooth[:, None]
         for power in powers:
-            inner = fft.irfft(spectrum * (s**power)[:, None], n_padded, axis=1)[:, n_edge : n_edge + len(taper)]
+            inner = fft.irfft(spectrum * (s**power)[:, None], n_padded, axis=1)[:, n_edge : n_edge + n_inner]
             part = fft.rfft(inner * taper[:, None], axis=1)[:, used]
-            columns += [np.ravel(part[..., axis]) for axis in range(2)]
-    stacked = np.array(columns)
-    return np.asarray((stacked @ stacked.conj().T).real)
+            columns += [part[..., axis] for axis in range(2)]
+    stacked = np.stack(columns, axis=1)
+    return np.asarray((stacked @ stacked.conj().swapaxes(1, 2)).real)
+
+
+def _row(place: int, of_signal: Array | None = None) -> Array:
+    """x and y of one of d, f, acceleration, velocity and displacement, on other axes if given, (2, 10)."""
+    sides = np.zeros((2, 10))
+    sides[:, 2 * place : 2 * place + 2] = np.eye(2) if of_signal is None else of_signal
+    return sides
 
 
 def _explained(gram: Array, of_force: Array, of_displacement: Array) -> _Explained:
     """Share of the load that mass, damping and stiffness leave, with other axes of force and displacement."""
-    eye, none = np.eye(2), np.zeros((2, 2))
-    # Rows: x and y of what a term is made of, out of d, f, acceleration, velocity and displacement.
-    terms = [np.hstack([eye, -of_force, none, none, none])]
-    terms += [np.hstack([of_displacement if i == k else none for i in range(5)]) for k in (2, 3, 4)]
-    inner = np.array([[np.trace(a @ gram @ b.T) for b in terms] for a in terms])
+    terms = [_row(0) - _row(1, of_force), *(_row(place, of_displacement) for place in (2, 3, 4))]
+    inner = np.array([[np.sum((a @ gram) * b) for b in terms] for a in terms])
     weights, left = _regression(inner)
     return _Explained(left, float(weights[0]))
 
@@ -166,8 +236,8 @@ def _remedy(gram: Array, least: float) -> str | None:
         if change and one.mass > 0.0 and one.left < least:
             found.append((change, one.left))
     gain, one = _rescaled(gram)
-    if gain > 0.0 and abs(np.log(gain)) > np.log(RESCALED) and one.mass > 0.0 and one.left < least:
-        found.append((f"force were multiplied by {gain:.4g} (its unit)", one.left))
+    if gain > 0.0 and abs(np.log(gain)) > np.log(RESCALED) and one.mass > 0.0 and one.left < min(least, UNBALANCED):
+        found.append((f"force were multiplied by {gain:.4g} (the unit of one of the two forces)", one.left))
     best = min((left for _, left in found), default=0.0)
     good = [entry for entry in found if entry[1] <= 2.0 * best + 1e-3]
     return min(good, key=lambda entry: (entry[0].count(" and "), entry[1]))[0] if good else None
@@ -195,11 +265,12 @@ def _change(name: str, matrix: Array) -> str | None:
 
 def _rescaled(gram: Array) -> tuple[float, _Explained]:
     """Factor on the force that explains the perturbation best, and how well it does."""
-    eye, none = np.eye(2), np.zeros((2, 2))
-    terms = [np.hstack([eye if i == k else none for i in range(5)]) for k in (0, 2, 3, 4, 1)]
-    inner = np.array([[np.trace(a @ gram @ b.T) for b in terms] for a in terms])
+    terms = [_row(place) for place in (0, 2, 3, 4, 1)]
+    inner = np.array([[np.sum((a @ gram) * b) for b in terms] for a in terms])
     weights, left = _regression(inner)
-    return float(weights[-1]), _Explained(left, float(weights[0]))
+    gain = float(weights[-1])
+    load = inner[0, 0] - 2.0 * gain * inner[0, 4] + gain**2 * inner[4, 4]
+    return gain, _Explained(left * float(inner[0, 0] / load) if load > 0.0 else 1.0, float(weights[0]))
 
 
 def _regression(inner: Array) -> tuple[Array, float]:

@@ -6,8 +6,6 @@ A marker's coordinate is the channel `LABEL.X`, `LABEL.Y` or `LABEL.Z`; an analo
 import io
 import math
 import struct
-import subprocess
-import sys
 from collections.abc import Collection, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,13 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armperturb.convert.child import run_reader
 from armperturb.convert.raw import RawTrial, missing_channel, require_modest
 
 BLOCK = 512
 """In which the format counts [byte]."""
-
-LONGEST = 30.0
-"""That a file may take to be unpacked [s]: damaged ones can go on for ever."""
 
 PROCESSORS = {84: ("<", 15), 85: ("<", 13), 86: (">", 12)}
 """Intel, DEC and MIPS: order of bytes, and which byte of the header holds the sign of the scale."""
@@ -74,18 +70,11 @@ def read_c3d(path: Path, names: Collection[str]) -> Sequence[RawTrial]:
 
 def _unpacked(path: Path) -> Mapping[str, NDArray[Any]]:
     """What the program beside this module makes of a file."""
-    program = Path(__file__).with_name("c3d_program.py")
     try:
-        done = subprocess.run(
-            [sys.executable, "-P", str(program), str(path.resolve())], capture_output=True, timeout=LONGEST, check=False
-        )
-    except subprocess.TimeoutExpired:
-        raise ValueError(f"{path}: not a readable C3D file (its reader took {LONGEST:g} s)") from None
-    if done.returncode:
-        said = done.stderr.decode(errors="replace").strip().splitlines()
-        why = said[-1] if said and done.returncode > 0 else f"its reader ended with status {done.returncode}"
-        raise ValueError(f"{path}: not a readable C3D file ({why:.200})")
-    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as content:
+        unpacked = run_reader("c3d_program.py", path)
+    except ValueError as error:
+        raise ValueError(f"{path}: not a readable C3D file ({error})") from None
+    with np.load(io.BytesIO(unpacked), allow_pickle=False) as content:
         return dict(content)
 
 
@@ -120,6 +109,10 @@ def _require_whole(path: Path) -> None:
             "the file holds (it is cut off or damaged)"
         )
     require_modest(path, 2 * claim, "all of it unpacked")
+    with path.open("rb") as file:
+        file.seek((start - 1) * BLOCK + claim)
+        if head[:6] in file.read():
+            raise ValueError(f"{path}: a second header follows the data; expected one recording (two files in one?)")
 
 
 def _require_chain(path: Path, parameters: bytes, order: str) -> None:

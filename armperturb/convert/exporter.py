@@ -21,8 +21,9 @@ COLUMNS = {
     "displacement": ("x_x_m", "x_y_m"),
     "joint_angle": ("q_shoulder_rad", "q_elbow_rad"),
     "shoulder_marker": ("marker_x_m", "marker_y_m"),
+    "emg": tuple(f"{name}_V" for name in LABELS["muscle"]),
 }
-"""Variable to its columns in text; EMG, which has another clock, has none."""
+"""Variable to its columns in text; those of EMG, which has another clock, stand in a file of their own."""
 
 ENDINGS = (".nc", ".csv", ".mat")
 
@@ -32,7 +33,8 @@ def export_recording(recording: xr.Dataset, path: str | Path) -> list[Path]:
 
     Args:
       recording: what to write.
-      path: ending in .nc (netCDF4), .csv (text, with a sidecar beside it) or .mat (MATLAB v5, likewise).
+      path: ending in .nc (netCDF4), .csv (text, with a sidecar beside it, and EMG in `*_emg.csv`) or .mat (MATLAB v5,
+        with a sidecar).
 
     Returns:
       The paths written.
@@ -49,11 +51,17 @@ def export_recording(recording: xr.Dataset, path: str | Path) -> list[Path]:
         return [path]
     sidecar = path.with_suffix(".json")
     content, meaning = _text(recording) if path.suffix == ".csv" else _matlab(recording)
-    with ExitStack() as stack:  # both take their places together, after both were written
-        data, beside = (stack.enter_context(written_whole(one)) for one in (path, sidecar))
-        data.write_bytes(content)
-        beside.write_text(json.dumps(meaning, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    return [path, sidecar]
+    files = {path: content}
+    if path.suffix == ".csv" and "emg" in recording.data_vars:
+        beside = path.with_name(f"{path.stem}_emg.csv")
+        files[beside] = _emg_text(recording)
+        meaning["signals"]["emg"]["file"] = beside.name
+    files[sidecar] = (json.dumps(meaning, indent=2, allow_nan=False) + "\n").encode()
+    with ExitStack() as stack:  # all take their places together, after all were written
+        parts = {one: stack.enter_context(written_whole(one)) for one in files}
+        for one, part in parts.items():
+            part.write_bytes(files[one])
+    return list(files)
 
 
 def require_ending(path: Path) -> None:
@@ -67,7 +75,7 @@ def require_ending(path: Path) -> None:
 
 
 def _text(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
-    names = [name for name in COLUMNS if name in recording.data_vars]
+    names = [name for name in COLUMNS if name in recording.data_vars and name != "emg"]
     file = io.StringIO()
     file.write(",".join(("trial", "time_s", *(column for name in names for column in COLUMNS[name]))) + "\n")
     time = recording["time"].values.tolist()
@@ -77,7 +85,7 @@ def _text(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
         file.writelines(
             f"{trial + 1},{at!r},{','.join(map(repr, row))}\n" for at, row in zip(time, values.tolist(), strict=True)
         )
-    channels = {name: COLUMNS[name] for name in names}
+    channels = {name: COLUMNS[name] for name in COLUMNS if name in recording.data_vars}
     meaning = _sidecar(recording, channels)
     return file.getvalue().encode(), {
         **meaning,
@@ -85,6 +93,15 @@ def _text(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
         "trial": "trial",
         "trials": _trials(recording),
     }
+
+
+def _emg_text(recording: xr.Dataset) -> bytes:
+    file = io.StringIO()
+    file.write(",".join(("trial", *COLUMNS["emg"])) + "\n")
+    line = ",%.9g" * len(COLUMNS["emg"]) + "\n"  # nine digits tell every number of single precision
+    for trial, values in enumerate(recording["emg"].values):
+        file.writelines(f"{trial + 1}{line % tuple(row)}" for row in values.tolist())
+    return file.getvalue().encode()
 
 
 def _matlab(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:

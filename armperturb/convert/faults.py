@@ -2,8 +2,8 @@
 
 | fault | seen as | repaired as |
 |---|---|---|
-| `gaps` | values that are missing | up to 0.1 s by a cubic spline through the others |
-| `drops` | times that step by several samples | the same |
+| `gaps` | values that are missing | by a cubic spline through the others: up to 0.025 s of forces, 0.1 s of paths |
+| `drops` | times that step by several samples | the same, up to 0.025 s |
 | `clock` | times that run at another rate than stated, or not evenly | by a cubic spline on even times |
 | `lengths` | trials, or signals of a trial, that do not last equally long | by a cut to the shortest |
 | `trials` | any fault that is not repaired otherwise | by leaving out the trial |
@@ -27,11 +27,17 @@ Array = NDArray[np.float64]
 Repair = Literal["gaps", "drops", "clock", "lengths", "trials"]
 """What may be repaired, see above."""
 
-LONGEST_GAP = 0.1
-"""That is filled [s]: a quarter period at the 2.5 Hz about which the arm is undamped, and more would be invention."""
+LONGEST_GAP = {"perturbation": 0.025, "force": 0.025}
+"""That is filled in a signal [s]: a quarter period of the fastest that it holds much of, more would be invention."""
+
+LONGEST_SLOW_GAP = 0.1
+"""Likewise, in what moves: the arm is undamped at about 2.5 Hz."""
 
 ROUNDED = 0.15
 """Share of a step by which a time may be off even times [-]: times are written in whole milliseconds."""
+
+OFF = 0.1
+"""Share by which a clock may be off the stated rate to be put right [-]: beyond, a unit or the rate is wrong."""
 
 LEAST_RUN = 3
 """Samples of equal value from which on a channel may be clipped."""
@@ -111,7 +117,7 @@ def even_times(
                 "drops",
                 f"{missing[at]} samples are dropped at {time[at]:.6g} s (time steps by {1e3 * steps[at]:.4g} ms, "
                 f"usually by {1e3 * usual:.4g} ms)",
-                bool(steps[at] <= LONGEST_GAP),
+                bool(steps[at] <= min(LONGEST_GAP.values()) + 0.1 * usual),  # all signals miss them
             )
         )
     index = np.concatenate([[0], np.cumsum(missing + 1)])
@@ -120,14 +126,21 @@ def even_times(
         at = int(np.argmax(off > ROUNDED / rate))
         # Through the whole trial, so that single late samples do not count.
         found = float(np.polyfit(time, index, 1)[0])
-        what = f"time runs at {found:.6g} Hz" if abs(found / rate - 1.0) > 1e-6 else "time does not run evenly"
+        drifts = abs(found / rate - 1.0) * len(time) > ROUNDED
+        what = f"time runs at {found:.6g} Hz" if drifts else "time does not run evenly"
+        near = abs(found / rate - 1.0) < OFF
+        unit = "" if near else " (a wrong unit of the times?)"
         faults.append(
             Fault(
                 "clock",
                 f"{what}: sample {index[at]} is at {time[at]:.6g} s, and off by up to {1e3 * off.max():.4g} ms; "
-                f"expected even steps at rate = {rate:.6g} Hz",
+                f"expected even steps at rate = {rate:.6g} Hz{unit}",
+                near,
             )
         )
+    if not all(fault.can for fault in faults):  # times may claim any length then
+        return Timed(signals=signals, rates=dict.fromkeys(signals, rate), components=components), faults
+    if off.max() > ROUNDED / rate:
         grid = np.arange(math.floor(float(time[-1]) * rate * (1 + 1e-12)) + 1) / rate
         signals = {name: _between(time, values, grid) for name, values in signals.items()}
     elif len(faults):
@@ -166,7 +179,7 @@ def find_gaps(timed: Timed) -> tuple[Timed, list[Fault]]:
     """Gaps of the signals, and the signals with those filled that can be."""
     faults, mended = [], {}
     for name, values in timed.signals.items():
-        rate = timed.rates[name]
+        rate, longest = timed.rates[name], LONGEST_GAP.get(name, LONGEST_SLOW_GAP)
         values = values.copy()
         for column, channel in enumerate(timed.components[name]):
             there = np.isfinite(values[:, column])
@@ -176,7 +189,7 @@ def find_gaps(timed: Timed) -> tuple[Timed, list[Fault]]:
             n_there = int(there.sum())
             for first, last in runs:
                 length = (last - first) / rate
-                can = first > 0 and last < len(values) and length <= LONGEST_GAP and n_there >= 4
+                can = first > 0 and last < len(values) and length <= longest + 1e-9 and n_there >= 4
                 place = f"at {first / rate:.6g} s" if n_there else "everywhere"
                 faults.append(Fault("gaps", f"{channel} ({name}) has a gap of {length:.4g} s {place}", can))
             if n_there >= 4:
@@ -206,7 +219,7 @@ def find_stuck(timed: Timed) -> list[Fault]:
             if np.ptp(one) == 0.0:
                 # A disturbance may leave an axis, or a trial, alone.
                 if name != "perturbation" or one[0] != 0.0:
-                    faults.append(Fault("trials", f"{channel} ({name}) is constant at {one[0]:.6g}; expected a signal"))
+                    faults.append(Fault("trials", f"{channel} ({name}) is constant at {one[0]:.6g}"))
                 continue
             plateaus = [*_plateaus(one), *(_plateaus(-one))]
             if plateaus:

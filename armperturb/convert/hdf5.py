@@ -1,17 +1,19 @@
-"""Whether an HDF5 file is whole and modest, before anything of it is read."""
+"""Whether an HDF5 file is whole, modest and readable, before this process reads it."""
 
+import json
 from pathlib import Path
 
-import h5py
-
-from armperturb.convert.raw import require_modest
+from armperturb.convert.child import run_reader
+from armperturb.convert.raw import LARGEST, require_modest
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """With which the superblock begins, at byte 0, or at 512 below MATLAB's own header."""
 
 
 def require_whole_hdf5(path: Path) -> None:
-    """Refuse a file that is cut off, has something behind its end, or claims more than fits into memory.
+    """Refuse a file that is cut off, has something behind its end, claims more than fits into memory, or is damaged.
+
+    Another process reads it once: some damaged files crash HDF5, or make it go on for ever.
 
     Raises:
       ValueError: it is none of HDF5, or one of these.
@@ -26,16 +28,9 @@ def require_whole_hdf5(path: Path) -> None:
         raise ValueError(
             f"{path}: {size} bytes; expected {end}, as its header says (something follows: two files in one?)"
         )
-    claims = {}
-
-    def count(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset):
-            claims[name] = int(item.size or 0) * item.dtype.itemsize
-
     try:
-        with h5py.File(path) as file:
-            file.visititems(count)
-    except Exception as error:  # a damaged file makes HDF5 fail in any way
+        claims = json.loads(run_reader("hdf5_program.py", path, str(LARGEST)))
+    except ValueError as error:
         raise ValueError(f"{path}: not a readable HDF5 file ({error})") from None
     for name, claim in claims.items():
         require_modest(path, claim, f"{name!r} unpacked")

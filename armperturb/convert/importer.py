@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import signal
 
-from armperturb.convert.balance import check_balance
+from armperturb.convert.balance import check_balance, require_signs
 from armperturb.convert.c3d import read_c3d
 from armperturb.convert.faults import (
     Fault,
@@ -112,13 +112,15 @@ def import_recording(
             raise ValueError(f"repair = {one!r}; expected some of {', '.join(get_args(Repair))}")
     if rate is not None:
         require_number("convert", "rate", rate, at_least=1.0, at_most=1e6)
-    for path in files:
+    for place, path in enumerate(files):
         if path.suffix.lower() not in (*TEXT, *MATLAB, *C3D, *OURS):
             raise ValueError(
                 f"{path}: unknown ending {path.suffix!r}; expected {', '.join((*TEXT, *MATLAB, *C3D, *OURS))}"
             )
         if not path.is_file():
             raise FileNotFoundError(f"{path}: no such file, or a folder; expected a recording")
+        if path.resolve() in [one.resolve() for one in files[:place]]:
+            raise ValueError(f"{path} comes twice; expected each recording once")
     ours = [path for path in files if path.suffix.lower() in OURS]
     if ours:
         return _ours(files, ours, sidecar, repair, rate)
@@ -142,7 +144,9 @@ def import_recording(
     if len(masses) > 1:
         raise ValueError(f"{named}: environment.m_env differs between sidecars; expected one manipulator")
     try:
-        notes += check_balance(recording, masses.pop())
+        notes += check_balance(
+            recording, masses.pop(), [trial.where.removeprefix(named).removeprefix(": ") for trial in trials]
+        )
     except ValueError as error:
         raise ValueError(f"{named}: {error}") from None
     return Imported(recording, tuple(notes))
@@ -162,18 +166,21 @@ def _ours(
             raise ValueError(f"{ours[0]}: {name} = {value!r}; expected none with netCDF, which says it all itself")
     for path in ours:
         require_whole_hdf5(path)
-    recordings = []
-    for path in ours:
+    recordings = [load_recording(path) for path in ours]
+    for path, recording in zip(ours, recordings, strict=True):
         try:
-            recordings.append(load_recording(path))
-        except RuntimeError as error:  # of HDF5, where a file is damaged
-            raise ValueError(f"{path}: not a readable netCDF4 file ({error})") from None
+            require_signs(recording)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
     joined = recordings[0] if len(ours) == 1 else join_recordings(recordings, ", ".join(map(str, ours)))
     return Imported(joined, ())
 
 
 def _read(path: Path, meaning: Sidecar) -> Sequence[RawTrial]:
-    names = {channel for one in meaning.signals.values() for channel in one.channels.values()}
+    names = {channel for one in meaning.signals.values() if one.file is None for channel in one.channels.values()}
+    emg = meaning.signals.get("emg")
+    if emg is not None and emg.file is not None and path.suffix.lower() not in TEXT:
+        raise ValueError(f"{meaning.path}: signals.emg.file = {emg.file!r}; expected none but with text")
     if meaning.time is not None:
         names.add(meaning.time[0])
     if path.suffix.lower() in C3D:
@@ -187,9 +194,27 @@ def _read(path: Path, meaning: Sidecar) -> Sequence[RawTrial]:
         names.add(meaning.trial)
     if path.suffix.lower() in MATLAB:
         return read_matlab(path, sorted(names), meaning.trial)
-    if "emg" in meaning.signals and meaning.signals["emg"].rate is not None:
-        raise ValueError(f"{meaning.path}: signals.emg.rate; expected none for text, whose columns share one rate")
-    return read_text(path, sorted(names), meaning.trial, meaning.dialect)
+    if emg is not None and emg.rate is not None and emg.file is None:
+        raise ValueError(f"{meaning.path}: signals.emg.rate without signals.emg.file; expected both with text, or none")
+    trials = read_text(path, sorted(names), meaning.trial, meaning.dialect)
+    return trials if emg is None or emg.file is None else _with_emg(path, trials, meaning, emg, emg.file)
+
+
+def _with_emg(path: Path, trials: Sequence[RawTrial], meaning: Sidecar, emg: Signal, name: str) -> Sequence[RawTrial]:
+    """The trials of a text file, with the EMG that another holds."""
+    beside = meaning.path.with_name(name)
+    if not beside.is_file():
+        raise FileNotFoundError(f"{beside}: no such file, or a folder; expected signals.emg.file of {meaning.path}")
+    names = [*emg.channels.values(), *([] if meaning.trial is None else [meaning.trial])]
+    found = read_text(beside, names, meaning.trial, meaning.dialect)
+    if meaning.trial is None:
+        found = [replace(found[0], name=path.name)]
+    expected, there = ([one.name for one in group] for group in (trials, found))
+    if there != expected:
+        raise ValueError(
+            f"{beside}: trials {', '.join(there)[:60]}; expected {', '.join(expected)[:60]} as {path.name} has"
+        )
+    return [replace(one, channels={**one.channels, **other.channels}) for one, other in zip(trials, found, strict=True)]
 
 
 def _trial(
@@ -222,7 +247,7 @@ def _trial(
 
 def _advice(fault: Fault) -> str:
     if fault.repair == "trials" or not fault.can:
-        why = "" if fault.repair == "trials" else ", which is too much to be repaired"
+        why = "" if fault.repair == "trials" else ", which cannot be repaired"
         return f"expected a trial without{why} (--repair trials leaves it out)"
     return f"expected none (--repair {fault.repair} puts it right)"
 

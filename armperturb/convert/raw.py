@@ -43,7 +43,7 @@ def missing_channel(path: Path, name: str, found: Collection[str]) -> ValueError
     shown = [repr(one)[:40] for one in list(found)[:12]]
     more = f" and {len(found) - 12} more" if len(found) > 12 else ""
     return ValueError(
-        f"{path}: no channel {name!r}; expected one of {', '.join(shown) or 'none, as there are none'}{more}"
+        f"{path}: no channel {name!r:.60}; expected one of {', '.join(shown) or 'none, as there are none'}{more}"
     )
 
 

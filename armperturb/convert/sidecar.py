@@ -17,6 +17,9 @@ from armperturb.validation import require_number
 LARGEST = 2**20
 """Of a sidecar [byte]."""
 
+LONGEST_TEXT = 200
+"""Of a label or the name of a channel."""
+
 DIRECTIONS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "forward": (0.0, 1.0), "backward": (0.0, -1.0)}
 """Where an axis of the laboratory can point, in ours: x = right, y = forward."""
 
@@ -67,6 +70,7 @@ class Signal:
       matrix: ours = (values - start) @ matrix, (component, component): units, axes and sign.
       start: handle's start in the file's unit and axes, (component,), or "first".
       rate: sampling rate of this signal, if it is not that of the others [Hz].
+      file: name of the text file beside the sidecar that holds it, if it is not that of the others.
     """
 
     channels: Mapping[str, str]
@@ -74,6 +78,7 @@ class Signal:
     matrix: NDArray[np.float64]
     start: tuple[float, ...] | str
     rate: float | None
+    file: str | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,6 +131,16 @@ class Sidecar:
         of_signals = top.fields("signals")
         of_signals.require_only(tuple(SIGNALS), REQUIRED_SIGNALS)
         axes = _axes(top)
+        signals = {name: _signal(of_signals.fields(name), name, axes) for name in SIGNALS if name in of_signals}
+        owners: dict[str, str] = {}
+        for name, signal in signals.items():
+            for channel in signal.channels.values():
+                if channel in owners:
+                    raise ValueError(
+                        f"{of_signals.where(name)}.channels has {channel!r}, as {owners[channel]} has; expected a "
+                        "channel for each"
+                    )
+                owners[channel] = name
         labels = _labels(top.fields("labels"))
         trials = {}
         if "trials" in top:
@@ -144,7 +159,7 @@ class Sidecar:
             rate=rate,
             time=time,
             trial=top.text("trial") if "trial" in top else None,
-            signals={name: _signal(of_signals.fields(name), name, axes) for name in SIGNALS if name in of_signals},
+            signals=signals,
             labels=labels,
             trials=trials,
             mass=mass,
@@ -188,7 +203,7 @@ class _Fields:
         return self.content[name]
 
     def where(self, name: str) -> str:
-        shown = name if name.isprintable() else ascii(name)
+        shown = (name if name.isprintable() else ascii(name))[:60]
         return f"{self.file}: {self.place}.{shown}" if self.place else f"{self.file}: {shown}"
 
     def fields(self, name: str) -> "_Fields":
@@ -206,8 +221,10 @@ class _Fields:
         value = self.content[name]
         if not isinstance(value, str):
             raise TypeError(f"{self.where(name)} = {value!r:.60}; expected text")
-        if not value or not value.isprintable():
-            raise ValueError(f"{self.where(name)} = {value!r:.60}; expected printable text, not empty")
+        if not value.isprintable() or not 0 < len(value) <= LONGEST_TEXT:
+            raise ValueError(
+                f"{self.where(name)} = {value!r:.60}; expected printable text of 1 to {LONGEST_TEXT} characters"
+            )
         return value
 
     def choice(self, name: str, known: Collection[str]) -> str:
@@ -232,11 +249,12 @@ def _parsed(path: Path) -> object:
         raise ValueError(f"{path}: {size} bytes; expected a sidecar of at most {LARGEST}")
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        names = [name for name, _ in pairs]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"the field {name!r} comes twice")
-        return dict(pairs)
+        found: dict[str, Any] = {}
+        for name, value in pairs:
+            if name in found:
+                raise ValueError(f"the field {name!r:.60} comes twice")
+            found[name] = value
+        return found
 
     def refuse(text: str) -> NoReturn:
         raise ValueError(f"{text} is no number of JSON")
@@ -266,7 +284,7 @@ def _signal(fields: _Fields, name: str, axes: NDArray[np.float64]) -> Signal:
     known += ["axes"] if on_axes else []
     known += ["start"] if on_axes and ours == "m" else []
     known += ["exerted_by"] if name == "force" else []
-    known += ["rate"] if name == "emg" else []
+    known += ["rate", "file"] if name == "emg" else []
     fields.require_only(known, [one for one in known if one in ("channels", "unit", "exerted_by")])
     of_channels = fields.fields("channels")
     of_channels.require_only(components, components)
@@ -285,12 +303,22 @@ def _signal(fields: _Fields, name: str, axes: NDArray[np.float64]) -> Signal:
         matrix=matrix,
         start=_start(fields, components) if "start" in fields else (0.0,) * len(components),
         rate=fields.rate("rate"),
+        file=_file(fields) if "file" in fields else None,
     )
+
+
+def _file(fields: _Fields) -> str:
+    name = fields.text("file")
+    if Path(name).name != name or "rate" not in fields:
+        raise ValueError(
+            f"{fields.where('file')} = {name!r}; expected the name of a file, without a folder, and a rate"
+        )
+    return name
 
 
 def _start(fields: _Fields, components: tuple[str, ...]) -> tuple[float, ...] | str:
     value = fields["start"]
-    if value == FIRST:
+    if isinstance(value, str) and value == FIRST:
         return FIRST
     if not isinstance(value, list) or len(value) != len(components):
         raise ValueError(f"{fields.where('start')} = {value!r:.60}; expected 'first', or [x, y] in the signal's unit")

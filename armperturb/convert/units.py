@@ -19,6 +19,10 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 """Our unit to those that can be turned into it, with the factor."""
 
 
+LONGEST_NUMBER = 50
+"""Characters of a number with its unit, and digits of one without."""
+
+
 def factor_to(ours: str, unit: object, where: str) -> float:
     """By what to multiply a value to have it in our unit.
 
@@ -31,7 +35,7 @@ def factor_to(ours: str, unit: object, where: str) -> float:
       ValueError: the unit is none of this quantity.
     """
     if not isinstance(unit, str) or unit not in UNITS[ours]:
-        raise ValueError(f"{where} = {unit!r}; expected a unit: {', '.join(UNITS[ours])}")
+        raise ValueError(f"{where} = {unit!r:.60}; expected a unit: {', '.join(UNITS[ours])}")
     return UNITS[ours][unit]
 
 
@@ -49,8 +53,12 @@ def quantity(value: object, ours: str, where: str) -> float:
     """
     owner, _, field = where.rpartition(": ")
     if not isinstance(value, str):
+        if isinstance(value, int) and abs(value) > 10**LONGEST_NUMBER:
+            raise ValueError(f"{where} has more than {LONGEST_NUMBER} digits; expected a number of a signal")
         require_number(owner, field, value)
         return float(value)  # type: ignore[arg-type]
+    if len(value) > LONGEST_NUMBER:
+        raise ValueError(f"{where} = {value!r:.60}; expected a finite number, or one with its unit, e.g. '12 {ours}'")
     number, _, unit = value.strip().partition(" ")
     try:
         found = float(number) if "_" not in number else math.nan

@@ -13,16 +13,21 @@ LEAST_POWER = 1e-9
 
 
 def draw_multisine(
-    lines: np.ndarray, power: np.ndarray, *, seed: int | np.random.Generator, duration: float, crested: bool = True
+    lines: np.ndarray,
+    power: np.ndarray,
+    *,
+    seed: int | np.random.Generator,
+    duration: float,
+    n_period: int = PERIOD_SAMPLES,
 ) -> Sampled:
-    """A random realisation of line powers at the thesis's period and rate, independent on x and y.
+    """A random realisation of line powers at the thesis's rate of 200 Hz, independent on x and y, with low peaks.
 
     Args:
-      lines: cycles per period of 20.48 s, distinct whole numbers between 1 and 1023, (line,).
+      lines: cycles per period, distinct whole numbers from 1 to below a quarter of n_period, (line,).
       power: mean square force of each line [N^2], >= 0, (line, axis).
       seed: what the phases are drawn from; the same seed gives the same multisine.
       duration: time that it is applied for [s], at least 0.01 s.
-      crested: whether to lower the peaks; if not, the phases stay uniformly random.
+      n_period: samples per period, at most 4096.
 
     Raises:
       TypeError: duration is not a number.
@@ -39,16 +44,17 @@ def draw_multisine(
         )
     if not power.any(axis=0).all():
         raise ValueError("draw_multisine: power of an axis is zero at all lines; expected some")
-    if lines.min() < 1 or lines.max() > 1023:
-        raise ValueError(f"draw_multisine: lines from {lines.min()} to {lines.max()}; expected 1 to 1023")
+    highest = n_period // 4 - 1
+    if lines.min() < 1 or lines.max() > highest:
+        raise ValueError(f"draw_multisine: lines from {lines.min()} to {lines.max()}; expected 1 to {highest}")
     starts = np.random.default_rng(seed).uniform(-np.pi, np.pi, (2, N_STARTS, len(lines)))
-    spectrum = np.zeros((2, PERIOD_SAMPLES // 2 + 1), complex)
+    spectrum = np.zeros((2, n_period // 2 + 1), complex)
     for axis in range(2):
         used = power[:, axis] > LEAST_POWER * power[:, axis].sum()
         amplitudes = np.sqrt(2.0 * power[used, axis])
         # Phases must not depend on the scale, not even by rounding.
         relative = amplitudes / np.sqrt(power[used, axis].sum())
-        phases = reduce_crest(lines[used], relative, starts[axis][:, used]) if crested else starts[axis, 0, used]
+        phases = reduce_crest(lines[used], relative, starts[axis][:, used])
         spectrum[axis, lines[used]] = amplitudes * np.exp(1j * phases)
-    period = irfft(spectrum, PERIOD_SAMPLES, norm="forward").T / 2.0
+    period = irfft(spectrum, n_period, norm="forward").T / 2.0
     return Sampled(force=np.resize(period, (round(duration * DESIGN_RATE), 2)), rate=DESIGN_RATE)

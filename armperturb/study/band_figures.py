@@ -1,25 +1,40 @@
 """Figures of a frequency response with its uncertainty, and of the levels of noise and distortion."""
 
+from collections.abc import Mapping
+
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from armperturb.analysis.best_linear import BestLinear
 from armperturb.analysis.frequency_response import FrequencyResponse
-from armperturb.study.axes import AXES, PHASES, admittance_panels, label_frequency, legend, plot_admittance
+from armperturb.study.axes import AXES, PHASES, Element, admittance_panels, label_frequency, legend, plot_admittance
 from armperturb.study.style import COLOURS, GREY, INK, in_style, new_figure
 
 
 @in_style()
 def response_bands(found: FrequencyResponse, level: float = 0.95) -> Figure:
-    """Gain and phase of each element, with the limits within which it lies with a probability.
+    """Gain and phase of each element, with the limits within which it lies with a probability if these are known.
 
     Raises:
-      ValueError: as `FrequencyResponse.radius`.
+      ValueError: the level is no probability.
     """
-    bands = found.bands(level)
     figure, panels = admittance_panels()
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=INK, marker="o", markersize=2.5, label=f"estimate ({found.what})")
+    ]
+    if found.covariance is not None:
+        _draw_bands(panels, found, level)
+        handles.append(Patch(facecolor=GREY, alpha=0.4, label=f"{level:.0%} of each element"))
+    plot_admittance(panels, found.frequency, found.response, color=INK, marker="o", markersize=2.5)
+    legend(figure, *handles)
+    return figure
+
+
+def _draw_bands(panels: Mapping[Element, tuple[Axes, Axes]], found: FrequencyResponse, level: float) -> None:
+    bands = found.bands(level)
     for element, (gain_ax, phase_ax) in panels.items():
         at = (slice(None), *element)
         gain = np.abs(found.response[at])
@@ -32,17 +47,15 @@ def response_bands(found: FrequencyResponse, level: float = 0.95) -> Figure:
             alpha=0.4,
             lw=0,
         )
-        phase = np.degrees(np.angle(found.response[at]))
-        turn = PHASES[0] + np.mod(phase - PHASES[0], 360.0) - phase
-        low, high = np.degrees(bands.phase_low[at]) + turn, np.degrees(bands.phase_high[at]) + turn
-        phase_ax.fill_between(found.frequency, low, high, color=GREY, alpha=0.4, lw=0)
-    plot_admittance(panels, found.frequency, found.response, color=INK, marker="o", markersize=2.5)
-    legend(
-        figure,
-        Line2D([], [], color=INK, marker="o", markersize=2.5, label=f"estimate ({found.what})"),
-        Patch(facecolor=GREY, alpha=0.4, label=f"{level:.0%} of each element"),
-    )
-    return figure
+        # Bands go on where the line starts again at the other end of the axis.
+        angle = np.angle(found.response[at])
+        whole = np.unwrap(angle)
+        low, high = (np.degrees(limit[at] + whole - angle) for limit in (bands.phase_low, bands.phase_high))
+        first, last = np.floor((PHASES[0] - high.max()) / 360.0), np.ceil((PHASES[1] - low.min()) / 360.0)
+        limits = phase_ax.get_ylim()
+        for turn in 360.0 * np.arange(first, last + 1):
+            phase_ax.fill_between(found.frequency, low + turn, high + turn, color=GREY, alpha=0.4, lw=0)
+        phase_ax.set_ylim(limits)
 
 
 @in_style()

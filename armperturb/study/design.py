@@ -1,17 +1,19 @@
 """Plan an experiment: how well each parameter will be known, and the line powers that make it best known.
 
 The person is synthetic and so is the noise (`HUMAN_NOISE`, `Instruments`); what the design promises is what they make
-of it. The thesis's multisine, as strong as the same limits allow, stands beside it.
+of it. The thesis's multisine, as strong as the same limits allow, stands beside it. That people are quieter when they
+are pushed less is known of the synthetic ones alone. So by default the noise is held at what it is under the thesis's
+multisine, and no joint is loaded more than by that one; what quieter people would add is told beside it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import rfft
+from scipy.fft import irfft, rfft
 
 from armperturb.analysis.arm_model import require_stable, total_admittance
 from armperturb.analysis.design import Experiment, Limits, Noise, optimise
@@ -21,7 +23,7 @@ from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.envs.experiment import MAX_DURATION
 from armperturb.envs.instruments import Instruments
-from armperturb.perturbations import CLUSTERS, Multisine, Sampled
+from armperturb.perturbations import CLUSTERS, Multisine, Perturbation, Sampled
 from armperturb.perturbations.line_spectrum import draw_multisine
 from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD, PERIOD_SAMPLES
 from armperturb.study.protocol import LARGEST_RMS_DISPLACEMENT, trial_seed
@@ -34,6 +36,10 @@ Row = dict[str, Any]
 
 Goal = Literal["reflex", "intrinsic", "grip", "mass", "all"]
 """Parameters whose standard errors are to be small."""
+
+NoiseLaw = Literal["held", "follows"]
+"""How noisy the person is: as under the thesis's multisine, and more only where a joint is loaded more; or as the
+synthetic people, whose noise rises and falls with the load."""
 
 _QUANTITIES: Mapping[str, tuple[str, ...]] = {
     "reflex": ("kv", "kp", "ka", "kf", "Td", "fact"),
@@ -54,10 +60,31 @@ TIMESTEP = 1e-3
 """Of the simulation, whose noise is meant [s]."""
 
 
-def cluster_starts() -> NDArray[np.int64]:
-    """First lines of the clusters that may be used, in cycles per period, over the thesis's band, (cluster,)."""
-    starts = [int(CLUSTERS[0, 0])]
-    while (following := max(starts[-1] + GAP, round(RATIO * starts[-1]))) <= CLUSTERS[-1, 0]:
+SHORTEST_PERIOD = PERIOD / 4
+"""Of a multisine [s]; its clusters are 0.8 Hz wide."""
+
+SETTLING = 4.0
+"""Time that a record must leave before the window of a period, in which spectra are estimated [s]."""
+
+USUAL_START = 8.0
+"""Of that window where the record is long enough [s]."""
+
+MOST_TRIALS = 1000
+
+LEAST_FORCE, MOST_FORCE = 1e-3, 1e3
+"""Of a limit [N]: below gauges tell nothing, above no manipulator goes."""
+
+
+def cluster_starts(period: float = PERIOD) -> NDArray[np.int64]:
+    """First lines of the clusters that may be used, in cycles per period, over the thesis's band, (cluster,).
+
+    Args:
+      period: [s].
+    """
+    # Above the thesis's lowest line, and at least two periods in the window.
+    starts = [max(2, int(np.ceil(CLUSTERS[0, 0] * period / PERIOD)))]
+    highest = CLUSTERS[-1, -1] * period / PERIOD - (CLUSTERS.shape[1] - 1)
+    while (following := max(starts[-1] + GAP, round(RATIO * starts[-1]))) <= highest:
         starts.append(following)
     return np.array(starts)
 
@@ -76,6 +103,8 @@ class DesignSettings:
       trials: that will be identified together, each with phases of its own.
       peak: largest force there may ever be on an axis [N]; None for no such limit.
       spread: share of each axis's power that is spread evenly over the band, 0 to 1 [-].
+      noise: for which the lines are chosen, see `NoiseLaw`.
+      proposed: perturbation whose standard errors are to be told beside; it need not keep the limits.
       seed: of the phases.
 
     Raises:
@@ -90,31 +119,45 @@ class DesignSettings:
     trials: int = 8
     peak: float | None = None
     spread: float = SPREAD
+    noise: NoiseLaw = "held"
+    proposed: Perturbation | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.goal not in get_args(Goal):
-            raise ValueError(f"design: goal = {self.goal!r}; expected one of {', '.join(get_args(Goal))}")
+        for field, allowed in (("goal", get_args(Goal)), ("noise", get_args(NoiseLaw))):
+            if getattr(self, field) not in allowed:
+                raise ValueError(f"design: {field} = {getattr(self, field)!r}; expected one of {', '.join(allowed)}")
         if len(self.limits) != 3:
             raise ValueError(
                 f"design: limits = {self.limits!r}; expected three numbers: RMS force [N], RMS displacement [m], "
                 "duration [s]"
             )
         force, displacement, duration = self.limits
-        require_number("design", "limit of the force [N]", force, above=0.0)
+        require_number("design", "limit of the force [N]", force, at_least=LEAST_FORCE, at_most=MOST_FORCE)
         name = "limit of the displacement [m]"
         require_number("design", name, displacement, above=0.0, at_most=LARGEST_RMS_DISPLACEMENT)
+        # What is less than the encoders' steps is lost in them.
+        least = noise_levels(Instruments()).displacement
+        if displacement < least:
+            raise ValueError(
+                f"design: {name} = {displacement:g}; expected at least the noise of the encoders, {least:.2g} m"
+            )
         # A period that is not whole tells no lines apart.
-        require_number("design", "duration [s]", duration, at_least=PERIOD, at_most=MAX_DURATION)
+        shortest = SHORTEST_PERIOD + SETTLING
+        require_number("design", "duration [s]", duration, at_least=shortest, at_most=MAX_DURATION)
         if self.model is not None and self.model not in STRUCTURES:
             raise ValueError(f"design: model = {self.model!r}; expected one of {', '.join(STRUCTURES)}")
-        for field, least in (("trials", 1), ("seed", 0)):
-            require_number("design", field, getattr(self, field), at_least=least)
+        require_number("design", "trials", self.trials, at_least=1, at_most=MOST_TRIALS)
+        require_number("design", "seed", self.seed, at_least=0)
+        for field in ("trials", "seed"):
             if not isinstance(getattr(self, field), int):
                 raise TypeError(f"design: {field} = {getattr(self, field)!r}; expected a whole number")
         if self.peak is not None:
-            require_number("design", "peak", self.peak, above=0.0)
+            require_number("design", "peak [N]", self.peak, at_least=LEAST_FORCE)
         require_number("design", "spread", self.spread, at_least=0.0, at_most=1.0)
+        if self.proposed is not None:
+            name = "duration of the proposed perturbation [s]"
+            require_number("design", name, self.proposed.duration, at_least=shortest, at_most=MAX_DURATION)
         require_stable(self.subject, Environment())
         if not self.wanted():
             lacking = "" if any(self._gains()) else f", and {self.subject.name!r} no reflexes"
@@ -125,6 +168,19 @@ class DesignSettings:
 
     def _gains(self) -> list[float]:
         return [getattr(self.subject, name) for name in _GAINS]
+
+    @property
+    def period(self) -> float:
+        """Of the multisine [s]: the thesis's, or its half or quarter where the duration is too short for that."""
+        period = PERIOD
+        while period + SETTLING > self.limits[2]:
+            period /= 2.0
+        return period
+
+    @property
+    def start(self) -> float:
+        """Of the window of whole periods in which `identify` estimates spectra [s]."""
+        return min(USUAL_START, self.limits[2] - self.period)
 
     def model_name(self) -> str:
         """Name of the structure that will be fitted."""
@@ -146,22 +202,23 @@ class DesignSettings:
         return tuple(name for name in free if name not in GRIP_UNITS and name.partition("_")[0] in quantities)
 
 
-class Lines(NamedTuple):
-    """A multisine but for its phases.
+class Signal(NamedTuple):
+    """What a perturbation will tell.
 
     Attributes:
-      lines: in cycles per period, (line,).
+      frequency: of its lines [Hz], (line,).
       power: mean square force [N^2], (line, axis).
-      standard_error: predicted, of each free parameter, from all trials, SI, (parameter,).
-      equally_noisy: the same, were the person as noisy as under the thesis's multisine, SI, (parameter,).
+      standard_error: law of the noise to the least standard error of each free parameter, from all trials, SI,
+        (parameter,).
       displacement: RMS displacement of the handle that it causes, on average over phases [m], (axis,).
+      duration: of a trial [s].
     """
 
-    lines: NDArray[np.int64]
+    frequency: Array
     power: Array
-    standard_error: Array
-    equally_noisy: Array
+    standard_error: Mapping[NoiseLaw, Array]
     displacement: Array
+    duration: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -174,71 +231,95 @@ class Design:
       truth: their values, SI, (parameter,).
       thesis: its multisine, as strong as the limits allow.
       optimised: the best multisine within the limits.
-      perturbations: realisations of the latter, one per trial.
+      proposed: the proposed perturbation, played in every trial, if there is one.
+      perturbations: realisations of the optimised one, one per trial.
       excess: bound of how far the optimum is from the best, see `analysis.design.Optimum` [-].
     """
 
     settings: DesignSettings
     names: tuple[str, ...]
     truth: Array
-    thesis: Lines
-    optimised: Lines
+    thesis: Signal
+    optimised: Signal
+    proposed: Signal | None
     perturbations: tuple[Sampled, ...]
     excess: float
 
-    @cached_property
+    @property
     def factor(self) -> float:
-        """Geometric mean of the goal's standard errors, optimised over thesis's [-]."""
-        return self._factor(self.optimised.standard_error)
+        """Geometric mean of the goal's standard errors, optimised over thesis's, by the law of the settings [-]."""
+        return self.factors[self.settings.noise]
 
     @cached_property
-    def factor_equally_noisy(self) -> float:
-        """The same, were the person under the optimised multisine as noisy as under the thesis's [-]."""
-        return self._factor(self.optimised.equally_noisy)
-
-    def _factor(self, error: Array) -> float:
+    def factors(self) -> dict[NoiseLaw, float]:
+        """Law of the noise to that factor."""
         columns = [self.names.index(name) for name in self.settings.wanted()]
-        return float(np.exp(np.mean(np.log((error / self.thesis.standard_error)[columns]))))
+        ratios = {
+            law: (self.optimised.standard_error[law] / self.thesis.standard_error[law])[columns]
+            for law in get_args(NoiseLaw)
+        }
+        return {law: float(np.exp(np.mean(np.log(ratio)))) for law, ratio in ratios.items()}
+
+    @cached_property
+    def between_trials(self) -> Array:
+        """What adds to each standard error (as squares) as synthetic people differ from trial to trial, SI.
+
+        That is the SD over trials of a parameter's mean over the joints that it stands for, over the root of the
+        number of trials, (parameter,).
+        """
+        human = HUMAN_NOISE[self.settings.subject.task]
+        shares = [
+            getattr(human, f"spread_{name.partition('_')[0]}", 0.0) if name not in GRIP_UNITS else 0.0
+            for name in self.names
+        ]
+        return np.abs(self.truth) * np.array(shares) / np.sqrt(self.settings.trials)
 
     def rows(self) -> list[Row]:
         """Predicted standard errors per parameter, SI."""
-        wanted = self.settings.wanted()
-        return [
-            {
+        wanted, law = self.settings.wanted(), self.settings.noise
+        rows: list[Row] = []
+        for column, name in enumerate(self.names):
+            thesis = float(self.thesis.standard_error[law][column])
+            optimised = {key: float(error[column]) for key, error in self.optimised.standard_error.items()}
+            row = {
                 "parameter": name,
                 "unit": unit(name),
-                "value": float(value),
+                "value": float(self.truth[column]),
                 "goal": int(name in wanted),
-                "sem_thesis": float(thesis),
-                "sem_optimised": float(optimised),
-                "ratio": float(optimised / thesis),
+                "sem_thesis": thesis,
+                "sem_optimised": optimised[law],
+                "ratio": optimised[law] / thesis,
+                "sem_noise_held": optimised["held"],
+                "sem_noise_follows": optimised["follows"],
+                "between_trials": float(self.between_trials[column]),
             }
-            for name, value, thesis, optimised in zip(
-                self.names, self.truth, self.thesis.standard_error, self.optimised.standard_error, strict=True
-            )
-        ]
+            if self.proposed is not None:
+                row["sem_proposed"] = float(self.proposed.standard_error[law][column])
+            rows.append(row)
+        return rows
 
     def spectrum_rows(self) -> list[Row]:
         """RMS force of each line."""
         return [
             {
                 "signal": name,
-                "frequency_hz": float(line / PERIOD),
+                "frequency_hz": float(frequency),
                 "force_x_N": float(np.sqrt(x)),
                 "force_y_N": float(np.sqrt(y)),
             }
             for name, signal in (("thesis", self.thesis), ("optimised", self.optimised))
-            for line, (x, y) in zip(signal.lines.tolist(), signal.power, strict=True)
+            for frequency, (x, y) in zip(signal.frequency, signal.power, strict=True)
         ]
 
     def signal_rows(self) -> list[Row]:
         """RMS and largest force, and RMS displacement of the handle, of each realisation."""
-        moved = [displacements(self.settings.subject, signal) for signal in self.perturbations]
+        n_period = round(self.settings.period * DESIGN_RATE)
+        moved = [displacements(self.settings.subject, signal, n_period) for signal in self.perturbations]
         return [
             {
                 "trial": number,
                 "axis": axis,
-                "rms_force_N": float(np.sqrt(np.mean(signal.force[:PERIOD_SAMPLES, column] ** 2))),
+                "rms_force_N": float(np.sqrt(np.mean(signal.force[:n_period, column] ** 2))),
                 "peak_force_N": float(np.abs(signal.force[:, column]).max()),
                 "rms_displacement_m": float(moved[number - 1][column]),
             }
@@ -254,56 +335,141 @@ def design(settings: DesignSettings) -> Design:
       ValueError: no multisine tells about some of the model's parameters; the message names them.
     """
     force, displacement, duration = settings.limits
-    structure, starts = settings.structure(), cluster_starts()
-    lines = (starts[:, None] + np.arange(CLUSTERS.shape[1])).ravel()
-    best = experiment_at(settings, lines)
-    optimum = optimise(best, len(starts), settings.wanted(), Limits(force, displacement), settings.spread)
+    structure, starts = settings.structure(), cluster_starts(settings.period)
+    n_period = round(settings.period * DESIGN_RATE)
     seeds = [trial_seed(settings.seed, "design", number) for number in range(settings.trials)]
-    drawn = [draw_multisine(lines, optimum.power, seed=seed, duration=duration) for seed in seeds]
-    # How x and y add up depends on the phases: the worst trial must be within the limits.
-    scale = min(1.0, displacement / max(float(displacements(settings.subject, one).max()) for one in drawn))
 
-    usual = experiment_at(settings, CLUSTERS.ravel())
+    usual = experiment_at(settings, CLUSTERS.ravel() / PERIOD)
     multisine = Multisine(rms=force, phases=np.zeros((2, CLUSTERS.size)))
     thesis = np.repeat(multisine.amplitudes[:, None] ** 2 / 2.0, 2, axis=1)
     thesis /= max(1.0, float(usual.displacement(thesis).max()) / displacement**2)
     if settings.peak is not None:
-        scale = min(scale, settings.peak / max(float(np.abs(one.force).max()) for one in drawn))
         multisines = [Multisine.draw(seed=seed, rms=float(np.sqrt(thesis[:, 0].sum()))) for seed in seeds]
         largest = max(float(np.abs(one.sample(DESIGN_RATE, PERIOD_SAMPLES)).max()) for one in multisines)
         thesis *= min(1.0, settings.peak / largest) ** 2
+    usual_demand = usual.demand(thesis)
 
-    def signal(of: Experiment, at: NDArray[np.int64], powers: Array) -> Lines:
-        error, equally_noisy = (
-            of.standard_error(powers, duration, settings.trials, demand=demand)
-            for demand in (None, usual.demand(thesis))
+    lines = (starts[:, None] + np.arange(CLUSTERS.shape[1])).ravel()
+    best = experiment_at(settings, lines / settings.period)
+    held = usual_demand if settings.noise == "held" else None
+    limits = Limits(force, displacement)
+    optimum = optimise(best, len(starts), settings.wanted(), limits, settings.spread, held)
+    drawn = [
+        balanced(
+            settings.subject,
+            draw_multisine(lines, optimum.power, seed=seed, duration=duration, n_period=n_period),
+            n_period,
         )
-        return Lines(at, powers, error, equally_noisy, np.sqrt(of.displacement(powers)))
+        for seed in seeds
+    ]
+    # How x and y add up depends on the phases: the worst trial must be within the limits.
+    moved = max(float(displacements(settings.subject, one, n_period).max()) for one in drawn)
+    scale = min(1.0, displacement / moved)
+    if settings.peak is not None:
+        scale = min(scale, settings.peak / max(float(np.abs(one.force).max()) for one in drawn))
+
+    def signal(of: Experiment, powers: Array) -> Signal:
+        return _signal(
+            of, powers, usual_demand, lambda demand: of.information(powers, demand), duration, settings.trials
+        )
 
     return Design(
         settings=settings,
         names=structure.free,
         truth=true_values(settings.subject, structure),
-        thesis=signal(usual, CLUSTERS.ravel(), thesis),
-        optimised=signal(best, lines, scale**2 * optimum.power),
+        thesis=signal(usual, thesis),
+        optimised=signal(best, scale**2 * optimum.power),
+        proposed=None if settings.proposed is None else proposed_signal(settings, usual_demand),
         perturbations=tuple(Sampled(force=scale * one.force, rate=one.rate) for one in drawn),
         excess=optimum.excess,
     )
 
 
-def experiment_at(settings: DesignSettings, lines: NDArray[np.int64]) -> Experiment:
-    """The planned experiment with a multisine of these lines."""
-    frequency = lines / PERIOD
+def experiment_at(settings: DesignSettings, frequency: Array) -> Experiment:
+    """The planned experiment with lines at these frequencies [Hz], (frequency,)."""
     human, instruments = HUMAN_NOISE[settings.subject.task], Instruments()
     floor, louder = (human.torque_spectrum([rms, rms], TIMESTEP, frequency)[:, 0] for rms in (0.0, 1.0))
     noise = Noise(floor, louder - floor, noise_levels(instruments), DESIGN_RATE)
     return Experiment(settings.subject, settings.structure(), Environment(), frequency, noise)
 
 
-def displacements(subject: Subject, perturbation: Sampled) -> Array:
-    """RMS displacement of the handle that a periodic perturbation causes once its start is forgotten [m], (axis,)."""
-    spectrum = rfft(perturbation.force[:PERIOD_SAMPLES], axis=0)[1:] / PERIOD_SAMPLES
-    total = total_admittance(subject, Environment(), np.arange(1, len(spectrum) + 1) / PERIOD)
+def proposed_signal(settings: DesignSettings, usual_demand: Array) -> Signal:
+    """What the proposed perturbation tells, with the phases that it has.
+
+    Args:
+      settings: with a proposed perturbation; each trial plays it for as long as it lasts.
+      usual_demand: with which the thesis's multisine loads each joint [Nm^2], (joint,).
+
+    Raises:
+      ValueError: it tells nothing about some of the model's parameters; the message names them.
+    """
+    assert settings.proposed is not None
+    lasts = settings.proposed.duration
+    n_samples = round(lasts * DESIGN_RATE)
+    spectrum = 2.0 * rfft(settings.proposed.sample(DESIGN_RATE, n_samples), axis=0) / n_samples
+    frequency = np.arange(len(spectrum)) * DESIGN_RATE / n_samples
+    kept = (frequency > 0.0) & (frequency < DESIGN_RATE / 2.0)  # a constant force tells nothing of what moves
+    of, amplitudes = experiment_at(settings, frequency[kept]), spectrum[kept]
+    try:
+        return _signal(
+            of,
+            np.abs(amplitudes) ** 2 / 2.0,
+            usual_demand,
+            lambda demand: of.information_of(amplitudes, demand),
+            lasts,
+            settings.trials,
+        )
+    except ValueError as error:
+        raise ValueError(f"proposed perturbation: {error}") from None
+
+
+def _signal(
+    of: Experiment,
+    powers: Array,
+    usual_demand: Array,
+    told: Callable[[Array], Array],
+    duration: float,
+    trials: int,
+) -> Signal:
+    """What lines tell; `told` gives the information per second for a demand."""
+    own = of.demand(powers)
+    demands: dict[NoiseLaw, Array] = {"held": np.maximum(own, usual_demand), "follows": own}
+    errors = {law: of.standard_error(told(demand), duration, trials) for law, demand in demands.items()}
+    return Signal(of.frequency, powers, errors, np.sqrt(of.displacement(powers)), duration)
+
+
+def balanced(subject: Subject, perturbation: Sampled, n_period: int) -> Sampled:
+    """The perturbation with y later by so much that x and y together move the handle as they do on average over phases.
+
+    On its few lines an optimum may else move it by a third more or less. Neither spectra nor peaks change.
+
+    Args:
+      subject: who is perturbed.
+      perturbation: a periodic one.
+      n_period: samples per period.
+    """
+    spectrum = rfft(perturbation.force[:n_period], axis=0)
+    total = total_admittance(subject, Environment(), np.arange(1, len(spectrum)) * perturbation.rate / n_period)
+    by_axis = total * spectrum[1:, None]
+    alone = np.sum(np.abs(by_axis) ** 2, axis=(0, 2))
+    # Of both together, for each delay of y in samples.
+    common = np.concatenate([np.zeros((1, 2)), by_axis[:, :, 0] * by_axis[:, :, 1].conj()])
+    together = n_period * irfft(common, n_period, axis=0)
+    delay = int(np.argmin(np.max(np.abs(together) / alone, axis=1)))
+    period = np.stack([perturbation.force[:n_period, 0], np.roll(perturbation.force[:n_period, 1], delay)], axis=1)
+    return Sampled(force=np.resize(period, perturbation.force.shape), rate=perturbation.rate)
+
+
+def displacements(subject: Subject, perturbation: Sampled, n_period: int = PERIOD_SAMPLES) -> Array:
+    """RMS displacement of the handle that a periodic perturbation causes once its start is forgotten [m], (axis,).
+
+    Args:
+      subject: who is perturbed.
+      perturbation: of at least a period.
+      n_period: samples per period.
+    """
+    spectrum = rfft(perturbation.force[:n_period], axis=0)[1:] / n_period
+    total = total_admittance(subject, Environment(), np.arange(1, len(spectrum) + 1) * perturbation.rate / n_period)
     return np.asarray(np.sqrt(2.0 * np.sum(np.abs(np.einsum("fij,fj->fi", total, spectrum)) ** 2, axis=0)))
 
 

@@ -1,0 +1,122 @@
+"""What mkdocs puts into pages that it builds: the command reference, from the dataclasses that parse the commands."""
+
+import ast
+import functools
+import inspect
+import types
+from collections.abc import Iterator
+from dataclasses import MISSING, Field, fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
+
+import tyro
+
+from armperturb import cli
+
+PLACE = "<!-- commands -->"
+"""Where the reference stands in `commands.md`."""
+
+
+class Argument(NamedTuple):
+    """An argument of a command.
+
+    Attributes:
+      name: as typed.
+      values: what may follow it.
+      default: empty if it must be given.
+      meaning: in words.
+    """
+
+    name: str
+    values: str
+    default: str
+    meaning: str
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Called by mkdocs for each page; gives the markdown that is rendered."""
+    return markdown.replace(PLACE, reference()) if page.file.src_uri == "commands.md" else markdown
+
+
+def reference() -> str:
+    """All commands as markdown, in the order in which `armperturb.cli` defines them."""
+    return "\n\n".join(_section(name, kind) for name, kind in commands().items())
+
+
+def commands() -> dict[str, type]:
+    """Name of each command, as typed, to the dataclass of its arguments."""
+    found = (one for one in vars(cli).values() if is_dataclass(one) and isinstance(one, type))
+    return {one.__name__.lower(): one for one in found if one.__module__ == cli.__name__}
+
+
+def arguments(kind: type) -> Iterator[Argument]:
+    """The arguments of a command."""
+    meanings, hints = _field_texts(kind), get_type_hints(kind, include_extras=True)
+    for field in fields(kind):
+        hint = hints[field.name]
+        positional = get_origin(hint) is Annotated and tyro.conf.Positional in hint.__metadata__
+        hint = get_args(hint)[0] if get_origin(hint) is Annotated else hint
+        name = field.name.upper() if positional else "--" + field.name.replace("_", "-")
+        yield Argument(name, _values(hint), _default(field), meanings[field.name])
+
+
+def _section(name: str, kind: type) -> str:
+    lines = [
+        f"## {name}",
+        "",
+        inspect.getdoc(kind) or "",
+        "",
+        f"`{_usage(name, kind)}`",
+        "",
+        "| argument | value | default | meaning |",
+        "|---|---|---|---|",
+    ]
+    for one in arguments(kind):
+        cells = (f"`{one.name}`", one.values, one.default or "must be given", one.meaning)
+        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(lines)
+
+
+def _usage(name: str, kind: type) -> str:
+    needed = [one for one in arguments(kind) if not one.default]
+    parts = [one.name if not one.name.startswith("-") else f"{one.name} {one.name[2:].upper()}" for one in needed]
+    return " ".join(["armperturb", name, *parts, "[options]"])
+
+
+def _values(hint: Any) -> str:
+    """Values of a type, in words."""
+    if hint is bool:
+        return "none: it is a switch"
+    if get_origin(hint) is Literal:
+        return ", ".join(f"`{value}`" for value in get_args(hint))
+    if get_origin(hint) in (Union, types.UnionType):
+        return _values(next(one for one in get_args(hint) if one is not type(None)))
+    if get_origin(hint) is tuple:
+        return f"one or more: {_values(get_args(hint)[0])}"
+    return {int: "whole number", float: "number", str: "text", Path: "path"}[hint]
+
+
+def _default(field: "Field[Any]") -> str:
+    if field.default is MISSING:
+        return ""
+    if field.default is None or field.default == ():
+        return "none"
+    if isinstance(field.default, bool):
+        return "off"
+    return f"`{' '.join(map(str, field.default)) if isinstance(field.default, tuple) else field.default}`"
+
+
+def _field_texts(kind: type) -> dict[str, str]:
+    """Name of each field to the text below it, in one line."""
+    (definition,) = (one for one in _module().body if isinstance(one, ast.ClassDef) and one.name == kind.__name__)
+    texts = {}
+    for field, text in zip(definition.body, definition.body[1:], strict=False):
+        match field, text:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
+                texts[name] = " ".join(words.split())
+    return texts
+
+
+@functools.cache
+def _module() -> ast.Module:
+    return ast.parse(inspect.getsource(cli))
