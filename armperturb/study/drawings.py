@@ -24,6 +24,7 @@ from armperturb.study.axes import Marks
 from armperturb.study.bars import CONDITIONS
 from armperturb.study.cases import of_condition
 from armperturb.study.effects import AdmittanceEffect, Effects
+from armperturb.study.nonlinear import PATHS
 from armperturb.study.results import StudyResult
 from armperturb.study.trajectory_figures import around_pulse, first_pulses
 from armperturb.study.yielding import Yielding
@@ -32,9 +33,6 @@ Drawings = dict[str, Callable[[], Figure]]
 
 CLEARLY = 0.01
 """Level of the thesis's second star [-]."""
-
-PATHS = {"PT": ("PT7.5", 2.0), "RT": ("RT7.5", 1.0)}
-"""Task to condition and pulse level whose paths are drawn (figures 3.17, 3.18)."""
 
 
 def drawings(study: StudyResult, effects: Effects, yielding: Yielding | None) -> Drawings:
