@@ -38,8 +38,8 @@ class LeftOutPulse(NamedTuple):
       condition: of the trial.
       level: of the pulse, multiple of the unit pulse.
       direction_deg: of the pulse, from the x axis.
-      peak: model to predicted over recorded peak displacement [%] (eq. 2.25); models that predict nothing are not named.
-      vaf: model to the share of the trajectory's variance that it accounts for [%], x and y together.
+      peak: model to predicted over recorded peak displacement [%] (eq. 2.25); without models that predict nothing.
+      vaf: model to the share of the path's variance that it accounts for [%], x and y together.
       paths: "recorded" and models to the displacement from the onset on [m], (time, axis); only of the pulses of
         `PATHS`.
     """
@@ -102,7 +102,7 @@ class NonlinearFit(NamedTuple):
 
     @property
     def start(self) -> dict[str, float]:
-        """Where a fit to more trials of the person may start; levels are relative to a condition that may be another."""
+        """Where a fit to more trials of the person may start; their levels may be relative to another condition."""
         return {
             name: value for name, value in self.values.items() if stem(name) != "level" and name not in self.at_bound
         }
@@ -140,7 +140,9 @@ def fit_nonlinear(
         fitted, _ = training_sets(sets, fitted_deg)
         estimate = fit(fitted, {label: case.identified.fit.arm for label, case in own.items()}, start=start)
         subjects = {label: estimate.subject(task, label) for label in sets}
-        pulses = _left_out(mine, sets, subjects, {label: case.thesis_estimate for label, case in own.items()}, fitted_deg)
+        pulses = _left_out(
+            mine, sets, subjects, {label: case.thesis_estimate for label, case in own.items()}, fitted_deg
+        )
     except ValueError as error:  # must not cost the other people their results
         return nothing._replace(failed=str(error))
     intervals = {parameter: estimate.interval(parameter) for parameter in estimate.values}
@@ -182,7 +184,7 @@ def _left_out(
     fitted = list(fitted_deg)
     found: list[LeftOutPulse] = []
     asked: list[Prediction] = []
-    of: "list[tuple[int, PulsePrediction]]" = []
+    of: list[tuple[int, PulsePrediction]] = []
     for label, one in sets.items():
         mine = recording.isel(trial=np.flatnonzero(recording["condition"].values == label))
         estimate = estimates.get(label)

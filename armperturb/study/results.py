@@ -4,7 +4,7 @@
 |---|---|
 | `analysis/NAME.json.gz` | what a person's recording tells, so that nothing has to be computed twice |
 | `analysis/NAME-step-2.json.gz` | step 2 of appendix C, which depends on everybody |
-| `analysis/NAME-nonlinear-TASK.json.gz` | the nonlinear fit, if it was asked for; `-20` has pulses at 20 degrees fitted too |
+| `analysis/NAME-nonlinear-TASK.json.gz` | a nonlinear fit, if one was asked for; `-20`: pulses at 20° fitted too |
 
 They are made anew when the recording, the protocol or this package has changed, and mean nothing beside the recordings.
 """
@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 from tqdm import tqdm
 
@@ -205,18 +205,20 @@ def analyse_study(
         later = [_LaterUnit(path, means, second_key, _file(root, path, "-step-2")) for path in paths]
         second = _each(_analyse_later, SecondStep, later, crew, bar)
         bar.close()
-        units = [
+        to_fit = [
             _NonlinearUnit(path, task, one.cases, keys[path], _file(root, path, f"-nonlinear-{task}"))
             for task in TASKS[::-1]
             for one, path in recorded
         ]
-        fitted = _nonlinear(units, nonlinear, crew, show_progress)
+        fitted = _nonlinear(to_fit, nonlinear, crew, show_progress)
     remarks: list[str] = []
     for one in found:
         missing += one.missing
         remarks += [*one.measures.left_out, *one.fits.left_out]
     remarks += [line for one in second for line in one.left_out]
-    remarks += [f"{one.name} was not identified nonlinearly in {one.told}: {one.failed}" for one in fitted if one.failed]
+    remarks += [
+        f"{one.name} was not identified nonlinearly in {one.told}: {one.failed}" for one in fitted if one.failed
+    ]
     return StudyResult(
         made=made,
         protocol=protocol,
@@ -304,16 +306,14 @@ class _NonlinearUnit(NamedTuple):
     fitted_deg: tuple[float, ...] = ()
     start: Mapping[str, float] | None = None
 
-    def with_pulses(self, first: NonlinearFit) -> "list[_NonlinearUnit]":
+    def with_pulses(self, first: NonlinearFit) -> list[Self]:
         """The same with pulses of all directions but one, from what was found without pulses."""
-        return [
-            self._replace(
-                kept=self.kept.with_name(f"{self.path.stem}-nonlinear-{self.task}-{"-".join(f"{deg:g}" for deg in others)}.json.gz"),
-                fitted_deg=others,
-                start=first.start,
-            )
-            for others in first.others_deg
-        ]
+        more = []
+        for others in first.others_deg:
+            name = "-".join([self.path.stem, "nonlinear", self.task, *(f"{deg:g}" for deg in others)])
+            kept = self.kept.with_name(f"{name}.json.gz")
+            more.append(self._replace(kept=kept, fitted_deg=others, start=first.start))
+        return more
 
 
 def _nonlinear(
@@ -321,17 +321,18 @@ def _nonlinear(
 ) -> list[NonlinearFit]:
     """The fits without pulses, then those with some; only what was kept of tasks that nobody asked for."""
 
-    def wanted(units: Sequence[_NonlinearUnit]) -> list[_NonlinearUnit]:
-        return [one for one in units if one.task in tasks or read_archive(one.kept, one.key, NonlinearFit)]
+    def is_wanted(unit: _NonlinearUnit) -> bool:
+        return unit.task in tasks or read_archive(unit.kept, unit.key, NonlinearFit) is not None
 
-    units = wanted(units)
+    units = list(filter(is_wanted, units))
     if not units:
         return []
     with tqdm(total=len(units), desc="nonlinear", unit="fit", disable=None if show_progress else True) as bar:
         first = _each(_fit_nonlinear, NonlinearFit, units, crew, bar)
-        more = wanted([one for unit, fit in zip(units, first, strict=True) for one in unit.with_pulses(fit)])
-        bar.total += len(more)
-        bar.refresh()
+        pairs = zip(units, first, strict=True)
+        more = [one for unit, fit in pairs for one in unit.with_pulses(fit) if is_wanted(one)]
+        bar.reset(len(units) + len(more))
+        bar.update(len(units))
         return first + _each(_fit_nonlinear, NonlinearFit, more, crew, bar)
 
 
