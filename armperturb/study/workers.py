@@ -74,8 +74,8 @@ class LocalProcesses:
         """Hand out a unit, to processes that are started if there are none."""
         with ctrl_c_held_back():
             if self._executor is None:
-                # Libraries with a pool of their own (BLAS, numba) must not take every core in every process.
-                names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+                # Libraries with a pool of their own (BLAS) must not take every core in every process.
+                names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
                 threads = str(self.threads(0, self.count))
                 self._executor = ProcessPoolExecutor(
                     self.count,
