@@ -313,8 +313,9 @@ def asked(monkeypatch):
         name = str(recording["subject"].values[0])
         calls.append((name, task, fitted_deg, start))
         assert cases == ()
-        failed = {"failed": "the arm is <unstable>", "pulses": ()} if (name, fitted_deg) == ("S02", (200.0,)) else {}
-        return invented_fit(name, task, fitted_deg, **failed)
+        if (name, fitted_deg) == ("S02", (200.0,)):
+            return NonlinearFit(name, task, fitted_deg, failed="the arm is <unstable>")
+        return invented_fit(name, task, fitted_deg)
 
     monkeypatch.setattr(results, "fit_nonlinear", fit)
     return calls
