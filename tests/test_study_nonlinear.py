@@ -354,7 +354,7 @@ def test_fits_are_kept_and_shown_later_without_being_asked_for(folder, asked, sk
     assert statuses.count("the arm is <unstable>") == 1
 
     # Nothing is known of these people; were they, the report would set them beside the truth.
-    assert "median ratio" not in section(page)
+    assert "median error" not in section(page)
     assert "figure-nonlinear_parameters" not in page
     assert "figure-nonlinear_prediction" in page
     rows = nonlinear_parameter_rows(again)
@@ -362,7 +362,7 @@ def test_fits_are_kept_and_shown_later_without_being_asked_for(folder, asked, sk
     assert all(math.isnan(row["true"]) and math.isnan(row["ratio"]) for row in rows)
     known = replace(again, cohort=(draw_person(0, 0), draw_person(0, 1)))
     page = written(known, tmp_path / "known")
-    assert "median ratio" in section(page)
+    assert "median error" in section(page)
     assert "figure-nonlinear_parameters_RT" in page
 
 

@@ -40,11 +40,11 @@ NAMES = {
     "linear": "linear",
     "skeletal": "skeletal",
     SEES_NONE: "nonlinear, from multisines",
-    SEES_OTHERS: "nonlinear, and the other pulses",
+    SEES_OTHERS: "nonlinear, with the other direction",
 }
 """Model to its entry in legends."""
 
-RATIOS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+RATIOS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
 
 
 @in_style()
@@ -81,7 +81,7 @@ def parameters(study: StudyResult, task: str) -> Figure:
     names = list(dict.fromkeys(row["parameter"] for row in rows))
     kinds = sorted({row["fitted_pulses_deg"] for row in rows})
     colours = [LOOKS[SEES_NONE]["color"], *shades(LOOKS[SEES_OTHERS]["color"], 3)[1:]]
-    figure = new_figure(0.7 + 0.33 * len(names))
+    figure = new_figure(0.7 + 0.28 * len(names))
     ax = figure.subplots()
     people = list(dict.fromkeys(row["subject"] for row in rows))
     for place, name in enumerate(names):
@@ -98,7 +98,8 @@ def parameters(study: StudyResult, task: str) -> Figure:
             ax.errorbar(ratio, y, xerr=ends, fmt="o", color=colours[kind], markersize=2.2, elinewidth=0.7, capsize=0)
     ax.axvline(1.0, color=INK, linewidth=0.9)
     ax.set_xscale("log")
-    ax.set_xlim(RATIOS[0], RATIOS[-1])
+    ratios = [row["ratio"] for row in rows]
+    ax.set_xlim(max(RATIOS[0], min(0.5, 0.8 * min(ratios))), min(RATIOS[-1], max(2.0, 1.25 * max(ratios))))
     ax.xaxis.set_major_locator(FixedLocator(RATIOS))
     ax.xaxis.set_minor_locator(NullLocator())
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

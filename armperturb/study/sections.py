@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from armperturb.analysis.maximum_likelihood import SUSPICIOUS
 from armperturb.study.cells import Cell, published_cells
 from armperturb.study.effects import Effects
 from armperturb.study.elastic import NAMES, elastic_rows
+from armperturb.study.formats import digits, fixed
 from armperturb.study.headlines import Headline
 from armperturb.study.nonlinear_tables import MODELS, nonlinear_tables, words_of
 from armperturb.study.protocol import Condition
@@ -189,6 +191,9 @@ def _nonlinear(study: StudyResult) -> dict[str, Any]:
             for task, name in people
         },
         "words_of": words_of,
+        "digits": digits,
+        "two_digits": partial(digits, n=2),
+        "whole": partial(fixed, decimals=0),
         "failed": [fit for fit in study.nonlinear if fit.failed],
         "unasked": sorted(there - {fit.task for fit in study.nonlinear}),
     }
