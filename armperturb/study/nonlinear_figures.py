@@ -67,7 +67,8 @@ def prediction(study: StudyResult) -> Figure:
         ax.axhspan(low, high, color=PUBLISHED["color"], alpha=0.18, linewidth=0)
         ax.axhline(100.0, color=GREY, linewidth=0.9)
         draw_groups(ax, bars)
-        ax.set_ylim(bottom=0)
+    # Not before all are drawn: panels share their axis, which then no longer grows.
+    panels[0, 0].set_ylim(bottom=0)
     panels[0, 0].set_ylabel("predicted / recorded peak [%]")
     band = Patch(color=PUBLISHED["color"], alpha=0.25, linewidth=0, label=f"published range, {low:g} to {high:g} %")
     legend(figure, *(Patch(color=LOOKS[model]["color"], label=NAMES[model]) for model in MODELS), band, n_columns=3)
