@@ -50,6 +50,8 @@ class Study:
     """Address of a Dask scheduler whose workers simulate, e.g. tcp://127.0.0.1:8786; needs armperturb[dask]."""
     block: int = 96
     """Number of trials that a worker simulates side by side; bounds its memory."""
+    nonlinear: tuple[Literal["RT", "PT"], ...] = ()
+    """Tasks in which everybody's muscle law is identified, which takes minutes per person; see `report`."""
     record_only: bool = False
     """Stop when the recordings are there: no identification, no report."""
 
@@ -217,6 +219,9 @@ class Report:
 
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of the study; its recordings stay as they are."""
+    nonlinear: tuple[Literal["RT", "PT"], ...] = ()
+    """Tasks in which everybody's muscle law is identified, and left-out pulses are predicted; takes minutes per person.
+    What was found once is part of later reports too."""
     workers: int | None = None
     """Number of processes; by default about one per core. No effect on the files but for rounding."""
 
@@ -311,7 +316,14 @@ def study(settings: Study) -> Path:
     from armperturb.study.report import write_report
     from armperturb.study.results import run_study
 
-    result = run_study(what, settings.out, workers=settings.workers, dask=settings.dask, block=settings.block)
+    result = run_study(
+        what,
+        settings.out,
+        workers=settings.workers,
+        dask=settings.dask,
+        block=settings.block,
+        nonlinear=settings.nonlinear,
+    )
     return write_report(result, settings.out, workers=settings.workers)
 
 
@@ -328,9 +340,8 @@ def report(settings: Report) -> Path:
     from armperturb.study.report import write_report
     from armperturb.study.results import analyse_study
 
-    return write_report(
-        analyse_study(settings.folder, workers=settings.workers), settings.folder, workers=settings.workers
-    )
+    result = analyse_study(settings.folder, workers=settings.workers, nonlinear=settings.nonlinear)
+    return write_report(result, settings.folder, workers=settings.workers)
 
 
 def simulate(settings: Simulate) -> xr.Dataset:

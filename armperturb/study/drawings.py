@@ -12,6 +12,7 @@ from armperturb.recording import load_recording
 from armperturb.study import (
     admittance_figures,
     fit_figures,
+    nonlinear_figures,
     parameter_figures,
     perturbation_figures,
     pulse_figures,
@@ -24,6 +25,8 @@ from armperturb.study.axes import Marks
 from armperturb.study.bars import CONDITIONS
 from armperturb.study.cases import of_condition
 from armperturb.study.effects import AdmittanceEffect, Effects
+from armperturb.study.nonlinear import PATHS
+from armperturb.study.nonlinear_tables import left_out_pulses, tasks_fitted, true_parameters
 from armperturb.study.results import StudyResult
 from armperturb.study.trajectory_figures import around_pulse, first_pulses
 from armperturb.study.yielding import Yielding
@@ -32,9 +35,6 @@ Drawings = dict[str, Callable[[], Figure]]
 
 CLEARLY = 0.01
 """Level of the thesis's second star [-]."""
-
-PATHS = {"PT": ("PT7.5", 2.0), "RT": ("RT7.5", 1.0)}
-"""Task to condition and pulse level whose paths are drawn (figures 3.17, 3.18)."""
 
 
 def drawings(study: StudyResult, effects: Effects, yielding: Yielding | None) -> Drawings:
@@ -48,7 +48,7 @@ def drawings(study: StudyResult, effects: Effects, yielding: Yielding | None) ->
     Raises:
       OSError: a recording is gone.
     """
-    drawn = {**_of_cases(study, effects), **_of_people(study, effects), **_of_pulses(study)}
+    drawn = {**_of_cases(study, effects), **_of_people(study, effects), **_of_pulses(study), **_of_laws(study)}
     if study.cohort:
         drawn["rig"] = partial(rig_figures.rig, study)
     if yielding is not None:
@@ -134,6 +134,19 @@ def _of_pulses(study: StudyResult) -> Drawings:
         if first_pulses(trials, level):
             estimate = measures.estimates.get(condition_name) if measures else None
             drawn[f"trajectories_{task}"] = partial(trajectory_figures.trajectories, trials, estimate, level)
+    return drawn
+
+
+def _of_laws(study: StudyResult) -> Drawings:
+    """Of nonlinear fits."""
+    drawn: Drawings = {}
+    for task in tasks_fitted(study):
+        if any(true_parameters(study, fit) for fit in study.nonlinear if fit.task == task and not fit.failed):
+            drawn[f"nonlinear_parameters_{task}"] = partial(nonlinear_figures.parameters, study, task)
+        if nonlinear_figures.drawn_pulses(study, task):
+            drawn[f"nonlinear_trajectories_{task}"] = partial(nonlinear_figures.trajectories, study, task)
+        if left_out_pulses(study, task):
+            drawn["nonlinear_prediction"] = partial(nonlinear_figures.prediction, study)
     return drawn
 
 

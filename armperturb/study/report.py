@@ -24,6 +24,7 @@ from armperturb.study.archive import code_digest, recalled
 from armperturb.study.drawings import drawings
 from armperturb.study.effects import effects
 from armperturb.study.fits import Appendices
+from armperturb.study.nonlinear_tables import nonlinear_tables
 from armperturb.study.results import ANALYSIS, StudyResult
 from armperturb.study.runner import worker_count
 from armperturb.study.score import Score, score, write_score
@@ -97,6 +98,7 @@ def write_report(study: StudyResult, out: Path, *, workers: int | None = 1, show
         "joints": joint_rows(study),
         "yielding": yielding.rows() if yielding else [],
         "moving_shoulder": shoulder.table() if shoulder else [],
+        **nonlinear_tables(study),
     }
     for name, lines in more.items():
         if lines:

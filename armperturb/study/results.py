@@ -4,17 +4,18 @@
 |---|---|
 | `analysis/NAME.json.gz` | what a person's recording tells, so that nothing has to be computed twice |
 | `analysis/NAME-step-2.json.gz` | step 2 of appendix C, which depends on everybody |
+| `analysis/NAME-nonlinear-TASK.json.gz` | a nonlinear fit, if one was asked for; `-20`: pulses at 20° fitted too |
 
 They are made anew when the recording, the protocol or this package has changed, and mean nothing beside the recordings.
 """
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 from tqdm import tqdm
 
@@ -26,10 +27,12 @@ from armperturb.study.cases import Case, identify_person
 from armperturb.study.fits import Appendices, Fits, Key, SecondStep, fit_person, fit_second_step, joined, means_of
 from armperturb.study.manifest import Manifest, current_versions, read_manifest
 from armperturb.study.measure import PersonMeasures, measure_person
+from armperturb.study.nonlinear import NonlinearFit, fit_nonlinear
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.runner import BLOCK, StudySettings, record_study, worker_count
 from armperturb.study.store import RECORDINGS, digest, find_recordings
 from armperturb.study.workers import Workers, completed, workers_for
+from armperturb.subject import TASKS
 from armperturb.validation import require_number
 
 ANALYSIS = "analysis"
@@ -67,6 +70,7 @@ class StudyResult:
       recordings: everyone who was recorded, in order, to the path of the recording.
       people: what the thesis reports of each person.
       appendices: fits of appendices C to E.
+      nonlinear: nonlinear fits, those that failed too; empty if nobody asked for any.
       missing: what the folder lacks, or how it was made otherwise; one line each.
       remarks: why parts of what is there were left out, likewise.
     """
@@ -79,6 +83,7 @@ class StudyResult:
     recordings: Mapping[str, Path] = field(default_factory=dict)
     people: tuple[PersonMeasures, ...] = ()
     appendices: Appendices = field(default_factory=Appendices)
+    nonlinear: tuple[NonlinearFit, ...] = ()
     missing: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
@@ -129,6 +134,7 @@ def run_study(
     workers: int | None = 1,
     dask: str | None = None,
     block: int = BLOCK,
+    nonlinear: Collection[str] = (),
     show_progress: bool = True,
 ) -> StudyResult:
     """Record a study as `record_study` does, and analyse it.
@@ -139,16 +145,19 @@ def run_study(
       workers: number of processes, also for the analysis; None for about one per core.
       dask: address of a Dask scheduler whose workers simulate.
       block: number of trials that a worker simulates side by side.
+      nonlinear: as `analyse_study` has it.
       show_progress: whether to draw progress bars on the terminal.
 
     Raises:
       Exception: as `record_study`.
     """
     record_study(settings, out, workers=workers, dask=dask, block=block, show_progress=show_progress)
-    return analyse_study(out, workers=workers, show_progress=show_progress)
+    return analyse_study(out, workers=workers, nonlinear=nonlinear, show_progress=show_progress)
 
 
-def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool = True) -> StudyResult:
+def analyse_study(
+    root: Path, *, workers: int | None = None, nonlinear: Collection[str] = (), show_progress: bool = True
+) -> StudyResult:
     """Analyse the recordings in a study folder; what an earlier call has found there is used again.
 
     A folder that is incomplete, or was made by another version, is analysed as far as it goes. Without a manifest, the
@@ -157,7 +166,9 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
     Args:
       root: the folder.
       workers: number of processes; None for about one per core. No effect on the result but for rounding.
-      show_progress: whether to draw a progress bar on the terminal.
+      nonlinear: tasks ("RT", "PT") in which everybody is identified nonlinearly, which takes minutes per person; what
+        an earlier call has found of the others is there all the same.
+      show_progress: whether to draw progress bars on the terminal.
 
     Raises:
       TypeError: workers is no number.
@@ -193,11 +204,21 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
         second_key = hashlib.sha256("".join(sorted(keys.values())).encode()).hexdigest()
         later = [_LaterUnit(path, means, second_key, _file(root, path, "-step-2")) for path in paths]
         second = _each(_analyse_later, SecondStep, later, crew, bar)
+        bar.close()
+        to_fit = [
+            _NonlinearUnit(path, task, one.cases, keys[path], _file(root, path, f"-nonlinear-{task}"))
+            for task in TASKS[::-1]
+            for one, path in recorded
+        ]
+        fitted = _nonlinear(to_fit, nonlinear, crew, show_progress)
     remarks: list[str] = []
     for one in found:
         missing += one.missing
         remarks += [*one.measures.left_out, *one.fits.left_out]
     remarks += [line for one in second for line in one.left_out]
+    remarks += [
+        f"{one.name} was not identified nonlinearly in {one.told}: {one.failed}" for one in fitted if one.failed
+    ]
     return StudyResult(
         made=made,
         protocol=protocol,
@@ -215,6 +236,7 @@ def analyse_study(root: Path, *, workers: int | None = None, show_progress: bool
         recordings={one.measures.name: path for one, path in recorded},
         people=tuple(one.measures for one in found),
         appendices=Appendices(first=first, second=joined(one.estimates for one in second), starts=starts),
+        nonlinear=tuple(fitted),
         missing=tuple(missing),
         remarks=tuple(remarks),
     )
@@ -273,6 +295,52 @@ class _LaterUnit(NamedTuple):
     kept: Path
 
 
+class _NonlinearUnit(NamedTuple):
+    """A recording to be identified nonlinearly in a task, and where the result is kept."""
+
+    path: Path
+    task: str
+    cases: tuple[Case, ...]
+    key: str
+    kept: Path
+    fitted_deg: tuple[float, ...] = ()
+    start: Mapping[str, float] | None = None
+
+    def with_pulses(self, first: NonlinearFit) -> list[Self]:
+        """The same with pulses of all directions but one, from what was found without pulses."""
+        more = []
+        for others in first.others_deg:
+            name = "-".join([self.path.stem, "nonlinear", self.task, *(f"{deg:g}" for deg in others)])
+            kept = self.kept.with_name(f"{name}.json.gz")
+            more.append(self._replace(kept=kept, fitted_deg=others, start=first.start))
+        return more
+
+
+def _nonlinear(
+    units: Sequence[_NonlinearUnit], tasks: Collection[str], crew: Workers | None, show_progress: bool
+) -> list[NonlinearFit]:
+    """The fits without pulses, then those with some; only what was kept of tasks that nobody asked for."""
+
+    def is_wanted(unit: _NonlinearUnit) -> bool:
+        return unit.task in tasks or read_archive(unit.kept, unit.key, NonlinearFit) is not None
+
+    units = list(filter(is_wanted, units))
+    if not units:
+        return []
+    with tqdm(total=len(units), desc="nonlinear", unit="fit", disable=None if show_progress else True) as bar:
+        first = _each(_fit_nonlinear, NonlinearFit, units, crew, bar)
+        pairs = zip(units, first, strict=True)
+        more = [one for unit, fit in pairs for one in unit.with_pulses(fit) if is_wanted(one)]
+        bar.reset(len(units) + len(more))
+        bar.update(len(units))
+        return first + _each(_fit_nonlinear, NonlinearFit, more, crew, bar)
+
+
+def _fit_nonlinear(unit: _NonlinearUnit) -> NonlinearFit:
+    recording = load_recording(unit.path, ["joint_angle"])
+    return fit_nonlinear(recording, unit.task, unit.cases, unit.fitted_deg, unit.start)
+
+
 def _analyse(unit: _Unit) -> PersonResults:
     recording = load_recording(unit.path, ["joint_angle"])
     try:
@@ -308,7 +376,7 @@ def _missing(recording: Any, protocol: Protocol) -> list[str]:
 def _each(
     function: Callable[[Any], Result],
     kind: type[Result],
-    units: Sequence[_Unit | _LaterUnit],
+    units: Sequence[_Unit | _LaterUnit | _NonlinearUnit],
     crew: Workers | None,
     bar: tqdm,
 ) -> list[Result]:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,9 @@ from armperturb.analysis.maximum_likelihood import SUSPICIOUS
 from armperturb.study.cells import Cell, published_cells
 from armperturb.study.effects import Effects
 from armperturb.study.elastic import NAMES, elastic_rows
+from armperturb.study.formats import digits, fixed
 from armperturb.study.headlines import Headline
+from armperturb.study.nonlinear_tables import MODELS, nonlinear_tables, words_of
 from armperturb.study.protocol import Condition
 from armperturb.study.published_tables import published_tables
 from armperturb.study.results import StudyResult
@@ -128,6 +131,8 @@ def sections(
         found.append(
             Section(title="Pulse response", template="pulses", context={"headlines": score and _of_pulses(score)})
         )
+    if study.nonlinear:
+        found.append(Section(title="Nonlinear identification", template="nonlinear", context=_nonlinear(study)))
     if effects.rows or effects.admittance:
         found.append(Section(title="Statistics", template="statistics", context={"effects": effects}))
     if score is not None or "joint_rotations" in drawn:
@@ -160,6 +165,38 @@ def sections(
         )
     )
     return found
+
+
+def _nonlinear(study: StudyResult) -> dict[str, Any]:
+    """What each table of nonlinear fits shows, and what the fits say of themselves."""
+    tables = nonlinear_tables(study)
+    pulses: dict[tuple[str, float], dict[str, Row]] = {}
+    for row in tables["nonlinear_pulses"]:
+        pulses.setdefault((row["condition"], row["level"]), {})[row["model"]] = row
+    summaries: dict[str, dict[str, dict[str, Row]]] = {}
+    for row in tables["nonlinear_summary"]:
+        summaries.setdefault(row["task"], {}).setdefault(row["parameter"], {})[row["fitted_pulses"]] = row
+    people: dict[tuple[str, str], dict[str, dict[str, Row]]] = {}
+    for row in tables["nonlinear_parameters"]:
+        of_person = people.setdefault((row["task"], row["subject"]), {})
+        of_person.setdefault(row["parameter"], {})[row["fitted_pulses_deg"]] = row
+    there = {case.condition.task for case in study.cases if case.identification is not None}
+    return {
+        "pulses": pulses,
+        "models": MODELS,
+        "summaries": summaries,
+        "people": people,
+        "remarks": {
+            (task, name): {fit.told: fit.remarks for fit in study.nonlinear if (fit.task, fit.name) == (task, name)}
+            for task, name in people
+        },
+        "words_of": words_of,
+        "digits": digits,
+        "two_digits": partial(digits, n=2),
+        "whole": partial(fixed, decimals=0),
+        "failed": [fit for fit in study.nonlinear if fit.failed],
+        "unasked": sorted(there - {fit.task for fit in study.nonlinear}),
+    }
 
 
 def joint_rows(study: StudyResult) -> list[Row]:
