@@ -10,6 +10,7 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,6 +127,7 @@ def fit(
     seed: int = 0,
     checkpoint: Path | None = None,
     progress: Callable[[str], object] | None = None,
+    threads: int = 1,
 ) -> NonlinearEstimate:
     """Fit one person.
 
@@ -138,6 +140,7 @@ def fit(
       seed: of the draws.
       checkpoint: file in which the search is kept after each step; a search that was stopped there goes on.
       progress: called with a line after each step.
+      threads: how many simulate at a time; no effect on what they find.
 
     Raises:
       ValueError: trials are of several people or rates, there are none, `start` or `model` names what is not free, or
@@ -148,7 +151,7 @@ def fit(
     bodies, conditions = _people(sets)
     parameters = Parameters(model, bodies, conditions)
     everywhere = {one.label: _nearest(one, sets, arms) for one in sets}
-    problem = Problem(parameters, sets, everywhere)
+    problem = Problem(parameters, sets, everywhere, threads)
     search = _Search(problem, n_pairs, seed, checkpoint, progress)
     if not search.resume():
         search.state = best_start(problem, start_values(parameters, sets, everywhere, start or {}), start or {})
@@ -312,17 +315,17 @@ class _Search:
             return
         drawn = {f"drawn_{i}": root for i, root in enumerate(self._drawn)}
         at = self._drawn_at if self._noisy else self.state
-        buffer = io.BytesIO()
-        np.savez(
-            buffer,
-            key=self._key(),
-            rounds=self._rounds,
-            damping=self._damping,
-            noisy=self._noisy,
+        kept: dict[str, Any] = {
+            "key": self._key(),
+            "rounds": self._rounds,
+            "damping": self._damping,
+            "noisy": self._noisy,
             **self.state._asdict(),
             **{f"at_{name}": value for name, value in at._asdict().items()},
             **drawn,
-        )
+        }
+        buffer = io.BytesIO()
+        np.savez(buffer, **kept)
         staged = self._checkpoint.with_name(self._checkpoint.name + ".part")
         staged.write_bytes(buffer.getvalue())
         staged.replace(self._checkpoint)

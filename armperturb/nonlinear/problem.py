@@ -70,14 +70,18 @@ class Problem:
       noises: of each set.
     """
 
-    def __init__(self, parameters: Parameters, sets: Sequence[TrialSet], arms: Mapping[str, Subject]) -> None:
+    def __init__(
+        self, parameters: Parameters, sets: Sequence[TrialSet], arms: Mapping[str, Subject], threads: int = 1
+    ) -> None:
         """Take the trials.
 
         Args:
           parameters: what is free.
           sets: trials; each set has its own noise.
           arms: condition to a linear arm near the person there.
+          threads: how many simulate at a time; no effect on what they find.
         """
+        self._threads = threads
         self.parameters, self.sets = parameters, tuple(sets)
         self.n_trials = sum(one.n_trials for one in sets)
         self._tasks = [one.body.task for one in sets for _ in range(one.n_trials)]
@@ -103,7 +107,7 @@ class Problem:
             for name in ("perturbation", "displacement")
         )
         self.noises = [Noise(arms[one.label], one.environment, one.end, one.n_trials, one.rate) for one in self.sets]
-        self._draws = [Disturbances(self._perturbation, self._rate)]
+        self._draws = [Disturbances(self._perturbation, self._rate, self._threads)]
 
     @property
     def is_noisy(self) -> bool:
@@ -115,7 +119,7 @@ class Problem:
 
         Draws are made twice: how much the first ones move the nonlinear arm tells how strong the second must be.
         """
-        self._draws = [Disturbances(self._perturbation, self._rate)]
+        self._draws = [Disturbances(self._perturbation, self._rate, self._threads)]
         if not n_pairs:
             return
         residual = self.residual(self.predict([state])[0])
@@ -129,7 +133,7 @@ class Problem:
                     for trial in range(rows.start, rows.stop):
                         force[trial] = noise.draw(one[trial], gain)
                 draws += [self._perturbation + force, self._perturbation - force]
-            self._draws = [Disturbances(one, self._rate) for one in (draws if last else draws[:2])]
+            self._draws = [Disturbances(one, self._rate, self._threads) for one in (draws if last else draws[:2])]
             if not last:
                 plus, minus = (self._responses([state], one)[0] for one in self._draws)
                 gains = [
