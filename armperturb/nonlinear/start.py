@@ -77,7 +77,7 @@ def start_values(
         if name not in parameters.names:
             raise ValueError(f"start: {name!r} is not free; expected {', '.join(parameters.names)}")
         low, high = np.exp([limit[parameters.names.index(name)] for limit in (parameters.lower, parameters.upper)])
-        if not low <= value <= high:
+        if not 0.999 * low <= value <= 1.001 * high:
             raise ValueError(f"start: {name} = {value:g}; expected {low:g} to {high:g}")
         values[name] = value
     logarithms = np.log([values[name] for name in parameters.names])
