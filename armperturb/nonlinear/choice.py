@@ -7,7 +7,7 @@ asked how likely the trials of that one are. Their own factors (see `problem`) a
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,6 +39,9 @@ CHANCE = 0.025
 """Of taking a larger law for better where it is not [-]."""
 
 N_FOLDS = 2
+N_PAIRS_OF_FOLDS = 2
+"""Pairs of draws of the noise in the folds' fits: laws differ by more than what so few draws leave."""
+
 MAX_STEPS = 20
 """Of the search for the factors of trials that were left out."""
 
@@ -68,7 +71,7 @@ class Judged:
 
     Attributes:
       model: the structure.
-      estimate: from all trials to fit; None if only the folds were asked for.
+      estimate: from all trials to fit; None of laws that are not chosen, if no pulses are left out.
       log_likelihood: of each trial when it was left out [-], (trial,).
       conditions: of these trials.
       pulses: what the estimate predicts of pulses that were left out.
@@ -175,7 +178,7 @@ def compare_laws(
       arms: condition to a linear arm that fits it.
       left_out: whole trials whose pulses are predicted, see `training_sets`.
       mechanisms: whether the mechanisms of the full law are judged one by one, if it is chosen.
-      n_pairs: as in `fit`.
+      n_pairs: as in `fit`, of the fits to all trials.
       seed: as in `fit`.
       checkpoint: folder for the checkpoints of all fits; a comparison that was stopped there goes on.
       progress: as in `fit`.
@@ -190,7 +193,9 @@ def compare_laws(
         raise ValueError("each condition has one trial; expected two in one at least, to leave one out")
     everywhere = nearest_arms(sets, arms)
 
-    def fitted(trials: Sequence[TrialSet], model: Model, name: str, start: Mapping[str, float]) -> NonlinearEstimate:
+    def fitted(
+        trials: Sequence[TrialSet], model: Model, name: str, start: Mapping[str, float], pairs: int
+    ) -> NonlinearEstimate:
         def tell(line: str) -> None:
             if progress is not None:
                 progress(f"{name}: {line}")
@@ -200,56 +205,40 @@ def compare_laws(
             everywhere,
             model,
             start=start,
-            n_pairs=n_pairs,
+            n_pairs=pairs,
             seed=seed,
             checkpoint=checkpoint and checkpoint / f"checkpoint_{name.replace(' ', '_').replace(',', '')}.npz",
             progress=tell,
             threads=threads,
         )
 
-    def judge(
-        model: Model, name: str, starts: Sequence[NonlinearEstimate], whole: bool
-    ) -> tuple[Judged, list[NonlinearEstimate]]:
-        """A structure judged, and its estimates in the folds and, if asked for, from all trials."""
+    def judge(model: Model, name: str, starts: Sequence[NonlinearEstimate]) -> tuple[Judged, list[NonlinearEstimate]]:
+        """A structure judged, and its estimates in the folds."""
         estimates, log_likelihood, conditions = [], [], []
         for i, (train, test) in enumerate(folds):
             start = _start(starts[i], model) if starts else {}
-            estimates.append(fitted([one for one in train if one.n_trials], model, f"{name}, fold {i + 1}", start))
-            known = [one.n_trials > 0 for one in test]
-            log_likelihood.append(
-                left_out_likelihood(
-                    estimates[-1],
-                    [one for one, is_known in zip(test, known, strict=True) if is_known],
-                    [noise for noise, is_known in zip(estimates[-1].noises, known, strict=True) if is_known],
-                    everywhere,
-                    n_pairs=n_pairs,
-                    seed=seed,
-                    threads=threads,
-                )
-            )
-            conditions += [one.label for one in test for _ in range(one.n_trials)]
-        estimate, pulses = None, []
-        if whole:
-            estimate = fitted(sets, model, name, _start(starts[-1], model) if starts else {})
-            estimates.append(estimate)
-            for one in left_out:
-                pulses += predict_pulses(one, estimate.subject(one.body.task, one.label))
+            found = fitted(train, model, f"{name}, fold {i + 1}", start, N_PAIRS_OF_FOLDS)
+            estimates.append(found)
+            left = [one for one in test if one.n_trials]
+            noises = [noise for one, noise in zip(test, found.noises, strict=True) if one.n_trials]
+            log_likelihood.append(left_out_likelihood(found, left, noises, everywhere, seed=seed, threads=threads))
+            conditions += [one.label for one in left for _ in range(one.n_trials)]
         judged = Judged(
             model=model,
-            estimate=estimate,
+            estimate=None,
             log_likelihood=np.concatenate(log_likelihood),
             conditions=tuple(conditions),
-            pulses=tuple(pulses),
+            pulses=(),
         )
         return judged, estimates
 
     judged: dict[Law, Judged] = {}
+    in_folds: dict[Law, list[NonlinearEstimate]] = {}
     gains: dict[Law, Gain] = {}
-    estimates: list[NonlinearEstimate] = []
     chosen: Law = LAWS[0]
     for law in LAWS:
         # A linear arm's stiffness is that of all bonds: a yielding one starts from the arms of all amplitudes instead.
-        judged[law], estimates = judge(Model(law=law), law, estimates if law == "full" else [], True)
+        judged[law], in_folds[law] = judge(Model(law=law), law, in_folds["short-range"] if law == "full" else [])
         if law != LAWS[0]:
             gains[law] = judged[law].gain(judged[chosen])
             if gains[law].is_shown:
@@ -257,9 +246,17 @@ def compare_laws(
     singly: dict[str, Gain] = {}
     if mechanisms and chosen == "full":
         for name, off in MECHANISMS.items():
-            if {stem(name) for name in estimates[-1].values} & set(off):
-                without, _ = judge(Model(fixed=off), f"full without {name}", estimates, False)
+            if {stem(free) for free in in_folds["full"][0].values} & set(off):
+                without, _ = judge(Model(fixed=off), f"full without {name}", in_folds["full"])
                 singly[name] = judged["full"].gain(without)
+    for law in LAWS:
+        if left_out or law == chosen:
+            start = {} if law == "linear" else _start(in_folds[law][0], Model(law=law))
+            estimate = fitted(sets, Model(law=law), law, start, n_pairs)
+            pulses = [
+                pulse for one in left_out for pulse in predict_pulses(one, estimate.subject(one.body.task, one.label))
+            ]
+            judged[law] = replace(judged[law], estimate=estimate, pulses=tuple(pulses))
     return Choice(judged=judged, chosen=chosen, gains=gains, mechanisms=singly)
 
 
@@ -287,8 +284,6 @@ def left_out_likelihood(
     sets: Sequence[TrialSet],
     noises: Sequence[Noise],
     arms: Mapping[str, Subject],
-    *,
-    n_pairs: int = N_PAIRS,
     seed: int = 0,
     threads: int = 1,
 ) -> Array:
@@ -299,14 +294,12 @@ def left_out_likelihood(
       sets: the trials, one set for each of `noises`.
       noises: those of the estimate that belong to the conditions of the sets.
       arms: condition to a linear arm.
-      n_pairs: draws of the noise in whose presence trials are predicted.
-      seed: of the draws.
+      seed: of the draws of the noise in whose presence trials are predicted.
       threads: how many simulate at a time.
     """
     problem = Problem(estimate.parameters.fixed_at(estimate.state.point), sets, arms, threads)
     problem.noises = list(noises)
-    if n_pairs:
-        problem.draw_again(n_pairs, seed)
+    problem.draw_again(N_PAIRS_OF_FOLDS, seed)
     spread = np.array([estimate.spread[kind] for kind in problem.kinds])
     state = State(np.empty(0), np.zeros(len(problem.kind_of)), spread)
     predicted = problem.predict([state])[0]

@@ -109,7 +109,8 @@ class NonlinearEstimate:
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of a parameter: symmetric in its logarithm."""
         half = float(stats.norm.ppf(0.5 + level / 2.0)) * self.log_error[name]
-        return self.values[name] * float(np.exp(-half)), self.values[name] * float(np.exp(half))
+        with np.errstate(over="ignore"):  # infinite: the trials say nothing of it
+            return self.values[name] * float(np.exp(-half)), self.values[name] * float(np.exp(half))
 
     def subject(self, task: str, condition: str = "") -> Subject:
         """The person in a task and condition, in a trial like the average one."""
@@ -461,8 +462,7 @@ class _Search:
 
 
 def _inverse(matrix: Array) -> Array:
-    """Inverse of an information matrix; directions that the trials say nothing of get large, finite variances."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
-    scaled = matrix / np.outer(scale, scale)
-    inverse = linalg.pinvh(scaled + 1e-12 * np.eye(len(scale)))
+    """Inverse of an information matrix, also of one with nearly dependent columns."""
+    scale = np.sqrt(np.diag(matrix))
+    inverse = linalg.pinvh(matrix / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
     return np.asarray(inverse / np.outer(scale, scale))

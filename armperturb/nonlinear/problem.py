@@ -33,6 +33,10 @@ PAIRS_OF_SLOPES = 1
 """Pairs of draws over which derivatives are averaged: they need not be as exact as the residual."""
 
 
+WIDE = 1e4
+"""SD of a prior of all logarithms [-]: it matters to nothing but what trials say nothing of."""
+
+
 class State(NamedTuple):
     """Where a fit is.
 
@@ -265,7 +269,7 @@ class Problem:
         white, n = self.white(self.residual(predicted)), len(state.point)
         matrix = self.gathered(state, [one @ one.T for one in slopes])
         slope = self.gathered(state, [one @ left for one, left in zip(slopes, white, strict=True)])
-        prior = np.concatenate([np.zeros(n), 1.0 / state.spread[self.kind_of] ** 2])
+        prior = self._prior(state)
         slope[n:] -= prior[n:] * state.effects
         return Normal(matrix + np.diag(prior), slope)
 
@@ -289,8 +293,11 @@ class Problem:
         for trial, columns in enumerate(slopes):
             of_odd, of_even = (np.array([one[trial] for one in half]) @ columns.T for half in (odd, even))
             parts.append(of_odd.T @ of_odd / n_pairs + np.cov(of_even, rowvar=False) * (1.0 + 1.0 / n_averaged))
-        prior = np.concatenate([np.zeros(len(state.point)), 1.0 / state.spread[self.kind_of] ** 2])
-        return self.gathered(state, parts) + np.diag(prior)
+        return self.gathered(state, parts) + np.diag(self._prior(state))
+
+    def _prior(self, state: State) -> Array:
+        """Information in the prior, (unknown,)."""
+        return np.concatenate([np.full(len(state.point), WIDE**-2), 1.0 / state.spread[self.kind_of] ** 2])
 
 
 def _padded(signal: Array, n: int) -> Array:
