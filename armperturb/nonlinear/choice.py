@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from armperturb.nonlinear.estimate import N_PAIRS, NonlinearEstimate, fit, nearest_arms
+from armperturb.nonlinear.estimate import N_PAIRS, NonlinearEstimate, fit, free_parameters, nearest_arms
 from armperturb.nonlinear.model import Law, Model, stem
 from armperturb.nonlinear.noise import Noise
 from armperturb.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
@@ -200,11 +200,12 @@ def compare_laws(
             if progress is not None:
                 progress(f"{name}: {line}")
 
+        names = free_parameters(trials, model).names
         return fit(
             trials,
             everywhere,
             model,
-            start=start,
+            start={name: value for name, value in start.items() if name in names},
             n_pairs=pairs,
             seed=seed,
             checkpoint=checkpoint and checkpoint / f"checkpoint_{name.replace(' ', '_').replace(',', '')}.npz",
@@ -216,7 +217,7 @@ def compare_laws(
         """A structure judged, and its estimates in the folds."""
         estimates, log_likelihood, conditions = [], [], []
         for i, (train, test) in enumerate(folds):
-            start = _start(starts[i], model) if starts else {}
+            start = starts[i].values if starts else {}
             found = fitted(train, model, f"{name}, fold {i + 1}", start, N_PAIRS_OF_FOLDS)
             estimates.append(found)
             left = [one for one in test if one.n_trials]
@@ -251,8 +252,7 @@ def compare_laws(
                 singly[name] = judged["full"].gain(without)
     for law in LAWS:
         if left_out or law == chosen:
-            start = {} if law == "linear" else _start(in_folds[law][0], Model(law=law))
-            estimate = fitted(sets, Model(law=law), law, start, n_pairs)
+            estimate = fitted(sets, Model(law=law), law, in_folds[law][0].values, n_pairs)
             pulses = [
                 pulse for one in left_out for pulse in predict_pulses(one, estimate.subject(one.body.task, one.label))
             ]
@@ -272,11 +272,6 @@ def _folds(sets: Sequence[TrialSet]) -> list[tuple[list[TrialSet], list[TrialSet
         if any(one.n_trials for one in test):
             found.append((train, test))
     return found
-
-
-def _start(estimate: NonlinearEstimate, model: Model) -> dict[str, float]:
-    """Values of an estimate that are free in a structure."""
-    return {name: value for name, value in estimate.values.items() if stem(name) not in model.fixed}
 
 
 def left_out_likelihood(

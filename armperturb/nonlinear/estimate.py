@@ -171,14 +171,22 @@ def fit(
       OSError: the checkpoint cannot be read or written.
     """
     model = model or Model()
-    bodies, conditions = _people(sets)
-    parameters = Parameters(model, bodies, conditions)
+    parameters = free_parameters(sets, model)
     everywhere = nearest_arms(sets, arms)
     problem = Problem(parameters, sets, everywhere, threads)
     search = _Search(problem, n_pairs, seed, checkpoint, progress)
     if not search.resume():
         search.state = best_start(problem, start_values(parameters, sets, everywhere, start or {}), start or {})
     return search.run()
+
+
+def free_parameters(sets: Sequence[TrialSet], model: Model) -> Parameters:
+    """What is free in a structure for these trials.
+
+    Raises:
+      ValueError: trials are of several people, there are none, or the structure names what they have not.
+    """
+    return Parameters(model, *_people(sets))
 
 
 def _people(sets: Sequence[TrialSet]) -> tuple[dict[str, Subject], dict[str, tuple[str, ...]]]:

@@ -201,6 +201,20 @@ def summary(found: NonlinearIdentification) -> dict[str, Any]:
     }
 
 
+def told(found: NonlinearIdentification) -> list[str]:
+    """The result in lines of text."""
+    estimate = found.estimate
+    lines = [f"{estimate.model.law} law: {estimate.status}", *estimate.remarks()]
+    lines += found.choice.verdict() if found.choice else ()
+    for model, pulses in found.pulses.items():
+        if pulses:
+            vaf = float(np.median([pulse.vaf for pulse in pulses]))
+            lines.append(
+                f"{len(pulses)} left-out pulses, {model}: median peak {median_peak(pulses):.0f} %, VAF {vaf:.1f} %"
+            )
+    return lines
+
+
 def write_nonlinear(found: NonlinearIdentification, folder: Path) -> None:
     """Write `parameters.csv`, `correlations.csv`, `predictions.csv` and `fit.json`; checkpoints there are done with.
 
@@ -210,7 +224,7 @@ def write_nonlinear(found: NonlinearIdentification, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     names = ("parameters.csv", "correlations.csv", "predictions.csv", "fit.json")
     with ExitStack() as stack:  # all take their places together, after all were written
-        parameters, correlations, predictions, told = (
+        parameters, correlations, predictions, fitted = (
             stack.enter_context(written_whole(folder / name)) for name in names
         )
         write_csv(parameter_rows(found.estimate), parameters)
@@ -220,6 +234,6 @@ def write_nonlinear(found: NonlinearIdentification, folder: Path) -> None:
             writer = csv.DictWriter(file, columns, lineterminator="\n")
             writer.writeheader()
             writer.writerows(prediction_rows(found))
-        told.write_text(json.dumps(summary(found), indent=2) + "\n", encoding="utf-8")
+        fitted.write_text(json.dumps(summary(found), indent=2) + "\n", encoding="utf-8")
     for checkpoint in folder.glob(CHECKPOINTS):
         checkpoint.unlink()
