@@ -38,7 +38,7 @@ def perturbed():
         Trial(
             subject=RELAX,
             perturbation=MultisineThenPulse.join(
-                Multisine.draw(seed=seed, rms=rms, crested=False), peak=10.0, direction_deg=20.0 + 180.0 * i, tail=1.8
+                Multisine.draw(seed=seed, rms=rms, crested=False), peak=25.0, direction_deg=20.0 + 180.0 * i, tail=1.8
             ),
             condition=condition,
             repetition=i,
