@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import joblib
 import numpy as np
 import tyro
 import xarray as xr
@@ -101,12 +102,18 @@ class Identify:
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Recordings of one person to read: netCDF4, or CSV, MATLAB or C3D with a sidecar (see convert); the trials of a
     condition are identified together."""
-    model: Literal["1", "2", "3", "4", "5", "6", "3a", "3b"]
+    model: Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear"]
     """Model structure: 1 intrinsic and grip; 2 with velocity, 3 with velocity and position feedback; 4, 5 and 6 with
     force, acceleration or both besides; 3a and 3b total mass and reflexes, with grip, delay and cut-off fixed, 3b
-    without negative gains."""
+    without negative gains; nonlinear a muscle law, from all trials of one or both tasks together."""
     out: Path
-    """Folder for admittance.csv, parameters.csv and fit.json."""
+    """Folder for admittance.csv, parameters.csv and fit.json; of a nonlinear model, for parameters.csv,
+    correlations.csv, predictions.csv, fit.json and pulses.svg, and for what lets a search that was stopped go on."""
+    law: Literal["full", "short-range", "linear", "choose"] | None = None
+    """Of the nonlinear model: the full muscle law (the default), short-range stiffness that yields alone, none, or what
+    trials show that were left out of the fits (choose)."""
+    pulses: str | None = None
+    """Directions of the pulses that the nonlinear model is fitted to [deg], e.g. 20,200; the others are predicted."""
     estimator: Literal["thesis", "frequency", "record"] = "record"
     """Greatest likelihood over whole records or over mean periods (frequency), or the thesis's trial by trial."""
     share: str | None = None
@@ -407,15 +414,12 @@ def identify(settings: Identify) -> dict[str, Identification]:
       OSError: a file cannot be read or written.
     """
     named = ", ".join(map(str, settings.recordings))
-    recording = import_recording(settings.recordings).recording
-    for name in ("subject", "condition"):
-        wanted = getattr(settings, name)
-        if wanted is not None:
-            found = recording[name].values
-            if wanted not in found:
-                held = ", ".join(dict.fromkeys(found.tolist()))
-                raise ValueError(f"{named}: no {name} {wanted!r}; expected one of {held}")
-            recording = recording.isel(trial=np.flatnonzero(found == wanted))
+    for name in ("law", "pulses"):
+        if getattr(settings, name) is not None:
+            raise ValueError(
+                f"identify: {name} = {getattr(settings, name)!r}; expected none but of the nonlinear model"
+            )
+    recording = _wanted_trials(settings)
     tasks = list(dict.fromkeys(recording["task"].values.tolist()))
     if len(tasks) > 1:
         raise ValueError(f"{named}: trials of the tasks {' and '.join(tasks)}; expected one (choose a --condition)")
@@ -493,6 +497,67 @@ def response(settings: Response) -> list[str]:
             said.append(f"nonlinear distortion: not told ({error})")
     write_response(found, distortion, settings.out, str(recordings[0]["condition"].values[0]))
     return said
+
+
+def _wanted_trials(settings: Identify) -> xr.Dataset:
+    recording = import_recording(settings.recordings).recording
+    for name in ("subject", "condition"):
+        wanted = getattr(settings, name)
+        if wanted is not None:
+            found = recording[name].values
+            if wanted not in found:
+                named, held = ", ".join(map(str, settings.recordings)), ", ".join(dict.fromkeys(found.tolist()))
+                raise ValueError(f"{named}: no {name} {wanted!r}; expected one of {held}")
+            recording = recording.isel(trial=np.flatnonzero(found == wanted))
+    return recording
+
+
+def identify_nonlinear(settings: Identify) -> list[str]:
+    """Fit a muscle law, write results and figure, and return what is to be said of it.
+
+    Raises:
+      TypeError: a field of a sidecar has the wrong type.
+      ValueError: a setting is of linear models, or a recording is refused or cannot be identified.
+      RuntimeError: C3D is to be read without ezc3d.
+      OSError: a file cannot be read or written.
+    """
+    # Here, so that the other commands start without compiler and drawing library.
+    from armperturb.nonlinear.identify import identify_nonlinear as search
+    from armperturb.nonlinear.identify import told, write_nonlinear
+    from armperturb.study.identified_pulses import pulses_figure
+    from armperturb.study.style import save_svg
+
+    for name in ("estimator", "share", "lines_per_average"):
+        default = Identify.__dataclass_fields__[name].default
+        if getattr(settings, name) != default:
+            raise ValueError(
+                f"identify: {name} = {getattr(settings, name)!r}; expected {default!r} with the nonlinear model"
+            )
+    try:
+        directions = [float(value) for value in settings.pulses.split(",")] if settings.pulses else []
+    except ValueError:
+        raise ValueError(
+            f"identify: pulses = {settings.pulses!r}; expected directions with commas between, e.g. 20,200"
+        ) from None
+    recording = _wanted_trials(settings)
+    settings.out.mkdir(parents=True, exist_ok=True)
+    try:
+        found = search(
+            recording,
+            settings.law or "full",
+            pulse_directions_deg=directions,
+            start=settings.start,
+            period=settings.period,
+            folder=settings.out,
+            progress=lambda line: print(line, file=sys.stderr, flush=True),
+            threads=joblib.cpu_count(),
+        )
+    except ValueError as error:
+        raise ValueError(f"{', '.join(map(str, settings.recordings))}: {error}") from None
+    if found.pulses["nonlinear"]:
+        save_svg(pulses_figure(found.pulses), settings.out / "pulses.svg")
+    write_nonlinear(found, settings.out)
+    return told(found)
 
 
 def validate(settings: Validate) -> str:
@@ -723,6 +788,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif isinstance(command, Calibrate):
             print(calibrate(command))
             print(f"average person: {command.out}")
+        elif command.model == "nonlinear":
+            for line in identify_nonlinear(command):
+                print(line)
+            print(f"results: {command.out}")
         else:
             for condition, result in identify(command).items():
                 fit, vaf = result.fit, result.vaf
@@ -735,7 +804,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"armperturb: error: {message}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        goes_on = "; the same command goes on from here" if isinstance(command, Study) else ""
+        can = isinstance(command, Study) or (isinstance(command, Identify) and command.model == "nonlinear")
+        goes_on = "; the same command goes on from here" if can else ""
         print(f"armperturb: stopped{goes_on}", file=sys.stderr)
         return 130
     return 0

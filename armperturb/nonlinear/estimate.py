@@ -2,20 +2,30 @@
 
 Levenberg-Marquardt steps in the logarithms of the parameters, with the noise weighed anew before each; first without
 noise in the prediction, then in its presence (see `problem`). Steps that make an arm unstable, or less likely, are
-shortened.
+shortened. Last come Gauss-Newton steps whose weights and derivatives stay, the latter averaged over all draws: those of
+few draws add noise of their own to the estimate. These steps find the spread of the trials as well.
+
+Errors are those of an estimating equation (Huber 1967, Proc. 5th Berkeley Symp. 1): A^-1 B A^-1, with A the derivative
+of the score and B its variance, which is simulated. The inverse information alone, A^-1, takes the noise for stationary
+and is a third too small for muscles that yield.
 """
 
+import functools
 import hashlib
 import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, stats
 
+from armperturb.analysis.likelihood import LackOfFit
+from armperturb.files import written_whole
 from armperturb.nonlinear.model import EFFECTS, Model, Parameters
+from armperturb.nonlinear.noise import Noise
 from armperturb.nonlinear.problem import Normal, Problem, State
 from armperturb.nonlinear.start import best_start, start_values
 from armperturb.nonlinear.trials import TrialSet
@@ -27,10 +37,16 @@ N_PAIRS = 6
 """Pairs of draws of the noise: with half as many, the damping that thins in relaxed people comes out a third off."""
 
 MAX_ROUNDS = 40
-"""Of each of the two searches."""
+"""Of each of the two searches that come before the last steps."""
 
-SETTLED = 0.05
-"""A step this small in units of the standard error ends a search [-]."""
+N_PAIRS_OF_ERRORS = 16
+"""Pairs of draws that tell the variance of the score: with 8 trials, errors are known within some 7 %."""
+
+NEAR, SETTLED = 0.3, 0.05
+"""Steps this small in units of the standard error end the searches and the last steps [-]."""
+
+MAX_LAST, MAX_EXPECTATIONS = 12, 200
+"""Most last steps, and most steps of expectation maximisation in each."""
 
 DAMPINGS = (0.03, 0.3, 3.0, 30.0)
 """Factors on the last damping of the steps that are tried side by side."""
@@ -45,6 +61,9 @@ LEAST_SPREAD = 0.01
 UNCERTAIN, ALIKE = 0.5, 0.95
 """From when on remarks are made: standard error of a logarithm, and correlation of errors [-]."""
 
+SHORTER = (1.0, 0.5, 0.25, 0.1)
+"""Parts of a last step that are tried in turn [-]."""
+
 AT_BOUND = 1e-3
 """A logarithm this close to its bound sits on it [-]."""
 
@@ -57,16 +76,18 @@ class NonlinearEstimate:
       model: the structure.
       parameters: what was free in it.
       values: free parameter to its estimate, in the units of `Subject` and `MuscleLaw`.
-      log_error: standard error of the estimates' logarithms, from the information and the spread of trials.
+      log_error: standard error of the estimates' logarithms.
       correlation: of the logarithms' errors, (parameter, parameter), in the order of `values`.
       spread: task and quantity to the SD over trials of the logarithm of a factor on it.
       objective: minus twice the logarithm of the likelihood, effects at their best, but for a constant.
-      n_rounds: steps in both searches.
-      converged: whether both ended at a maximum.
+      lack_of_fit: condition to what is left in its residual that the disturbance explains.
+      n_rounds: steps of all searches.
+      converged: whether they ended at a maximum.
       status: how, in words.
       at_bound: parameters that sit on a bound.
       n_conditions: how many conditions with different amplitudes told it.
       state: where the search ended.
+      noises: of each set of trials.
     """
 
     model: Model
@@ -76,17 +97,20 @@ class NonlinearEstimate:
     correlation: Array
     spread: Mapping[tuple[str, str], float]
     objective: float
+    lack_of_fit: Mapping[str, LackOfFit]
     n_rounds: int
     converged: bool
     status: str
     at_bound: tuple[str, ...]
     n_conditions: int
     state: State
+    noises: tuple[Noise, ...]
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of a parameter: symmetric in its logarithm."""
         half = float(stats.norm.ppf(0.5 + level / 2.0)) * self.log_error[name]
-        return self.values[name] * float(np.exp(-half)), self.values[name] * float(np.exp(half))
+        with np.errstate(over="ignore"):  # infinite: the trials say nothing of it
+            return self.values[name] * float(np.exp(-half)), self.values[name] * float(np.exp(half))
 
     def subject(self, task: str, condition: str = "") -> Subject:
         """The person in a task and condition, in a trial like the average one."""
@@ -126,6 +150,7 @@ def fit(
     seed: int = 0,
     checkpoint: Path | None = None,
     progress: Callable[[str], object] | None = None,
+    threads: int = 1,
 ) -> NonlinearEstimate:
     """Fit one person.
 
@@ -138,6 +163,7 @@ def fit(
       seed: of the draws.
       checkpoint: file in which the search is kept after each step; a search that was stopped there goes on.
       progress: called with a line after each step.
+      threads: how many simulate at a time; no effect on what they find.
 
     Raises:
       ValueError: trials are of several people or rates, there are none, `start` or `model` names what is not free, or
@@ -145,14 +171,22 @@ def fit(
       OSError: the checkpoint cannot be read or written.
     """
     model = model or Model()
-    bodies, conditions = _people(sets)
-    parameters = Parameters(model, bodies, conditions)
-    everywhere = {one.label: _nearest(one, sets, arms) for one in sets}
-    problem = Problem(parameters, sets, everywhere)
+    parameters = free_parameters(sets, model)
+    everywhere = nearest_arms(sets, arms)
+    problem = Problem(parameters, sets, everywhere, threads)
     search = _Search(problem, n_pairs, seed, checkpoint, progress)
     if not search.resume():
         search.state = best_start(problem, start_values(parameters, sets, everywhere, start or {}), start or {})
     return search.run()
+
+
+def free_parameters(sets: Sequence[TrialSet], model: Model) -> Parameters:
+    """What is free in a structure for these trials.
+
+    Raises:
+      ValueError: trials are of several people, there are none, or the structure names what they have not.
+    """
+    return Parameters(model, *_people(sets))
 
 
 def _people(sets: Sequence[TrialSet]) -> tuple[dict[str, Subject], dict[str, tuple[str, ...]]]:
@@ -176,8 +210,16 @@ def _people(sets: Sequence[TrialSet]) -> tuple[dict[str, Subject], dict[str, tup
     return bodies, conditions
 
 
+def nearest_arms(sets: Sequence[TrialSet], arms: Mapping[str, Subject]) -> dict[str, Subject]:
+    """Condition to its linear arm, or to that of the condition of its task whose movements are nearest in size.
+
+    Raises:
+      ValueError: there is no arm of a task.
+    """
+    return {one.label: _nearest(one, sets, arms) for one in sets}
+
+
 def _nearest(one: TrialSet, sets: Sequence[TrialSet], arms: Mapping[str, Subject]) -> Subject:
-    """The linear arm of a condition, or of that condition of the task whose movements are nearest in size."""
     if one.label in arms:
         return arms[one.label]
 
@@ -202,31 +244,35 @@ class _Search:
         self._problem, self._n_pairs, self._seed = problem, n_pairs, seed
         self._checkpoint, self._progress = checkpoint, progress
         self.state: State
-        self._rounds, self._damping, self._noisy = 0, 1.0, False
+        self._rounds, self._damping, self._stage = 0, 1.0, "plain"
         self._drawn: list[Array] = []
+        self._drawn_at: State
+        self._last_at: State
 
     def run(self) -> NonlinearEstimate:
-        status = ""
-        if not self._noisy:
-            status = self._settle()
+        if self._stage == "plain":
+            self._approach()
             if self._n_pairs:
                 self._draw()
-        if self._n_pairs:
-            status = self._settle()
-        return self._estimate(status)
+            self._stage = "noisy" if self._n_pairs else "last"
+            self._damping, self._last_at = 1.0, self.state
+            self._keep()
+        if self._stage == "noisy":
+            self._approach()
+            self._stage, self._last_at = "last", self.state
+            self._keep()
+        return self._estimate(*self._settle())
 
     def _draw(self) -> None:
         problem = self._problem
         problem.weigh(problem.residual(problem.predict([self.state])[0]))
         self._drawn = [noise.root for noise in problem.noises]
         problem.draw(self.state, self._n_pairs, self._seed)
-        self._noisy, self._damping = True, 1.0
         self._drawn_at = self.state
 
-    def _settle(self) -> str:
-        """Step until nothing changes; say how it ended."""
-        problem, parameters = self._problem, self._problem.parameters
-        n = len(parameters.names)
+    def _approach(self) -> None:
+        """Step until steps are short."""
+        problem, n = self._problem, len(self.state.point)
         predicted = problem.predict([self.state])[0]
         for _ in range(MAX_ROUNDS):
             problem.weigh(problem.residual(predicted))
@@ -237,21 +283,83 @@ class _Search:
             answers = problem.predict(candidates)
             costs = [problem.cost(one, answer) for one, answer in zip(candidates, answers, strict=True)]
             best = int(np.argmin(costs))
-            self._rounds += 1
-            step = np.abs(candidates[best].point - self.state.point) / error[:n]
-            self._say(f"round {self._rounds}: cost {min(costs[best], before):.1f}, largest step {step.max():.2f} SE")
+            step = float(np.max(np.abs(candidates[best].point - self.state.point) / error[:n], initial=0.0))
+            self._tell(min(costs[best], before), step)
             if costs[best] < before:
                 self._damping = float(np.clip(self._damping * DAMPINGS[best], 1e-4, MOST_DAMPING))
                 self.state = self._with_spread(candidates[best], error[n:])
                 predicted = answers[best]
                 self._keep()
-                if step.max() < SETTLED:
-                    return "settled"
+            elif self._damping > MOST_DAMPING:
+                return
             else:
-                if step.max() < SETTLED or self._damping > MOST_DAMPING:
-                    return "settled"
                 self._damping *= DAMPINGS[-1]
-        return f"not settled after {MAX_ROUNDS} steps"
+            if step < NEAR:
+                return
+
+    def _settle(self) -> tuple[str, list[Array]]:
+        """The last steps; says how they ended, and with which derivatives."""
+        problem = self._problem
+        problem.weigh(problem.residual(problem.predict([self._last_at])[0]))
+        slopes = problem.slopes(self._last_at)
+        predicted = problem.predict([self.state])[0]
+        for _ in range(MAX_LAST):
+            likeliest, step = self._likeliest(problem.normal(self.state, predicted, slopes))
+            before = problem.cost(self.state._replace(spread=likeliest.spread), predicted)
+            for part in SHORTER:
+                moved = State(
+                    self.state.point + part * (likeliest.point - self.state.point),
+                    self.state.effects + part * (likeliest.effects - self.state.effects),
+                    likeliest.spread,
+                )
+                answer = problem.predict([moved])[0]
+                cost = problem.cost(moved, answer)
+                if cost < before:
+                    self._tell(cost, part * step)
+                    self.state, predicted = moved, answer
+                    self._keep()
+                    break
+            else:
+                # Nothing near is likelier: weights and derivatives are those of a place nearby.
+                return ("settled" if step < NEAR else "no likelier step"), slopes
+            if step < SETTLED:
+                return "settled", slopes
+        return f"not settled after {MAX_LAST} last steps", slopes
+
+    def _likeliest(self, normal: Normal) -> tuple[State, float]:
+        """Where the linearised problem has its maximum, spread included, and the largest step in standard errors."""
+        problem, parameters = self._problem, self._problem.parameters
+        state, n = self.state, len(self.state.point)
+        old = np.concatenate([np.zeros(n), 1.0 / state.spread[problem.kind_of] ** 2])
+        matrix, slope = normal.matrix - np.diag(old), normal.slope.copy()
+        slope[n:] += old[n:] * state.effects
+        free = np.ones(len(slope), dtype=bool)
+        spread = state.spread
+        for _ in range(MAX_EXPECTATIONS):
+            prior = np.concatenate([np.zeros(n), 1.0 / spread[problem.kind_of] ** 2])
+            inverse = np.zeros_like(matrix)
+            inverse[np.ix_(free, free)] = _inverse((matrix + np.diag(prior))[np.ix_(free, free)])
+            step = np.zeros(len(slope))
+            step[free] = (
+                inverse[np.ix_(free, free)] @ (slope - prior * np.concatenate([np.zeros(n), state.effects]))[free]
+            )
+            step[:n] = np.clip(step[:n], -LONGEST, LONGEST)
+            point = np.clip(state.point + step[:n], parameters.lower, parameters.upper)
+            # The others make up for a parameter that stops at its bound.
+            stopped = free[:n] & (point != state.point + step[:n])
+            step[:n] = point - state.point
+            free[:n] &= ~stopped
+            effects = state.effects + step[n:]
+            square = effects**2 + np.diag(inverse)[n:]
+            newer = np.array([np.sqrt(square[problem.kind_of == kind].mean()) for kind in range(len(spread))])
+            newer = np.maximum(newer, LEAST_SPREAD)
+            done = not stopped.any() and np.allclose(newer, spread, rtol=1e-3)
+            spread = newer
+            if done:
+                break
+        error = np.sqrt(np.maximum(np.diag(inverse)[:n], np.finfo(float).tiny))
+        largest = float(np.max(np.abs(step[:n]) / error, initial=0.0, where=free[:n]))
+        return State(point, effects, spread), largest
 
     def _stepped(self, normal: Normal, damping: float) -> State:
         parameters, n = self._problem.parameters, len(self.state.point)
@@ -268,36 +376,42 @@ class _Search:
         spread = [np.sqrt(square[self._problem.kind_of == kind].mean()) for kind in range(len(state.spread))]
         return state._replace(spread=np.maximum(spread, LEAST_SPREAD))
 
-    def _estimate(self, status: str) -> NonlinearEstimate:
-        problem, parameters = self._problem, self._problem.parameters
-        predicted = problem.predict([self.state])[0]
-        problem.weigh(problem.residual(predicted))
-        normal = problem.normal(self.state, predicted)
-        n = len(parameters.names)
-        covariance = _inverse(normal.matrix)[:n, :n]
+    def _estimate(self, status: str, slopes: list[Array]) -> NonlinearEstimate:
+        problem, parameters, state = self._problem, self._problem.parameters, self.state
+        n = len(state.point)
+        predicted = problem.predict([state])[0]
+        inverse = _inverse(problem.normal(state, predicted, slopes).matrix)
+        if problem.is_noisy:
+            variance = problem.score_variance(state, slopes, N_PAIRS_OF_ERRORS, self._n_pairs, self._seed + 1)
+            inverse = inverse @ variance @ inverse
+        covariance = inverse[:n, :n]
         error = np.sqrt(np.diag(covariance))
-        point = self.state.point
-        near = np.minimum(point - parameters.lower, parameters.upper - point) < AT_BOUND
+        near = np.minimum(state.point - parameters.lower, parameters.upper - state.point) < AT_BOUND
+        problem.weigh(problem.residual(predicted))
         return NonlinearEstimate(
             model=parameters.model,
             parameters=parameters,
-            values=dict(zip(parameters.names, np.exp(point).tolist(), strict=True)),
+            values=dict(zip(parameters.names, np.exp(state.point).tolist(), strict=True)),
             log_error=dict(zip(parameters.names, error.tolist(), strict=True)),
             correlation=covariance / np.outer(error, error),
-            spread=dict(zip(problem.kinds, self.state.spread.tolist(), strict=True)),
-            objective=problem.objective(self.state, predicted),
+            spread=dict(zip(problem.kinds, state.spread.tolist(), strict=True)),
+            objective=problem.objective(state, predicted),
+            lack_of_fit=problem.lack_of_fit(predicted),
             n_rounds=self._rounds,
             converged=status == "settled",
             status=status,
             at_bound=tuple(name for name, hit in zip(parameters.names, near, strict=True) if hit),
             n_conditions=len({one.label for one in problem.sets}),
-            state=self.state,
+            state=state,
+            noises=tuple(problem.noises),
         )
 
-    def _say(self, line: str) -> None:
+    def _tell(self, cost: float, step: float) -> None:
+        self._rounds += 1
         if self._progress is not None:
-            self._progress(line)
+            self._progress(f"round {self._rounds}: cost {cost:.1f}, largest step {step:.2f} SE")
 
+    @functools.cached_property
     def _key(self) -> str:
         """Digest of all that a search depends on."""
         digest = hashlib.sha256(repr((self._problem.parameters.model, self._n_pairs, self._seed)).encode())
@@ -310,22 +424,22 @@ class _Search:
     def _keep(self) -> None:
         if self._checkpoint is None:
             return
-        drawn = {f"drawn_{i}": root for i, root in enumerate(self._drawn)}
-        at = self._drawn_at if self._noisy else self.state
-        buffer = io.BytesIO()
-        np.savez(
-            buffer,
-            key=self._key(),
-            rounds=self._rounds,
-            damping=self._damping,
-            noisy=self._noisy,
+        kept: dict[str, Any] = {
+            "key": self._key,
+            "rounds": self._rounds,
+            "damping": self._damping,
+            "stage": self._stage,
             **self.state._asdict(),
-            **{f"at_{name}": value for name, value in at._asdict().items()},
-            **drawn,
-        )
-        staged = self._checkpoint.with_name(self._checkpoint.name + ".part")
-        staged.write_bytes(buffer.getvalue())
-        staged.replace(self._checkpoint)
+            **{f"drawn_{i}": root for i, root in enumerate(self._drawn)},
+        }
+        if self._drawn:
+            kept |= {f"drawn_at_{name}": value for name, value in self._drawn_at._asdict().items()}
+        if self._stage == "last":
+            kept |= {f"last_at_{name}": value for name, value in self._last_at._asdict().items()}
+        buffer = io.BytesIO()
+        np.savez(buffer, **kept)
+        with written_whole(self._checkpoint) as path:
+            path.write_bytes(buffer.getvalue())
 
     def resume(self) -> bool:
         """Go on where a search of the same trials and structure was stopped; whether there was one."""
@@ -336,23 +450,27 @@ class _Search:
                 found = {name: kept[name] for name in kept.files}
         except (ValueError, OSError, EOFError, KeyError):
             return False
-        if str(found.get("key")) != self._key():
+        if str(found.get("key")) != self._key:
             return False
-        self.state = State(found["point"], found["effects"], found["spread"])
+
+        def state(prefix: str) -> State:
+            return State(*(found[prefix + name] for name in State._fields))
+
+        self.state, self._stage = state(""), str(found["stage"])
         self._rounds, self._damping = int(found["rounds"]), float(found["damping"])
-        if bool(found["noisy"]):
-            at = State(found["at_point"], found["at_effects"], found["at_spread"])
+        if "drawn_0" in found:
             self._drawn = [found[f"drawn_{i}"] for i in range(len(self._problem.noises))]
             for noise, root in zip(self._problem.noises, self._drawn, strict=True):
                 noise.root = root
-            self._problem.draw(at, self._n_pairs, self._seed)
-            self._noisy, self._drawn_at = True, at
+            self._drawn_at = state("drawn_at_")
+            self._problem.draw(self._drawn_at, self._n_pairs, self._seed)
+        if self._stage == "last":
+            self._last_at = state("last_at_")
         return True
 
 
 def _inverse(matrix: Array) -> Array:
-    """Inverse of an information matrix; directions that the trials say nothing of get large, finite variances."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
-    scaled = matrix / np.outer(scale, scale)
-    inverse = linalg.pinvh(scaled + 1e-12 * np.eye(len(scale)))
+    """Inverse of an information matrix, also of one with nearly dependent columns."""
+    scale = np.sqrt(np.diag(matrix))
+    inverse = linalg.pinvh(matrix / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
     return np.asarray(inverse / np.outer(scale, scale))

@@ -1,5 +1,6 @@
 """Which parameters of a person with a muscle law are estimated, and the person that their values make."""
 
+import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -224,6 +225,13 @@ class Parameters:
                     )
         limits = np.log([BOUNDS[stem(name)] for name in self.names])
         self.lower, self.upper = limits.T
+
+    def fixed_at(self, point: Array) -> "Parameters":
+        """The same with nothing free: all has the value that it has at a point."""
+        fixed = copy.copy(self)
+        fixed.names, fixed.lower, fixed.upper = [], np.empty(0), np.empty(0)
+        fixed._of_task = {task: list(self.values(task, point).items()) for task in self._of_task}
+        return fixed
 
     def values(self, task: str, point: Array) -> dict[str, float]:
         """Parameter of one task to its value, fixed and tied ones too."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import fft, sparse
 
 from armperturb.analysis.arm_model import LinearArm, parameter_vector
-from armperturb.analysis.likelihood import ROUND_OFF, TAPER, smoother, whitened, whitening
+from armperturb.analysis.likelihood import ROUND_OFF, TAPER, LackOfFit, _bands, smoother, whitened, whitening
 from armperturb.environment import Environment
 from armperturb.subject import Subject
 
@@ -26,6 +26,7 @@ class Noise:
 
     Attributes:
       root: of the spectrum of its hand force, as last estimated, (frequency, axis, axis).
+      strength: factor on the amplitude of draws, (frequency,); 1 until `match`.
 
     Args:
       arm: linear, near the person in this condition.
@@ -48,6 +49,7 @@ class Noise:
         self._to_force = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
         self._smoother: sparse.csr_array = smoother(len(self._frequency), n_trials)
         self.root = np.zeros((len(self._frequency), 2, 2), dtype=complex)
+        self.strength = np.ones(len(self._frequency))
         self._white = self._to_force
 
     def _force(self, residual: Array) -> Response:
@@ -78,21 +80,42 @@ class Noise:
 
     def white(self, residual: Array) -> Array:
         """Residuals (lane, time, axis) as numbers of unit variance, (lane, number)."""
-        faded = whitened(residual[:, : self._n], self._rate) * self._taper[:, None]
-        spectrum = fft.rfft(faded, axis=1)[:, self._used].transpose(0, 2, 1)
-        white = np.einsum("abf,tbf->taf", self._white, spectrum).reshape(len(residual), -1)
+        white = self._white_spectrum(residual).reshape(len(residual), -1)
         return np.concatenate([white.real, white.imag], axis=1)
 
-    def draw(self, standard: Array, gain: Array | float = 1.0) -> Array:
-        """Hand force with the spectrum of the noise [N], (time, axis).
+    def lack_of_fit(self, residual: Array, perturbation: Array) -> LackOfFit:
+        """Whether a linear response to the disturbance is left in the residual, in any band of excited frequencies.
+
+        As `analysis.likelihood.Likelihood.lack_of_fit`, the noise being as last weighed.
+
+        Args:
+          residual: of the trials [m], (trial, time, axis).
+          perturbation: d [N], likewise.
+        """
+        white = self._white_spectrum(residual)
+        force = fft.rfft(perturbation[:, : self._n] * self._taper[:, None], axis=1)[:, self._used].transpose(0, 2, 1)
+        changes = np.einsum("aof,tif->tafoi", self._white * whitening(self._frequency, self._rate), force)
+        chi2, n_bands = 0.0, 0
+        for band in _bands(self._frequency, force):
+            basis, _ = np.linalg.qr(changes[:, :, band].reshape(-1, 4))
+            chi2 += float(np.sum(np.abs(basis.conj().T @ white[..., band].ravel()) ** 2))
+            n_bands += 1
+        return LackOfFit(chi2, 8 * n_bands)
+
+    def _white_spectrum(self, residual: Array) -> Response:
+        faded = whitened(residual[:, : self._n], self._rate) * self._taper[:, None]
+        spectrum = fft.rfft(faded, axis=1)[:, self._used].transpose(0, 2, 1)
+        return np.einsum("abf,tbf->taf", self._white, spectrum)
+
+    def draw(self, standard: Array) -> Array:
+        """Hand force with the spectrum of the noise times `strength` squared [N], (time, axis).
 
         Args:
           standard: independent standard normal numbers, (time, axis).
-          gain: factor on the amplitude at each judged frequency, from `gain`.
         """
         n = len(standard)
         frequency = fft.rfftfreq(n, 1.0 / self._rate)
-        shaped = (self.root * np.reshape(gain, (-1, 1, 1))).reshape(len(self.root), 4)
+        shaped = (self.root * self.strength[:, None, None]).reshape(len(self.root), 4)
         root = np.stack(
             [
                 np.interp(frequency, self._frequency, of.real, right=0.0)
@@ -105,12 +128,13 @@ class Noise:
         spectrum = np.einsum("fab,fb->fa", root, fft.rfft(standard, axis=0) / np.sqrt(n))
         return np.asarray(fft.irfft(spectrum * np.sqrt(n / np.sum(self._taper**2)), n, axis=0))
 
-    def gain(self, residual: Array, simulated: Array) -> Array:
-        """Factor on the amplitude of draws for simulated noise to be as strong as the residual, (frequency,).
+    def match(self, residual: Array, simulated: Array) -> None:
+        """Set `strength` so that drawn noise moves the handle as strongly as the residual.
 
         Args:
           residual: of the trials [m], (trial, time, axis).
-          simulated: how drawn noise moved the handle, likewise.
+          simulated: how noise that was drawn with the present strength moved the handle, likewise.
         """
         wanted, found = (np.trace(self._power(values), axis1=1, axis2=2).real for values in (residual, simulated))
-        return np.clip(np.sqrt(wanted / np.maximum(found, np.finfo(float).tiny)), 0.5, 2.0)
+        ratio = np.sqrt(wanted / np.maximum(found, np.finfo(float).tiny))
+        self.strength = self.strength * np.clip(ratio, 0.5, 2.0)

@@ -7,16 +7,30 @@ of times: this takes a twentieth of the laboratory's time, and is tested against
 """
 
 import math
+from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+Lane = Any
+"""A row of `lanes.lane_table`: compiled code knows its fields, type checkers do not."""
+
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _slope(p, z, push_x, push_y, torque_s, torque_e, start_x, start_y, out):
+def _slope(
+    p: Lane,
+    z: Array,
+    push_x: float,
+    push_y: float,
+    torque_s: float,
+    torque_e: float,
+    start_x: float,
+    start_y: float,
+    out: Array,
+) -> None:
     """Derivative of (q_s, q_e, x, y, their velocities), q from the posture and x from the start."""
     q_s, q_e, x, y, w_s, w_e, v_x, v_y = z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]
     upper, lower = p.posture[0] + q_s, p.posture[0] + p.posture[1] + q_s + q_e
@@ -42,7 +56,7 @@ def _slope(p, z, push_x, push_y, torque_s, torque_e, start_x, start_y, out):
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _muscles(p, bond, intact, last, stretch, velocity, out):
+def _muscles(p: Lane, bond: Array, intact: Array, last: Array, stretch: Array, velocity: Array, out: Array) -> None:
     """Torque of the law on both joints, see `controllers.muscle.muscle_torque`."""
     out[0] = out[1] = 0.0
     for element in range(3):
@@ -68,7 +82,7 @@ def _muscles(p, bond, intact, last, stretch, velocity, out):
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _excitation(p, q_s, q_e, w_s, w_e, out):
+def _excitation(p: Lane, q_s: float, q_e: float, w_s: float, w_e: float, out: Array) -> None:
     """Reflexive excitation of both joints, see `controllers.reflex`."""
     out[0] = p.kv[0] * w_s + p.kv[1] * w_e + p.kp[0] * q_s + p.kp[1] * q_e
     out[1] = p.kv[1] * w_s + p.kv[2] * w_e + p.kp[1] * q_s + p.kp[2] * q_e
@@ -84,7 +98,7 @@ def _excitation(p, q_s, q_e, w_s, w_e, out):
             out[1] += missing
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def simulate_lanes(
     lanes: NDArray[np.void],
     held: Array,
@@ -107,7 +121,7 @@ def simulate_lanes(
       n_history: motor commands that are remembered: two more than the longest delay has steps.
       displacement: to fill, (lane, time, axis); from where a lane blows up it is NaN.
     """
-    for lane in prange(len(lanes)):
+    for lane in range(len(lanes)):
         p = lanes[lane]
         force = held[of_lane[lane]]
         parts = p.limit.shape[1]

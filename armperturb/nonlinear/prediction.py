@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from armperturb.analysis.arm_model import simulate_linear
 from armperturb.analysis.pulse import WINDOWS, peak_norm
 from armperturb.nonlinear.lanes import lane_table
 from armperturb.nonlinear.response import Disturbances
@@ -13,6 +14,7 @@ from armperturb.nonlinear.trials import TrialSet
 from armperturb.subject import Subject
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 
 class PulsePrediction(NamedTuple):
@@ -52,20 +54,41 @@ def predict_pulses(one: TrialSet, person: Subject) -> list[PulsePrediction]:
       one: whole trials.
       person: of these trials' task, as in this condition; linear, or with a muscle law.
     """
-    n_window = round(WINDOWS[one.body.task] * one.rate) + 1
-    trials = [trial for trial, onset in enumerate(one.onset) if onset + n_window <= one.end]
+    trials, ends = _recorded(one)
     if not trials:
         return []
-    ends = one.onset[trials] + n_window
     disturbances = Disturbances(one.perturbation[trials, : int(ends.max())], one.rate)
     lanes = lane_table([person] * len(trials), [one.environment] * len(trials), disturbances.timestep)
-    responses = disturbances.responses(lanes, np.arange(len(trials)), ends)
-    time = np.arange(n_window) / one.rate
+    return _compared(one, trials, ends, disturbances.responses(lanes, np.arange(len(trials)), ends))
+
+
+def predict_pulses_linearly(one: TrialSet, arm: Subject) -> list[PulsePrediction]:
+    """What the linear model, with the geometry of the start throughout, predicts of the same pulses (thesis 2.8).
+
+    Args:
+      one: whole trials.
+      arm: of these trials' task.
+    """
+    trials, ends = _recorded(one)
+    if not trials:
+        return []
+    force = one.perturbation[trials, : int(ends.max())]
+    return _compared(one, trials, ends, simulate_linear(arm, one.environment, force, one.rate).displacement)
+
+
+def _recorded(one: TrialSet) -> tuple[list[int], Indices]:
+    """Trials whose window is recorded, and the sample after it."""
+    n_window = round(WINDOWS[one.body.task] * one.rate) + 1
+    trials = [trial for trial, onset in enumerate(one.onset) if onset + n_window <= one.end]
+    return trials, one.onset[trials] + n_window
+
+
+def _compared(one: TrialSet, trials: list[int], ends: Indices, responses: Array) -> list[PulsePrediction]:
     return [
         PulsePrediction(
             one.label,
             float(one.direction_deg[trial]),
-            time,
+            np.arange(end - one.onset[trial]) / one.rate,
             one.displacement[trial, one.onset[trial] : end],
             response[one.onset[trial] : end],
         )

@@ -10,12 +10,13 @@ estimated as well. Its logarithm is a random effect, an unknown with a prior.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armperturb.analysis.likelihood import LackOfFit
 from armperturb.nonlinear.lanes import lane_table
 from armperturb.nonlinear.model import EFFECTS, Parameters
 from armperturb.nonlinear.noise import Noise
@@ -30,6 +31,10 @@ STEP = 1e-4
 
 PAIRS_OF_SLOPES = 1
 """Pairs of draws over which derivatives are averaged: they need not be as exact as the residual."""
+
+
+WIDE = 1e4
+"""SD of a prior of all logarithms [-]: it matters to nothing but what trials say nothing of."""
 
 
 class State(NamedTuple):
@@ -67,17 +72,22 @@ class Problem:
       n_trials: in all sets.
       kinds: task and quantity of the effects, (kind,).
       kind_of: kind of each effect, (effect,).
+      own_effects: where those of each trial are, (trial,).
       noises: of each set.
     """
 
-    def __init__(self, parameters: Parameters, sets: Sequence[TrialSet], arms: Mapping[str, Subject]) -> None:
+    def __init__(
+        self, parameters: Parameters, sets: Sequence[TrialSet], arms: Mapping[str, Subject], threads: int = 1
+    ) -> None:
         """Take the trials.
 
         Args:
           parameters: what is free.
           sets: trials; each set has its own noise.
           arms: condition to a linear arm near the person there.
+          threads: how many simulate at a time; no effect on what they find.
         """
+        self._threads = threads
         self.parameters, self.sets = parameters, tuple(sets)
         self.n_trials = sum(one.n_trials for one in sets)
         self._tasks = [one.body.task for one in sets for _ in range(one.n_trials)]
@@ -87,10 +97,10 @@ class Problem:
         firsts = np.cumsum([0, *(one.n_trials for one in sets)])
         self._rows = [slice(a, b) for a, b in itertools.pairwise(firsts.tolist())]
         self.kinds = [(task, quantity) for task in dict.fromkeys(self._tasks) for quantity in EFFECTS[task]]
-        self._own: list[slice] = []
+        self.own_effects: list[slice] = []
         kind_of: list[int] = []
         for task in self._tasks:
-            self._own.append(slice(len(kind_of), len(kind_of) + len(EFFECTS[task])))
+            self.own_effects.append(slice(len(kind_of), len(kind_of) + len(EFFECTS[task])))
             kind_of += [self.kinds.index((task, quantity)) for quantity in EFFECTS[task]]
         self.kind_of = np.array(kind_of)
         rates = {one.rate for one in sets}
@@ -103,7 +113,7 @@ class Problem:
             for name in ("perturbation", "displacement")
         )
         self.noises = [Noise(arms[one.label], one.environment, one.end, one.n_trials, one.rate) for one in self.sets]
-        self._draws = [Disturbances(self._perturbation, self._rate)]
+        self._draws = [Disturbances(self._perturbation, self._rate, self._threads)]
 
     @property
     def is_noisy(self) -> bool:
@@ -115,33 +125,46 @@ class Problem:
 
         Draws are made twice: how much the first ones move the nonlinear arm tells how strong the second must be.
         """
-        self._draws = [Disturbances(self._perturbation, self._rate)]
+        self._draws = [Disturbances(self._perturbation, self._rate, self._threads)]
         if not n_pairs:
             return
         residual = self.residual(self.predict([state])[0])
-        standard = np.random.default_rng(seed).standard_normal((n_pairs, *self._perturbation.shape))
-        gains: list[Array | float] = [1.0] * len(self.sets)
-        for last in (False, True):
-            draws = []
-            for one in standard:
-                force = np.zeros_like(self._perturbation)
-                for rows, noise, gain in zip(self._rows, self.noises, gains, strict=True):
-                    for trial in range(rows.start, rows.stop):
-                        force[trial] = noise.draw(one[trial], gain)
-                draws += [self._perturbation + force, self._perturbation - force]
-            self._draws = [Disturbances(one, self._rate) for one in (draws if last else draws[:2])]
-            if not last:
-                plus, minus = (self._responses([state], one)[0] for one in self._draws)
-                gains = [
-                    noise.gain(residual[rows], 0.5 * (plus - minus)[rows])
-                    for rows, noise in zip(self._rows, self.noises, strict=True)
-                ]
+        for noise in self.noises:
+            noise.strength = np.ones_like(noise.strength)
+        odd, _ = next(self._halves(state, 1, seed))
+        for rows, noise in zip(self._rows, self.noises, strict=True):
+            noise.match(residual[rows], odd[rows])
+        self.draw_again(n_pairs, seed)
+
+    def draw_again(self, n_pairs: int, seed: int) -> None:
+        """From now on predict in the presence of noise of the strength that it has."""
+        self._draws = [draw for pair in self._pairs(n_pairs, seed) for draw in pair]
+
+    def _pairs(self, n_pairs: int, seed: int) -> Iterator[tuple[Disturbances, Disturbances]]:
+        """The disturbances with drawn noise added and taken away."""
+        rng = np.random.default_rng(seed)
+        for _ in range(n_pairs):
+            standard = rng.standard_normal(self._perturbation.shape)
+            force = np.zeros_like(self._perturbation)
+            for rows, noise in zip(self._rows, self.noises, strict=True):
+                for trial in range(rows.start, rows.stop):
+                    force[trial] = noise.draw(standard[trial])
+            plus, minus = (
+                Disturbances(self._perturbation + sign * force, self._rate, self._threads) for sign in (1.0, -1.0)
+            )
+            yield plus, minus
+
+    def _halves(self, state: State, n_pairs: int, seed: int) -> Iterator[tuple[Array, Array]]:
+        """Of each pair of draws, how the response changes with the noise's sign, and how it does not."""
+        for pair in self._pairs(n_pairs, seed):
+            plus, minus = (self._responses([state], draw)[0] for draw in pair)
+            yield 0.5 * (plus - minus), 0.5 * (plus + minus)
 
     def subjects(self, state: State) -> list[Subject]:
         """The person in each trial."""
         return [
             self.parameters.person(task, state.point, condition, state.effects[own])
-            for task, condition, own in zip(self._tasks, self._conditions, self._own, strict=True)
+            for task, condition, own in zip(self._tasks, self._conditions, self.own_effects, strict=True)
         ]
 
     def _responses(self, states: Sequence[State], draw: Disturbances) -> Array:
@@ -171,53 +194,110 @@ class Problem:
         for rows, noise in zip(self._rows, self.noises, strict=True):
             noise.weigh(residual[rows])
 
-    def cost(self, state: State, predicted: Array) -> float:
-        """Sum of squares of white residuals and of effects over their spread; infinite where an arm blows up."""
-        if not np.isfinite(predicted).all():
-            return np.inf
+    def costs(self, state: State, predicted: Array) -> Array:
+        """Squares of white residuals and of effects over their spread, (trial,); infinite where an arm blows up."""
         left = self.residual(predicted)
-        total = float(np.sum((state.effects / state.spread[self.kind_of]) ** 2))
+        total = np.array(
+            [np.sum((state.effects[own] / state.spread[self.kind_of[own]]) ** 2) for own in self.own_effects]
+        )
         for rows, noise in zip(self._rows, self.noises, strict=True):
-            total += float(np.sum(noise.white(left[rows]) ** 2))
-        return total
+            total[rows] += np.sum(noise.white(left[rows]) ** 2, axis=1)
+        return np.where(np.isfinite(predicted).all(axis=(1, 2)), total, np.inf)
+
+    def cost(self, state: State, predicted: Array) -> float:
+        """Sum of `costs`."""
+        return float(np.sum(self.costs(state, predicted)))
+
+    def log_determinants(self, state: State) -> Array:
+        """What `costs` lack of minus twice the logarithm of likelihood and prior, but for a constant, (trial,)."""
+        of_noise = [
+            -noise.log_determinant for one, noise in zip(self.sets, self.noises, strict=True) for _ in one.onset
+        ]
+        return np.array(of_noise) + [2.0 * np.sum(np.log(state.spread[self.kind_of[own]])) for own in self.own_effects]
 
     def objective(self, state: State, predicted: Array) -> float:
         """Minus twice the logarithm of likelihood and prior, but for a constant, the noise being as last weighed."""
-        jacobian = sum(one.n_trials * noise.log_determinant for one, noise in zip(self.sets, self.noises, strict=True))
-        return self.cost(state, predicted) - jacobian + 2.0 * float(np.sum(np.log(state.spread[self.kind_of])))
+        return self.cost(state, predicted) + float(np.sum(self.log_determinants(state)))
 
-    def normal(self, state: State, predicted: Array) -> Normal:
-        """Gauss-Newton equations, by differences: all trials, parameters and effects side by side."""
-        n, n_effects = len(state.point), max(own.stop - own.start for own in self._own)
+    def lack_of_fit(self, predicted: Array) -> dict[str, LackOfFit]:
+        """Condition to what is left in its residual that the disturbance explains, the noise being as last weighed."""
+        left = self.residual(predicted)
+        found: dict[str, LackOfFit] = {}
+        for one, rows, noise in zip(self.sets, self._rows, self.noises, strict=True):
+            own = noise.lack_of_fit(left[rows], self._perturbation[rows])
+            before = found.get(one.label, LackOfFit(0.0, 0))
+            found[one.label] = LackOfFit(before.chi2 + own.chi2, before.dof + own.dof)
+        return found
+
+    def white(self, signal: Array) -> list[Array]:
+        """Displacements of all trials [m], (trial, time, axis), as numbers of unit variance if they are noise."""
+        return [row for rows, noise in zip(self._rows, self.noises, strict=True) for row in noise.white(signal[rows])]
+
+    def slopes(self, state: State, *, n_draws: int | None = None) -> list[Array]:
+        """Derivatives of white predictions: of each trial (parameters and own effects, number)."""
         states = []
-        for column in range(n):
+        for column in range(len(state.point)):
             point = state.point.copy()
             point[column] += STEP
             states.append(state._replace(point=point))
-        for effect in range(n_effects):
+        for effect in range(max(own.stop - own.start for own in self.own_effects)):
             effects = state.effects.copy()
-            for own in self._own:
+            for own in self.own_effects:
                 if own.start + effect < own.stop:
                     effects[own.start + effect] += STEP
             states.append(state._replace(effects=effects))
-        n_draws = 2 * PAIRS_OF_SLOPES
-        base = predicted if len(self._draws) <= n_draws else self.predict([state], n_draws=n_draws)[0]
-        slopes = (self.predict(states, n_draws=n_draws) - base) / STEP
-        left = self.residual(predicted)
-        size = n + len(state.effects)
-        matrix, slope = np.zeros((size, size)), np.zeros(size)
+        changes = (self.predict(states, n_draws=n_draws) - self.predict([state], n_draws=n_draws)[0]) / STEP
+        found = []
         for rows, noise in zip(self._rows, self.noises, strict=True):
-            white = noise.white(left[rows])
             for trial in range(rows.start, rows.stop):
-                own = self._own[trial]
-                used = np.concatenate([np.arange(n), n + np.arange(own.start, own.stop)])
-                columns = noise.white(slopes[: len(used), trial])
-                matrix[np.ix_(used, used)] += columns @ columns.T
-                slope[used] += columns @ white[trial - rows.start]
-        prior = 1.0 / state.spread[self.kind_of] ** 2
-        matrix[range(n, size), range(n, size)] += prior
-        slope[n:] -= prior * state.effects
-        return Normal(matrix, slope)
+                n_own = len(state.point) + self.own_effects[trial].stop - self.own_effects[trial].start
+                found.append(noise.white(changes[:n_own, trial]))
+        return found
+
+    def gathered(self, state: State, parts: Sequence[Array]) -> Array:
+        """Matrices (own unknown, own unknown) or vectors (own unknown,) of the trials, summed over all unknowns."""
+        n = len(state.point)
+        total = np.zeros((n + len(state.effects),) * np.ndim(parts[0]))
+        for own, part in zip(self.own_effects, parts, strict=True):
+            used = np.r_[:n, n + own.start : n + own.stop]
+            total[np.ix_(*(used,) * part.ndim)] += part
+        return total
+
+    def normal(self, state: State, predicted: Array, slopes: Sequence[Array] | None = None) -> Normal:
+        """Gauss-Newton equations, by default with derivatives from the first draws."""
+        slopes = slopes or self.slopes(state, n_draws=2 * PAIRS_OF_SLOPES)
+        white, n = self.white(self.residual(predicted)), len(state.point)
+        matrix = self.gathered(state, [one @ one.T for one in slopes])
+        slope = self.gathered(state, [one @ left for one, left in zip(slopes, white, strict=True)])
+        prior = self._prior(state)
+        slope[n:] -= prior[n:] * state.effects
+        return Normal(matrix + np.diag(prior), slope)
+
+    def score_variance(self, state: State, slopes: Sequence[Array], n_pairs: int, n_averaged: int, seed: int) -> Array:
+        """Variance of `Normal.slope` over what people might have done, (unknown, unknown).
+
+        Were the residual as stationary as its weights have it, this would be `Normal.matrix`. But noise moves a muscle
+        that yields the more, the more the disturbance does: it comes in bursts. So noise is drawn and simulated.
+
+        Args:
+          state: where the fit is.
+          slopes: from `slopes`.
+          n_pairs: of draws.
+          n_averaged: pairs over which predictions were averaged, which leaves a little noise in them.
+          seed: of the draws; another one than that of the predictions'.
+        """
+        odd, even = zip(
+            *((self.white(one), self.white(other)) for one, other in self._halves(state, n_pairs, seed)), strict=True
+        )
+        parts = []
+        for trial, columns in enumerate(slopes):
+            of_odd, of_even = (np.array([one[trial] for one in half]) @ columns.T for half in (odd, even))
+            parts.append(of_odd.T @ of_odd / n_pairs + np.cov(of_even, rowvar=False) * (1.0 + 1.0 / n_averaged))
+        return self.gathered(state, parts) + np.diag(self._prior(state))
+
+    def _prior(self, state: State) -> Array:
+        """Information in the prior, (unknown,)."""
+        return np.concatenate([np.full(len(state.point), WIDE**-2), 1.0 / state.spread[self.kind_of] ** 2])
 
 
 def _padded(signal: Array, n: int) -> Array:

@@ -4,8 +4,10 @@ import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
+from armperturb.analysis.identify import identify_conditions
 from armperturb.nonlinear.model import ELEMENTS, GROUPS, Parameters, stem
 from armperturb.nonlinear.problem import Problem, State
 from armperturb.nonlinear.trials import TrialSet
@@ -32,6 +34,37 @@ TRIED: Mapping[str, tuple[float, ...]] = {
 
 SPREAD = 0.08
 """SD of the logarithms of the trials' own factors [-]."""
+
+
+LINEAR_MODELS: Mapping[str, str] = {"PT": "3b", "RT": "1"}
+"""Task to the linear structure whose fits start the nonlinear ones, see `analysis.structures`."""
+
+
+def linear_arms(recording: xr.Dataset, *, start: float = 8.0, period: float = 20.48) -> dict[str, Subject]:
+    """Condition to its linear arm, of all conditions that can tell one.
+
+    Args:
+      recording: trials of one person.
+      start: of the window of whole periods, as in `identify_conditions` [s].
+      period: likewise [s].
+
+    Raises:
+      ValueError: no trial of a task can, or the recording is refused.
+    """
+    onset = recording["pulse_onset"].values
+    arms: dict[str, Subject] = {}
+    for task in dict.fromkeys(recording["task"].values.tolist()):
+        wide = ~(onset < start + period) & (recording["task"].values == task)
+        if not wide.any():
+            raise ValueError(
+                f"{task}: all pulses come before {start + period:g} s; expected a trial with a whole period of "
+                f"{period:g} s from {start:g} s on"
+            )
+        found = identify_conditions(
+            recording.isel(trial=np.flatnonzero(wide)), LINEAR_MODELS[task], start=start, period=period
+        )
+        arms |= {label: one.fit.arm for label, one in found.items()}
+    return arms
 
 
 def start_values(
@@ -77,7 +110,7 @@ def start_values(
         if name not in parameters.names:
             raise ValueError(f"start: {name!r} is not free; expected {', '.join(parameters.names)}")
         low, high = np.exp([limit[parameters.names.index(name)] for limit in (parameters.lower, parameters.upper)])
-        if not low <= value <= high:
+        if not 0.999 * low <= value <= 1.001 * high:
             raise ValueError(f"start: {name} = {value:g}; expected {low:g} to {high:g}")
         values[name] = value
     logarithms = np.log([values[name] for name in parameters.names])
