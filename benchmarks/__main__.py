@@ -6,6 +6,7 @@ from benchmarks import (
     frequency_response,
     multisine_crest,
     muscle_law,
+    nonlinear,
     nonparametric,
     study_kills,
     study_report,
@@ -30,6 +31,7 @@ for module in (
     study_speed,
     study_report,
     study_kills,
+    nonlinear,
 ):
     print(f"== {module.__name__}")
     module.main()

@@ -1,0 +1,222 @@
+"""Nonlinear identification against known truth: the default cohort under the thesis's protocol.
+
+Run `python -m benchmarks.nonlinear [--people N] [--parts RT ...] [--seeds N] [--threads N] [--recordings FOLDER]`. All
+of it takes about an hour on 4 cores; the tables so far are printed after each person, so that a run may be stopped.
+`--recordings` takes S01.nc ... of a study that was simulated before (seed 0) instead of simulating one.
+
+Parts:
+
+- "RT", "PT": fits of one task from its multisines at three amplitudes alone; all pulses are left out.
+- "RT+", "PT+": pulses of one direction are fitted as well; those of the other are left out.
+- "linear": truly linear people, one per seed, relaxed: how often is a law that yields rejected?
+
+Models beside the nonlinear one, for pulses: "linear", the arm that fits the condition's own multisine best (estimator
+"record"; without one, as in PT0 and RT0, that of the smallest movement), and "skeletal", the same arm with the geometry
+of two segments that turn (thesis 2.8). PT0 has no multisine, hence no known level of co-contraction in "PT": its pulses
+are predicted at that of PT7.5, which is not the person's there.
+
+z is the error of a parameter's logarithm over its standard error; over people it should have a mean of 0 and an SD of
+1, and 95 % of intervals should hold the truth. A parameter is told if its standard error is at most half a logarithm.
+"""
+
+import argparse
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from armperturb.analysis.arm_model import simulate_linear
+from armperturb.analysis.identify import identify_conditions
+from armperturb.cohort import Person, draw_person
+from armperturb.envs.experiment import run_experiment
+from armperturb.envs.instruments import Instruments
+from armperturb.nonlinear.estimate import UNCERTAIN, NonlinearEstimate, fit
+from armperturb.nonlinear.model import true_values
+from armperturb.nonlinear.prediction import PulsePrediction, predict_pulses
+from armperturb.nonlinear.trials import TrialSet, training_sets, trial_sets
+from armperturb.recording import load_recording
+from armperturb.study.protocol import THESIS
+from armperturb.study.runner import StudySettings, record_study
+from armperturb.subject import Subject
+
+PARTS = ("RT", "RT+", "PT", "PT+", "linear")
+MODELS = ("nonlinear", "linear", "skeletal")
+STRUCTURE = {"RT": "1", "PT": "3b"}
+"""Task to the structure of its linear arms, as in the thesis."""
+
+FITTED_DIRECTION = 20.0
+MULTISINE_TIME = 30.0
+"""A pulse later than this follows a multisine [s]."""
+
+SUMMARY = {
+    "short-range stiffness": "short_range_stiffness",
+    "elastic limits": "elastic_limit_deg",
+    "damping that thins": "thinning_velocity",
+    "loss angle": "loss_angle_deg",
+    "recovery time": "recovery_time",
+}
+"""What the target names, to the parameters that it is about."""
+
+
+class Results:
+    """What has been measured so far."""
+
+    def __init__(self) -> None:
+        self.pulses: dict[tuple[str, str, str], list[PulsePrediction]] = defaultdict(list)
+        """Of part, condition and model."""
+        self.errors: dict[tuple[str, str], list[tuple[float, float, bool]]] = defaultdict(list)
+        """Of part and parameter: error of the logarithm, its standard error, and whether the interval holds truth."""
+        self.seconds: dict[str, list[tuple[float, float]]] = defaultdict(list)
+        """Of part: by the clock, and of the processor."""
+        self.unsettled: dict[str, int] = defaultdict(int)
+        self.verdicts: list[tuple[int, str, float]] = []
+
+    def print(self) -> None:
+        for part in dict.fromkeys(part for part, _, _ in self.pulses):
+            print(f"\n{part}: left-out pulses, median over pulses and people of peak [%] (VAF of the trajectory [%])")
+            print(f"{'condition':12}{'pulses':>7}" + "".join(f"{model:>18}" for model in MODELS))
+            for condition in sorted({label for own, label, _ in self.pulses if own == part}):
+                line = f"{condition:12}{len(self.pulses[part, condition, MODELS[0]]):7d}"
+                for model in MODELS:
+                    of = self.pulses[part, condition, model]
+                    line += f"{np.median([one.peak for one in of]):10.1f}"
+                    line += f" ({np.median([one.vaf for one in of]):5.1f})"
+                print(line)
+        for part in dict.fromkeys(part for part, _ in self.errors):
+            print(f"\n{part}: parameters, n people; error of the logarithm in %, 95 % intervals that hold the truth")
+            print(f"{'parameter':34}{'n':>3}{'median':>8}{'mean':>8}{'claimed':>9}{'mean z':>8}{'SD z':>7}{'hold':>6}")
+            of_part = {name: found for (own, name), found in self.errors.items() if own == part}
+            for name, found in of_part.items():
+                print(_line(name, found))
+            for title, stem in SUMMARY.items():
+                both = [one for name, found in of_part.items() if name.partition(".")[0] == stem for one in found]
+                if both:
+                    told = np.mean([error <= UNCERTAIN for _, error, _ in both])
+                    print(_line(f"all: {title}", both) + f"  told in {100.0 * told:.0f} %")
+            print(_line("all parameters", [one for found in of_part.values() for one in found]))
+            clock, processor = np.array(self.seconds[part]).T
+            print(
+                f"{part}: time of a fit {np.median(clock):.0f} s by the clock (longest {clock.max():.0f} s), "
+                f"{np.median(processor):.0f} s of the processor; {self.unsettled[part]} of {len(clock)} not settled"
+            )
+        if self.verdicts:
+            linear = [law == "linear" for _, law, _ in self.verdicts]
+            print(
+                f"\nlinear people: yielding muscle rejected in {100.0 * np.mean(linear):.0f} % of {len(linear)} seeds "
+                f"(target: at least 90 %); {np.median([took for _, _, took in self.verdicts]):.0f} s each"
+            )
+        print(flush=True)
+
+
+def _line(name: str, found: Sequence[tuple[float, float, bool]]) -> str:
+    error, claimed, holds = np.array(found, dtype=float).T
+    z = error / claimed
+    spread = f"{z.std(ddof=1):7.2f}" if len(z) > 1 else f"{'':7}"
+    return (
+        f"{name:34}{len(z):3d}{100.0 * np.median(np.abs(error)):8.1f}{100.0 * error.mean():+8.1f}"
+        f"{100.0 * np.median(claimed):9.1f}{z.mean():+8.2f}{spread}{100.0 * holds.mean():6.0f}"
+    )
+
+
+def linear_arms(recording: xr.Dataset, task: str) -> dict[str, Subject]:
+    """Condition to the linear arm that fits its multisines best."""
+    chosen = np.flatnonzero((recording["task"].values == task) & (recording["pulse_onset"].values > MULTISINE_TIME))
+    found = identify_conditions(recording.isel(trial=chosen), STRUCTURE[task])
+    return {label: one.fit.arm for label, one in found.items()}
+
+
+def predictions(
+    left_out: Sequence[TrialSet], estimate: NonlinearEstimate, arms: Mapping[str, Subject]
+) -> dict[tuple[str, str], list[PulsePrediction]]:
+    """Left-out pulses by condition and model."""
+    found: dict[tuple[str, str], list[PulsePrediction]] = {}
+    smallest = arms[min(arms, key=lambda label: float(label[2:]))]
+    for one in left_out:
+        arm = arms.get(one.label, smallest)
+        skeletal = predict_pulses(one, arm)
+        linear = []
+        for trial, own in enumerate(skeletal):
+            first, end = one.onset[trial], one.onset[trial] + len(own.time)
+            response = simulate_linear(arm, one.environment, one.perturbation[trial, :end], one.rate)
+            linear.append(own._replace(predicted=response.displacement[first:]))
+        of = (predict_pulses(one, estimate.subject(one.body.task, one.label)), linear, skeletal)
+        found |= {(one.label, model): list(pulses) for model, pulses in zip(MODELS, of, strict=True)}
+    return found
+
+
+def fit_person(part: str, recording: xr.Dataset, truth: Person, results: Results, threads: int) -> None:
+    task = part[:2]
+    recording = recording.isel(trial=np.flatnonzero(recording["task"].values == task))
+    arms = linear_arms(recording, task)
+    fitted, left_out = training_sets(trial_sets(recording), [FITTED_DIRECTION] if part.endswith("+") else [])
+    clock, processor = time.perf_counter(), time.process_time()
+    estimate = fit(fitted, arms, threads=threads)
+    results.seconds[part].append((time.perf_counter() - clock, time.process_time() - processor))
+    results.unsettled[part] += not estimate.converged
+    known = true_values(truth.subjects[task], truth.levels)
+    for name, value in estimate.values.items():
+        low, high = estimate.interval(name)
+        results.errors[part, name].append(
+            (float(np.log(value / known[name])), estimate.log_error[name], low <= known[name] <= high)
+        )
+    peaks = []
+    for (label, model), pulses in predictions(left_out, estimate, arms).items():
+        results.pulses[part, label, model] += pulses
+        if model == MODELS[0]:
+            peaks.append(f"{label} {np.median([one.peak for one in pulses]):.0f}")
+    clock, processor = results.seconds[part][-1]
+    print(
+        f"{truth.name} {part}: {estimate.status} after {estimate.n_rounds} steps, {clock:.0f} s by the clock, "
+        f"{processor:.0f} s of the processor; peaks [%] {', '.join(peaks)}",
+        flush=True,
+    )
+
+
+def judge_linear_person(seed: int, results: Results, threads: int) -> None:
+    """Compare laws on the relaxed trials of a person who has none."""
+    from armperturb.nonlinear.choice import compare_laws
+
+    person = draw_person(seed, 0, muscles="linear")
+    trials = [one for one in THESIS.trials(person, THESIS.given_forces(), seed, 0) if one.subject.task == "RT"]
+    recording = run_experiment(trials, instruments=Instruments(emg=None, marker_noise=None))
+    fitted, left_out = training_sets(trial_sets(recording))
+    clock = time.perf_counter()
+    choice = compare_laws(fitted, linear_arms(recording, "RT"), left_out, threads=threads)
+    results.verdicts.append((seed, choice.chosen, time.perf_counter() - clock))
+    print(f"linear person, seed {seed}: {choice.chosen} chosen; {'; '.join(choice.verdict())}", flush=True)
+
+
+def main(arguments: Sequence[str] = ()) -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--people", type=int, default=10)
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--threads", type=int, default=4)
+    parser.add_argument("--recordings", type=Path, default=None)
+    options = parser.parse_args(arguments)
+    results, parts = Results(), [part for part in options.parts if part != "linear"]
+    if parts:
+        with tempfile.TemporaryDirectory() as folder:
+            if options.recordings is None:
+                paths = record_study(StudySettings(subjects=options.people), Path(folder), workers=None)
+            else:
+                paths = [options.recordings / f"S{number + 1:02d}.nc" for number in range(options.people)]
+            for number, path in enumerate(paths):
+                recording = load_recording(path)
+                for part in parts:
+                    fit_person(part, recording, draw_person(0, number), results, options.threads)
+                results.print()
+    if "linear" in options.parts:
+        for seed in range(options.seeds):
+            judge_linear_person(seed, results, options.threads)
+        results.print()
+
+
+if __name__ == "__main__":
+    import sys
+
+    main(sys.argv[1:])
