@@ -11,9 +11,9 @@ Parts:
 - "linear": truly linear people, one per seed, relaxed: how often is a law that yields rejected?
 
 Models beside the nonlinear one, for pulses: "linear", the arm that fits the condition's own multisine best (estimator
-"record"; without one, as in PT0 and RT0, that of the smallest movement), and "skeletal", the same arm with the geometry
-of two segments that turn (thesis 2.8). PT0 has no multisine, hence no known level of co-contraction in "PT": its pulses
-are predicted at that of PT7.5, which is not the person's there.
+"record"; without one, as in PT0 and RT0, that of the condition whose movements are nearest in size), and "skeletal",
+the same arm with the geometry of two segments that turn (thesis 2.8). PT0 has no multisine, hence no known level of
+co-contraction in "PT": its pulses are predicted at that of PT7.5, which is not the person's there.
 
 z is the error of a parameter's logarithm over its standard error; over people it should have a mean of 0 and an SD of
 1, and 95 % of intervals should hold the truth. A parameter is told if its standard error is at most half a logarithm.
@@ -23,34 +23,25 @@ import argparse
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
-from armperturb.analysis.arm_model import simulate_linear
-from armperturb.analysis.identify import identify_conditions
 from armperturb.cohort import Person, draw_person
 from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
-from armperturb.nonlinear.estimate import UNCERTAIN, NonlinearEstimate, fit
+from armperturb.nonlinear.estimate import UNCERTAIN
 from armperturb.nonlinear.model import true_values
-from armperturb.nonlinear.prediction import PulsePrediction, predict_pulses
-from armperturb.nonlinear.trials import TrialSet, training_sets, trial_sets
+from armperturb.nonlinear.prediction import PulsePrediction, median_peak
 from armperturb.recording import load_recording
 from armperturb.study.protocol import THESIS
 from armperturb.study.runner import StudySettings, record_study
-from armperturb.subject import Subject
 
 PARTS = ("RT", "RT+", "PT", "PT+", "linear")
 MODELS = ("nonlinear", "linear", "skeletal")
-STRUCTURE = {"RT": "1", "PT": "3b"}
-"""Task to the structure of its linear arms, as in the thesis."""
-
 FITTED_DIRECTION = 20.0
-MULTISINE_TIME = 30.0
-"""A pulse later than this follows a multisine [s]."""
 
 SUMMARY = {
     "short-range stiffness": "short_range_stiffness",
@@ -122,40 +113,18 @@ def _line(name: str, found: Sequence[tuple[float, float, bool]]) -> str:
     )
 
 
-def linear_arms(recording: xr.Dataset, task: str) -> dict[str, Subject]:
-    """Condition to the linear arm that fits its multisines best."""
-    chosen = np.flatnonzero((recording["task"].values == task) & (recording["pulse_onset"].values > MULTISINE_TIME))
-    found = identify_conditions(recording.isel(trial=chosen), STRUCTURE[task])
-    return {label: one.fit.arm for label, one in found.items()}
-
-
-def predictions(
-    left_out: Sequence[TrialSet], estimate: NonlinearEstimate, arms: Mapping[str, Subject]
-) -> dict[tuple[str, str], list[PulsePrediction]]:
-    """Left-out pulses by condition and model."""
-    found: dict[tuple[str, str], list[PulsePrediction]] = {}
-    smallest = arms[min(arms, key=lambda label: float(label[2:]))]
-    for one in left_out:
-        arm = arms.get(one.label, smallest)
-        skeletal = predict_pulses(one, arm)
-        linear = []
-        for trial, own in enumerate(skeletal):
-            first, end = one.onset[trial], one.onset[trial] + len(own.time)
-            response = simulate_linear(arm, one.environment, one.perturbation[trial, :end], one.rate)
-            linear.append(own._replace(predicted=response.displacement[first:]))
-        of = (predict_pulses(one, estimate.subject(one.body.task, one.label)), linear, skeletal)
-        found |= {(one.label, model): list(pulses) for model, pulses in zip(MODELS, of, strict=True)}
-    return found
-
-
 def fit_person(part: str, recording: xr.Dataset, truth: Person, results: Results, threads: int) -> None:
+    """Identify a person in one task, and compare with what is known."""
+    from armperturb.nonlinear.identify import identify_nonlinear
+
     task = part[:2]
     recording = recording.isel(trial=np.flatnonzero(recording["task"].values == task))
-    arms = linear_arms(recording, task)
-    fitted, left_out = training_sets(trial_sets(recording), [FITTED_DIRECTION] if part.endswith("+") else [])
     clock, processor = time.perf_counter(), time.process_time()
-    estimate = fit(fitted, arms, threads=threads)
-    results.seconds[part].append((time.perf_counter() - clock, time.process_time() - processor))
+    directions = [FITTED_DIRECTION] if part.endswith("+") else []
+    found = identify_nonlinear(recording, pulse_directions_deg=directions, threads=threads)
+    clock, processor = time.perf_counter() - clock, time.process_time() - processor
+    estimate = found.estimate
+    results.seconds[part].append((clock, processor))
     results.unsettled[part] += not estimate.converged
     known = true_values(truth.subjects[task], truth.levels)
     for name, value in estimate.values.items():
@@ -163,12 +132,12 @@ def fit_person(part: str, recording: xr.Dataset, truth: Person, results: Results
         results.errors[part, name].append(
             (float(np.log(value / known[name])), estimate.log_error[name], low <= known[name] <= high)
         )
-    peaks = []
-    for (label, model), pulses in predictions(left_out, estimate, arms).items():
-        results.pulses[part, label, model] += pulses
-        if model == MODELS[0]:
-            peaks.append(f"{label} {np.median([one.peak for one in pulses]):.0f}")
-    clock, processor = results.seconds[part][-1]
+    own = defaultdict(list)
+    for model in MODELS:
+        for pulse in found.pulses[model]:
+            own[pulse.condition, model].append(pulse)
+            results.pulses[part, pulse.condition, model].append(pulse)
+    peaks = [f"{label} {median_peak(pulses):.0f}" for (label, model), pulses in own.items() if model == MODELS[0]]
     print(
         f"{truth.name} {part}: {estimate.status} after {estimate.n_rounds} steps, {clock:.0f} s by the clock, "
         f"{processor:.0f} s of the processor; peaks [%] {', '.join(peaks)}",
@@ -178,14 +147,13 @@ def fit_person(part: str, recording: xr.Dataset, truth: Person, results: Results
 
 def judge_linear_person(seed: int, results: Results, threads: int) -> None:
     """Compare laws on the relaxed trials of a person who has none."""
-    from armperturb.nonlinear.choice import compare_laws
+    from armperturb.nonlinear.identify import identify_nonlinear
 
     person = draw_person(seed, 0, muscles="linear")
     trials = [one for one in THESIS.trials(person, THESIS.given_forces(), seed, 0) if one.subject.task == "RT"]
     recording = run_experiment(trials, instruments=Instruments(emg=None, marker_noise=None))
-    fitted, left_out = training_sets(trial_sets(recording))
     clock = time.perf_counter()
-    choice = compare_laws(fitted, linear_arms(recording, "RT"), left_out, threads=threads)
+    choice = identify_nonlinear(recording, "choose", threads=threads).choice
     results.verdicts.append((seed, choice.chosen, time.perf_counter() - clock))
     print(f"linear person, seed {seed}: {choice.chosen} chosen; {'; '.join(choice.verdict())}", flush=True)
 
