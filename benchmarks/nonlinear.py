@@ -23,16 +23,17 @@ import argparse
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.identify import NORMAL_95
 from armperturb.cohort import Person, draw_person
 from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
-from armperturb.nonlinear.estimate import UNCERTAIN
+from armperturb.nonlinear.estimate import UNCERTAIN, NonlinearEstimate
 from armperturb.nonlinear.model import true_values
 from armperturb.nonlinear.prediction import PulsePrediction, median_peak
 from armperturb.recording import load_recording
@@ -51,6 +52,9 @@ SUMMARY = {
     "recovery time": "recovery_time",
 }
 """What the target names, to the parameters that it is about."""
+
+RATIO = "loss_angle_deg / recovery_time"
+"""Speed at which half of the bonds are worn off for good [deg/s]: told better than either."""
 
 
 class Results:
@@ -88,7 +92,7 @@ class Results:
                 if both:
                     told = np.mean([error <= UNCERTAIN for _, error, _ in both])
                     print(_line(f"all: {title}", both) + f"  told in {100.0 * told:.0f} %")
-            print(_line("all parameters", [one for found in of_part.values() for one in found]))
+            print(_line("all parameters", [one for name, found in of_part.items() if name != RATIO for one in found]))
             clock, processor = np.array(self.seconds[part]).T
             print(
                 f"{part}: time of a fit {np.median(clock):.0f} s by the clock (longest {clock.max():.0f} s), "
@@ -113,6 +117,16 @@ def _line(name: str, found: Sequence[tuple[float, float, bool]]) -> str:
     )
 
 
+def _ratio(estimate: NonlinearEstimate, known: Mapping[str, float]) -> tuple[float, float, bool]:
+    """Error of the logarithm of `RATIO`, its standard error, and whether an interval of 95 % holds the truth."""
+    names, (above, below) = list(estimate.values), RATIO.split(" / ")
+    error = float(np.log(estimate.values[above] / known[above] / (estimate.values[below] / known[below])))
+    first, second = estimate.log_error[above], estimate.log_error[below]
+    shared = estimate.correlation[names.index(above), names.index(below)] * first * second
+    claimed = float(np.sqrt(first**2 + second**2 - 2.0 * shared))
+    return error, claimed, abs(error) < NORMAL_95 * claimed
+
+
 def fit_person(part: str, recording: xr.Dataset, truth: Person, results: Results, threads: int) -> None:
     """Identify a person in one task, and compare with what is known."""
     from armperturb.nonlinear.identify import identify_nonlinear
@@ -132,6 +146,7 @@ def fit_person(part: str, recording: xr.Dataset, truth: Person, results: Results
         results.errors[part, name].append(
             (float(np.log(value / known[name])), estimate.log_error[name], low <= known[name] <= high)
         )
+    results.errors[part, RATIO].append(_ratio(estimate, known))
     own = defaultdict(list)
     for model in MODELS:
         for pulse in found.pulses[model]:
