@@ -11,9 +11,10 @@ Parts:
 - "linear": truly linear people, one per seed, relaxed: how often is a law that yields rejected?
 
 Models beside the nonlinear one, for pulses: "linear", the arm that fits the condition's own multisine best (estimator
-"record"; without one, as in PT0 and RT0, that of the condition whose movements are nearest in size), and "skeletal",
-the same arm with the geometry of two segments that turn (thesis 2.8). PT0 has no multisine, hence no known level of
-co-contraction in "PT": its pulses are predicted at that of PT7.5, which is not the person's there.
+"record"; without one, as in PT0 and RT0, that of the condition whose movements are nearest in size); "skeletal", the
+same arm with the geometry of two segments that turn (thesis 2.8); "truth", the true person in an average trial without
+noise, whom no model can beat by more than luck. PT0 has no multisine, hence no known level of co-contraction in "PT":
+its pulses are predicted at that of PT7.5, which is not the person's there.
 
 z is the error of a parameter's logarithm over its standard error; over people it should have a mean of 0 and an SD of
 1, and 95 % of intervals should hold the truth. A parameter is told if its standard error is at most half a logarithm.
@@ -35,13 +36,14 @@ from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.nonlinear.estimate import UNCERTAIN, NonlinearEstimate
 from armperturb.nonlinear.model import true_values
-from armperturb.nonlinear.prediction import PulsePrediction, median_peak
+from armperturb.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
+from armperturb.nonlinear.trials import training_sets, trial_sets
 from armperturb.recording import load_recording
 from armperturb.study.protocol import THESIS
 from armperturb.study.runner import StudySettings, record_study
 
 PARTS = ("RT", "RT+", "PT", "PT+", "linear")
-MODELS = ("nonlinear", "linear", "skeletal")
+MODELS = ("nonlinear", "linear", "skeletal", "truth")
 FITTED_DIRECTION = 20.0
 
 SUMMARY = {
@@ -147,12 +149,15 @@ def fit_person(part: str, recording: xr.Dataset, truth: Person, results: Results
             (float(np.log(value / known[name])), estimate.log_error[name], low <= known[name] <= high)
         )
     results.errors[part, RATIO].append(_ratio(estimate, known))
+    pulses = {model: list(of) for model, of in found.pulses.items()} | {"truth": []}
+    for one in training_sets(trial_sets(recording), directions)[1]:
+        pulses["truth"] += predict_pulses(one, THESIS.condition(one.label).subject_of(truth))
     own = defaultdict(list)
     for model in MODELS:
-        for pulse in found.pulses[model]:
+        for pulse in pulses[model]:
             own[pulse.condition, model].append(pulse)
             results.pulses[part, pulse.condition, model].append(pulse)
-    peaks = [f"{label} {median_peak(pulses):.0f}" for (label, model), pulses in own.items() if model == MODELS[0]]
+    peaks = [f"{label} {median_peak(of):.0f}" for (label, model), of in own.items() if model == MODELS[0]]
     print(
         f"{truth.name} {part}: {estimate.status} after {estimate.n_rounds} steps, {clock:.0f} s by the clock, "
         f"{processor:.0f} s of the processor; peaks [%] {', '.join(peaks)}",
