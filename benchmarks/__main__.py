@@ -6,10 +6,12 @@ from benchmarks import (
     frequency_response,
     multisine_crest,
     muscle_law,
+    nonlinear,
     nonparametric,
     study_kills,
     study_report,
     study_speed,
+    sysid,
     thesis_fit,
     thesis_sem,
     vector_env,
@@ -25,9 +27,11 @@ for module in (
     estimators,
     nonparametric,
     frequency_response,
+    sysid,
     study_speed,
     study_report,
     study_kills,
+    nonlinear,
 ):
     print(f"== {module.__name__}")
     module.main()

@@ -1,0 +1,210 @@
+"""Nonlinear identification against known truth: the default cohort under the thesis's protocol.
+
+Run `python -m benchmarks.nonlinear [--people N] [--parts RT ...] [--seeds N] [--threads N] [--recordings FOLDER]`. All
+of it takes about an hour on 4 cores; the tables so far are printed after each person, so that a run may be stopped.
+`--recordings` takes S01.nc ... of a study that was simulated before (seed 0) instead of simulating one.
+
+Parts:
+
+- "RT", "PT": fits of one task from its multisines at three amplitudes alone; all pulses are left out.
+- "RT+", "PT+": pulses of one direction are fitted as well; those of the other are left out.
+- "linear": truly linear people, one per seed, relaxed: how often is a law that yields rejected?
+
+Models beside the nonlinear one, for pulses: "linear", the arm that fits the condition's own multisine best (estimator
+"record"; without one, as in PT0 and RT0, that of the condition whose movements are nearest in size); "skeletal", the
+same arm with the geometry of two segments that turn (thesis 2.8); "truth", the true person in an average trial without
+noise, whom no model can beat by more than luck. PT0 has no multisine, hence no known level of co-contraction in "PT":
+its pulses are predicted at that of PT7.5, which is not the person's there.
+
+z is the error of a parameter's logarithm over its standard error; over people it should have a mean of 0 and an SD of
+1, and 95 % of intervals should hold the truth. A parameter is told if its standard error is at most half a logarithm.
+"""
+
+import argparse
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from armperturb.analysis.identify import NORMAL_95
+from armperturb.cohort import Person, draw_person
+from armperturb.envs.experiment import run_experiment
+from armperturb.envs.instruments import Instruments
+from armperturb.nonlinear.estimate import UNCERTAIN, NonlinearEstimate
+from armperturb.nonlinear.model import true_values
+from armperturb.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
+from armperturb.nonlinear.trials import training_sets, trial_sets
+from armperturb.recording import load_recording
+from armperturb.study.protocol import THESIS
+from armperturb.study.runner import StudySettings, record_study
+
+PARTS = ("RT", "RT+", "PT", "PT+", "linear")
+MODELS = ("nonlinear", "linear", "skeletal", "truth")
+FITTED_DIRECTION = 20.0
+
+SUMMARY = {
+    "short-range stiffness": "short_range_stiffness",
+    "elastic limits": "elastic_limit_deg",
+    "damping that thins": "thinning_velocity",
+    "loss angle": "loss_angle_deg",
+    "recovery time": "recovery_time",
+}
+"""What the target names, to the parameters that it is about."""
+
+RATIO = "loss_angle_deg / recovery_time"
+"""Speed at which half of the bonds are worn off for good [deg/s]: told better than either."""
+
+
+class Results:
+    """What has been measured so far."""
+
+    def __init__(self) -> None:
+        self.pulses: dict[tuple[str, str, str], list[PulsePrediction]] = defaultdict(list)
+        """Of part, condition and model."""
+        self.errors: dict[tuple[str, str], list[tuple[float, float, bool]]] = defaultdict(list)
+        """Of part and parameter: error of the logarithm, its standard error, and whether the interval holds truth."""
+        self.seconds: dict[str, list[tuple[float, float]]] = defaultdict(list)
+        """Of part: by the clock, and of the processor."""
+        self.unsettled: dict[str, int] = defaultdict(int)
+        self.verdicts: list[tuple[int, str, float]] = []
+
+    def print(self) -> None:
+        for part in dict.fromkeys(part for part, _, _ in self.pulses):
+            print(f"\n{part}: left-out pulses, median over pulses and people of peak [%] (VAF of the trajectory [%])")
+            print(f"{'condition':12}{'pulses':>7}" + "".join(f"{model:>18}" for model in MODELS))
+            for condition in sorted({label for own, label, _ in self.pulses if own == part}):
+                line = f"{condition:12}{len(self.pulses[part, condition, MODELS[0]]):7d}"
+                for model in MODELS:
+                    of = self.pulses[part, condition, model]
+                    line += f"{np.median([one.peak for one in of]):10.1f}"
+                    line += f" ({np.median([one.vaf for one in of]):5.1f})"
+                print(line)
+        for part in dict.fromkeys(part for part, _ in self.errors):
+            print(f"\n{part}: parameters, n people; error of the logarithm in %, 95 % intervals that hold the truth")
+            print(f"{'parameter':34}{'n':>3}{'median':>8}{'mean':>8}{'claimed':>9}{'mean z':>8}{'SD z':>7}{'hold':>6}")
+            of_part = {name: found for (own, name), found in self.errors.items() if own == part}
+            for name, found in of_part.items():
+                print(_line(name, found))
+            for title, stem in SUMMARY.items():
+                both = [one for name, found in of_part.items() if name.partition(".")[0] == stem for one in found]
+                if both:
+                    told = np.mean([error <= UNCERTAIN for _, error, _ in both])
+                    print(_line(f"all: {title}", both) + f"  told in {100.0 * told:.0f} %")
+            print(_line("all parameters", [one for name, found in of_part.items() if name != RATIO for one in found]))
+            clock, processor = np.array(self.seconds[part]).T
+            print(
+                f"{part}: time of a fit {np.median(clock):.0f} s by the clock (longest {clock.max():.0f} s), "
+                f"{np.median(processor):.0f} s of the processor; {self.unsettled[part]} of {len(clock)} not settled"
+            )
+        if self.verdicts:
+            linear = [law == "linear" for _, law, _ in self.verdicts]
+            print(
+                f"\nlinear people: yielding muscle rejected in {100.0 * np.mean(linear):.0f} % of {len(linear)} seeds "
+                f"(target: at least 90 %); {np.median([took for _, _, took in self.verdicts]):.0f} s each"
+            )
+        print(flush=True)
+
+
+def _line(name: str, found: Sequence[tuple[float, float, bool]]) -> str:
+    error, claimed, holds = np.array(found, dtype=float).T
+    z = error / claimed
+    spread = f"{z.std(ddof=1):7.2f}" if len(z) > 1 else f"{'':7}"
+    return (
+        f"{name:34}{len(z):3d}{100.0 * np.median(np.abs(error)):8.1f}{100.0 * error.mean():+8.1f}"
+        f"{100.0 * np.median(claimed):9.1f}{z.mean():+8.2f}{spread}{100.0 * holds.mean():6.0f}"
+    )
+
+
+def _ratio(estimate: NonlinearEstimate, known: Mapping[str, float]) -> tuple[float, float, bool]:
+    """Error of the logarithm of `RATIO`, its standard error, and whether an interval of 95 % holds the truth."""
+    names, (above, below) = list(estimate.values), RATIO.split(" / ")
+    error = float(np.log(estimate.values[above] / known[above] / (estimate.values[below] / known[below])))
+    first, second = estimate.log_error[above], estimate.log_error[below]
+    shared = estimate.correlation[names.index(above), names.index(below)] * first * second
+    claimed = float(np.sqrt(first**2 + second**2 - 2.0 * shared))
+    return error, claimed, abs(error) < NORMAL_95 * claimed
+
+
+def fit_person(part: str, recording: xr.Dataset, truth: Person, results: Results, threads: int) -> None:
+    """Identify a person in one task, and compare with what is known."""
+    from armperturb.nonlinear.identify import identify_nonlinear
+
+    task = part[:2]
+    recording = recording.isel(trial=np.flatnonzero(recording["task"].values == task))
+    clock, processor = time.perf_counter(), time.process_time()
+    directions = [FITTED_DIRECTION] if part.endswith("+") else []
+    found = identify_nonlinear(recording, pulse_directions_deg=directions, threads=threads)
+    clock, processor = time.perf_counter() - clock, time.process_time() - processor
+    estimate = found.estimate
+    results.seconds[part].append((clock, processor))
+    results.unsettled[part] += not estimate.converged
+    known = true_values(truth.subjects[task], truth.levels)
+    for name, value in estimate.values.items():
+        low, high = estimate.interval(name)
+        results.errors[part, name].append(
+            (float(np.log(value / known[name])), estimate.log_error[name], low <= known[name] <= high)
+        )
+    results.errors[part, RATIO].append(_ratio(estimate, known))
+    pulses = {model: list(of) for model, of in found.pulses.items()} | {"truth": []}
+    for one in training_sets(trial_sets(recording), directions)[1]:
+        pulses["truth"] += predict_pulses(one, THESIS.condition(one.label).subject_of(truth))
+    own = defaultdict(list)
+    for model in MODELS:
+        for pulse in pulses[model]:
+            own[pulse.condition, model].append(pulse)
+            results.pulses[part, pulse.condition, model].append(pulse)
+    peaks = [f"{label} {median_peak(of):.0f}" for (label, model), of in own.items() if model == MODELS[0]]
+    print(
+        f"{truth.name} {part}: {estimate.status} after {estimate.n_rounds} steps, {clock:.0f} s by the clock, "
+        f"{processor:.0f} s of the processor; peaks [%] {', '.join(peaks)}",
+        flush=True,
+    )
+
+
+def judge_linear_person(seed: int, results: Results, threads: int) -> None:
+    """Compare laws on the relaxed trials of a person who has none."""
+    from armperturb.nonlinear.identify import identify_nonlinear
+
+    person = draw_person(seed, 0, muscles="linear")
+    trials = [one for one in THESIS.trials(person, THESIS.given_forces(), seed, 0) if one.subject.task == "RT"]
+    recording = run_experiment(trials, instruments=Instruments(emg=None, marker_noise=None))
+    clock = time.perf_counter()
+    choice = identify_nonlinear(recording, "choose", threads=threads).choice
+    results.verdicts.append((seed, choice.chosen, time.perf_counter() - clock))
+    print(f"linear person, seed {seed}: {choice.chosen} chosen; {'; '.join(choice.verdict())}", flush=True)
+
+
+def main(arguments: Sequence[str] = ()) -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--people", type=int, default=10)
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--threads", type=int, default=4)
+    parser.add_argument("--recordings", type=Path, default=None)
+    options = parser.parse_args(arguments)
+    results, parts = Results(), [part for part in options.parts if part != "linear"]
+    if parts:
+        with tempfile.TemporaryDirectory() as folder:
+            if options.recordings is None:
+                paths = record_study(StudySettings(subjects=options.people), Path(folder), workers=None)
+            else:
+                paths = [options.recordings / f"S{number + 1:02d}.nc" for number in range(options.people)]
+            for number, path in enumerate(paths):
+                recording = load_recording(path)
+                for part in parts:
+                    fit_person(part, recording, draw_person(0, number), results, options.threads)
+                results.print()
+    if "linear" in options.parts:
+        for seed in range(options.seeds):
+            judge_linear_person(seed, results, options.threads)
+        results.print()
+
+
+if __name__ == "__main__":
+    import sys
+
+    main(sys.argv[1:])
