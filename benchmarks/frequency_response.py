@@ -17,6 +17,7 @@ from scipy import fft, signal
 from armperturb.analysis.arm_model import environment_admittance
 from armperturb.analysis.closed_loop import estimate_multisine, estimate_noise
 from armperturb.environment import Environment
+from armperturb.envs.instruments import Instruments
 from armperturb.perturbations import Multisine
 from armperturb.recording import make_recording
 
