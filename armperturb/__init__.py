@@ -4,6 +4,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from armperturb.analysis.arm_model import arm_admittance as arm_admittance
+from armperturb.analysis.best_linear import estimate_best_linear as estimate_best_linear
 from armperturb.analysis.identify import identify as identify
 from armperturb.analysis.nonparametric import estimate_response as estimate_response
 from armperturb.cohort import draw as draw

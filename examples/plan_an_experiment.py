@@ -7,14 +7,13 @@ that of synthetic people (docs/design.md). It writes perturbations that `armpert
 """
 
 import argparse
+import math
 import sys
 from pathlib import Path
 
-import numpy as np
-
 from armperturb import identify
 from armperturb.convert import import_recording
-from armperturb.study.design import Design, DesignSettings, design
+from armperturb.study.design import DesignSettings, design
 from armperturb.study.design_report import design_figure, design_text, write_design
 from armperturb.study.style import save_png
 
@@ -29,10 +28,9 @@ GOOD = 0.10
 """Standard error that is good enough, over the value [-]."""
 
 
-def trials_needed(plan: Design, standard_error: np.ndarray, parameter: str) -> int:
+def trials_needed(trials: int, standard_error: float, value: float) -> int:
     """Trials after which a parameter is known as well as `GOOD`: errors fall with the root of their number."""
-    at = plan.names.index(parameter)
-    return int(np.ceil(plan.settings.trials * (standard_error[at] / (GOOD * abs(plan.truth[at]))) ** 2))
+    return math.ceil(trials * (standard_error / (GOOD * value)) ** 2)
 
 
 def main(pilot: Path, sidecar: Path | None, folder: Path, trials: int) -> None:
@@ -45,10 +43,9 @@ def main(pilot: Path, sidecar: Path | None, folder: Path, trials: int) -> None:
     print(design_text(plan))
     print(f"\ntrials of {LIMITS[task][2]:g} s until the standard error is {GOOD:.0%} of the value:")
     for row in plan.rows():
-        name = row["parameter"]
         if row["goal"] and row["value"]:
-            usual, better = (trials_needed(plan, one.standard_error, name) for one in (plan.thesis, plan.optimised))
-            print(f"  {name:6} {usual:4d} of the thesis's, {better:4d} optimised")
+            usual, better = (trials_needed(trials, row[sem], row["value"]) for sem in ("sem_thesis", "sem_optimised"))
+            print(f"  {row['parameter']:6} {usual:4d} of the thesis's, {better:4d} optimised")
     print("That is of one who is the same in every trial, and as the pilot says: what it does not know, no plan does.")
 
     write_design(plan, folder / "plan")

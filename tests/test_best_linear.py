@@ -7,6 +7,7 @@ from test_frequency_response import CLUSTERS, N_PERIOD, PERIOD, RATE, TRUE, labe
 
 from armperturb.analysis.best_linear import estimate_best_linear
 from armperturb.recording import make_recording
+from armperturb.study.axes import admittance_panels
 from armperturb.study.band_figures import distortion_levels, response_bands
 
 FREQUENCY = np.fft.rfftfreq(N_PERIOD, 1.0 / RATE)
@@ -117,5 +118,8 @@ def test_figures_show_what_was_found():
     assert shown[:, 1].max() == pytest.approx(bands.gain_high[:, 0, 0].max())
     turn = phase.collections[0].get_paths()[0].vertices[:, 1]
     assert np.ptp(turn) > 90.0  # from spring to mass
+    drawn = admittance_panels()
+    assert response_bands(found.response, panels=drawn) is drawn[0]
+    assert len(drawn[1][0, 0][0].collections) == len(gain.collections)
     lines = {line.get_label(): line.get_ydata() for line in distortion_levels(found).axes[0].get_lines()}
     np.testing.assert_allclose(lines["noise"], 1e3 * np.sqrt(found.noise[:, 0]))

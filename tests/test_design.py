@@ -34,6 +34,7 @@ from armperturb.study.design import (
     noise_levels,
     proposed_signal,
 )
+from armperturb.study.design_report import design_text
 from armperturb.study.validate import ValidateSettings, at_truth
 from armperturb.subject import POSITION, RELAX
 
@@ -223,6 +224,10 @@ def test_the_plan_banks_on_no_quieter_person(plan):
     assert banking.factor < plan.factors["follows"] <= plan.factors["held"] < banking.factors["held"]
     assert plan.factor == plan.factors["held"]
     assert banking.factor == banking.factors["follows"]
+    assert "beware" not in design_text(plan)
+    # The thesis's multisine in the place of the optimised one is worse than that.
+    worse = design_text(replace(plan, thesis=plan.optimised, optimised=plan.thesis))
+    assert "beware: the optimised multisine is worse than the thesis's if the noise follows" in worse
 
 
 def test_realisations_keep_the_limits_and_the_spectrum(plan):

@@ -108,6 +108,10 @@ TEXTS = {
     "sign": (edited(lambda v: v * [1, 1, 1, 1, -1, -1, 1, 1]), "the sign of force were turned"),
     "axes swapped": (edited(lambda v: v[:, [0, 1, 2, 3, 4, 5, 7, 6]]), "x and y of displacement were swapped"),
     "axis mirrored": (edited(lambda v: v * [1, 1, 1, 1, 1, 1, 1, -1]), "the sign of y of displacement were turned"),
+    "place in a room": (
+        edited(lambda v: v + np.array([0, 0, 0, 0, 0, 0, 0.1, 0.4])),
+        "expected the path from the start of the trial (for places in a room \"start\": \"first\"",
+    ),
     "millimetres": (edited(lambda v: v * [1, 1, 1, 1, 1, 1, 1e3, 1e3]), "displacement is"),
     "centimetres": (edited(lambda v: v * [1, 1, 0.2, 0.2, 0.2, 0.2, 20, 20]), "d - f moves a mass of 0.03 kg"),
     "pounds": (edited(lambda v: v / [1, 1, 1, 1, 4.448, 4.448, 1, 1]), "force were multiplied by 4.448"),

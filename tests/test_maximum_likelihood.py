@@ -100,7 +100,7 @@ def test_a_right_structure_raises_no_doubt_and_a_wrong_one_does(position, positi
     for wrong in (estimate([group_of(position, "1")], method), estimate([group_of(position, late)], method)):
         assert wrong.is_suspicious
         assert wrong.dispersion > 1.2
-        assert any("explains more" in remark for remark in wrong.remarks())
+        assert any("differs from trial to trial" in remark for remark in wrong.remarks())
 
 
 @pytest.mark.parametrize("n_trials", [1, 2])

@@ -217,7 +217,7 @@ class Estimate:
 
     @property
     def is_suspicious(self) -> bool:
-        """Whether the trials say that the structure is wrong, or the person not linear."""
+        """Whether the trials say that the structure is wrong, or the person not linear or not always the same."""
         return self.p_value < SUSPICIOUS
 
     @property
@@ -242,7 +242,8 @@ class Estimate:
         if self.is_suspicious:
             said.append(
                 "the disturbance explains more of the movement than the model does (chi2 / dof = "
-                f"{self.chi2 / self.dof:.2f}, p = {self.p_value:.1g}): wrong structure, or a person who is not linear"
+                f"{self.chi2 / self.dof:.2f}, p = {self.p_value:.1g}): wrong structure, or a person who is not linear, "
+                "or who differs from trial to trial"
             )
         for label, (time, error) in self.skew.items():
             if abs(time) > max(SKEWED, 3.0 * error):

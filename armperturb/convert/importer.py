@@ -52,6 +52,9 @@ LARGEST_FORCE = 2000.0
 REACH = 1.0
 """Of the handle from its start, in arm lengths [-]; refuses millimetres."""
 
+AWAY = 0.01
+"""Distance from its start at which no path stays throughout, unless it moves by more [m]; refuses places in a room."""
+
 MOST_RESAMPLING = 20_000
 """Largest number in the ratio of two sampling rates [-]."""
 
@@ -371,7 +374,15 @@ def _require_plausible(
                 f"{where}: {name} is {size[at]:.4g} {SIGNALS[name][1]} at {at / rates[name]:.6g} s; expected at most "
                 f"{limits[name]:.4g} (a wrong unit, or displacement not from its start?)"
             )
-    duration = len(signals["displacement"]) / rates["displacement"]
+    path = signals["displacement"]
+    for axis, low, high in zip("xy", path.min(axis=0), path.max(axis=0), strict=True):
+        away = max(low, -high)
+        if away > max(AWAY, high - low):
+            raise ValueError(
+                f"{where}: displacement {axis} is {low:.4g} to {high:.4g} m throughout; expected the path from the "
+                'start of the trial (for places in a room "start": "first" or the place of the start)'
+            )
+    duration = len(path) / rates["displacement"]
     for name in ("pulse_onset", "limit_time"):
         if labels.get(name, 0.0) > duration:
             raise ValueError(

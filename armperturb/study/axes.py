@@ -92,7 +92,7 @@ def admittance_panels() -> tuple[Figure, dict[Element, tuple[Axes, Axes]]]:
 
 
 def plot_admittance(
-    panels: dict[Element, tuple[Axes, Axes]], frequency: Array, admittance: NDArray[np.complex128], **look: Any
+    panels: Mapping[Element, tuple[Axes, Axes]], frequency: Array, admittance: NDArray[np.complex128], **look: Any
 ) -> None:
     """Draw gain and phase of each element of (frequency, output, input)."""
     for (output, input_), (gain_ax, phase_ax) in panels.items():

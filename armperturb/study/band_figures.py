@@ -15,20 +15,32 @@ from armperturb.study.style import COLOURS, GREY, INK, in_style, new_figure
 
 
 @in_style()
-def response_bands(found: FrequencyResponse, level: float = 0.95) -> Figure:
+def response_bands(
+    found: FrequencyResponse,
+    level: float = 0.95,
+    panels: tuple[Figure, Mapping[Element, tuple[Axes, Axes]]] | None = None,
+) -> Figure:
     """Gain and phase of each element, with the limits within which it lies with a probability if these are known.
+
+    Args:
+      found: the response.
+      level: the probability [-].
+      panels: what `study.axes.admittance_panels` gave, to draw over what they show; None makes new ones.
+
+    Returns:
+      Their figure.
 
     Raises:
       ValueError: the level is no probability.
     """
-    figure, panels = admittance_panels()
+    figure, axes = admittance_panels() if panels is None else panels
     handles: list[Line2D | Patch] = [
         Line2D([], [], color=INK, marker="o", markersize=2.5, label=f"estimate ({found.what})")
     ]
     if found.covariance is not None:
-        _draw_bands(panels, found, level)
+        _draw_bands(axes, found, level)
         handles.append(Patch(facecolor=GREY, alpha=0.4, label=f"{level:.0%} of each element"))
-    plot_admittance(panels, found.frequency, found.response, color=INK, marker="o", markersize=2.5)
+    plot_admittance(axes, found.frequency, found.response, color=INK, marker="o", markersize=2.5)
     legend(figure, *handles)
     return figure
 
@@ -71,7 +83,7 @@ def distortion_levels(found: BestLinear) -> Figure:
         ):
             shown = np.where(power[:, output] > 0.0, power[:, output], np.nan)
             ax.plot(frequency, 1e3 * np.sqrt(shown), color=colour, marker="o", markersize=3, label=label)
-        limit = 1e3 * np.sqrt(1.96 * found.distortion_error[:, output])
+        limit = 1e3 * np.sqrt(1.645 * found.distortion_error[:, output])  # one-sided, as `p_value`
         ax.plot(frequency, limit, color=COLOURS["RT"], linestyle=":", label="distortion of a linear arm, 95 %")
         ax.set(xscale="log", yscale="log", title=f"displacement {AXES[output]}")
         label_frequency(ax)

@@ -73,6 +73,8 @@ def design_text(design: Design) -> str:
         f"geometric mean of the SEM of *: {design.factor:.2f} of the thesis's {laws[settings.noise]},",
         f"as from {design.factor**-2:.1f} times as many trials; {design.factors[other]:.2f} {laws[other]}",
     ]
+    if design.factors[other] > 1.0:
+        lines.append(f"beware: the optimised multisine is worse than the thesis's {laws[other]}")
     for name, signal in _signals(design):
         forces = ", ".join(f"{value:.2f}" for value in np.sqrt(signal.power.sum(axis=0)))
         moves = ", ".join(f"{1e3 * value:.1f}" for value in signal.displacement)
