@@ -1,4 +1,4 @@
-"""Runs every benchmark."""
+"""Runs the benchmarks that take minutes; `distortion` and `design` take an hour each, and are run by themselves."""
 
 from benchmarks import (
     batch_overhead,

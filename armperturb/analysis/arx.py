@@ -31,7 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from armperturb.analysis.joint_records import JointRecords, What, admittance_of, variance_of
+from armperturb.analysis.frequency_response import System
+from armperturb.analysis.joint_records import JointRecords, admittance_of, variance_of
 from armperturb.validation import require_number
 
 Array = NDArray[np.float64]
@@ -181,7 +182,7 @@ def fit_arx(
     records: JointRecords,
     frequency: Array,
     *,
-    what: What = "arm",
+    what: System = "arm",
     order: int | None = None,
     highest_order: int = HIGHEST_ORDER,
 ) -> Arx:

@@ -20,13 +20,12 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
-from armperturb.analysis.frequency_response import FrequencyResponse, require_frequencies
+from armperturb.analysis.frequency_response import FrequencyResponse, System, require_frequencies
 from armperturb.analysis.joint_records import JointRecords
 from armperturb.analysis.line_balance import LineBalance, find_balance, holds
 from armperturb.analysis.local_polynomial import (
     N_INPUTS,
     LocalFit,
-    System,
     Window,
     fit_locally,
     frequency_response,

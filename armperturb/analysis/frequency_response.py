@@ -1,7 +1,7 @@
 """A frequency response with the uncertainty of each of its elements, whichever method estimated it."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,9 @@ from armperturb.recording import LABELS
 from armperturb.validation import require_number
 
 Array = NDArray[np.float64]
+
+System = Literal["arm", "environment", "total"]
+"""From f to x, from d - f to x, from d to x."""
 
 
 class Bands(NamedTuple):
@@ -151,3 +154,13 @@ def require_frequencies(frequency: ArrayLike, rate: float) -> Array:
     if wrong.any():
         raise ValueError(f"frequency = {wanted[wrong][0]:g} Hz; expected above 0 and below {0.5 * rate:g} Hz")
     return wanted
+
+
+def require_system(what: str) -> None:
+    """Refuse what is no `System`.
+
+    Raises:
+      ValueError: it is something else.
+    """
+    if what not in get_args(System):
+        raise ValueError(f"what = {what!r}; expected one of {', '.join(get_args(System))}")

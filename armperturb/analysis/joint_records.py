@@ -20,19 +20,18 @@ continuous system: nothing is held between samples, and x answers d within the s
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy import signal
 
+from armperturb.analysis.frequency_response import System, require_system
 from armperturb.recording import check_recording
 from armperturb.validation import require_number
 
 Array = NDArray[np.float64]
 Response = NDArray[np.complex128]
-What = Literal["arm", "environment", "total"]
 
 MODEL_RATE = 200.0
 """Records that are sampled more than 1.5 times as fast are resampled to about this rate [Hz]: more samples of the same
@@ -138,7 +137,7 @@ def joint_records(recording: xr.Dataset | Sequence[xr.Dataset], start: float = 0
     return records
 
 
-def admittance_of(what: What, joint: Response) -> Response:
+def admittance_of(what: System, joint: Response) -> Response:
     """Arm, environment or both from the joint response.
 
     Args:
@@ -154,7 +153,7 @@ def admittance_of(what: What, joint: Response) -> Response:
     return np.asarray(joint[:, 2:] @ _moving(what, joint))
 
 
-def variance_of(what: What, joint: Response, noise: Response, spread: Response) -> Array:
+def variance_of(what: System, joint: Response, noise: Response, spread: Response) -> Array:
     """Variance of that admittance, to first order.
 
     Args:
@@ -176,21 +175,11 @@ def variance_of(what: What, joint: Response, noise: Response, spread: Response) 
     return np.asarray(of_output[:, :, None] * of_input[:, None, :])
 
 
-def _moving(what: What, joint: Response) -> Response:
+def _moving(what: System, joint: Response) -> Response:
     """W^-1: from what moves the system to d."""
-    require_what(what)
+    require_system(what)
     a, b = _WEIGHTS[what]
     return np.asarray(np.linalg.inv(a * np.eye(2) + b * joint[:, :2]))
-
-
-def require_what(what: str) -> None:
-    """Refuse what is no `What`.
-
-    Raises:
-      ValueError: it is something else.
-    """
-    if what not in get_args(What):
-        raise ValueError(f"what = {what!r}; expected one of {', '.join(get_args(What))}")
 
 
 def _resampled(signals: Array, factor: int) -> Array:

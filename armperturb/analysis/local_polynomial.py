@@ -21,19 +21,16 @@ noise is stationary, and its spectrum about the same all over the window.
 """
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armperturb.analysis.frequency_response import FrequencyResponse
+from armperturb.analysis.frequency_response import FrequencyResponse, System, require_system
 from armperturb.environment import Environment
 
 Array = NDArray[np.float64]
 Response = NDArray[np.complex128]
-
-System = Literal["arm", "environment", "total"]
-"""From f to x, from d - f to x, from d to x."""
 
 N_INPUTS = 2
 LARGEST_CONDITION = 1e6
@@ -209,8 +206,7 @@ def linearised(answer: Response, what: System) -> Linearised:
     Raises:
       ValueError: `what` is something else than a `System`.
     """
-    if what not in get_args(System):
-        raise ValueError(f"what = {what!r}; expected one of {', '.join(get_args(System))}")
+    require_system(what)
     eye = np.eye(N_INPUTS, dtype=complex)
     force, displacement = answer[:2], answer[2:]
     if what == "total":

@@ -14,13 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from armperturb.analysis.arx import HIGHEST_ORDER, fit_arx
 from armperturb.analysis.closed_loop import estimate_multisine, estimate_noise, period_of
-from armperturb.analysis.frequency_response import FrequencyResponse, require_frequencies
+from armperturb.analysis.frequency_response import FrequencyResponse, System, require_frequencies, require_system
 from armperturb.analysis.joint_records import (
     JointRecords,
-    What,
     admittance_of,
     joint_records,
-    require_what,
     variance_of,
 )
 from armperturb.analysis.local_polynomial import N_INPUTS, Window, fit_locally, frequency_response
@@ -62,7 +60,7 @@ def spectral_response(
     recording: Recordings,
     *,
     frequency: ArrayLike | None = None,
-    what: What = "arm",
+    what: System = "arm",
     start: float = 8.0,
     period: float | None = None,
     lines_per_average: int = 4,
@@ -83,7 +81,7 @@ def spectral_response(
     Raises:
       ValueError: as `line_spectra`, `estimate_spectra` and `join_recordings`; or there is no estimate at a frequency.
     """
-    require_what(what)
+    require_system(what)
     if not isinstance(recording, xr.Dataset):
         recording = join_recordings(recording)
     if period is None:
@@ -92,7 +90,7 @@ def spectral_response(
     return _at(_averaged(lines, estimate_spectra(lines, lines_per_average=lines_per_average), what), frequency)
 
 
-def _averaged(lines: LineSpectra, spectra: SpectralEstimate, what: What) -> FrequencyResponse:
+def _averaged(lines: LineSpectra, spectra: SpectralEstimate, what: System) -> FrequencyResponse:
     """The estimate, with the covariance that lines and trials of each average tell."""
     if spectra.n_averages.min() <= N_INPUTS:
         response = {"arm": spectra.arm, "environment": spectra.environment, "total": spectra.total}[what]
@@ -114,7 +112,7 @@ def arx_response(
     recording: Recordings,
     *,
     frequency: ArrayLike | None = None,
-    what: What = "arm",
+    what: System = "arm",
     start: float = 0.0,
     order: int | None = None,
     highest_order: int = HIGHEST_ORDER,
@@ -150,7 +148,7 @@ def subspace_response(
     recording: Recordings,
     *,
     frequency: ArrayLike | None = None,
-    what: What = "arm",
+    what: System = "arm",
     start: float = 0.0,
     order: int | None = None,
     past: int = PAST,
@@ -238,7 +236,7 @@ def estimate_response(
     """
     if method not in METHODS:
         raise ValueError(f"method = {method!r}; expected one of {', '.join(METHODS)}")
-    require_what(options.get("what", "arm"))
+    require_system(options.get("what", "arm"))
     return METHODS[method](recording, frequency=frequency, **options)
 
 

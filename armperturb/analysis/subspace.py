@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armperturb.analysis.arx import Regression, error_over_size, require_order
-from armperturb.analysis.joint_records import JointRecords, What, admittance_of, variance_of
+from armperturb.analysis.frequency_response import System
+from armperturb.analysis.joint_records import JointRecords, admittance_of, variance_of
 
 Array = NDArray[np.float64]
 Response = NDArray[np.complex128]
@@ -80,7 +81,7 @@ class Subspace(NamedTuple):
 
 
 def fit_subspace(
-    records: JointRecords, frequency: Array, *, what: What = "arm", order: int | None = None, past: int = PAST
+    records: JointRecords, frequency: Array, *, what: System = "arm", order: int | None = None, past: int = PAST
 ) -> Subspace:
     """State-space model by PBSIDopt.
 

@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
 from armperturb.analysis.closed_loop import LEAST_DOF, Record, Recordings, excited_band, records_of
-from armperturb.analysis.frequency_response import FrequencyResponse, require_frequencies
-from armperturb.analysis.local_polynomial import N_INPUTS, System, Window, fit_locally, frequency_response
+from armperturb.analysis.frequency_response import FrequencyResponse, System, require_frequencies
+from armperturb.analysis.local_polynomial import N_INPUTS, Window, fit_locally, frequency_response
 from armperturb.validation import require_number
 
 Array = NDArray[np.float64]
