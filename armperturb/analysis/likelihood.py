@@ -134,7 +134,7 @@ class Likelihood:
         # Bands as places among those that answer.
         self._bands = [
             slice(int(np.searchsorted(index, run.start)), int(np.searchsorted(index, run.stop)))
-            for run in _bands(frequency, force)
+            for run in excited_bands(frequency, force)
         ]
         self._smoother = smoother(len(frequency), len(force))[index]
         self._least = float(ROUND_OFF * np.abs(force).max()) ** 2
@@ -353,7 +353,7 @@ def smoother(n: int, n_trials: int) -> sparse.csr_array:
     return sparse.csr_array(near / near.sum(axis=1, keepdims=True))
 
 
-def _bands(frequency: Array, force: Response) -> list[slice]:
+def excited_bands(frequency: Array, force: Response) -> list[slice]:
     """Runs of excited frequencies, split where they are wider than a third of an octave."""
     power = np.mean(np.abs(force) ** 2, axis=(0, 1))
     excited = np.flatnonzero(power > EXCITED * power.max())

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import fft, sparse
 
 from armperturb.analysis.arm_model import LinearArm, parameter_vector
-from armperturb.analysis.likelihood import ROUND_OFF, TAPER, LackOfFit, _bands, smoother, whitened, whitening
+from armperturb.analysis.likelihood import ROUND_OFF, TAPER, LackOfFit, excited_bands, smoother, whitened, whitening
 from armperturb.environment import Environment
 from armperturb.subject import Subject
 
@@ -96,7 +96,7 @@ class Noise:
         force = fft.rfft(perturbation[:, : self._n] * self._taper[:, None], axis=1)[:, self._used].transpose(0, 2, 1)
         changes = np.einsum("aof,tif->tafoi", self._white * whitening(self._frequency, self._rate), force)
         chi2, n_bands = 0.0, 0
-        for band in _bands(self._frequency, force):
+        for band in excited_bands(self._frequency, force):
             basis, _ = np.linalg.qr(changes[:, :, band].reshape(-1, 4))
             chi2 += float(np.sum(np.abs(basis.conj().T @ white[..., band].ravel()) ** 2))
             n_bands += 1
