@@ -15,7 +15,7 @@ Measured (RT7.5 / RT22.5; p < 0.05 is "detected") on people of seeds from 20000 
     nonlinear, 100 people   detected with 4 trials 99 / 99 %, 2 trials 99 / 93 %, 1 trial 89 / 79 %
 
 Of the first 20 people of seeds from 10000 on, short-range stiffness alone was detected with 4 trials in 20 / 20, with 2
-trials in 19 / 17, with 1 trial in 14 / 12; their nonlinear counterparts were looked at while the estimate was developed.
+trials in 19 / 17, with 1 trial in 14 / 12; the same people with the whole law had been looked at before.
 """
 
 import sys
