@@ -112,10 +112,10 @@ class Results:
 def _line(name: str, found: Sequence[tuple[float, float, bool]]) -> str:
     error, claimed, holds = np.array(found, dtype=float).T
     z = error / claimed
-    spread = f"{z.std(ddof=1):7.2f}" if len(z) > 1 else f"{'':7}"
+    spread = f" {z.std(ddof=1):6.2f}" if len(z) > 1 else f"{'':7}"
     return (
         f"{name:34}{len(z):3d}{100.0 * np.median(np.abs(error)):8.1f}{100.0 * error.mean():+8.1f}"
-        f"{100.0 * np.median(claimed):9.1f}{z.mean():+8.2f}{spread}{100.0 * holds.mean():6.0f}"
+        f"{100.0 * np.median(claimed):9.2g} {z.mean():+7.2f}{spread}{100.0 * holds.mean():6.0f}"
     )
 
 
