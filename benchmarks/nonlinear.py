@@ -35,6 +35,7 @@ from armperturb.cohort import Person, draw_person
 from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.nonlinear.estimate import UNCERTAIN, NonlinearEstimate
+from armperturb.nonlinear.identify import identify_nonlinear
 from armperturb.nonlinear.model import true_values
 from armperturb.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
 from armperturb.nonlinear.trials import training_sets, trial_sets
@@ -131,8 +132,6 @@ def _ratio(estimate: NonlinearEstimate, known: Mapping[str, float]) -> tuple[flo
 
 def fit_person(part: str, recording: xr.Dataset, truth: Person, results: Results, threads: int) -> None:
     """Identify a person in one task, and compare with what is known."""
-    from armperturb.nonlinear.identify import identify_nonlinear
-
     task = part[:2]
     recording = recording.isel(trial=np.flatnonzero(recording["task"].values == task))
     clock, processor = time.perf_counter(), time.process_time()
@@ -167,8 +166,6 @@ def fit_person(part: str, recording: xr.Dataset, truth: Person, results: Results
 
 def judge_linear_person(seed: int, results: Results, threads: int) -> None:
     """Compare laws on the relaxed trials of a person who has none."""
-    from armperturb.nonlinear.identify import identify_nonlinear
-
     person = draw_person(seed, 0, muscles="linear")
     trials = [one for one in THESIS.trials(person, THESIS.given_forces(), seed, 0) if one.subject.task == "RT"]
     recording = run_experiment(trials, instruments=Instruments(emg=None, marker_noise=None))
