@@ -11,6 +11,7 @@ import pytest
 
 from armperturb.cohort import average_person
 from armperturb.controllers.remnant import HUMAN_NOISE
+from armperturb.envs import skeletal
 from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
 from armperturb.envs.trial import Trial
@@ -48,8 +49,8 @@ def once(tmp_path_factory):
     return get
 
 
-def perturbed(subject, rms, n_trials, noise=None, **options):
-    trials = [
+def perturbed(subject, rms, n_trials, noise=None):
+    return [
         Trial(
             subject=subject,
             perturbation=MultisineThenPulse.join(
@@ -63,19 +64,24 @@ def perturbed(subject, rms, n_trials, noise=None, **options):
         )
         for seed in range(n_trials)
     ]
-    return run_experiment(trials, **options)
 
 
 @pytest.fixture(scope="session")
-def relax_recording(once):
+def ideal_recording(once):
+    """Four ideal trials of the relaxed preset and four of the one that keeps position, side by side to save steps."""
+    return once("ideal", lambda _: run_experiment([*perturbed(RELAX, 0.3, 4), *perturbed(POSITION, 3.0, 4)]))
+
+
+@pytest.fixture(scope="session")
+def relax_recording(ideal_recording):
     """Four ideal trials of the relaxed preset."""
-    return once("relax", lambda _: perturbed(RELAX, 0.3, 4))
+    return ideal_recording.isel(trial=slice(4))
 
 
 @pytest.fixture(scope="session")
-def position_recording(once):
+def position_recording(ideal_recording):
     """Four ideal trials of the preset that keeps position."""
-    return once("position", lambda _: perturbed(POSITION, 3.0, 4))
+    return ideal_recording.isel(trial=slice(4, None))
 
 
 @pytest.fixture(scope="session")
@@ -83,7 +89,7 @@ def noisy_relax_recording(once):
     """Six noisy trials of the relaxed preset, in two conditions that differ in name alone."""
     recording = once(
         "noisy relax",
-        lambda _: perturbed(RELAX, 0.9, 6, noise=HUMAN_NOISE["RT"], instruments=Instruments(emg=None)),
+        lambda _: run_experiment(perturbed(RELAX, 0.9, 6, noise=HUMAN_NOISE["RT"]), instruments=Instruments(emg=None)),
     )
     labels = ["RT7.5"] * 3 + ["RT22.5"] * 3
     return recording.assign_coords(condition=("trial", labels), repetition=("trial", [0, 1, 2] * 2))
@@ -139,12 +145,13 @@ def short_protocol(tmp_path_factory):
 
 
 def coarse_study(settings, folder, *, starts_of="none"):
-    """A study simulated at a step at which that takes seconds.
+    """A study simulated, and predicted by the skeletal model, at steps at which that takes seconds.
 
     Appendix C has its first structure alone, and D and E are of that condition, if it is one.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "run_experiment", partial(run_experiment, timestep=2.5e-3))
+        patch.setattr(skeletal, "STEP", 5e-3)
         patch.setattr(fits, "STRUCTURES_C", ("1",))
         patch.setattr(fits, "STARTS_OF", starts_of)
         return run_study(settings, folder, show_progress=False)

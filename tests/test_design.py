@@ -53,8 +53,8 @@ def quick():
 
 
 @pytest.fixture(scope="module")
-def plan():
-    return design(REFLEX)
+def plan(once):
+    return once("plan", lambda _: design(REFLEX))
 
 
 def few(n_clusters=4):

@@ -42,8 +42,9 @@ def pulsed(task, **options):
 
 
 @pytest.fixture(scope="module")
-def recording():
-    return run_experiment([pulsed(POSITION), pulsed(RELAX)], instruments=Instruments(emg=None))
+def recording(once):
+    trials = [pulsed(POSITION), pulsed(RELAX)]
+    return once("pulsed", lambda _: run_experiment(trials, instruments=Instruments(emg=None)))
 
 
 def test_postures_that_need_no_formula():

@@ -53,13 +53,13 @@ def true_value(arm, name):
 
 
 @pytest.fixture(scope="module")
-def position():
-    return record(POSITION, 8)
+def position(once):
+    return once("eight of position", lambda _: record(POSITION, 8))
 
 
 @pytest.fixture(scope="module")
-def relax():
-    return record(RELAX, 8)
+def relax(once):
+    return once("eight of relax", lambda _: record(RELAX, 8))
 
 
 @pytest.fixture(scope="module")
@@ -182,8 +182,10 @@ def test_records_that_start_amid_movement_are_judged_after_they_settle(position)
 
 
 @pytest.fixture(scope="module")
-def loud():
-    return {subject.task: record(subject, 1, seed=3, noise=5.0) for subject in (POSITION, RELAX)}
+def loud(once):
+    return once(
+        "loud", lambda _: {subject.task: record(subject, 1, seed=3, noise=5.0) for subject in (POSITION, RELAX)}
+    )
 
 
 @METHODS

@@ -30,6 +30,7 @@ from armperturb.envs.trial import Trial
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, Sampled
 from armperturb.subject import POSITION, RELAX, Subject, at_level
+from tests.tones import PERIOD, Tones
 
 DT = 1e-3
 BIPHASIC = MuscleLaw(short_range_stiffness=(10.0, 6.0, 8.0), elastic_limit_deg=0.7)
@@ -230,13 +231,13 @@ def test_small_movements_see_short_range_stiffness_as_linear():
     law = replace(law, spindle_direction=0.0)
     people = [replace(RELAX, muscle=law), replace(STIFF, muscle=law.scaled(8.0), kf_s=-0.5, kf_e=-0.4)]
     trials = [
-        Trial(subject=subject, perturbation=Multisine.draw(seed=seed, rms=2e-3, duration=31.0, crested=False))
+        Trial(subject=subject, perturbation=Tones(rms=2e-3, duration=10.0 + PERIOD, axes=(axis,)))
         for subject in people
-        for seed in range(2)
+        for axis in range(2)
     ]
     recording = run_experiment(trials)
     for number, subject in enumerate(people):
-        lines = line_spectra(recording.isel(trial=[2 * number, 2 * number + 1]), start=10.0)
+        lines = line_spectra(recording.isel(trial=[2 * number, 2 * number + 1]), start=10.0, period=PERIOD)
         forces, moves = (np.moveaxis(of, 0, -1) for of in (lines.force, lines.displacement))
         found = moves @ np.linalg.inv(forces)
         low = lines.frequency <= 20.0

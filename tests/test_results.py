@@ -296,7 +296,7 @@ def test_worker_processes_change_nothing_but_roundings(tmp_path, monkeypatch):
     (tmp_path / "p.toml").write_text(LONG_ENOUGH)
     settings = StudySettings(subjects=2, protocol=tmp_path / "p.toml", muscles="linear")
     # A step at which this takes seconds; nothing here depends on it.
-    monkeypatch.setattr(runner, "run_experiment", partial(run_experiment, timestep=2.5e-3))
+    monkeypatch.setattr(runner, "run_experiment", partial(run_experiment, timestep=5e-3))
     record_study(settings, tmp_path / "s", show_progress=False)
     here = analysed(tmp_path / "s")
     shutil.rmtree(tmp_path / "s" / "analysis")  # else it would only be read again

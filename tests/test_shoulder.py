@@ -18,8 +18,8 @@ PERSON = Person(name="P", height=1.8, mass=75.0, subjects={"PT": POSITION, "RT":
 
 
 @pytest.fixture(scope="module")
-def moved():
-    return moving_shoulder(PERSON, conditions=("PT0", "PT22.5", "RT0"), n_threads=1)
+def moved(once):
+    return once("moving shoulder", lambda _: moving_shoulder(PERSON, conditions=("PT0", "PT22.5", "RT0"), n_threads=1))
 
 
 def row(result, condition, quantity, joint, strap):

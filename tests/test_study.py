@@ -2,6 +2,7 @@
 
 import csv
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from armperturb.envs.experiment import run_experiment
 from armperturb.envs.trial import Trial
 from armperturb.perturbations import Pulse
 from armperturb.recording import load_recording, save_recording
-from armperturb.study import cases, fits, published
+from armperturb.study import cases, fits, published, runner
 from armperturb.study.admittance import by_task, main_conditions
 from armperturb.study.cases import identify_person
 from armperturb.study.headlines import headlines
@@ -40,6 +41,7 @@ def ideal(short_protocol, once):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(fits, "STRUCTURES_C", ())  # nothing here is about appendices C to E
             patch.setattr(fits, "STARTS_OF", "none")
+            patch.setattr(runner, "run_experiment", partial(run_experiment, timestep=2.5e-3))
             return run_study(settings, folder, show_progress=False)
 
     return once("ideal study", make)

@@ -36,8 +36,8 @@ def two_people(position_recording):
 
 
 @pytest.fixture(scope="module")
-def estimate(two_people):
-    return fit_trials(two_people, "3b")
+def estimate(two_people, once):
+    return once("estimate of the thesis", lambda _: fit_trials(two_people, "3b"))
 
 
 def test_ideal_trials_give_the_person_back_and_are_predicted(estimate):

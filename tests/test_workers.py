@@ -90,8 +90,8 @@ def test_ctrl_c_does_not_reach_the_processes():
     # In a process of its own: what the pool leaves running in this one would hide how the first one starts.
     code = (
         "from tests.test_workers import *\n"
-        "crew = LocalProcesses(3)\n"
-        "print(set(completed(ctrl_c_is_blocked, range(9), crew)), flush=True)\n"
+        "crew = LocalProcesses(2)\n"
+        "print(set(completed(ctrl_c_is_blocked, range(6), crew)), flush=True)\n"
         "crew.stop()\n"
     )
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
