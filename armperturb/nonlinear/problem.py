@@ -70,6 +70,7 @@ class Problem:
       parameters: what is free.
       sets: the trials.
       n_trials: in all sets.
+      conditions: of each trial, (trial,).
       kinds: task and quantity of the effects, (kind,).
       kind_of: kind of each effect, (effect,).
       own_effects: where those of each trial are, (trial,).
@@ -91,7 +92,7 @@ class Problem:
         self.parameters, self.sets = parameters, tuple(sets)
         self.n_trials = sum(one.n_trials for one in sets)
         self._tasks = [one.body.task for one in sets for _ in range(one.n_trials)]
-        self._conditions = [one.label for one in sets for _ in range(one.n_trials)]
+        self.conditions = [one.label for one in sets for _ in range(one.n_trials)]
         self._environments = [one.environment for one in sets for _ in range(one.n_trials)]
         self._ends = np.array([one.end for one in sets for _ in range(one.n_trials)])
         firsts = np.cumsum([0, *(one.n_trials for one in sets)])
@@ -164,7 +165,7 @@ class Problem:
         """The person in each trial."""
         return [
             self.parameters.person(task, state.point, condition, state.effects[own])
-            for task, condition, own in zip(self._tasks, self._conditions, self.own_effects, strict=True)
+            for task, condition, own in zip(self._tasks, self.conditions, self.own_effects, strict=True)
         ]
 
     def _responses(self, states: Sequence[State], draw: Disturbances) -> Array:
