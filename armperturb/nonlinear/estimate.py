@@ -42,14 +42,19 @@ MAX_ROUNDS = 40
 N_PAIRS_OF_ERRORS = 16
 """Pairs of draws that tell the variance of the score: with 8 trials, errors are known within some 7 %."""
 
-NEAR, SETTLED = 0.3, 0.05
-"""Steps this small in units of the standard error end the searches and the last steps [-]."""
+SEARCHED, NEAR, SETTLED = 1.0, 0.3, 0.05
+"""Steps this small in units of the standard error end the searches, and the last steps if nothing near is likelier, or
+anyway [-]."""
 
 MAX_LAST, MAX_EXPECTATIONS = 8, 200
 """Most sets of weights and derivatives for the last steps, and steps of expectation maximisation in each."""
 
 FAR = 0.3
 """Change of a logarithm from which on derivatives are taken anew in the last steps [-]."""
+
+ENOUGH = 1e-3
+"""Gain in a step over the cost that ends the search without noise [-]: what is left to gain there is bias, and parameters
+that trials tell badly run away for it."""
 
 DAMPINGS = (0.03, 0.3, 3.0, 30.0)
 """Factors on the last damping of the steps that are tried side by side."""
@@ -166,12 +171,11 @@ class NonlinearEstimate:
     def _together(self, i: int, j: int) -> str:
         (name, value), (other, by) = (list(self.values.items())[k] for k in (i, j))
         exponent, error = self._combined(i, j)
-        combined, half = value * by**exponent, float(stats.norm.ppf(0.975)) * error
+        combined, factor = value * by**exponent, float(np.exp(stats.norm.ppf(0.975) * error))
         what = f"{name} / {other}" if exponent < 0.0 else f"{name} * {other}"
         return (
-            f"{what} is told: {combined:.3g} ({combined * np.exp(-half):.2g} to {combined * np.exp(half):.2g}), standard "
-            f"error of the logarithm {error:.2f}, of each alone {self.log_error[name]:.2f} and "
-            f"{self.log_error[other]:.2f}"
+            f"{what} is told: {combined:.3g} ({combined / factor:.2g} to {combined * factor:.2g}), standard error of "
+            f"the logarithm {error:.2f}, of each alone {self.log_error[name]:.2f} and {self.log_error[other]:.2f}"
         )
 
 
@@ -329,7 +333,7 @@ class _Search:
                 return
             else:
                 self._damping *= DAMPINGS[-1]
-            if step < NEAR:
+            if step < SEARCHED or (not problem.is_noisy and 0.0 < before - costs[best] < ENOUGH * before):
                 return
 
     def _settle(self) -> tuple[str, list[Array]]:
