@@ -53,8 +53,8 @@ FAR = 0.3
 """Change of a logarithm from which on derivatives are taken anew in the last steps [-]."""
 
 ENOUGH = 1e-3
-"""Gain in a step over the cost that ends the search without noise [-]: what is left to gain there is bias, and parameters
-that trials tell badly run away for it."""
+"""Gain in a step over the cost that ends the search without noise [-]: what is left to gain there is bias, for which
+parameters that trials tell badly run away."""
 
 DAMPINGS = (0.03, 0.3, 3.0, 30.0)
 """Factors on the last damping of the steps that are tried side by side."""
