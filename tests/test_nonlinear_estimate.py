@@ -10,11 +10,13 @@ import xarray as xr
 from armperturb.cohort import average_person
 from armperturb.nonlinear import choice, estimate
 from armperturb.nonlinear.choice import Choice, Gain, Judged, compare_laws
-from armperturb.nonlinear.estimate import fit
+from armperturb.nonlinear.estimate import fit, free_parameters, nearest_arms
 from armperturb.nonlinear.model import ELEMENTS, Model, true_values
 from armperturb.nonlinear.prediction import predict_pulses, predict_pulses_linearly
+from armperturb.nonlinear.problem import Problem, State
+from armperturb.nonlinear.start import best_start
 from armperturb.nonlinear.trials import trial_sets
-from armperturb.subject import RELAX
+from armperturb.subject import RELAX, at_level
 
 PERSON = average_person().subjects["RT"]
 TRUE = true_values(PERSON, {})
@@ -106,9 +108,10 @@ class Stopped(Exception):
     pass
 
 
-@pytest.mark.parametrize("after", [2, 7])  # without noise in the prediction, and with it
+@pytest.mark.parametrize("after", [2, -1])  # without noise in the prediction, and with it: before the last round
 def test_a_search_that_was_stopped_goes_on_to_the_same_result(noisy, noisy_fit, tmp_path, after):
     lines = []
+    after = after if after > 0 else noisy_fit.n_rounds + after
 
     def stop(line):
         lines.append(line)
@@ -259,3 +262,70 @@ def test_verdicts_say_what_is_not_shown():
 def test_conditions_of_one_trial_cannot_be_left_out(ideal):
     with pytest.raises(ValueError, match="each condition has one trial; expected two in one at least"):
         compare_laws(ideal, ARMS)
+
+
+def told(noisy_fit, correlation, errors=(0.39, 0.33)):
+    """Remarks of a fit to two parameters with the values 43 deg and 2 s."""
+    names = ("loss_angle_deg", "recovery_time")
+    return replace(
+        noisy_fit,
+        values=dict(zip(names, (43.0, 2.0), strict=True)),
+        log_error=dict(zip(names, errors, strict=True)),
+        correlation=np.array([[1.0, correlation], [correlation, 1.0]]),
+    ).remarks()
+
+
+def test_what_is_not_told_alone_is_named_with_what_is_told_together(noisy_fit):
+    # SD of a difference: sqrt(0.39^2 + 0.33^2 - 2 * 0.86 * 0.39 * 0.33) = 0.199, exp(1.96 * 0.199) = 1.478
+    first, second, both = told(noisy_fit, 0.86)
+    assert first.startswith("loss_angle_deg is not told by these trials: 43 (20 to 92)")
+    assert second.startswith("recovery_time is not told by these trials")
+    assert both == (
+        "loss_angle_deg / recovery_time is told: 21.5 (15 to 32), standard error of the logarithm 0.20, of each alone "
+        "0.39 and 0.33"
+    )
+    (of_product,) = (remark for remark in told(noisy_fit, -0.86) if "is told" in remark)
+    assert of_product.startswith("loss_angle_deg * recovery_time is told: 86 (58 to 1.3e+02)")
+    assert not any("is told" in remark for remark in told(noisy_fit, 0.7))  # too weak
+    assert not any("is told" in remark for remark in told(noisy_fit, 0.86, (0.9, 0.1)))  # the ratio is not told either
+    assert told(noisy_fit, 0.86, (0.2, 0.2)) == ()
+
+
+POSITION = average_person().subjects["PT"]
+
+
+def position_problem(sets, **fixed):
+    arms = {"PT7.5": replace(POSITION, muscle=None)}
+    parameters = free_parameters(sets, Model(fixed=fixed))
+    return Problem(parameters, sets, nearest_arms(sets, arms))
+
+
+@pytest.mark.parametrize("level", [0.4, 1.4])
+def test_pulses_alone_start_from_the_level_that_answers_them(level):
+    true = true_values(POSITION, {})
+    fixed = {name: true[name] for name in Model().names("PT", ["PT7.5"])}
+    multisine = made.trial_set(made.record(POSITION, [made.push(1, 1.5, 6.0)], condition="PT7.5"), POSITION)
+    force = np.zeros((600, 2))
+    force[100:112] = 12.0, 6.0
+    pulse = made.trial_set(made.record(at_level(POSITION, level), [force], condition="PT0"), POSITION)
+    problem = position_problem([multisine, pulse], **fixed)
+    assert problem.parameters.names == ["level.PT0"]
+    start = best_start(problem, np.zeros(1), {})
+    assert np.exp(start.point) == pytest.approx([level], rel=0.15)
+    assert best_start(problem, np.log([0.8]), {"level.PT0": 0.8}).point == pytest.approx(np.log([0.8]))
+
+
+def test_arms_whose_reflexes_sustain_an_oscillation_are_found(noisy, monkeypatch):
+    push = made.push(1, 1.5, 6.0)
+    trials = made.trial_set(made.record(POSITION, [push], condition="PT7.5"), POSITION)
+    true, problem = true_values(POSITION, {}), position_problem([trials])
+    names = problem.parameters.names
+    state = State(np.log([true[name] for name in names]), np.zeros(4), np.full(4, 0.1))
+    assert problem.restless(state) == ()
+    reflexes = np.array([2.5 if name.startswith("kv") else 1.0 for name in names])
+    assert problem.restless(state._replace(point=state.point + np.log(reflexes))) == ("PT7.5",)
+    monkeypatch.setattr(Problem, "restless", lambda *_: ("RT7.5",))
+    monkeypatch.setattr(estimate, "MAX_ROUNDS", 1)
+    found = fit(noisy[:1], ARMS, FEW, n_pairs=0)
+    assert not found.converged
+    assert "the arm sustains oscillations in RT7.5" in found.remarks()[0]

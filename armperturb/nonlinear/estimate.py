@@ -42,11 +42,19 @@ MAX_ROUNDS = 40
 N_PAIRS_OF_ERRORS = 16
 """Pairs of draws that tell the variance of the score: with 8 trials, errors are known within some 7 %."""
 
-NEAR, SETTLED = 0.3, 0.05
-"""Steps this small in units of the standard error end the searches and the last steps [-]."""
+SEARCHED, NEAR, SETTLED = 1.0, 0.3, 0.05
+"""Steps this small in units of the standard error end the searches, and the last steps if nothing near is likelier, or
+anyway [-]."""
 
-MAX_LAST, MAX_EXPECTATIONS = 12, 200
-"""Most last steps, and most steps of expectation maximisation in each."""
+MAX_LAST, MAX_EXPECTATIONS = 8, 200
+"""Most sets of weights and derivatives for the last steps, and steps of expectation maximisation in each."""
+
+FAR = 0.3
+"""Change of a logarithm from which on derivatives are taken anew in the last steps [-]."""
+
+ENOUGH = 1e-3
+"""Gain in a step over the cost that ends the search without noise [-]: what is left to gain there is bias, for which
+parameters that trials tell badly run away."""
 
 DAMPINGS = (0.03, 0.3, 3.0, 30.0)
 """Factors on the last damping of the steps that are tried side by side."""
@@ -55,13 +63,16 @@ MOST_DAMPING = 1e6
 LONGEST = 1.0
 """Longest step of a logarithm [-]."""
 
-LEAST_SPREAD = 0.01
-"""Trials differ by this at least [-]."""
+LEAST_SPREAD, MOST_SPREAD = 0.01, 0.5
+"""Trials differ by this at least, and at most [-]."""
 
-UNCERTAIN, ALIKE = 0.5, 0.95
+UNCERTAIN, ALIKE = 0.25, 0.95
 """From when on remarks are made: standard error of a logarithm, and correlation of errors [-]."""
 
-SHORTER = (1.0, 0.5, 0.25, 0.1)
+TOGETHER = 0.8
+"""Correlation from which on it is said what two parameters are told of together, if one of them is not [-]."""
+
+SHORTER = (1.0, 0.5, 0.25, 0.1, 0.03)
 """Parts of a last step that are tried in turn [-]."""
 
 AT_BOUND = 1e-3
@@ -132,12 +143,40 @@ class NonlinearEstimate:
                 low, high = self.interval(name)
                 said.append(f"{name} is not told by these trials: {self.values[name]:.3g} ({low:.2g} to {high:.2g})")
         names = list(self.values)
+        said += [self._together(i, j) for i, j in self._told_together()]
         for i, j in zip(*np.nonzero(np.triu(np.abs(self.correlation) > ALIKE, 1)), strict=True):
             said.append(
                 f"{names[i]} and {names[j]} can hardly be told apart: their errors correlate, "
                 f"{self.correlation[i, j]:.2f}"
             )
         return tuple(said)
+
+    def _combined(self, i: int, j: int) -> tuple[float, float]:
+        """Exponent of the second parameter in the ratio or product that is told, and its logarithm's standard error."""
+        a, b = (list(self.log_error.values())[k] for k in (i, j))
+        correlation = self.correlation[i, j]
+        return -float(np.sign(correlation)), float(np.sqrt(max(a**2 + b**2 - 2.0 * abs(correlation) * a * b, 0.0)))
+
+    def _told_together(self) -> list[tuple[int, int]]:
+        """Pairs of which one at least is not told, but their ratio or product is."""
+        error, names = np.array(list(self.log_error.values())), list(self.values)
+        pairs = zip(*np.nonzero(np.triu(np.abs(self.correlation) > TOGETHER, 1)), strict=True)
+        return [
+            (int(i), int(j))
+            for i, j in pairs
+            if max(error[i], error[j]) > UNCERTAIN >= self._combined(i, j)[1]
+            and not {names[i], names[j]} & set(self.at_bound)
+        ]
+
+    def _together(self, i: int, j: int) -> str:
+        (name, value), (other, by) = (list(self.values.items())[k] for k in (i, j))
+        exponent, error = self._combined(i, j)
+        combined, factor = value * by**exponent, float(np.exp(stats.norm.ppf(0.975) * error))
+        what = f"{name} / {other}" if exponent < 0.0 else f"{name} * {other}"
+        return (
+            f"{what} is told: {combined:.3g} ({combined / factor:.2g} to {combined * factor:.2g}), standard error of "
+            f"the logarithm {error:.2f}, of each alone {self.log_error[name]:.2f} and {self.log_error[other]:.2f}"
+        )
 
 
 def fit(
@@ -294,16 +333,33 @@ class _Search:
                 return
             else:
                 self._damping *= DAMPINGS[-1]
-            if step < NEAR:
+            if step < SEARCHED or (not problem.is_noisy and 0.0 < before - costs[best] < ENOUGH * before):
                 return
 
     def _settle(self) -> tuple[str, list[Array]]:
         """The last steps; says how they ended, and with which derivatives."""
         problem = self._problem
-        problem.weigh(problem.residual(problem.predict([self._last_at])[0]))
-        slopes = problem.slopes(self._last_at)
-        predicted = problem.predict([self.state])[0]
         for _ in range(MAX_LAST):
+            predicted = problem.predict([self._last_at])[0]
+            problem.weigh(problem.residual(predicted))
+            slopes = problem.slopes(self._last_at)
+            if self._moved():
+                predicted = problem.predict([self.state])[0]
+            status = self._descend(slopes, predicted)
+            if status:
+                return status, slopes
+            self._last_at = self.state
+            self._keep()
+        return f"not settled after {MAX_LAST} times the last steps", slopes
+
+    def _moved(self) -> float:
+        """How far the point has come since weights and derivatives were taken."""
+        return float(np.max(np.abs(self.state.point - self._last_at.point), initial=0.0))
+
+    def _descend(self, slopes: list[Array], predicted: Array) -> str:
+        """Gauss-Newton steps with weights and derivatives that stay; says how they ended, "" if those hold no more."""
+        problem = self._problem
+        while True:
             likeliest, step = self._likeliest(problem.normal(self.state, predicted, slopes))
             before = problem.cost(self.state._replace(spread=likeliest.spread), predicted)
             for part in SHORTER:
@@ -315,16 +371,18 @@ class _Search:
                 answer = problem.predict([moved])[0]
                 cost = problem.cost(moved, answer)
                 if cost < before:
-                    self._tell(cost, part * step)
-                    self.state, predicted = moved, answer
-                    self._keep()
                     break
-            else:
-                # Nothing near is likelier: weights and derivatives are those of a place nearby.
-                return ("settled" if step < NEAR else "no likelier step"), slopes
+            else:  # nothing near is likelier
+                if step < NEAR:
+                    return "settled"
+                return "" if self._moved() else "no likelier step"
+            self._tell(cost, part * step)
+            self.state, predicted = moved, answer
+            self._keep()
             if step < SETTLED:
-                return "settled", slopes
-        return f"not settled after {MAX_LAST} last steps", slopes
+                return "settled"
+            if part < 1.0 or self._moved() > FAR:
+                return ""
 
     def _likeliest(self, normal: Normal) -> tuple[State, float]:
         """Where the linearised problem has its maximum, spread included, and the largest step in standard errors."""
@@ -352,7 +410,7 @@ class _Search:
             effects = state.effects + step[n:]
             square = effects**2 + np.diag(inverse)[n:]
             newer = np.array([np.sqrt(square[problem.kind_of == kind].mean()) for kind in range(len(spread))])
-            newer = np.maximum(newer, LEAST_SPREAD)
+            newer = np.clip(newer, LEAST_SPREAD, MOST_SPREAD)
             done = not stopped.any() and np.allclose(newer, spread, rtol=1e-3)
             spread = newer
             if done:
@@ -374,11 +432,14 @@ class _Search:
         """Spread of the effects that is most likely (a step of expectation maximisation)."""
         square = state.effects**2 + error**2
         spread = [np.sqrt(square[self._problem.kind_of == kind].mean()) for kind in range(len(state.spread))]
-        return state._replace(spread=np.maximum(spread, LEAST_SPREAD))
+        return state._replace(spread=np.clip(spread, LEAST_SPREAD, MOST_SPREAD))
 
     def _estimate(self, status: str, slopes: list[Array]) -> NonlinearEstimate:
         problem, parameters, state = self._problem, self._problem.parameters, self.state
         n = len(state.point)
+        restless = problem.restless(state)
+        if restless:
+            status = f"the arm sustains oscillations in {', '.join(restless)}, errors mean nothing"
         predicted = problem.predict([state])[0]
         inverse = _inverse(problem.normal(state, predicted, slopes).matrix)
         if problem.is_noisy:

@@ -33,6 +33,12 @@ PAIRS_OF_SLOPES = 1
 """Pairs of draws over which derivatives are averaged: they need not be as exact as the residual."""
 
 
+REST = 8.0
+"""How long nothing pushes an arm before it is looked at whether it still moves [s]."""
+
+STILL = 0.1
+"""Speed in the last second of `REST` over the greatest speed before: arms that come to rest have less than 0.01 [-]."""
+
 WIDE = 1e4
 """SD of a prior of all logarithms [-]: it matters to nothing but what trials say nothing of."""
 
@@ -70,6 +76,7 @@ class Problem:
       parameters: what is free.
       sets: the trials.
       n_trials: in all sets.
+      conditions: of each trial, (trial,).
       kinds: task and quantity of the effects, (kind,).
       kind_of: kind of each effect, (effect,).
       own_effects: where those of each trial are, (trial,).
@@ -91,7 +98,7 @@ class Problem:
         self.parameters, self.sets = parameters, tuple(sets)
         self.n_trials = sum(one.n_trials for one in sets)
         self._tasks = [one.body.task for one in sets for _ in range(one.n_trials)]
-        self._conditions = [one.label for one in sets for _ in range(one.n_trials)]
+        self.conditions = [one.label for one in sets for _ in range(one.n_trials)]
         self._environments = [one.environment for one in sets for _ in range(one.n_trials)]
         self._ends = np.array([one.end for one in sets for _ in range(one.n_trials)])
         firsts = np.cumsum([0, *(one.n_trials for one in sets)])
@@ -164,7 +171,7 @@ class Problem:
         """The person in each trial."""
         return [
             self.parameters.person(task, state.point, condition, state.effects[own])
-            for task, condition, own in zip(self._tasks, self._conditions, self.own_effects, strict=True)
+            for task, condition, own in zip(self._tasks, self.conditions, self.own_effects, strict=True)
         ]
 
     def _responses(self, states: Sequence[State], draw: Disturbances) -> Array:
@@ -228,6 +235,22 @@ class Problem:
             before = found.get(one.label, LackOfFit(0.0, 0))
             found[one.label] = LackOfFit(before.chi2 + own.chi2, before.dof + own.dof)
         return found
+
+    def restless(self, state: State) -> tuple[str, ...]:
+        """Conditions in which an arm moves on when nothing has pushed it for a while.
+
+        Linear arms of large and of small movements may both be stable, and one in between may not be: delayed reflexes
+        then sustain an oscillation, and what arms do there depends on parameters so strongly that errors mean nothing.
+        """
+        n, n_second = self._perturbation.shape[1], round(self._rate)
+        followed = np.pad(self._perturbation, ((0, 0), (0, round(REST * self._rate)), (0, 0)))
+        disturbances = Disturbances(followed, self._rate, self._threads)
+        lanes = lane_table(self.subjects(state), self._environments, disturbances.timestep)
+        displacement = disturbances.responses(lanes, np.arange(self.n_trials))
+        speed = np.linalg.norm(np.diff(displacement, axis=1), axis=2)
+        last = np.sqrt(np.mean(speed[:, -n_second:] ** 2, axis=1))
+        still = last < STILL * speed[:, :n].max(axis=1)  # false where an arm blows up
+        return tuple(dict.fromkeys(label for label, rests in zip(self.conditions, still, strict=True) if not rests))
 
     def white(self, signal: Array) -> list[Array]:
         """Displacements of all trials [m], (trial, time, axis), as numbers of unit variance if they are noise."""

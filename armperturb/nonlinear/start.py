@@ -32,6 +32,9 @@ TRIED: Mapping[str, tuple[float, ...]] = {
 }
 """Factors on the start of these parameters, all combinations of which are simulated."""
 
+LEVELS = (0.3, 0.45, 0.65, 1.0, 1.5)
+"""Levels of co-contraction that are tried in each condition: pulses alone cannot be answered by a far too stiff arm."""
+
 SPREAD = 0.08
 """SD of the logarithms of the trials' own factors [-]."""
 
@@ -120,28 +123,51 @@ def start_values(
 def best_start(problem: Problem, point: Array, given: Mapping[str, float]) -> State:
     """The likeliest of some starts that differ in what linear arms do not tell.
 
+    Levels are looked for before all else and once more at the end: each is told by the trials of its own condition.
+
     Raises:
       ValueError: no arm among them is stable.
     """
     parameters = problem.parameters
     effects, spread = np.zeros(len(problem.kind_of)), np.full(len(problem.kinds), SPREAD)
+    point = _best_levels(problem, State(point, effects, spread), given)
     states = []
     for factors in itertools.product(*TRIED.values()):
         shift = {name: np.log(factor) for name, factor in zip(TRIED, factors, strict=True)}
         moved = [0.0 if name in given else shift.get(stem(name), 0.0) for name in parameters.names]
         states.append(State(np.clip(point + moved, parameters.lower, parameters.upper), effects, spread))
     unique = list({state.point.tobytes(): state for state in states}.values())
-    objectives = []
-    for state in unique:
-        predicted = problem.predict([state])[0]
-        if np.isfinite(predicted).all():
-            problem.weigh(problem.residual(predicted))
-            objectives.append(problem.objective(state, predicted))
-        else:
-            objectives.append(np.inf)
+    objectives = [float(np.sum(_objectives(problem, state))) for state in unique]
     if not np.isfinite(objectives).any():
         raise ValueError(
             "start: the arm is unstable, and so are all arms near it; expected a start that comes to rest (less "
             "feedback, or more damping)"
         )
-    return unique[int(np.argmin(objectives))]
+    best = unique[int(np.argmin(objectives))]
+    return best._replace(point=_best_levels(problem, best, given))
+
+
+def _best_levels(problem: Problem, state: State, given: Mapping[str, float]) -> Array:
+    """The point with the level of each condition that makes its trials likeliest; stays where no level is stable."""
+    names, point = problem.parameters.names, state.point.copy()
+    levels = [i for i, name in enumerate(names) if stem(name) == "level" and name not in given]
+    if not levels:
+        return point
+    tried = []
+    for level in LEVELS:
+        moved = point.copy()
+        moved[levels] = np.log(level)
+        tried.append(_objectives(problem, state._replace(point=moved)))
+    for i in levels:
+        own = [f"level.{condition}" == names[i].partition(" ")[0] for condition in problem.conditions]
+        likeliest = int(np.argmin([objective[own].sum() for objective in tried]))
+        if np.isfinite(tried[likeliest][own].sum()):
+            point[i] = np.log(LEVELS[likeliest])
+    return point
+
+
+def _objectives(problem: Problem, state: State) -> Array:
+    """Minus twice the logarithm of the likelihood at the best weights, (trial,); infinite where an arm blows up."""
+    predicted = problem.predict([state])[0]
+    problem.weigh(problem.residual(np.nan_to_num(predicted, nan=0.0, posinf=0.0, neginf=0.0)))
+    return problem.costs(state, predicted) + problem.log_determinants(state)
