@@ -804,7 +804,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"armperturb: error: {message}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        can = isinstance(command, Study) or (isinstance(command, Identify) and command.model == "nonlinear")
+        can = isinstance(command, Study | Report) or (isinstance(command, Identify) and command.model == "nonlinear")
         goes_on = "; the same command goes on from here" if can else ""
         print(f"armperturb: stopped{goes_on}", file=sys.stderr)
         return 130

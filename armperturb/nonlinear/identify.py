@@ -16,7 +16,7 @@ from armperturb.analysis.export import write_csv
 from armperturb.files import written_whole
 from armperturb.nonlinear.choice import Choice, Gain, compare_laws
 from armperturb.nonlinear.estimate import NonlinearEstimate, fit, nearest_arms
-from armperturb.nonlinear.model import Law, Model, stem
+from armperturb.nonlinear.model import Law, Model, unit
 from armperturb.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses, predict_pulses_linearly
 from armperturb.nonlinear.start import linear_arms
 from armperturb.nonlinear.trials import training_sets, trial_sets
@@ -24,27 +24,6 @@ from armperturb.subject import Subject
 
 CHECKPOINTS = "checkpoint*.npz"
 """Files of fits that are under way."""
-
-_UNITS: Mapping[str, str] = {
-    "m_h": "kg",
-    "m_f": "kg",
-    "k_h": "N/m",
-    "b_h": "Ns/m",
-    "k": "Nm/rad",
-    "b": "Nms/rad",
-    "kv": "Nms/rad",
-    "kp": "Nm/rad",
-    "Td": "s",
-    "fact": "Hz",
-    "short_range_stiffness": "Nm/rad",
-    "elastic_limit_deg": "deg",
-    "elastic_limit_spread": "1",
-    "loss_angle_deg": "deg",
-    "recovery_time": "s",
-    "thinning_velocity": "rad/s",
-    "spindle_saturation": "rad/s",
-    "level": "1",
-}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,7 +110,7 @@ def parameter_rows(estimate: NonlinearEstimate) -> list[dict[str, Any]]:
         {
             "name": name,
             "value": value,
-            "unit": _UNITS[stem(name)],
+            "unit": unit(name),
             "lower": estimate.interval(name)[0],
             "upper": estimate.interval(name)[1],
             "log_error": estimate.log_error[name],

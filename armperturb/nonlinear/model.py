@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from armperturb.analysis import structures
 from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import Subject, at_level
 
@@ -53,12 +54,29 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "spindle_saturation": (0.02, 50.0),
     "level": (0.1, 5.0),
 }
-"""Of each parameter, in the units of `Subject` and `MuscleLaw`; a group's stands for its three elements."""
+"""Of each parameter, in its `unit`; a group's stands for its three elements."""
+
+_UNITS: Mapping[str, str] = {
+    "short_range_stiffness": "Nm/rad",
+    "elastic_limit_deg": "deg",
+    "elastic_limit_spread": "-",
+    "loss_angle_deg": "deg",
+    "recovery_time": "s",
+    "thinning_velocity": "rad/s",
+    "spindle_saturation": "rad/s",
+    "level": "-",
+}
+"""Of parameters that linear arms do not have."""
 
 
 def stem(name: str) -> str:
     """What a parameter is of: "k.elbow [RT]" is of k."""
     return name.partition(" ")[0].partition(".")[0]
+
+
+def unit(name: str) -> str:
+    """Unit of a parameter; "-" if it has none."""
+    return _UNITS.get(stem(name)) or structures.unit(stem(name))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,32 +5,32 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from armperturb.nonlinear.model import BODY, ELEMENTS, GRIP, GROUPS, stem, true_values
+from armperturb.nonlinear.model import BODY, ELEMENTS, GRIP, GROUPS, true_values, unit
 from armperturb.study.nonlinear import LeftOutPulse, NonlinearFit
 from armperturb.study.results import StudyResult
 from armperturb.study.tables import Row, mean_sd_of
 
 QUANTITIES = {
-    "m_h": ("mass of the upper arm", "kg"),
-    "m_f": ("mass of the forearm", "kg"),
-    "k_h": ("stiffness of the grip", "N/m"),
-    "b_h": ("damping of the grip", "Ns/m"),
-    "k": ("stiffness", "Nm/rad"),
-    "b": ("damping", "Nms/rad"),
-    "kv": ("velocity feedback", "Nms/rad"),
-    "kp": ("position feedback", "Nm/rad"),
-    "Td": ("delay", "s"),
-    "fact": ("cut-off of the activation", "Hz"),
-    "short_range_stiffness": ("short-range stiffness", "Nm/rad"),
-    "elastic_limit_deg": ("elastic limit", "\u00b0"),
-    "elastic_limit_spread": ("spread of elastic limits", ""),
-    "loss_angle_deg": ("movement that wears stiffness off", "\u00b0"),
-    "recovery_time": ("time of its recovery", "s"),
-    "thinning_velocity": ("speed that halves damping", "rad/s"),
-    "spindle_saturation": ("speed that saturates spindles", "rad/s"),
-    "level": ("level of co-contraction", ""),
+    "m_h": "mass of the upper arm",
+    "m_f": "mass of the forearm",
+    "k_h": "stiffness of the grip",
+    "b_h": "damping of the grip",
+    "k": "stiffness",
+    "b": "damping",
+    "kv": "velocity feedback",
+    "kp": "position feedback",
+    "Td": "delay",
+    "fact": "cut-off of the activation",
+    "short_range_stiffness": "short-range stiffness",
+    "elastic_limit_deg": "elastic limit",
+    "elastic_limit_spread": "spread of elastic limits",
+    "loss_angle_deg": "movement that wears stiffness off",
+    "recovery_time": "time of its recovery",
+    "thinning_velocity": "speed that halves damping",
+    "spindle_saturation": "speed that saturates spindles",
+    "level": "level of co-contraction",
 }
-"""What a parameter is of, in words, and its unit."""
+"""What a parameter is of, in words."""
 
 SEES_NONE, SEES_OTHERS = "nonlinear", "nonlinear, other pulses"
 MODELS = ("linear", "skeletal", SEES_NONE, SEES_OTHERS)
@@ -40,7 +40,7 @@ MODELS = ("linear", "skeletal", SEES_NONE, SEES_OTHERS)
 def words_of(parameter: str) -> str:
     """A parameter in words."""
     what, _, of = parameter.partition(".")
-    return f"{QUANTITIES[what][0]}, {of}" if of else QUANTITIES[what][0]
+    return f"{QUANTITIES[what]}, {of}" if of else QUANTITIES[what]
 
 
 def degrees(pulses: str) -> str:
@@ -101,7 +101,7 @@ def nonlinear_parameter_rows(study: StudyResult) -> list[Row]:
                     "subject": fit.name,
                     "fitted_pulses_deg": " ".join(f"{deg:g}" for deg in fit.fitted_deg),
                     "parameter": name,
-                    "unit": QUANTITIES[stem(name)][1].replace("\u00b0", "deg"),
+                    "unit": unit(name),
                     "true": true,
                     "linear_least": min(arms),
                     "linear_most": max(arms),
