@@ -540,6 +540,8 @@ def identify_nonlinear(settings: Identify) -> list[str]:
             f"identify: pulses = {settings.pulses!r}; expected directions with commas between, e.g. 20,200"
         ) from None
     recording = _wanted_trials(settings)
+    if settings.out.exists() and not settings.out.is_dir():
+        raise ValueError(f"{settings.out} is a file; expected a folder, or a new name for one")
     settings.out.mkdir(parents=True, exist_ok=True)
     try:
         found = search(

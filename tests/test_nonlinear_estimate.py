@@ -136,6 +136,10 @@ def test_the_checkpoint_of_another_fit_is_left_alone(ideal, noisy_fit, tmp_path)
     fit(ideal, ARMS, other, n_pairs=0, checkpoint=tmp_path / "c.npz", progress=again.append)
     assert len(again) > 1
     assert found.values.keys() != other.fixed.keys()
+    # Half a file is none: the search begins anew.
+    whole = (tmp_path / "c.npz").read_bytes()
+    (tmp_path / "c.npz").write_bytes(whole[: len(whole) // 2])
+    assert fit(ideal, ARMS, other, n_pairs=0, checkpoint=tmp_path / "c.npz").n_rounds == len(again)
 
 
 def test_one_amplitude_is_said_to_tell_little(noisy):

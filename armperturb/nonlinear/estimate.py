@@ -13,6 +13,8 @@ and is a third too small for muscles that yield.
 import functools
 import hashlib
 import io
+import zipfile
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -213,9 +215,10 @@ def fit(
     parameters = free_parameters(sets, model)
     everywhere = nearest_arms(sets, arms)
     problem = Problem(parameters, sets, everywhere, threads)
-    search = _Search(problem, n_pairs, seed, checkpoint, progress)
+    point = start_values(parameters, sets, everywhere, start or {})
+    search = _Search(problem, repr((point.tolist(), sorted(everywhere.items()))), n_pairs, seed, checkpoint, progress)
     if not search.resume():
-        search.state = best_start(problem, start_values(parameters, sets, everywhere, start or {}), start or {})
+        search.state = best_start(problem, point, start or {})
     return search.run()
 
 
@@ -275,12 +278,13 @@ class _Search:
     def __init__(
         self,
         problem: Problem,
+        origin: str,
         n_pairs: int,
         seed: int,
         checkpoint: Path | None,
         progress: Callable[[str], object] | None,
     ) -> None:
-        self._problem, self._n_pairs, self._seed = problem, n_pairs, seed
+        self._problem, self._origin, self._n_pairs, self._seed = problem, origin, n_pairs, seed
         self._checkpoint, self._progress = checkpoint, progress
         self.state: State
         self._rounds, self._damping, self._stage = 0, 1.0, "plain"
@@ -475,7 +479,9 @@ class _Search:
     @functools.cached_property
     def _key(self) -> str:
         """Digest of all that a search depends on."""
-        digest = hashlib.sha256(repr((self._problem.parameters.model, self._n_pairs, self._seed)).encode())
+        digest = hashlib.sha256(
+            repr((self._problem.parameters.model, self._origin, self._n_pairs, self._seed)).encode()
+        )
         for one in self._problem.sets:
             digest.update(repr((one.label, one.body, one.environment, one.end)).encode())
             for signal in (one.perturbation, one.displacement):
@@ -509,8 +515,8 @@ class _Search:
         try:
             with np.load(self._checkpoint) as kept:
                 found = {name: kept[name] for name in kept.files}
-        except (ValueError, OSError, EOFError, KeyError):
-            return False
+        except (ValueError, OSError, EOFError, KeyError, TypeError, zipfile.BadZipFile, zlib.error):
+            return False  # a damaged file: nothing to go on with
         if str(found.get("key")) != self._key:
             return False
 
