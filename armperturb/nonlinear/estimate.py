@@ -513,7 +513,7 @@ class _Search:
         if self._checkpoint is None or not self._checkpoint.exists():
             return False
         try:
-            with np.load(self._checkpoint) as kept:
+            with np.load(io.BytesIO(self._checkpoint.read_bytes())) as kept:
                 found = {name: kept[name] for name in kept.files}
         except (ValueError, OSError, EOFError, KeyError, TypeError, zipfile.BadZipFile, zlib.error):
             return False  # a damaged file: nothing to go on with
