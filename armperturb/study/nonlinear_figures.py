@@ -16,9 +16,9 @@ from armperturb.study.bars import MODELS as LINEAR_MODELS
 from armperturb.study.bars import UNKNOWN, Bar, draw_groups, mean_sd
 from armperturb.study.nonlinear import PATHS, LeftOutPulse
 from armperturb.study.nonlinear_tables import (
-    MODELS,
     SEES_NONE,
     SEES_OTHERS,
+    SHOWN_MODELS,
     degrees,
     fitted,
     left_out_pulses,
@@ -53,7 +53,8 @@ def prediction(study: StudyResult) -> Figure:
     groups = {
         task: {
             f"{condition}\n\u00d7{level:g}": [
-                Bar(mean_sd(peak for peak, _ in of_model[model]), UNKNOWN, LOOKS[model]["color"]) for model in MODELS
+                Bar(mean_sd(peak for peak, _ in of_model[model]), UNKNOWN, LOOKS[model]["color"])
+                for model in SHOWN_MODELS
             ]
             for (condition, level), of_model in left_out_pulses(study, task).items()
         }
@@ -71,7 +72,9 @@ def prediction(study: StudyResult) -> Figure:
     panels[0, 0].set_ylim(bottom=0)
     panels[0, 0].set_ylabel("predicted / recorded peak [%]")
     band = Patch(color=PUBLISHED["color"], alpha=0.25, linewidth=0, label=f"published range, {low:g} to {high:g} %")
-    legend(figure, *(Patch(color=LOOKS[model]["color"], label=NAMES[model]) for model in MODELS), band, n_columns=3)
+    legend(
+        figure, *(Patch(color=LOOKS[model]["color"], label=NAMES[model]) for model in SHOWN_MODELS), band, n_columns=3
+    )
     return figure
 
 

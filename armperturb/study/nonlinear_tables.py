@@ -33,7 +33,7 @@ QUANTITIES = {
 """What a parameter is of, in words."""
 
 SEES_NONE, SEES_OTHERS = "nonlinear", "nonlinear, other pulses"
-MODELS = ("linear", "skeletal", SEES_NONE, SEES_OTHERS)
+SHOWN_MODELS = ("linear", "skeletal", SEES_NONE, SEES_OTHERS)
 """What predicts pulses; the nonlinear model was fitted without pulses, or with those of the other directions too."""
 
 
@@ -152,7 +152,7 @@ def nonlinear_summary_rows(of_parameters: list[Row]) -> list[Row]:
 
 
 def left_out_pulses(study: StudyResult, task: str) -> dict[tuple[str, float], dict[str, list[tuple[float, float]]]]:
-    """Condition and level to each of `MODELS` to peak and VAF [%] of the pulses that it had not seen.
+    """Condition and level to each of `SHOWN_MODELS` to peak and VAF [%] of the pulses that it had not seen.
 
     The linear and the skeletal model predict each trial by its own fit, and so need a multisine before the pulse.
     """
@@ -160,7 +160,7 @@ def left_out_pulses(study: StudyResult, task: str) -> dict[tuple[str, float], di
     for pulses in (False, True):
         for fit in fitted(study, task, pulses=pulses):
             for pulse in fit.pulses:
-                own = found.setdefault((pulse.condition, pulse.level), {model: [] for model in MODELS})
+                own = found.setdefault((pulse.condition, pulse.level), {model: [] for model in SHOWN_MODELS})
                 for model in pulse.peak:
                     if model == "nonlinear":
                         own[SEES_OTHERS if pulses else SEES_NONE].append(_both(pulse, model))

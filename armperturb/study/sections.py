@@ -14,7 +14,7 @@ from armperturb.study.effects import Effects
 from armperturb.study.elastic import NAMES, elastic_rows
 from armperturb.study.formats import digits, fixed
 from armperturb.study.headlines import Headline
-from armperturb.study.nonlinear_tables import MODELS, nonlinear_tables, words_of
+from armperturb.study.nonlinear_tables import SHOWN_MODELS, nonlinear_tables, words_of
 from armperturb.study.protocol import Condition
 from armperturb.study.published_tables import published_tables
 from armperturb.study.results import StudyResult
@@ -183,7 +183,7 @@ def _nonlinear(study: StudyResult) -> dict[str, Any]:
     there = {case.condition.task for case in study.cases if case.identification is not None}
     return {
         "pulses": pulses,
-        "models": MODELS,
+        "models": SHOWN_MODELS,
         "summaries": summaries,
         "people": people,
         "remarks": {
