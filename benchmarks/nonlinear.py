@@ -1,14 +1,15 @@
 """Nonlinear identification against known truth: the default cohort under the thesis's protocol.
 
-Run `python -m benchmarks.nonlinear [--people N] [--parts RT ...] [--seeds N] [--threads N] [--recordings FOLDER]`. All
-of it takes about an hour on 4 cores; the tables so far are printed after each person, so that a run may be stopped.
-`--recordings` takes S01.nc ... of a study that was simulated before (seed 0) instead of simulating one.
+Run `python -m benchmarks.nonlinear [--people N ...] [--parts RT ...] [--seeds N ...] [--threads N] [--recordings
+FOLDER]`. All of it takes HOURS on 4 cores; the tables so far are printed after each person, so that a run may be stopped.
+`--people 2 5` and `--seeds 0 3 4` are those people and seeds alone. `--recordings` takes S01.nc ... of a study that was
+simulated before (seed 0) instead of simulating one.
 
 Parts:
 
 - "RT", "PT": fits of one task from its multisines at three amplitudes alone; all pulses are left out.
 - "RT+", "PT+": pulses of one direction are fitted as well; those of the other are left out.
-- "linear": truly linear people, one per seed, relaxed: how often is a law that yields rejected?
+- "linear RT", "linear PT": truly linear people, one per seed: how often is a law that yields rejected?
 
 Models beside the nonlinear one, for pulses: "linear", the arm that fits the condition's own multisine best (estimator
 "record"; without one, as in PT0 and RT0, that of the condition whose movements are nearest in size); "skeletal", the
@@ -34,16 +35,18 @@ from armperturb.analysis.identify import NORMAL_95
 from armperturb.cohort import Person, draw_person
 from armperturb.envs.experiment import run_experiment
 from armperturb.envs.instruments import Instruments
+from armperturb.nonlinear.choice import compare_laws
 from armperturb.nonlinear.estimate import UNCERTAIN, NonlinearEstimate
 from armperturb.nonlinear.identify import identify_nonlinear
 from armperturb.nonlinear.model import true_values
 from armperturb.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
+from armperturb.nonlinear.start import linear_arms
 from armperturb.nonlinear.trials import training_sets, trial_sets
 from armperturb.recording import load_recording
 from armperturb.study.protocol import THESIS
 from armperturb.study.runner import StudySettings, record_study
 
-PARTS = ("RT", "RT+", "PT", "PT+", "linear")
+PARTS = ("RT", "RT+", "PT", "PT+", "linear RT", "linear PT")
 MODELS = ("nonlinear", "linear", "skeletal", "truth")
 FITTED_DIRECTION = 20.0
 
@@ -71,7 +74,8 @@ class Results:
         self.seconds: dict[str, list[tuple[float, float]]] = defaultdict(list)
         """Of part: by the clock, and of the processor."""
         self.unsettled: dict[str, int] = defaultdict(int)
-        self.verdicts: list[tuple[int, str, float]] = []
+        self.verdicts: dict[str, list[tuple[str, float]]] = defaultdict(list)
+        """Of part: the law that was chosen, and the time by the clock [s]."""
 
     def print(self) -> None:
         for part in dict.fromkeys(part for part, _, _ in self.pulses):
@@ -101,11 +105,11 @@ class Results:
                 f"{part}: time of a fit {np.median(clock):.0f} s by the clock (longest {clock.max():.0f} s), "
                 f"{np.median(processor):.0f} s of the processor; {self.unsettled[part]} of {len(clock)} not settled"
             )
-        if self.verdicts:
-            linear = [law == "linear" for _, law, _ in self.verdicts]
+        for part, verdicts in self.verdicts.items():
+            linear = [law == "linear" for law, _ in verdicts]
             print(
-                f"\nlinear people: yielding muscle rejected in {100.0 * np.mean(linear):.0f} % of {len(linear)} seeds "
-                f"(target: at least 90 %); {np.median([took for _, _, took in self.verdicts]):.0f} s each"
+                f"\n{part}: yielding muscle rejected in {100.0 * np.mean(linear):.0f} % of {len(linear)} seeds "
+                f"(target: at least 90 %); {np.median([took for _, took in verdicts]):.0f} s each"
             )
         print(flush=True)
 
@@ -164,41 +168,42 @@ def fit_person(part: str, recording: xr.Dataset, truth: Person, results: Results
     )
 
 
-def judge_linear_person(seed: int, results: Results, threads: int) -> None:
-    """Compare laws on the relaxed trials of a person who has none."""
-    person = draw_person(seed, 0, muscles="linear")
-    trials = [one for one in THESIS.trials(person, THESIS.given_forces(), seed, 0) if one.subject.task == "RT"]
+def judge_linear_person(part: str, seed: int, results: Results, threads: int) -> None:
+    """Compare laws on the trials of a person whose muscles are linear, in one task."""
+    person, task = draw_person(seed, 0, muscles="linear"), part.removeprefix("linear ")
+    trials = [one for one in THESIS.trials(person, THESIS.given_forces(), seed, 0) if one.subject.task == task]
     recording = run_experiment(trials, instruments=Instruments(emg=None, marker_noise=None))
     clock = time.perf_counter()
-    choice = identify_nonlinear(recording, "choose", threads=threads).choice
-    results.verdicts.append((seed, choice.chosen, time.perf_counter() - clock))
-    print(f"linear person, seed {seed}: {choice.chosen} chosen; {'; '.join(choice.verdict())}", flush=True)
+    # Pulses have no say in the choice: they are not predicted here.
+    choice = compare_laws(training_sets(trial_sets(recording))[0], linear_arms(recording), threads=threads)
+    results.verdicts[part].append((choice.chosen, time.perf_counter() - clock))
+    print(f"{part}, seed {seed}: {choice.chosen} chosen; {'; '.join(choice.verdict())}", flush=True)
 
 
 def main(arguments: Sequence[str] = ()) -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--people", type=int, default=10)
+    parser.add_argument("--people", type=int, nargs="+", default=list(range(1, 11)))
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
-    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(20)))
     parser.add_argument("--threads", type=int, default=4)
     parser.add_argument("--recordings", type=Path, default=None)
     options = parser.parse_args(arguments)
-    results, parts = Results(), [part for part in options.parts if part != "linear"]
+    results, parts = Results(), [part for part in options.parts if not part.startswith("linear")]
     if parts:
         with tempfile.TemporaryDirectory() as folder:
             if options.recordings is None:
-                paths = record_study(StudySettings(subjects=options.people), Path(folder), workers=None)
-            else:
-                paths = [options.recordings / f"S{number + 1:02d}.nc" for number in range(options.people)]
-            for number, path in enumerate(paths):
-                recording = load_recording(path)
+                record_study(StudySettings(subjects=max(options.people)), Path(folder), workers=None)
+            recordings = options.recordings or Path(folder) / "recordings"
+            for number in options.people:
+                recording = load_recording(recordings / f"S{number:02d}.nc")
                 for part in parts:
-                    fit_person(part, recording, draw_person(0, number), results, options.threads)
+                    fit_person(part, recording, draw_person(0, number - 1), results, options.threads)
                 results.print()
-    if "linear" in options.parts:
-        for seed in range(options.seeds):
-            judge_linear_person(seed, results, options.threads)
-        results.print()
+    for part in options.parts:
+        if part.startswith("linear"):
+            for seed in options.seeds:
+                judge_linear_person(part, seed, results, options.threads)
+            results.print()
 
 
 if __name__ == "__main__":

@@ -139,7 +139,8 @@ def fit_is_truth(monkeypatch):
     """Fits give the person who was simulated; holds what they were given."""
     asked = []
 
-    def fit(sets, arms, *, start):
+    def fit(sets, arms, *, start, checkpoint):
+        assert checkpoint is None
         asked.append((sets, arms, start))
         return Ours(person=PERSON, values={"m_h": 2.0, "level.RT0": 1.0}, at_bound=(), converged=True, status="settled")
 
@@ -309,7 +310,8 @@ def asked(monkeypatch):
     """What is fitted; nothing takes any time. S02 has no pulses that can be fitted at 200 degrees."""
     calls = []
 
-    def fit(recording, task, cases, fitted_deg, start):
+    def fit(recording, task, cases, fitted_deg, start, checkpoint):
+        checkpoint.touch()
         name = str(recording["subject"].values[0])
         calls.append((name, task, fitted_deg, start))
         assert cases == ()
@@ -364,6 +366,28 @@ def test_fits_are_kept_and_shown_later_without_being_asked_for(folder, asked, sk
     page = written(known, tmp_path / "known")
     assert "median error" in section(page)
     assert "figure-nonlinear_parameters_RT" in page
+
+
+def test_a_search_that_was_interrupted_goes_on(folder, asked, monkeypatch):
+    fit, found = results.fit_nonlinear, []
+
+    def interrupted(recording, task, cases, fitted_deg, start, checkpoint):
+        found.append((checkpoint.name, checkpoint.exists()))
+        fit(recording, task, cases, fitted_deg, start, checkpoint)
+        if len(found) == 4:
+            raise KeyboardInterrupt
+        return invented_fit("S01", task, fitted_deg)
+
+    monkeypatch.setattr(results, "fit_nonlinear", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        analyse_study(folder, workers=1, nonlinear=["RT"], show_progress=False)
+    analyse_study(folder, workers=1, nonlinear=["RT"], show_progress=False)
+    first, last = (("S01-nonlinear-RT-200.npz", False), ("S02-nonlinear-RT-20.npz", False))
+    assert found[2] == first
+    assert found[4] == (found[3][0], True)  # what was found before is not searched again
+    assert found[-1] == last
+    assert len(found) == 7
+    assert not list(folder.rglob("*.npz"))
 
 
 def test_tasks_that_nobody_was_fitted_in_are_named():

@@ -5,6 +5,7 @@ directions. Pulses that were left out of a fit are what it is judged by.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -114,6 +115,7 @@ def fit_nonlinear(
     cases: Sequence[Case],
     fitted_deg: Iterable[float] = (),
     start: Mapping[str, float] | None = None,
+    checkpoint: Path | None = None,
 ) -> NonlinearFit:
     """Fit the full muscle law to a person's trials of one task, and predict the pulses that were left out.
 
@@ -125,6 +127,10 @@ def fit_nonlinear(
       cases: the person in conditions with a multisine, of either task.
       fitted_deg: directions of the pulses that are fitted.
       start: parameter to the value from which the search starts.
+      checkpoint: file in which the search is kept after each step; one that was stopped there goes on.
+
+    Raises:
+      OSError: the checkpoint cannot be read or written.
     """
     # Here, as compiling loads slowly, and few reports have anything to fit.
     from armperturb.nonlinear.estimate import fit
@@ -138,7 +144,8 @@ def fit_nonlinear(
         mine = _usable(recording, task)
         sets = trial_sets(mine)
         fitted, _ = training_sets(sets, fitted_deg)
-        estimate = fit(fitted, {label: case.identified.fit.arm for label, case in own.items()}, start=start)
+        arms = {label: case.identified.fit.arm for label, case in own.items()}
+        estimate = fit(fitted, arms, start=start, checkpoint=checkpoint)
         subjects = {label: estimate.subject(task, label) for label in sets}
         pulses = _left_out(
             mine, sets, subjects, {label: case.thesis_estimate for label, case in own.items()}, fitted_deg

@@ -5,12 +5,14 @@
 | `analysis/NAME.json.gz` | what a person's recording tells, so that nothing has to be computed twice |
 | `analysis/NAME-step-2.json.gz` | step 2 of appendix C, which depends on everybody |
 | `analysis/NAME-nonlinear-TASK.json.gz` | a nonlinear fit, if one was asked for; `-20`: pulses at 20° fitted too |
+| `analysis/NAME-nonlinear-TASK.npz` | how far it has come, while it is under way |
 
 They are made anew when the recording, the protocol or this package has changed, and mean nothing beside the recordings.
 """
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -306,6 +308,11 @@ class _NonlinearUnit(NamedTuple):
     fitted_deg: tuple[float, ...] = ()
     start: Mapping[str, float] | None = None
 
+    @property
+    def checkpoint(self) -> Path:
+        """Where a search is kept that is under way."""
+        return self.kept.with_name(self.kept.name.removesuffix(".json.gz") + ".npz")
+
     def with_pulses(self, first: NonlinearFit) -> list[Self]:
         """The same with pulses of all directions but one, from what was found without pulses."""
         more = []
@@ -324,21 +331,29 @@ def _nonlinear(
     def is_wanted(unit: _NonlinearUnit) -> bool:
         return unit.task in tasks or read_archive(unit.kept, unit.key, NonlinearFit) is not None
 
+    def fitted(wanted: Sequence[_NonlinearUnit]) -> list[NonlinearFit]:
+        found = _each(_fit_nonlinear, NonlinearFit, wanted, crew, bar)
+        for unit in wanted:
+            unit.checkpoint.unlink(missing_ok=True)
+        return found
+
     units = list(filter(is_wanted, units))
     if not units:
         return []
     with tqdm(total=len(units), desc="nonlinear", unit="fit", disable=None if show_progress else True) as bar:
-        first = _each(_fit_nonlinear, NonlinearFit, units, crew, bar)
+        first = fitted(units)
         pairs = zip(units, first, strict=True)
         more = [one for unit, fit in pairs for one in unit.with_pulses(fit) if is_wanted(one)]
         bar.reset(len(units) + len(more))
         bar.update(len(units))
-        return first + _each(_fit_nonlinear, NonlinearFit, more, crew, bar)
+        return first + fitted(more)
 
 
 def _fit_nonlinear(unit: _NonlinearUnit) -> NonlinearFit:
     recording = load_recording(unit.path, ["joint_angle"])
-    return fit_nonlinear(recording, unit.task, unit.cases, unit.fitted_deg, unit.start)
+    # As results, a search is not kept in a folder that cannot be written to.
+    checkpoint = unit.checkpoint if os.access(unit.checkpoint.parent, os.W_OK) else None
+    return fit_nonlinear(recording, unit.task, unit.cases, unit.fitted_deg, unit.start, checkpoint)
 
 
 def _analyse(unit: _Unit) -> PersonResults:
