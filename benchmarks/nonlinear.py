@@ -1,9 +1,9 @@
 """Nonlinear identification against known truth: the default cohort under the thesis's protocol.
 
-Run `python -m benchmarks.nonlinear [--people N ...] [--parts RT ...] [--seeds N ...] [--threads N] [--recordings
-FOLDER]`. All of it takes HOURS on 4 cores; the tables so far are printed after each person, so that a run may be stopped.
+Run `python -m benchmarks.nonlinear [--people N ...] [--parts RT ...] [--seeds N ...] [--workers N] [--recordings
+FOLDER]`. All of it takes some hour on 4 cores; tables are printed after each fit, so that a run may be stopped.
 `--people 2 5` and `--seeds 0 3 4` are those people and seeds alone. `--recordings` takes S01.nc ... of a study that was
-simulated before (seed 0) instead of simulating one.
+simulated before (seed 0) instead of simulating one. Each worker has one thread.
 
 Parts:
 
@@ -17,8 +17,9 @@ same arm with the geometry of two segments that turn (thesis 2.8); "truth", the 
 noise, whom no model can beat by more than luck. PT0 has no multisine, hence no known level of co-contraction in "PT":
 its pulses are predicted at that of PT7.5, which is not the person's there.
 
-z is the error of a parameter's logarithm over its standard error; over people it should have a mean of 0 and an SD of
-1, and 95 % of intervals should hold the truth. A parameter is told if its standard error is at most half a logarithm.
+z is the error of a parameter's logarithm (of its `coordinate`, if it may be negative) over its standard error; over
+people it should have a mean of 0 and an SD of 1, and 95 % of intervals should hold the truth. A parameter is told if
+that standard error is at most a quarter.
 """
 
 import argparse
@@ -26,10 +27,11 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-import xarray as xr
 
 from armperturb.analysis.identify import NORMAL_95
 from armperturb.cohort import Person, draw_person
@@ -38,7 +40,7 @@ from armperturb.envs.instruments import Instruments
 from armperturb.nonlinear.choice import compare_laws
 from armperturb.nonlinear.estimate import UNCERTAIN, NonlinearEstimate
 from armperturb.nonlinear.identify import identify_nonlinear
-from armperturb.nonlinear.model import true_values
+from armperturb.nonlinear.model import coordinate, true_values
 from armperturb.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
 from armperturb.nonlinear.start import linear_arms
 from armperturb.nonlinear.trials import training_sets, trial_sets
@@ -76,6 +78,13 @@ class Results:
         self.unsettled: dict[str, int] = defaultdict(int)
         self.verdicts: dict[str, list[tuple[str, float]]] = defaultdict(list)
         """Of part: the law that was chosen, and the time by the clock [s]."""
+
+    def add(self, other: "Results") -> None:
+        for name in ("pulses", "errors", "seconds", "verdicts"):
+            for key, found in getattr(other, name).items():
+                getattr(self, name)[key] += found
+        for part, number in other.unsettled.items():
+            self.unsettled[part] += number
 
     def print(self) -> None:
         for part in dict.fromkeys(part for part, _, _ in self.pulses):
@@ -134,13 +143,13 @@ def _ratio(estimate: NonlinearEstimate, known: Mapping[str, float]) -> tuple[flo
     return error, claimed, abs(error) < NORMAL_95 * claimed
 
 
-def fit_person(part: str, recording: xr.Dataset, truth: Person, results: Results, threads: int) -> None:
-    """Identify a person in one task, and compare with what is known."""
-    task = part[:2]
+def fit_person(part: str, path: Path, truth: Person) -> tuple[str, Results]:
+    """Identify a person in one task, and compare with what is known; says how that went."""
+    results, task, recording = Results(), part[:2], load_recording(path)
     recording = recording.isel(trial=np.flatnonzero(recording["task"].values == task))
     clock, processor = time.perf_counter(), time.process_time()
     directions = [FITTED_DIRECTION] if part.endswith("+") else []
-    found = identify_nonlinear(recording, pulse_directions_deg=directions, threads=threads)
+    found = identify_nonlinear(recording, pulse_directions_deg=directions)
     clock, processor = time.perf_counter() - clock, time.process_time() - processor
     estimate = found.estimate
     results.seconds[part].append((clock, processor))
@@ -149,7 +158,11 @@ def fit_person(part: str, recording: xr.Dataset, truth: Person, results: Results
     for name, value in estimate.values.items():
         low, high = estimate.interval(name)
         results.errors[part, name].append(
-            (float(np.log(value / known[name])), estimate.log_error[name], low <= known[name] <= high)
+            (
+                coordinate(name, value) - coordinate(name, known[name]),
+                estimate.log_error[name],
+                low <= known[name] <= high,
+            )
         )
     results.errors[part, RATIO].append(_ratio(estimate, known))
     pulses = {model: list(of) for model, of in found.pulses.items()} | {"truth": []}
@@ -161,23 +174,24 @@ def fit_person(part: str, recording: xr.Dataset, truth: Person, results: Results
             own[pulse.condition, model].append(pulse)
             results.pulses[part, pulse.condition, model].append(pulse)
     peaks = [f"{label} {median_peak(of):.0f}" for (label, model), of in own.items() if model == MODELS[0]]
-    print(
+    said = (
         f"{truth.name} {part}: {estimate.status} after {estimate.n_rounds} steps, {clock:.0f} s by the clock, "
-        f"{processor:.0f} s of the processor; peaks [%] {', '.join(peaks)}",
-        flush=True,
+        f"{processor:.0f} s of the processor; peaks [%] {', '.join(peaks)}"
     )
+    return said, results
 
 
-def judge_linear_person(part: str, seed: int, results: Results, threads: int) -> None:
-    """Compare laws on the trials of a person whose muscles are linear, in one task."""
-    person, task = draw_person(seed, 0, muscles="linear"), part.removeprefix("linear ")
+def judge_linear_person(part: str, seed: int) -> tuple[str, Results]:
+    """Compare laws on the trials of a person whose muscles are linear, in one task; says what is chosen."""
+    results, task = Results(), part.removeprefix("linear ")
+    person = draw_person(seed, 0, muscles="linear")
     trials = [one for one in THESIS.trials(person, THESIS.given_forces(), seed, 0) if one.subject.task == task]
-    recording = run_experiment(trials, instruments=Instruments(emg=None, marker_noise=None))
+    recording = run_experiment(trials, instruments=Instruments(emg=None, marker_noise=None), n_threads=1)
     clock = time.perf_counter()
     # Pulses have no say in the choice: they are not predicted here.
-    choice = compare_laws(training_sets(trial_sets(recording))[0], linear_arms(recording), threads=threads)
+    choice = compare_laws(training_sets(trial_sets(recording))[0], linear_arms(recording))
     results.verdicts[part].append((choice.chosen, time.perf_counter() - clock))
-    print(f"{part}, seed {seed}: {choice.chosen} chosen; {'; '.join(choice.verdict())}", flush=True)
+    return f"{part}, seed {seed}: {choice.chosen} chosen; {'; '.join(choice.verdict())}", results
 
 
 def main(arguments: Sequence[str] = ()) -> None:
@@ -185,24 +199,28 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--people", type=int, nargs="+", default=list(range(1, 11)))
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--seeds", type=int, nargs="+", default=list(range(20)))
-    parser.add_argument("--threads", type=int, default=4)
+    parser.add_argument("--workers", type=int, default=4)
     parser.add_argument("--recordings", type=Path, default=None)
     options = parser.parse_args(arguments)
-    results, parts = Results(), [part for part in options.parts if not part.startswith("linear")]
-    if parts:
-        with tempfile.TemporaryDirectory() as folder:
-            if options.recordings is None:
-                record_study(StudySettings(subjects=max(options.people)), Path(folder), workers=None)
-            recordings = options.recordings or Path(folder) / "recordings"
-            for number in options.people:
-                recording = load_recording(recordings / f"S{number:02d}.nc")
-                for part in parts:
-                    fit_person(part, recording, draw_person(0, number - 1), results, options.threads)
-                results.print()
-    for part in options.parts:
-        if part.startswith("linear"):
-            for seed in options.seeds:
-                judge_linear_person(part, seed, results, options.threads)
+    results, of_people = Results(), [part for part in options.parts if not part.startswith("linear")]
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ProcessPoolExecutor(options.workers, get_context("spawn")) as pool,
+    ):
+        recordings = options.recordings or Path(folder) / "recordings"
+        if of_people and options.recordings is None:
+            record_study(StudySettings(subjects=max(options.people)), Path(folder), workers=options.workers)
+        jobs = [
+            pool.submit(fit_person, part, recordings / f"S{number:02d}.nc", draw_person(0, number - 1))
+            for part in of_people
+            for number in options.people
+        ]
+        linear = [part for part in options.parts if part not in of_people]
+        jobs += [pool.submit(judge_linear_person, part, seed) for part in linear for seed in options.seeds]
+        for job in as_completed(jobs):
+            said, found = job.result()
+            results.add(found)
+            print(said)
             results.print()
 
 

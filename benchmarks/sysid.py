@@ -50,6 +50,7 @@ OFF = 1.3
 ENVIRONMENT, BODIES = Environment(), ("humerus", "forearm")
 NAMES = Model(law="linear").names("RT", ["RT"])
 LOWER, UPPER = np.array([BOUNDS[name.partition(".")[0]] for name in NAMES]).T
+LOWER = np.maximum(LOWER, 0.02)  # nothing is negative here
 
 
 class Found(NamedTuple):

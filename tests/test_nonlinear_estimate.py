@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from armperturb.cohort import average_person
+from armperturb.cohort import average_person, draw_person
 from armperturb.nonlinear import choice, estimate
 from armperturb.nonlinear.choice import Choice, Gain, Judged, compare_laws
 from armperturb.nonlinear.estimate import fit, free_parameters, nearest_arms
@@ -189,7 +189,20 @@ def test_an_unstable_start_is_refused():
             ("kv.shoulder", "kv.two-joint", "kv.elbow"), 150.0))  # fmt: skip
 
 
-def test_groups_that_linear_arms_have_negative_start_from_small_positive_ones(ideal):
+def test_negative_groups_of_linear_people_are_found():
+    arm = draw_person(1, 0, muscles="linear").subjects["PT"]
+    true = true_values(arm, {})
+    assert min(true["kp.shoulder"], true["kv.shoulder"]) < -4.0
+    pushes = [made.push(seed, 3.0, duration=12.0) for seed in range(2)]
+    trials = made.trial_set(made.record(arm, pushes, condition="PT7.5"), arm)
+    found = fit([trials], {"PT7.5": arm}, Model(law="linear"), start={"kp.shoulder": 10.0}, n_pairs=0)
+    for name, value in found.values.items():
+        assert value == pytest.approx(true[name], rel=0.1), name
+    low, high = found.interval("kp.shoulder")
+    assert low < found.values["kp.shoulder"] < high < 0.0
+
+
+def test_dampers_that_linear_arms_have_negative_start_from_small_positive_ones(ideal):
     # b_se > b_s: the shoulder's own damping is negative, which a law whose damping thins must not have.
     odd = {label: replace(arm, b_s=1.0, b_se=1.4, b_e=1.6) for label, arm in ARMS.items()}
     assert min(odd["RT2.5"].muscle_groups("b")) < 0.0
@@ -333,3 +346,56 @@ def test_arms_whose_reflexes_sustain_an_oscillation_are_found(noisy, monkeypatch
     found = fit(noisy[:1], ARMS, FEW, n_pairs=0)
     assert not found.converged
     assert "the arm sustains oscillations in RT7.5" in found.remarks()[0]
+
+
+@pytest.fixture(scope="module")
+def at_truth(noisy):
+    """A problem at the truth, and derivatives there."""
+    problem = Problem(free_parameters(noisy, FEW), noisy, ARMS)
+    effects = np.zeros(len(problem.kind_of))
+    state = State(
+        np.log([TRUE[name] for name in problem.parameters.names]), effects, np.full(len(problem.kinds), 0.08)
+    )
+    problem.weigh(problem.residual(problem.predict([state])[0]))
+    return problem, state, problem.slopes(state)
+
+
+def test_what_a_fit_leaves_of_a_record_moves_it_no_more(at_truth):
+    problem, state, slopes = at_truth
+    white = problem.white(problem.residual(problem.predict([state])[0]))
+    left = problem._unexplained(state, slopes, white)
+    before, after = (
+        problem.gathered(state, [a @ b for a, b in zip(slopes, record, strict=True)]) for record in (white, left)
+    )
+    n = len(state.point)
+    assert np.abs(after[:n]).max() < 1e-6 * np.abs(before[:n]).max()
+    assert sum(np.sum(one**2) for one in left) < sum(np.sum(one**2) for one in white)
+
+
+def test_draws_are_strong_enough_for_what_a_fit_takes_of_them(at_truth, monkeypatch):
+    problem, state, slopes = at_truth
+    residual, plain = problem.residual(problem.predict([state])[0]), problem._draws
+    assert not problem.is_noisy
+
+    def strength():
+        problem.draw(state, residual, 1, 0)
+        assert problem.is_noisy
+        problem._draws = plain
+        return np.mean([noise.strength for noise in problem.noises])
+
+    fitted = strength()
+    monkeypatch.setattr(problem, "_unexplained", lambda state, slopes, white: white)
+    assert fitted > 1.001 * strength()
+
+
+def test_lack_of_fit_is_judged_by_draws(at_truth):
+    problem, state, slopes = at_truth
+    predicted = problem.predict([state])[0]
+    none = problem.drawn(state, 0, 1, 0)
+    drawn = problem.drawn(state, 3, 2, 0)
+    stronger = type(drawn)(*([2.0 * one for one in half] for half in drawn))
+    stationary, as_drawn, less = (problem.lack_of_fit(state, predicted, slopes, one) for one in (none, drawn, stronger))
+    for label in ("RT2.5", "RT7.5"):
+        assert stationary[label].dof % 8 == 0
+        assert less[label].dof == as_drawn[label].dof
+        assert less[label].chi2 == pytest.approx(as_drawn[label].chi2 / 4.0)

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from armperturb.cohort import draw_person
-from armperturb.nonlinear.model import BOUNDS, ELEMENTS, Model, Parameters, person, true_values
+from armperturb.nonlinear.model import (
+    BOUNDS,
+    ELEMENTS,
+    Model,
+    Parameters,
+    coordinate,
+    person,
+    true_values,
+    value_at,
+)
 from armperturb.subject import POSITION, RELAX, at_level
 
 CONDITIONS = {"PT": ("PT7.5", "PT2.5"), "RT": ("RT7.5",)}
@@ -55,6 +64,24 @@ def test_fixed_and_tied_parameters_have_the_values_they_are_given():
     assert limits[2] == limits[0] == pytest.approx(1.0 + 0.01 * of_model.names.index("elastic_limit_deg.shoulder"))
     assert limits[1] != limits[0]
     assert of_model.person("RT", point, "RT7.5").muscle.of_elements("loss_angle_deg") == (np.inf,) * 3
+
+
+def test_groups_may_be_negative_and_are_told_on_a_logarithmic_scale_where_they_are_large():
+    for value in (-66.0, -1e-3, 0.0, 1e-3, 66.0):
+        assert value_at("kp.shoulder [PT]", coordinate("kp.shoulder [PT]", value)) == pytest.approx(value, abs=1e-12)
+    assert coordinate("kp.elbow", 70.0) == pytest.approx(np.log(70.0), abs=1e-3)
+    assert coordinate("m_h", 2.0) == np.log(2.0)
+    assert value_at("m_h", np.log(2.0)) == pytest.approx(2.0)
+    with np.errstate(all="raise"):
+        assert value_at("m_h", 1e4) == -value_at("k.elbow", -1e4) == np.inf
+
+
+def test_only_dampers_that_thin_must_be_positive():
+    lower = {law: dict(zip(p.names, p.lower, strict=True)) for law in ("linear", "short-range", "full")
+             for p in [parameters(Model(law=law), "PT")]}  # fmt: skip
+    for law in lower:
+        assert value_at("b.elbow", lower[law]["b.elbow"]) == pytest.approx(0.02 if law == "full" else -100.0)
+        assert value_at("kp.elbow", lower[law]["kp.elbow"]) == pytest.approx(-500.0)
 
 
 @pytest.mark.parametrize("task", ["PT", "RT"])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import signal, stats
 
 from armperturb.analysis.arm_model import simulate_linear
 from armperturb.environment import Environment
@@ -68,10 +68,17 @@ def test_draws_have_the_spectrum_of_the_noise(noise, forces):
 
 
 def test_strength_makes_up_for_draws_that_are_too_weak(noise, residual):
-    noise.match(residual, residual / 1.5)
+    white = noise.white(residual)
+    noise.match(white, white / 1.5)
     np.testing.assert_allclose(noise.strength, 1.5)
-    noise.match(residual, residual * 1.5)
+    noise.match(white, white * 1.5)
     np.testing.assert_allclose(noise.strength, 1.0)
+    # Of each frequency for itself, on average over some.
+    n = white.shape[1] // 4
+    weaker = np.tile(np.where(np.arange(n) < n // 2, 0.5, 1.0), 4) * white
+    noise.match(white, weaker)
+    np.testing.assert_allclose(noise.strength[: n // 4], 2.0)
+    np.testing.assert_allclose(noise.strength[-n // 4 :], 1.0)
 
 
 def test_log_determinant_is_what_scaling_the_noise_changes(residual):
@@ -87,9 +94,11 @@ def test_log_determinant_is_what_scaling_the_noise_changes(residual):
 def test_lack_of_fit_sees_a_response_that_is_left_and_no_other(noise, residual):
     rng = np.random.default_rng(3)
     push = signal.sosfilt(SHAPE, rng.standard_normal((N_TRIALS, N, 2)), axis=1)
-    right = noise.lack_of_fit(residual, push)
-    assert right.dof % 8 == 0
-    assert 0.005 < right.p_value < 0.995
     left = 0.3 * simulate_linear(RELAX, Environment(), push, RATE).displacement
-    noise.weigh(residual + left)
-    assert noise.lack_of_fit(residual + left, push).p_value < 1e-6
+    noise.weigh(residual)
+    both = np.array([noise.white(residual), noise.white(residual + left)])
+    (right, wrong), dof = noise.lack_of_fit(both, push)
+    assert dof % 8 == 0
+    assert 0.005 < stats.chi2.sf(right, dof) < 0.995
+    assert stats.chi2.sf(wrong, dof) < 1e-6
+    np.testing.assert_allclose(noise.lack_of_fit(both[0], push)[0], right)

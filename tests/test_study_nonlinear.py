@@ -243,7 +243,7 @@ def test_tables_hold_estimates_against_truth_and_linear_arms():
     assert summary["median_ratio"] == pytest.approx(1.15)
     assert summary["median_abs_error_percent"] == pytest.approx(15.0)
     assert summary["coverage_95_percent"] == 50.0
-    assert summary["median_width_percent"] == pytest.approx(10.0)
+    assert summary["median_width_percent"] == pytest.approx(50.0 * (1.1 - 1.0 / 1.1))
     assert summary["true_mean"] == pytest.approx(np.mean(true))
 
 

@@ -67,7 +67,7 @@ class LackOfFit(NamedTuple):
 
     Attributes:
       chi2: of a further, free linear response in each band of excited frequencies [-].
-      dof: real numbers in those responses.
+      dof: real numbers in those responses, or what takes their place where noise is not stationary.
     """
 
     chi2: float

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from armperturb.nonlinear.estimate import N_PAIRS, NonlinearEstimate, fit, free_parameters, nearest_arms
-from armperturb.nonlinear.model import Law, Model, stem
+from armperturb.nonlinear.model import Law, Model, bounds, stem
 from armperturb.nonlinear.noise import Noise
 from armperturb.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
 from armperturb.nonlinear.problem import Problem, State
@@ -133,7 +133,7 @@ class Choice:
                 "spindles that saturate"
             )
         else:
-            said.append("your data show the full law")
+            said.append("your data show more than short-range stiffness that yields: the full law")
         said += [
             f"your data {'show' if gain.is_shown else 'do not show'} {name}: with it, left-out trials are "
             f"{_in_words(gain)} than without"
@@ -200,12 +200,12 @@ def compare_laws(
             if progress is not None:
                 progress(f"{name}: {line}")
 
-        names = free_parameters(trials, model).names
+        limits = {name: bounds(name, model.law) for name in free_parameters(trials, model).names}
         return fit(
             trials,
             everywhere,
             model,
-            start={name: value for name, value in start.items() if name in names},
+            start={name: float(np.clip(value, *limits[name])) for name, value in start.items() if name in limits},
             n_pairs=pairs,
             seed=seed,
             checkpoint=checkpoint and checkpoint / f"checkpoint_{name.replace(' ', '_').replace(',', '')}.npz",

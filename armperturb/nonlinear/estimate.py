@@ -1,9 +1,10 @@
 """Muscle law, reflexes and body of greatest likelihood, from any number of raw trials of one person.
 
-Levenberg-Marquardt steps in the logarithms of the parameters, with the noise weighed anew before each; first without
-noise in the prediction, then in its presence (see `problem`). Steps that make an arm unstable, or less likely, are
-shortened. Last come Gauss-Newton steps whose weights and derivatives stay, the latter averaged over all draws: those of
-few draws add noise of their own to the estimate. These steps find the spread of the trials as well.
+Levenberg-Marquardt steps in the coordinates of the parameters (see `model.coordinate`), with the noise weighed anew
+before each; first without noise in the prediction, then in its presence (see `problem`). Steps that make an arm
+unstable, or less likely, are shortened. Last come Gauss-Newton steps whose weights and derivatives stay, the latter
+averaged over all draws: those of few draws add noise of their own to the estimate. These steps find the spread of the
+trials as well.
 
 Errors are those of an estimating equation (Huber 1967, Proc. 5th Berkeley Symp. 1): A^-1 B A^-1, with A the derivative
 of the score and B its variance, which is simulated. The inverse information alone, A^-1, takes the noise for stationary
@@ -26,7 +27,7 @@ from scipy import linalg, stats
 
 from armperturb.analysis.likelihood import LackOfFit
 from armperturb.files import written_whole
-from armperturb.nonlinear.model import EFFECTS, Model, Parameters
+from armperturb.nonlinear.model import EFFECTS, SIGNED, Model, Parameters, coordinate, stem, value_at
 from armperturb.nonlinear.noise import Noise
 from armperturb.nonlinear.problem import Normal, Problem, State
 from armperturb.nonlinear.start import best_start, start_values
@@ -89,8 +90,8 @@ class NonlinearEstimate:
       model: the structure.
       parameters: what was free in it.
       values: free parameter to its estimate, in the units of `Subject` and `MuscleLaw`.
-      log_error: standard error of the estimates' logarithms.
-      correlation: of the logarithms' errors, (parameter, parameter), in the order of `values`.
+      log_error: standard error of the estimates' logarithms; of their `coordinate`, if they may be negative.
+      correlation: of these errors, (parameter, parameter), in the order of `values`.
       spread: task and quantity to the SD over trials of the logarithm of a factor on it.
       objective: minus twice the logarithm of the likelihood, effects at their best, but for a constant.
       lack_of_fit: condition to what is left in its residual that the disturbance explains.
@@ -120,10 +121,10 @@ class NonlinearEstimate:
     noises: tuple[Noise, ...]
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval of a parameter: symmetric in its logarithm."""
+        """Confidence interval of a parameter: symmetric in its `coordinate`."""
         half = float(stats.norm.ppf(0.5 + level / 2.0)) * self.log_error[name]
-        with np.errstate(over="ignore"):  # infinite: the trials say nothing of it
-            return self.values[name] * float(np.exp(-half)), self.values[name] * float(np.exp(half))
+        middle = coordinate(name, self.values[name])
+        return value_at(name, middle - half), value_at(name, middle + half)
 
     def subject(self, task: str, condition: str = "") -> Subject:
         """The person in a task and condition, in a trial like the average one."""
@@ -163,11 +164,12 @@ class NonlinearEstimate:
         """Pairs of which one at least is not told, but their ratio or product is."""
         error, names = np.array(list(self.log_error.values())), list(self.values)
         pairs = zip(*np.nonzero(np.triu(np.abs(self.correlation) > TOGETHER, 1)), strict=True)
+        # What is not far from zero has no logarithm, and stands in no ratio.
+        without = {*self.at_bound, *(name for name in names if self.values[name] <= 10.0 * SIGNED.get(stem(name), 0.0))}
         return [
             (int(i), int(j))
             for i, j in pairs
-            if max(error[i], error[j]) > UNCERTAIN >= self._combined(i, j)[1]
-            and not {names[i], names[j]} & set(self.at_bound)
+            if max(error[i], error[j]) > UNCERTAIN >= self._combined(i, j)[1] and not {names[i], names[j]} & without
         ]
 
     def _together(self, i: int, j: int) -> str:
@@ -288,8 +290,7 @@ class _Search:
         self._checkpoint, self._progress = checkpoint, progress
         self.state: State
         self._rounds, self._damping, self._stage = 0, 1.0, "plain"
-        self._drawn: list[Array] = []
-        self._drawn_at: State
+        self._drawn: list[tuple[Array, Array]] = []
         self._last_at: State
 
     def run(self) -> NonlinearEstimate:
@@ -297,21 +298,25 @@ class _Search:
             self._approach()
             if self._n_pairs:
                 self._draw()
-            self._stage = "noisy" if self._n_pairs else "last"
-            self._damping, self._last_at = 1.0, self.state
-            self._keep()
+            self._damping = 1.0
+            self._enter("noisy" if self._n_pairs else "last")
         if self._stage == "noisy":
             self._approach()
-            self._stage, self._last_at = "last", self.state
-            self._keep()
+            self._draw()  # of the noise as it is found in its presence
+            self._enter("last")
         return self._estimate(*self._settle())
 
+    def _enter(self, stage: str) -> None:
+        self._stage, self._last_at = stage, self.state
+        self._keep()
+
     def _draw(self) -> None:
+        """Predict in the presence of the noise that is left at this state."""
         problem = self._problem
-        problem.weigh(problem.residual(problem.predict([self.state])[0]))
-        self._drawn = [noise.root for noise in problem.noises]
-        problem.draw(self.state, self._n_pairs, self._seed)
-        self._drawn_at = self.state
+        residual = problem.residual(problem.predict([self.state])[0])
+        problem.weigh(residual)
+        problem.draw(self.state, residual, self._n_pairs, self._seed)
+        self._drawn = [(noise.root, noise.strength) for noise in problem.noises]
 
     def _approach(self) -> None:
         """Step until steps are short."""
@@ -446,9 +451,10 @@ class _Search:
             status = f"the arm sustains oscillations in {', '.join(restless)}, errors mean nothing"
         predicted = problem.predict([state])[0]
         inverse = _inverse(problem.normal(state, predicted, slopes).matrix)
+        drawn = problem.drawn(state, N_PAIRS_OF_ERRORS if problem.is_noisy else 0, self._n_pairs, self._seed + 1)
         if problem.is_noisy:
-            variance = problem.score_variance(state, slopes, N_PAIRS_OF_ERRORS, self._n_pairs, self._seed + 1)
-            inverse = inverse @ variance @ inverse
+            inverse = inverse @ problem.score_variance(state, slopes, drawn) @ inverse
+        lack_of_fit = problem.lack_of_fit(state, predicted, slopes, drawn)
         covariance = inverse[:n, :n]
         error = np.sqrt(np.diag(covariance))
         near = np.minimum(state.point - parameters.lower, parameters.upper - state.point) < AT_BOUND
@@ -456,12 +462,12 @@ class _Search:
         return NonlinearEstimate(
             model=parameters.model,
             parameters=parameters,
-            values=dict(zip(parameters.names, np.exp(state.point).tolist(), strict=True)),
+            values={name: value_at(name, at) for name, at in zip(parameters.names, state.point, strict=True)},
             log_error=dict(zip(parameters.names, error.tolist(), strict=True)),
             correlation=covariance / np.outer(error, error),
             spread=dict(zip(problem.kinds, state.spread.tolist(), strict=True)),
             objective=problem.objective(state, predicted),
-            lack_of_fit=problem.lack_of_fit(predicted),
+            lack_of_fit=lack_of_fit,
             n_rounds=self._rounds,
             converged=status == "settled",
             status=status,
@@ -497,10 +503,9 @@ class _Search:
             "damping": self._damping,
             "stage": self._stage,
             **self.state._asdict(),
-            **{f"drawn_{i}": root for i, root in enumerate(self._drawn)},
+            **{f"root_{i}": root for i, (root, _) in enumerate(self._drawn)},
+            **{f"strength_{i}": strength for i, (_, strength) in enumerate(self._drawn)},
         }
-        if self._drawn:
-            kept |= {f"drawn_at_{name}": value for name, value in self._drawn_at._asdict().items()}
         if self._stage == "last":
             kept |= {f"last_at_{name}": value for name, value in self._last_at._asdict().items()}
         buffer = io.BytesIO()
@@ -525,12 +530,11 @@ class _Search:
 
         self.state, self._stage = state(""), str(found["stage"])
         self._rounds, self._damping = int(found["rounds"]), float(found["damping"])
-        if "drawn_0" in found:
-            self._drawn = [found[f"drawn_{i}"] for i in range(len(self._problem.noises))]
-            for noise, root in zip(self._problem.noises, self._drawn, strict=True):
-                noise.root = root
-            self._drawn_at = state("drawn_at_")
-            self._problem.draw(self._drawn_at, self._n_pairs, self._seed)
+        if "root_0" in found:
+            self._drawn = [(found[f"root_{i}"], found[f"strength_{i}"]) for i in range(len(self._problem.noises))]
+            for noise, (root, strength) in zip(self._problem.noises, self._drawn, strict=True):
+                noise.root, noise.strength = root, strength
+            self._problem.draw_again(self._n_pairs, self._seed)
         if self._stage == "last":
             self._last_at = state("last_at_")
         return True

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import fft, sparse
 
 from armperturb.analysis.arm_model import LinearArm, parameter_vector
-from armperturb.analysis.likelihood import ROUND_OFF, TAPER, LackOfFit, excited_bands, smoother, whitened, whitening
+from armperturb.analysis.likelihood import ROUND_OFF, TAPER, excited_bands, smoother, whitened, whitening
 from armperturb.environment import Environment
 from armperturb.subject import Subject
 
@@ -19,6 +19,10 @@ Response = NDArray[np.complex128]
 
 TOP = 20.0
 """Highest frequency that counts [Hz]: the thesis's perturbations reach it."""
+
+
+MOST_CHANGE = 3.0
+"""Of a noise's strength in one `match` [-]."""
 
 
 class Noise:
@@ -83,24 +87,29 @@ class Noise:
         white = self._white_spectrum(residual).reshape(len(residual), -1)
         return np.concatenate([white.real, white.imag], axis=1)
 
-    def lack_of_fit(self, residual: Array, perturbation: Array) -> LackOfFit:
-        """Whether a linear response to the disturbance is left in the residual, in any band of excited frequencies.
+    def lack_of_fit(self, white: Array, perturbation: Array) -> tuple[Array, int]:
+        """Sum of squares of the linear response to the disturbance that white residuals hold in any band it excites.
 
-        As `analysis.likelihood.Likelihood.lack_of_fit`, the noise being as last weighed.
+        As in `analysis.likelihood.Likelihood.lack_of_fit`, the noise being as last weighed.
 
         Args:
-          residual: of the trials [m], (trial, time, axis).
-          perturbation: d [N], likewise.
+          white: from `white`, of the trials; any number of such records, (..., trial, number).
+          perturbation: d of the trials [N], (trial, time, axis).
+
+        Returns:
+          The sums, (...,), and how many real numbers are in such responses.
         """
-        white = self._white_spectrum(residual)
+        real, imaginary = np.split(white.reshape(*white.shape[:-1], 2, 2, -1), 2, axis=-3)
+        spectrum = np.moveaxis((real + 1j * imaginary)[..., 0, :, :], -3, 0)
         force = fft.rfft(perturbation[:, : self._n] * self._taper[:, None], axis=1)[:, self._used].transpose(0, 2, 1)
         changes = np.einsum("aof,tif->tafoi", self._white * whitening(self._frequency, self._rate), force)
-        chi2, n_bands = 0.0, 0
+        chi2, n_bands = np.zeros(white.shape[:-2]), 0
         for band in excited_bands(self._frequency, force):
             basis, _ = np.linalg.qr(changes[:, :, band].reshape(-1, 4))
-            chi2 += float(np.sum(np.abs(basis.conj().T @ white[..., band].ravel()) ** 2))
+            own = np.moveaxis(spectrum[..., band], 0, -3).reshape(*chi2.shape, -1)
+            chi2 += np.sum(np.abs(own @ basis.conj()) ** 2, axis=-1)
             n_bands += 1
-        return LackOfFit(chi2, 8 * n_bands)
+        return chi2, 8 * n_bands
 
     def _white_spectrum(self, residual: Array) -> Response:
         faded = whitened(residual[:, : self._n], self._rate) * self._taper[:, None]
@@ -128,13 +137,16 @@ class Noise:
         spectrum = np.einsum("fab,fb->fa", root, fft.rfft(standard, axis=0) / np.sqrt(n))
         return np.asarray(fft.irfft(spectrum * np.sqrt(n / np.sum(self._taper**2)), n, axis=0))
 
-    def match(self, residual: Array, simulated: Array) -> None:
-        """Set `strength` so that drawn noise moves the handle as strongly as the residual.
+    def match(self, white: Array, simulated: Array) -> None:
+        """Set `strength` so that drawn noise leaves as strong residuals as there are.
 
         Args:
-          residual: of the trials [m], (trial, time, axis).
-          simulated: how noise that was drawn with the present strength moved the handle, likewise.
+          white: residuals of the trials, from `white`, (trial, number).
+          simulated: what is left of noise that was drawn with the present strength, (draw and trial, number).
         """
-        wanted, found = (np.trace(self._power(values), axis1=1, axis2=2).real for values in (residual, simulated))
+        wanted, found = (
+            self._smoother @ np.mean(np.sum(values.reshape(len(values), 4, -1) ** 2, axis=1), axis=0)
+            for values in (white, simulated)
+        )
         ratio = np.sqrt(wanted / np.maximum(found, np.finfo(float).tiny))
-        self.strength = self.strength * np.clip(ratio, 0.5, 2.0)
+        self.strength = self.strength * np.clip(ratio, 1.0 / MOST_CHANGE, MOST_CHANGE)

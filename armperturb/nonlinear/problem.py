@@ -32,6 +32,8 @@ STEP = 1e-4
 PAIRS_OF_SLOPES = 1
 """Pairs of draws over which derivatives are averaged: they need not be as exact as the residual."""
 
+PAIRS_OF_STRENGTH = 4
+"""Pairs of draws that tell how strong draws must be."""
 
 REST = 8.0
 """How long nothing pushes an arm before it is looked at whether it still moves [s]."""
@@ -47,7 +49,7 @@ class State(NamedTuple):
     """Where a fit is.
 
     Attributes:
-      point: logarithms of the free parameters, (parameter,).
+      point: coordinates of the free parameters, see `model.coordinate`, (parameter,).
       effects: of the trials, one after the other, (effect,).
       spread: SD of the effects of each task and quantity, (kind,).
     """
@@ -67,6 +69,24 @@ class Normal(NamedTuple):
 
     matrix: Array
     slope: Array
+
+
+class Drawn(NamedTuple):
+    """White deviations from the mean response, (draw, number) of each trial.
+
+    Attributes:
+      odd: what changes its sign with the noise.
+      even: what does not.
+    """
+
+    odd: list[Array]
+    even: list[Array]
+
+    def signed(self) -> Iterator[list[Array]]:
+        """Those of all trials with noise of either sign, draw by draw."""
+        for draw in range(len(self.odd[0]) if self.odd else 0):
+            for sign in (1.0, -1.0):
+                yield [sign * odd[draw] + even[draw] for odd, even in zip(*self, strict=True)]
 
 
 class Problem:
@@ -127,24 +147,31 @@ class Problem:
         """Whether predictions are means in the presence of noise."""
         return len(self._draws) > 1
 
-    def draw(self, state: State, n_pairs: int, seed: int) -> None:
-        """From now on predict in the presence of noise, as it is at a state; 0 pairs predict without noise.
+    def draw(self, state: State, residual: Array, n_pairs: int, seed: int) -> None:
+        """From now on predict in the presence of noise as last weighed.
 
-        Draws are made twice: how much the first ones move the nonlinear arm tells how strong the second must be.
+        Draws are made twice: how much the first ones move the nonlinear arm, and how much of that a fit would leave,
+        tell how strong the second must be. Noise comes in bursts when the arm has been moved, which is when unknowns
+        show as well: a fit may take most of it for their effect.
+
+        Args:
+          state: where the fit is.
+          residual: what is left there [m], (trial, time, axis).
+          n_pairs: of draws.
+          seed: of the draws.
         """
-        self._draws = [Disturbances(self._perturbation, self._rate, self._threads)]
-        if not n_pairs:
-            return
-        residual = self.residual(self.predict([state])[0])
+        slopes = self.slopes(state, n_draws=2 * PAIRS_OF_SLOPES)
         for noise in self.noises:
             noise.strength = np.ones_like(noise.strength)
-        odd, _ = next(self._halves(state, 1, seed))
+        odd = [self.white(one) for one, _ in self._halves(state, PAIRS_OF_STRENGTH, seed)]
+        left = [self._unexplained(state, slopes, one) for one in odd]
+        white = self.white(residual)
         for rows, noise in zip(self._rows, self.noises, strict=True):
-            noise.match(residual[rows], odd[rows])
+            noise.match(np.array(white[rows]), np.array([trial for one in left for trial in one[rows]]))
         self.draw_again(n_pairs, seed)
 
     def draw_again(self, n_pairs: int, seed: int) -> None:
-        """From now on predict in the presence of noise of the strength that it has."""
+        """From now on predict in the presence of noise of the spectrum and strength that it has."""
         self._draws = [draw for pair in self._pairs(n_pairs, seed) for draw in pair]
 
     def _pairs(self, n_pairs: int, seed: int) -> Iterator[tuple[Disturbances, Disturbances]]:
@@ -226,14 +253,35 @@ class Problem:
         """Minus twice the logarithm of likelihood and prior, but for a constant, the noise being as last weighed."""
         return self.cost(state, predicted) + float(np.sum(self.log_determinants(state)))
 
-    def lack_of_fit(self, predicted: Array) -> dict[str, LackOfFit]:
-        """Condition to what is left in its residual that the disturbance explains, the noise being as last weighed."""
-        left = self.residual(predicted)
-        found: dict[str, LackOfFit] = {}
+    def lack_of_fit(
+        self, state: State, predicted: Array, slopes: Sequence[Array], drawn: Drawn
+    ) -> dict[str, LackOfFit]:
+        """Condition to what is left in its residual that the disturbance explains, the noise being as last weighed.
+
+        Were the noise stationary, the sum of squares would have a chi2 distribution. That of draws, as a fit leaves
+        them, says which one it has: one of the same mean and variance.
+
+        Args:
+          state: where the fit is.
+          predicted: there.
+          slopes: from `slopes`.
+          drawn: from `drawn`; none if predictions are without noise.
+        """
+        left = [self.white(self.residual(predicted))]
+        left += [self._unexplained(state, slopes, one) for one in drawn.signed()]
+        sums: dict[str, Array] = {}
+        dof: dict[str, int] = {}
         for one, rows, noise in zip(self.sets, self._rows, self.noises, strict=True):
-            own = noise.lack_of_fit(left[rows], self._perturbation[rows])
-            before = found.get(one.label, LackOfFit(0.0, 0))
-            found[one.label] = LackOfFit(before.chi2 + own.chi2, before.dof + own.dof)
+            own, numbers = noise.lack_of_fit(np.array([record[rows] for record in left]), self._perturbation[rows])
+            sums[one.label] = sums.get(one.label, 0.0) + own
+            dof[one.label] = dof.get(one.label, 0) + numbers
+        found = {}
+        for label, (chi2, *of_draws) in sums.items():
+            if of_draws:
+                mean, variance = float(np.mean(of_draws)), float(np.var(of_draws, ddof=1))
+                dof[label] = max(1, round(2.0 * mean**2 / variance))
+                chi2 *= dof[label] / mean
+            found[label] = LackOfFit(float(chi2), dof[label])
         return found
 
     def restless(self, state: State) -> tuple[str, ...]:
@@ -296,27 +344,50 @@ class Problem:
         slope[n:] -= prior[n:] * state.effects
         return Normal(matrix + np.diag(prior), slope)
 
-    def score_variance(self, state: State, slopes: Sequence[Array], n_pairs: int, n_averaged: int, seed: int) -> Array:
-        """Variance of `Normal.slope` over what people might have done, (unknown, unknown).
+    def drawn(self, state: State, n_pairs: int, n_averaged: int, seed: int) -> Drawn:
+        """How people might differ from the mean response.
 
-        Were the residual as stationary as its weights have it, this would be `Normal.matrix`. But noise moves a muscle
-        that yields the more, the more the disturbance does: it comes in bursts. So noise is drawn and simulated.
+        Were that as stationary as the weights have it, it would be white. But noise moves a muscle that yields the
+        more, the more the disturbance does: it comes in bursts. So noise is drawn and simulated.
+
+        Args:
+          state: where the fit is.
+          n_pairs: of draws, at least 2; none if 0.
+          n_averaged: pairs over which predictions were averaged, which leaves a little noise in them.
+          seed: of the draws; another one than that of the predictions'.
+        """
+        if not n_pairs:
+            return Drawn([], [])
+        halves = [(self.white(one), self.white(other)) for one, other in self._halves(state, n_pairs, seed)]
+        odd = [np.array([one[trial] for one, _ in halves]) for trial in range(self.n_trials)]
+        even = [np.array([one[trial] for _, one in halves]) for trial in range(self.n_trials)]
+        # With the variance that such deviations have from a mean over others.
+        scale = np.sqrt((1.0 + 1.0 / n_averaged) * n_pairs / (n_pairs - 1.0))
+        return Drawn(odd, [scale * (one - one.mean(axis=0)) for one in even])
+
+    def score_variance(self, state: State, slopes: Sequence[Array], drawn: Drawn) -> Array:
+        """Variance of `Normal.slope` over what people might have done, (unknown, unknown).
 
         Args:
           state: where the fit is.
           slopes: from `slopes`.
-          n_pairs: of draws.
-          n_averaged: pairs over which predictions were averaged, which leaves a little noise in them.
-          seed: of the draws; another one than that of the predictions'.
+          drawn: from `drawn`.
         """
-        odd, even = zip(
-            *((self.white(one), self.white(other)) for one, other in self._halves(state, n_pairs, seed)), strict=True
-        )
         parts = []
-        for trial, columns in enumerate(slopes):
-            of_odd, of_even = (np.array([one[trial] for one in half]) @ columns.T for half in (odd, even))
-            parts.append(of_odd.T @ of_odd / n_pairs + np.cov(of_even, rowvar=False) * (1.0 + 1.0 / n_averaged))
+        for columns, odd, even in zip(slopes, *drawn, strict=True):
+            scores = np.concatenate([odd, even]) @ columns.T
+            parts.append(scores.T @ scores / len(odd))
         return self.gathered(state, parts) + np.diag(self._prior(state))
+
+    def _unexplained(self, state: State, slopes: Sequence[Array], white: Sequence[Array]) -> list[Array]:
+        """What a fit would leave of records of all trials, linearised."""
+        n = len(state.point)
+        matrix = self.gathered(state, [one @ one.T for one in slopes]) + np.diag(self._prior(state))
+        taken = np.linalg.solve(matrix, self.gathered(state, [a @ b for a, b in zip(slopes, white, strict=True)]))
+        return [
+            record - np.concatenate([taken[:n], taken[n:][own]]) @ columns
+            for record, columns, own in zip(white, slopes, self.own_effects, strict=True)
+        ]
 
     def _prior(self, state: State) -> Array:
         """Information in the prior, (unknown,)."""

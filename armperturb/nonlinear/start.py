@@ -8,7 +8,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from armperturb.analysis.identify import identify_conditions
-from armperturb.nonlinear.model import ELEMENTS, GROUPS, Parameters, stem
+from armperturb.nonlinear.model import ELEMENTS, GROUPS, Parameters, bounds, coordinate, stem
 from armperturb.nonlinear.problem import Problem, State
 from armperturb.nonlinear.trials import TrialSet
 from armperturb.subject import Subject
@@ -16,7 +16,7 @@ from armperturb.subject import Subject
 Array = NDArray[np.float64]
 
 LEAST: Mapping[str, float] = {"k": 0.5, "b": 0.3, "kv": 1.0, "kp": 1.0}
-"""What a muscle group starts with at least, where the linear arm has little or a negative value."""
+"""What a muscle group has at least in starts that are tried beside those with the linear arms' own values."""
 
 LONG_RANGE = 0.6
 """Share of the softest linear stiffness that is taken to be long-range [-]."""
@@ -73,7 +73,7 @@ def linear_arms(recording: xr.Dataset, *, start: float = 8.0, period: float = 20
 def start_values(
     parameters: Parameters, sets: Sequence[TrialSet], arms: Mapping[str, Subject], given: Mapping[str, float]
 ) -> Array:
-    """Logarithms of the free parameters from linear arms, (parameter,).
+    """Coordinates of the free parameters from linear arms, (parameter,).
 
     The softest arm tells the long-range stiffness, the stiffest one how much short-range stiffness comes on top.
 
@@ -97,12 +97,12 @@ def start_values(
         linear = parameters.model.law == "linear"
         for i, element in enumerate(ELEMENTS):
             k = groups["k"][softest, i] * (1.0 if linear else LONG_RANGE)
-            found[f"k.{element}"] = max(k, LEAST["k"])
+            found[f"k.{element}"] = k
             found[f"short_range_stiffness.{element}"] = max(groups["k"][:, i].max() - k, 2.0 * LEAST["k"])
-            found[f"b.{element}"] = max(groups["b"][:, i].max(), LEAST["b"])
+            found[f"b.{element}"] = groups["b"][:, i].max()
             found[f"elastic_limit_deg.{element}"] = 1.0
             for group in ("kv", "kp"):
-                found[f"{group}.{element}"] = max(groups[group][:, i].mean(), LEAST[group])
+                found[f"{group}.{element}"] = groups[group][:, i].mean()
         found |= {"Td": own[0].Td_s, "fact": own[0].fact_s, "elastic_limit_spread": 0.5, **USUAL[task]}
         for name in parameters.names:
             bare = name.removesuffix(f" [{task}]")
@@ -112,12 +112,12 @@ def start_values(
     for name, value in given.items():
         if name not in parameters.names:
             raise ValueError(f"start: {name!r} is not free; expected {', '.join(parameters.names)}")
-        low, high = np.exp([limit[parameters.names.index(name)] for limit in (parameters.lower, parameters.upper)])
-        if not 0.999 * low <= value <= 1.001 * high:
+        low, high = bounds(name, parameters.model.law)
+        if not low - 1e-3 * abs(low) <= value <= 1.001 * high:  # those that sat on a bound were rounded
             raise ValueError(f"start: {name} = {value:g}; expected {low:g} to {high:g}")
         values[name] = value
-    logarithms = np.log([values[name] for name in parameters.names])
-    return np.clip(logarithms, parameters.lower + 1e-6, parameters.upper - 1e-6)
+    point = [coordinate(name, values[name]) for name in parameters.names]
+    return np.clip(point, parameters.lower + 1e-6, parameters.upper - 1e-6)
 
 
 def best_start(problem: Problem, point: Array, given: Mapping[str, float]) -> State:
@@ -131,11 +131,14 @@ def best_start(problem: Problem, point: Array, given: Mapping[str, float]) -> St
     parameters = problem.parameters
     effects, spread = np.zeros(len(problem.kind_of)), np.full(len(problem.kinds), SPREAD)
     point = _best_levels(problem, State(point, effects, spread), given)
+    least = [coordinate(name, LEAST[stem(name)]) if stem(name) in LEAST else -np.inf for name in parameters.names]
+    positive = np.where([name in given for name in parameters.names], point, np.maximum(point, least))
     states = []
     for factors in itertools.product(*TRIED.values()):
         shift = {name: np.log(factor) for name, factor in zip(TRIED, factors, strict=True)}
         moved = [0.0 if name in given else shift.get(stem(name), 0.0) for name in parameters.names]
-        states.append(State(np.clip(point + moved, parameters.lower, parameters.upper), effects, spread))
+        for base in (point, positive):
+            states.append(State(np.clip(base + moved, parameters.lower, parameters.upper), effects, spread))
     unique = list({state.point.tobytes(): state for state in states}.values())
     objectives = [float(np.sum(_objectives(problem, state))) for state in unique]
     if not np.isfinite(objectives).any():

@@ -87,6 +87,8 @@ def parameters(study: StudyResult, task: str) -> Figure:
     colours = [LOOKS[SEES_NONE]["color"], *shades(LOOKS[SEES_OTHERS]["color"], 3)[1:]]
     figure = new_figure(0.7 + 0.28 * len(names))
     ax = figure.subplots()
+    ratios = [row["ratio"] for row in rows]
+    low, high = max(RATIOS[0], min(0.5, 0.8 * min(ratios))), min(RATIOS[-1], max(2.0, 1.25 * max(ratios)))
     people = list(dict.fromkeys(row["subject"] for row in rows))
     for place, name in enumerate(names):
         if place % 2:
@@ -97,13 +99,14 @@ def parameters(study: StudyResult, task: str) -> Figure:
             kind = kinds.index(row["fitted_pulses_deg"])
             slot = kind * len(people) + people.index(row["subject"])
             y = place - 0.42 + 0.84 * (slot + 0.5) / (len(kinds) * len(people))
-            ratio, true = row["ratio"], row["true"]
-            ends = [[ratio - row["lower_95"] / true], [row["upper_95"] / true - ratio]]
-            ax.errorbar(ratio, y, xerr=ends, fmt="o", color=colours[kind], markersize=2.2, elinewidth=0.7, capsize=0)
+            # What is beyond the axis, as a group of the wrong sign, stands at its end.
+            ratio, *ends = np.clip([row[end] / row["true"] for end in ("estimated", "lower_95", "upper_95")], low, high)
+            mark = "<" if row["ratio"] < low else ">" if row["ratio"] > high else "o"
+            ax.plot(ends, (y, y), color=colours[kind], linewidth=0.7)
+            ax.plot(ratio, y, mark, color=colours[kind], markersize=2.2 if mark == "o" else 4.0, clip_on=False)
     ax.axvline(1.0, color=INK, linewidth=0.9)
     ax.set_xscale("log")
-    ratios = [row["ratio"] for row in rows]
-    ax.set_xlim(max(RATIOS[0], min(0.5, 0.8 * min(ratios))), min(RATIOS[-1], max(2.0, 1.25 * max(ratios))))
+    ax.set_xlim(low, high)
     ax.xaxis.set_major_locator(FixedLocator(RATIOS))
     ax.xaxis.set_minor_locator(NullLocator())
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -143,8 +143,8 @@ def nonlinear_summary_rows(of_parameters: list[Row]) -> list[Row]:
                 "median_ratio": float(np.median(known)) if len(known) else math.nan,
                 "median_abs_error_percent": 100.0 * float(np.median(np.abs(known - 1.0))) if len(known) else math.nan,
                 "coverage_95_percent": 100.0 * _mean(held),
-                "median_width_percent": 100.0
-                * (float(np.median([math.sqrt(row["upper_95"] / row["lower_95"]) for row in mine])) - 1.0),
+                "median_width_percent": 50.0
+                * float(np.median([(row["upper_95"] - row["lower_95"]) / abs(row["estimated"]) for row in mine])),
                 "at_bound": sum(row["at_bound"] == "true" for row in mine),
             }
         )
