@@ -353,9 +353,7 @@ def at_truth(noisy):
     """A problem at the truth, and derivatives there."""
     problem = Problem(free_parameters(noisy, FEW), noisy, ARMS)
     effects = np.zeros(len(problem.kind_of))
-    state = State(
-        np.log([TRUE[name] for name in problem.parameters.names]), effects, np.full(len(problem.kinds), 0.08)
-    )
+    state = State(np.log([TRUE[name] for name in problem.parameters.names]), effects, np.full(len(problem.kinds), 0.08))
     problem.weigh(problem.residual(problem.predict([state])[0]))
     return problem, state, problem.slopes(state)
 
@@ -373,7 +371,7 @@ def test_what_a_fit_leaves_of_a_record_moves_it_no_more(at_truth):
 
 
 def test_draws_are_strong_enough_for_what_a_fit_takes_of_them(at_truth, monkeypatch):
-    problem, state, slopes = at_truth
+    problem, state, _ = at_truth
     residual, plain = problem.residual(problem.predict([state])[0]), problem._draws
     assert not problem.is_noisy
 

@@ -285,6 +285,17 @@ def test_figures_show_the_shares_and_the_first_persons_paths():
         "stiffness, shoulder",
         "elastic limit, elbow",
     ]
+
+
+def test_estimates_beyond_the_axis_stand_at_its_end():
+    fit = invented_fit("S01")
+    true = true_parameters(invented(fit, cohort=(draw_person(0, 0),)), fit)
+    values = {"m_h": true["m_h"], "k.shoulder": -true["k.shoulder"], "elastic_limit_deg.elbow": 1e3}
+    study = invented(fit._replace(values=values, lower=values, upper=values), cohort=(draw_person(0, 0),))
+    ax = nonlinear_figures.parameters(study, "RT").axes[0]
+    low, high = ax.get_xlim()
+    points = [(line.get_marker(), float(line.get_xdata()[0])) for line in ax.lines if line.get_marker() != "None"]
+    assert points == [("o", 1.0), ("<", pytest.approx(low)), (">", pytest.approx(high))]
     drawn = drawings(study, NO_EFFECTS, None)
     names = {name for name in drawn if name.startswith("nonlinear")}
     assert names == {"nonlinear_parameters_RT", "nonlinear_prediction", "nonlinear_trajectories_RT"}
