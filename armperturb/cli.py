@@ -542,7 +542,8 @@ def identify_nonlinear(settings: Identify) -> list[str]:
     recording = _wanted_trials(settings)
     if settings.out.exists() and not settings.out.is_dir():
         raise ValueError(f"{settings.out} is a file; expected a folder, or a new name for one")
-    settings.out.mkdir(parents=True, exist_ok=True)
+    is_new = not settings.out.exists()
+    settings.out.mkdir(parents=True, exist_ok=True)  # now, as checkpoints go there
     try:
         found = search(
             recording,
@@ -555,6 +556,8 @@ def identify_nonlinear(settings: Identify) -> list[str]:
             threads=joblib.cpu_count(),
         )
     except ValueError as error:
+        if is_new and not any(settings.out.iterdir()):
+            settings.out.rmdir()
         raise ValueError(f"{', '.join(map(str, settings.recordings))}: {error}") from None
     if found.pulses["nonlinear"]:
         save_svg(pulses_figure(found.pulses), settings.out / "pulses.svg")
