@@ -298,16 +298,14 @@ class _Search:
             self._approach()
             if self._n_pairs:
                 self._draw()
-            self._damping = 1.0
             self._enter("noisy" if self._n_pairs else "last")
         if self._stage == "noisy":
             self._approach()
-            self._draw()  # of the noise as it is found in its presence
             self._enter("last")
         return self._estimate(*self._settle())
 
     def _enter(self, stage: str) -> None:
-        self._stage, self._last_at = stage, self.state
+        self._stage, self._damping, self._last_at = stage, 1.0, self.state
         self._keep()
 
     def _draw(self) -> None:
@@ -452,7 +450,9 @@ class _Search:
         predicted = problem.predict([state])[0]
         inverse = _inverse(problem.normal(state, predicted, slopes).matrix)
         drawn = problem.drawn(state, N_PAIRS_OF_ERRORS if problem.is_noisy else 0, self._n_pairs, self._seed + 1)
-        if problem.is_noisy:
+        if problem.is_noisy and not drawn.odd:
+            status = "noise like the person's makes the arm blow up, errors mean nothing"
+        elif problem.is_noisy:
             inverse = inverse @ problem.score_variance(state, slopes, drawn) @ inverse
         lack_of_fit = problem.lack_of_fit(state, predicted, slopes, drawn)
         covariance = inverse[:n, :n]
