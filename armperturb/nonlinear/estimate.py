@@ -49,7 +49,7 @@ SEARCHED, NEAR, SETTLED = 1.0, 0.3, 0.05
 """Steps this small in units of the standard error end the searches, and the last steps if nothing near is likelier, or
 anyway [-]."""
 
-MAX_LAST, MAX_EXPECTATIONS = 8, 200
+MAX_LAST, MAX_EXPECTATIONS = 16, 200
 """Most sets of weights and derivatives for the last steps, and steps of expectation maximisation in each."""
 
 FAR = 0.3
