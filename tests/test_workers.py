@@ -98,7 +98,15 @@ def test_ctrl_c_does_not_reach_the_processes():
     assert run.stdout == "{True}\n"
 
 
-def test_ctrl_c_waits_until_the_processes_have_started(monkeypatch):
+@pytest.fixture
+def ctrl_c_is_heard():
+    """What a shell starts in the background ignores Ctrl-C."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_ctrl_c_waits_until_the_processes_have_started(monkeypatch, ctrl_c_is_heard):
     def start(self):
         signal.raise_signal(signal.SIGINT)
         begin(self)
