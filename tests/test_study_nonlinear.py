@@ -46,6 +46,8 @@ RT_VALUES = {"m_h": 2.0, "k.shoulder": 2.0, "elastic_limit_deg.elbow": 1.0}
 def invented_fit(name="S01", task="RT", fitted_deg=(), factor=1.0, **changes):
     """Estimates times a factor, whose intervals reach 10 % to both sides; a pulse of each direction left out."""
     values = {parameter: factor * value for parameter, value in (PT_VALUES if task == "PT" else RT_VALUES).items()}
+    if fitted_deg and name == "S01" and task == "RT":
+        values["level.RT0"] = factor  # as in the position task, where pulses alone tell some levels
     condition = f"{task}7.5"
     peak = {"linear": 50.0, "skeletal": 60.0, "nonlinear": 90.0 if not fitted_deg else 100.0}
     pulses = [
@@ -371,7 +373,7 @@ def test_fits_are_kept_and_shown_later_without_being_asked_for(folder, asked, sk
     assert "figure-nonlinear_parameters" not in page
     assert "figure-nonlinear_prediction" in page
     rows = nonlinear_parameter_rows(again)
-    assert len(rows) == 15
+    assert len(rows) == 17
     assert all(math.isnan(row["true"]) and math.isnan(row["ratio"]) for row in rows)
     known = replace(again, cohort=(draw_person(0, 0), draw_person(0, 1)))
     page = written(known, tmp_path / "known")
