@@ -1,9 +1,9 @@
 """Nonlinear identification against known truth: the default cohort under the thesis's protocol.
 
 Run `python -m benchmarks.nonlinear [--people N ...] [--parts RT ...] [--seeds N ...] [--workers N] [--recordings
-FOLDER]`. All of it takes some hour on 4 cores; tables are printed after each fit, so that a run may be stopped.
+FOLDER]`. All of it takes two hours on 4 cores; tables are printed after each fit, so that a run may be stopped.
 `--people 2 5` and `--seeds 0 3 4` are those people and seeds alone. `--recordings` takes S01.nc ... of a study that was
-simulated before (seed 0) instead of simulating one. Each worker has one thread.
+simulated before (seed 0) instead of simulating one. Each worker simulates in one thread.
 
 Parts:
 

@@ -361,7 +361,7 @@ def at_truth(noisy):
 def test_what_a_fit_leaves_of_a_record_moves_it_no_more(at_truth):
     problem, state, slopes = at_truth
     white = problem.white(problem.residual(problem.predict([state])[0]))
-    left = problem._unexplained(state, slopes, white)
+    (left,) = problem._unexplained(state, slopes, [white])
     before, after = (
         problem.gathered(state, [a @ b for a, b in zip(slopes, record, strict=True)]) for record in (white, left)
     )
@@ -382,7 +382,7 @@ def test_draws_are_strong_enough_for_what_a_fit_takes_of_them(at_truth, monkeypa
         return np.mean([noise.strength for noise in problem.noises])
 
     fitted = strength()
-    monkeypatch.setattr(problem, "_unexplained", lambda state, slopes, white: white)
+    monkeypatch.setattr(problem, "_unexplained", lambda state, slopes, records: records)
     assert fitted > 1.001 * strength()
 
 

@@ -20,7 +20,6 @@ Response = NDArray[np.complex128]
 TOP = 20.0
 """Highest frequency that counts [Hz]: the thesis's perturbations reach it."""
 
-
 MOST_CHANGE = 3.0
 """Of a noise's strength in one `match` [-]."""
 

@@ -10,7 +10,7 @@ estimated as well. Its logarithm is a random effect, an unknown with a prior.
 """
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -167,7 +167,7 @@ class Problem:
         for noise in self.noises:
             noise.strength = np.ones_like(noise.strength)
         odd = [self.white(one) for one, _ in self._halves(state, PAIRS_OF_STRENGTH, seed) if np.isfinite(one).all()]
-        left = [self._unexplained(state, slopes, one) for one in odd]
+        left = self._unexplained(state, slopes, odd)
         white = self.white(residual)
         for rows, noise in zip(self._rows, self.noises, strict=True) if left else ():  # or all make an arm blow up
             noise.match(np.array(white[rows]), np.array([trial for one in left for trial in one[rows]]))
@@ -277,7 +277,7 @@ class Problem:
           drawn: from `drawn`; none if predictions are without noise.
         """
         left = [self.white(self.residual(predicted))]
-        left += [self._unexplained(state, slopes, one) for one in drawn.signed()]
+        left += self._unexplained(state, slopes, drawn.signed())
         sums: dict[str, Array] = {}
         dof: dict[str, int] = {}
         for one, rows, noise in zip(self.sets, self._rows, self.noises, strict=True):
@@ -347,11 +347,9 @@ class Problem:
         """Gauss-Newton equations, by default with derivatives from the first draws."""
         slopes = slopes or self.slopes(state, n_draws=2 * PAIRS_OF_SLOPES)
         white, n = self.white(self.residual(predicted)), len(state.point)
-        matrix = self.gathered(state, [one @ one.T for one in slopes])
         slope = self.gathered(state, [one @ left for one, left in zip(slopes, white, strict=True)])
-        prior = self._prior(state)
-        slope[n:] -= prior[n:] * state.effects
-        return Normal(matrix + np.diag(prior), slope)
+        slope[n:] -= self._prior(state)[n:] * state.effects
+        return Normal(self._information(state, slopes), slope)
 
     def drawn(self, state: State, n_pairs: int, n_averaged: int, seed: int) -> Drawn:
         """How people might differ from the mean response.
@@ -392,15 +390,25 @@ class Problem:
             parts.append(scores.T @ scores / len(odd))
         return self.gathered(state, parts) + np.diag(self._prior(state))
 
-    def _unexplained(self, state: State, slopes: Sequence[Array], white: Sequence[Array]) -> list[Array]:
-        """What a fit would leave of records of all trials, linearised."""
-        n = len(state.point)
-        matrix = self.gathered(state, [one @ one.T for one in slopes]) + np.diag(self._prior(state))
-        taken = np.linalg.solve(matrix, self.gathered(state, [a @ b for a, b in zip(slopes, white, strict=True)]))
-        return [
-            record - np.concatenate([taken[:n], taken[n:][own]]) @ columns
-            for record, columns, own in zip(white, slopes, self.own_effects, strict=True)
-        ]
+    def _unexplained(
+        self, state: State, slopes: Sequence[Array], records: Iterable[Sequence[Array]]
+    ) -> list[list[Array]]:
+        """What a fit would leave of each of some white records of all trials, linearised."""
+        n, information, left = len(state.point), self._information(state, slopes), []
+        for white in records:
+            score = self.gathered(state, [a @ b for a, b in zip(slopes, white, strict=True)])
+            taken = np.linalg.solve(information, score)
+            left.append(
+                [
+                    record - np.concatenate([taken[:n], taken[n:][own]]) @ columns
+                    for record, columns, own in zip(white, slopes, self.own_effects, strict=True)
+                ]
+            )
+        return left
+
+    def _information(self, state: State, slopes: Sequence[Array]) -> Array:
+        """Of trials and prior, were the noise white, (unknown, unknown)."""
+        return self.gathered(state, [one @ one.T for one in slopes]) + np.diag(self._prior(state))
 
     def _prior(self, state: State) -> Array:
         """Information in the prior, (unknown,)."""
