@@ -3,15 +3,15 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from armperturb.analysis.arm_model import arm_admittance as arm_admittance
-from armperturb.analysis.best_linear import estimate_best_linear as estimate_best_linear
-from armperturb.analysis.identify import identify as identify
-from armperturb.analysis.nonparametric import estimate_response as estimate_response
+from armperturb.analysis.arm.linear_arm import arm_admittance as arm_admittance
+from armperturb.analysis.fit.identify import identify as identify
+from armperturb.analysis.response.best_linear import estimate_best_linear as estimate_best_linear
+from armperturb.analysis.response.estimate import estimate_response as estimate_response
 from armperturb.cohort import draw as draw
 from armperturb.environment import Environment as Environment
 from armperturb.environment import Strap as Strap
-from armperturb.envs.registration import load_dm_env as load_dm_env
-from armperturb.envs.registration import register_environments
+from armperturb.envs.learning.registration import load_dm_env as load_dm_env
+from armperturb.envs.learning.registration import register_environments
 from armperturb.perturbations import Multisine as Multisine
 from armperturb.perturbations import MultisineThenPulse as MultisineThenPulse
 from armperturb.perturbations import Pulse as Pulse
@@ -24,19 +24,19 @@ from armperturb.subject import RELAX as RELAX
 from armperturb.subject import Subject as Subject
 
 if TYPE_CHECKING:
-    from armperturb.envs.experiment import run_experiment as run_experiment
-    from armperturb.envs.instruments import Instruments as Instruments
-    from armperturb.envs.trial import Trial as Trial
+    from armperturb.envs.lab.experiment import run_experiment as run_experiment
+    from armperturb.envs.lab.instruments import Instruments as Instruments
+    from armperturb.envs.lab.trial import Trial as Trial
     from armperturb.models import build_model as build_model
 
 register_environments()
 
 # These need MuJoCo, which an analysis of recordings does not: they are fetched on first use.
 _SIMULATOR = {
-    "Instruments": "armperturb.envs.instruments",
-    "Trial": "armperturb.envs.trial",
+    "Instruments": "armperturb.envs.lab.instruments",
+    "Trial": "armperturb.envs.lab.trial",
     "build_model": "armperturb.models",
-    "run_experiment": "armperturb.envs.experiment",
+    "run_experiment": "armperturb.envs.lab.experiment",
 }
 
 

@@ -12,13 +12,13 @@ import tyro
 import xarray as xr
 from tqdm import tqdm
 
-from armperturb.analysis.export import write_identification
-from armperturb.analysis.identify import Identification, identify_conditions
+from armperturb.analysis.fit.export import write_identification
+from armperturb.analysis.fit.identify import Identification, identify_conditions
 from armperturb.convert import export_recording, import_recording
 from armperturb.convert.exporter import require_ending
 from armperturb.convert.faults import Repair
 from armperturb.environment import Environment
-from armperturb.envs.gl import require_simulator
+from armperturb.envs.render.gl import require_simulator
 from armperturb.perturbations import load_csv
 from armperturb.recording import load_recording, save_recording
 from armperturb.subject import RELAX, TASKS, Subject
@@ -307,7 +307,7 @@ def study(settings: Study) -> Path:
       OSError: a file cannot be read or written, or no Dask scheduler answers.
     """
     # Here, so that the other commands start without the drawing library.
-    from armperturb.study.runner import StudySettings, record_study
+    from armperturb.study.recording.record import StudySettings, record_study
 
     what = StudySettings(
         subjects=settings.subjects,
@@ -320,8 +320,8 @@ def study(settings: Study) -> Path:
     if settings.record_only:
         record_study(what, settings.out, workers=settings.workers, dask=settings.dask, block=settings.block)
         return settings.out
-    from armperturb.study.report import write_report
-    from armperturb.study.results import run_study
+    from armperturb.study.report.report import write_report
+    from armperturb.study.results.study_result import run_study
 
     result = run_study(
         what,
@@ -344,8 +344,8 @@ def report(settings: Report) -> Path:
       OSError: a file cannot be read or written.
     """
     # Here, so that the other commands start without the drawing library.
-    from armperturb.study.report import write_report
-    from armperturb.study.results import analyse_study
+    from armperturb.study.report.report import write_report
+    from armperturb.study.results.study_result import analyse_study
 
     result = analyse_study(settings.folder, workers=settings.workers, nonlinear=settings.nonlinear)
     return write_report(result, settings.folder, workers=settings.workers)
@@ -359,9 +359,9 @@ def simulate(settings: Simulate) -> xr.Dataset:
       OSError: a file cannot be read or written.
     """
     # Here, so that `identify` does without the simulator.
-    from armperturb.envs.experiment import run_experiment
-    from armperturb.envs.instruments import Instruments
-    from armperturb.envs.trial import Trial
+    from armperturb.envs.lab.experiment import run_experiment
+    from armperturb.envs.lab.instruments import Instruments
+    from armperturb.envs.lab.trial import Trial
 
     person, perturbation = Subject.load(settings.subject), load_csv(settings.perturbation)
     if not settings.out.parent.is_dir():
@@ -449,10 +449,10 @@ def response(settings: Response) -> list[str]:
       OSError: a file cannot be read or written.
     """
     # Here, so that the other commands start without the drawing library.
-    from armperturb.analysis.best_linear import estimate_best_linear
-    from armperturb.analysis.closed_loop import period_of
-    from armperturb.analysis.nonparametric import estimate_response
-    from armperturb.study.response_report import distortion_text, write_response
+    from armperturb.analysis.response.best_linear import estimate_best_linear
+    from armperturb.analysis.response.closed_loop import period_of
+    from armperturb.analysis.response.estimate import estimate_response
+    from armperturb.commands.response import distortion_text, write_response
 
     periodic = settings.method in ("multisine", "spectral")
     if settings.period is not None and not periodic:
@@ -522,10 +522,10 @@ def identify_nonlinear(settings: Identify) -> list[str]:
       OSError: a file cannot be read or written.
     """
     # Here, so that the other commands start without compiler and drawing library.
-    from armperturb.nonlinear.identify import identify_nonlinear as search
-    from armperturb.nonlinear.identify import told, write_nonlinear
-    from armperturb.study.identified_pulses import pulses_figure
-    from armperturb.study.style import save_svg
+    from armperturb.analysis.nonlinear.identify import identify_nonlinear as search
+    from armperturb.analysis.nonlinear.identify import told, write_nonlinear
+    from armperturb.plots.pulses import pulses_figure
+    from armperturb.plots.style import save_svg
 
     for name in ("estimator", "share", "lines_per_average"):
         default = Identify.__dataclass_fields__[name].default
@@ -575,9 +575,9 @@ def validate(settings: Validate) -> str:
       OSError: a file cannot be read or written.
     """
     # Here, so that the other commands start without the drawing library.
-    from armperturb.study.validate import ValidateSettings
-    from armperturb.study.validate import validate as judge
-    from armperturb.study.validate_report import summary_text, write_validation
+    from armperturb.study.validation.report import summary_text, write_validation
+    from armperturb.study.validation.validate import ValidateSettings
+    from armperturb.study.validation.validate import validate as judge
 
     what = {name: value for name, value in vars(settings).items() if name not in ("out", "workers")}
     result = judge(ValidateSettings(**what), workers=settings.workers)
@@ -594,9 +594,9 @@ def design(settings: Design) -> str:
       OSError: a file cannot be read or written.
     """
     # Here, so that the other commands start without the drawing library.
-    from armperturb.study.design import DesignSettings
-    from armperturb.study.design import design as plan
-    from armperturb.study.design_report import design_text, write_design
+    from armperturb.study.planning.plan import DesignSettings
+    from armperturb.study.planning.plan import design as plan
+    from armperturb.study.planning.report import design_text, write_design
 
     try:
         force, displacement, duration = map(float, settings.limits.split(","))
@@ -629,9 +629,9 @@ def score(settings: Score) -> str:
       OSError: a file cannot be read or written.
     """
     # Here, so that the other commands start without what a study needs.
-    from armperturb.study.results import analyse_study
-    from armperturb.study.score import score as compare
-    from armperturb.study.score import score_text, write_score
+    from armperturb.study.comparison.score import score as compare
+    from armperturb.study.comparison.score import score_text, write_score
+    from armperturb.study.results.study_result import analyse_study
 
     result = compare(analyse_study(settings.folder, workers=settings.workers))
     write_score(result, settings.out or settings.folder / "score")
@@ -648,8 +648,8 @@ def video(settings: Video) -> None:
       OSError: a file cannot be read or written.
     """
     # Here, so that the other commands start without the drawing library.
-    from armperturb.envs.replay import SIGNALS, Replay
-    from armperturb.envs.video import Clip, require_ending, write_video
+    from armperturb.envs.render.replay import SIGNALS, Replay
+    from armperturb.envs.render.video import Clip, require_ending, write_video
 
     require_ending(settings.out)
     width, times, height = settings.size.partition("x")
@@ -683,8 +683,8 @@ def view(settings: View) -> None:
       OSError: a file cannot be read.
     """
     # Here, so that the other commands start without what a window needs.
-    from armperturb.envs.replay import SIGNALS, Replay
-    from armperturb.envs.viewer import require_display, watch_rig, watch_trial
+    from armperturb.envs.render.replay import SIGNALS, Replay
+    from armperturb.envs.render.viewer import require_display, watch_rig, watch_trial
 
     require_display()  # before a long recording is read
     require_number("view", "slow", settings.slow, above=0.0)
@@ -707,8 +707,8 @@ def calibrate(settings: Calibrate) -> str:
       OSError: the file cannot be written.
     """
     # Here, so that the other commands start without what a study needs.
-    from armperturb.study.calibrate import calibrate as search
-    from armperturb.study.calibrate import save_calibrations, summary
+    from armperturb.study.experiments.calibration import calibrate as search
+    from armperturb.study.experiments.calibration import save_calibrations, summary
 
     if "full" not in settings.laws:
         raise ValueError(f"laws = {settings.laws!r}; expected 'full' among them, as its person is written")

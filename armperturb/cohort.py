@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from armperturb.analysis.arm_model import largest_real_pole
+from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.environment import Environment
 from armperturb.subject import HUMERUS_MASS_SHARE, POSITION, PRESETS, RELAX, TASKS, Subject, at_level
 from armperturb.validation import require_number

@@ -1,10 +1,12 @@
 """Files that are there whole or not at all."""
 
+import csv
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 
 @contextmanager
@@ -71,3 +73,17 @@ def sync_file(path: str | Path) -> None:
 def sync_folder(path: str | Path) -> None:
     """Bring a folder's entries to disk: a new name lasts only then."""
     sync_file(path)
+
+
+def write_csv(rows: Iterable[Mapping[str, Any]], path: str | Path) -> None:
+    """Write rows as CSV with a header line, numbers in full precision.
+
+    Args:
+      rows: at least one; all with the keys of the first.
+      path: of the file.
+    """
+    rows = list(rows)
+    with written_whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)

@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 from mujoco.batch import Batch
 
-from armperturb.envs.experiment import run_experiment
-from armperturb.envs.trial import Trial
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.trial import Trial
 from armperturb.models import build_model
 from armperturb.perturbations import Multisine
 from armperturb.subject import POSITION, RELAX, Subject

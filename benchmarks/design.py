@@ -18,17 +18,16 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from armperturb.analysis.body import body_of
-from armperturb.analysis.maximum_likelihood import Group, estimate
+from armperturb.analysis.fit.maximum_likelihood import Group, estimate
+from armperturb.analysis.fit.structures import at_truth, body_of
 from armperturb.cohort import draw
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.envs.experiment import run_experiment
-from armperturb.envs.instruments import Instruments
-from armperturb.envs.trial import Trial
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.instruments import Instruments
+from armperturb.envs.lab.trial import Trial, trial_seed
 from armperturb.perturbations import Multisine, Perturbation
-from armperturb.study.design import Design, DesignSettings, NoiseLaw, design, experiment_at
-from armperturb.study.protocol import trial_seed
-from armperturb.study.validate import ValidateSettings, at_truth
+from armperturb.study.planning.plan import Design, DesignSettings, NoiseLaw, design, experiment_at
+from armperturb.study.validation.validate import ValidateSettings
 from armperturb.subject import POSITION, RELAX
 
 Array = NDArray[np.float64]

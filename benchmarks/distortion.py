@@ -25,12 +25,12 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from armperturb.analysis.best_linear import estimate_best_linear
+from armperturb.analysis.response.best_linear import estimate_best_linear
 from armperturb.cohort import draw_person
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.envs.experiment import run_experiment
-from armperturb.envs.instruments import Instruments
-from armperturb.envs.trial import Trial
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.instruments import Instruments
+from armperturb.envs.lab.trial import Trial
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine
 from armperturb.subject import Subject

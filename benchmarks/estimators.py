@@ -18,12 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armperturb.analysis.body import body_of
-from armperturb.analysis.linear_start import linear_start
-from armperturb.analysis.maximum_likelihood import Group, estimate
-from armperturb.analysis.spectra import estimate_spectra, line_spectra
-from armperturb.study.validate import ESTIMATORS, ValidateSettings, Validation, simulate_group, validate
-from armperturb.study.validate_report import summary_text
+from armperturb.analysis.fit.linear_start import linear_start
+from armperturb.analysis.fit.maximum_likelihood import Group, estimate
+from armperturb.analysis.fit.structures import body_of
+from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
+from armperturb.study.validation.report import summary_text
+from armperturb.study.validation.validate import ESTIMATORS, ValidateSettings, Validation, simulate_group, validate
 
 GROUPS = 40
 LIKELY = ("frequency", "record")

@@ -14,10 +14,10 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import fft, signal
 
-from armperturb.analysis.arm_model import environment_admittance
-from armperturb.analysis.closed_loop import estimate_multisine, estimate_noise
+from armperturb.analysis.arm.linear_arm import environment_admittance
+from armperturb.analysis.response.closed_loop import estimate_multisine, estimate_noise
 from armperturb.environment import Environment
-from armperturb.envs.instruments import Instruments
+from armperturb.envs.lab.instruments import Instruments
 from armperturb.perturbations import Multisine
 from armperturb.recording import make_recording
 

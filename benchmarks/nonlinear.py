@@ -33,20 +33,20 @@ from pathlib import Path
 
 import numpy as np
 
-from armperturb.analysis.identify import NORMAL_95
+from armperturb.analysis.fit.identify import NORMAL_95
+from armperturb.analysis.nonlinear.choice import compare_laws
+from armperturb.analysis.nonlinear.estimate import UNCERTAIN, NonlinearEstimate
+from armperturb.analysis.nonlinear.identify import identify_nonlinear
+from armperturb.analysis.nonlinear.model import coordinate, true_values
+from armperturb.analysis.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
+from armperturb.analysis.nonlinear.start import linear_arms
+from armperturb.analysis.nonlinear.trials import training_sets, trial_sets
 from armperturb.cohort import Person, draw_person
-from armperturb.envs.experiment import run_experiment
-from armperturb.envs.instruments import Instruments
-from armperturb.nonlinear.choice import compare_laws
-from armperturb.nonlinear.estimate import UNCERTAIN, NonlinearEstimate
-from armperturb.nonlinear.identify import identify_nonlinear
-from armperturb.nonlinear.model import coordinate, true_values
-from armperturb.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
-from armperturb.nonlinear.start import linear_arms
-from armperturb.nonlinear.trials import training_sets, trial_sets
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.instruments import Instruments
 from armperturb.recording import load_recording
 from armperturb.study.protocol import THESIS
-from armperturb.study.runner import StudySettings, record_study
+from armperturb.study.recording.record import StudySettings, record_study
 
 PARTS = ("RT", "RT+", "PT", "PT+", "linear RT", "linear PT")
 MODELS = ("nonlinear", "linear", "skeletal", "truth")

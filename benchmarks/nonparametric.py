@@ -18,17 +18,17 @@ import numpy as np
 import xarray as xr
 from scipy import fft
 
-from armperturb.analysis.arm_model import arm_admittance
-from armperturb.analysis.arx import HIGHEST_ORDER, Regression, fit_arx
-from armperturb.analysis.identify import identify
-from armperturb.analysis.joint_records import JointRecords, admittance_of, joint_records
-from armperturb.analysis.nonparametric import estimate_response
-from armperturb.analysis.spectra import estimate_spectra, line_spectra
-from armperturb.analysis.subspace import fit_subspace
+from armperturb.analysis.arm.linear_arm import arm_admittance
+from armperturb.analysis.fit.identify import identify
+from armperturb.analysis.response.arx import HIGHEST_ORDER, Regression, fit_arx
+from armperturb.analysis.response.estimate import estimate_response
+from armperturb.analysis.response.joint_records import JointRecords, admittance_of, joint_records
+from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
+from armperturb.analysis.response.subspace import fit_subspace
 from armperturb.environment import Environment
 from armperturb.perturbations import Multisine
 from armperturb.recording import TRIAL_COORDINATES, make_recording
-from armperturb.study.validate import ValidateSettings, simulate_group
+from armperturb.study.validation.validate import ValidateSettings, simulate_group
 
 SEEDS = 5
 TOP = 20.0

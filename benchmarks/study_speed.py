@@ -25,11 +25,11 @@ import psutil
 from armperturb.cohort import draw_cohort
 from armperturb.controllers.reflex import activate, initial_activation, reflex_gains, spindle_excitation
 from armperturb.environment import Environment
-from armperturb.envs.experiment import run_experiment
-from armperturb.envs.trial import Trial
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.trial import Trial
 from armperturb.models import JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, build_model
 from armperturb.study.protocol import THESIS
-from armperturb.study.runner import StudySettings, record_study
+from armperturb.study.recording.record import StudySettings, record_study
 
 N_SUBJECTS, TIMESTEP, DECIMATION = 10, 1e-3, 5
 LOOP_TRIALS, LOOP_SECONDS = 6, 4.0

@@ -26,15 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
+from armperturb.analysis.nonlinear.lanes import lane_table
+from armperturb.analysis.nonlinear.model import BOUNDS, Model, person, true_values
+from armperturb.analysis.nonlinear.response import STEP, Disturbances
+from armperturb.analysis.nonlinear.response import _held as held_force
 from armperturb.cohort import draw_person
 from armperturb.environment import Environment
-from armperturb.envs.experiment import run_experiment
-from armperturb.envs.trial import Trial
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.trial import Trial
 from armperturb.models import ANGLE_SENSORS, BIARTICULAR, GRIP, REFLEXES, SLIDES, STRAIN_GAUGE, build_spec
-from armperturb.nonlinear.lanes import lane_table
-from armperturb.nonlinear.model import BOUNDS, Model, person, true_values
-from armperturb.nonlinear.response import STEP, Disturbances
-from armperturb.nonlinear.response import _held as held_force
 from armperturb.perturbations import Multisine
 from armperturb.subject import Subject
 

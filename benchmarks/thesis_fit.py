@@ -14,16 +14,13 @@ from collections.abc import Callable
 import numpy as np
 from scipy import optimize
 
-from armperturb.analysis.arm_model import (
-    arm_admittance,
-    hand_jacobian,
-    largest_real_pole,
-    mass_matrix,
-)
-from armperturb.analysis.fit import Target, fit_admittance, fit_admittances, penalty_factor
-from armperturb.analysis.fit import _checked as prepared
-from armperturb.analysis.structures import STRUCTURES
-from armperturb.analysis.thesis import VARTHETA
+from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix
+from armperturb.analysis.arm.linear_arm import arm_admittance
+from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.fit.admittance_fit import Target, fit_admittance, fit_admittances, penalty_factor
+from armperturb.analysis.fit.admittance_fit import _checked as prepared
+from armperturb.analysis.fit.structures import STRUCTURES
+from armperturb.analysis.fit.thesis import VARTHETA
 from armperturb.cohort import draw_cohort
 from armperturb.environment import Environment
 from armperturb.subject import Subject

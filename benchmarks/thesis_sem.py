@@ -15,13 +15,13 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from armperturb.analysis.thesis import VARTHETA, ThesisEstimate, appendix_e, fit_trials
+from armperturb.analysis.fit.thesis import VARTHETA, ThesisEstimate, appendix_e, fit_trials
 from armperturb.cohort import draw_cohort
-from armperturb.envs.experiment import run_experiment
-from armperturb.envs.instruments import Instruments
-from armperturb.study import published
-from armperturb.study.practice import practise
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.instruments import Instruments
 from armperturb.study.protocol import THESIS
+from armperturb.study.published import tables as published
+from armperturb.study.recording.practice import practise
 
 N_PEOPLE = 4
 SEED = 3

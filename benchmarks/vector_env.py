@@ -14,7 +14,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from armperturb.cohort import average_person
-from armperturb.envs.gym_vector_env import ArmPerturbVectorEnv
+from armperturb.envs.learning.gym_vector_env import ArmPerturbVectorEnv
 from armperturb.models import build_model
 
 NAME, N, TURNS = "ArmPerturb/Position-v0", 256, 7

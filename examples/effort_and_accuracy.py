@@ -18,17 +18,17 @@ from scipy.optimize import differential_evolution
 from tqdm import tqdm
 
 from armperturb import Multisine, Subject, Trial, run_experiment
-from armperturb.analysis.arm_model import largest_real_pole
-from armperturb.analysis.spectra import estimate_spectra, line_spectra
+from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
 from armperturb.cohort import average_person
-from armperturb.envs.levels import subject_at
-from armperturb.envs.task import TaskSettings
+from armperturb.envs.learning.levels import subject_at
+from armperturb.envs.learning.task import TaskSettings
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.study import published
-from armperturb.study.axes import AXES, label_frequency, legend
-from armperturb.study.effort import chosen_level, derived_levels, weight_of
+from armperturb.plots.axes import AXES, label_frequency, legend
+from armperturb.plots.style import COLOURS, GREY, INK, PUBLISHED, in_style, new_figure, save_png, shades
+from armperturb.study.experiments.effort import chosen_level, derived_levels, weight_of
 from armperturb.study.protocol import THESIS
-from armperturb.study.style import COLOURS, GREY, INK, PUBLISHED, in_style, new_figure, save_png, shades
+from armperturb.study.published import tables as published
 
 FORCES = {name: THESIS.given_forces()[name] for name in ("PT2.5", "PT7.5", "PT22.5")}
 SHADES = dict(zip(FORCES, shades(COLOURS["PT"], len(FORCES)), strict=True))

@@ -15,8 +15,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from armperturb import arm_admittance, identify
-from armperturb.analysis.closed_loop import estimate_multisine
-from armperturb.analysis.structures import unit
+from armperturb.analysis.fit.structures import unit
+from armperturb.analysis.response.closed_loop import estimate_multisine
 from armperturb.convert import import_recording
 
 DATA = Path(__file__).resolve().parent / "data"

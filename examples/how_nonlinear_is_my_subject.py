@@ -15,8 +15,8 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from armperturb import identify
-from armperturb.analysis.best_linear import BestLinear, estimate_best_linear
-from armperturb.analysis.pulse import pulse_peaks, pulse_prediction
+from armperturb.analysis.measures.pulse import pulse_peaks, pulse_prediction
+from armperturb.analysis.response.best_linear import BestLinear, estimate_best_linear
 from armperturb.convert import import_recording
 
 DATA = Path(__file__).parent / "data"

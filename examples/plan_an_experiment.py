@@ -13,9 +13,9 @@ from pathlib import Path
 
 from armperturb import identify
 from armperturb.convert import import_recording
-from armperturb.study.design import DesignSettings, design
-from armperturb.study.design_report import design_figure, design_text, write_design
-from armperturb.study.style import save_png
+from armperturb.plots.style import save_png
+from armperturb.study.planning.plan import DesignSettings, design
+from armperturb.study.planning.report import design_figure, design_text, write_design
 
 DATA = Path(__file__).resolve().parent / "data"
 

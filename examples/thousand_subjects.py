@@ -12,7 +12,7 @@ from pathlib import Path
 
 from distributed import LocalCluster
 
-from armperturb.study.runner import StudySettings, record_study
+from armperturb.study.recording.record import StudySettings, record_study
 
 
 def main(arguments: list[str] | None = None) -> list[Path]:

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import armperturb  # noqa: F401, registers the environments
-from armperturb.envs.task import TaskSettings
+from armperturb.envs.learning.task import TaskSettings
 
 TASK = {
     "duration": 2.0,

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from scipy import signal
 
 from armperturb import identify
-from armperturb.analysis.identify import NORMAL_95
-from armperturb.study.validate import ValidateSettings, simulate_group
+from armperturb.analysis.fit.identify import NORMAL_95
+from armperturb.study.validation.validate import ValidateSettings, simulate_group
 
 NAMES = ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e")
 """Damping [Nms/rad] and stiffness [Nm/rad] of the joints: shoulder, between both, elbow."""

@@ -7,8 +7,9 @@ import sys
 from pathlib import Path
 
 from armperturb.cohort import average_person
-from armperturb.study import yielding, yielding_figures
-from armperturb.study.style import save_png
+from armperturb.plots.style import save_png
+from armperturb.study.experiments import mechanisms as yielding
+from armperturb.study.report.figures import mechanisms as yielding_figures
 
 
 def main(folder: Path) -> None:

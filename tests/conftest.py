@@ -11,17 +11,20 @@ import pytest
 
 from armperturb.cohort import average_person
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.envs import skeletal
-from armperturb.envs.experiment import run_experiment
-from armperturb.envs.instruments import Instruments
-from armperturb.envs.trial import Trial
+from armperturb.envs.lab import skeletal
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.instruments import Instruments
+from armperturb.envs.lab.trial import Trial
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse
-from armperturb.study import fits, report, rig_figures, runner
-from armperturb.study import yielding as why
-from armperturb.study.report import Picture, write_report
-from armperturb.study.results import run_study
-from armperturb.study.runner import StudySettings
+from armperturb.study.experiments import mechanisms as why
+from armperturb.study.recording import record as runner
+from armperturb.study.recording.record import StudySettings
+from armperturb.study.report import report
+from armperturb.study.report.figures import rig as rig_figures
+from armperturb.study.report.report import Picture, write_report
+from armperturb.study.results import appendix_fits as fits
+from armperturb.study.results.study_result import run_study
 from armperturb.subject import POSITION, RELAX
 
 

@@ -6,13 +6,13 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from armperturb.analysis.fit import AdmittanceFit
-from armperturb.analysis.thesis import ThesisEstimate
+from armperturb.analysis.fit.admittance_fit import AdmittanceFit
+from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.environment import Environment
-from armperturb.study.cases import Case
-from armperturb.study.measure import PersonMeasures, TrialMeasures
 from armperturb.study.protocol import THESIS
-from armperturb.study.results import StudyResult
+from armperturb.study.results.cases import Case
+from armperturb.study.results.study_result import StudyResult
+from armperturb.study.results.trial_measures import PersonMeasures, TrialMeasures
 from armperturb.subject import POSITION, RELAX
 
 LEVELS = {

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from armperturb.analysis.displacement import NoiseLevels
+from armperturb.analysis.force_balance import NoiseLevels
+from armperturb.analysis.nonlinear.lanes import lane_table
+from armperturb.analysis.nonlinear.response import Disturbances
+from armperturb.analysis.nonlinear.trials import TrialSet
 from armperturb.cohort import average_person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
-from armperturb.envs.experiment import run_experiment
-from armperturb.envs.trial import Trial
-from armperturb.nonlinear.lanes import lane_table
-from armperturb.nonlinear.response import Disturbances
-from armperturb.nonlinear.trials import TrialSet
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Sampled
 
 RATE, DURATION = 100.0, 14.0

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from armperturb.archive import code_digest, keep, read_archive, recalled, write_archive
 from armperturb.environment import Environment
-from armperturb.study.archive import code_digest, keep, read_archive, recalled, write_archive
-from armperturb.study.published import MeanSD
+from armperturb.study.published.tables import MeanSD
 from armperturb.subject import POSITION
 
 VALUES = [
@@ -84,7 +84,7 @@ def test_what_is_not_plain_is_refused(value, tmp_path):
 
 @pytest.mark.parametrize(
     "kind",
-    ["os:system", "armperturb.study.archive:code_digest", "armperturb.study.archive:gzip", "armperturb.nothing:X", "x"],
+    ["os:system", "armperturb.archive:code_digest", "armperturb.archive:gzip", "armperturb.nothing:X", "x"],
 )
 def test_a_file_cannot_make_anything_run(kind, tmp_path):
     content = {"key": "key", "value": {"kind": kind, "content": {"command": "touch ran"}}}

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armperturb.analysis.arm_model import largest_real_pole
+from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.cohort import (
     BODY,
     CUFF_AND_HANDLE_MASS,
@@ -27,8 +27,8 @@ from armperturb.cohort import (
     draw_person,
 )
 from armperturb.environment import Environment
-from armperturb.study import published
-from armperturb.study.tables import true_value
+from armperturb.study.published import tables as published
+from armperturb.study.report.tables import true_value
 from armperturb.subject import PRESETS, at_level
 
 

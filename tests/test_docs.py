@@ -13,7 +13,7 @@ import pytest
 from armperturb import cli, load_recording
 from armperturb.recording import MUSCLES, SIGNALS, TRIAL_COORDINATES
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
 TEXTS = [*PAGES, ROOT / "README.md"]

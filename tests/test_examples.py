@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from armperturb import RELAX, identify, load_csv
-from armperturb.analysis.closed_loop import estimate_multisine
+from armperturb.analysis.response.closed_loop import estimate_multisine
 from armperturb.cohort import draw_person
 from armperturb.convert import import_recording
 from armperturb.recording import REQUIRED_SIGNALS
-from armperturb.study.validate import ValidateSettings, simulate_group
+from armperturb.study.validation.validate import ValidateSettings, simulate_group
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[1]
 
 
 def test_readme_prints_what_it_says(capsys):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from armperturb.environment import Environment
-from armperturb.study import published
+from armperturb.study.published import tables as published
 from armperturb.subject import POSITION, PRESETS, RELAX, Subject
 
 

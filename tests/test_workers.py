@@ -13,10 +13,10 @@ import psutil
 import pytest
 from joblib.externals.loky import ProcessPoolExecutor
 
-from armperturb.study import workers
-from armperturb.study.workers import DaskCluster, LocalProcesses, completed, workers_for
+from armperturb import workers
+from armperturb.workers import DaskCluster, LocalProcesses, completed, workers_for
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[1]
 
 
 def square(number):

@@ -5,10 +5,10 @@ from dataclasses import dataclass, fields
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armperturb.arrays import Array, Indices
 from armperturb.controllers.layout import trials_adjacent
-from armperturb.controllers.muscle import Indices, NonlinearMuscles
+from armperturb.controllers.muscle import NonlinearMuscles
 from armperturb.controllers.reflex import (
     MemoryReflexes,
     NonlinearSpindles,
@@ -19,8 +19,6 @@ from armperturb.controllers.reflex import (
     spindle_excitation,
 )
 from armperturb.subject import Subject
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,9 +1,9 @@
 """Where trials lie in memory."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from armperturb.arrays import Array
 
 
 def trials_adjacent(values: ArrayLike, axis: int) -> Array:

@@ -10,15 +10,12 @@ from dataclasses import dataclass, fields, replace
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
+from armperturb.arrays import Array, Indices
 from armperturb.controllers.layout import trials_adjacent
 from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import Subject
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 NEVER = 1e6
 """Stands for an elastic limit that is infinite [rad], where infinity times a vanished stiffness would be undefined."""

@@ -10,15 +10,13 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
+from armperturb.arrays import Array, Indices
 from armperturb.controllers.layout import trials_adjacent
-from armperturb.controllers.muscle import Indices, element_motion, joint_torque
+from armperturb.controllers.muscle import element_motion, joint_torque
 from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import Subject
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

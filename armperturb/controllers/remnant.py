@@ -13,13 +13,12 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import signal
 
+from armperturb.arrays import Array
 from armperturb.subject import Subject
 from armperturb.validation import require_number
-
-Array = NDArray[np.float64]
 
 REMNANT_ORDER = 2
 """Order of the Butterworth low-pass that colours the remnant."""

@@ -12,13 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import fft, signal
 
-from armperturb.analysis.displacement import EDGE, Balance
+from armperturb.analysis.force_balance import EDGE, Balance
+from armperturb.arrays import Array
 from armperturb.recording import REQUIRED_SIGNALS
-
-Array = NDArray[np.float64]
 
 LIGHTEST, HEAVIEST = 0.1, 60.0
 """Of the handles that people hold [kg]: outside, a unit is wrong."""

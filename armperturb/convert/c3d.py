@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from armperturb.arrays import Array
 from armperturb.convert.child import run_reader
 from armperturb.convert.raw import RawTrial, missing_channel, require_modest
 
@@ -40,7 +41,7 @@ def read_c3d(path: Path, names: Collection[str]) -> Sequence[RawTrial]:
     if find_spec("ezc3d") is None:
         raise RuntimeError(f"{path}: C3D needs ezc3d; install armperturb[c3d]")
     content = _unpacked(path)
-    values: dict[str, NDArray[np.float64]] = {}
+    values: dict[str, Array] = {}
     rates, units = {}, {}
     for group, letters in (("POINT", "XYZ"), ("ANALOG", ("",))):
         rate, of_units = content[f"{group}.RATE"], content[f"{group}.UNITS"].tolist()

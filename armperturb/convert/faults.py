@@ -20,9 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import interpolate
 
+from armperturb.arrays import Array
 from armperturb.recording import REQUIRED_SIGNALS
-
-Array = NDArray[np.float64]
 
 Repair = Literal["gaps", "drops", "clock", "lengths", "trials"]
 """What may be repaired, see above."""

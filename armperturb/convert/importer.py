@@ -8,9 +8,9 @@ from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import signal
 
+from armperturb.arrays import Array
 from armperturb.convert.balance import check_balance, require_signs
 from armperturb.convert.c3d import read_c3d
 from armperturb.convert.faults import (
@@ -37,8 +37,6 @@ from armperturb.recording import (
     make_recording,
 )
 from armperturb.validation import require_number
-
-Array = NDArray[np.float64]
 
 TEXT, MATLAB, C3D, OURS = (".csv", ".tsv", ".txt"), (".mat",), (".c3d",), (".nc",)
 """Endings of the formats."""

@@ -14,13 +14,11 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pymatreader import read_mat
 
+from armperturb.arrays import Array
 from armperturb.convert.hdf5 import SIGNATURE, require_whole_hdf5
 from armperturb.convert.raw import RawTrial, missing_channel, require_modest, split_trials
-
-Array = NDArray[np.float64]
 
 _HEADER = 128
 _MATRIX, _COMPRESSED = 14, 15

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+
+from armperturb.arrays import Array
 
 LARGEST = 2**30
 """Of what a file may hold or unpack to [byte]: an hour of eight channels at 2 kHz takes less than half of it."""
@@ -23,7 +24,7 @@ class RawTrial:
     """
 
     name: str
-    channels: Mapping[str, NDArray[np.float64]]
+    channels: Mapping[str, Array]
     rates: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
 
@@ -52,7 +53,7 @@ def trial_name(number: float) -> str:
     return f"{number:.12g}"
 
 
-def split_trials(path: Path, channels: Mapping[str, NDArray[np.float64]], number: str | None) -> Sequence[RawTrial]:
+def split_trials(path: Path, channels: Mapping[str, Array], number: str | None) -> Sequence[RawTrial]:
     """One table as its trials.
 
     Args:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armperturb.arrays import Array
 from armperturb.convert.units import factor_to, quantity
 from armperturb.recording import LABELS, REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES
 from armperturb.subject import TASKS
@@ -75,7 +75,7 @@ class Signal:
 
     channels: Mapping[str, str]
     unit: str
-    matrix: NDArray[np.float64]
+    matrix: Array
     start: tuple[float, ...] | str
     rate: float | None
     file: str | None
@@ -265,7 +265,7 @@ def _parsed(path: Path) -> object:
         raise ValueError(f"{path}: no readable JSON ({error}); expected a sidecar") from None
 
 
-def _axes(fields: _Fields) -> NDArray[np.float64]:
+def _axes(fields: _Fields) -> Array:
     """Directions of the laboratory's x and y in our axes, (lab's axis, our axis)."""
     of_axes = fields.fields("axes")
     of_axes.require_only(("x", "y"), ("x", "y"))
@@ -277,7 +277,7 @@ def _axes(fields: _Fields) -> NDArray[np.float64]:
     return directions
 
 
-def _signal(fields: _Fields, name: str, axes: NDArray[np.float64]) -> Signal:
+def _signal(fields: _Fields, name: str, axes: Array) -> Signal:
     dims, ours, _ = SIGNALS[name]
     components, on_axes = LABELS[dims[1]], dims[1] == "axis"
     known = ["channels", "unit"]

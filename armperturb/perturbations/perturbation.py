@@ -71,3 +71,7 @@ def check_bandwidth(perturbation: Perturbation, simulation_rate: float) -> None:
             f"{type(perturbation).__name__}: highest significant frequency = {perturbation.highest_frequency:.6g} Hz; "
             f"expected at most {limit:.6g} Hz, {BANDWIDTH_SHARE:.0%} of the simulation rate of {simulation_rate:g} Hz"
         )
+
+
+LARGEST_RMS_DISPLACEMENT = 0.1
+"""A multisine that moves the handle further, per axis [m], takes it out of the workspace; refuses millimetres."""

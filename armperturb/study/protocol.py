@@ -15,8 +15,9 @@ import numpy as np
 from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Strap
-from armperturb.envs.trial import Trial
+from armperturb.envs.lab.trial import Trial, random_stream, trial_seed
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, draw_onset
+from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
 from armperturb.subject import TASKS, Subject, at_level
 from armperturb.validation import require_number
 
@@ -31,9 +32,6 @@ PULSE_WIDTH = 0.08
 
 MOST_CO_CONTRACTION = 10.0
 """Highest level of co-contraction [-]: anything more is a slip in a file."""
-
-LARGEST_RMS_DISPLACEMENT = 0.1
-"""A multisine that moves the handle further, per axis [m], takes it out of the workspace; refuses millimetres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +136,7 @@ class Protocol:
 
     Attributes:
       conditions: at least one, with different names.
-      forces: "practice" (each person's, see `armperturb.study.practice`) or "published" (those given here).
+      forces: "practice" (each person's, see `armperturb.study.recording.practice`) or "published" (those given here).
       pulse_directions_deg: directions of the pulses from the fronto-parallel axis, counter-clockwise [deg].
       pulse_unit: peak force of pulse level 1 [N], > 0; with practised forces only if `pulse_unit_condition` is empty.
       pulse_unit_condition: name of the condition whose practised RMS force sets the pulse unit; may be empty.
@@ -390,16 +388,6 @@ def load_protocol(path: str | Path) -> Protocol:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: not a TOML file ({error}); expected lines such as 'trial_duration = 36.0'") from None
     return Protocol.from_dict(values, source=str(path))
-
-
-def random_stream(seed: int, purpose: str, *numbers: int) -> np.random.SeedSequence:
-    """A stream of random numbers of its own for each purpose: "order" of person 1 has nothing to do with "onset"."""
-    return np.random.SeedSequence(seed, spawn_key=(*purpose.encode(), *numbers))
-
-
-def trial_seed(seed: int, purpose: str, *numbers: int) -> int:
-    """A seed for `Trial.seed`: 63 bits, so that not even thousands of people share one."""
-    return int(random_stream(seed, purpose, *numbers).generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
 def _generator(seed: int, purpose: str, *numbers: int) -> np.random.Generator:

@@ -15,11 +15,11 @@ import xarray as xr
 from scipy.io import savemat
 
 from armperturb import Instruments, Multisine, MultisineThenPulse, Pulse, Trial, run_experiment, save_recording
-from armperturb.analysis.arm_model import arm_admittance
+from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.cohort import draw_person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
-from armperturb.envs.trial import subject_in
+from armperturb.envs.lab.trial import subject_in
 from armperturb.perturbations import CLUSTERS
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.recording import TRIAL_COORDINATES

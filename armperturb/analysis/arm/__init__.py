@@ -1,0 +1,1 @@
+"""Models of the arm: geometry, linear admittance, state space."""

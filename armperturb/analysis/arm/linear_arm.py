@@ -1,0 +1,531 @@
+"""The linear arm-environment model in two joints (thesis 2.7 and appendix B).
+
+Symbols: q = [shoulder, elbow] angle deviation [rad], x = handle displacement [m], d = disturbance force [N],
+f = force that the handle exerts on the hand [N], s = j 2 pi frequency. Reflexes see, and muscles answer with,
+
+    u_r = Ka q'' + Kv q' + Kp q + Kf tau,    tau_r = R u_r,    tau = B q' + K q + tau_r,
+
+where tau is the torque with which all muscles oppose the movement, and R = diag(activation x delay) per joint. So force
+feedback with a negative gain inhibits, as tendon organs do and as the gains of table C.3 are; the thesis prints no law
+for it (eq. 2.8 holds Kv and Kp only). With it, the joint impedance from q to torque is
+
+    Z(s) = I s^2 + (1 - R Kf)^-1 (B s + K + R (Ka s^2 + Kv s + Kp)),
+
+and the endpoint admittance from f to x is that of the arm in series with the grip, J Z^-1 J^T + 1 / (b_h s + k_h).
+Of a subject with a muscle law, responses are those of its linear parameters; only poles look at the law.
+"""
+
+import copy
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armperturb.analysis.arm.geometry import hand_jacobian, segment_inertias
+from armperturb.analysis.arm.parameters import (
+    CUTOFFS,
+    DELAYS,
+    GRIP_DAMPING,
+    GRIP_STIFFNESS,
+    GROUPS,
+    MATRIX,
+    parameter_vector,
+)
+from armperturb.analysis.arm.states import (
+    ACTIVE,
+    ACTIVE_DOT,
+    INTEGRATORS,
+    JOINTS,
+    N_STATES,
+    PADE,
+    POSITIONS,
+    Q_DOT,
+    VELOCITIES,
+    X_DOT,
+    Q,
+)
+from armperturb.arrays import Array, ComplexArray
+from armperturb.environment import Environment
+from armperturb.subject import Subject
+
+Delay = Literal["exact", "pade"]
+"""A pure neural delay, or its third-order Pade approximation (eq. B.12)."""
+
+
+class Environments(NamedTuple):
+    """What the hands of a batch of arms hold.
+
+    Attributes:
+      m_env: virtual mass [kg], (batch,).
+      b_env: virtual damping [Ns/m], (batch,).
+      k_env: virtual stiffness [N/m], (batch,).
+    """
+
+    m_env: Array
+    b_env: Array
+    k_env: Array
+
+    @classmethod
+    def of(cls, environments: Sequence[Environment]) -> Self:
+        """The environment of each hand."""
+        return cls(*np.array([(one.m_env, one.b_env, one.k_env) for one in environments]).T)
+
+    def take(self, index: NDArray[np.int64]) -> Self:
+        """Some of them, in this order."""
+        return type(self)(*(values[index] for values in self))
+
+
+def _matrix(values: Array, quantity: str) -> Array:
+    """Joint matrix of a quantity, ready for frequencies, (joint, joint, ..., 1)."""
+    return values[MATRIX[quantity]][..., None]
+
+
+def _columns_of(environment: Environment | Environments) -> tuple[Array, Array, Array]:
+    """Mass, damping and stiffness, (..., 1) each."""
+    m_env, b_env, k_env = environment.m_env, environment.b_env, environment.k_env
+    return np.asarray(m_env)[..., None], np.asarray(b_env)[..., None], np.asarray(k_env)[..., None]
+
+
+def _laplace(frequency: ArrayLike) -> ComplexArray:
+    return 2j * np.pi * np.asarray(frequency, dtype=float)
+
+
+def _product(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
+    return a[:, :1] * b[:1] + a[:, 1:] * b[1:]
+
+
+def _inverse(a: NDArray[Any]) -> NDArray[Any]:
+    (p, q), (r, t) = a
+    inverse = np.array([[t, -q], [-r, p]])
+    inverse /= p * t - q * r
+    return inverse
+
+
+def _matrix_last(a: NDArray[Any]) -> NDArray[Any]:
+    return np.moveaxis(a, (0, 1), (-2, -1))
+
+
+def _matrix_first(a: NDArray[Any]) -> NDArray[Any]:
+    return np.moveaxis(a, (-2, -1), (0, 1))
+
+
+def _parameter_last(gradient: ComplexArray) -> ComplexArray:
+    return np.moveaxis(gradient, (0, 1, 2), (-1, -3, -2))
+
+
+def _triple(outer: ComplexArray) -> ComplexArray:
+    """Derivative by (s, se, e) from that by the entries, (output, row, column, input, n) to (3, output, input, n)."""
+    return np.stack([outer[:, 0, 0], outer[:, 0, 1] + outer[:, 1, 0], outer[:, 1, 1]])
+
+
+class _Gradient:
+    """Derivatives by groups of parameters as they are computed, (parameter, output, input, ..., frequency).
+
+    Attributes:
+      values: of the wanted groups one after the other; complex, or the real part of weight x derivative.
+      weight: (output, input, ..., frequency), if there is one.
+    """
+
+    def __init__(self, shape: tuple[int, ...], groups: Sequence[str], weight: ComplexArray | None) -> None:
+        self.weight = weight
+        sizes = [GROUPS[group].stop - GROUPS[group].start for group in groups]
+        ends = np.cumsum(sizes)
+        self.values = np.empty((int(ends[-1]), 2, 2, *shape), dtype=complex if weight is None else float)
+        self._rows = {
+            group: slice(end - size, end) for group, size, end in zip(groups, sizes, ends.tolist(), strict=True)
+        }
+
+    def wants(self, *groups: str) -> bool:
+        """Whether any of these groups is wanted."""
+        return any(group in self._rows for group in groups)
+
+    def weighted(self, values: ComplexArray) -> ComplexArray:
+        """Values with output first, then (inner axes,) input, ..., frequency, times the weight."""
+        if self.weight is None:
+            return values
+        inner = values.ndim - self.weight.ndim
+        return values * self.weight[:, *(None,) * inner]
+
+    def put(self, group: str, values: ComplexArray) -> None:
+        """Keep the weighted derivatives by a wanted group."""
+        self.values[self._rows[group]] = values if self.weight is None else values.real
+
+
+class _Joints(NamedTuple):
+    """What joint impedance and its derivatives share; rows are joints.
+
+    Attributes:
+      delayed: transfer function of the delay, (joint, ..., frequency).
+      active: that of the activation filter, (joint, ..., frequency).
+      delay_slope: derivative by the delay, (joint, ..., frequency).
+      active_slope: derivative by the cut-off frequency, (joint, ..., frequency).
+      loop: (1 - R Kf)^-1, (joint, joint, ..., frequency).
+      muscle: from q to tau, (joint, joint, ..., frequency).
+      reflex: from q to u_r, (joint, joint, ..., frequency).
+      impedance: Z, (joint, joint, ..., frequency).
+    """
+
+    delayed: ComplexArray
+    active: ComplexArray
+    delay_slope: ComplexArray
+    active_slope: ComplexArray
+    loop: ComplexArray
+    muscle: ComplexArray
+    reflex: ComplexArray
+    impedance: ComplexArray
+
+
+class LinearArm:
+    """Frequency responses of one body's arm as functions of its parameters; what a fit evaluates again and again.
+
+    Everything that is the same for all parameters is computed once. Values are in the order of `PARAMETERS`. Of several
+    bodies, it evaluates a batch: each body at its own values. Below, ... is (batch,) then, and nothing for one body.
+
+    Attributes:
+      frequency: [Hz], (..., frequency).
+      delay: "exact" or "pade".
+      jacobian: from joint angles to hand position [m/rad], (..., axis, joint).
+    """
+
+    def __init__(self, body: Subject | Sequence[Subject], frequency: ArrayLike, delay: Delay = "exact") -> None:
+        """Prepare responses at frequencies.
+
+        Args:
+          body: gives segment lengths, posture and damping of the activation filter; its parameters do not matter. A
+            sequence makes a batch.
+          frequency: [Hz], (frequency,), or one row for each body.
+          delay: "exact" or "pade".
+        """
+        if isinstance(body, Subject):
+            jacobian, zeta, inertias = hand_jacobian(body), np.array(body.zeta_act), np.array(segment_inertias(body))
+        else:
+            # Trials of a person share a body; computing it once is worth it.
+            found = {one: (hand_jacobian(one), one.zeta_act, segment_inertias(one)) for one in dict.fromkeys(body)}
+            jacobian, zeta, inertias = (np.array([found[one][k] for one in body]) for k in range(3))
+            inertias = inertias.swapaxes(0, 1)
+        self.delay: Delay = delay
+        f = np.asarray(frequency, dtype=float)
+        self._prepare(np.broadcast_to(f, (*zeta.shape, f.shape[-1])), jacobian, zeta, inertias)
+
+    def _prepare(self, frequency: Array, jacobian: Array, zeta: Array, inertias: Array) -> None:
+        self.frequency, self.jacobian, self._zeta, self._inertias = frequency, jacobian, zeta, inertias
+        self._s = _laplace(frequency)
+        self._s2 = self._s**2
+        eye = np.broadcast_to(np.eye(2), jacobian.shape)
+        self._left = _matrix_first(jacobian)[..., None]
+        self._right = self._left.swapaxes(0, 1)
+        self._eye = _matrix_first(eye)[..., None]
+        self._deflection = np.concatenate([-jacobian, eye], axis=-1)
+
+    def take(self, index: NDArray[np.int64]) -> Self:
+        """Some arms of a batch, in this order."""
+        taken = copy.copy(self)
+        taken._prepare(self.frequency[index], self.jacobian[index], self._zeta[index], self._inertias[:, index])
+        return taken
+
+    def _at(self, s: ComplexArray) -> Self:
+        """The same arm with Pade delays at other complex frequencies [1/s], (..., n)."""
+        other = copy.copy(self)
+        other.delay, other._s, other._s2 = "pade", s, s**2
+        return other
+
+    def joint_impedance(self, values: Array) -> ComplexArray:
+        """Joint impedance Z from angle to torque [Nm/rad], (..., frequency, joint, joint)."""
+        return _matrix_last(self._joints(values).impedance)
+
+    def admittance(self, values: Array) -> ComplexArray:
+        """Endpoint admittance H_xf of arm and grip, from f to x [m/N], (..., frequency, output, input)."""
+        return _matrix_last(self._endpoint(_inverse(self._joints(values).impedance), values))
+
+    def total_admittance(self, values: Array, environment: Environment) -> ComplexArray:
+        """Admittance P_dx of arm and environment, from d to x [m/N], (..., frequency, output, input)."""
+        arm = self._endpoint(_inverse(self._joints(values).impedance), values)
+        return _matrix_last(_product(arm, self._share(arm, environment)))
+
+    def joint_impedance_gradient(self, values: Array) -> ComplexArray:
+        """Derivative of `joint_impedance` by every parameter, (..., frequency, joint, joint, parameter)."""
+        groups = [group for group in GROUPS if group != "grip"]
+        gradient = _Gradient(self._s.shape, groups, None)
+        self._joint_change(gradient, self._joints(values), self._eye, self._eye)
+        without_grip = np.zeros((2, *gradient.values.shape[1:]))
+        return _parameter_last(np.concatenate([gradient.values, without_grip]))
+
+    def admittance_and_gradient(self, values: Array) -> tuple[ComplexArray, ComplexArray]:
+        """`admittance` and its derivative by every parameter, (..., frequency, output, input, parameter)."""
+        arm, gradient = self._arm_and_gradient(values, None)
+        return _matrix_last(arm), _parameter_last(gradient)
+
+    def admittance_and_weighted_gradient(
+        self, values: Array, weigh: Callable[[ComplexArray], ComplexArray], groups: Sequence[str]
+    ) -> tuple[ComplexArray, Array]:
+        """`admittance` and the real part of its weighted derivative, which a fit of moduli needs.
+
+        Args:
+          values: (..., parameter).
+          weigh: the admittance to the weight of its derivative, (..., frequency, output, input) both.
+          groups: of parameters by which to differentiate, as `groups_of` gives them.
+
+        Returns:
+          The admittance, and the derivative, (..., frequency, output, input, parameter), by the groups' parameters.
+        """
+        arm, gradient = self._arm_and_gradient(values, None, weigh, groups)
+        return _matrix_last(arm), np.asarray(_parameter_last(gradient), dtype=float)
+
+    def total_and_gradient(self, values: Array, environment: Environment) -> tuple[ComplexArray, ComplexArray]:
+        """`total_admittance` and its derivative by every parameter, (..., frequency, output, input, parameter).
+
+        As P^-1 = E^-1 + H^-1, dP = P H^-1 dH H^-1 P, where P H^-1 = H^-1 P = (1 + E^-1 H)^-1.
+        """
+        arm, gradient = self._arm_and_gradient(values, environment)
+        return _matrix_last(_product(arm, self._share(arm, environment))), _parameter_last(gradient)
+
+    def poles(self, values: Array, environment: Environment | Environments) -> ComplexArray:
+        """Poles of arm and environment with third-order Pade delays [1/s], (..., state).
+
+        Args:
+          values: (..., parameter); those that are not finite have poles of NaN.
+          environment: what the hand holds, or those of a batch hold.
+        """
+        dynamics = self._force_and_dynamics(values, environment)[1]
+        lost = np.asarray(~np.isfinite(dynamics).all(axis=(-2, -1)))
+        # One of a batch must not cost the others theirs.
+        poles = np.asarray(np.linalg.eigvals(np.where(lost[..., None, None], 0.0, dynamics)), dtype=complex)
+        poles[lost] = np.nan
+        return poles
+
+    def pole_gradient(
+        self,
+        values: Array,
+        environment: Environment | Environments,
+        pole: ArrayLike,
+        groups: Sequence[str] = tuple(GROUPS),
+    ) -> Array:
+        """Derivative of the real part of a simple pole of arm and environment by parameters, (..., parameter).
+
+        A pole is where F = det(1 + E^-1 H) vanishes, so that its derivative is -(dF/dp) / (dF/ds).
+
+        Args:
+          values: (..., parameter).
+          environment: as in `poles`.
+          pole: [1/s], (...,).
+          groups: of parameters, as `groups_of` gives them; by default all.
+        """
+        where = np.asarray(pole, dtype=complex)[..., None]
+        step = 1e-6 * np.maximum(np.abs(where), 1.0)
+        here = self._at(np.concatenate([where, where + step, where - step], axis=-1))
+        held = here._held(environment)
+
+        def weigh(arm: ComplexArray) -> ComplexArray:
+            """-(dF/dH) / (dF/ds) at the pole, and nothing beside it."""
+            (p, q), (r, t) = here._eye + held * _matrix_first(arm)
+            vanishing = p * t - q * r
+            slope = (vanishing[..., 1] - vanishing[..., 2])[..., None] / (2 * step)
+            weight = np.array([[t, -r], [-q, p]]) * (-held / slope)
+            weight[..., 1:] = 0.0
+            return _matrix_last(weight)
+
+        return here.admittance_and_weighted_gradient(values, weigh, groups)[1].sum(axis=(-4, -3, -2))
+
+    def _force_and_dynamics(self, values: Array, environment: Environment | Environments) -> tuple[Array, Array]:
+        """Hand reaction force f, (..., 2, 18), and matrix A, (..., 18, 18), of `StateSpace`."""
+        muscle = np.zeros((*values.shape[:-1], 2, N_STATES))
+        muscle[..., Q_DOT], muscle[..., Q] = values[..., MATRIX["b"]], values[..., MATRIX["k"]]
+        muscle[..., JOINTS, ACTIVE] = 1.0
+        force = np.zeros_like(muscle)
+        force[..., VELOCITIES] = values[..., GRIP_DAMPING, None, None] * self._deflection
+        force[..., POSITIONS] = values[..., GRIP_STIFFNESS, None, None] * self._deflection
+        m_h, m_f = values[..., 0, None, None], values[..., 1, None, None]
+        mass = m_h * self._inertias[0] + m_f * self._inertias[1]
+        acceleration = np.linalg.solve(mass, self.jacobian.swapaxes(-1, -2) @ force - muscle)
+
+        excitation = values[..., MATRIX["ka"]] @ acceleration + values[..., MATRIX["kf"]] @ muscle
+        excitation[..., Q_DOT] += values[..., MATRIX["kv"]]
+        excitation[..., Q] += values[..., MATRIX["kp"]]
+
+        delay, omega = values[..., DELAYS], 2 * np.pi * values[..., CUTOFFS]
+        first, second, third = PADE
+        a = np.empty((*values.shape[:-1], N_STATES, N_STATES))
+        a[...] = INTEGRATORS
+        a[..., third, :] = excitation
+        a[..., third, first] -= 120 / delay**3
+        a[..., third, second] -= 60 / delay**2
+        a[..., third, third] -= 12 / delay
+        excitation[..., JOINTS, first] -= 240 / delay**3
+        excitation[..., JOINTS, third] -= 24 / delay
+        a[..., ACTIVE_DOT, :] = -(omega**2)[..., None] * excitation
+        a[..., ACTIVE_DOT, ACTIVE_DOT] -= 2 * self._zeta[..., None] * omega
+        a[..., ACTIVE_DOT, ACTIVE] -= omega**2
+        a[..., Q_DOT, :] = acceleration
+        m_env, b_env, k_env = _columns_of(environment)
+        a[..., X_DOT, :] = -force / m_env[..., None]
+        a[..., JOINTS + 4, JOINTS + 4] -= b_env / m_env
+        a[..., JOINTS + 4, JOINTS + 6] -= k_env / m_env
+        return force, a
+
+    def _held(self, environment: Environment | Environments) -> ComplexArray:
+        """E^-1, of which the environment's is a multiple of the identity [N/m], (..., frequency)."""
+        m_env, b_env, k_env = _columns_of(environment)
+        return np.asarray(m_env * self._s2 + b_env * self._s + k_env)
+
+    def _share(self, arm: ComplexArray, environment: Environment) -> ComplexArray:
+        """Share of d that the arm takes, (1 + E^-1 H)^-1 = H^-1 P, (axis, axis, ..., frequency)."""
+        return _inverse(self._eye + self._held(environment) * arm)
+
+    def _endpoint(self, compliance: ComplexArray, values: Array) -> ComplexArray:
+        arm = _product(_product(self._left, compliance), self._right)
+        grip = self._grip(values)
+        arm[0, 0] += grip
+        arm[1, 1] += grip
+        return arm
+
+    def _grip(self, values: Array) -> ComplexArray:
+        """Admittance of the grip, as a multiple of the identity [m/N], (..., frequency)."""
+        return np.asarray(1.0 / (values[..., GRIP_DAMPING, None] * self._s + values[..., GRIP_STIFFNESS, None]))
+
+    def _joints(self, values: Array) -> _Joints:
+        s, s2, values = self._s, self._s2, np.moveaxis(values, -1, 0)
+        zeta = self._zeta[..., None]
+        delay, omega = values[DELAYS][..., None], 2 * np.pi * values[CUTOFFS][..., None]
+        u = s * delay
+        if self.delay == "exact":
+            delayed = np.exp(-u)
+            delay_slope = -s * delayed
+        else:
+            denominator = 120 + u * (60 + u * (12 + u))
+            delayed = (120 + u * (-60 + u * (12 - u))) / denominator
+            delay_slope = s * (-60 + u * (24 - 3 * u) - delayed * (60 + u * (24 + 3 * u))) / denominator
+        denominator = s2 + 2 * zeta * omega * s + omega**2
+        active = omega**2 / denominator
+        active_slope = 4 * np.pi * (omega - active * (zeta * s + omega)) / denominator
+
+        r = (delayed * active)[:, None]
+        force = _matrix(values, "kf")
+        feedback = _matrix(values, "ka") * s2 + _matrix(values, "kv") * s + _matrix(values, "kp")
+        loop = _inverse(self._eye - r * force)
+        muscle = _product(loop, _matrix(values, "b") * s + _matrix(values, "k") + r * feedback)
+        mass = values[0] * _matrix_first(self._inertias[0]) + values[1] * _matrix_first(self._inertias[1])
+        return _Joints(
+            delayed=delayed,
+            active=active,
+            delay_slope=delay_slope,
+            active_slope=active_slope,
+            loop=loop,
+            muscle=muscle,
+            reflex=feedback + _product(force, muscle),
+            impedance=mass[..., None] * s2 + muscle,
+        )
+
+    def _arm_and_gradient(
+        self,
+        values: Array,
+        environment: Environment | None,
+        weigh: Callable[[ComplexArray], ComplexArray] | None = None,
+        groups: Sequence[str] = tuple(GROUPS),
+    ) -> tuple[ComplexArray, NDArray[Any]]:
+        """The arm's admittance and its derivative, or that of the total admittance if there is an environment.
+
+        Returns:
+          (output, input, ..., frequency) and (parameter, output, input, ..., frequency).
+        """
+        joints = self._joints(values)
+        compliance = _inverse(joints.impedance)
+        arm = self._endpoint(compliance, values)
+        left, right = _product(self._left, compliance), _product(compliance, self._right)
+        through_grip = self._eye
+        if environment is not None:
+            share = self._share(arm, environment)
+            left, right, through_grip = _product(share, left), _product(right, share), _product(share, share)
+        weight = None if weigh is None else _matrix_first(weigh(_matrix_last(arm)))
+        gradient = _Gradient(self._s.shape, groups, weight)
+        self._joint_change(gradient, joints, -left, right)
+        if gradient.wants("grip"):
+            by_stiffness = gradient.weighted(-(self._grip(values) ** 2) * through_grip)
+            gradient.put("grip", np.stack([self._s * by_stiffness, by_stiffness]))
+        return arm, gradient.values
+
+    def _joint_change(self, out: _Gradient, joints: _Joints, left: NDArray[Any], right: NDArray[Any]) -> None:
+        """Put left x (derivative of Z) x right for every wanted parameter but the grip's.
+
+        With W = (1 - R Kf)^-1 (B s + K + R G) the muscle's part of Z and G the part of the feedback that sees q,
+        dW = (1 - R Kf)^-1 (dB s + dK + R (dG + dKf W) + dR (G + Kf W)).
+        """
+        s, s2 = self._s, self._s2
+        if out.wants("m"):
+            inertias = (_matrix_first(inertia)[..., None] for inertia in self._inertias)
+            out.put("m", np.stack([out.weighted(s2 * _product(_product(left, one), right)) for one in inertias]))
+        left = _product(left, joints.loop)
+        changed = out.weighted(np.broadcast_to(right, (2, 1, *right.shape)))
+        reflexive = left * (joints.delayed * joints.active)
+        if out.wants("b", "k"):
+            stiffness = _triple(left[:, :, None, None] * changed)
+            for group, factor in (("b", s), ("k", None)):
+                if out.wants(group):
+                    out.put(group, stiffness if factor is None else factor * stiffness)
+        if out.wants("kv", "kp", "ka"):
+            position = _triple(reflexive[:, :, None, None] * changed)
+            for group, factor in (("kv", s), ("kp", None), ("ka", s2)):
+                if out.wants(group):
+                    out.put(group, position if factor is None else factor * position)
+        if out.wants("kf"):
+            sensed = _product(joints.muscle, right)
+            sensed = out.weighted(np.broadcast_to(sensed, (2, 1, *sensed.shape)))
+            out.put("kf", _triple(reflexive[:, :, None, None] * sensed))
+        if out.wants("Td", "fact"):
+            moved = out.weighted(left[:, :, None] * _product(joints.reflex, right)[None]).swapaxes(0, 1)
+            for group, slope in (
+                ("Td", joints.delay_slope * joints.active),
+                ("fact", joints.delayed * joints.active_slope),
+            ):
+                if out.wants(group):
+                    out.put(group, moved * slope[:, None, None])
+
+
+def joint_impedance(subject: Subject, frequency: ArrayLike, delay: Delay = "exact") -> ComplexArray:
+    """Joint impedance Z from angle to torque [Nm/rad], (frequency, joint, joint).
+
+    Args:
+      subject: the arm.
+      frequency: [Hz], (frequency,).
+      delay: "exact" or "pade".
+
+    Source: eqs 2.6, 2.8, B.12, B.19, and the head of this module.
+    """
+    return LinearArm(subject, frequency, delay).joint_impedance(parameter_vector(subject))
+
+
+def arm_admittance(subject: Subject, frequency: ArrayLike, delay: Delay = "exact") -> ComplexArray:
+    """Endpoint admittance H_xf of arm and grip, from f to x [m/N], (frequency, output, input).
+
+    Args:
+      subject: the arm.
+      frequency: [Hz], (frequency,).
+      delay: "exact" or "pade".
+
+    Source: figure 2.7; see the head of this module.
+    """
+    return LinearArm(subject, frequency, delay).admittance(parameter_vector(subject))
+
+
+def environment_admittance(environment: Environment, frequency: ArrayLike) -> ComplexArray:
+    """Admittance E_xz of the environment, from d - f to x [m/N], (frequency, output, input). Source: eq. 2.11."""
+    s = _laplace(frequency)
+    impedance = environment.m_env * s**2 + environment.b_env * s + environment.k_env
+    return np.multiply.outer(1.0 / impedance, np.eye(2))
+
+
+def total_admittance(
+    subject: Subject, environment: Environment, frequency: ArrayLike, delay: Delay = "exact"
+) -> ComplexArray:
+    """Admittance P_dx of arm and environment together, from d to x [m/N], (frequency, output, input).
+
+    Args:
+      subject: the arm.
+      environment: what the hand holds.
+      frequency: [Hz], (frequency,).
+      delay: "exact" or "pade".
+
+    Source: figure 2.6 with x = E (d - f) and x = H f, hence P = (E^-1 + H^-1)^-1; the signs of eq. A.20 belong to the
+    opposite sign of f.
+    """
+    return LinearArm(subject, frequency, delay).total_admittance(parameter_vector(subject), environment)

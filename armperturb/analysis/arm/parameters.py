@@ -1,0 +1,54 @@
+"""The vector of parameters by which responses of the arm are computed and differentiated."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armperturb.arrays import Array
+from armperturb.subject import Subject
+
+TRIPLES = ("b", "k", "kv", "kp", "ka", "kf")
+
+PARAMETERS = (
+    "m_h",
+    "m_f",
+    *(f"{quantity}_{joint}" for quantity in TRIPLES for joint in ("s", "se", "e")),
+    "Td_s",
+    "Td_e",
+    "fact_s",
+    "fact_e",
+    "b_h",
+    "k_h",
+)
+"""Every parameter by which the arm's responses can be differentiated: fields of `Subject`, SI."""
+
+MASSES, DELAYS, CUTOFFS = slice(0, 2), slice(20, 22), slice(22, 24)
+
+GRIP_DAMPING, GRIP_STIFFNESS = 24, 25
+
+GROUPS = {
+    "m": MASSES,
+    **{quantity: slice(2 + 3 * n, 5 + 3 * n) for n, quantity in enumerate(TRIPLES)},
+    "Td": DELAYS,
+    "fact": CUTOFFS,
+    "grip": slice(24, 26),
+}
+
+MATRIX = {quantity: np.array([[2 + 3 * n, 3 + 3 * n], [3 + 3 * n, 4 + 3 * n]]) for n, quantity in enumerate(TRIPLES)}
+
+
+def parameter_vector(subject: Subject) -> Array:
+    """The parameters of an arm in the order of `PARAMETERS`, (parameter,)."""
+    return np.array([getattr(subject, name) for name in PARAMETERS])
+
+
+def groups_of(parameters: NDArray[np.bool_]) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+    """Groups of parameters by which derivatives come together.
+
+    Args:
+      parameters: whether each of `PARAMETERS` is wanted.
+
+    Returns:
+      The groups that hold them, and the index of each parameter of these groups.
+    """
+    groups = tuple(group for group, rows in GROUPS.items() if parameters[rows].any())
+    return groups, np.concatenate([np.arange(len(PARAMETERS))[GROUPS[group]] for group in groups])

@@ -1,0 +1,1 @@
+"""Arm models that are fitted to recordings."""

@@ -1,0 +1,671 @@
+"""An arm model fitted to an admittance by the thesis's criterion (2.18-2.22, appendices C and E).
+
+The error of eq. 2.18 is a modulus, |ln(H_estimated / H_model)|. The fit minimises the squares of the real and imaginary
+part of the complex logarithm instead: the same criterion and the same minimum, but a Gauss-Newton step that is right,
+which the modulus spoils. The standard errors are those of the modulus, as eq. 2.22 has them: it keeps about half of the
+information, and with the sum of squares over N = 4 n_f they are twice the scatter that independent errors cause.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Self, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import optimize
+
+from armperturb.analysis.arm.linear_arm import Delay, Environments, LinearArm
+from armperturb.analysis.arm.parameters import groups_of
+from armperturb.analysis.fit.linear_start import with_linear_part
+from armperturb.analysis.fit.structures import STRUCTURES, Structure, unit
+from armperturb.analysis.numerics.trust_region import NOT_FINITE, minimise
+from armperturb.arrays import Array, ComplexArray
+from armperturb.environment import Environment
+from armperturb.subject import Subject
+
+MAX_EVALUATIONS = 1000
+
+PUBLISHED_EVALUATIONS = 6000
+"""MaxFunEvals of appendix C, which counts those for numerical derivatives: one per parameter and step."""
+
+AT_BOUND = 1e-6
+"""A parameter sits on a bound when it is closer to it than this share of the distance between its bounds."""
+
+PERFECT = 1e-16
+"""A fit whose squared error per frequency is below this cannot be improved, and needs no other start."""
+
+SAME_MINIMUM = 1e-6
+"""Starts agree when their criteria differ by less than this share (or this much, for a perfect fit)."""
+
+NEGLIGIBLE_PENALTY = 1e-9
+"""A penalty this close to one has no slope worth computing."""
+
+UNIDENTIFIED = 1e-10
+"""Directions of the parameters, each scaled by its effect, whose effect is this small beside the largest have none."""
+
+_WHY_STOPPED = {
+    NOT_FINITE: "not converged: the criterion is not finite at the start",
+    0: "not converged: limit of evaluations reached",
+    1: "converged: gradient vanished",
+    2: "converged: criterion settled",
+    3: "converged: parameters settled",
+    4: "converged: criterion and parameters settled",
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AdmittanceFit:
+    """An arm model fitted to an admittance.
+
+    Attributes:
+      structure: name of the model structure.
+      arm: the fitted arm, fixed parameters included.
+      values: estimate of each free parameter, SI.
+      sem: standard error of each free parameter, SI (eq. 2.22); infinite where the data say nothing.
+      unidentified: free parameters about which the data say nothing, alone or together.
+      at_bound: free parameters that sit on a bound.
+      status: why the fit stopped, in words.
+      converged: whether it stopped at a minimum.
+      criterion: V of eq. 2.19, penalty included.
+      n_errors: N of eq. 2.19: four per frequency.
+      penalty: factor p of eq. 2.21 at the estimate; one means that it did not act.
+      stable: whether arm and environment are stable together.
+      largest_real_pole: of arm and environment [1/s].
+      n_starts: how many starts were tried.
+      n_starts_agree: how many of them ended in the best minimum.
+      n_evaluations: of the model, all starts together.
+    """
+
+    structure: str
+    arm: Subject
+    values: Mapping[str, float]
+    sem: Mapping[str, float]
+    unidentified: tuple[str, ...]
+    at_bound: tuple[str, ...]
+    status: str
+    converged: bool
+    criterion: float
+    n_errors: int
+    penalty: float
+    stable: bool
+    largest_real_pole: float
+    n_starts: int
+    n_starts_agree: int
+    n_evaluations: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Target:
+    """What an arm model is fitted to.
+
+    Attributes:
+      frequency: [Hz], (frequency,).
+      admittance: estimated H_xf [m/N], (frequency, output, input).
+      body: gives task, segment lengths, posture and activation damping; its other parameters do not matter.
+      environment: what the hand held, for the stability of the whole.
+      coherence: multiple coherence [-], (frequency, output); one if not given.
+    """
+
+    frequency: ArrayLike
+    admittance: ArrayLike
+    body: Subject
+    environment: Environment
+    coherence: ArrayLike | None = None
+
+
+def penalty_factor(pole: ArrayLike) -> Array:
+    """Factor on the error that keeps a fit stable; one for poles left of about -0.8 1/s (eq. 2.21, figure C.1).
+
+    Args:
+      pole: largest real part of a pole of arm and environment [1/s], of any shape, which the factor gets.
+    """
+    # Beyond 10^50 it only has to be large: powers of it must not overflow.
+    return np.asarray(10.0 * 10.0 ** np.minimum(10.0 * (np.asarray(pole) + 0.5), 50.0) + 1.0)
+
+
+def fit_admittance(
+    frequency: ArrayLike,
+    admittance: ArrayLike,
+    body: Subject,
+    structure: Structure | str,
+    environment: Environment,
+    *,
+    coherence: ArrayLike | None = None,
+    start: Mapping[str, float] | None = None,
+    as_published: bool = False,
+    use_penalty: bool = True,
+    delay: Delay = "exact",
+) -> AdmittanceFit:
+    """Fit an arm model to an admittance.
+
+    Minimises eq. 2.19: the mean over frequencies and elements of (gamma |ln(H_estimated / H_model)| p)^2. Parameters
+    are normalised by their start.
+
+    Two starts are tried, the given one and one from linear least squares on the joint impedance, first without penalty;
+    only where their best fit is penalised does a second run with the penalty follow (appendix C's two steps).
+
+    Args:
+      frequency: [Hz], (frequency,).
+      admittance: estimated H_xf [m/N], (frequency, output, input).
+      body: gives task, segment lengths, posture and activation damping; its other parameters do not matter.
+      structure: model structure, or its name in `STRUCTURES`.
+      environment: what the hand held, for the stability of the whole.
+      coherence: multiple coherence [-], (frequency, output); one if not given.
+      start: values of free parameters to start from, SI; the published start where not given.
+      as_published: optimise as appendices C to E do: from the given start only, on the modulus, penalised from the
+        first step on, and with their tolerances. It mostly stops short of the minimum, where the data say little.
+      use_penalty: whether to push the fit away from instability (eq. 2.21).
+      delay: "exact", or the thesis's "pade".
+
+    Raises:
+      ValueError: shapes do not fit, values are not finite, an admittance is zero, a start is unknown or outside its
+        bounds, or the structure has free parameters that no admittance at these frequencies can tell apart.
+    """
+    target = Target(frequency=frequency, admittance=admittance, body=body, environment=environment, coherence=coherence)
+    if as_published:
+        return fit_admittances([target], [structure], starts=[start], use_penalty=use_penalty, delay=delay)[0]
+    structure = _named(structure)
+    batch = _Batch.of([target], [structure], delay)
+    problem = _checked(target, structure, delay)
+    first = _checked_start(structure, start)
+    batch.require_identifiable(first[None])
+    starts = [first, with_linear_part(problem.model, problem.admittance, body, structure, first)]
+    solutions = [_minimise(problem, values, with_penalty=False) for values in starts]
+    best = min(solutions, key=lambda solution: solution.cost)
+    if use_penalty and problem.penalty(best.x) > 1.0 + 1e-6:
+        # An unstable start has no use for a criterion that its penalty dwarfs; a stable optimum competes, whatever its
+        # penalty: without noise it is the minimum all the same.
+        stable = [values for values in starts if problem.penalty(values) < 1e3] or [_published(structure)]
+        if problem.penalty(best.x) < penalty_factor(0.0):
+            stable.insert(0, best.x)
+        solutions = [_minimise(problem, stable[0], with_penalty=True)]
+        if solutions[0].cost > PERFECT * len(problem.frequency):
+            solutions += [_minimise(problem, values, with_penalty=True) for values in stable[1:]]
+        best = min(solutions, key=lambda solution: solution.cost)
+    tolerance = SAME_MINIMUM * (best.cost + len(problem.frequency) * SAME_MINIMUM)
+    return batch.judge(
+        best.x[None],
+        [best.status],
+        [sum(solution.nfev for solution in solutions)],
+        use_penalty=use_penalty,
+        n_starts=len(solutions),
+        n_starts_agree=sum(bool(solution.cost - best.cost <= tolerance) for solution in solutions),
+    )[0]
+
+
+def fit_admittances(
+    targets: Sequence[Target],
+    structures: Sequence[Structure | str],
+    *,
+    starts: Sequence[Mapping[str, float] | None],
+    use_penalty: bool = True,
+    delay: Delay = "exact",
+) -> list[AdmittanceFit]:
+    """Fit an arm model to each of many admittances as published, see `fit_admittance`.
+
+    All are fitted together, which is many times faster than one by one.
+
+    Args:
+      targets: what to fit to, with the same number of frequencies; of any people and tasks. One that several starts
+        share stands here once for each.
+      structures: model structure of each fit, or its name in `STRUCTURES`.
+      starts: where each fit starts, (target,): values of free parameters, SI; the published start where not given.
+      use_penalty: whether to push fits away from instability (eq. 2.21).
+      delay: "exact", or the thesis's "pade".
+
+    Returns:
+      A fit for each target.
+
+    Raises:
+      ValueError: as `fit_admittance`, or numbers of frequencies differ.
+    """
+    if not targets:
+        return []
+    batch = _Batch.of(targets, [_named(structure) for structure in structures], delay)
+    problem, sizes = batch.problem, batch.sizes
+    first = np.zeros_like(problem.lower)
+    for row, structure, start in zip(first, batch.structures, starts, strict=True):
+        row[: len(structure.free)] = _checked_start(structure, start)
+    batch.require_identifiable(first)
+    scale = np.where(first != 0, np.abs(first), 1.0)
+    found = minimise(
+        _Published(batch, scale, use_penalty),
+        np.clip(first, problem.lower, problem.upper) / scale,
+        problem.lower / scale,
+        problem.upper / scale,
+        ftol=1e-5,
+        xtol=1e-6,
+        max_nfev=PUBLISHED_EVALUATIONS // (1 + sizes),
+        sizes=sizes,
+    )
+    values = np.clip(found.x * scale, problem.lower, problem.upper)
+    return batch.judge(values, found.status, found.n_evaluations, use_penalty=use_penalty, n_starts=1, n_starts_agree=1)
+
+
+def _named(structure: Structure | str) -> Structure:
+    if not isinstance(structure, str):
+        return structure
+    if structure not in STRUCTURES:
+        raise ValueError(f"model = {structure!r}; expected one of {', '.join(STRUCTURES)}")
+    return STRUCTURES[structure]
+
+
+def _minimise(problem: "_Problem", start: Array, *, with_penalty: bool) -> optimize.OptimizeResult:
+    """Bounded least squares from one start; the result holds parameters in SI."""
+    scale = np.where(start != 0, np.abs(start), 1.0)
+    lower, upper = problem.lower, problem.upper
+    solution = optimize.least_squares(
+        lambda v: problem.residual(v * scale, with_penalty),
+        np.clip(start, lower, upper) / scale,
+        lambda v: problem.jacobian(v * scale, with_penalty) * scale,
+        bounds=(lower / scale, upper / scale),
+        x_scale="jac",
+        xtol=1e-10,
+        ftol=1e-12,
+        gtol=1e-12,
+        max_nfev=MAX_EVALUATIONS,
+    )
+    solution.x = np.clip(solution.x * scale, lower, upper)
+    return solution
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Residual and its derivative for one admittance, or of a batch of them, whose axis is the ... below."""
+
+    frequency: Array
+    admittance: ComplexArray
+    weight: Array
+    environment: Environment | Environments
+    model: LinearArm
+    mixing: Array
+    constant: Array
+    lower: Array
+    upper: Array
+    latest_pole: dict[bytes, ComplexArray] = field(default_factory=dict)
+
+    @cached_property
+    def groups(self) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+        """Groups of arm parameters that any free parameter acts through, and the indices of theirs."""
+        acting = np.abs(self.mixing).reshape(-1, *self.mixing.shape[-2:]).sum(axis=(0, 2)) > 0
+        return groups_of(acting)
+
+    def parameters(self, values: Array) -> Array:
+        return self.constant + _applied(self.mixing, values)
+
+    def penalty(self, values: Array) -> Array:
+        return penalty_factor(self.largest_pole(values).real)
+
+    def largest_pole(self, values: Array) -> ComplexArray:
+        # An optimiser asks for the derivative where it has just asked for the residual.
+        key = values.tobytes()
+        if key not in self.latest_pole:
+            poles = self.model.poles(self.parameters(values), self.environment)
+            largest = np.argmax(poles.real, axis=-1)[..., None]
+            self.latest_pole.clear()
+            self.latest_pole[key] = np.take_along_axis(poles, largest, axis=-1)[..., 0]
+        return self.latest_pole[key]
+
+    def log_error(self, values: Array) -> ComplexArray:
+        """Weighted complex log error, (..., 4 frequency)."""
+        return _flat(self.weight * np.log(self.admittance / self.model.admittance(self.parameters(values))), 3)
+
+    def log_error_and_slope(self, values: Array) -> tuple[ComplexArray, ComplexArray]:
+        """`log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter)."""
+        model, gradient = self.model.admittance_and_gradient(self.parameters(values))
+        error = self.weight * np.log(self.admittance / model)
+        slope = gradient * (-self.weight / model)[..., None]
+        return _flat(error, 3), np.asarray(_flat(slope, 4) @ self.mixing)
+
+    def modulus_and_slope(self, values: Array) -> tuple[Array, Array]:
+        """Modulus of `log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter).
+
+        Errors are in another order than there.
+        """
+        modulus = np.empty(0)
+
+        def weigh(model: ComplexArray) -> ComplexArray:
+            nonlocal modulus
+            error = self.weight * np.log(self.admittance / model)
+            modulus = np.abs(error)
+            aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
+            return np.asarray(aligned * self.weight / -model)
+
+        groups, rows = self.groups
+        _, slope = self.model.admittance_and_weighted_gradient(self.parameters(values), weigh, groups)
+        # Frequency is the last axis in memory.
+        flat = np.moveaxis(slope, (-1, -4), (-4, -1)).reshape(*values.shape[:-1], len(rows), -1)
+        mixed = self.mixing[..., rows, :].swapaxes(-1, -2) @ flat
+        return np.moveaxis(modulus, -3, -1).reshape(*values.shape[:-1], -1), mixed.swapaxes(-1, -2)
+
+    def residual(self, values: Array, with_penalty: bool) -> Array:
+        """Weighted complex log error, real then imaginary parts; with penalty and then a zero, (8 frequency [+ 1],)."""
+        error = _stack(self.log_error(values))
+        return np.append(error * self.penalty(values), 0.0) if with_penalty else error
+
+    def jacobian(self, values: Array, with_penalty: bool) -> Array:
+        """Derivative of the residual, (8 frequency [+ 1], parameter).
+
+        The zero that comes with the penalty changes neither criterion nor gradient, whatever its row here. The row adds
+        the second derivative of the penalty, most of its curvature, to the Gauss-Newton step: without it the optimiser
+        creeps along the border of stability.
+        """
+        error, slope = map(_stack, self.log_error_and_slope(values))
+        if not with_penalty:
+            return slope
+        factor, gradient = self.penalty_and_gradient(values)
+        if factor - 1.0 < NEGLIGIBLE_PENALTY:
+            return np.vstack([slope, gradient])
+        curvature = np.linalg.norm(error) * np.sqrt(factor / (factor - 1.0)) * gradient
+        return np.vstack([slope * factor + np.outer(error, gradient), curvature])
+
+    def penalty_and_gradient(self, values: Array) -> tuple[Array, Array]:
+        """Penalty and its derivative, (...,) and (..., parameter).
+
+        The derivative is zero where the penalty is one or out of all bounds.
+        """
+        pole = self.largest_pole(values)
+        factor = penalty_factor(pole.real)
+        acts = (factor - 1.0 >= NEGLIGIBLE_PENALTY) & (factor < penalty_factor(np.inf))
+        if not acts.any():
+            return factor, np.zeros_like(values)
+        groups, rows = self.groups
+        gradient = self.model.pole_gradient(self.parameters(values), self.environment, pole, groups)
+        slope = _applied(self.mixing[..., rows, :].swapaxes(-1, -2), gradient)
+        steepness = (factor - 1.0) * 10.0 * np.log(10.0)
+        return factor, np.where(acts[..., None], steepness[..., None] * slope, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Problems with the same number of frequencies, in one.
+
+    Parameters are those of the largest structure: what others have less is zero, and has no effect.
+    """
+
+    bodies: tuple[Subject, ...]
+    structures: tuple[Structure, ...]
+    environments: Environments
+    problem: _Problem
+
+    @classmethod
+    def of(cls, targets: Sequence[Target], structures: Sequence[Structure], delay: Delay) -> Self:
+        """The problems of targets.
+
+        Raises:
+          ValueError: as `fit_admittances`.
+        """
+        problems = [_checked(target, structure, delay) for target, structure in zip(targets, structures, strict=True)]
+        if len(counts := {len(one.frequency) for one in problems}) > 1:
+            raise ValueError(
+                f"targets have {', '.join(map(str, sorted(counts)))} frequencies; expected the same number"
+            )
+        n = max(one.mixing.shape[1] for one in problems)
+
+        def filled(values: Array, missing: float) -> Array:
+            width = [(0, 0)] * (values.ndim - 1) + [(0, n - values.shape[-1])]
+            return np.pad(values, width, constant_values=missing)
+
+        bodies = tuple(target.body for target in targets)
+        environments = Environments.of([target.environment for target in targets])
+        frequency = np.array([one.frequency for one in problems])
+        problem = _Problem(
+            frequency,
+            _frequency_last(np.array([one.admittance for one in problems])),
+            _frequency_last(np.array([one.weight for one in problems])),
+            environments,
+            LinearArm(bodies, frequency, delay),
+            np.array([filled(one.mixing, 0.0) for one in problems]),
+            np.array([one.constant for one in problems]),
+            np.array([filled(one.lower, -1.0) for one in problems]),
+            np.array([filled(one.upper, 1.0) for one in problems]),
+        )
+        return cls(bodies, tuple(structures), environments, problem)
+
+    @property
+    def sizes(self) -> NDArray[np.int64]:
+        """How many parameters each has."""
+        return np.array([len(structure.free) for structure in self.structures])
+
+    def take(self, index: NDArray[np.int64]) -> Self:
+        """Some of the problems, in this order."""
+        whole, environments = self.problem, self.environments.take(index)
+        problem = _Problem(
+            whole.frequency[index],
+            _frequency_last(whole.admittance[index]),
+            _frequency_last(whole.weight[index]),
+            environments,
+            whole.model.take(index),
+            whole.mixing[index],
+            whole.constant[index],
+            whole.lower[index],
+            whole.upper[index],
+        )
+        bodies, structures = (tuple(all_[i] for i in index) for all_ in (self.bodies, self.structures))
+        return type(self)(bodies, structures, environments, problem)
+
+    def require_identifiable(self, starts: Array) -> None:
+        """Refuse a structure in which some direction of the parameters changes no response of a batch.
+
+        What has no effect at the start may have some elsewhere, as a delay has none without gains: only what has none
+        at random places within the bounds either is refused.
+
+        Args:
+          starts: (batch, parameter).
+
+        Raises:
+          ValueError: there is such a direction.
+        """
+        rng = np.random.default_rng(0)
+        batch, places = self, starts
+        for share in (0.1, 0.3, None):
+            slopes = _stack(batch.problem.log_error_and_slope(places)[1], axis=1)
+            nothing = [
+                _silent_directions(slope[:, : len(structure.free)])
+                for slope, structure in zip(slopes, batch.structures, strict=True)
+            ]
+            silent = np.flatnonzero([directions.size > 0 for directions in nothing])
+            if not len(silent):
+                return
+            if share is not None:
+                batch, starts = batch.take(silent), starts[silent]
+                lower, upper = batch.problem.lower, batch.problem.upper
+                places = starts + share * (rng.uniform(lower, upper) - starts)
+        structure = batch.structures[silent[0]]
+        effect = np.linalg.norm(slopes[silent[0], :, : len(structure.free)], axis=0)
+        direction = nothing[silent[0]][0] / np.where(effect > 0, effect, 1.0)
+        direction[np.abs(nothing[silent[0]][0]) < 1e-3] = 0.0
+        direction /= np.abs(direction).max()
+        parts = [
+            f"{share:+.2g} {unit(name)} of {name}"
+            for share, name in zip(direction, structure.free, strict=True)
+            if share
+        ]
+        raise ValueError(
+            f"model {structure.name} cannot be identified from {self.problem.frequency.shape[-1]} frequencies: "
+            f"{', '.join(parts)} change no response; expected fewer free parameters"
+        )
+
+    def judge(
+        self,
+        values: Array,
+        status: Sequence[int] | NDArray[np.int64],
+        n_evaluations: Sequence[int] | NDArray[np.int64],
+        *,
+        use_penalty: bool,
+        n_starts: int,
+        n_starts_agree: int,
+    ) -> list[AdmittanceFit]:
+        """The fits of a batch at its solutions, with all that a reader must know to trust them or not.
+
+        Args:
+          values: solutions, (batch, parameter).
+          status: why each search stopped, see `trust_region`.
+          n_evaluations: of each.
+          use_penalty: whether the criterion has one.
+          n_starts: of each.
+          n_starts_agree: of each.
+        """
+        lower, upper = self.problem.lower, self.problem.upper
+        modulus, slope = self.problem.modulus_and_slope(values)
+        poles = self.problem.largest_pole(values).real
+        factors = penalty_factor(poles) if use_penalty else np.ones(len(values))
+        criteria = np.mean(modulus**2, axis=-1) * factors**2
+        near = np.minimum(values - lower, upper - values) <= AT_BOUND * (upper - lower)
+        fits = []
+        for i, (body, structure) in enumerate(zip(self.bodies, self.structures, strict=True)):
+            names, own = structure.free, values[i, : len(structure.free)]
+            sem = _standard_error(modulus[i], slope[i, :, : len(names)])
+            unidentified = tuple(name for name, value in zip(names, sem, strict=True) if not np.isfinite(value))
+            why = _WHY_STOPPED[int(status[i])]
+            if unidentified:
+                why += f"; the data say nothing about {', '.join(unidentified)}"
+            fits.append(
+                AdmittanceFit(
+                    structure=structure.name,
+                    arm=structure.arm(body, own),
+                    values=dict(zip(names, own.tolist(), strict=True)),
+                    sem=dict(zip(names, sem.tolist(), strict=True)),
+                    unidentified=unidentified,
+                    at_bound=tuple(name for name, hit in zip(names, near[i, : len(names)], strict=True) if hit),
+                    status=why,
+                    converged=int(status[i]) > 0,
+                    criterion=float(criteria[i]),
+                    n_errors=modulus.shape[-1],
+                    penalty=float(factors[i]),
+                    stable=bool(poles[i] < 0),
+                    largest_real_pole=float(poles[i]),
+                    n_starts=n_starts,
+                    n_starts_agree=n_starts_agree,
+                    n_evaluations=int(n_evaluations[i]),
+                )
+            )
+        return fits
+
+
+@dataclass(frozen=True, eq=False)
+class _Published:
+    """A batch of problems as lsqnonlin had them in appendix C, but for the derivatives, which are exact here.
+
+    Residuals are moduli, and parameters are normalised by their start.
+    """
+
+    batch: _Batch
+    scale: Array
+    with_penalty: bool
+
+    def take(self, index: NDArray[np.int64]) -> Self:
+        """Some of the problems, in this order."""
+        return type(self)(self.batch.take(index), self.scale[index], self.with_penalty)
+
+    def evaluate(self, x: Array) -> tuple[Array, Array]:
+        """Residuals and their derivatives, see `trust_region.Problems`."""
+        values = x * self.scale
+        modulus, slope = self.batch.problem.modulus_and_slope(values)
+        if self.with_penalty:
+            factor, gradient = self.batch.problem.penalty_and_gradient(values)
+            slope *= (factor[:, None] * self.scale)[:, None]
+            slope += modulus[..., None] * (gradient * self.scale)[:, None]
+            return modulus * factor[:, None], slope
+        slope *= self.scale[:, None]
+        return modulus, slope
+
+
+def _applied(matrix: Array, vector: Array) -> Array:
+    return np.asarray((matrix @ vector[..., None])[..., 0])
+
+
+def _frequency_last(values: NDArray[Any]) -> NDArray[Any]:
+    """The same, (batch, frequency, output, input), with frequency last in memory, as `LinearArm` has it."""
+    return np.moveaxis(np.ascontiguousarray(np.moveaxis(values, (-2, -1), (0, 1))), (0, 1), (-2, -1))
+
+
+def _flat(values: NDArray[Any], n: int) -> NDArray[Any]:
+    """One axis in the place of frequency, output and input, of which the first is the n-th from the end."""
+    cut = values.ndim - n
+    return values.reshape(*values.shape[:cut], -1, *values.shape[cut + 3 :])
+
+
+def _stack(values: ComplexArray, axis: int = 0) -> Array:
+    return np.concatenate([values.real, values.imag], axis=axis)
+
+
+def _silent_directions(jacobian: Array) -> Array:
+    """Directions of the columns, each scaled by its norm, in which nothing changes, (direction, column)."""
+    scale = np.linalg.norm(jacobian, axis=0)
+    if not scale.all():
+        return np.eye(len(scale))[scale == 0]
+    _, singular, basis = np.linalg.svd(jacobian / scale, full_matrices=len(jacobian) < len(scale))
+    return np.asarray(basis[np.count_nonzero(singular > UNIDENTIFIED * singular[0]) :])
+
+
+def _standard_error(modulus: Array, jacobian: Array) -> Array:
+    """Eq. 2.22; infinite for columns that share in a direction without effect.
+
+    Args:
+      modulus: of the log error, (n,).
+      jacobian: its derivative, (n, parameter).
+    """
+    silent = np.abs(_silent_directions(jacobian)).max(axis=0, initial=0.0) > 1e-6
+    known = jacobian[:, ~silent]
+    scale = np.linalg.norm(known, axis=0)
+    _, singular, basis = np.linalg.svd(known / scale, full_matrices=False)
+    variance = np.sum((basis / singular[:, None]) ** 2, axis=0) / scale**2 * np.mean(modulus**2)
+    sem = np.full(len(silent), np.inf)
+    sem[~silent] = np.sqrt(variance)
+    return sem
+
+
+def _checked(target: Target, structure: Structure, delay: Delay) -> _Problem:
+    f, h = np.asarray(target.frequency, dtype=float), np.asarray(target.admittance, dtype=complex)
+    c = np.ones((f.size, 2)) if target.coherence is None else np.asarray(target.coherence, dtype=float)
+    if f.ndim != 1 or h.shape != (f.size, 2, 2) or c.shape != (f.size, 2):
+        raise ValueError(
+            f"frequency, admittance and coherence have shapes {f.shape}, {h.shape}, {c.shape}; "
+            "expected (n,), (n, 2, 2), (n, 2)"
+        )
+    for name, values in (("frequency", f), ("admittance", h), ("coherence", c)):
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} holds {values[~np.isfinite(values)][0]}; expected finite values")
+    if (f <= 0).any():
+        raise ValueError(f"frequency = {f.min():g} Hz; expected frequencies above 0")
+    if (h == 0).any():
+        raise ValueError(f"admittance at {f[np.argwhere(h == 0)[0][0]]:g} Hz is 0; expected a response to fit")
+    if (c < 0).any() or (c > 1).any():
+        raise ValueError(f"coherence from {c.min():g} to {c.max():g}; expected 0 to 1")
+    if delay not in get_args(Delay):
+        raise ValueError(f"delay = {delay!r}; expected one of {', '.join(get_args(Delay))}")
+    if 8 * f.size <= len(structure.free):
+        raise ValueError(f"{f.size} frequencies for {len(structure.free)} parameters; expected more frequencies")
+    weight = np.broadcast_to(np.sqrt(c)[:, :, None], h.shape)
+    lower, upper = np.array(list(structure.bounds.values())).T
+    return _Problem(
+        f,
+        h,
+        weight,
+        target.environment,
+        LinearArm(target.body, f, delay),
+        structure.mixing,
+        structure.constant(target.body.task),
+        lower,
+        upper,
+    )
+
+
+def _published(structure: Structure) -> Array:
+    return np.array([structure.start[name] for name in structure.free])
+
+
+def _checked_start(structure: Structure, start: Mapping[str, float] | None) -> Array:
+    values = dict(structure.start)
+    for name, value in (start or {}).items():
+        if name not in values:
+            raise ValueError(
+                f"start: unknown parameter {name!r}; model {structure.name} has {', '.join(structure.free)}"
+            )
+        lower, upper = structure.bounds[name]
+        if not lower <= value <= upper:
+            raise ValueError(f"start: {name} = {value!r}; expected {lower:g} to {upper:g} {unit(name)}")
+        values[name] = float(value)
+    return np.array([values[name] for name in structure.free])

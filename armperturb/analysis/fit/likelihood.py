@@ -1,0 +1,364 @@
+"""How likely trials are under an arm model: in the frequency domain over one period, or over the whole record.
+
+In both, x = P(theta) d + v, where x is the displacement that encoders and gauge together tell (`displacement`), d the
+known disturbance, and v what the person and the instruments add: noise of an unknown, smooth spectrum, the same in all
+trials of a condition. At each frequency the residual v = x - P d is then complex normal, and trials are the more likely
+the less
+
+    sum over trials and frequencies of v^H Phi_vv^-1 v    (Whittle 1953, Ark. Mat. 2).
+
+Phi_vv is estimated from the residual itself. It has the arm's own resonance, and what smooths it must not: so it is the
+spectrum of the hand force u = P^-1 v that would move the handle like that which is smoothed.
+
+A finite record lets the strong low frequencies leak into the weak high ones. Both likelihoods therefore filter x and
+P d with the same two zeros, so that what is left is nearly white, before they are transformed.
+"""
+
+import itertools
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy import fft, sparse, stats
+
+from armperturb.analysis.arm.linear_arm import LinearArm
+from armperturb.arrays import Array, ComplexArray, Indices
+from armperturb.environment import Environment
+from armperturb.subject import Subject
+
+CORNER = 1.5
+"""From about this frequency on the displacement falls with inertia [Hz]: corner of the whitening filter."""
+
+N_SMOOTH = 40
+"""Trials times frequencies over which the spectrum of the noise is averaged at least."""
+
+RELATIVE_WIDTH = 0.05
+"""Half the band over which the spectrum of the noise is averaged at least, over its frequency [-]."""
+
+TAPER = 2.0
+"""Length over which a record fades out before it is transformed [s]; one that begins at rest needs no fading in."""
+
+EXCITED = 1e-3
+"""Share of the strongest frequency's power from which on a frequency counts as excited."""
+
+ROUND_OFF = 1e-12
+"""Noise cannot be less: amplitude over that of the strongest disturbance, power in one direction over all [-]."""
+
+
+class Normal(NamedTuple):
+    """Least squares at one point, with the noise as last weighed.
+
+    Attributes:
+      cost: sum of squares of the white residual, twice its complex square.
+      slope: derivative of the model times the residual, (parameter,): minus half the cost's gradient.
+      information: Fisher information, (parameter, parameter).
+    """
+
+    cost: float
+    slope: Array
+    information: Array
+
+
+class LackOfFit(NamedTuple):
+    """What is left in the residual that the disturbance explains.
+
+    Attributes:
+      chi2: of a further, free linear response in each band of excited frequencies [-].
+      dof: real numbers in those responses, or what takes their place where noise is not stationary.
+    """
+
+    chi2: float
+    dof: int
+
+    @property
+    def p_value(self) -> float:
+        """Chance of so large a chi2 if the arm is right [-]."""
+        return float(stats.chi2.sf(self.chi2, self.dof))
+
+
+def whitening(frequency: Array, rate: float) -> ComplexArray:
+    """Frequency response of the filter that makes displacements nearly white, (frequency,)."""
+    pole = _pole(rate)
+    return np.asarray(((1.0 - pole * np.exp(-2j * np.pi * frequency / rate)) / (1.0 - pole)) ** 2)
+
+
+def whitened(values: Array, rate: float) -> Array:
+    """That filter's output, at rest before the first sample, (trial, time, axis)."""
+    pole = _pole(rate)
+    padded = np.concatenate([np.zeros_like(values[:, :2]), values], axis=1)
+    return np.asarray((padded[:, 2:] - 2 * pole * padded[:, 1:-1] + pole**2 * padded[:, :-2]) / (1.0 - pole) ** 2)
+
+
+def _pole(rate: float) -> float:
+    return float(np.exp(-2 * np.pi * CORNER / rate))
+
+
+class Likelihood:
+    """Likelihood of the trials of one condition; subclasses say how an arm answers the disturbance.
+
+    Values are the parameters of an arm in the order of `arm_model.PARAMETERS`.
+
+    Args:
+      body: gives segment lengths, posture and damping of the activation filter.
+      environment: what the hand holds.
+      frequency: of the residual, evenly spaced [Hz], (frequency,).
+      rate: of the samples [Hz].
+      force: DFT of d at these frequencies, (trial, axis, frequency).
+      observed: DFT of the whitened displacement, (trial, axis, frequency).
+      answering: indices of the frequencies at which an arm answers at all; the others hold noise alone, and tell how
+        strong it is.
+    """
+
+    def __init__(
+        self,
+        body: Subject,
+        environment: Environment,
+        frequency: Array,
+        rate: float,
+        force: ComplexArray,
+        observed: ComplexArray,
+        answering: Indices | slice,
+    ) -> None:
+        self._arm, self._environment = LinearArm(body, frequency), environment
+        self._filter = whitening(frequency, rate)
+        self._answering = answering
+        self._force, self._observed = force[..., answering], observed[..., answering]
+        self._quiet = np.ones(len(frequency), dtype=bool)
+        self._quiet[answering] = False
+        noise = observed[..., self._quiet]
+        self._noise_power = np.einsum("taf,tbf->abf", noise, noise.conj()) / len(noise)
+        index = np.arange(len(frequency))[answering]
+        # Bands as places among those that answer.
+        self._bands = [
+            slice(int(np.searchsorted(index, run.start)), int(np.searchsorted(index, run.stop)))
+            for run in excited_bands(frequency, force)
+        ]
+        self._smoother = smoother(len(frequency), len(force))[index]
+        self._least = float(ROUND_OFF * np.abs(force).max()) ** 2
+        self._white = np.zeros((2, 2, len(index)), dtype=complex)
+        self._latest: tuple[bytes, ComplexArray] = b"", self._observed
+
+    def _predicted(self, values: Array) -> ComplexArray:
+        """DFT of the whitened P d where the arm answers, (trial, axis, answer)."""
+        raise NotImplementedError
+
+    def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
+        """Some trials and the derivatives of `_predicted` there, (free parameter, trial, axis, answer)."""
+        raise NotImplementedError
+
+    def _residual(self, values: Array) -> ComplexArray:
+        # A search asks three times in a row about the same arm: cost, weights, slope.
+        key, residual = self._latest
+        if key != values.tobytes():
+            residual = self._observed - self._predicted(values)
+            self._latest = values.tobytes(), residual
+        return residual
+
+    def weigh(self, values: Array) -> None:
+        """Estimate the noise that is left by an arm with these parameters; it holds until the next call."""
+        total = self._arm.total_admittance(values, self._environment) * self._filter[:, None, None]
+        (a, b), (c, d) = np.moveaxis(total, 0, -1)
+        to_force = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
+        answers = to_force[..., self._answering]
+        force = _applied(answers, self._residual(values))
+        power = np.empty(to_force.shape, dtype=complex)
+        power[..., self._answering] = np.einsum("taf,tbf->abf", force, force.conj()) / len(force)
+        quiet = to_force[..., self._quiet]
+        half = np.einsum("acf,cdf->adf", quiet, self._noise_power)
+        power[..., self._quiet] = np.einsum("adf,bdf->abf", half, quiet.conj())
+        smooth = np.asarray(self._smoother @ power.reshape(4, -1).T).reshape(-1, 2, 2)
+        floor = self._least + ROUND_OFF * np.trace(smooth, axis1=1, axis2=2).real
+        root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(2))
+        # Real and imaginary part of the residual have half its power each.
+        self._white = np.moveaxis(np.sqrt(2.0) * np.linalg.solve(root, np.moveaxis(answers, -1, 0)), 0, -1)
+
+    def objective(self, values: Array) -> float:
+        """Minus twice the log likelihood, but for a constant, the noise being that which the arm leaves [-]."""
+        self.weigh(values)
+        (a, b), (c, d) = self._white
+        return self.cost(values) - 4.0 * len(self._force) * float(np.sum(np.log(np.abs(a * d - b * c))))
+
+    def cost(self, values: Array) -> float:
+        """`Normal.cost` of an arm."""
+        return float(np.sum(np.abs(_applied(self._white, self._residual(values))) ** 2))
+
+    def normal(self, values: Array, mixing: Array) -> Normal:
+        """Least squares with respect to free parameters; mixing is (arm parameter, free parameter)."""
+        residual = _applied(self._white, self._residual(values))
+        n = mixing.shape[1]
+        slope, information = np.zeros(n), np.zeros((n, n))
+        for trials, derivatives in self._slopes(values, mixing):
+            rows = _real(_applied(self._white, derivatives).reshape(n, -1))
+            slope += rows @ _real(residual[trials].ravel())
+            information += rows @ rows.T
+        return Normal(float(np.sum(np.abs(residual) ** 2)), slope, information)
+
+    def lack_of_fit(self, values: Array) -> LackOfFit:
+        """Whether the arm leaves something that the disturbance explains, the noise being as last weighed.
+
+        In each band of excited frequencies the white residual is regressed on what a change of P, the same all over the
+        band, would add. Each regression has as many real parameters as P has numbers: eight.
+        """
+        residual = _applied(self._white, self._residual(values))
+        changes = np.einsum("aof,tif->tafoi", self._white * self._filter[self._answering], self._force)
+        chi2 = 0.0
+        for band in self._bands:
+            basis, _ = np.linalg.qr(changes[:, :, band].reshape(-1, 4))
+            chi2 += float(np.sum(np.abs(basis.conj().T @ residual[..., band].ravel()) ** 2))
+        return LackOfFit(chi2, 8 * len(self._bands))
+
+
+class PeriodLikelihood(Likelihood):
+    """Likelihood of the mean of whole periods, in which the response to the disturbance is periodic.
+
+    Args:
+      perturbation: d over whole periods [N], (trial, time, axis).
+      displacement: whitened, of the same time, (trial, time, axis).
+      body: gives segment lengths, posture and damping of the activation filter.
+      environment: what the hand holds.
+      rate: of the samples [Hz].
+      n_period: samples of a period.
+      top: highest frequency that counts [Hz].
+    """
+
+    def __init__(
+        self,
+        perturbation: Array,
+        displacement: Array,
+        body: Subject,
+        environment: Environment,
+        rate: float,
+        n_period: int,
+        top: float,
+    ) -> None:
+        frequency = fft.rfftfreq(n_period, 1.0 / rate)
+        used = slice(1, int(np.searchsorted(frequency, top)))
+
+        def spectrum(values: Array) -> ComplexArray:
+            mean = values.reshape(len(values), -1, n_period, 2).mean(axis=1)
+            return np.asarray(fft.rfft(mean, axis=1)[:, used].swapaxes(1, 2))
+
+        force = spectrum(perturbation)
+        power = np.sum(np.abs(force) ** 2, axis=(0, 1))
+        # Lines without disturbance hold noise alone, which is why they are here.
+        excited = np.flatnonzero(power > EXCITED * power.max())
+        force[..., power <= EXCITED * power.max()] = 0.0
+        super().__init__(body, environment, frequency[used], rate, force, spectrum(displacement), excited)
+        self._model = LinearArm(body, frequency[used][excited])
+        self._load = force[..., excited] * self._filter[excited]
+
+    def _predicted(self, values: Array) -> ComplexArray:
+        return _applied(np.moveaxis(self._model.total_admittance(values, self._environment), 0, -1), self._load)
+
+    def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
+        gradient = _mixed(self._model.total_and_gradient(values, self._environment)[1], mixing)[:, None]
+        first, second = self._load[:, 0, None], self._load[:, 1, None]
+        yield slice(None), gradient[:, :, :, 0] * first + gradient[:, :, :, 1] * second
+
+
+class RecordLikelihood(Likelihood):
+    """Likelihood of the whole record.
+
+    Args:
+      perturbation: d [N], (trial, time, axis).
+      displacement: whitened, (trial, time, axis).
+      body: gives segment lengths, posture and damping of the activation filter.
+      environment: what the hand holds.
+      rate: of the samples [Hz].
+      top: highest frequency that counts [Hz].
+      settle: time at the start that is not judged [s]; 0 for records that start at rest. A response to what came before
+        the record must have died away by then.
+    """
+
+    def __init__(
+        self,
+        perturbation: Array,
+        displacement: Array,
+        body: Subject,
+        environment: Environment,
+        rate: float,
+        top: float,
+        settle: float,
+    ) -> None:
+        n_taper = round(TAPER * rate)
+        self._judged = slice(round(settle * rate), perturbation.shape[1])
+        self._n_padded = fft.next_fast_len(2 * perturbation.shape[1], real=True)
+        fade = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_taper) + 0.5) / n_taper)
+        self._taper = np.ones(self._judged.stop - self._judged.start)
+        self._taper[-n_taper:] = fade[::-1]
+        if settle > 0.0:
+            self._taper[:n_taper] *= fade
+        frequency = fft.rfftfreq(len(self._taper), 1.0 / rate)
+        self._used = slice(1, int(np.searchsorted(frequency, top)))
+        super().__init__(
+            body,
+            environment,
+            frequency[self._used],
+            rate,
+            self._spectrum(perturbation.swapaxes(1, 2)),
+            self._spectrum(displacement.swapaxes(1, 2)),
+            slice(None),
+        )
+        fine = fft.rfftfreq(self._n_padded, 1.0 / rate)
+        fine = fine[: np.searchsorted(fine, min(1.3 * top, 0.5 * rate))]
+        # A model cannot be asked at zero frequency, where powers of it stand in denominators.
+        self._model = LinearArm(body, np.maximum(fine, 1e-6))
+        load = fft.rfft(perturbation.swapaxes(1, 2), self._n_padded, axis=-1)[..., : len(fine)]
+        self._load = load * whitening(fine, rate)
+
+    def _spectrum(self, values: Array) -> ComplexArray:
+        """DFT of what is judged of records (..., time), faded out, at the frequencies that count."""
+        return np.asarray(fft.rfft(values[..., self._judged] * self._taper, axis=-1)[..., self._used])
+
+    def _cut(self, spectrum: ComplexArray) -> ComplexArray:
+        """The same of signals that are given by their DFT over the padded time."""
+        return self._spectrum(fft.irfft(spectrum, self._n_padded, axis=-1))
+
+    def _predicted(self, values: Array) -> ComplexArray:
+        total = np.moveaxis(self._model.total_admittance(values, self._environment), 0, -1)
+        return self._cut(_applied(total, self._load))
+
+    def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
+        gradient = _mixed(self._model.total_and_gradient(values, self._environment)[1], mixing)
+        for trial, load in enumerate(self._load):  # one at a time, for the sake of memory
+            derivatives = self._cut(gradient[:, :, 0] * load[0] + gradient[:, :, 1] * load[1])
+            yield slice(trial, trial + 1), derivatives[:, None]
+
+
+def _applied(matrix: ComplexArray, values: ComplexArray) -> ComplexArray:
+    """Matrices (axis, axis, frequency) times vectors (..., axis, frequency)."""
+    first, second = values[..., 0, :], values[..., 1, :]
+    return np.stack(
+        [matrix[0, 0] * first + matrix[0, 1] * second, matrix[1, 0] * first + matrix[1, 1] * second], axis=-2
+    )
+
+
+def _mixed(gradient: ComplexArray, mixing: Array) -> ComplexArray:
+    """Derivatives by the free parameters, (parameter, output, input, frequency)."""
+    return np.tensordot(mixing.T, gradient.transpose(3, 1, 2, 0), 1)
+
+
+def _real(values: ComplexArray) -> Array:
+    return np.concatenate([values.real, values.imag], axis=-1)
+
+
+def smoother(n: int, n_trials: int) -> sparse.csr_array:
+    """Matrix that averages over nearby frequencies, the same of each of n_trials trials, (frequency, frequency)."""
+    index = np.arange(n)
+    half = np.maximum(int(np.ceil(N_SMOOTH / n_trials / 2)), (RELATIVE_WIDTH * index).astype(int))
+    near = np.abs(index - index[:, None]) <= half[:, None]
+    return sparse.csr_array(near / near.sum(axis=1, keepdims=True))
+
+
+def excited_bands(frequency: Array, force: ComplexArray) -> list[slice]:
+    """Runs of excited frequencies, split where they are wider than a third of an octave."""
+    power = np.mean(np.abs(force) ** 2, axis=(0, 1))
+    excited = np.flatnonzero(power > EXCITED * power.max())
+    runs, first = [], excited[0]
+    for before, now in itertools.pairwise(excited):
+        if now - before > 2 or frequency[now] > 2 ** (1 / 3) * frequency[first] + 4 * frequency[0]:
+            runs.append(slice(int(first), int(before) + 1))
+            first = now
+    runs.append(slice(int(first), int(excited[-1]) + 1))
+    # Four complex numbers are estimated in each.
+    return [run for run in runs if 2 * len(force) * (run.stop - run.start) >= 8]

@@ -1,0 +1,451 @@
+"""Arm model structures: which parameters are estimated, within which bounds, and what the others are (table C.1)."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from types import MappingProxyType
+from typing import Any, NoReturn, Self
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from armperturb.analysis.arm.parameters import PARAMETERS, parameter_vector
+from armperturb.arrays import Array
+from armperturb.subject import HUMERUS_MASS_SHARE, POSITION, RELAX, TASKS, Subject
+
+Bounds = tuple[float, float]
+
+UNITS = {
+    "m": "kg",
+    "b": "Nms/rad",
+    "k": "Nm/rad",
+    "kv": "Nms/rad",
+    "kp": "Nm/rad",
+    "ka": "Nms^2/rad",
+    "kf": "-",
+    "Td": "s",
+    "fact": "Hz",
+}
+GRIP_UNITS = {"b_h": "Ns/m", "k_h": "N/m"}
+
+_DEFAULTS = {one.name: one.default for one in fields(Subject) if isinstance(one.default, float)}
+_AT_LEAST_ZERO = ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e", "b_h")
+_ABOVE_ZERO = ("m_h", "m_f", "k_h", "Td_s", "Td_e", "fact_s", "fact_e")
+
+
+def unit(parameter: str) -> str:
+    """SI unit of a parameter."""
+    return GRIP_UNITS.get(parameter) or UNITS[parameter.partition("_")[0]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Structure:
+    """One arm model structure: what each parameter of an arm (`arm_model.PARAMETERS`) is in a fit.
+
+    A parameter is free (has bounds and a start), tied to free ones, or fixed; one that is none of these has the value
+    that a `Subject` has by default: no feedback, a delay of 30 ms, a cut-off of 3.5 Hz. Others are derived from the
+    thesis's by `fixing`, `freeing`, `tying` and `named`:
+
+        STRUCTURES["3"].fixing(Td_s=0.03, fact_s=3.5, fact_e=3.5).tying(Td_e={"Td_s": 1.0}).named("3, one delay")
+
+    Attributes:
+      name: as the thesis numbers it.
+      bounds: lower and upper bound of each free parameter, SI. Names that are no parameter of an arm, as m_tot, exist
+        through those that are tied to them.
+      start: value of each free parameter, SI; the default start of a fit.
+      fixed: task to the value of parameters that are not estimated, SI.
+      tied: parameter to the free ones whose weighted sum it is: {"m_h": {"m_tot": 0.49}}.
+      mixing: derivative of an arm's parameters by the free ones, (arm parameter, free parameter); follows from these.
+
+    Raises:
+      ValueError: a name is unknown, a parameter is free, tied or fixed at the same time, or missing, bounds cross or
+        hold values that no arm can have, or a start is missing or outside its bounds.
+    """
+
+    name: str
+    bounds: Mapping[str, Bounds]
+    start: Mapping[str, float]
+    fixed: Mapping[str, Mapping[str, float]]
+    tied: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    mixing: Array = field(init=False, repr=False)
+    _constant: Mapping[str, Array] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._check_names()
+        self._check_values()
+        mixing = np.zeros((len(PARAMETERS), len(self.free)))
+        for index, name in enumerate(PARAMETERS):
+            for driver, share in self.tied.get(name, {name: 1.0} if name in self.bounds else {}).items():
+                mixing[index, self.free.index(driver)] = share
+        constant = {
+            task: np.array(
+                [
+                    0.0 if name in self.bounds or name in self.tied else values.get(name, _DEFAULTS.get(name, math.nan))
+                    for name in PARAMETERS
+                ]
+            )
+            for task, values in self.fixed.items()
+        }
+        object.__setattr__(self, "mixing", mixing)
+        object.__setattr__(self, "_constant", constant)
+
+    def _fail(self, message: str) -> NoReturn:
+        raise ValueError(f"model {self.name}: {message}")
+
+    def _check_names(self) -> None:
+        tied_to = {driver for shares in self.tied.values() for driver in shares}
+        for task in self.fixed:
+            if task not in TASKS:
+                self._fail(f"fixed values for the task {task!r}; expected {', '.join(TASKS)}")
+        for task in TASKS:
+            if task not in self.fixed:
+                self._fail(f"no fixed values for the task {task}; expected a mapping, which may be empty")
+        for name in self.bounds:
+            if name not in PARAMETERS and name not in tied_to:
+                self._fail(f"free parameter {name!r} is unknown; expected one of {', '.join(PARAMETERS)}")
+        for name in self.start:
+            if name not in self.bounds:
+                self._fail(f"start of {name!r}, which is not free; expected {', '.join(self.bounds)}")
+        for name, shares in self.tied.items():
+            if name not in PARAMETERS:
+                self._fail(f"tied parameter {name!r} is unknown; expected one of {', '.join(PARAMETERS)}")
+            if name in self.bounds:
+                self._fail(f"{name} is both free and tied; expected one of them")
+            for driver, share in shares.items():
+                if driver not in self.bounds:
+                    self._fail(f"{name} is tied to {driver!r}, which is not free; expected {', '.join(self.bounds)}")
+                if not math.isfinite(share):
+                    self._fail(f"{name} is tied to {share!r} times {driver}; expected a finite number")
+        for task, values in self.fixed.items():
+            for name in values:
+                if name not in PARAMETERS:
+                    self._fail(f"fixed parameter {name!r} is unknown; expected one of {', '.join(PARAMETERS)}")
+                if name in self.bounds or name in self.tied:
+                    kind = "free" if name in self.bounds else "tied"
+                    self._fail(f"{name} is both {kind} and fixed ({task}); expected one of them")
+            for name in PARAMETERS:
+                if not (name in self.bounds or name in self.tied or name in values or name in _DEFAULTS):
+                    self._fail(f"{name} is neither free nor tied nor fixed ({task}); expected one of them")
+
+    def _check_values(self) -> None:
+        if not self.bounds:
+            self._fail("no parameter is free; expected at least one")
+        for name, pair in self.bounds.items():
+            lower, upper = pair
+            if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
+                self._fail(f"bounds of {name} = {lower!r} to {upper!r}; expected a lower and a higher finite number")
+            least = 0.0 if name in _AT_LEAST_ZERO or name in _ABOVE_ZERO else -math.inf
+            if lower < least or (lower == least and name in _ABOVE_ZERO):
+                word = "above" if name in _ABOVE_ZERO else "at least"
+                self._fail(f"bounds of {name} = {lower!r} to {upper!r}; expected a lower bound {word} 0")
+            if name not in self.start:
+                self._fail(f"no start for {name}; expected {lower:g} to {upper:g}")
+            if not lower <= self.start[name] <= upper:
+                self._fail(f"start of {name} = {self.start[name]!r}; expected {lower:g} to {upper:g}")
+        for task, values in self.fixed.items():
+            for name, value in values.items():
+                if not math.isfinite(value):
+                    self._fail(f"{name} = {value!r} is fixed ({task}); expected a finite number")
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the estimated parameters; `m_tot` stands for both masses (eqs 2.14, 2.15)."""
+        return tuple(self.bounds)
+
+    def constant(self, task: str) -> Array:
+        """Parameters of an arm whose free parameters are zero, in the order of `arm_model.PARAMETERS`, SI.
+
+        Args:
+          task: "PT" or "RT", for the fixed values.
+        """
+        return self._constant[task]
+
+    def parameters(self, task: str, values: ArrayLike) -> Array:
+        """All parameters of an arm, in the order of `arm_model.PARAMETERS`, SI.
+
+        Args:
+          task: "PT" or "RT", for the fixed values.
+          values: of the free parameters, (parameter,).
+        """
+        return self._constant[task] + self.mixing @ np.asarray(values, dtype=float)
+
+    def arm(self, body: Subject, values: ArrayLike) -> Subject:
+        """The arm with these free parameters.
+
+        Args:
+          body: gives task, segment lengths, posture and activation damping.
+          values: of the free parameters, (parameter,).
+        """
+        parameters: dict[str, Any] = dict(zip(PARAMETERS, self.parameters(body.task, values).tolist(), strict=True))
+        return replace(body, **parameters)
+
+    def named(self, name: str) -> Self:
+        """The same structure under another name."""
+        return replace(self, name=name)
+
+    def fixing(self, **values: float) -> Self:
+        """The structure in which parameters have these values in every task instead of being free or tied.
+
+        What is tied to a parameter that gets fixed is fixed with it.
+
+        Raises:
+          ValueError: a name is unknown, a value is not finite, or something is tied to it and to another that is free.
+        """
+        bounds = {name: pair for name, pair in self.bounds.items() if name not in values}
+        tied = {name: shares for name, shares in self.tied.items() if name not in values}
+        follow = {}
+        for name, shares in list(tied.items()):
+            if shares.keys() & values.keys():
+                if not shares.keys() <= values.keys():
+                    self._fail(f"{name} is tied to {', '.join(shares)}; expected all of them fixed, or none")
+                follow[name] = sum(share * values[driver] for driver, share in tied.pop(name).items())
+        physical = {name: value for name, value in values.items() if name in PARAMETERS or name not in self.bounds}
+        return replace(
+            self,
+            name=f"{self.name} variant",
+            bounds=bounds,
+            start={name: value for name, value in self.start.items() if name in bounds},
+            fixed={task: {**fixed, **physical, **follow} for task, fixed in self.fixed.items()},
+            tied=tied,
+        )
+
+    def freeing(self, **free: tuple[float, float, float]) -> Self:
+        """The structure in which these parameters are estimated.
+
+        Args:
+          **free: name to lower bound, start and upper bound, SI. A name that is free already gets these.
+
+        Raises:
+          ValueError: as the class.
+        """
+        return replace(
+            self,
+            name=f"{self.name} variant",
+            bounds={**self.bounds, **{name: (lower, upper) for name, (lower, _, upper) in free.items()}},
+            start={**self.start, **{name: start for name, (_, start, _) in free.items()}},
+            fixed=self._fixed_without(free),
+            tied={name: shares for name, shares in self.tied.items() if name not in free},
+        )
+
+    def tying(self, **tied: Mapping[str, float]) -> Self:
+        """The structure in which each of these parameters is a weighted sum of free ones.
+
+        Args:
+          **tied: name to the free parameters and their weights, e.g. Td_e={"Td_s": 1.0}.
+
+        Raises:
+          ValueError: as the class.
+        """
+        return replace(
+            self,
+            name=f"{self.name} variant",
+            bounds={name: pair for name, pair in self.bounds.items() if name not in tied},
+            start={name: value for name, value in self.start.items() if name not in tied},
+            fixed=self._fixed_without(tied),
+            tied={**self.tied, **tied},
+        )
+
+    def _fixed_without(self, names: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+        return {
+            task: {name: value for name, value in values.items() if name not in names}
+            for task, values in self.fixed.items()
+        }
+
+
+_JOINTS = ("s", "se", "e")
+
+
+def _triple(quantity: str, bounds: Bounds) -> dict[str, Bounds]:
+    return {f"{quantity}_{joint}": bounds for joint in _JOINTS}
+
+
+# Table C.2. It prints 35 to 45 ms for Td_e, which 25 of the published estimates contradict (31 to 34 ms in all tables
+# of the position task); from 25 ms on, as for Td_s, all of them are inside.
+_INTRINSIC = {
+    "m_h": (1.0, 3.0),
+    "m_f": (0.5, 4.0),
+    **_triple("b", (0.0, 1e2)),
+    **_triple("k", (0.0, 1e3)),
+    "b_h": (0.0, 5e3),
+    "k_h": (2e3, 3e4),
+}
+_FEEDBACK = {
+    "kf": _triple("kf", (-1e2, 1e2)),
+    "ka": _triple("ka", (-5.0, 5.0)),
+    "kv": _triple("kv", (-1e2, 1e2)),
+    "kp": _triple("kp", (-1e3, 1e3)),
+}
+_DELAY_AND_ACTIVATION = {"Td_s": (0.025, 0.035), "Td_e": (0.025, 0.045), "fact_s": (1.7, 3.0), "fact_e": (1.7, 3.0)}
+
+# Table C.13 (RT7.5, without penalty) for model 1, which the thesis kept for the relax task; table C.3 (PT7.5, without
+# penalty) for the others.
+_STARTS: dict[str, dict[str, tuple[float, ...]]] = {
+    "1": {"m": (2.04, 1.92), "b": (1.91, 1.25, 1.47), "k": (7.7, 1.8, 5.5), "grip": (32.8, 8.4e3)},
+    "2": {
+        "m": (1.52, 2.30),
+        "b": (4.91, 5.04, 9.62),
+        "k": (112.71, 60.76, 190.29),
+        "grip": (60.83, 23.74e3),
+        "kv": (18.81, 17.61, 29.22),
+        "Td": (27.18e-3, 32.41e-3),
+        "fact": (2.93, 2.57),
+    },
+    "3": {
+        "m": (1.79, 2.68),
+        "b": (2.10, 4.78, 8.42),
+        "k": (181.40, 60.82, 158.46),
+        "grip": (66.73, 24.88e3),
+        "kv": (13.30, 16.84, 21.64),
+        "kp": (-57.59, 36.59, 71.73),
+        "Td": (31.23e-3, 31.37e-3),
+        "fact": (2.80, 2.74),
+    },
+    "4": {
+        "m": (1.60, 2.60),
+        "b": (2.36, 3.62, 7.17),
+        "k": (145.31, 57.03, 135.82),
+        "grip": (64.28, 24.97e3),
+        "kf": (-0.69, -0.28, -0.43),
+        "kv": (17.86, 15.99, 20.51),
+        "kp": (64.96, 59.01, 52.81),
+        "Td": (30.05e-3, 31.81e-3),
+        "fact": (2.55, 2.69),
+    },
+    "5": {
+        "m": (1.96, 2.24),
+        "b": (2.99, 2.18, 7.71),
+        "k": (78.83, 46.05, 32.36),
+        "grip": (66.80, 26.97e3),
+        "ka": (0.46, 0.29, 1.09),
+        "kv": (18.58, 12.92, 23.34),
+        "kp": (60.87, 95.69, 370.04),
+        "Td": (31.36e-3, 32.98e-3),
+        "fact": (2.78, 2.75),
+    },
+    "6": {
+        "m": (1.87, 2.23),
+        "b": (2.96, 1.83, 6.83),
+        "k": (131.31, 39.53, 31.96),
+        "grip": (63.61, 26.49e3),
+        "kf": (-1.57, -0.02, -1.06),
+        "ka": (-0.31, 0.10, 0.96),
+        "kv": (19.20, 13.44, 22.37),
+        "kp": (177.57, 99.94, 412.18),
+        "Td": (29.47e-3, 32.60e-3),
+        "fact": (2.50, 2.66),
+    },
+}
+_PAIRS = {"m": ("m_h", "m_f"), "grip": ("b_h", "k_h"), "Td": ("Td_s", "Td_e"), "fact": ("fact_s", "fact_e")}
+
+
+def _table_c1(name: str) -> Structure:
+    """One of the six structures of table C.1."""
+    quantities = _STARTS[name]
+    start = {
+        parameter: value
+        for quantity, values in quantities.items()
+        for parameter, value in zip(
+            _PAIRS.get(quantity, [f"{quantity}_{joint}" for joint in _JOINTS]), values, strict=True
+        )
+    }
+    bounds: dict[str, Bounds] = dict(_INTRINSIC)
+    for quantity, pairs in _FEEDBACK.items():
+        bounds |= pairs if quantity in quantities else {}
+    bounds |= _DELAY_AND_ACTIVATION if "Td" in quantities else {}
+    return Structure(name=name, bounds=bounds, start=start, fixed={"PT": {}, "RT": {}})
+
+
+_DELAY_AND_CUTOFF = {"Td_s": 0.030, "Td_e": 0.030, "fact_s": 3.5, "fact_e": 3.5}
+
+_MODEL_3B = Structure(
+    name="3b",
+    # Table E.3, start vartheta_i5.
+    start=dict(
+        m_tot=2.96,
+        b_s=2.98,
+        b_se=4.78,
+        b_e=13.41,
+        k_s=148.2,
+        k_se=82.1,
+        k_e=131.5,
+        kv_s=9.7,
+        kv_se=10.2,
+        kv_e=14.8,
+        kp_s=7.5,
+        kp_se=8.1,
+        kp_e=28.3,
+    ),
+    # Table E.2.
+    bounds={
+        "m_tot": (0.5, 8.0),
+        **_triple("b", (0.0, 1e2)),
+        **_triple("k", (0.0, 1e3)),
+        **_triple("kv", (0.0, 1e2)),
+        **_triple("kp", (0.0, 1e3)),
+    },
+    # Section 2.7.
+    fixed={
+        "PT": {"b_h": 57.0, "k_h": 22.4e3, **_DELAY_AND_CUTOFF},
+        "RT": {"b_h": 32.8, "k_h": 8.4e3, **_DELAY_AND_CUTOFF},
+    },
+    # Eqs 2.14, 2.15.
+    tied={"m_h": {"m_tot": HUMERUS_MASS_SHARE}, "m_f": {"m_tot": 1 - HUMERUS_MASS_SHARE}},
+)
+
+# Bounds of table D.2, whose lower bounds of -1e-2 for kv are taken as -1e2; start vartheta_i1 of table E.3.
+_MODEL_3A = _MODEL_3B.freeing(
+    m_tot=(0.5, 3.94, 8.0),
+    b_s=(0.0, 3.98, 1e2),
+    b_se=(0.0, 6.38, 1e2),
+    b_e=(0.0, 10.72, 1e2),
+    k_s=(0.0, 197.6, 1e3),
+    k_se=(0.0, 109.5, 1e3),
+    k_e=(0.0, 175.4, 1e3),
+    kv_s=(-1e2, 12.9, 1e2),
+    kv_se=(-1e2, 13.6, 1e2),
+    kv_e=(-1e2, 19.7, 1e2),
+    kp_s=(-1e3, -47.5, 1e3),
+    kp_se=(-1e3, 10.8, 1e3),
+    kp_e=(-1e3, 37.8, 1e3),
+).named("3a")
+
+STRUCTURES = MappingProxyType(
+    {structure.name: structure for structure in (*map(_table_c1, _STARTS), _MODEL_3A, _MODEL_3B)}
+)
+"""Structures by name. 1 to 6 are those of table C.1: intrinsic and grip (1), with velocity (2), velocity and position
+(3) feedback, and with force (4), acceleration (5) or both (6) beside these. 3a and 3b are those of appendix E: total
+mass, velocity and position feedback, with (3a) and without (3b) negative gains; grip, delay and cut-off fixed."""
+
+
+def at_truth(structure: Structure, truth: Subject) -> Structure:
+    """The structure with all that it fixes as it is in an arm."""
+    return structure.fixing(**{name: getattr(truth, name) for name in structure.fixed[truth.task]})
+
+
+def true_values(truth: Subject, structure: Structure) -> Array:
+    """Values of a structure's free parameters that are nearest to an arm, (parameter,), SI."""
+    fixed = structure.parameters(truth.task, np.zeros(len(structure.free)))
+    free = structure.mixing.any(axis=1)
+    return np.asarray(np.linalg.lstsq(structure.mixing[free], (parameter_vector(truth) - fixed)[free], rcond=None)[0])
+
+
+def body_of(recording: xr.Dataset) -> Subject:
+    """Task, segment lengths and posture of the one person in a recording, in a subject whose muscles do not matter.
+
+    Raises:
+      ValueError: trials differ in subject, condition or posture, or the task is unknown.
+    """
+    found = {}
+    for name in ("subject", "task", "condition", "l_h", "l_f", "theta_s_deg", "theta_e_deg"):
+        values = list(dict.fromkeys(recording[name].values.tolist()))
+        if len(values) > 1:
+            raise ValueError(
+                f"the recording holds several values of {name} ({', '.join(map(str, values))}); expected one"
+            )
+        found[name] = values[0]
+    if found["task"] not in TASKS:
+        raise ValueError(f"task = {found['task']!r}; expected one of {', '.join(TASKS)}")
+    found.pop("condition")
+    name = found.pop("subject")
+    return replace(POSITION if found["task"] == "PT" else RELAX, name=name, **found)

@@ -1,0 +1,473 @@
+"""The thesis's estimator as appendices C, D and E have it: trial by trial, with or without penalty, averaged.
+
+Each trial gives one admittance (lines averaged in fours), to which a structure is fitted by the criterion of eq. 2.19
+and judged by eqs 2.22 (SEM) and 2.23 (VAF). The thesis averages results over the trials of a subject, then over
+subjects. Its tables print the criterion as a sum: 60 to 120 would as a mean over the N = 4 n_f errors of eq. 2.19 be an
+average error of a factor e^9. `ThesisEstimate.criterion` is that sum.
+
+Which optimisation is used matters (`as_published`). That of the thesis stops where a step changes the criterion by less
+than a share of 1e-5; along directions of which one trial says little that is on the way, so that estimates depend on
+the start. With `as_published=False` all starts of appendix E end in the same minimum in most trials; a few trials have
+two (`benchmarks.thesis_sem`).
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from types import MappingProxyType
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from armperturb.analysis.arm.linear_arm import Delay
+from armperturb.analysis.fit.admittance_fit import AdmittanceFit, Target, fit_admittance, fit_admittances
+from armperturb.analysis.fit.structures import STRUCTURES, Structure, body_of, unit
+from armperturb.analysis.force_balance import Balance
+from armperturb.analysis.measures.vaf import Predictable
+from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
+from armperturb.arrays import Array
+from armperturb.environment import Environment
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ThesisEstimate:
+    """A structure fitted to every trial of a condition, and the averages that the thesis prints.
+
+    Attributes:
+      structure: name of the structure.
+      subjects: whose trial each is, (trial,).
+      environment: mass, spring and damper that the manipulator really showed.
+      fits: of each trial; statuses, bounds and stability stand there.
+      vaf: variance of the displacement accounted for [%], (trial, axis); minus infinity for an unstable model.
+    """
+
+    structure: str
+    subjects: tuple[str, ...]
+    environment: Environment
+    fits: tuple[AdmittanceFit, ...]
+    vaf: Array
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """Names of the estimated parameters."""
+        return tuple(self.fits[0].values)
+
+    @property
+    def values(self) -> Array:
+        """Estimates, SI, (trial, parameter)."""
+        return np.array([list(fit.values.values()) for fit in self.fits])
+
+    @property
+    def sem(self) -> Array:
+        """Standard errors of the mean as eq. 2.22 has them, SI, (trial, parameter)."""
+        return np.array([list(fit.sem.values()) for fit in self.fits])
+
+    @property
+    def criterion(self) -> Array:
+        """Sum of the squared errors, penalty included, as the tables print it, (trial,)."""
+        return np.array([fit.criterion * fit.n_errors for fit in self.fits])
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """Whether arm and environment are stable together, (trial,)."""
+        return np.array([fit.stable for fit in self.fits])
+
+    @property
+    def at_bound(self) -> dict[str, int]:
+        """In how many trials each parameter that ever did so sits on a bound."""
+        hits = [name for fit in self.fits for name in fit.at_bound]
+        return {name: hits.count(name) for name in self.parameters if name in hits}
+
+    @property
+    def status(self) -> dict[str, int]:
+        """Why fits stopped, in words, and how many did so."""
+        words = [fit.status for fit in self.fits]
+        return {word: words.count(word) for word in dict.fromkeys(words)}
+
+    @property
+    def n_stable(self) -> int:
+        """Trials whose model is stable (N_stab of tables C.5 and C.15)."""
+        return int(self.stable.sum())
+
+    @property
+    def positive(self) -> NDArray[np.bool_]:
+        """Whether the VAF of both axes is positive, (trial,)."""
+        return np.asarray((self.vaf > 0).all(axis=1))
+
+    @property
+    def n_positive(self) -> int:
+        """Trials with a positive VAF (N_pos of the tables)."""
+        return int(self.positive.sum())
+
+    def over_subjects(self, per_trial: Array) -> tuple[Array, Array]:
+        """Mean and SD over subjects of their means over trials, as tables C.3 to E.4 print; SD is NaN for one subject.
+
+        Args:
+          per_trial: e.g. `values` or `sem`, (trial, ...).
+        """
+        subjects = np.array(self.subjects)
+        means = np.array([per_trial[subjects == name].mean(axis=0) for name in dict.fromkeys(self.subjects)])
+        spread = means.std(axis=0, ddof=1) if len(means) > 1 else np.full(means.shape[1:], np.nan)
+        return means.mean(axis=0), np.asarray(spread)
+
+    def mean_vaf(self) -> tuple[Array, Array]:
+        """Mean and SD over trials with a positive VAF [%], (axis,) each; NaN without any (tables C.5 to E.5)."""
+        kept = self.vaf[self.positive]
+        if not len(kept):
+            return np.full(2, np.nan), np.full(2, np.nan)
+        return kept.mean(axis=0), np.asarray(kept.std(axis=0, ddof=1) if len(kept) > 1 else np.full(2, np.nan))
+
+    def start(self) -> dict[str, float]:
+        """Group means, from which another fit may start (step 2 of appendix C)."""
+        return dict(zip(self.parameters, map(float, self.over_subjects(self.values)[0]), strict=True))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """One row per parameter, as in tables E.3 and E.4: means and SDs over subjects of estimate and SEM, SI."""
+        (mean, sd), (sem, sem_sd) = self.over_subjects(self.values), self.over_subjects(self.sem)
+        return [
+            {
+                "parameter": name,
+                "unit": unit(name),
+                "value": float(mean[i]),
+                "value_sd": float(sd[i]),
+                "sem": float(sem[i]),
+                "sem_sd": float(sem_sd[i]),
+                "sem_over_value": float(abs(sem[i] / mean[i])) if mean[i] else float("inf"),
+            }
+            for i, name in enumerate(self.parameters)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Trials:
+    """Trials of one condition, ready for any number of fits.
+
+    Attributes:
+      subjects: whose trial each is, (trial,).
+      environment: mass, spring and damper that the manipulator really showed.
+      targets: what a fit of each trial needs.
+      recorded: what the fit of each trial is to predict.
+    """
+
+    subjects: tuple[str, ...]
+    environment: Environment
+    targets: tuple[Target, ...]
+    recorded: tuple[Predictable, ...]
+
+    @classmethod
+    def prepare(
+        cls,
+        recording: xr.Dataset,
+        *,
+        environment: Environment | None = None,
+        start: float = 8.0,
+        period: float = 20.48,
+    ) -> Self:
+        """Spectra of the trials of a recording.
+
+        Args:
+          recording: trials of one condition, of any number of subjects.
+          environment: what the hands held; by default estimated from all trials (eq. A.19).
+          start: of the spectral window [s].
+          period: of the disturbance [s].
+
+        Raises:
+          ValueError: the recording is refused or gives no spectra.
+        """
+        lines = line_spectra(recording, start=start, period=period)
+        if environment is None:
+            d, f, x = (recording[name].values for name in ("perturbation", "force", "displacement"))
+            environment, _ = Balance(d, f, x, float(recording.attrs["rate"])).fit()
+        targets = []
+        for trial in range(recording.sizes["trial"]):
+            of_trial = replace(
+                lines,
+                perturbation=lines.perturbation[[trial]],
+                force=lines.force[[trial]],
+                displacement=lines.displacement[[trial]],
+            )
+            spectra = estimate_spectra(of_trial)
+            targets.append(
+                Target(
+                    frequency=spectra.frequency,
+                    admittance=spectra.arm,
+                    body=body_of(recording.isel(trial=[trial])),
+                    environment=environment,
+                    coherence=spectra.coherence,
+                )
+            )
+        subjects = tuple(recording["subject"].values.tolist())
+        return cls(subjects, environment, tuple(targets), tuple(Predictable.prepare(recording)))
+
+
+class Wanted(NamedTuple):
+    """A fit of every trial of a condition.
+
+    Attributes:
+      trials: of the condition.
+      structure: model structure, or its name in `STRUCTURES`.
+      initial: parameter vector to start from, SI; the structure's own where not given.
+    """
+
+    trials: Trials
+    structure: Structure | str
+    initial: Mapping[str, float] | None = None
+
+
+def fit_wanted(
+    wanted: Sequence[Wanted], *, use_penalty: bool = True, as_published: bool = True, delay: Delay = "pade"
+) -> list[ThesisEstimate]:
+    """Fit structures to trials, all together, which is many times faster than one by one.
+
+    Args:
+      wanted: which fits.
+      use_penalty: whether to push fits away from instability (eq. 2.21).
+      as_published: see the head of this module and `fit_admittance`.
+      delay: "exact", or the thesis's "pade".
+
+    Returns:
+      The estimate of each.
+
+    Raises:
+      ValueError: structure or initial vector are refused.
+    """
+    alike: dict[int, list[tuple[int, Target]]] = {}
+    for i, one in enumerate(wanted):
+        for target in one.trials.targets:
+            alike.setdefault(np.size(target.frequency), []).append((i, target))
+    fits: list[list[AdmittanceFit]] = [[] for _ in wanted]
+    for members in alike.values():
+        if as_published:
+            found = fit_admittances(
+                [target for _, target in members],
+                [wanted[i].structure for i, _ in members],
+                starts=[wanted[i].initial for i, _ in members],
+                use_penalty=use_penalty,
+                delay=delay,
+            )
+        else:
+            found = [
+                fit_admittance(
+                    target.frequency,
+                    target.admittance,
+                    target.body,
+                    wanted[i].structure,
+                    target.environment,
+                    coherence=target.coherence,
+                    start=wanted[i].initial,
+                    use_penalty=use_penalty,
+                    delay=delay,
+                )
+                for i, target in members
+            ]
+        for (i, _), fit in zip(members, found, strict=True):
+            fits[i].append(fit)
+    return [
+        ThesisEstimate(
+            structure=fits[i][0].structure,
+            subjects=one.trials.subjects,
+            environment=one.trials.environment,
+            fits=tuple(fits[i]),
+            vaf=np.array(
+                [
+                    recorded.vaf(fit.arm, one.trials.environment)
+                    for recorded, fit in zip(one.trials.recorded, fits[i], strict=True)
+                ]
+            ),
+        )
+        for i, one in enumerate(wanted)
+    ]
+
+
+def fit_trials(
+    recording: xr.Dataset,
+    structure: Structure | str,
+    *,
+    initial: Mapping[str, float] | None = None,
+    use_penalty: bool = True,
+    as_published: bool = True,
+    delay: Delay = "pade",
+    environment: Environment | None = None,
+    start: float = 8.0,
+    period: float = 20.48,
+) -> ThesisEstimate:
+    """Fit a structure to the admittance of each trial of a recording.
+
+    For several structures or starts, `fit_wanted` prepares the trials once.
+
+    Args:
+      recording: trials of one condition, of any number of subjects.
+      structure: model structure, or its name in `STRUCTURES`.
+      initial: parameter vector to start from, SI; the structure's own where not given.
+      use_penalty: whether to push fits away from instability (eq. 2.21).
+      as_published: see the head of this module and `fit_admittance`.
+      delay: "exact", or the thesis's "pade".
+      environment: what the hands held; by default estimated from all trials (eq. A.19).
+      start: of the spectral window [s].
+      period: of the disturbance [s].
+
+    Raises:
+      ValueError: the recording is refused or gives no spectra, or structure or initial are refused.
+    """
+    trials = Trials.prepare(recording, environment=environment, start=start, period=period)
+    wanted = [Wanted(trials, structure, initial)]
+    return fit_wanted(wanted, use_penalty=use_penalty, as_published=as_published, delay=delay)[0]
+
+
+def join_estimates(estimates: Sequence[ThesisEstimate]) -> ThesisEstimate:
+    """The trials of several estimates of one structure in one, with the first's environment.
+
+    Args:
+      estimates: at least one.
+
+    Raises:
+      ValueError: structures differ.
+    """
+    structures = list(dict.fromkeys(one.structure for one in estimates))
+    if len(structures) != 1:
+        raise ValueError(f"estimates of structures {', '.join(structures) or 'none'}; expected one structure")
+    return replace(
+        estimates[0],
+        subjects=tuple(name for one in estimates for name in one.subjects),
+        fits=tuple(fit for one in estimates for fit in one.fits),
+        vaf=np.concatenate([one.vaf for one in estimates]),
+    )
+
+
+def appendix_c(
+    first: Trials | xr.Dataset,
+    conditions: Mapping[str, Trials | xr.Dataset],
+    models: Sequence[Structure | str] = tuple("123456"),
+    **options: Any,
+) -> dict[str, tuple[ThesisEstimate, dict[str, ThesisEstimate]]]:
+    """Six structures in two steps (appendix C, tables C.3 to C.22).
+
+    Step 1 fits every trial of one condition without penalty; step 2 fits every trial of every condition with penalty,
+    from the group means of step 1. Where step 1 started, "realistic values obtained from the literature", is not
+    printed; here it starts from the structure's own start.
+
+    Args:
+      first: trials of the condition of step 1: PT7.5 for the position task, RT7.5 for the relax task. A recording is
+        prepared as `Trials.prepare` does by default.
+      conditions: name to trials of each condition of step 2, of the same task.
+      models: structures, or their names.
+      **options: of `fit_wanted`, but for use_penalty.
+
+    Returns:
+      Name of the structure to step 1, and to step 2 by condition.
+
+    Raises:
+      ValueError: as `Trials.prepare` and `fit_wanted`.
+    """
+    trials = _prepared(first)
+    prepared = {name: trials if one is first else _prepared(one) for name, one in conditions.items()}
+    ones = fit_wanted([Wanted(trials, model) for model in models], use_penalty=False, **options)
+    of_step_2 = [
+        Wanted(one, model, estimate.start())
+        for model, estimate in zip(models, ones, strict=True)
+        for one in prepared.values()
+    ]
+    twos = iter(fit_wanted(of_step_2, **options))
+    return {one.structure: (one, dict(zip(prepared, islice(twos, len(prepared)), strict=True))) for one in ones}
+
+
+def appendix_d(recording: Trials | xr.Dataset, **options: Any) -> dict[str, ThesisEstimate]:
+    """Model 3 with the bounds of table D.2 from theta_i1 to theta_i6, with penalty (appendix D, tables D.3 to D.5).
+
+    Args:
+      recording: trials of PT7.5. A recording is prepared as `Trials.prepare` does by default.
+      **options: of `fit_wanted`.
+
+    Returns:
+      Name of the start to its estimate.
+
+    Raises:
+      ValueError: as `Trials.prepare` and `fit_wanted`.
+    """
+    trials = _prepared(recording)
+    found = fit_wanted([Wanted(trials, MODEL_3_WIDE, initial) for initial in THETA.values()], **options)
+    return dict(zip(THETA, found, strict=True))
+
+
+def appendix_e(recording: Trials | xr.Dataset, **options: Any) -> dict[str, ThesisEstimate]:
+    """Model 3a from vartheta_i1 and model 3b from vartheta_i2 to vartheta_i6 (appendix E, tables E.3 to E.5).
+
+    Args:
+      recording: trials of PT7.5. A recording is prepared as `Trials.prepare` does by default.
+      **options: of `fit_wanted`.
+
+    Returns:
+      Name of the start to its estimate.
+
+    Raises:
+      ValueError: as `Trials.prepare` and `fit_wanted`.
+    """
+    trials = _prepared(recording)
+    wanted = [Wanted(trials, "3a" if name == "vartheta_i1" else "3b", initial) for name, initial in VARTHETA.items()]
+    return dict(zip(VARTHETA, fit_wanted(wanted, **options), strict=True))
+
+
+def _prepared(trials: Trials | xr.Dataset) -> Trials:
+    return trials if isinstance(trials, Trials) else Trials.prepare(trials)
+
+
+_WIDE = {
+    "m_h": (0.5, 4.0),
+    "m_f": (0.5, 4.0),
+    "Td_s": (0.025, 0.075),
+    "Td_e": (0.025, 0.075),
+    "fact_s": (1.7, 6.0),
+    "fact_e": (1.7, 6.0),
+}
+
+_THETA_1 = {
+    **dict(m_h=1.7, m_f=2.4, b_s=2.6, b_se=6.1, b_e=11.1, k_s=202.9, k_se=76.4, k_e=182.1, b_h=73.8, k_h=26.1e3),
+    **dict(kv_s=13.6, kv_se=19.7, kv_e=24.9, kp_s=-63.4, kp_se=38.4, kp_e=65.9),
+    **dict(Td_s=31.6e-3, Td_e=31.7e-3, fact_s=2.8, fact_e=2.8),
+}
+
+MODEL_3_WIDE = (
+    STRUCTURES["3"]
+    .freeing(**{name: (lower, _THETA_1[name], upper) for name, (lower, upper) in _WIDE.items()})
+    .named("3 (D.2)")
+)
+"""Model 3 with the bounds of table D.2."""
+
+THETA = MappingProxyType(
+    {
+        "theta_i1": _THETA_1,
+        "theta_i2": {
+            **_THETA_1,
+            **dict(b_s=16.2, b_se=23.2, b_e=36.0, k_s=139.6, k_se=103.3, k_e=248.1),
+            **dict(kv_s=0.1, kv_se=0.2, kv_e=0.2, kp_s=-0.6, kp_se=0.4, kp_e=0.7),
+        },
+        "theta_i3": {**_THETA_1, **dict(Td_s=0.050, Td_e=0.050)},
+        "theta_i4": {**_THETA_1, **dict(fact_s=5.0, fact_e=5.0)},
+        "theta_i5": {**_THETA_1, **dict(b_se=0.1, k_se=0.8, kv_se=0.2, kp_se=0.4)},
+        # k_h is printed as 32.6 kN/m, beyond its own bound of 30 kN/m: it starts there.
+        "theta_i6": {
+            **dict(m_h=1.3, m_f=3.0, b_s=3.3, b_se=4.5, b_e=8.3, k_s=152.2, k_se=95.5, k_e=227.7, b_h=55.4, k_h=30e3),
+            **dict(kv_s=10.2, kv_se=14.8, kv_e=18.7, kp_s=-47.5, kp_se=28.8, kp_e=49.4),
+            **dict(Td_s=25.3e-3, Td_e=25.3e-3, fact_s=3.5, fact_e=2.1),
+        },
+    }
+)
+"""Initial parameter vectors of appendix D, SI (table D.3, in italics)."""
+
+_MODEL_3B = STRUCTURES["3b"].free
+VARTHETA = MappingProxyType(
+    {
+        name: dict(zip(_MODEL_3B, values, strict=True))
+        for name, values in {
+            "vartheta_i1": (3.94, 3.98, 6.38, 10.72, 197.6, 109.5, 175.4, 12.9, 13.6, 19.7, -47.5, 10.8, 37.8),
+            "vartheta_i2": (3.94, 3.98, 6.38, 10.72, 197.6, 109.5, 175.4, 12.9, 13.6, 19.7, 10.0, 10.8, 37.8),
+            "vartheta_i3": (4.93, 4.97, 4.78, 13.41, 247.0, 82.1, 131.5, 16.1, 16.9, 24.6, 7.5, 13.5, 47.2),
+            "vartheta_i4": (2.96, 4.97, 4.78, 13.41, 148.2, 82.1, 131.5, 9.7, 10.2, 24.6, 12.5, 13.5, 28.3),
+            "vartheta_i5": (2.96, 2.98, 4.78, 13.41, 148.2, 82.1, 131.5, 9.7, 10.2, 14.8, 7.5, 8.1, 28.3),
+            "vartheta_i6": (4.93, 4.97, 4.78, 13.41, 148.2, 82.1, 219.2, 9.7, 16.9, 24.6, 12.5, 8.1, 47.2),
+        }.items()
+    }
+)
+"""Initial parameter vectors of appendix E, SI (table E.3, in italics)."""

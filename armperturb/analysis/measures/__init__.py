@@ -1,0 +1,1 @@
+"""What trials measure: pulses, variance accounted for, kinematics, statistics."""

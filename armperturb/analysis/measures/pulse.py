@@ -1,0 +1,121 @@
+"""Responses to force pulses: peaks, pulse admittance, and what a linear arm predicts of them (thesis 2.8).
+
+Displacement and force are taken as they are recorded, from the start of the trial and not from the pulse's onset, and
+so are those of the model: a multisine's last movement is part of both.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from armperturb.analysis.arm.state_space import largest_real_pole, simulate_linear
+from armperturb.arrays import Array
+from armperturb.environment import Environment
+from armperturb.subject import Subject
+
+WINDOWS = {"PT": 0.3, "RT": 1.0}
+"""Task to the time after a pulse's onset in which the peaks are looked for [s]."""
+
+
+class PulsePeaks(NamedTuple):
+    """Peaks of the responses to pulses; NaN for a trial without a pulse, or whose window is not recorded.
+
+    Attributes:
+      displacement: largest distance of the handle from its start [m], (trial,).
+      force: largest hand reaction force [N], (trial,).
+    """
+
+    displacement: Array
+    force: Array
+
+    @property
+    def admittance(self) -> Array:
+        """Pulse admittance [m/N], (trial,). Source: eq. 2.24."""
+        return self.displacement / self.force
+
+
+def pulse_span(recording: xr.Dataset, trial: int) -> slice:
+    """Samples of the window after the pulse of a trial, both ends included.
+
+    Raises:
+      ValueError: the trial has no pulse, its task no window, the recording ends or the workspace limit comes before the
+        window is over.
+    """
+    onset = float(recording["pulse_onset"].values[trial])
+    if np.isnan(onset):
+        raise ValueError(f"trial {trial} has no pulse; expected one with a pulse_onset")
+    task = str(recording["task"].values[trial])
+    if task not in WINDOWS:
+        raise ValueError(f"trial {trial}: task = {task!r}; expected one of {', '.join(WINDOWS)}")
+    rate = float(recording.attrs["rate"])
+    first, last = round(onset * rate), round((onset + WINDOWS[task]) * rate)
+    if last >= recording.sizes["time"]:
+        raise ValueError(
+            f"trial {trial} ends {recording.sizes['time'] / rate - onset:.3g} s after its pulse began; expected more "
+            f"than {WINDOWS[task]:g} s in {task}"
+        )
+    limit = float(recording["limit_time"].values[trial])
+    if limit * rate <= last:
+        raise ValueError(
+            f"trial {trial} reached the workspace limit at {limit:.3f} s, {limit - onset:.3f} s after its pulse began; "
+            f"expected it to stay inside for {WINDOWS[task]:g} s"
+        )
+    return slice(first, last + 1)
+
+
+def peak_norm(vectors: Array) -> float:
+    """Largest norm of vectors (..., axis)."""
+    return float(np.linalg.norm(vectors, axis=-1).max())
+
+
+def pulse_peaks(recording: xr.Dataset) -> PulsePeaks:
+    """Peak displacement and peak hand reaction force after each pulse. Source: thesis 2.8."""
+    peaks = np.full((2, recording.sizes["trial"]), np.nan)
+    for trial in range(recording.sizes["trial"]):
+        try:
+            span = pulse_span(recording, trial)
+        except ValueError:
+            continue
+        for row, name in zip(peaks, ("displacement", "force"), strict=True):
+            row[trial] = peak_norm(recording[name].values[trial, span])
+    return PulsePeaks(*peaks)
+
+
+def predicted_peaks(recording: xr.Dataset, arm: Subject, environment: Environment) -> Array:
+    """Peak displacement after each pulse as a linear arm has it [m], (trial,); NaN where `pulse_peaks` has it.
+
+    The whole disturbance is simulated from rest, so that the state at the onset is that of the model itself.
+
+    Args:
+      recording: trials of any number of conditions; their perturbation drives the model.
+      arm: the model.
+      environment: what the hand held.
+
+    Returns:
+      Infinity for an arm that is unstable on the environment, as its response has no bound.
+
+    Source: thesis 2.8.
+    """
+    peaks = np.full(recording.sizes["trial"], np.nan)
+    stable = largest_real_pole(arm, environment) < 0
+    for trial in range(len(peaks)):
+        try:
+            samples = pulse_span(recording, trial)
+        except ValueError:
+            continue
+        if not stable:
+            peaks[trial] = np.inf
+            continue
+        driven = recording["perturbation"].values[trial, : samples.stop]
+        response = simulate_linear(arm, environment, driven, float(recording.attrs["rate"]))
+        peaks[trial] = peak_norm(response.displacement[samples])
+    return peaks
+
+
+def pulse_prediction(recording: xr.Dataset, arm: Subject, environment: Environment) -> Array:
+    """Predicted over recorded peak displacement after each pulse [%], (trial,); as `predicted_peaks`.
+
+    Source: eq. 2.25.
+    """
+    return 100.0 * predicted_peaks(recording, arm, environment) / pulse_peaks(recording).displacement

@@ -1,0 +1,291 @@
+"""Which parameters of a person with a muscle law are estimated, and the person that their values make."""
+
+import copy
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from armperturb.analysis.fit import structures
+from armperturb.arrays import Array
+from armperturb.muscle_law import MuscleLaw
+from armperturb.subject import Subject, at_level
+
+Law = Literal["linear", "short-range", "full"]
+"""No muscle law; short-range stiffness that yields; also thixotropy, damping that thins, spindles that saturate."""
+
+ELEMENTS = ("shoulder", "two-joint", "elbow")
+"""Muscle groups of eq. 2.10, as in `MuscleLaw`."""
+
+GROUPS = ("k", "b", "kv", "kp")
+"""Quantities of which each muscle group has its own."""
+
+EFFECTS: Mapping[str, tuple[str, ...]] = {"PT": GROUPS, "RT": GROUPS[:2]}
+"""Task to the quantities that differ from trial to trial, each by one factor on all muscle groups."""
+
+BODY, GRIP = ("m_h", "m_f"), ("k_h", "b_h")
+SHORT_RANGE = ("short_range_stiffness", "elastic_limit_deg")
+COMMON = ("elastic_limit_spread", "loss_angle_deg", "recovery_time", "thinning_velocity", "spindle_saturation")
+
+FIXED: Mapping[str, float] = {"Td": 0.030, "fact": 3.5}
+"""Delay [s] and cut-off of the activation [Hz] of both joints, unless they are set free (thesis 2.7)."""
+
+BOUNDS: Mapping[str, tuple[float, float]] = {
+    "m_h": (0.3, 8.0),
+    "m_f": (0.3, 8.0),
+    "k_h": (1e3, 1e5),
+    "b_h": (1.0, 500.0),
+    "k": (-1000.0, 1000.0),
+    "b": (-100.0, 100.0),
+    "kv": (-200.0, 200.0),
+    "kp": (-500.0, 500.0),
+    "Td": (0.01, 0.2),
+    "fact": (1.0, 20.0),
+    "short_range_stiffness": (0.05, 1000.0),
+    "elastic_limit_deg": (0.05, 30.0),
+    "elastic_limit_spread": (0.05, 2.0),
+    "loss_angle_deg": (2.0, 3000.0),
+    "recovery_time": (0.05, 50.0),
+    "thinning_velocity": (0.01, 50.0),
+    "spindle_saturation": (0.02, 50.0),
+    "level": (0.1, 5.0),
+}
+"""Of each parameter, in its `unit`; a group's stands for its three elements."""
+
+LEAST_THINNING = 0.02
+"""Least damping of a group that thins [Nms/rad]."""
+
+SIGNED: Mapping[str, float] = {"k": 0.2, "b": 0.1, "kv": 0.5, "kp": 2.0}
+"""What may be negative, to the size from which on its coordinate is about the logarithm, in its `unit`.
+
+A group's own value is what a joint's has beyond the two-joint muscle's (eq. 2.10). In the position task, people of the
+thesis have less at the shoulder.
+"""
+
+_UNITS: Mapping[str, str] = {
+    "short_range_stiffness": "Nm/rad",
+    "elastic_limit_deg": "deg",
+    "elastic_limit_spread": "-",
+    "loss_angle_deg": "deg",
+    "recovery_time": "s",
+    "thinning_velocity": "rad/s",
+    "spindle_saturation": "rad/s",
+    "level": "-",
+}
+"""Of parameters that linear arms do not have."""
+
+
+def stem(name: str) -> str:
+    """What a parameter is of: "k.elbow [RT]" is of k."""
+    return name.partition(" ")[0].partition(".")[0]
+
+
+def unit(name: str) -> str:
+    """Unit of a parameter; "-" if it has none."""
+    return _UNITS.get(stem(name)) or structures.unit(stem(name))
+
+
+def bounds(name: str, law: Law) -> tuple[float, float]:
+    """Least and greatest value of a parameter; a damper that thins apart from others must be positive."""
+    low, high = BOUNDS[stem(name)]
+    return (LEAST_THINNING, high) if law == "full" and stem(name) == "b" else (low, high)
+
+
+def coordinate(name: str, value: float) -> float:
+    """What is estimated of a parameter: its logarithm; asinh(value / size) + log(size / 2) of what may be negative."""
+    size = SIGNED.get(stem(name))
+    return math.log(value) if size is None else math.asinh(value / size) + math.log(size / 2.0)
+
+
+def value_at(name: str, coordinate: float) -> float:
+    """The parameter with a `coordinate`; infinite if that is very large."""
+    size = SIGNED.get(stem(name))
+    with np.errstate(over="ignore"):
+        return float(np.exp(coordinate) if size is None else size * np.sinh(coordinate - math.log(size / 2.0)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """A structure: which law, and what is free in it.
+
+    Parameters are called as the fields of `Subject` and `MuscleLaw`. What muscle groups have is "k.shoulder",
+    "k.two-joint", "k.elbow": own values of the groups (eq. 2.10). "Td" and "fact" are those of both
+    joints. "level.PT22.5" multiplies all muscle torques in that condition; the first condition of a task has 1.
+
+    Attributes:
+      law: of the muscles.
+      fixed: parameter to the value that it has; "k" fixes that of all three groups.
+      free: what is free beside the default: "Td", "fact".
+      tied: parameter to the other one whose value it has, e.g. "elastic_limit_deg.elbow": "elastic_limit_deg.shoulder".
+      shared: parameters that are the same in both tasks.
+
+    Raises:
+      ValueError: the law or a name is unknown.
+    """
+
+    law: Law = "full"
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    free: tuple[str, ...] = ()
+    tied: Mapping[str, str] = field(default_factory=dict)
+    shared: tuple[str, ...] = BODY
+
+    def __post_init__(self) -> None:
+        if self.law not in get_args(Law):
+            raise ValueError(f"Model: law = {self.law!r}; expected one of {', '.join(get_args(Law))}")
+        for attribute in ("fixed", "free", "tied", "shared"):
+            for name in getattr(self, attribute):
+                if stem(name) not in BOUNDS:
+                    raise ValueError(f"Model: {attribute}: unknown parameter {name!r}; expected {', '.join(BOUNDS)}")
+        for name in self.free:
+            if name not in FIXED:
+                raise ValueError(f"Model: free: {name!r} is free or off already; expected {', '.join(FIXED)}")
+
+    def names(self, task: str, conditions: Sequence[str]) -> tuple[str, ...]:
+        """All parameters of a person in one task that are not the same for everyone, fixed and tied ones too."""
+        groups = EFFECTS[task]
+        names = [*BODY, *GRIP, *(f"{group}.{element}" for group in groups for element in ELEMENTS)]
+        if task == "PT":
+            names += FIXED
+        if self.law != "linear":
+            names += [f"{name}.{element}" for name in SHORT_RANGE for element in ELEMENTS]
+            names.append("elastic_limit_spread")
+        if self.law == "full":
+            names += ["loss_angle_deg", "recovery_time", "thinning_velocity"]
+            if task == "PT":
+                names.append("spindle_saturation")
+        if task == "PT":
+            names += [f"level.{condition}" for condition in conditions[1:]]
+        return tuple(names)
+
+    def fixed_value(self, name: str) -> float | None:
+        """Value of a parameter that is fixed; None if it is not."""
+        if name in self.fixed:
+            return self.fixed[name]
+        if stem(name) in self.fixed:
+            return self.fixed[stem(name)]
+        return None if name in self.free else FIXED.get(name)
+
+
+def person(
+    body: Subject, law: Law, values: Mapping[str, float], condition: str, effects: Mapping[str, float]
+) -> Subject:
+    """The person in one trial.
+
+    Args:
+      body: task, lengths and posture.
+      law: of the muscles.
+      values: parameter to value.
+      condition: of the trial.
+      effects: quantity ("k", "b", "kv", "kp") to the logarithm of the trial's own factor on it; that on k is on the
+        short-range stiffness too.
+
+    Raises:
+      ValueError: the values make no person, as when a damping group is so large that the sum overflows.
+    """
+    changes: dict[str, Any] = {name: values[name] for name in (*BODY, *GRIP)}
+    for group in EFFECTS[body.task]:
+        factor = math.exp(effects.get(group, 0.0))
+        s, se, e = (factor * values[f"{group}.{element}"] for element in ELEMENTS)
+        changes |= {f"{group}_s": s + se, f"{group}_se": se, f"{group}_e": e + se}
+    for name, default in FIXED.items():
+        changes |= dict.fromkeys((f"{name}_s", f"{name}_e"), values.get(name, default))
+    for quantity in ("ka", "kf") if body.task == "PT" else ("kv", "kp", "ka", "kf"):
+        changes |= {f"{quantity}_{entry}": 0.0 for entry in ("s", "se", "e")}
+    changes["muscle"] = None
+    if law != "linear":
+        own: dict[str, Any] = {
+            name: tuple(values[f"{name}.{element}"] for element in ELEMENTS) for name in SHORT_RANGE
+        } | {name: values[name] for name in COMMON if name in values}
+        changes["muscle"] = MuscleLaw(**own).scaled(math.exp(effects.get("k", 0.0)))
+    subject = replace(body, **changes)
+    level = values.get(f"level.{condition}", 1.0)
+    return subject if level == 1.0 else at_level(subject, level)
+
+
+def true_values(subject: Subject, levels: Mapping[str, float]) -> dict[str, float]:
+    """What the parameters of a known person are, by the names of `Model`; elements' values of `COMMON` must agree."""
+    values: dict[str, float] = {name: getattr(subject, name) for name in (*BODY, *GRIP)}
+    values |= {"Td": subject.Td_s, "fact": subject.fact_s}
+    for group in GROUPS:
+        values |= {f"{group}.{e}": v for e, v in zip(ELEMENTS, subject.muscle_groups(group), strict=True)}
+    if subject.muscle is not None:
+        for name in SHORT_RANGE:
+            own = subject.muscle.of_elements(name)
+            values |= {f"{name}.{element}": value for element, value in zip(ELEMENTS, own, strict=True)}
+        values |= {name: subject.muscle.of_elements(name)[0] for name in COMMON}
+    return values | {f"level.{condition}": level for condition, level in levels.items()}
+
+
+class Parameters:
+    """All free parameters of one person in one or both tasks, as one vector of coordinates (see `coordinate`).
+
+    Attributes:
+      names: of the free parameters; one that both tasks have their own of is "k.elbow [RT]".
+      lower: bounds, (parameter,).
+      upper: likewise.
+    """
+
+    def __init__(self, model: Model, bodies: Mapping[str, Subject], conditions: Mapping[str, Sequence[str]]) -> None:
+        """Set out what is free.
+
+        Args:
+          model: the structure.
+          bodies: task to segment lengths and posture.
+          conditions: task to its conditions, that of level 1 first.
+
+        Raises:
+          ValueError: a tied parameter's other one does not exist, or a name is of no parameter here.
+        """
+        self.model, self.bodies = model, dict(bodies)
+        self.names: list[str] = []
+        self._of_task: dict[str, list[tuple[str, int | float]]] = {}
+        known: set[str] = set()
+        for task in bodies:
+            names = model.names(task, conditions[task])
+            known |= {*names, *(stem(name) for name in names)}
+            places: dict[str, int | float] = {}
+            for name in names:
+                value = model.fixed_value(name)
+                if value is not None:
+                    places[name] = float(value)
+                elif name not in model.tied:
+                    label = name if len(bodies) == 1 or name in model.shared else f"{name} [{task}]"
+                    if label not in self.names:
+                        self.names.append(label)
+                    places[name] = self.names.index(label)
+            for name in names:
+                if name in model.tied and name not in places:
+                    other = model.tied[name]
+                    if other not in places:
+                        raise ValueError(f"Model: tied: {name!r} to {other!r}; expected a parameter that is not tied")
+                    places[name] = places[other]
+            self._of_task[task] = list(places.items())
+        for attribute in ("fixed", "free", "tied"):
+            for name in getattr(model, attribute):
+                if name not in known:
+                    raise ValueError(
+                        f"Model: {attribute}: {name!r} is no parameter of the law {model.law!r} in these trials"
+                    )
+        limits = [[coordinate(name, end) for end in bounds(name, model.law)] for name in self.names]
+        self.lower, self.upper = np.array(limits).reshape(-1, 2).T
+
+    def fixed_at(self, point: Array) -> "Parameters":
+        """The same with nothing free: all has the value that it has at a point."""
+        fixed = copy.copy(self)
+        fixed.names, fixed.lower, fixed.upper = [], np.empty(0), np.empty(0)
+        fixed._of_task = {task: list(self.values(task, point).items()) for task in self._of_task}
+        return fixed
+
+    def values(self, task: str, point: Array) -> dict[str, float]:
+        """Parameter of one task to its value, fixed and tied ones too."""
+        return {
+            name: value_at(name, point[place]) if isinstance(place, int) else place
+            for name, place in self._of_task[task]
+        }
+
+    def person(self, task: str, point: Array, condition: str, effects: Sequence[float] | Array = ()) -> Subject:
+        """The person in one trial, see `person`."""
+        own = dict(zip(EFFECTS[task], effects, strict=False))
+        return person(self.bodies[task], self.model.law, self.values(task, point), condition, own)

@@ -1,0 +1,149 @@
+"""What a person and the instruments add to a trial: its spectrum, white residuals, and other draws of it.
+
+As in `analysis.likelihood`, the spectrum of the hand force that would move the handle like the residual is smooth, and
+is averaged over trials and neighbouring frequencies; a linear arm near the person tells how a hand force moves the
+handle. Records begin at rest and fade out.
+"""
+
+import numpy as np
+from scipy import fft, sparse
+
+from armperturb.analysis.arm.linear_arm import LinearArm
+from armperturb.analysis.arm.parameters import parameter_vector
+from armperturb.analysis.fit.likelihood import ROUND_OFF, TAPER, excited_bands, smoother, whitened, whitening
+from armperturb.arrays import Array, ComplexArray
+from armperturb.environment import Environment
+from armperturb.subject import Subject
+
+TOP = 20.0
+"""Highest frequency that counts [Hz]: the thesis's perturbations reach it."""
+
+MOST_CHANGE = 3.0
+"""Of a noise's strength in one `match` [-]."""
+
+
+class Noise:
+    """Noise of the trials of one condition.
+
+    Attributes:
+      root: of the spectrum of its hand force, as last estimated, (frequency, axis, axis).
+      strength: factor on the amplitude of draws, (frequency,); 1 until `match`.
+
+    Args:
+      arm: linear, near the person in this condition.
+      environment: what the hand held.
+      n: samples that are judged.
+      n_trials: whose residuals tell the noise together.
+      rate: of the samples [Hz].
+    """
+
+    def __init__(self, arm: Subject, environment: Environment, n: int, n_trials: int, rate: float) -> None:
+        self._n, self._rate = n, rate
+        n_taper = round(TAPER * rate)
+        self._taper = np.ones(n)
+        self._taper[-n_taper:] = 0.5 + 0.5 * np.cos(np.pi * (np.arange(n_taper) + 0.5) / n_taper)
+        frequency = fft.rfftfreq(n, 1.0 / rate)
+        self._used = slice(1, int(np.searchsorted(frequency, min(TOP, 0.45 * rate))))
+        self._frequency = frequency[self._used]
+        total = LinearArm(arm, self._frequency).total_admittance(parameter_vector(arm), environment)
+        (a, b), (c, d) = np.moveaxis(total * whitening(self._frequency, rate)[:, None, None], 0, -1)
+        self._to_force = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
+        self._smoother: sparse.csr_array = smoother(len(self._frequency), n_trials)
+        self.root = np.zeros((len(self._frequency), 2, 2), dtype=complex)
+        self.strength = np.ones(len(self._frequency))
+        self._white = self._to_force
+
+    def _force(self, residual: Array) -> ComplexArray:
+        """DFT of the hand force behind residuals (trial, time, axis), (trial, axis, frequency)."""
+        faded = whitened(residual[:, : self._n], self._rate) * self._taper[:, None]
+        spectrum = fft.rfft(faded, axis=1)[:, self._used].transpose(0, 2, 1)
+        return np.einsum("abf,tbf->taf", self._to_force, spectrum)
+
+    def _power(self, residual: Array) -> ComplexArray:
+        force = self._force(residual)
+        power = np.einsum("taf,tbf->fab", force, force.conj()) / len(force)
+        return np.asarray(self._smoother @ power.reshape(-1, 4)).reshape(-1, 2, 2)
+
+    def weigh(self, residual: Array) -> None:
+        """Estimate the noise from what is left, (trial, time, axis); it holds until the next call."""
+        smooth = self._power(residual)
+        floor = ROUND_OFF * np.trace(smooth, axis1=1, axis2=2).real + np.finfo(float).tiny
+        self.root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(2))
+        # Real and imaginary part of the residual have half its power each.
+        white = np.sqrt(2.0) * np.linalg.solve(self.root, np.moveaxis(self._to_force, -1, 0))
+        self._white = np.moveaxis(white, 0, -1)
+
+    @property
+    def log_determinant(self) -> float:
+        """Twice the logarithm of the density's Jacobian in one trial: what goes with the sum of squares."""
+        (a, b), (c, d) = self._white
+        return 4.0 * float(np.sum(np.log(np.abs(a * d - b * c))))
+
+    def white(self, residual: Array) -> Array:
+        """Residuals (lane, time, axis) as numbers of unit variance, (lane, number)."""
+        white = self._white_spectrum(residual).reshape(len(residual), -1)
+        return np.concatenate([white.real, white.imag], axis=1)
+
+    def lack_of_fit(self, white: Array, perturbation: Array) -> tuple[Array, int]:
+        """Sum of squares of the linear response to the disturbance that white residuals hold in any band it excites.
+
+        As in `analysis.likelihood.Likelihood.lack_of_fit`, the noise being as last weighed.
+
+        Args:
+          white: from `white`, of the trials; any number of such records, (..., trial, number).
+          perturbation: d of the trials [N], (trial, time, axis).
+
+        Returns:
+          The sums, (...,), and how many real numbers are in such responses.
+        """
+        real, imaginary = np.split(white.reshape(*white.shape[:-1], 2, 2, -1), 2, axis=-3)
+        spectrum = np.moveaxis((real + 1j * imaginary)[..., 0, :, :], -3, 0)
+        force = fft.rfft(perturbation[:, : self._n] * self._taper[:, None], axis=1)[:, self._used].transpose(0, 2, 1)
+        changes = np.einsum("aof,tif->tafoi", self._white * whitening(self._frequency, self._rate), force)
+        chi2, n_bands = np.zeros(white.shape[:-2]), 0
+        for band in excited_bands(self._frequency, force):
+            basis, _ = np.linalg.qr(changes[:, :, band].reshape(-1, 4))
+            own = np.moveaxis(spectrum[..., band], 0, -3).reshape(*chi2.shape, -1)
+            chi2 += np.sum(np.abs(own @ basis.conj()) ** 2, axis=-1)
+            n_bands += 1
+        return chi2, 8 * n_bands
+
+    def _white_spectrum(self, residual: Array) -> ComplexArray:
+        faded = whitened(residual[:, : self._n], self._rate) * self._taper[:, None]
+        spectrum = fft.rfft(faded, axis=1)[:, self._used].transpose(0, 2, 1)
+        return np.einsum("abf,tbf->taf", self._white, spectrum)
+
+    def draw(self, standard: Array) -> Array:
+        """Hand force with the spectrum of the noise times `strength` squared [N], (time, axis).
+
+        Args:
+          standard: independent standard normal numbers, (time, axis).
+        """
+        n = len(standard)
+        frequency = fft.rfftfreq(n, 1.0 / self._rate)
+        shaped = (self.root * self.strength[:, None, None]).reshape(len(self.root), 4)
+        root = np.stack(
+            [
+                np.interp(frequency, self._frequency, of.real, right=0.0)
+                + 1j * np.interp(frequency, self._frequency, of.imag, right=0.0)
+                for of in shaped.T
+            ],
+            axis=1,
+        ).reshape(-1, 2, 2)
+        root[0] = 0.0
+        spectrum = np.einsum("fab,fb->fa", root, fft.rfft(standard, axis=0) / np.sqrt(n))
+        return np.asarray(fft.irfft(spectrum * np.sqrt(n / np.sum(self._taper**2)), n, axis=0))
+
+    def match(self, white: Array, simulated: Array) -> None:
+        """Set `strength` so that drawn noise leaves as strong residuals as there are.
+
+        Args:
+          white: residuals of the trials, from `white`, (trial, number).
+          simulated: what is left of noise that was drawn with the present strength, (draw and trial, number).
+        """
+        wanted, found = (
+            self._smoother @ np.mean(np.sum(values.reshape(len(values), 4, -1) ** 2, axis=1), axis=0)
+            for values in (white, simulated)
+        )
+        ratio = np.sqrt(wanted / np.maximum(found, np.finfo(float).tiny))
+        self.strength = self.strength * np.clip(ratio, 1.0 / MOST_CHANGE, MOST_CHANGE)

@@ -1,0 +1,174 @@
+"""Where a nonlinear fit starts: linear arms of several amplitudes, and a coarse look at what they cannot tell."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import xarray as xr
+
+from armperturb.analysis.fit.identify import identify_conditions
+from armperturb.analysis.nonlinear.model import ELEMENTS, GROUPS, Parameters, bounds, coordinate, stem
+from armperturb.analysis.nonlinear.problem import Problem, State
+from armperturb.analysis.nonlinear.trials import TrialSet
+from armperturb.arrays import Array
+from armperturb.subject import Subject
+
+LEAST: Mapping[str, float] = {"k": 0.5, "b": 0.3, "kv": 1.0, "kp": 1.0}
+"""What a muscle group has at least in starts that are tried beside those with the linear arms' own values."""
+
+LONG_RANGE = 0.6
+"""Share of the softest linear stiffness that is taken to be long-range [-]."""
+
+USUAL: Mapping[str, Mapping[str, float]] = {
+    "PT": {"thinning_velocity": 1.5, "spindle_saturation": 1.5, "loss_angle_deg": 40.0, "recovery_time": 1.5},
+    "RT": {"thinning_velocity": 0.3, "loss_angle_deg": 30.0, "recovery_time": 1.0},
+}
+TRIED: Mapping[str, tuple[float, ...]] = {
+    "elastic_limit_deg": (0.5, 1.0, 2.0),
+    "short_range_stiffness": (0.6, 1.0, 1.6),
+    "thinning_velocity": (0.4, 1.0, 3.0),
+}
+"""Factors on the start of these parameters, all combinations of which are simulated."""
+
+LEVELS = (0.3, 0.45, 0.65, 1.0, 1.5)
+"""Levels of co-contraction that are tried in each condition: pulses alone cannot be answered by a far too stiff arm."""
+
+SPREAD = 0.08
+"""SD of the logarithms of the trials' own factors [-]."""
+
+
+LINEAR_MODELS: Mapping[str, str] = {"PT": "3b", "RT": "1"}
+"""Task to the linear structure whose fits start the nonlinear ones, see `analysis.structures`."""
+
+
+def linear_arms(recording: xr.Dataset, *, start: float = 8.0, period: float = 20.48) -> dict[str, Subject]:
+    """Condition to its linear arm, of all conditions that can tell one.
+
+    Args:
+      recording: trials of one person.
+      start: of the window of whole periods, as in `identify_conditions` [s].
+      period: likewise [s].
+
+    Raises:
+      ValueError: no trial of a task can, or the recording is refused.
+    """
+    onset = recording["pulse_onset"].values
+    arms: dict[str, Subject] = {}
+    for task in dict.fromkeys(recording["task"].values.tolist()):
+        wide = ~(onset < start + period) & (recording["task"].values == task)
+        if not wide.any():
+            raise ValueError(
+                f"{task}: all pulses come before {start + period:g} s; expected a trial with a whole period of "
+                f"{period:g} s from {start:g} s on"
+            )
+        found = identify_conditions(
+            recording.isel(trial=np.flatnonzero(wide)), LINEAR_MODELS[task], start=start, period=period
+        )
+        arms |= {label: one.fit.arm for label, one in found.items()}
+    return arms
+
+
+def start_values(
+    parameters: Parameters, sets: Sequence[TrialSet], arms: Mapping[str, Subject], given: Mapping[str, float]
+) -> Array:
+    """Coordinates of the free parameters from linear arms, (parameter,).
+
+    The softest arm tells the long-range stiffness, the stiffest one how much short-range stiffness comes on top.
+
+    Args:
+      parameters: what is free.
+      sets: the trials.
+      arms: condition to its linear arm.
+      given: parameter to the value that it starts with instead.
+
+    Raises:
+      ValueError: a given parameter is not free, or out of its bounds.
+    """
+    values: dict[str, float] = {}
+    for task in parameters.bodies:
+        own = [arms[label] for label in dict.fromkeys(one.label for one in sets if one.body.task == task)]
+        groups = {group: np.array([arm.muscle_groups(group) for arm in own]) for group in GROUPS}
+        softest = groups["k"].sum(axis=1).argmin()
+        found: dict[str, float] = {
+            name: float(np.mean([getattr(arm, name) for arm in own])) for name in ("m_h", "m_f", "k_h", "b_h")
+        }
+        linear = parameters.model.law == "linear"
+        for i, element in enumerate(ELEMENTS):
+            k = groups["k"][softest, i] * (1.0 if linear else LONG_RANGE)
+            found[f"k.{element}"] = k
+            found[f"short_range_stiffness.{element}"] = max(groups["k"][:, i].max() - k, 2.0 * LEAST["k"])
+            found[f"b.{element}"] = groups["b"][:, i].max()
+            found[f"elastic_limit_deg.{element}"] = 1.0
+            for group in ("kv", "kp"):
+                found[f"{group}.{element}"] = groups[group][:, i].mean()
+        found |= {"Td": own[0].Td_s, "fact": own[0].fact_s, "elastic_limit_spread": 0.5, **USUAL[task]}
+        for name in parameters.names:
+            bare = name.removesuffix(f" [{task}]")
+            values.setdefault(name, found.get(bare, 1.0 if stem(name) == "level" else np.nan))
+            if bare in found and np.isnan(values[name]):
+                values[name] = found[bare]
+    for name, value in given.items():
+        if name not in parameters.names:
+            raise ValueError(f"start: {name!r} is not free; expected {', '.join(parameters.names)}")
+        low, high = bounds(name, parameters.model.law)
+        if not low - 1e-3 * abs(low) <= value <= 1.001 * high:  # those that sat on a bound were rounded
+            raise ValueError(f"start: {name} = {value:g}; expected {low:g} to {high:g}")
+        values[name] = value
+    point = [coordinate(name, values[name]) for name in parameters.names]
+    return np.clip(point, parameters.lower + 1e-6, parameters.upper - 1e-6)
+
+
+def best_start(problem: Problem, point: Array, given: Mapping[str, float]) -> State:
+    """The likeliest of some starts that differ in what linear arms do not tell.
+
+    Levels are looked for before all else and once more at the end: each is told by the trials of its own condition.
+
+    Raises:
+      ValueError: no arm among them is stable.
+    """
+    parameters = problem.parameters
+    effects, spread = np.zeros(len(problem.kind_of)), np.full(len(problem.kinds), SPREAD)
+    point = _best_levels(problem, State(point, effects, spread), given)
+    least = [coordinate(name, LEAST[stem(name)]) if stem(name) in LEAST else -np.inf for name in parameters.names]
+    positive = np.where([name in given for name in parameters.names], point, np.maximum(point, least))
+    states = []
+    for factors in itertools.product(*TRIED.values()):
+        shift = {name: np.log(factor) for name, factor in zip(TRIED, factors, strict=True)}
+        moved = [0.0 if name in given else shift.get(stem(name), 0.0) for name in parameters.names]
+        for base in (point, positive):
+            states.append(State(np.clip(base + moved, parameters.lower, parameters.upper), effects, spread))
+    unique = list({state.point.tobytes(): state for state in states}.values())
+    objectives = [float(np.sum(_objectives(problem, state))) for state in unique]
+    if not np.isfinite(objectives).any():
+        raise ValueError(
+            "start: the arm is unstable, and so are all arms near it; expected a start that comes to rest (less "
+            "feedback, or more damping)"
+        )
+    best = unique[int(np.argmin(objectives))]
+    return best._replace(point=_best_levels(problem, best, given))
+
+
+def _best_levels(problem: Problem, state: State, given: Mapping[str, float]) -> Array:
+    """The point with the level of each condition that makes its trials likeliest; stays where no level is stable."""
+    names, point = problem.parameters.names, state.point.copy()
+    levels = [i for i, name in enumerate(names) if stem(name) == "level" and name not in given]
+    if not levels:
+        return point
+    tried = []
+    for level in LEVELS:
+        moved = point.copy()
+        moved[levels] = np.log(level)
+        tried.append(_objectives(problem, state._replace(point=moved)))
+    for i in levels:
+        own = [f"level.{condition}" == names[i].partition(" ")[0] for condition in problem.conditions]
+        likeliest = int(np.argmin([objective[own].sum() for objective in tried]))
+        if np.isfinite(tried[likeliest][own].sum()):
+            point[i] = np.log(LEVELS[likeliest])
+    return point
+
+
+def _objectives(problem: Problem, state: State) -> Array:
+    """Minus twice the logarithm of the likelihood at the best weights, (trial,); infinite where an arm blows up."""
+    predicted = problem.predict([state])[0]
+    problem.weigh(problem.residual(np.nan_to_num(predicted, nan=0.0, posinf=0.0, neginf=0.0)))
+    return problem.costs(state, predicted) + problem.log_determinants(state)

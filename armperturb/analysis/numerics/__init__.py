@@ -1,0 +1,1 @@
+"""Numerical methods that no library has."""

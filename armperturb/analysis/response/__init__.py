@@ -1,0 +1,1 @@
+"""Frequency responses without a model of the arm."""

@@ -1,0 +1,331 @@
+"""The best linear approximation of a nonlinear arm, and how much of its response is noise and how much distortion.
+
+Under random-phase multisines of one power spectrum, a nonlinear arm answers as the linear one that comes closest on
+average (its best linear approximation), and adds a stochastic distortion: as periodic as the disturbance, but different
+for every realisation. Noise is not periodic. So
+
+- what differs from one period to the next is noise;
+- what a smooth response leaves on the excited lines of mean periods is noise and distortion, and so is all that is on
+  the quiet lines beside them.
+
+(Pintelon & Schoukens, System Identification, 2nd ed., chapters 3 and 4: robust method, in closed loop by projection on
+d.) Two inputs act at once: as their phases are independent, each cluster of lines of each realisation gives as many
+equations as it has lines for the two responses, and no trials with one direction alone are needed.
+
+All is said of the force that the arm adds to its linear response, v = H^-1 x - f, with H^-1 interpolated between the
+clusters: for three reasons. The noise of x and f has the resonances of arm and environment, that of v hardly any, so
+that noise may be compared among lines some tenths of a hertz apart. The edges of a record of a mass, spring and damper
+leave in v a polynomial of first order, and where periods fade into one another nearly nothing: mean periods need no
+leakage removed, which would take more of the noise around a record's start, where fewer periods are averaged, than of
+the rest. And d explains so little of v that the polynomial of a cluster need not follow resonances. Powers are given
+as displacement, H v.
+
+Differences between periods are orthonormal contrasts, each of a period (the last may be short) with the mean of those
+before.
+
+Assumed: d is known; realisations are independent, of the same power spectrum and of random phases; noise one period
+apart is independent; the arm has forgotten its start, and is the same in all periods of a trial. Between trials it may
+differ: each has a constant term of its own, and none of that counts as distortion. What is below a thousandth of the
+linear response is taken for what interpolation and a start that is not quite forgotten leave.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import interpolate, stats
+
+from armperturb.analysis.response.closed_loop import HIGHEST_ORDER, Periodic, Recordings, periodic_trials
+from armperturb.analysis.response.frequency_response import FrequencyResponse
+from armperturb.analysis.response.local_polynomial import (
+    ComplexArray,
+    LocalFit,
+    Window,
+    element_variance,
+    fit_locally,
+    frequency_response,
+    linearised,
+    without,
+)
+from armperturb.arrays import Array
+
+Impedance = Callable[[Array], ComplexArray]
+
+ORDER = {1: 0, 2: 1, 3: 1}
+"""Number of trials to the order of the response's polynomial over a cluster; `HIGHEST_ORDER` of more trials."""
+
+LARGEST_ERROR = 0.3
+"""Error of the response over its size from which on its inverse is of no use [-]."""
+
+ROUNDS = 2
+"""How often what the arm does between clusters is estimated."""
+
+NOISE_LEAKAGE = 1
+"""Order of the leakage's polynomial of what differs between periods: that of mass and damping."""
+
+LEAST_NOISE = 6
+"""Lines less leakage's terms that tell the noise around a cluster, of all trials."""
+
+WIDENED = 0.05
+"""Step by which the band of the noise is widened where they are fewer [Hz]."""
+
+SHORTEST = 4.0
+"""Pieces of a period that are shorter than this tell nothing of the noise [s]."""
+
+RESOLUTION = 1e-3
+"""Distortion over linear response, in amplitude, that cannot be told from what is left of leakage and interpolation."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BestLinear:
+    """Best linear approximation, with the levels of noise and distortion.
+
+    Powers are mean squares of the displacement's sine wave at one excited line of one period [m^2], means over the
+    lines of a cluster and over trials.
+
+    Attributes:
+      response: of the arm, at the middle of each cluster; its covariance holds noise and distortion.
+      linear: power of the linear response H f, (frequency, output).
+      noise: power of the noise in a single period, (frequency, output).
+      distortion: power of the distortion; unbiased, so that it may come out negative, (frequency, output).
+      distortion_error: standard error that it has if the arm is linear, (frequency, output).
+      statistic: distortion over its standard error, of all frequencies and outputs together, each weighed by its noise
+        and by how fast the linear response moves [-]; of linear arms standard normal.
+      n_periods: periods per trial, with parts, (trial,).
+    """
+
+    response: FrequencyResponse
+    linear: Array
+    noise: Array
+    distortion: Array
+    distortion_error: Array
+    statistic: float
+    n_periods: Array
+
+    @property
+    def p_value(self) -> float:
+        """Chance of so large a statistic if the arm is linear [-]."""
+        return float(stats.norm.sf(self.statistic))
+
+    @property
+    def share(self) -> Array:
+        """Power of the distortion over that of linear response and distortion, all frequencies together, (output,)."""
+        distortion = self.distortion.sum(axis=0)
+        return np.asarray(distortion / (self.linear.sum(axis=0) + distortion))
+
+    @property
+    def share_error(self) -> Array:
+        """Standard error that `share` has if the arm is linear, (output,)."""
+        error = np.sqrt(np.sum(self.distortion_error**2, axis=0))
+        return np.asarray(error / (self.linear + self.distortion).sum(axis=0))
+
+
+def estimate_best_linear(
+    recordings: Recordings, *, period: float = 20.48, start: float = 2.0, lines_per_average: int = 4
+) -> BestLinear:
+    """Best linear approximation of the arm, from multisines.
+
+    Args:
+      recordings: trials of one subject in one condition, with different multisines of one power spectrum, each longer
+        than a period by a fifth or more. Of a single trial, the distortion is that of its realisation alone.
+      period: of the disturbance [s].
+      start: of what is used [s]; later for loads that ring on, whose start otherwise passes for distortion.
+      lines_per_average: as in `estimate_multisine`; 3 or more.
+
+    Raises:
+      ValueError: as `estimate_multisine`; or lines of a cluster or periods are too few.
+    """
+    trials = periodic_trials(recordings, period=period, start=start, lines_per_average=lines_per_average)
+    shortest = min(map(len, trials.groups))
+    if shortest < 3:
+        raise ValueError(f"a group has {shortest} excited lines; expected at least 3 (more lines per average)")
+    n_periods = np.array([1.0 + sum(map(len, trial.contrasts)) / (period * trials.rate) for trial in trials.trials])
+    contrasts = _contrasts(trials)
+    if not contrasts:
+        raise ValueError(
+            f"trials hold {n_periods.max():.2f} periods from {start:g} s on; expected at least "
+            f"{1 + SHORTEST / period:.2f}"
+        )
+    order = ORDER.get(len(trials.trials), HIGHEST_ORDER)
+    fits = trials.fit(order, own_levels=True)
+    windows = [trials.windows(group) for group in trials.groups]
+    around, own_fits = _own_forces(windows, fits, order)
+    quiet = [
+        [_own_force(window.only(~window.excited), own) for window in near]
+        for near, own in zip(windows, around, strict=True)
+    ]
+    noises = [
+        [_own_force(piece, own) for piece in _near(contrasts, near[0].frequency)]
+        for near, own in zip(windows, around, strict=True)
+    ]
+    uneven = _unevenness(n_periods)
+    share = float(np.mean([trial.share for trial in trials.trials]))
+    scale = 2.0 / (period * trials.rate)  # from |Z|^2 over the number of samples to the mean square of a sine wave
+    linear, noise, distortion, error, excess, precision = [], [], [], [], [], []
+    for group, fit, impedance, own, near, quiet_uses, near_noises, noise_uses in zip(
+        trials.groups, fits, around, own_fits, quiet, _uses(quiet), noises, _uses(noises), strict=True
+    ):
+        arm = np.linalg.inv(impedance(np.array([fit.frequency])))[0]
+        force = np.concatenate([trial.answer[group, :2] for trial in trials.trials]) @ arm.T
+        linear.append(scale * share * np.mean(np.abs(force) ** 2, axis=0))
+        floor = np.diag(RESOLUTION**2 * np.mean(np.abs(force) ** 2, axis=0)).astype(complex)
+
+        def moves(covariance: ComplexArray, arm: ComplexArray = arm) -> ComplexArray:
+            return np.asarray(arm @ covariance @ arm.conj().T)
+
+        of_noise, noise_dof = without(near_noises, NOISE_LEAKAGE)
+        on_lines = _Excess(moves(own.excited_noise), own.excited_dof / uneven, moves(of_noise), noise_dof, floor)
+        noise.append(scale * np.diagonal(on_lines.noise).real)
+        distortion.append(scale * share * np.diagonal(on_lines.total - on_lines.noise).real)
+        error.append(scale * share * np.sqrt(on_lines.variance) * np.diagonal(on_lines.pooled).real)
+        # Distortion falls between the excited lines as well, and there it shows best. Each line counts once.
+        of_quiet, quiet_dof = without(near, -1, quiet_uses)
+        of_noise, noise_dof = without(near_noises, NOISE_LEAKAGE, noise_uses)
+        dof = own.excited_dof + quiet_dof
+        total = (own.excited_dof * own.excited_noise + quiet_dof * of_quiet) / dof
+        everywhere = _Excess(moves(total), dof / uneven, moves(of_noise), noise_dof, floor)
+        excess.append(everywhere.relative)
+        precision.append(1.0 / everywhere.relative_variance)
+    # Arms depart from a linear one where they move.
+    speed = np.array([fit.frequency * np.sqrt(of_one.sum()) for fit, of_one in zip(fits, linear, strict=True)])
+    weight = speed * precision
+    return BestLinear(
+        response=frequency_response(fits, "arm", [(fit.excited_noise, fit.excited_dof) for fit in fits]),
+        linear=np.array(linear),
+        noise=np.array(noise),
+        distortion=np.array(distortion),
+        distortion_error=np.array(error),
+        statistic=float(np.dot(weight, excess) / np.sqrt(np.dot(weight, speed))),
+        n_periods=n_periods,
+    )
+
+
+def _own_forces(
+    windows: Sequence[Sequence[Window]], fits: Sequence[LocalFit], order: int
+) -> tuple[list[Impedance], list[LocalFit]]:
+    """The arm's impedance H^-1 [N/m] around each cluster, and what d explains of the arm's own force there.
+
+    That is little, as the impedance beside the middle of a cluster comes from its neighbours, and what is left is no
+    larger for a polynomial that cannot follow the arm's response. What d does explain in the middle corrects the
+    impedance there. Where it is hardly known, it is taken for constant, and tells its neighbours nothing.
+    """
+    frequency = np.array([fit.frequency for fit in fits])
+    impedance = np.linalg.inv([linearised(fit.answer, "arm").response for fit in fits])
+    known = np.array([_relative_error(fit) < LARGEST_ERROR for fit in fits])
+    # A real system at -f is the conjugate of that at f, so that nothing is extrapolated towards zero.
+    knots = np.concatenate([-frequency[known][::-1], frequency[known]])
+    for _ in range(ROUNDS):
+        around: list[Impedance] = [_constant(values) for values in impedance]
+        if known.any():
+            both = np.concatenate([impedance[known][::-1].conj(), impedance[known]])
+            spline = interpolate.make_interp_spline(knots, both, min(3, len(knots) - 1))
+            around = [spline if is_known else constant for is_known, constant in zip(known, around, strict=True)]
+        own_fits = [
+            fit_locally(
+                [_own_force(window.only(window.excited), own) for window in near],
+                fit.frequency,
+                order=order,
+                leakage_order=-1,
+                own_levels=True,
+            )
+            for near, fit, own in zip(windows, fits, around, strict=True)
+        ]
+        moved = [own.answer @ np.linalg.inv(fit.answer[2:]) for own, fit in zip(own_fits, fits, strict=True)]
+        impedance = impedance - np.array(moved)
+    return around, own_fits
+
+
+def _relative_error(fit: LocalFit) -> float:
+    """Root mean square error of the arm's response over its size."""
+    arm = linearised(fit.answer, "arm")
+    variance = element_variance(arm, fit.factor, fit.excited_noise).sum()
+    return float(np.sqrt(variance / np.sum(np.abs(arm.response) ** 2)))
+
+
+def _constant(values: ComplexArray) -> Impedance:
+    return lambda frequency: np.broadcast_to(values, (*np.shape(frequency), *values.shape))
+
+
+def _own_force(window: Window, impedance: Impedance) -> Window:
+    """Lines with the force that the arm adds to its linear response, H^-1 x - f, (line, 2), as their answer."""
+    force, displacement = window.answer[:, :2], window.answer[:, 2:]
+    return window._replace(answer=np.einsum("kij,kj->ki", impedance(window.frequency), displacement) - force)
+
+
+class _Excess(NamedTuple):
+    """Covariance of noise and distortion beside that of noise, (2, 2) each, with their degrees of freedom.
+
+    Far below `floor`, (2, 2), both count as nothing. Far above it and without distortion, total over pooled is
+    independent of pooled and has a (matrix) beta distribution: its moments are exact, however few the degrees of
+    freedom.
+    """
+
+    total: ComplexArray
+    total_dof: float
+    noise: ComplexArray
+    noise_dof: float
+    floor: ComplexArray
+
+    @property
+    def pooled(self) -> ComplexArray:
+        both = self.total_dof * self.total + self.noise_dof * self.noise
+        return np.asarray(both / (self.total_dof + self.noise_dof) + self.floor)
+
+    @property
+    def variance(self) -> float:
+        """Of (total - noise) over pooled, of one output."""
+        dof = self.total_dof + self.noise_dof
+        return dof**2 / (self.total_dof * self.noise_dof * (dof + 1))
+
+    @property
+    def relative(self) -> float:
+        """Total less noise over pooled, mean over outputs; its mean is zero without distortion."""
+        return 0.5 * float(np.trace(np.linalg.solve(self.pooled, self.total - self.noise)).real)
+
+    @property
+    def relative_variance(self) -> float:
+        return 0.5 * self.variance * (1 - 1 / (self.total_dof + self.noise_dof - 1))
+
+
+def _unevenness(n_periods: Array) -> float:
+    """Mean square over squared mean of the noise's power in the course of a mean period [-], >= 1.
+
+    Where it is not even, neighbouring lines correlate, and tell less.
+    """
+    whole = np.floor(n_periods)
+    part = n_periods - whole
+    power = (1 - part) / whole + part / (whole + 1)
+    return float(np.mean(((1 - part) / whole**2 + part / (whole + 1) ** 2) / power**2))
+
+
+def _contrasts(trials: Periodic) -> list[Window]:
+    """Spectra of what differs between periods."""
+    pieces = []
+    for trial in trials.trials:
+        for values in trial.contrasts:
+            n = len(values)
+            if n >= SHORTEST * trials.rate:
+                spectrum = np.fft.rfft(values, axis=0)[1:] / np.sqrt(n)
+                frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / trials.rate)[1:], dtype=float)
+                pieces.append(Window(frequency, spectrum[:, :0], spectrum, np.zeros(len(frequency), dtype=bool)))
+    return pieces
+
+
+def _near(contrasts: Sequence[Window], frequency: Array) -> list[Window]:
+    """Lines of the noise where a cluster has its lines, or around those if they are too few."""
+    half = 0.0
+    while True:
+        near = [piece.within(frequency[0] - half, frequency[-1] + half) for piece in contrasts]
+        if sum(max(0, len(piece.frequency) - NOISE_LEAKAGE - 1) for piece in near) >= LEAST_NOISE:
+            return near
+        half += WIDENED
+
+
+def _uses(clusters: Sequence[Sequence[Window]]) -> list[list[Array]]:
+    """One over the number of clusters that use a line, of each line of each record: (cluster, record), (line,)."""
+    records = []
+    for of_record in zip(*clusters, strict=True):
+        lines, counts = np.unique(np.concatenate([window.frequency for window in of_record]), return_counts=True)
+        records.append([1.0 / counts[np.searchsorted(lines, window.frequency)] for window in of_record])
+    return [list(weights) for weights in zip(*records, strict=True)]

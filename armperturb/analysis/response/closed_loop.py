@@ -1,0 +1,495 @@
+"""Frequency responses of arm and environment from any disturbance: multisines, or noise (thesis 2.6, generalised).
+
+Both read one or several recordings, which may differ in length, and use every sample from `start` to each trial's pulse
+or end. What came before is leakage, which `local_polynomial` removes. It does so as long as what came before dies away
+within a fraction of the record: a record that begins at rest, or later, has little of it.
+
+**Multisines** of a known period and unknown lines, which the disturbance tells. Samples of equal phase are averaged,
+so that 24 s of a period of 20.48 s hold one period of which a part is less noisy. The disturbance then sits on the
+excited lines alone, and the quiet lines beside them show leakage and noise. Lines of a cluster share one polynomial.
+
+**Noise**, or any other disturbance: the record is transformed as it is, and all lines near a frequency are used.
+"""
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+from scipy import signal
+
+from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
+from armperturb.analysis.response.joint_records import JointRecords
+from armperturb.analysis.response.line_balance import LineBalance, find_balance, holds
+from armperturb.analysis.response.local_polynomial import (
+    N_INPUTS,
+    LocalFit,
+    Window,
+    fit_locally,
+    frequency_response,
+    n_unknowns,
+)
+from armperturb.analysis.response.periodicity import find_period
+from armperturb.analysis.response.spectra import EXCITED
+from armperturb.arrays import Array, ComplexArray
+from armperturb.recording import check_recording
+from armperturb.validation import require_number
+
+Recordings = xr.Dataset | Sequence[xr.Dataset]
+Answer = Callable[[Array, ComplexArray, ComplexArray], ComplexArray]
+"""From frequency, D and (F, X) of lines to what takes the place of the latter."""
+
+HIGHEST_ORDER = 2
+"""Of the response's polynomial over a cluster, unless asked otherwise."""
+
+HIGH_ORDERS = (2, 3, 4, 5)
+"""Orders that are tried over many lines."""
+
+LEAKAGE_ORDER = 2
+"""Order of the leakage's polynomial."""
+
+N_QUIET = 12
+"""Quiet lines beside a cluster that tell its leakage and noise, on both sides together."""
+
+NARROW, WIDE = 0.03, 0.15
+"""Width of a group over its frequency: below the first the response does not bend, above the second it may [-]."""
+
+CLEARLY = 3.0
+"""Standard deviations by which a higher order has to fit better than chance to be taken [-]."""
+
+LEAST_DOF = 8.0
+"""Complex degrees of freedom that a covariance has at least: then bands are at most a third wider than with many."""
+
+FADE = 2.0
+"""Time over which the weights of samples of equal phase change [s]; less if a record is hardly longer than a period."""
+
+APERIODIC = 1e-2
+"""Share of its power by which a disturbance may differ from one period to the next [-]."""
+
+HALF_WIDTH = (0.2, 0.1)
+"""Least half of the band around a frequency that tells the response there: [Hz], and over the frequency [-].
+
+The former is for noise alone."""
+
+N_POINTS = 40
+"""Frequencies at which the response to noise is estimated, unless asked otherwise."""
+
+
+class Record(NamedTuple):
+    """One trial.
+
+    Attributes:
+      perturbation: d [N], (time, axis).
+      answer: f [N] and x [m], (time, 4).
+      rate: of the samples [Hz].
+    """
+
+    perturbation: Array
+    answer: Array
+    rate: float
+
+
+class Periods(NamedTuple):
+    """One trial of a periodic disturbance.
+
+    Attributes:
+      perturbation: D of the mean period over the root of the noise's share in it, (line, axis).
+      answer: F and X likewise, (line, 4): so weighted, all trials have the same noise.
+      share: of the noise's power that is left in the mean period, one over the number of periods [-].
+      contrasts: f and x less the mean of the periods before, weighted so that they hold the noise as it is and nothing
+        that is periodic; one of each further period, of which the last may be short; each (time, 4).
+    """
+
+    perturbation: ComplexArray
+    answer: ComplexArray
+    share: float
+    contrasts: tuple[Array, ...]
+
+
+class Periodic(NamedTuple):
+    """All trials of a periodic disturbance.
+
+    Attributes:
+      trials: one or more.
+      excited: numbers of the excited lines, cycles per period, (line,).
+      groups: excited lines that share a polynomial, numbers.
+      period: [s].
+      rate: of the samples [Hz].
+    """
+
+    trials: tuple[Periods, ...]
+    excited: NDArray[np.int64]
+    groups: tuple[NDArray[np.int64], ...]
+    period: float
+    rate: float
+
+    def replaced(self, answer: Answer) -> "Periodic":
+        """The same with what a function makes of frequency, D and (F, X) of each trial in place of the latter."""
+        frequency = np.arange(len(self.trials[0].answer)) / self.period
+        return self._replace(
+            trials=tuple(
+                trial._replace(answer=answer(frequency, trial.perturbation, trial.answer)) for trial in self.trials
+            )
+        )
+
+    def windows(self, group: NDArray[np.int64]) -> list[Window]:
+        """The lines of a group and the quiet ones nearest to it, of each trial."""
+        quiet = np.setdiff1d(np.arange(1, len(self.trials[0].perturbation) - 1), self.excited)
+        distance = np.maximum(group[0] - quiet, quiet - group[-1])
+        beside = quiet[np.argsort(distance, kind="stable")[:N_QUIET]]
+        beside = beside[np.maximum(group[0] - beside, beside - group[-1]) <= 2 * N_QUIET]
+        lines = np.sort(np.concatenate([group, beside]))
+        excited = np.isin(lines, group)
+        return [
+            Window(lines / self.period, trial.perturbation[lines] * excited[:, None], trial.answer[lines], excited)
+            for trial in self.trials
+        ]
+
+    def fit(self, order: int | None, *, own_levels: bool = False) -> list[LocalFit]:
+        """The response near the middle of each group.
+
+        Polynomials have at most one term per excited line; by default at most `HIGHEST_ORDER`, beyond the first order
+        only half as many terms as equations, or one less than equations where the group is `WIDE`; of groups of many
+        lines, or wide ones, more if those fit clearly better.
+        """
+        fits = []
+        for group in self.groups:
+            chosen = self._orders(len(group), float(np.ptp(group) / group.mean())) if order is None else (order,)
+            fits.append(
+                _fit(
+                    self.windows(group),
+                    float(group.mean()) / self.period,
+                    orders=sorted({min(one, len(group) - 1) for one in chosen}),
+                    leakage_order=LEAKAGE_ORDER,
+                    own_levels=own_levels,
+                )
+            )
+        return fits
+
+    def _orders(self, n_lines: int, width: float) -> tuple[int, ...]:
+        """Of the polynomial over a group of that width over its frequency; later ones if they fit clearly better."""
+        equations = n_lines * len(self.trials) // N_INPUTS
+        terms = equations - 1 if width > WIDE else equations // 2
+        if n_lines > N_QUIET or (width > WIDE and terms > HIGHEST_ORDER + 1):
+            return HIGH_ORDERS
+        return (min(max(1, terms - 1), HIGHEST_ORDER if width > NARROW else 1),)
+
+
+def _fit(
+    windows: Sequence[Window], centre: float, *, orders: Sequence[int], leakage_order: int, own_levels: bool = False
+) -> LocalFit:
+    """The local fit of the first order, or of later ones as long as these are clearly better and can be told.
+
+    Without need for it, a further complex coefficient of an output lowers the logarithm of its sum of squares, times
+    the number of lines, by about a gamma variable of shape one.
+    """
+    best = fit_locally(windows, centre, order=orders[0], leakage_order=leakage_order, own_levels=own_levels)
+    for lower, order in pairwise(orders):
+        extra = N_INPUTS * (order - lower)
+        if best.dof - extra < 2 * LEAST_DOF:
+            break
+        better = fit_locally(windows, centre, order=order, leakage_order=leakage_order, own_levels=own_levels)
+        before, after = (np.log(fit.dof * np.diagonal(fit.noise).real) for fit in (best, better))
+        gain = float(np.max(before - after)) * (best.dof + better.dof) / 2
+        if gain < extra + CLEARLY * np.sqrt(extra):
+            break
+        best = better
+    return best
+
+
+def records_of(recordings: Recordings, start: float) -> list[Record]:
+    """Trials from `start` to each one's pulse, or to its end.
+
+    Raises:
+      ValueError: a recording is refused (see `check_recording`), rates differ, a trial met the workspace limit, or
+        nothing is left of it.
+    """
+    require_number("records_of", "start", start, at_least=0.0)
+    recordings = [recordings] if isinstance(recordings, xr.Dataset) else list(recordings)
+    if not recordings:
+        raise ValueError("recordings is empty; expected at least one")
+    records = []
+    for recording in recordings:
+        check_recording(recording)
+        rate = float(recording.attrs["rate"])
+        if rate != float(recordings[0].attrs["rate"]):
+            raise ValueError(
+                f"rate = {rate:g} Hz; expected {recordings[0].attrs['rate']:g} Hz as in the first recording"
+            )
+        d = recording["perturbation"].values
+        z = np.concatenate([recording["force"].values, recording["displacement"].values], axis=-1)
+        ends = recording["pulse_onset"].values
+        for trial, limit in enumerate(recording["limit_time"].values):
+            if np.isfinite(limit):
+                raise ValueError(
+                    f"trial {trial} reached the workspace limit at {limit:.3f} s; expected trials that stay inside "
+                    "(leave this one out)"
+                )
+            end = round(ends[trial] * rate) if np.isfinite(ends[trial]) else recording.sizes["time"]
+            judged = slice(round(start * rate), min(end, recording.sizes["time"]))
+            if judged.stop - judged.start < 2:
+                raise ValueError(f"trial {trial} ends at {end / rate:g} s; expected more than {start:g} s")
+            records.append(Record(d[trial, judged], z[trial, judged], rate))
+            for name, values in (("the perturbation", records[-1].perturbation), ("force", z[trial, judged, :2])):
+                if not np.ptp(values, axis=0).any():
+                    raise ValueError(
+                        f"{name} of trial {trial} is constant from {start:g} s on; expected a perturbation"
+                    )
+    return records
+
+
+def period_of(recordings: Recordings, start: float) -> float:
+    """Period of the disturbance [s], as found in what was recorded of it from `start` on.
+
+    Raises:
+      ValueError: as `records_of` and `find_period`.
+    """
+    records = records_of(recordings, start)
+    return find_period([record.perturbation for record in records], records[0].rate, start)
+
+
+def periodic_trials(recordings: Recordings, *, period: float | None, start: float, lines_per_average: int) -> Periodic:
+    """Mean periods and what differs between them.
+
+    Args:
+      recordings: trials of one subject in one condition.
+      period: of the disturbance [s]; None finds it, see `periodicity`.
+      start: of what is used [s].
+      lines_per_average: excited lines in a group, where there are as many without a wider gap than between the closest
+        two; more where quiet lines are too few to tell leakage and noise.
+
+    Raises:
+      ValueError: as `records_of`; or a trial is shorter than a period, the disturbance is not periodic, or the period
+        is not a whole number of samples.
+    """
+    if period is not None:
+        require_number("periodic_trials", "period", period, above=0.0)
+    require_number("periodic_trials", "lines_per_average", lines_per_average, at_least=1)
+    records = records_of(recordings, start)
+    rate = records[0].rate
+    if period is None:
+        period = find_period([record.perturbation for record in records], rate, start)
+    n = round(period * rate)
+    if abs(n - period * rate) > 1e-6 * n:
+        raise ValueError(
+            f"rate = {rate:g} Hz; expected one at which the period of {period:g} s is a whole number of samples "
+            f"(it is {period * rate:.6g})"
+        )
+    trials = []
+    for number, record in enumerate(records):
+        d = record.perturbation
+        if len(d) < n:
+            raise ValueError(
+                f"trial {number} holds {len(d) / rate:g} s from {start:g} s on; expected a whole period of {period:g} s"
+            )
+        if np.mean((d[n:] - d[:-n]) ** 2 if len(d) > n else 0.0) > APERIODIC * np.mean(d**2):
+            raise ValueError(
+                f"the perturbation of trial {number} does not repeat after {period:g} s; expected its own period (None "
+                "finds it; for noise there is the method noise)"
+            )
+        trials.append(_mean_period(record, n))
+    power = np.sum([np.abs(trial.perturbation) ** 2 for trial in trials], axis=(0, 2))
+    power[[0, -1]] = 0.0
+    excited = np.flatnonzero(power > EXCITED * power.max())
+    return Periodic(tuple(trials), excited, _groups(excited, len(trials), lines_per_average), period, rate)
+
+
+def _mean_period(record: Record, n: int) -> Periods:
+    """Mean over periods by weights that sum to one at each phase and fade in and out.
+
+    A jump in the weights would spread slow noise over all lines.
+    """
+    signals = np.concatenate([record.perturbation, record.answer], axis=1)
+    n_all = len(signals)
+    n_fade = min(round(FADE * record.rate), n_all - n)
+    inner = np.zeros(-(-n_all // n) * n)
+    inner[n_fade // 2 : n_all - (n_fade + 1) // 2] = 1.0
+    count = inner.reshape(-1, n).sum(axis=0)
+    weights = (inner.reshape(-1, n) / count).ravel()
+    if n_fade > 1:
+        # A fade keeps the sum over periods, as it averages over neighbouring phases.
+        fade = signal.windows.hann(n_fade + 1)
+        weights = signal.fftconvolve(weights, fade / fade.sum(), mode="same")
+    padded = np.zeros((len(weights), signals.shape[1]))
+    padded[:n_all] = signals
+    mean = (weights[:, None] * padded).reshape(-1, n, signals.shape[1]).sum(axis=0)
+    share = float(np.sum(weights[:n_all] ** 2) / n)
+    spectrum = np.fft.rfft(mean, axis=0) / np.sqrt(n * share)
+    contrasts, total = [], record.answer[:n].copy()
+    for first in range(n, n_all, n):
+        part = record.answer[first : first + n]
+        m, k = first // n, len(part)
+        contrasts.append(np.sqrt(m / (m + 1)) * (part - total[:k] / m))
+        total[:k] += part
+    return Periods(spectrum[:, :2], spectrum[:, 2:], share, tuple(contrasts))
+
+
+def _groups(excited: NDArray[np.int64], n_trials: int, size: int) -> tuple[NDArray[np.int64], ...]:
+    """Excited lines that share a polynomial.
+
+    Long runs have no quiet lines around, or many lines that single ones would be too noisy for: groups are as large as
+    the leakage asks for, and grow with frequency.
+    """
+    gaps = np.diff(excited)
+    closest = int(gaps.min(initial=excited[-1]))
+    runs = np.split(excited, np.flatnonzero(gaps > 2 * closest) + 1)
+    equations = n_unknowns(n_trials, HIGHEST_ORDER, LEAKAGE_ORDER) + LEAST_DOF
+    groups: list[NDArray[np.int64]] = []
+    for run in runs:
+        if len(run) <= N_QUIET:
+            groups += np.array_split(run, max(1, len(run) // size))
+            continue
+        least = max(size, int(np.ceil(equations / n_trials))) if closest == 1 else size
+        while len(run):
+            count = max(least, round(2 * HALF_WIDTH[1] * run[0] / closest))
+            if len(run) < 2 * count:
+                count = len(run)
+            groups.append(run[:count])
+            run = run[count:]
+    return tuple(groups)
+
+
+def estimate_multisine(
+    recordings: Recordings,
+    *,
+    what: System = "arm",
+    period: float | None = None,
+    start: float = 2.0,
+    lines_per_average: int = 4,
+    order: int | None = None,
+    balance: bool = True,
+) -> FrequencyResponse:
+    """Frequency response from periodic multisines.
+
+    The covariance is that of the excited lines, with whatever else differs between lines and trials (distortion by a
+    nonlinear arm, a person who changes); of too few trials for that, it comes from the quiet lines as well, and holds
+    noise alone.
+
+    Args:
+      recordings: trials of one subject in one condition; the same or different multisines of one period.
+      what: "arm" (from f to x), "environment" (from d - f to x) or "total" (from d to x).
+      period: of the disturbance [s]; None finds it in what was recorded, for at least 1.1 periods.
+      start: of what is used [s].
+      lines_per_average: neighbouring lines that share a polynomial: the clusters of the thesis's multisine have 4.
+      order: of that polynomial; by default 2 if there are at least twice as many equations as it has terms, or lines
+        are far apart, and else 1.
+      balance: whether displacement and force are made better by the environment's force balance where that holds, see
+        `line_balance`; not of what="environment", which then would be what was put in.
+
+    Raises:
+      ValueError: as `periodic_trials` and `fit_locally`, or `what` is something else.
+    """
+    if order is not None:
+        require_number("estimate_multisine", "order", order, at_least=0)
+    trials = periodic_trials(recordings, period=period, start=start, lines_per_average=lines_per_average)
+    found = _balance(recordings) if balance and what != "environment" else None
+    if found is not None:
+        if holds(trials.replaced(found.left_over).fit(order)):
+            trials = trials.replaced(found.corrected)
+        else:
+            found = None
+    fits = trials.fit(order)
+    noises = [
+        (fit.excited_noise, fit.excited_dof) if fit.excited_dof >= LEAST_DOF else (fit.noise, fit.dof) for fit in fits
+    ]
+    return frequency_response(fits, what, noises, None if found is None else found.environment)
+
+
+def estimate_noise(
+    recordings: Recordings,
+    *,
+    what: System = "arm",
+    start: float = 0.0,
+    frequency: ArrayLike | None = None,
+    order: int | None = None,
+    balance: bool = True,
+) -> FrequencyResponse:
+    """Frequency response from noise, or any disturbance that has power at all frequencies of interest.
+
+    Args:
+      recordings: trials of one subject in one condition; their lengths may differ.
+      what: as in `estimate_multisine`.
+      start: of what is used [s].
+      frequency: where the response is wanted [Hz], (frequency,); None takes up to 40 of those that the disturbance
+        excites.
+      order: of the response's polynomial; by default 2, or up to 5 where that fits clearly better. The band around a
+        frequency is as wide as `HALF_WIDTH` says, and wider where that gives fewer than `LEAST_DOF` degrees of freedom.
+      balance: as in `estimate_multisine`.
+
+    Raises:
+      ValueError: as `records_of` and `fit_locally`, or the records are too short.
+    """
+    if order is not None:
+        require_number("estimate_noise", "order", order, at_least=0)
+    orders: tuple[int, ...] = HIGH_ORDERS if order is None else (order,)
+    records = records_of(recordings, start)
+    spectra = [_whole(record) for record in records]
+    wanted = excited_band(records) if frequency is None else require_frequencies(frequency, records[0].rate)
+
+    def fit(windows: Sequence[Window]) -> list[LocalFit]:
+        return [
+            _fit(_around(windows, float(centre), orders[0]), float(centre), orders=orders, leakage_order=LEAKAGE_ORDER)
+            for centre in wanted
+        ]
+
+    found = _balance(recordings) if balance and what != "environment" else None
+    if found is not None:
+        if holds(fit([_replaced(window, found.left_over) for window in spectra])):
+            spectra = [_replaced(window, found.corrected) for window in spectra]
+        else:
+            found = None
+    fits = fit(spectra)
+    return frequency_response(
+        fits, what, [(fit.noise, fit.dof) for fit in fits], None if found is None else found.environment
+    )
+
+
+def _balance(recordings: Recordings) -> LineBalance | None:
+    return find_balance([recordings] if isinstance(recordings, xr.Dataset) else recordings)
+
+
+def _replaced(window: Window, answer: Answer) -> Window:
+    return window._replace(answer=answer(window.frequency, window.perturbation, window.answer))
+
+
+def _whole(record: Record) -> Window:
+    """DFT of a whole record, without the mean."""
+    n = len(record.perturbation)
+    d, z = (np.fft.rfft(values, axis=0)[1:] / np.sqrt(n) for values in (record.perturbation, record.answer))
+    frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / record.rate)[1:], dtype=float)
+    return Window(frequency, d, z, np.ones(len(d), dtype=bool))
+
+
+def excited_band(records: Sequence[Record]) -> Array:
+    """At most `N_POINTS` frequencies [Hz] that the disturbance excites, (frequency,).
+
+    They share out the band that holds all but 1 % of its power evenly on a logarithmic scale, as far as there is power.
+    """
+    joint = JointRecords(
+        perturbation=tuple(record.perturbation for record in records),
+        response=tuple(record.answer for record in records),
+        rate=records[0].rate,
+    )
+    excited = joint.excited_frequencies()
+    longest = _whole(max(records, key=lambda record: len(record.perturbation)))
+    power = np.cumsum(np.sum(np.abs(longest.perturbation) ** 2, axis=1))
+    low, high = np.interp([0.005, 0.995], power / power[-1], longest.frequency)
+    even = np.geomspace(low, high, N_POINTS)
+    return np.unique(excited[np.abs(excited - even[:, None]).argmin(axis=1)])
+
+
+def _around(spectra: Sequence[Window], centre: float, order: int) -> list[Window]:
+    """The lines of all records near a frequency."""
+    step = min(float(window.frequency[0]) for window in spectra)
+    highest = max(float(window.frequency[-1]) for window in spectra)
+    half = max(HALF_WIDTH[0], HALF_WIDTH[1] * centre)
+    while half < highest:
+        windows = [window.within(centre - half, centre + half) for window in spectra]
+        used = [window for window in windows if len(window.frequency) > LEAKAGE_ORDER + 1]
+        rows = sum(len(window.frequency) for window in used)
+        if used and rows >= n_unknowns(len(used), order, LEAKAGE_ORDER) + LEAST_DOF:
+            return used
+        half += step / 2
+    raise ValueError(f"the recordings hold too few lines around {centre:.3f} Hz; expected longer or more trials")

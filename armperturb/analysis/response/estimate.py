@@ -1,0 +1,270 @@
+"""Frequency responses without a model of the arm, by one call and any of seven methods.
+
+A method is a function from a recording, or several, to a `FrequencyResponse`. All take what is wanted (`what`), where
+(`frequency`) and from when on (`start`); each has options of its own.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from armperturb.analysis.response.arx import HIGHEST_ORDER, fit_arx
+from armperturb.analysis.response.closed_loop import estimate_multisine, estimate_noise, period_of
+from armperturb.analysis.response.frequency_response import (
+    FrequencyResponse,
+    System,
+    require_frequencies,
+    require_system,
+)
+from armperturb.analysis.response.joint_records import (
+    JointRecords,
+    admittance_of,
+    joint_records,
+    variance_of,
+)
+from armperturb.analysis.response.local_polynomial import N_INPUTS, Window, fit_locally, frequency_response
+from armperturb.analysis.response.spectra import LineSpectra, SpectralEstimate, estimate_spectra, line_spectra
+from armperturb.analysis.response.subspace import PAST, fit_subspace
+from armperturb.analysis.response.tapers import estimate_multitaper, estimate_welch
+from armperturb.arrays import Array
+from armperturb.recording import join_recordings
+
+Recordings = xr.Dataset | Sequence[xr.Dataset]
+
+SAME_FREQUENCY = 1e-6
+"""Difference of frequencies that are the same, over their size [-]."""
+
+SETTLED = 2.0
+"""Time by which a disturbance is as periodic as it gets [s]."""
+
+FEWEST_TRIALS = 4
+"""Trials from which on their differences tell the covariance of a subspace estimate."""
+
+
+def multisine_response(
+    recording: Recordings, *, frequency: ArrayLike | None = None, **options: Any
+) -> FrequencyResponse:
+    """Response by `closed_loop.estimate_multisine`, with covariance.
+
+    Args:
+      recording: trials of one person in one condition, of any lengths.
+      frequency: some of those at which there are estimates [Hz], (frequency,); None gives all.
+      **options: of `estimate_multisine`.
+
+    Raises:
+      ValueError: as `estimate_multisine`, or there is no estimate at a frequency.
+    """
+    return _at(estimate_multisine(recording, **options), frequency)
+
+
+def spectral_response(
+    recording: Recordings,
+    *,
+    frequency: ArrayLike | None = None,
+    what: System = "arm",
+    start: float = 8.0,
+    period: float | None = None,
+    lines_per_average: int = 4,
+) -> FrequencyResponse:
+    """Response by averaged spectra of a periodic disturbance as in the thesis, see `spectra.estimate_spectra`.
+
+    The covariance takes whatever the lines of an average leave for noise, also that they differ. There is none with as
+    many averages as inputs.
+
+    Args:
+      recording: trials of one person in one condition, of one duration.
+      frequency: some of those at which there are estimates [Hz], (frequency,); None gives all.
+      what: "arm" (x over f), "environment" (x over d - f) or "total" (x over d) [m/N].
+      start: of the window, after the transient has gone [s].
+      period: of the disturbance [s]; None finds it, see `periodicity`.
+      lines_per_average: adjacent lines that are averaged.
+
+    Raises:
+      ValueError: as `line_spectra`, `estimate_spectra` and `join_recordings`; or there is no estimate at a frequency.
+    """
+    require_system(what)
+    if not isinstance(recording, xr.Dataset):
+        recording = join_recordings(recording)
+    if period is None:
+        period = period_of(recording, min(start, SETTLED))
+    lines = line_spectra(recording, start=start, period=period)
+    return _at(_averaged(lines, estimate_spectra(lines, lines_per_average=lines_per_average), what), frequency)
+
+
+def _averaged(lines: LineSpectra, spectra: SpectralEstimate, what: System) -> FrequencyResponse:
+    """The estimate, with the covariance that lines and trials of each average tell."""
+    if spectra.n_averages.min() <= N_INPUTS:
+        response = {"arm": spectra.arm, "environment": spectra.environment, "total": spectra.total}[what]
+        return FrequencyResponse(frequency=spectra.frequency, response=response, covariance=None, what=what)
+    answer = np.concatenate([lines.force, lines.displacement], axis=-1)
+    ends = np.cumsum(spectra.n_averages // len(answer))
+    fits = []
+    for centre, group in zip(spectra.frequency, np.split(np.arange(ends[-1]), ends[:-1]), strict=True):
+        excited = np.ones(len(group), dtype=bool)
+        windows = [
+            Window(lines.frequency[group], d[group], z[group], excited)
+            for d, z in zip(lines.perturbation, answer, strict=True)
+        ]
+        fits.append(fit_locally(windows, float(centre), order=0, leakage_order=-1))
+    return frequency_response(fits, what, [(fit.noise, fit.dof) for fit in fits])
+
+
+def arx_response(
+    recording: Recordings,
+    *,
+    frequency: ArrayLike | None = None,
+    what: System = "arm",
+    start: float = 0.0,
+    order: int | None = None,
+    highest_order: int = HIGHEST_ORDER,
+) -> FrequencyResponse:
+    """Response by a multivariable ARX model from d to (f, x), with covariance, see `arx`.
+
+    Args:
+      recording: trials of one person in one condition; several recordings may have several durations. Whatever is
+        before the pulse is used, transients included.
+      frequency: where the response is wanted [Hz], (frequency,); None takes those that the disturbance excites.
+      what: "arm" (x over f), "environment" (x over d - f) or "total" (x over d) [m/N].
+      start: of what is used [s].
+      order: number of lags; None chooses the one with the least estimated error at these frequencies.
+      highest_order: among which is chosen.
+
+    Raises:
+      TypeError: an order is not a whole number.
+      ValueError: as `joint_records` and `fit_arx`, or a frequency is out of range.
+    """
+    records = joint_records(recording, start)
+    wanted = _wanted(frequency, records)
+    model = fit_arx(records, wanted, what=what, order=order, highest_order=highest_order)
+    joint, noise, spread = model.response(wanted)
+    return FrequencyResponse(
+        frequency=wanted,
+        response=admittance_of(what, joint),
+        covariance=variance_of(what, joint, noise, spread),
+        what=what,
+    )
+
+
+def subspace_response(
+    recording: Recordings,
+    *,
+    frequency: ArrayLike | None = None,
+    what: System = "arm",
+    start: float = 0.0,
+    order: int | None = None,
+    past: int = PAST,
+) -> FrequencyResponse:
+    """Response by a state-space model from d to (f, x), see `subspace`.
+
+    With four trials or more the covariance is that of the jackknife: the model of the same order is fitted without each
+    trial in turn. Fewer tell none. It holds no bias of the order.
+
+    Args:
+      recording: as for `arx_response`.
+      frequency: as for `arx_response`.
+      what: as for `arx_response`.
+      start: as for `arx_response`.
+      order: number of states; None chooses the stable model with the least estimated error at these frequencies.
+      past: lags of the past window.
+
+    Warns:
+      RuntimeWarning: the model is unstable.
+
+    Raises:
+      TypeError: an order is not a whole number.
+      ValueError: as `joint_records` and `fit_subspace`, or a frequency is out of range.
+    """
+    records = joint_records(recording, start)
+    wanted = _wanted(frequency, records)
+    model = fit_subspace(records, wanted, what=what, order=order, past=past)
+    n_trials = len(records.perturbation)
+    covariance = dof = None
+    if n_trials >= FEWEST_TRIALS:
+        without = []
+        for left_out in range(n_trials):
+            others = [trial for trial in range(n_trials) if trial != left_out]
+            fewer = fit_subspace(_some(records, others), wanted, what=what, order=model.order, past=past)
+            without.append(admittance_of(what, fewer.response(wanted)))
+        covariance = (n_trials - 1) * np.var(without, axis=0)
+        dof = np.full(len(wanted), n_trials - 1.0)
+    return FrequencyResponse(
+        frequency=wanted,
+        response=admittance_of(what, model.response(wanted)),
+        covariance=covariance,
+        what=what,
+        dof=dof,
+    )
+
+
+def _some(records: JointRecords, trials: Sequence[int]) -> JointRecords:
+    return replace(
+        records,
+        perturbation=tuple(records.perturbation[trial] for trial in trials),
+        response=tuple(records.response[trial] for trial in trials),
+    )
+
+
+METHODS: dict[str, Callable[..., FrequencyResponse]] = {
+    "multisine": multisine_response,
+    "noise": estimate_noise,
+    "welch": estimate_welch,
+    "multitaper": estimate_multitaper,
+    "spectral": spectral_response,
+    "arx": arx_response,
+    "subspace": subspace_response,
+}
+"""Name of a method to what estimates by it."""
+
+
+def estimate_response(
+    recording: Recordings, method: str = "multisine", frequency: ArrayLike | None = None, **options: Any
+) -> FrequencyResponse:
+    """Frequency response of the arm, the environment or both, without a model of the arm.
+
+    Args:
+      recording: trials of one person in one condition, or several such recordings.
+      method: one of `METHODS`. Of multisines, whatever their lines and their period: "multisine", or "spectral" as in
+        the thesis. Of any disturbance with power at all frequencies of interest: "noise", "welch" or "multitaper". Of
+        either: the models "arx" and "subspace".
+      frequency: where the response is wanted [Hz], (frequency,); None leaves it to the method. Methods for multisines
+        have estimates at the middles of clusters alone.
+      **options: `what`: "arm" (default, x over f), "environment" (x over d - f) or "total" (x over d); `start` of what
+        is used [s]; and those of the method, see its function.
+
+    Raises:
+      TypeError: the method lacks an option.
+      ValueError: the method is unknown, or as its function.
+    """
+    if method not in METHODS:
+        raise ValueError(f"method = {method!r}; expected one of {', '.join(METHODS)}")
+    require_system(options.get("what", "arm"))
+    return METHODS[method](recording, frequency=frequency, **options)
+
+
+def _wanted(frequency: ArrayLike | None, records: JointRecords) -> Array:
+    return records.excited_frequencies() if frequency is None else require_frequencies(frequency, records.rate)
+
+
+def _at(found: FrequencyResponse, frequency: ArrayLike | None) -> FrequencyResponse:
+    """Some frequencies of a response; all for None."""
+    if frequency is None:
+        return found
+    wanted = require_frequencies(frequency, np.inf)
+    nearest = np.abs(found.frequency - wanted[:, None]).argmin(axis=1)
+    off = np.abs(found.frequency[nearest] - wanted) > SAME_FREQUENCY * wanted
+    if off.any():
+        raise ValueError(
+            f"frequency = {wanted[off][0]:g} Hz; expected one of the averaged lines, of which "
+            f"{found.frequency[nearest[off][0]]:.6g} Hz is nearest (or another method)"
+        )
+    return replace(
+        found,
+        frequency=wanted,
+        response=found.response[nearest],
+        covariance=None if found.covariance is None else found.covariance[nearest],
+        dof=None if found.dof is None else found.dof[nearest],
+    )

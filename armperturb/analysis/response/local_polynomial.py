@@ -1,0 +1,245 @@
+"""The response to a known disturbance near one frequency, with transients removed (local polynomial method).
+
+A person, the handle and its environment answer the disturbance d with z = (f, x). Over any finite record of a linear
+loop, the discrete Fourier transforms obey
+
+    Z(k) = T(k) D(k) + L(k) + V(k),
+
+where the leakage L belongs to what came before the record and goes on after it. It is a rational function with the
+loop's own poles, like T, and so both are smooth in frequency; D of an aperiodic or random signal is not. Around a
+frequency, T and L are polynomials of the frequency's offset, and a least-squares fit tells them apart. What is left is
+noise, and its sample covariance gives that of T (Pintelon & Schoukens, System Identification, 2nd ed., chapter 7).
+
+Feedback does no harm, because all is referred to d (joint input-output approach). With T = (T_f; T_x),
+
+    arm          H = T_x T_f^-1          error: (dT_x - H dT_f) T_f^-1
+    environment  E = T_x (1 - T_f)^-1    error: (dT_x + E dT_f) (1 - T_f)^-1
+    total        P = T_x                 error: dT_x
+
+to first order. Assumed: d is known without noise and no person or instrument adds anything that correlates with it;
+noise is stationary, and its spectrum about the same all over the window.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_system
+from armperturb.arrays import Array, ComplexArray
+from armperturb.environment import Environment
+
+N_INPUTS = 2
+LARGEST_CONDITION = 1e6
+"""Condition number from which on the effects of two disturbances cannot be told apart [-]."""
+
+
+class Window(NamedTuple):
+    """Lines of one record near a frequency.
+
+    Attributes:
+      frequency: [Hz], (line,).
+      perturbation: D, over the square root of the number of samples, (line, axis).
+      answer: F and X, likewise, (line, 4).
+      excited: whether D is there, (line,).
+    """
+
+    frequency: Array
+    perturbation: ComplexArray
+    answer: ComplexArray
+    excited: NDArray[np.bool_]
+
+    def within(self, low: float, high: float) -> "Window":
+        """The lines from low to high [Hz]."""
+        return self.only((self.frequency >= low) & (self.frequency <= high))
+
+    def only(self, chosen: NDArray[np.bool_]) -> "Window":
+        """Some of the lines."""
+        return Window(self.frequency[chosen], self.perturbation[chosen], self.answer[chosen], self.excited[chosen])
+
+
+class LocalFit(NamedTuple):
+    """ComplexArray from d to f and x at one frequency.
+
+    Attributes:
+      frequency: [Hz].
+      answer: T, mean over the records, (4, input).
+      factor: covariance of the elements of a row of T over the variance of that output's noise, (input, input).
+      noise: sample covariance of what is left, (4, 4).
+      dof: complex degrees of freedom behind `noise`.
+      excited_noise: the same from excited lines alone, which also hold what a nonlinear arm adds there, (4, 4).
+      excited_dof: complex degrees of freedom behind that.
+    """
+
+    frequency: float
+    answer: ComplexArray
+    factor: ComplexArray
+    noise: ComplexArray
+    dof: float
+    excited_noise: ComplexArray
+    excited_dof: float
+
+
+def n_unknowns(n_records: int, order: int, leakage_order: int, own_levels: bool = False) -> int:
+    """Unknowns of `fit_locally` for each output."""
+    n_levels = n_records if own_levels else 1
+    return N_INPUTS * (n_levels + order) + n_records * (leakage_order + 1)
+
+
+def fit_locally(
+    windows: Sequence[Window], centre: float, *, order: int, leakage_order: int, own_levels: bool = False
+) -> LocalFit:
+    """Fit the response of all records together.
+
+    Args:
+      windows: of each record; they may differ in resolution and number of lines.
+      centre: where the response is wanted [Hz].
+      order: of the polynomial that the response is; its coefficients are the same in all records.
+      leakage_order: of that of the leakage, each record having its own; -1 for none.
+      own_levels: whether each record has its own constant term of the response: a person changes between trials.
+
+    Raises:
+      ValueError: there are no more equations than unknowns, or the disturbances along x and y cannot be told apart.
+    """
+    offset = [window.frequency - centre for window in windows]
+    scale = max(float(np.abs(values).max()) for values in offset) or 1.0
+    n_rows = [len(values) for values in offset]
+    n_levels = len(windows) if own_levels else 1
+    n_level, n_slope = N_INPUTS * n_levels, N_INPUTS * order
+    n = n_unknowns(len(windows), order, leakage_order, own_levels)
+    if sum(n_rows) <= n:
+        raise ValueError(
+            f"{sum(n_rows)} lines near {centre:.3f} Hz for {n} unknowns; expected more (more or longer trials, more "
+            "lines per average, or a lower order)"
+        )
+    matrix = np.zeros((sum(n_rows), n), dtype=complex)
+    first = 0
+    for i, (window, values) in enumerate(zip(windows, offset, strict=True)):
+        rows = matrix[first : first + len(values)]
+        level = N_INPUTS * i if own_levels else 0
+        rows[:, level : level + N_INPUTS] = window.perturbation
+        powers = (values[:, None] / scale) ** np.arange(max(order, leakage_order) + 1)
+        for power in range(order):
+            column = n_level + N_INPUTS * power
+            rows[:, column : column + N_INPUTS] = powers[:, power + 1, None] * window.perturbation
+        column = n_level + n_slope + i * (leakage_order + 1)
+        rows[:, column : column + leakage_order + 1] = powers[:, : leakage_order + 1]
+        first += len(values)
+    lengths = np.linalg.norm(matrix, axis=0)
+    lengths[lengths == 0.0] = 1.0
+    orthonormal, triangle = np.linalg.qr(matrix / lengths)
+    if np.linalg.cond(triangle) > LARGEST_CONDITION:
+        raise ValueError(
+            f"the disturbances along x and y cannot be told apart at {centre:.3f} Hz; expected independent "
+            "disturbances (other realisations, one trial for each direction, or more lines per average)"
+        )
+    answer = np.concatenate([window.answer for window in windows])
+    projected = orthonormal.conj().T @ answer
+    back = np.linalg.inv(triangle)
+    levels = ((back @ projected) / lengths[:, None])[:n_level].reshape(n_levels, N_INPUTS, -1)
+    # The mean over records of the constant terms is a sum of rows of the inverse.
+    rows = (back / lengths[:, None])[:n_level].reshape(n_levels, N_INPUTS, -1).mean(axis=0)
+    left = answer - orthonormal @ projected
+    free = 1.0 - np.sum(np.abs(orthonormal) ** 2, axis=1)
+    excited = np.concatenate([window.excited for window in windows])
+
+    def covariance(chosen: NDArray[np.bool_]) -> tuple[ComplexArray, float]:
+        dof = float(free[chosen].sum())
+        products = np.einsum("ra,rb->ab", left[chosen], left[chosen].conj())
+        return np.asarray(products / max(dof, 1e-12), dtype=complex), dof
+
+    noise, dof = covariance(np.ones(len(left), dtype=bool))
+    excited_noise, excited_dof = covariance(excited)
+    return LocalFit(
+        centre,
+        levels.mean(axis=0).T,
+        np.asarray(rows @ rows.conj().T),
+        noise,
+        dof,
+        excited_noise,
+        excited_dof,
+    )
+
+
+def without(
+    windows: Sequence[Window], leakage_order: int, weights: Sequence[Array] | None = None
+) -> tuple[ComplexArray, float]:
+    """Covariance of the noise of records that hold no response, (answer, answer), and its complex degrees of freedom.
+
+    Leakage of each record is removed as in `fit_locally`; the weights of lines, 1 unless given, are those in the mean.
+    """
+    n = windows[0].answer.shape[1]
+    total, dof = np.zeros((n, n), dtype=complex), 0.0
+    for i, window in enumerate(windows):
+        if len(window.frequency) <= leakage_order + 1:
+            continue
+        weight = np.ones(len(window.frequency)) if weights is None else weights[i]
+        offset = window.frequency - window.frequency.mean()
+        powers = (offset[:, None] / (np.abs(offset).max() or 1.0)) ** np.arange(leakage_order + 1)
+        basis, _ = np.linalg.qr(powers)
+        left = window.answer - basis @ (basis.T @ window.answer)
+        total += np.einsum("r,ra,rb->ab", weight, left, left.conj())
+        dof += float(weight @ (1.0 - np.sum(basis**2, axis=1)))
+    return np.asarray(total / max(dof, 1e-12), dtype=complex), dof
+
+
+class Linearised(NamedTuple):
+    """A system that T gives, and how an error of T shows in it: error = left dT right.
+
+    Attributes:
+      response: [m/N], (output, input).
+      left: (output, 4).
+      right: (input, input).
+    """
+
+    response: ComplexArray
+    left: ComplexArray
+    right: ComplexArray
+
+
+def linearised(answer: ComplexArray, what: System) -> Linearised:
+    """A system from T, (4, input).
+
+    Raises:
+      ValueError: `what` is something else than a `System`.
+    """
+    require_system(what)
+    eye = np.eye(N_INPUTS, dtype=complex)
+    force, displacement = answer[:2], answer[2:]
+    if what == "total":
+        return Linearised(displacement, np.hstack([0 * eye, eye]), eye)
+    sign = 1.0 if what == "arm" else -1.0
+    right = np.asarray(np.linalg.inv(force if what == "arm" else eye - force), dtype=complex)
+    response = displacement @ right
+    return Linearised(response, np.hstack([-sign * response, eye]), right)
+
+
+def element_variance(system: Linearised, factor: ComplexArray, noise: ComplexArray) -> Array:
+    """Variance of each element of a response [(m/N)^2], (output, input); arguments as in `LocalFit`."""
+    of_output = np.einsum("oa,ab,ob->o", system.left, noise, system.left.conj()).real
+    of_input = np.einsum("ij,ik,kj->j", system.right, factor, system.right.conj()).real
+    return np.asarray(np.outer(of_output, of_input))
+
+
+def frequency_response(
+    fits: Sequence[LocalFit],
+    what: System,
+    noises: Sequence[tuple[ComplexArray, float]],
+    environment: Environment | None = None,
+) -> FrequencyResponse:
+    """One system at all frequencies, with the covariance of the noise and its degrees of freedom at each."""
+    systems = [linearised(fit.answer, what) for fit in fits]
+    return FrequencyResponse(
+        frequency=np.array([fit.frequency for fit in fits]),
+        response=np.array([system.response for system in systems]),
+        covariance=np.array(
+            [
+                element_variance(system, fit.factor, noise)
+                for system, fit, (noise, _) in zip(systems, fits, noises, strict=True)
+            ]
+        ),
+        what=what,
+        dof=np.array([dof for _, dof in noises]),
+        environment=environment,
+    )

@@ -1,0 +1,89 @@
+"""The period of a disturbance, from what was recorded of it.
+
+A signal of period P differs from itself P later by noise alone. The mean square of that difference over the power of
+both parts, as far as they overlap, is computed for every lag (by FFT), of all trials together: they may be different
+realisations of one period, and need not hold a whole number of periods.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import signal
+
+from armperturb.arrays import Array
+
+OVERLAP = 0.1
+"""Share of a lag that a record has to go on beyond it, for that lag to be judged [-]."""
+
+APERIODIC = 5e-3
+"""Difference from which on a disturbance does not repeat [-]."""
+
+DIFFERENT = 0.1
+"""Difference that has to come before a repetition: what moves slowly resembles itself a moment later [-]."""
+
+ROUND_OFF = 1e-6
+"""Differences below are none [-]."""
+
+OFF_SAMPLE = 0.1
+"""Distance of a period from a whole number of samples from which on it is none [sample]."""
+
+
+def find_period(perturbation: Sequence[Array], rate: float, start: float = 0.0) -> float:
+    """Period of a periodic disturbance [s], the shortest if several fit.
+
+    Args:
+      perturbation: d of each trial [N], (time, axis).
+      rate: of the samples [Hz].
+      start: of what is judged, for messages [s].
+
+    Raises:
+      ValueError: the disturbance does not repeat, or not after a whole number of samples.
+    """
+    difference = _differences(perturbation)
+    longest = max(map(len, perturbation)) / rate
+    refusal = (
+        f"the perturbation does not repeat within the {longest:.4g} s from {start:g} s on; expected a periodic one "
+        f"that is recorded for at least {1 + OVERLAP:g} periods (for noise there is the method noise; of a shorter "
+        "record state the period)"
+    )
+    apart = np.flatnonzero(difference > DIFFERENT)
+    if not len(apart):
+        raise ValueError(refusal)
+    first = int(apart[0])
+    inner = difference[first + 1 : -1]
+    dips = first + 1 + np.flatnonzero((inner <= difference[first:-2]) & (inner <= difference[first + 2 :]))
+    if not len(dips):
+        raise ValueError(refusal)
+    before, at, after = difference[dips - 1], difference[dips], difference[dips + 1]
+    # Near a period the difference grows with the square of the distance.
+    bend = np.maximum(before - 2 * at + after, 1e-300)
+    offset = 0.5 * (before - after) / bend
+    bottom = np.maximum(at - 0.5 * bend * offset**2, 0.0)
+    fits = at <= max(10 * at.min(), ROUND_OFF)
+    if at.min() < APERIODIC:
+        best = int(np.flatnonzero(fits)[0])
+        if abs(offset[best]) < OFF_SAMPLE or at[best] - bottom[best] < max(0.5 * bottom[best], ROUND_OFF):
+            return float(dips[best] / rate)
+    else:
+        best = int(np.argmin(bottom))
+        if bottom[best] > APERIODIC or abs(offset[best]) < OFF_SAMPLE:
+            raise ValueError(refusal)
+    found = dips[best] + offset[best]
+    raise ValueError(
+        f"rate = {rate:g} Hz; expected one at which the perturbation's period of {found / rate:.5g} s is a whole "
+        f"number of samples (it is {found:.2f}): resample the recording"
+    )
+
+
+def _differences(perturbation: Sequence[Array]) -> Array:
+    """Of each lag from 0 on, with the last for which any trial is long enough; 1 is that of unrelated signals."""
+    n_lags = int(max(map(len, perturbation)) / (1 + OVERLAP))
+    products, power = np.zeros(n_lags), np.zeros(n_lags)
+    for d in perturbation:
+        n = min(n_lags, int(len(d) / (1 + OVERLAP)))
+        squares = np.concatenate([[0.0], np.cumsum(np.sum(d**2, axis=1))])
+        lag = np.arange(n)
+        power[:n] += squares[len(d) - lag] + squares[-1] - squares[lag]
+        for axis in d.T:
+            products[:n] += signal.correlate(axis, axis, mode="full", method="fft")[len(d) - 1 :][:n]
+    return np.asarray(np.maximum(1.0 - 2 * products / np.maximum(power, 1e-300), 0.0))

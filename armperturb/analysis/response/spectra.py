@@ -1,0 +1,210 @@
+"""Closed-loop spectral estimates of the admittances and the multiple coherence (thesis 2.6, appendix A).
+
+All spectra are taken from the disturbance d, with which neither the remnant of the person nor the noise of the
+instruments correlates. With row d and column y, Phi_dy = mean of conj(D) Y^T over the averages, and
+
+    X = H F      =>  Phi_dx = Phi_df H^T  =>  H^T = Phi_df^-1 Phi_dx    (arm, eq. A.14)
+    X = E (D-F)  =>  Phi_dx = Phi_dz E^T  =>  E^T = Phi_dz^-1 Phi_dx    (environment, eq. A.19)
+    X = P D      =>  Phi_dx = Phi_dd P^T  =>  P^T = Phi_dd^-1 Phi_dx    (arm and environment, eq. A.22)
+
+Here f acts on the hand and d - f on the environment, so that the admittances come out positive; appendix A mixes this
+sign with its opposite, and loses transposes (A.12).
+"""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from armperturb.arrays import Array, ComplexArray
+from armperturb.recording import check_recording
+from armperturb.validation import require_number
+
+N_INPUTS = 2
+EXCITED = 1e-4
+"""Share of the strongest line's power from which on a line counts as excited."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SpectralEstimate:
+    """Frequency responses and coherence at the averaged frequencies.
+
+    Attributes:
+      frequency: mean of each group of averaged lines [Hz], (frequency,).
+      arm: admittance H_xf from f to x [m/N], (frequency, output, input).
+      environment: admittance E_xz from d - f to x [m/N], (frequency, output, input).
+      total: admittance P_dx from d to x [m/N], (frequency, output, input).
+      coherence: multiple coherence from both disturbances to each displacement [-], (frequency, output).
+      n_averages: lines times trials behind each point, (frequency,).
+    """
+
+    frequency: Array
+    arm: ComplexArray
+    environment: ComplexArray
+    total: ComplexArray
+    coherence: Array
+    n_averages: NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LineSpectra:
+    """DFT of the signals at the excited lines, mean over whole periods.
+
+    Attributes:
+      line: number of the line, cycles per period, (line,).
+      frequency: [Hz], (line,).
+      perturbation: D [N samples], (trial, line, axis).
+      force: F [N samples], (trial, line, axis).
+      displacement: X [m samples], (trial, line, axis).
+    """
+
+    line: NDArray[np.int64]
+    frequency: Array
+    perturbation: ComplexArray
+    force: ComplexArray
+    displacement: ComplexArray
+
+
+def line_spectra(recording: xr.Dataset, *, start: float = 8.0, period: float = 20.48) -> LineSpectra:
+    """Fourier coefficients at the lines that a periodic disturbance excites.
+
+    Args:
+      recording: trials of one subject in one condition.
+      start: of the window, after the transient has gone [s].
+      period: of the disturbance [s]. Whole periods from `start` to the pulse, or to the end, are used.
+
+    Raises:
+      ValueError: the recording is refused (see `check_recording`), holds no whole period, a trial met the workspace
+        limit, or the perturbation is zero.
+    """
+    check_recording(recording)
+    require_number("line_spectra", "start", start, at_least=0.0)
+    require_number("line_spectra", "period", period, above=0.0)
+    hit = np.flatnonzero(np.isfinite(recording["limit_time"].values))
+    if len(hit):
+        raise ValueError(
+            f"trial {hit[0]} reached the workspace limit at {recording['limit_time'].values[hit[0]]:.3f} s; "
+            "expected trials that stay inside (leave this one out)"
+        )
+    rate = float(recording.attrs["rate"])
+    window = _whole_periods(recording, start, period, rate)
+    d, f, x = (
+        _spectrum(recording[name].values, window, rate, period) for name in ("perturbation", "force", "displacement")
+    )
+    for name, values in (("force", f), ("displacement", x)):
+        if not values.any():
+            raise ValueError(f"{name} is constant from {start:g} s on; expected the response to the perturbation")
+    power = np.sum(np.abs(d) ** 2, axis=(0, 2))
+    power[0] = 0.0
+    if not power.any():
+        raise ValueError(
+            f"the perturbation is zero from {start:g} s on; expected a disturbance with a period of {period:g} s"
+        )
+    line = np.flatnonzero(power > EXCITED * power.max())
+    return LineSpectra(
+        line=line, frequency=line / period, perturbation=d[:, line], force=f[:, line], displacement=x[:, line]
+    )
+
+
+def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = 4) -> SpectralEstimate:
+    """Estimate admittances and coherence.
+
+    Spectra (not gains) are averaged over `lines_per_average` adjacent lines (fewer where the run of lines is shorter, a
+    few more where it leaves a rest) and over all trials.
+
+    Args:
+      lines: Fourier coefficients of trials of one subject in one condition.
+      lines_per_average: 4 averages over the clusters of the thesis's multisine; 1 keeps every line.
+
+    Raises:
+      ValueError: there are fewer averages than inputs, or the disturbances along x and y cannot be told apart.
+    """
+    if lines_per_average < 1:
+        raise ValueError(f"lines_per_average = {lines_per_average!r}; expected a whole number of at least 1")
+    d, f, x = lines.perturbation, lines.force, lines.displacement
+    groups = _adjacent_groups(lines.line, lines_per_average)
+    n_averages = np.array([len(group) * len(d) for group in groups])
+    frequency = np.array([lines.frequency[group].mean() for group in groups])
+    if n_averages.min() < N_INPUTS:
+        worst = int(np.argmin(n_averages))
+        raise ValueError(
+            f"{n_averages[worst]} average at {frequency[worst]:.3f} Hz for {N_INPUTS} inputs; expected at least "
+            f"{N_INPUTS} (more trials, or more lines per average)"
+        )
+    if n_averages.min() == N_INPUTS:
+        warnings.warn(
+            "as many averages as inputs: the multiple coherence is one by construction", RuntimeWarning, stacklevel=2
+        )
+
+    def cross(y: ComplexArray) -> ComplexArray:
+        return np.array([np.einsum("tki,tkj->ij", d[:, g].conj(), y[:, g]) / (len(g) * len(d)) for g in groups])
+
+    phi_dd, phi_df, phi_dx, phi_xx = cross(d), cross(f), cross(x), _auto(x, groups)
+    _require_two_directions(phi_dd, frequency)
+    total = _transposed_solve(phi_dd, phi_dx)
+    # Eq. 2.4 with the conjugate that it lacks: P Phi_dd P^H over Phi_xx.
+    explained = np.einsum("fij,fji->fi", total.conj(), phi_dx).real
+    return SpectralEstimate(
+        frequency=frequency,
+        arm=_transposed_solve(phi_df, phi_dx),
+        environment=_transposed_solve(phi_dd - phi_df, phi_dx),
+        total=total,
+        coherence=np.clip(explained / phi_xx, 0.0, 1.0),
+        n_averages=n_averages,
+    )
+
+
+def _whole_periods(recording: xr.Dataset, start: float, period: float, rate: float) -> slice:
+    samples = period * rate
+    if abs(samples - round(samples)) > 1e-6 * samples:
+        raise ValueError(
+            f"rate = {rate:g} Hz; expected one at which the period of {period:g} s is a whole number of samples "
+            f"(it is {samples:.6g})"
+        )
+    n_period, first = round(samples), round(start * rate)
+    onsets = recording["pulse_onset"].values
+    end = float(np.nanmin(onsets)) if np.isfinite(onsets).any() else recording.sizes["time"] / rate
+    n_periods = int((min(round(end * rate), recording.sizes["time"]) - first) // n_period)
+    if n_periods < 1:
+        raise ValueError(
+            f"the recording holds {end:g} s before the pulse or its end; expected a whole period of {period:g} s from "
+            f"{start:g} s on"
+        )
+    return slice(first, first + n_periods * n_period)
+
+
+def _spectrum(values: Array, window: slice, rate: float, period: float) -> ComplexArray:
+    """DFT of the mean period, (trial, line, axis)."""
+    n_period = round(period * rate)
+    part = values[:, window]
+    mean = part.reshape(len(part), -1, n_period, part.shape[-1]).mean(axis=1)
+    return np.asarray(np.fft.rfft(mean, axis=1), dtype=np.complex128)
+
+
+def _adjacent_groups(lines: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
+    """Indices into lines of those that are averaged."""
+    runs = np.split(np.arange(len(lines)), np.flatnonzero(np.diff(lines) > 1) + 1)
+    return [group for run in runs for group in np.array_split(run, max(1, len(run) // size))]
+
+
+def _auto(x: ComplexArray, groups: list[NDArray[np.int64]]) -> Array:
+    return np.array([np.mean(np.abs(x[:, group]) ** 2, axis=(0, 1)) for group in groups])
+
+
+def _transposed_solve(phi_du: ComplexArray, phi_dx: ComplexArray) -> ComplexArray:
+    return np.asarray(np.linalg.solve(phi_du, phi_dx).swapaxes(-1, -2), dtype=np.complex128)
+
+
+def _require_two_directions(phi_dd: ComplexArray, frequency: Array) -> None:
+    scale = (np.einsum("fii->f", phi_dd).real / N_INPUTS) ** 2
+    independence = (
+        np.linalg.det(phi_dd).real / scale
+    )  # one for equal and unrelated disturbances, zero for one direction
+    worst = int(np.argmin(independence))
+    if independence[worst] < 1e-6:
+        raise ValueError(
+            f"the disturbances along x and y cannot be told apart at {frequency[worst]:.3f} Hz; expected independent "
+            "disturbances (other realisations, or one trial for each direction)"
+        )

@@ -1,0 +1,149 @@
+"""Frequency responses by averaged tapered spectra: Welch's overlapping segments, and Thomson's multitapers.
+
+Both make many spectra of each record, of D and of Z = (F, X), and take all of them at a frequency for repetitions of
+Z = T D + noise: least squares give T, and what is left the noise. All is referred to d (joint input-output approach,
+see `local_polynomial`), so that feedback does no harm. Records may differ in length. Within the bandwidth of the tapers
+responses are taken to be constant, which blurs resonances, and what came before a record counts as noise: these are the
+usual methods, simpler than `closed_loop.estimate_noise` and less exact.
+
+Multitapers (Thomson 1982, Proc. IEEE 70) are orthogonal, and so their spectra are independent in white noise. Segments
+overlap by half; under Hann's window neighbours correlate by 1/6, which costs degrees of freedom.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import signal
+
+from armperturb.analysis.response.closed_loop import LEAST_DOF, Record, Recordings, excited_band, records_of
+from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
+from armperturb.analysis.response.local_polynomial import N_INPUTS, Window, fit_locally, frequency_response
+from armperturb.arrays import Array, ComplexArray
+from armperturb.validation import require_number
+
+SEGMENT = 5.12
+"""Length of Welch's segments unless asked otherwise [s]."""
+
+NEIGHBOURS = 1.0 / 6.0
+"""Correlation of white noise in segments that overlap by half, under Hann's window [-]."""
+
+HALF_BANDWIDTH = 0.25
+"""Of multitapers unless asked otherwise [Hz]."""
+
+LEAST_OUTSIDE = 1e-7
+"""Share of a taper's power beyond its band from which on it is left out: displacements at 20 Hz have some 1e-7 of the
+power of those below 1 Hz, which would leak into them [-]."""
+
+
+def estimate_welch(
+    recordings: Recordings,
+    *,
+    what: System = "arm",
+    start: float = 0.0,
+    frequency: ArrayLike | None = None,
+    segment: float = SEGMENT,
+) -> FrequencyResponse:
+    """Frequency response by Welch's method: segments under Hann's window that overlap by half.
+
+    Args:
+      recordings: trials of one subject in one condition; their lengths may differ.
+      what: "arm" (from f to x), "environment" (from d - f to x) or "total" (from d to x).
+      start: of what is used [s].
+      frequency: where the response is wanted [Hz], (frequency,); None takes up to 40 of those that the disturbance
+        excites.
+      segment: length of the segments [s]. Trials that are shorter are left out.
+
+    Raises:
+      ValueError: as `records_of` and `fit_locally`, the records hold too few segments, or a frequency is out of range.
+    """
+    require_number("estimate_welch", "segment", segment, above=0.0)
+    records = records_of(recordings, start)
+    n = round(segment * records[0].rate)
+    window = signal.windows.hann(n, sym=False)
+
+    def pieces(record: Record) -> tuple[list[slice], Array, float]:
+        firsts = range(0, len(record.perturbation) - n + 1, n // 2)
+        count = max(len(firsts), 1)
+        independent = count / (1 + 2 * NEIGHBOURS**2 * (1 - 1 / count))
+        return [slice(first, first + n) for first in firsts], window[None], independent * bool(firsts)
+
+    return _estimate(records, what, frequency, pieces, f"{segment:g} s of Welch's segments")
+
+
+def estimate_multitaper(
+    recordings: Recordings,
+    *,
+    what: System = "arm",
+    start: float = 0.0,
+    frequency: ArrayLike | None = None,
+    half_bandwidth: float = HALF_BANDWIDTH,
+) -> FrequencyResponse:
+    """Frequency response by multitapers: the discrete prolate spheroidal sequences of each whole record.
+
+    Args:
+      recordings: as in `estimate_welch`.
+      what: as in `estimate_welch`.
+      start: of what is used [s].
+      frequency: as in `estimate_welch`.
+      half_bandwidth: half of the band that the tapers average over [Hz]: W. A record of length T has 2 T W tapers,
+        of which the last few are left out, see `LEAST_OUTSIDE`.
+
+    Raises:
+      ValueError: as `records_of` and `fit_locally`, the records are too short for tapers of that bandwidth, or a
+        frequency is out of range.
+    """
+    require_number("estimate_multitaper", "half_bandwidth", half_bandwidth, above=0.0)
+    records = records_of(recordings, start)
+    tapers: dict[int, Array] = {}
+
+    def pieces(record: Record) -> tuple[list[slice], Array, float]:
+        n = len(record.perturbation)
+        product = half_bandwidth * n / record.rate
+        if not 1.0 <= product < n / 2:
+            return [], np.empty((0, n)), 0.0
+        if n not in tapers:
+            found, inside = signal.windows.dpss(n, product, int(2 * product), return_ratios=True)
+            tapers[n] = np.asarray(found[1.0 - inside < LEAST_OUTSIDE], dtype=float)
+        return [slice(0, n)], tapers[n], float(len(tapers[n]))
+
+    return _estimate(records, what, frequency, pieces, f"a half bandwidth of {half_bandwidth:g} Hz")
+
+
+def _estimate(
+    records: list[Record],
+    what: System,
+    frequency: ArrayLike | None,
+    pieces: Callable[[Record], tuple[list[slice], Array, float]],
+    asked: str,
+) -> FrequencyResponse:
+    """ComplexArray from pieces of records, tapers of each piece, and how many independent spectra that is worth."""
+    rate = records[0].rate
+    wanted = excited_band(records) if frequency is None else require_frequencies(frequency, rate)
+    spectra: list[ComplexArray] = []
+    independent = 0.0
+    waves: dict[int, ComplexArray] = {}
+    for record in records:
+        slices, tapers, count = pieces(record)
+        independent += count
+        n = tapers.shape[1]
+        if slices and n not in waves:
+            waves[n] = np.exp(-2j * np.pi * np.outer(wanted / rate, np.arange(n)))
+        for piece in slices:
+            both = np.concatenate([record.perturbation[piece], record.answer[piece]], axis=1)
+            both = both - both.mean(axis=0)
+            spectra += [waves[n] @ (taper[:, None] * both) for taper in tapers]
+    dof = independent - N_INPUTS
+    if dof < LEAST_DOF:
+        raise ValueError(
+            f"the recordings hold {independent:.3g} independent spectra with {asked}; expected at least "
+            f"{LEAST_DOF + N_INPUTS:g} (longer or more trials, shorter segments or a wider band)"
+        )
+    values = np.array(spectra)
+    fits = []
+    for k, centre in enumerate(wanted):
+        all_at_once = np.ones(len(values))
+        window = Window(centre * all_at_once, values[:, k, :N_INPUTS], values[:, k, N_INPUTS:], all_at_once > 0)
+        fit = fit_locally([window], float(centre), order=0, leakage_order=-1)
+        fits.append(fit._replace(factor=fit.factor * len(values) / independent))
+    return frequency_response(fits, what, [(fit.noise, dof) for fit in fits])

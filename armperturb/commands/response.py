@@ -1,0 +1,66 @@
+"""What the command `response` writes: table and figure of a frequency response, and of the arm's distortion."""
+
+from pathlib import Path
+from typing import Any
+
+from armperturb.analysis.response.best_linear import BestLinear
+from armperturb.analysis.response.frequency_response import FrequencyResponse
+from armperturb.files import write_csv
+from armperturb.plots.bands import distortion_levels, response_bands
+from armperturb.plots.style import save_svg
+from armperturb.recording import LABELS
+
+
+def distortion_rows(found: BestLinear) -> list[dict[str, Any]]:
+    """One row per frequency and output: mean squares of the sine wave at a line [m^2]."""
+    return [
+        {
+            "frequency_hz": float(frequency),
+            "output": axis,
+            "linear_m2": float(found.linear[k, output]),
+            "noise_m2": float(found.noise[k, output]),
+            "distortion_m2": float(found.distortion[k, output]),
+            "distortion_standard_error_m2": float(found.distortion_error[k, output]),
+        }
+        for k, frequency in enumerate(found.response.frequency)
+        for output, axis in enumerate(LABELS["axis"])
+    ]
+
+
+def distortion_text(found: BestLinear) -> str:
+    """The share of the distortion in one line; negative shares, which chance makes, are none."""
+    both = zip(found.share, found.share_error, strict=True)
+    shares = (f"{max(share, 0.0):.1%} (+- {error:.1%})" for share, error in both)
+    in_each = " and ".join(f"{share} in {axis}" for share, axis in zip(shares, LABELS["axis"], strict=True))
+    return f"nonlinear distortion: of the response's power {in_each}; p = {found.p_value:.2g} if the arm is linear"
+
+
+def write_response(
+    found: FrequencyResponse, distortion: BestLinear | None, folder: str | Path, condition: str
+) -> list[Path]:
+    """Write `response.csv` and `response.svg`, and `distortion.csv` and `.svg` if there are any, into a folder.
+
+    Args:
+      found: the response.
+      distortion: levels of noise and distortion; None removes those of an earlier run.
+      folder: where; it is made if needed.
+      condition: for the last column of the tables.
+
+    Returns:
+      The paths written.
+
+    Raises:
+      OSError: the folder cannot be made or written to.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / name for name in ("response.csv", "response.svg", "distortion.csv", "distortion.svg")]
+    write_csv(({**row, "condition": condition} for row in found.rows()), paths[0])
+    save_svg(response_bands(found), paths[1])
+    if distortion is None:
+        for path in paths[2:]:
+            path.unlink(missing_ok=True)
+        return paths[:2]
+    write_csv(({**row, "condition": condition} for row in distortion_rows(distortion)), paths[2])
+    save_svg(distortion_levels(distortion), paths[3])
+    return paths

@@ -1,0 +1,191 @@
+"""Surface EMG as a signal model: noise whose strength follows the drive of each muscle (thesis 2.3).
+
+There are no muscle fibres in this arm, so EMG is made from what drives the muscles:
+
+    emg = bandpass(amplitude(t) w(t) + electrode noise),    amplitude = gain x activation
+    activation = co-contraction + max(0, reflex excitation towards this muscle) / reflex_torque, at most 1
+
+with w white noise through the filter of Stulen & De Luca (1981, IEEE Trans. Biomed. Eng. 28), which gives surface EMG
+its spectrum. Co-contraction is read off the intrinsic stiffness, zero at that of the preset RELAX and
+`position_activation` at that of POSITION; reflex excitation is the spindles' (eq. 2.8) after the neural delay, before
+the activation dynamics, as electrodes pick up what the nerve sends. What the model leaves out: cross-talk, tremor,
+fatigue, voluntary activity.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from armperturb.arrays import Array
+from armperturb.recording import MUSCLES
+from armperturb.subject import POSITION, RELAX, Subject
+from armperturb.validation import require_number
+
+Float32 = NDArray[np.float32]
+
+
+class Service(NamedTuple):
+    """What a muscle moves.
+
+    Attributes:
+      joints: which of "s", "e" it spans.
+      sign: of its torque; 1 flexes (angles grow), -1 extends.
+    """
+
+    joints: tuple[str, ...]
+    sign: int
+
+
+SERVICES: Mapping[str, Service] = {
+    "pectoralis_major_clavicular": Service(("s",), 1),
+    "latissimus_dorsi": Service(("s",), -1),
+    "deltoideus_anterior": Service(("s",), 1),
+    "deltoideus_posterior": Service(("s",), -1),
+    "biceps_short_head": Service(("s", "e"), 1),
+    "brachioradialis": Service(("e",), 1),
+    "triceps_lateralis": Service(("e",), -1),
+    "triceps_longum": Service(("s", "e"), -1),
+}
+"""Muscle to what it moves in the horizontal plane."""
+
+STULEN_DE_LUCA = (60.0, 120.0)
+"""Lower and upper frequency of the spectrum of surface EMG [Hz]: |H|^2 = f^2 / ((f^2 + low^2) (f^2 + high^2)^2)."""
+
+HIGHPASS_ORDER = 2
+"""Of the amplifier's Butterworth high-pass: 12 dB per octave."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Emg:
+    """Amplifier, converter and strength of the EMG.
+
+    Volts are those behind the amplifier: at its 1000 times, 1 V is 1 mV at the skin.
+
+    The band of 20-1000 Hz ends at half the rate of 2000 Hz: only the high-pass is a filter, the rest is the sampling.
+
+    Attributes:
+      rate: samples per second [Hz], above twice the high-pass.
+      highpass: cut-off of the amplifier's high-pass [Hz], > 0.
+      gain: RMS of a muscle at full activation, in the band [V], >= 0.
+      noise: RMS of a silent muscle, in the band: electrode and amplifier [V], >= 0.
+      position_activation: co-contraction of the preset POSITION, as a share of full activation [-], 0 to 1.
+      reflex_torque: reflex excitation that alone would activate a muscle fully [Nm], > 0.
+      full_scale: largest voltage that the 16-bit converter can tell, of either sign [V], > 0.
+
+    Raises:
+      TypeError: a value is not a number.
+      ValueError: a value is not finite or out of its range.
+    """
+
+    rate: float = 2000.0
+    highpass: float = 20.0
+    gain: float = 1.0
+    noise: float = 5e-3
+    position_activation: float = 0.2
+    reflex_torque: float = 50.0
+    full_scale: float = 5.0
+
+    def __post_init__(self) -> None:
+        require_number("Emg", "highpass", self.highpass, above=0.0)
+        require_number("Emg", "rate", self.rate, above=2.0 * self.highpass)
+        for field in ("gain", "noise"):
+            require_number("Emg", field, getattr(self, field), at_least=0.0)
+        require_number("Emg", "position_activation", self.position_activation, at_least=0.0, at_most=1.0)
+        for field in ("reflex_torque", "full_scale"):
+            require_number("Emg", field, getattr(self, field), above=0.0)
+
+    @property
+    def adc_step(self) -> float:
+        """Voltage of one step of the converter [V]."""
+        # A single-precision number: counts times it are then the same in memory and out of a file.
+        return float(np.float32(self.full_scale / 2**15))
+
+    def activation(self, subject: Subject, excitation: Array, rate: float) -> Array:
+        """Share of its full activation at which each muscle is driven [-], (muscle, time).
+
+        Args:
+          subject: whose stiffness tells the co-contraction, and whose delays hold.
+          excitation: of the reflexes, undelayed [Nm], (time, joint).
+          rate: of the excitation [Hz].
+        """
+        time = np.arange(len(excitation)) / rate
+        delayed = {
+            joint: np.interp(time - getattr(subject, f"Td_{joint}"), time, excitation[:, column], left=0.0)
+            for column, joint in enumerate(("s", "e"))
+        }
+        activation = np.empty((len(MUSCLES), len(excitation)))
+        for row, muscle in enumerate(MUSCLES):
+            joints, sign = SERVICES[muscle]
+            # A joint that is pushed towards flexion stretches its extensors: the reflex torque is minus the excitation.
+            stretch = -sign * np.mean([delayed[joint] for joint in joints], axis=0)
+            activation[row] = self._cocontraction(subject, joints) + np.maximum(stretch, 0.0) / self.reflex_torque
+        return np.minimum(activation, 1.0)
+
+    def _cocontraction(self, subject: Subject, joints: tuple[str, ...]) -> float:
+        """Activation without reflexes [-]; stiffness grows in proportion with it."""
+        field = f"k_{''.join(joints)}"
+        relaxed, held = getattr(RELAX, field), getattr(POSITION, field)
+        return self.position_activation * max(0.0, (getattr(subject, field) - relaxed) / (held - relaxed))
+
+    def read(self, subject: Subject, excitation: Array, rate: float, rng: np.random.Generator) -> Float32:
+        """What the converter reads [V], whole numbers of `adc_step`, (emg_time, muscle).
+
+        A longer excitation does not change the first samples.
+
+        Args:
+          subject: as in `activation`.
+          excitation: as in `activation`.
+          rate: as in `activation`.
+          rng: what the noise is drawn from.
+        """
+        amplitude = self.gain * self.activation(subject, excitation, rate)
+        n_samples = round(len(excitation) * self.rate / rate)
+        # Held between the samples of the excitation: a straight line would need the one to come. The small number keeps
+        # instants that coincide from falling a sample back by rounding.
+        held = np.minimum((np.arange(n_samples) * (rate / self.rate) + 1e-9).astype(int), len(excitation) - 1)
+        colour, amplifier, quiet = _filters(self.rate, self.highpass)
+        read = np.empty((n_samples, len(MUSCLES)), dtype=np.float32)
+        # One stream for each muscle, drawn in the order of time.
+        for column, stream in enumerate(rng.spawn(len(MUSCLES))):
+            muscle, electrode = stream.spawn(2)
+            volts = signal.sosfilt(colour, _white(muscle, n_samples))
+            volts *= amplitude[column].astype(np.float32)[held]
+            volts += np.float32(self.noise * quiet) * _white(electrode, n_samples)
+            read[:, column] = signal.sosfilt(amplifier, volts)
+        return self._convert(read)
+
+    def _convert(self, volts: Float32) -> Float32:
+        """The converter: 16 bits."""
+        step = np.float32(self.adc_step)
+        volts /= step
+        np.rint(volts, out=volts)
+        np.clip(volts, -(2**15), 2**15 - 1, out=volts)
+        volts *= step
+        return volts
+
+
+def _white(rng: np.random.Generator, n_samples: int) -> Float32:
+    return rng.standard_normal(n_samples, dtype=np.float32)
+
+
+@lru_cache(maxsize=8)
+def _filters(rate: float, highpass: float) -> tuple[Float32, Float32, float]:
+    """Colour of EMG and amplifier as second-order sections, and what unit noise has to be before the amplifier.
+
+    White noise of unit RMS comes out of both filters, or out of the amplifier if it was scaled, with unit RMS.
+    """
+    low, high = (2.0 * np.pi * frequency for frequency in STULEN_DE_LUCA)
+    colour = signal.zpk2sos(*signal.bilinear_zpk([0.0], [-low, -high, -high], 1.0, rate))
+    amplifier = signal.butter(HIGHPASS_ORDER, highpass, "highpass", fs=rate, output="sos")
+    # All poles are real or well damped: the response to an impulse is over within 20 periods of the slowest.
+    impulse = np.zeros(int(np.ceil(20.0 * rate / min(highpass, STULEN_DE_LUCA[0]))))
+    impulse[0] = 1.0
+    both = np.sqrt(np.sum(signal.sosfilt(amplifier, signal.sosfilt(colour, impulse)) ** 2))
+    alone = np.sqrt(np.sum(signal.sosfilt(amplifier, impulse) ** 2))
+    colour[0, :3] /= both
+    return colour.astype(np.float32), amplifier.astype(np.float32), float(1.0 / alone)

@@ -1,0 +1,138 @@
+"""One trial: a person under a perturbation, what is random about it, and what it puts into the simulation."""
+
+from dataclasses import dataclass
+from numbers import Integral
+
+import numpy as np
+
+from armperturb.analysis.arm.geometry import hand_jacobian
+from armperturb.analysis.arm.state_space import fastest_pole, largest_real_pole
+from armperturb.arrays import Array
+from armperturb.controllers.remnant import HumanNoise
+from armperturb.environment import Environment, Strap
+from armperturb.perturbations import Perturbation, Pulse
+from armperturb.subject import Subject
+from armperturb.validation import require_number
+
+HUMAN, MARKER, EMG = 1, 2, 3
+"""What a trial's seed is extended by for each source of chance; the strain gauge takes the seed as it is."""
+
+MARGIN_KEPT = 0.5
+"""Share of a person's distance from instability (largest real part of a pole) that every trial keeps [-]: closer to it,
+an arm rings on the remnant in a way that people do not."""
+
+RK4_LIMIT = 2.5
+"""Largest product of a pole's modulus and the step [-]: Runge-Kutta 4 is stable up to 2.79 on the real axis."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trial:
+    """One person under one perturbation, with the labels that the recording carries.
+
+    Attributes:
+      subject: who is perturbed.
+      perturbation: what is applied.
+      condition: name in the protocol, e.g. "PT7.5"; the subject's task if empty.
+      repetition: of the condition, from 0.
+      pulse_level: multiple of the unit pulse; 0 without pulse.
+      order: place in the session, from 0.
+      seed: of the person's and the instruments' noise; a whole number of at least 0.
+      noise: how noisy the person is; None is a person who does the same in every trial.
+
+    Raises:
+      TypeError: seed or order is not a whole number, or noise is something else.
+      ValueError: seed or order is not finite or negative.
+    """
+
+    subject: Subject
+    perturbation: Perturbation
+    condition: str = ""
+    repetition: int = 0
+    pulse_level: float = 0.0
+    order: int = 0
+    seed: int = 0
+    noise: HumanNoise | None = None
+
+    def __post_init__(self) -> None:
+        for field in ("order", "seed"):
+            value = getattr(self, field)
+            require_number("Trial", field, value, at_least=0)
+            if not isinstance(value, Integral):
+                raise TypeError(f"Trial: {field} = {value!r}; expected a whole number")
+        if self.noise is not None and not isinstance(self.noise, HumanNoise):
+            raise TypeError(f"Trial: noise = {self.noise!r}; expected HumanNoise or None")
+
+    def generator(self, source: int) -> np.random.Generator:
+        """The trial's own stream of chance for one source (`HUMAN`, `MARKER`, `EMG`)."""
+        return np.random.default_rng([self.seed, source])
+
+
+def subject_in(trial: Trial, environment: Environment, strap: Strap | None = None) -> Subject:
+    """The person as it is in this trial."""
+    if trial.noise is None:
+        return trial.subject
+    bound = MARGIN_KEPT * largest_real_pole(trial.subject, environment, strap)
+    stream = trial.generator(HUMAN).spawn(2)[0]
+    return trial.noise.vary(trial.subject, stream, lambda drawn: largest_real_pole(drawn, environment, strap) <= bound)
+
+
+def noise_torque(trial: Trial, timestep: float, n_steps: int) -> Array | None:
+    """Torque of the person's noise [Nm], (step, joint); None if there is no noise."""
+    if trial.noise is None:
+        return None
+    # The demand is the continuous perturbation's: the pulse is over before a person could answer with more effort.
+    pulse = pulse_of(trial.perturbation)
+    end = pulse.onset if pulse else trial.perturbation.duration
+    force = trial.perturbation.sample(1.0 / timestep, round(end / timestep))
+    x, y = hand_jacobian(trial.subject)
+    load = force[:, :1] * x + force[:, 1:] * y  # not @: BLAS may add in another order on another number of threads
+    demand = np.sqrt(np.mean(load**2, axis=0)) if len(load) else np.zeros(2)
+    return trial.noise.torque(demand, timestep, n_steps, trial.generator(HUMAN).spawn(2)[1])
+
+
+def pulse_of(perturbation: Perturbation) -> Pulse | None:
+    """The pulse of a perturbation, if it has one."""
+    return perturbation if isinstance(perturbation, Pulse) else getattr(perturbation, "pulse", None)
+
+
+def require_integrable(subject: Subject, environment: Environment, strap: Strap | None, timestep: float) -> None:
+    """Refuse a person who is too fast for the simulation's step.
+
+    Args:
+      subject: as it is in the trial.
+      environment: what the hand holds.
+      strap: what lets the shoulder move; None holds it in place.
+      timestep: of the simulation [s].
+
+    Raises:
+      ValueError: `RK4_LIMIT` is exceeded.
+    """
+    pole = fastest_pole(subject, environment, strap)
+    if pole * timestep > RK4_LIMIT:
+        parts, large = (
+            ("arm and environment", "grip") if strap is None else ("arm, environment and strap", "grip, strap")
+        )
+        raise ValueError(
+            f"subject {subject.name!r}: fastest pole of {parts} = {pole:.4g} 1/s; expected at most "
+            f"{RK4_LIMIT / timestep:.4g} 1/s at a step of {timestep:g} s ({large} or damping too large for the masses)"
+        )
+
+
+def held_force(perturbation: Perturbation, timestep: float, n_steps: int) -> Array:
+    """Force to hold over each step so that the handle feels the perturbation [N], (step, axis).
+
+    A held force acts on average at the middle of its step, and holding weakens it by sinc(f timestep); the second
+    difference restores that to fourth order.
+    """
+    middle = perturbation.sample(1.0 / timestep, n_steps + 2, -timestep / 2)
+    return middle[1:-1] - np.diff(middle, n=2, axis=0) / 24.0
+
+
+def random_stream(seed: int, purpose: str, *numbers: int) -> np.random.SeedSequence:
+    """A stream of random numbers of its own for each purpose: "order" of person 1 has nothing to do with "onset"."""
+    return np.random.SeedSequence(seed, spawn_key=(*purpose.encode(), *numbers))
+
+
+def trial_seed(seed: int, purpose: str, *numbers: int) -> int:
+    """A seed for `Trial.seed`: 63 bits, so that not even thousands of people share one."""
+    return int(random_stream(seed, purpose, *numbers).generate_state(1, np.uint64)[0] >> np.uint64(1))

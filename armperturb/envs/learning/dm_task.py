@@ -1,0 +1,213 @@
+"""The dm_control face: one person in trials of a task, whose nervous system is the agent, as a composer task."""
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from dm_env import specs
+from numpy.typing import ArrayLike
+
+from armperturb.arrays import Array
+from armperturb.envs.lab.simulation import DIVERGED, MUSCLE_FIELDS, MuscleFields, body_of, columns
+from armperturb.envs.lab.trial import Trial
+from armperturb.envs.learning.dm import composer, mjcf, observable
+from armperturb.envs.learning.entities import Rig
+from armperturb.envs.learning.gym_env import ONLY, task_settings
+from armperturb.envs.learning.participants import (
+    Participants,
+    action_bounds,
+    action_names,
+    observation_bounds,
+    own_action,
+)
+from armperturb.envs.learning.task import TaskSettings
+
+SENSES = {"joint_stretch": 0, "joint_velocity": 2, "hand_force": 4, "handle_seen": 6}
+"""Name of an observable to the first of its two places in an observation of `Participants`."""
+
+
+class Sense(observable.Generic):
+    """What the person senses, within bounds; composer delays it."""
+
+    def __init__(self, people: Participants, columns: slice, bound: Array, delay: int) -> None:
+        """Enable it.
+
+        Args:
+          people: of whom the first senses it.
+          columns: where it is among the senses.
+          bound: its largest absolute values.
+          delay: after which it is sensed [steps].
+        """
+        super().__init__(lambda _: people.undelayed()[0, columns], delay=delay)
+        self._spec = specs.BoundedArray(bound.shape, np.float64, -bound, bound)
+        self.enabled = True
+
+    @property
+    def array_spec(self) -> specs.BoundedArray:
+        """Shape, type and bounds."""
+        return self._spec
+
+
+class ArmPerturbTask(composer.Task):
+    """A person holds a handle that is perturbed; docs/environments.md tells what is sensed, set and rewarded.
+
+    What the person senses is enabled: `joint_stretch` [rad], `joint_velocity` [rad/s] and `hand_force` [N] after the
+    proprioceptive delay, `handle_seen` [m] after the visual delay. What no person knows can be enabled: `time` of the
+    trial [s], `perturbation` [N] and the level of `co_contraction` [-] of the muscle groups, each once per decision,
+    and the observables of arm and manipulator, undelayed.
+
+    Attributes:
+      settings: the task.
+      own_action: by which the person does the task as in the study, (action,).
+      trial: of this episode; None before the first.
+    """
+
+    def __init__(self, settings: TaskSettings) -> None:
+        """Put the person in the rig.
+
+        Args:
+          settings: the task.
+        """
+        self.settings = settings
+        self.own_action = own_action(settings)
+        self.trial: Trial | None = None
+        self._options: dict[str, Any] = {}
+        self._people = Participants(settings, 1)
+        self._rig = Rig(settings.own, settings.environment, timestep=settings.timestep)
+        self.set_timesteps(1.0 / settings.control_rate, settings.timestep)
+        self._task_observables = self._make_observables()
+        self._tolerant = ExitStack()
+        self._reward, self._terminated, self._truncated = 0.0, False, False
+
+    def _make_observables(self) -> OrderedDict[str, observable.Observable]:
+        people, settings = self._people, self.settings
+        bounds = observation_bounds(settings)
+        made: OrderedDict[str, observable.Observable] = OrderedDict()
+        for name, first in SENSES.items():
+            both = slice(first, first + 2)
+            made[name] = Sense(people, both, bounds[both], people.lags[name == "handle_seen"])
+        for name, read in {
+            "time": lambda _: people.step[0] * settings.timestep,
+            "perturbation": lambda _: people.perturbation()[0],
+            "co_contraction": lambda _: people.reached[0].copy(),  # composer would keep a view as padding
+        }.items():
+            made[name] = observable.Generic(read, update_interval=settings.steps_per_decision)
+        return made
+
+    @property
+    def root_entity(self) -> Rig:
+        """The rig."""
+        return self._rig
+
+    @property
+    def task_observables(self) -> OrderedDict[str, observable.Observable]:
+        """What the person senses, and what no person knows."""
+        return self._task_observables
+
+    def action_spec(self, physics: mjcf.Physics) -> specs.BoundedArray:
+        """Bounds and, parted by tabs, names of what an action sets."""
+        low, high = action_bounds(self.settings)
+        return specs.BoundedArray(low.shape, np.float64, low, high, "\t".join(action_names(self.settings)))
+
+    def choose(self, **options: Any) -> None:
+        """Choose what the next episode differs in from the settings; the one after it follows them again.
+
+        Args:
+          **options: as in `reset(options=...)` of the gymnasium environment, see `learning.task.OPTIONS`. The
+            subject of a `trial` must have the body and the delays of the task's person, which are in the model.
+
+        Raises:
+          TypeError: an option has the wrong type.
+          ValueError: an option is unknown or out of its range, or the trial's subject has another body.
+        """
+        trial = self.settings.drawing(options)(np.random.default_rng(0))
+        needed, given = body_of(self.settings.own), body_of(trial.subject)
+        for field in fields(needed):
+            value, expected = getattr(given, field.name), getattr(needed, field.name)
+            if value != expected:
+                raise ValueError(
+                    f"choose: trial has a subject with {field.name} = {value!r}; expected {expected!r}, "
+                    "which the task's person has; for others, load an environment with the setting person"
+                )
+        self._options = options
+
+    def after_compile(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
+        """Find everything in a new model."""
+        arm, manipulator = self._rig.arm, self._rig.manipulator
+        model, data = physics.model.ptr, physics.data.ptr
+        hinge, slide = (
+            columns(model, [joint.full_identifier for joint in joints]) for joints in (arm.joints, manipulator.slides)
+        )
+        motor, gauge = physics.bind(arm.reflexes[0]).element_id, physics.bind(manipulator.gauge).adr
+        self._muscles = MuscleFields(
+            [getattr(model, field) for field in MUSCLE_FIELDS], hinge, physics.bind(arm.biarticular).element_id
+        )
+        # Live, and not by a binding: after a write to one, dm_control may compute forces anew in the middle of a step.
+        self._angle, self._velocity = data.qpos[np.newaxis, hinge], data.qvel[np.newaxis, hinge]
+        self._handle, self._force = data.qpos[np.newaxis, slide], data.sensordata[np.newaxis, gauge : gauge + 2]
+        self._push, self._torque = data.qfrc_applied[np.newaxis, slide], data.qfrc_applied[np.newaxis, hinge]
+        self._control = data.ctrl[np.newaxis, motor : motor + 2]
+        self._warnings = data.warning.number
+
+    def initialize_episode(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
+        """Begin the next trial, at rest; nothing is left of those before."""
+        self._tolerant.close()
+        rng = np.random.default_rng(random_state.randint(2**63, dtype=np.int64))
+        options, self._options = self._options, {}
+        self.trial = self.settings.drawing(options)(rng)
+        (subject,) = self._people.start(ONLY, [self.trial])
+        self._muscles.write(np.array(subject.muscle_groups("k")), np.array(subject.muscle_groups("b")))
+
+    def before_step(self, physics: mjcf.Physics, action: ArrayLike, random_state: np.random.RandomState) -> None:
+        """Take the agent's decision.
+
+        Raises:
+          TypeError: the action is no array of numbers.
+          ValueError: it has the wrong shape, or part of it is not finite or out of its bounds.
+        """
+        changed, strength = self._people.decide(np.asarray(action)[np.newaxis])
+        if len(changed):
+            self._muscles.write(strength.k_groups[0], strength.b_groups[0])
+        # What cannot be integrated ends the trial with its reward; composer would have none for it.
+        self._tolerant.enter_context(physics.suppress_physics_errors())
+
+    def before_substep(self, physics: mjcf.Physics, action: ArrayLike, random_state: np.random.RandomState) -> None:
+        """Reflexes, muscles and the perturbation act."""
+        self._push[:], self._torque[:], self._control[:] = self._people.drive(self._angle, self._velocity)
+
+    def after_substep(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
+        """The person feels and sees what came of it."""
+        self._people.sense(self._angle, self._velocity, self._handle, self._force)
+
+    def after_step(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
+        """Judge what came of the decision."""
+        self._tolerant.close()
+        diverged = (self._warnings[DIVERGED] > 0).any(keepdims=True)
+        rewards, terminated, truncated = self._people.judge(self._handle, diverged)
+        self._reward, self._terminated, self._truncated = float(rewards[0]), bool(terminated[0]), bool(truncated[0])
+
+    def get_reward(self, physics: mjcf.Physics) -> float:
+        """Of the last decision, see `Participants.judge`."""
+        return self._reward
+
+    def get_discount(self, physics: mjcf.Physics) -> float:
+        """0 where the handle reached the limit of the workspace, else 1: a trial that is over is truncated."""
+        return 0.0 if self._terminated else 1.0
+
+    def should_terminate_episode(self, physics: mjcf.Physics) -> bool:
+        """Whether the handle reached the limit of the workspace or the trial is over."""
+        return self._terminated or self._truncated
+
+
+def compose(settings: Mapping[str, Any], random_state: int | np.random.RandomState | None) -> composer.Environment:
+    """The environment of a task; arguments and errors as in `load_dm_env`."""
+    return composer.Environment(
+        ArmPerturbTask(task_settings(dict(settings))),
+        random_state=random_state,
+        strip_singleton_obs_buffer_dim=True,
+        recompile_mjcf_every_episode=False,
+        delayed_observation_padding=composer.ObservationPadding.INITIAL_VALUE,
+    )

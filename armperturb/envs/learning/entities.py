@@ -1,0 +1,266 @@
+"""The rig as dm_control composer entities: a person's arm, the manipulator, and the room in which one grips the other.
+
+They are made of the package's MJCF files and of the numbers in `build_spec`, so what they compile to is what
+`build_model` compiles: joints, motors and sensors in the same order, and trajectories the same to the last bit. Names
+have that of the entity before them, as in "arm/shoulder"; the room's own, such as those of its cameras, do not.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+from armperturb.environment import Environment, Strap
+from armperturb.envs.learning.dm import composer, mjcf, observable
+from armperturb.models import (
+    ARM_XML,
+    BIARTICULAR,
+    GRIP,
+    HAND_SITE,
+    JOINTS,
+    MANIPULATOR_XML,
+    REFLEXES,
+    RIG_XML,
+    SLIDES,
+    STRAIN_GAUGE,
+    build_spec,
+)
+from armperturb.subject import Subject
+
+NUMBERS = {
+    "joint": ("ref", "springref", "stiffness", "damping", "armature", "axis", "range"),
+    "geom": ("pos", "fromto", "size"),
+    "site": ("pos",),
+    "tendon": ("stiffness", "damping", "springlength"),
+    "actuator": ("delay", "nsample"),
+}
+"""What `build_spec` may set, by kind of element; of bodies it has other names than MJCF."""
+
+
+class ArmEntity(composer.Entity):
+    """A seated person: the arm with its muscles, the motors of its reflexes and the sensors of its joint angles."""
+
+    def _build(self, spec: mujoco.MjSpec) -> None:
+        """Build the entity.
+
+        Args:
+          spec: the rig that it is part of, from `build_spec`.
+        """
+        self._mjcf_model = _model(ARM_XML, spec)
+
+    def _build_observables(self) -> "ArmObservables":
+        return ArmObservables(self)
+
+    @property
+    def mjcf_model(self) -> mjcf.RootElement:
+        """The model."""
+        return self._mjcf_model
+
+    @property
+    def joints(self) -> list[mjcf.Element]:
+        """Hinges: shoulder, elbow."""
+        return [self._mjcf_model.find("joint", name) for name in JOINTS]
+
+    @property
+    def biarticular(self) -> mjcf.Element:
+        """Tendon of the two-joint muscles."""
+        return self._mjcf_model.find("tendon", BIARTICULAR)
+
+    @property
+    def reflexes(self) -> list[mjcf.Element]:
+        """Motors of both joints; `ctrl` is the torque [Nm], which acts after the neural delay."""
+        return [self._mjcf_model.find("actuator", name) for name in REFLEXES]
+
+    @property
+    def hand(self) -> mjcf.Element:
+        """Site in the middle of the grip."""
+        return self._mjcf_model.find("site", HAND_SITE)
+
+    @property
+    def grip(self) -> list[mjcf.Element]:
+        """Tendons from the hand to what it holds, in the order of `GRIP`; none before it holds something."""
+        return [tendon for name in GRIP if (tendon := self._mjcf_model.find("tendon", name)) is not None]
+
+    def hold(self, manipulator: "ManipulatorEntity", spec: mujoco.MjSpec) -> None:
+        """Grip the handle of a manipulator; both must then be attached to the same model.
+
+        Args:
+          manipulator: whose handle.
+          spec: the rig that both are part of, from `build_spec`.
+        """
+        # The arm has them, so that its own tendons come first: in what order forces are summed shows in the last bit.
+        for tendon in _room().tendon.all_children():
+            grip = _copy(tendon, self._mjcf_model.tendon)
+            for end in grip.site:
+                if self._mjcf_model.find("site", end.site) is None:
+                    end.site = manipulator.mjcf_model.find("site", end.site)
+        _set_numbers(self._mjcf_model, spec)
+
+
+class ArmObservables(composer.Observables):
+    """What can be seen of an arm."""
+
+    @composer.observable
+    def joint_angles(self) -> observable.Generic:
+        """Angles of shoulder and elbow [rad], (joint,)."""
+        return _observable(lambda physics: physics.bind(self._entity.joints).qpos)
+
+    @composer.observable
+    def joint_velocities(self) -> observable.Generic:
+        """Angular velocities of shoulder and elbow [rad/s], (joint,)."""
+        return _observable(lambda physics: physics.bind(self._entity.joints).qvel)
+
+
+class ManipulatorEntity(composer.Entity):
+    """The manipulator with its table, the sensors of its displacement and the strain gauge."""
+
+    def _build(self, spec: mujoco.MjSpec) -> None:
+        """Build the entity.
+
+        Args:
+          spec: the rig that it is part of, from `build_spec`.
+        """
+        self._mjcf_model = _model(MANIPULATOR_XML, spec)
+
+    def _build_observables(self) -> "ManipulatorObservables":
+        return ManipulatorObservables(self)
+
+    @property
+    def mjcf_model(self) -> mjcf.RootElement:
+        """The model."""
+        return self._mjcf_model
+
+    @property
+    def slides(self) -> list[mjcf.Element]:
+        """Slides of the handle: x, y; `qfrc_applied` takes perturbations [N]."""
+        return [self._mjcf_model.find("joint", name) for name in SLIDES]
+
+    @property
+    def gauge(self) -> mjcf.Element:
+        """Force sensor: what the handle exerts on the hand [N], world axes (x, y, z)."""
+        return self._mjcf_model.find("sensor", STRAIN_GAUGE)
+
+
+class ManipulatorObservables(composer.Observables):
+    """What can be seen of a manipulator."""
+
+    @composer.observable
+    def handle_displacement(self) -> observable.Generic:
+        """Displacement of the handle from its start [m], (axis,)."""
+        return _observable(lambda physics: physics.bind(self._entity.slides).qpos)
+
+    @composer.observable
+    def handle_velocity(self) -> observable.Generic:
+        """Velocity of the handle [m/s], (axis,)."""
+        return _observable(lambda physics: physics.bind(self._entity.slides).qvel)
+
+    @composer.observable
+    def hand_force(self) -> observable.Generic:
+        """Force that the handle exerts on the hand at the start of the last physics step [N], (axis,).
+
+        MuJoCo has it on the way from one state to the next only.
+        """
+        # Through a binding, dm_control might compute it anew for the next state with the controls of the last step.
+        return _observable(lambda physics: physics.data.sensordata[physics.bind(self._entity.gauge).adr :][:2])
+
+
+class Rig(composer.Arena):
+    """The room, and in it a person's arm that grips the manipulator, at rest at the start posture."""
+
+    def _build(
+        self,
+        subject: Subject,
+        environment: Environment = Environment(),  # noqa: B008
+        *,
+        timestep: float = 0.001,
+        rope: str = "ideal",
+        strap: Strap | None = None,
+    ) -> None:
+        """Build the entity; arguments and errors as in `build_model`.
+
+        Args:
+          subject: whose arm, grip and delays.
+          environment: virtual mass, spring, damper and workspace of the manipulator.
+          timestep: physics step [s].
+          rope: "ideal" or "pendulum".
+          strap: what lets the shoulder move; None holds it in place.
+        """
+        spec = build_spec(subject, environment, timestep=timestep, rope=rope, strap=strap)
+        self._mjcf_root = _room()
+        self._mjcf_root.option.timestep = spec.option.timestep
+        for section in ("tendon", "actuator", "sensor"):
+            for element in getattr(self._mjcf_root, section).all_children():
+                element.remove()  # the entities have them
+        self._arm, self._manipulator = ArmEntity(spec), ManipulatorEntity(spec)
+        self.attach(self._arm)
+        self.attach(self._manipulator)
+        self._arm.hold(self._manipulator, spec)
+
+    @property
+    def arm(self) -> ArmEntity:
+        """The person."""
+        return self._arm
+
+    @property
+    def manipulator(self) -> ManipulatorEntity:
+        """What the hand holds."""
+        return self._manipulator
+
+
+def _observable(read: Callable[[mjcf.Physics], np.ndarray]) -> observable.Generic:
+    """An observable of copies: with MJCFFeature, what pads a buffer would be a view of the moving state."""
+    return observable.Generic(lambda physics: np.array(read(physics)))
+
+
+def _room() -> mjcf.RootElement:
+    """What is in the rig's own file; arm and manipulator, to which it refers, are not."""
+    tree = ElementTree.parse(RIG_XML).getroot()
+    for include in tree.findall("include"):
+        tree.remove(include)
+    return mjcf.from_xml_string(ElementTree.tostring(tree, encoding="unicode"))
+
+
+def _model(path: Path, spec: mujoco.MjSpec) -> mjcf.RootElement:
+    """A file's model with the rig's motors and sensors that are on it, and the numbers of a spec."""
+    model, room = mjcf.from_path(str(path)), _room()
+    for section, parent in ((room.actuator, model.actuator), (room.sensor, model.sensor)):
+        for element in section.all_children():
+            kind = "joint" if hasattr(element, "joint") else "site"
+            if model.find(kind, getattr(element, kind)) is not None:
+                _copy(element, parent)
+    _set_numbers(model, spec)
+    return model
+
+
+def _copy(element: mjcf.Element, parent: mjcf.Element) -> mjcf.Element:
+    copied = parent.add(element.tag, **element.get_attributes())
+    for child in element.all_children():
+        _copy(child, copied)
+    return copied
+
+
+def _set_numbers(model: mjcf.RootElement, spec: mujoco.MjSpec) -> None:
+    """Take over all numbers that belong to a person or an environment, and leave out the joints that the spec has not.
+
+    MJCF is text with 17 digits, which is every bit.
+    """
+    for element in model.find_all("body"):
+        twin = spec.body(element.name)
+        element.pos = twin.pos
+        if element.euler is not None:
+            element.euler = twin.alt.euler
+        if element.inertial is not None:
+            element.inertial.pos, element.inertial.mass = twin.ipos, twin.mass
+    for kind, attributes in NUMBERS.items():
+        for element in model.find_all(kind):
+            twin = getattr(spec, kind)(element.name)
+            if twin is None:
+                element.remove()
+                continue
+            for attribute in attributes:
+                value = getattr(twin, attribute)
+                if np.isnan(value).any() or (attribute == "pos" and getattr(element, "fromto", None) is not None):
+                    continue  # a geom has either a position or two ends
+                setattr(element, attribute, value)

@@ -1,0 +1,188 @@
+"""The gymnasium environment: one person in trials of a task, whose nervous system is the agent."""
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import ArrayLike, NDArray
+
+from armperturb.envs.learning.participants import action_bounds, observation_bounds, own_action
+from armperturb.envs.learning.session import Session
+from armperturb.envs.learning.task import TaskSettings
+from armperturb.envs.render.gl import has_display
+from armperturb.envs.render.onlooker import Onlooker
+from armperturb.envs.render.viewer import require_display
+from armperturb.validation import require_one_of, require_whole
+
+VIEWS = ("oblique", "top")
+"""Cameras of the rig."""
+
+LONGEST_ARROW = 0.25
+"""What the largest force of a task looks like [m]."""
+
+WATCHED = ("joint_angle", "displacement", "perturbation", "force")
+"""Parts of the truth that show."""
+
+ONLY = np.zeros(1, dtype=int)
+"""Index of the one person."""
+
+
+def spaces(settings: TaskSettings) -> tuple[Box, Box]:
+    """Observation and action space of one person; the latter is normalised, as learning algorithms expect."""
+    bounds, (low, high) = observation_bounds(settings), action_bounds(settings)
+    return (
+        Box(-bounds.astype(np.float32), bounds.astype(np.float32), dtype=np.float32),
+        Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32),
+    )
+
+
+class ArmPerturbEnv(gym.Env):
+    """A person holds a handle that is perturbed; docs/environments.md tells what is sensed, set and rewarded.
+
+    `ArmPerturb/Position-v0`, `ArmPerturb/Relax-v0` and `ArmPerturb/Pulse-v0` are this with different `TaskSettings`.
+
+    Attributes:
+      settings: the task.
+      own_action: by which the person does the task as in the study, (action,).
+    """
+
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 50}  # noqa: RUF012 - as gymnasium declares it
+
+    def __init__(
+        self,
+        render_mode: str | None = None,
+        view: str = "oblique",
+        width: int = 640,
+        height: int = 480,
+        **settings: Any,
+    ) -> None:
+        """Get ready.
+
+        Args:
+          render_mode: "rgb_array" for pictures, "human" for a window, None for neither.
+          view: of pictures, "oblique" or "top".
+          width: of pictures [pixel].
+          height: of pictures [pixel].
+          **settings: of `TaskSettings`.
+
+        Raises:
+          TypeError: a setting is unknown or has the wrong type.
+          ValueError: a setting is out of its range, or render_mode or view unknown.
+          RuntimeError: render_mode is "human", and there is no display.
+        """
+        self.settings = task_settings(settings)
+        require_one_of("ArmPerturbEnv", "render_mode", render_mode, (None, *ArmPerturbEnv.metadata["render_modes"]))
+        if render_mode == "human":
+            require_display()
+        self.render_mode = render_mode
+        # What can be done here, so that those who try all of them can.
+        modes = [mode for mode in ArmPerturbEnv.metadata["render_modes"] if mode != "human" or has_display()]
+        self.metadata = {"render_modes": modes, "render_fps": self.settings.control_rate}
+        self._onlooker = onlooker(self.settings)
+        self._picture = checked_picture(view, width, height)
+        self.observation_space, self.action_space = spaces(self.settings)
+        self.own_action = own_action(self.settings).astype(np.float32)
+        self._session = Session(self.settings, 1, n_threads=1)
+        self._running = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin the next trial, at rest.
+
+        Args:
+          seed: of this trial and those that follow; None goes on with what there is.
+          options: what differs from the settings in this trial, see `armperturb.envs.learning.task.OPTIONS`.
+
+        Returns:
+          Observation and info, see `Session.truth`.
+
+        Raises:
+          TypeError: an option has the wrong type.
+          ValueError: an option is unknown or out of its range.
+        """
+        draw = self.settings.drawing(options)  # first: who is refused has lost nothing
+        super().reset(seed=seed)
+        trial = draw(self.np_random)
+        self._session.start(ONLY, [trial])
+        self._running = True
+        self._onlooker.begin(trial.subject)
+        return self._session.people.observe()[0], self._watched_info()
+
+    def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """One decision.
+
+        Args:
+          action: (action,), see `armperturb.envs.learning.participants.action_names`.
+
+        Returns:
+          Observation, reward, whether the handle reached the limit of the workspace, whether the trial is over, info.
+
+        Raises:
+          RuntimeError: there is no trial, or it is over.
+          TypeError: the action is no array of numbers.
+          ValueError: it has the wrong shape, or part of it is not finite or out of its bounds.
+        """
+        if not self._running:
+            raise RuntimeError("step: the trial is over, or none has begun; expected reset first")
+        (reward,), (terminated,), (truncated,) = self._session.step(np.asarray(action)[np.newaxis])
+        self._running = not (terminated or truncated)
+        observation, info = self._session.people.observe()[0], self._watched_info()
+        return observation, float(reward), bool(terminated), bool(truncated), info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture of this moment, (height, width, 3), in the mode "rgb_array"; a window shows each by itself.
+
+        Raises:
+          RuntimeError: no trial has begun, or this machine cannot draw; the message names what to install.
+        """
+        if self.render_mode != "rgb_array":
+            return None
+        if not self._onlooker.sees:
+            raise RuntimeError("render: no trial has begun; expected reset first")
+        return self._onlooker.picture(*self._picture)
+
+    def close(self) -> None:
+        """Close what rendering opened; a second time does nothing."""
+        self._onlooker.close()
+
+    def _watched_info(self) -> dict[str, Any]:
+        info: dict[str, Any] = {name: values[0] for name, values in self._session.truth().items()}
+        if self.render_mode is not None:
+            self._onlooker.notice(*(info[name].copy() for name in WATCHED))
+            if self.render_mode == "human":
+                self._onlooker.show()
+        return {**info, "time": float(info["time"]), "diverged": bool(info["diverged"])}
+
+
+def onlooker(settings: TaskSettings) -> Onlooker:
+    """Somebody to watch a person do a task."""
+    highest = max(np.max(settings.peak) if "pulse" in settings.perturbation else 0.0, 3.0 * np.max(settings.rms))
+    return Onlooker(settings.environment, 1.0 / settings.control_rate, LONGEST_ARROW / highest)
+
+
+def checked_picture(view: str, width: int, height: int) -> tuple[str, int, int]:
+    """The arguments.
+
+    Raises:
+      TypeError: width or height is no whole number.
+      ValueError: the view is unknown, or width or height is below 1.
+    """
+    require_one_of("render", "view", view, VIEWS)
+    for name, value in (("width", width), ("height", height)):
+        require_whole("render", name, value, at_least=1)
+    return view, int(width), int(height)
+
+
+def task_settings(settings: dict[str, Any]) -> TaskSettings:
+    """Settings by name.
+
+    Raises:
+      TypeError: a name is unknown; otherwise as `TaskSettings`.
+    """
+    known = TaskSettings.__dataclass_fields__
+    for name in settings:
+        if name not in known:
+            raise TypeError(f"unknown setting {name!r}; expected some of {', '.join(known)}")
+    return TaskSettings(**settings)

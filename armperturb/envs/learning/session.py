@@ -1,0 +1,95 @@
+"""Participants on MuJoCo's batch: what the gymnasium environments, single and vectorised, are views of."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armperturb.arrays import Array, Indices
+from armperturb.envs.lab.simulation import Simulation, silent_simulator
+from armperturb.envs.lab.trial import Trial
+from armperturb.envs.learning.participants import Participants
+from armperturb.envs.learning.task import TaskSettings
+from armperturb.models import history_length
+
+
+class Session:
+    """n people who do trials of a task side by side; each is the same to the last bit alone and beside others."""
+
+    def __init__(self, settings: TaskSettings, n: int, n_threads: int = 0) -> None:
+        """Get ready; `start` everybody before the first `step`.
+
+        Args:
+          settings: the task.
+          n: how many people.
+          n_threads: of the simulation; 0 takes all cores.
+        """
+        n_history = max(history_length(subject, settings.timestep) for subject in settings.people)
+        self.people = Participants(settings, n, n_history)
+        self.simulation = Simulation(
+            [settings.own] * n,
+            settings.environment,
+            timestep=settings.timestep,
+            n_history=n_history,
+            n_threads=n_threads,
+        )
+        self._diverged = np.zeros(n, dtype=bool)
+
+    def start(self, people: Indices, trials: Sequence[Trial]) -> None:
+        """Begin trials at rest; nothing is left of those before.
+
+        Args:
+          people: indices of those who begin, rising.
+          trials: one for each of them.
+        """
+        self.simulation.replace(people, self.people.start(people, trials))
+        self._diverged[people] = False
+
+    def step(self, actions: ArrayLike) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Everybody's next decision and what follows; see `Participants.decide` and `judge`.
+
+        Args:
+          actions: (person, action).
+
+        Returns:
+          Rewards, terminations and truncations, (person,) each.
+
+        Raises:
+          TypeError: actions are no numbers.
+          ValueError: they have the wrong shape, or one of them is not finite or out of its bounds.
+        """
+        people, simulation = self.people, self.simulation
+        changed, strength = people.decide(actions)
+        if len(changed):
+            simulation.set_muscles(changed, strength.k_groups, strength.b_groups)
+        with silent_simulator():
+            for _ in range(people.settings.steps_per_decision):
+                simulation.step(*people.drive(simulation.angle, simulation.velocity))
+                people.sense(simulation.angle, simulation.velocity, simulation.handle, simulation.force)
+        diverged = self._diverged = simulation.diverged
+        verdict = people.judge(simulation.handle, diverged)
+        if diverged.any():
+            # MuJoCo has put them back; what is left in their muscles and senses may be infinite.
+            lost = np.flatnonzero(diverged)
+            simulation.replace(lost, people.rest(lost))
+        return verdict
+
+    def truth(self) -> dict[str, NDArray]:
+        """What no person knows, copies: name to values, (person, ...).
+
+        `time` of the trial [s], `perturbation` [N], `displacement` [m], `joint_angle` [rad] and `joint_velocity`
+        [rad/s] at this moment; `force` [N] at the simulation's last step, as MuJoCo's sensors have it;
+        level of `co_contraction` that the muscle groups have reached [-]; whether MuJoCo has put a trial back that had
+        `diverged`, as it could not integrate it.
+        """
+        simulation, people = self.simulation, self.people
+        return {
+            "time": people.step * people.settings.timestep,
+            "perturbation": people.perturbation(),
+            "displacement": simulation.handle.copy(),
+            "joint_angle": simulation.angle.copy(),
+            "joint_velocity": simulation.velocity.copy(),
+            "force": simulation.force.copy(),
+            "co_contraction": people.reached.copy(),
+            "diverged": self._diverged.copy(),
+        }

@@ -1,0 +1,221 @@
+"""What is written and drawn over and under the pictures of a video: labels, scale, clock, strip chart."""
+
+import functools
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from armperturb.arrays import Array
+from armperturb.envs.render.camera import DISTURBANCE, PATH, REACTION
+
+Picture = NDArray[np.uint8]
+
+INK, GREY, RULE = "#262a30", "#8b929c", "#e6e8eb"
+"""Text, frames and grid, as in the figures of a study."""
+
+PAPER = (255, 255, 255, 205)
+"""Behind text on a picture: nearly opaque white."""
+
+
+def text_size(height: int) -> int:
+    """Size of text in a picture of some height [pixel]."""
+    return max(8, round(height / 30))
+
+
+def nice_force(largest: float) -> float:
+    """The largest of 1, 2, 5, 10, 20, ... that is not above a force [N]."""
+    power = 10.0 ** np.floor(np.log10(largest))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= largest * (1 + 1e-9)))
+
+
+def label_layer(size: tuple[int, int], title: str, force: float, axes: Array) -> Image.Image:
+    """The labels of one picture that stay, on a transparent ground.
+
+    Args:
+      size: width and height of the picture [pixel].
+      title: in the upper left corner, with room for the clock under it; empty for none.
+      force: that the two axes in the lower right corner stand for [N].
+      axes: that force along x and y as an arrow in this picture, columns and rows [pixel], (axis, 2).
+    """
+    layer = Image.new("RGBA", size, (255, 255, 255, 0))
+    draw = ImageDraw.Draw(layer)
+    unit = text_size(size[1])
+    font, margin = _font(unit), unit // 2
+    if title:
+        wide = max(font.getlength(title), font.getlength(clock_text(888.88, 888.0)))
+        _paper(draw, (margin, margin, 3 * margin + wide, round(2 * margin + 2.8 * unit)))
+        draw.text((2 * margin, round(1.5 * margin)), title, font=font, fill=INK)
+    _draw_axes(draw, size, f"{force:g} N", axes)
+    return layer
+
+
+def _draw_axes(draw: ImageDraw.ImageDraw, size: tuple[int, int], text: str, axes: Array) -> None:
+    """Where x and y point in the lower right corner of a picture, as long as forces of a size are."""
+    unit = text_size(size[1])
+    font, margin = _font(unit), unit // 2
+    directions = axes / np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-9)
+    letters = axes + 0.7 * unit * directions
+    ends = np.vstack([np.zeros(2), axes, letters])
+    low, high = ends.min(axis=0) - 0.6 * unit, ends.max(axis=0) + 0.6 * unit
+    wide = max(high[0] - low[0], font.getlength(text) + unit)
+    right, bottom = size[0] - margin, size[1] - margin
+    left, top = right - wide, bottom - (high[1] - low[1]) - 1.3 * unit
+    _paper(draw, (left, top, right, bottom))
+    origin = np.array([left + (wide - (high[0] - low[0])) / 2, top]) - low
+    for name, axis, along, letter in zip("xy", axes, directions, letters, strict=True):
+        tip, across = origin + axis, 0.2 * unit * np.array([-along[1], along[0]])
+        neck = tip - 0.5 * unit * along
+        draw.line((*origin, *neck), fill=INK, width=max(2, unit // 7))
+        draw.polygon([tuple(tip), tuple(neck + across), tuple(neck - across)], fill=INK)
+        draw.text(tuple(origin + letter), name, font=font, fill=INK, anchor="mm")
+    draw.text((left + wide / 2, bottom - 0.8 * unit), text, font=font, fill=INK, anchor="mm")
+
+
+def _paper(draw: ImageDraw.ImageDraw, box: tuple[float, float, float, float]) -> None:
+    draw.rounded_rectangle(box, radius=4, fill=PAPER)
+
+
+def clock_text(time: float, slow: float) -> str:
+    """What the clock says.
+
+    Args:
+      time: in the trial [s].
+      slow: how many times slower than life the video runs.
+    """
+    pace = "" if slow == 1 else f", {slow:g} × slower" if slow > 1 else f", {1 / slow:g} × faster"
+    return f"t = {time:.2f} s{pace}"
+
+
+def draw_clock(picture: Image.Image, time: float, slow: float) -> None:
+    """Write the clock under the title of `label_layer`.
+
+    Args:
+      picture: to write on.
+      time: as for `clock_text`.
+      slow: as for `clock_text`.
+    """
+    unit = text_size(picture.height)
+    place = (2 * (unit // 2), round(1.5 * (unit // 2)) + round(1.4 * unit))
+    ImageDraw.Draw(picture).text(place, clock_text(time, slow), font=_font(unit), fill=INK)
+
+
+@functools.cache
+def _font(size: int) -> ImageFont.FreeTypeFont:
+    return ImageFont.truetype(str(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"), size)
+
+
+class StripChart:
+    """Forces and displacement against time, drawn once; `at` adds where the video is.
+
+    Args:
+      time: [s], (time,).
+      disturbance: d [N], (time, axis).
+      reaction: f [N], (time, axis).
+      displacement: of the handle [m], (time, axis).
+      width: of the chart [pixel].
+      height: of the chart [pixel].
+      unit: size of its text [pixel].
+      trail: how long a path the pictures show [s], for the legend.
+    """
+
+    def __init__(
+        self,
+        time: Array,
+        disturbance: Array,
+        reaction: Array,
+        displacement: Array,
+        *,
+        width: int,
+        height: int,
+        unit: int,
+        trail: float,
+    ) -> None:
+        dots_per_inch = 100
+        points = 72 / dots_per_inch  # per pixel
+        figure = Figure(figsize=(width / dots_per_inch, height / dots_per_inch), dpi=dots_per_inch, facecolor="white")
+        canvas = FigureCanvasAgg(figure)
+        panels = figure.subplots(2, 1, sharex=True)
+        figure.subplots_adjust(
+            left=4.6 * unit / width,
+            right=1 - 5.6 * unit / width,
+            bottom=2.9 * unit / height,
+            top=1 - 2.0 * unit / height,
+            hspace=0.16,
+        )
+        rows = (
+            ("force [N]", ((disturbance, DISTURBANCE, "d"), (reaction, REACTION, "f"))),
+            ("x, y [cm]", ((100 * displacement, INK, ""),)),
+        )
+        line = 0.13 * unit * points
+        for ax, (units, signals) in zip(panels, rows, strict=True):
+            for values, colour, name in signals:
+                for axis, style in enumerate(("-", (0, (2.5, 1.2)))):
+                    label = f"${name}_{'xy'[axis]}$" if name else f"${'xy'[axis]}$"
+                    ax.plot(time, values[:, axis], color=colour, linewidth=line, linestyle=style, label=label)
+            ax.set_ylabel(units, fontsize=unit * points, color=INK, labelpad=2)
+            ax.set_xlim(time[0], time[-1])
+            ax.margins(y=0.08)
+            ax.locator_params(axis="y", nbins=4)
+            ax.grid(color=RULE, linewidth=line / 2)
+            ax.tick_params(labelsize=0.85 * unit * points, labelcolor=INK, color=GREY, length=2, pad=2)
+            ax.legend(
+                loc="center left",
+                bbox_to_anchor=(1.0, 0.5),
+                fontsize=unit * points,
+                frameon=False,
+                labelspacing=0.1,
+                handlelength=1.4,
+                handletextpad=0.4,
+                borderaxespad=0.3,
+            )
+            for side in ("top", "right"):
+                ax.spines[side].set_visible(False)
+            for side in ("left", "bottom"):
+                ax.spines[side].set_color(GREY)
+        panels[0].tick_params(labelbottom=False)
+        panels[1].set_xlabel("time [s]", fontsize=unit * points, color=INK, labelpad=1)
+        figure.align_ylabels(panels)
+        canvas.draw()
+        self._drawn: Picture = np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        self._drawn = _with_legend(self._drawn, unit, trail)
+        self._pale = self._drawn.copy()
+        self._boxes = []
+        for ax in panels:
+            left, bottom, right, top = (round(value) for value in ax.get_window_extent().extents)
+            rows_of = slice(height - top, height - bottom - 1)
+            inside = self._pale[rows_of, left + 2 : right + 2]
+            inside[:] = 255 - (255 - inside) // 3
+            self._boxes.append((rows_of, left + 2, right + 2))
+        self._span = float(time[0]), float(time[-1])
+
+    def at(self, time: float) -> Picture:
+        """The chart with what is still to come paler, and a line at a time, (height, width, 3).
+
+        Args:
+          time: in the trial [s].
+        """
+        chart = self._drawn.copy()
+        share = (time - self._span[0]) / (self._span[1] - self._span[0])
+        for rows, left, right in self._boxes:
+            now = min(left + round(share * (right - left)), right - 1)
+            chart[rows, now:right] = self._pale[rows, now:right]
+            chart[rows, max(left, now - 1) : now + 1] = [int(INK[i : i + 2], 16) for i in (1, 3, 5)]
+        return chart
+
+
+def _with_legend(chart: Picture, unit: int, trail: float) -> Picture:
+    """A chart with what the colours in chart and pictures mean, along its upper edge."""
+    picture, font = Image.fromarray(chart), _font(unit)
+    draw = ImageDraw.Draw(picture)
+    entries = ((DISTURBANCE, "disturbance d"), (REACTION, "force f on the hand"), (PATH, f"handle, last {trail:g} s"))
+    column = 4.6 * unit
+    for colour, text in entries:
+        draw.line((column, 0.95 * unit, column + 1.2 * unit, 0.95 * unit), fill=colour, width=max(2, unit // 4))
+        draw.text((column + 1.6 * unit, 0.95 * unit), text, font=font, fill=INK, anchor="lm")
+        column += 2.8 * unit + font.getlength(text)
+    return np.asarray(picture)

@@ -1,0 +1,309 @@
+"""Videos of recorded trials: the rig from two sides, forces as arrows, the handle's path, and a strip chart."""
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import copyfile
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from armperturb.arrays import Array
+from armperturb.envs.render.camera import TRAIL, Camera, force_arrows
+from armperturb.envs.render.overlay import StripChart, draw_clock, label_layer, nice_force, text_size
+from armperturb.envs.render.replay import Replay
+from armperturb.files import written_whole
+from armperturb.validation import require_number
+
+Picture = NDArray[np.uint8]
+
+VIEWS = {"both": ("top", "oblique"), "top": ("top",), "oblique": ("oblique",)}
+"""What can be asked for, and the views that it shows, side by side."""
+
+FRAME_RATES = {".mp4": 30.0, ".gif": 20.0}
+"""File ending to frames per second; those of a GIF stay whole hundredths of a second."""
+
+SMALLEST = (160, 120)
+"""Width and height of a view below which nothing can be read [pixel]."""
+
+LONGEST_ARROW = 0.3
+"""Length of the arrow of the largest force [m], unless it would leave the picture."""
+
+LONGEST_SCALE = 0.18
+"""Length of the scale's axes at most [m], unless they would be shorter than `SHORTEST_AXIS`."""
+
+SHORTEST_AXIS = 1.5
+"""Length of the scale's axes in the picture, over the size of its text."""
+
+BEFORE_PULSE, AFTER_PULSE = 0.2, 1.0
+"""What a slow video shows before and after a pulse's onset [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clip:
+    """What a video shows, and how.
+
+    Attributes:
+      view: "both", "top" or "oblique".
+      width: of each view [pixel], even.
+      height: of each view [pixel], a multiple of 4, so that the strip chart of half that height is even, too.
+      slow: how many times slower than life, > 0.
+      start: in the trial [s]; None for its start.
+      stop: in the trial [s]; None for its end, or for the limit of the workspace, where the handle met it. Where both
+        are None, a pulse that is slowed down is shown from `BEFORE_PULSE` before its onset to `AFTER_PULSE` after it.
+
+    Raises:
+      TypeError: a value has the wrong type.
+      ValueError: a value is out of its range.
+    """
+
+    view: str = "both"
+    width: int = 640
+    height: int = 480
+    slow: float = 1.0
+    start: float | None = None
+    stop: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.view not in VIEWS:
+            raise ValueError(f"video: view = {self.view!r}; expected one of {', '.join(VIEWS)}")
+        for name, least, most, multiple in (
+            ("width", SMALLEST[0], 1920, 2),
+            ("height", SMALLEST[1], 1440, 4),
+        ):
+            value = getattr(self, name)
+            require_number("video", name, value, at_least=least, at_most=most)
+            if value != int(value) or value % multiple:
+                raise ValueError(f"video: {name} = {value!r}; expected a multiple of {multiple} pixels")
+        require_number("video", "slow", self.slow, above=0.0, at_most=1000.0)
+        for name in ("start", "stop"):
+            if getattr(self, name) is not None:
+                require_number("video", name, getattr(self, name), at_least=0.0)
+
+    def window(self, replay: Replay) -> tuple[float, float]:
+        """Start and stop in a trial [s].
+
+        Raises:
+          ValueError: they are outside the trial, after the limit of the workspace, or in the wrong order.
+        """
+        end = replay.end
+        first = 0.0 if self.start is None else self.start
+        last = end if self.stop is None else self.stop
+        onset = replay.pulse_onset
+        if self.slow > 1.0 and onset is not None and onset < end and self.start is None and self.stop is None:
+            first, last = max(first, onset - BEFORE_PULSE), min(last, onset + AFTER_PULSE)
+        if not first < last <= end:
+            met = "" if replay.limit_time is None else f", before the limit of the workspace at {end:g} s"
+            raise ValueError(
+                f"video: from {first:g} s to {last:g} s; expected a start before the stop, and both in the trial of "
+                f"{replay.duration:g} s{met}"
+            )
+        return first, last
+
+
+def frame_times(replay: Replay, clip: Clip, frame_rate: float) -> Array:
+    """Times in the trial that the frames show [s], (frame,).
+
+    Args:
+      replay: the trial.
+      clip: what is shown of it.
+      frame_rate: of the video [Hz].
+
+    Raises:
+      ValueError: the clip is outside the trial.
+    """
+    start, stop = clip.window(replay)
+    return np.asarray(
+        start + np.arange(max(1, round((stop - start) * clip.slow * frame_rate))) / frame_rate / clip.slow
+    )
+
+
+def frames(replay: Replay, clip: Clip, times: Array) -> Iterator[Picture]:
+    """Frames of a video, one after the other, (height, width, 3).
+
+    Args:
+      replay: the trial.
+      clip: what is shown of it.
+      times: in the trial [s], (frame,), as from `frame_times`.
+
+    Raises:
+      ValueError: the clip is outside the trial.
+      RuntimeError: this machine cannot draw; the message names what to install.
+    """
+    views, size = VIEWS[clip.view], (clip.width, clip.height)
+    start, stop = clip.window(replay)
+    shown = (replay.time >= start) & (replay.time <= stop)
+    if shown.sum() < 2:  # between two samples
+        shown = np.ones_like(shown)
+    qpos, d, f, displacement = (
+        replay.at(values, times) for values in (replay.qpos, replay.disturbance, replay.reaction, replay.displacement)
+    )
+    _simplify(replay.model, clip.height)
+    chart = StripChart(
+        replay.time[shown],
+        replay.disturbance[shown],
+        replay.reaction[shown],
+        replay.displacement[shown],
+        width=clip.width * len(views),
+        height=clip.height // 2,
+        unit=text_size(clip.height),
+        trail=TRAIL,
+    )
+    with Camera(replay.model, width=clip.width, height=clip.height) as camera:
+        scale = arrow_scale(
+            camera, views, replay.disturbance[shown], replay.reaction[shown], replay.displacement[shown]
+        )
+        layers = [
+            label_layer(size, replay.title if i == 0 else "", *scale_axes(camera, view, scale))
+            for i, view in enumerate(views)
+        ]
+        for i, now in enumerate(times):
+            past = replay.displacement[(replay.time > now - TRAIL) & (replay.time < now)]
+            pictures = []
+            for view, layer in zip(views, layers, strict=True):
+                drawn = camera.draw(
+                    qpos[i],
+                    view,
+                    arrows=force_arrows(d[i], f[i], scale),
+                    trail=np.vstack([past, displacement[i]]),
+                )
+                picture = Image.fromarray(drawn)
+                picture.paste(layer, mask=layer)
+                if view == views[0]:
+                    draw_clock(picture, float(now), clip.slow)
+                pictures.append(np.asarray(picture))
+            yield np.vstack([np.hstack(pictures), chart.at(float(now))])
+
+
+def scale_axes(camera: Camera, view: str, scale: float) -> tuple[float, Array]:
+    """A round force [N], and its arrows along x and y in a picture, long enough to read [pixel], (axis, 2).
+
+    Args:
+      camera: that draws the picture.
+      view: "oblique" or "top".
+      scale: length per force of the arrows [m/N].
+    """
+    force = nice_force(LONGEST_SCALE / scale)
+    while True:
+        along = camera.handle() + scale * force * np.eye(3)[:2]
+        axes = camera.project(along, view) - camera.project(camera.handle(), view)
+        if np.linalg.norm(axes, axis=1).min() >= SHORTEST_AXIS * text_size(camera.height):
+            return force, axes
+        force = nice_force(2.5 * force)  # the next one
+
+
+def arrow_scale(
+    camera: Camera, views: tuple[str, ...], disturbance: Array, reaction: Array, displacement: Array
+) -> float:
+    """Length per force of arrows that stay within the pictures [m/N].
+
+    Args:
+      camera: that draws them.
+      views: that are drawn.
+      disturbance: d [N], (time, axis).
+      reaction: f [N], (time, axis).
+      displacement: of the handle [m], (time, axis).
+    """
+    forces = np.concatenate([disturbance, reaction])
+    largest = float(np.linalg.norm(forces, axis=1).max())
+    if largest == 0.0:
+        return LONGEST_ARROW
+    starts = camera.handle(np.concatenate([displacement, displacement]))
+    flat = np.pad(forces, ((0, 0), (0, 1)))
+    margin = 0.03 * camera.height
+    limits = np.array([camera.width, camera.height]) - margin
+    scale = LONGEST_ARROW / largest
+    while scale > 0.1 * LONGEST_ARROW / largest:
+        tips = [camera.project(starts + scale * flat, view) for view in views]
+        if all(((tip > margin) & (tip < limits)).all() for tip in tips):
+            break
+        scale *= 0.95
+    return scale
+
+
+def write_video(
+    replay: Replay,
+    out: str | Path,
+    clip: Clip = Clip(),
+    *,
+    progress: Callable[[int, int], object] | None = None,
+) -> None:
+    """Write a video of a trial, whole or not at all.
+
+    Args:
+      replay: the trial.
+      out: file to write, MP4 (H.264) or GIF by its ending.
+      clip: what is shown, and how.
+      progress: called with the number of frames that are done, and of all.
+
+    Raises:
+      ValueError: the file has another ending, or the clip is outside the trial.
+      RuntimeError: this machine cannot draw; the message names what to install.
+      OSError: the file cannot be written, or the encoder failed.
+    """
+    out = Path(out)
+    ending = require_ending(out)
+    frame_rate = FRAME_RATES[ending]
+    times = frame_times(replay, clip, frame_rate)
+    shape = (clip.height + clip.height // 2, clip.width * len(VIEWS[clip.view]))
+    with written_whole(out) as temporary, tempfile.TemporaryDirectory() as folder:
+        # Elsewhere, as the encoder goes by a file's ending.
+        encoded = Path(folder) / f"video{ending}"
+        pictures = frames(replay, clip, times)
+        first = next(pictures)  # before the encoder starts: where nothing can be drawn, nothing is encoded
+        try:
+            with _encoder(encoded, shape, frame_rate) as encoder:
+                encoder.add_image(first)
+                for done, picture in enumerate(pictures, start=1):
+                    if progress is not None:
+                        progress(done, len(times))
+                    encoder.add_image(picture)
+        except (BrokenPipeError, RuntimeError) as error:
+            if isinstance(error.__context__, KeyboardInterrupt):  # Ctrl-C reaches the encoder, too
+                raise error.__context__ from None
+            raise OSError(f"{out}: the encoder failed ({' '.join(str(error).split())})") from error
+        if progress is not None:
+            progress(len(times), len(times))
+        copyfile(encoded, temporary)
+
+
+def require_ending(out: Path) -> str:
+    """The ending of a video's file, in small letters.
+
+    Raises:
+      ValueError: it is none of `FRAME_RATES`.
+    """
+    ending = out.suffix.lower()
+    if ending not in FRAME_RATES:
+        raise ValueError(f"{out}: ending {out.suffix!r}; expected {' or '.join(FRAME_RATES)}")
+    return ending
+
+
+def _encoder(path: Path, shape: tuple[int, int], frame_rate: float) -> Any:
+    # Here: mediapy takes long to import.
+    import imageio_ffmpeg
+    import mediapy
+
+    mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
+    if path.suffix == ".gif":
+        return mediapy.VideoWriter(path, shape, fps=frame_rate, codec="gif")
+    # The index first, so that a browser starts to play before it has the whole file.
+    return mediapy.VideoWriter(
+        path, shape, fps=frame_rate, codec="h264", crf=20, ffmpeg_args="-preset veryfast -movflags +faststart"
+    )
+
+
+def _simplify(model: mujoco.MjModel, height: int) -> None:
+    """Leave out what costs much time and hardly shows: fine shadows, fine facets and the floor's reflection.
+
+    Nor are edges smoothed: several samples per pixel take twice the time where the processor draws.
+    """
+    quality = model.vis.quality
+    quality.offsamples = 0
+    quality.shadowsize = 1024 if height <= 480 else 2048
+    quality.numslices, quality.numstacks = 20, 10
+    model.mat_reflectance[:] = 0.0

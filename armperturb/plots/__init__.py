@@ -1,0 +1,1 @@
+"""What figures of commands and reports share."""

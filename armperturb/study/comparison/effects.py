@@ -1,0 +1,301 @@
+"""What amplitude does to people: the thesis's tests (2.9) on a study, beside the p values that it prints."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armperturb.analysis.measures.statistics import (
+    ALPHA,
+    FEWEST,
+    adjacent_effects,
+    effect_of_condition,
+    paired_t,
+    post_hoc,
+)
+from armperturb.arrays import Array
+from armperturb.study.comparison.headlines import POST_HOC, PULSED
+from armperturb.study.published import tables as published
+from armperturb.study.results.mean_admittance import by_task
+from armperturb.study.results.study_result import StudyResult
+from armperturb.study.results.trial_measures import PersonMeasures, PulseMeans, muscle_parameter, stable_mean
+
+Row = dict[str, Any]
+
+AMPLITUDES = {"PT": ("PT2.5", "PT7.5", "PT22.5"), "RT": ("RT2.5", "RT7.5", "RT22.5")}
+"""Task to the conditions whose multisines differ, the smallest first."""
+
+TRIPLES = {"PT": ("b", "k", "kv", "kp"), "RT": ("b", "k")}
+"""Task to the matrices whose parameters are tested."""
+
+PLACES = ("s", "se", "e", "s*", "e*")
+"""Of joints, and with a star of one-joint muscles (eq. 2.10)."""
+
+PRINTED_PARAMETERS = {"k_s": "p_k_s_pt", "kv_se": "p_kv_se_pt", "kp_s": "p_kp_s_pt"}
+"""Joint parameters with a significant effect of amplitude in PT, to the printed p; the others are "ns" there (3.2)."""
+
+STARRED_MUSCLES = ("k_s*", "kv_s*", "kp_s*")
+"""Parameters of one-joint muscles with such an effect, marked as p < 0.01 (3.2, figure 3.14).
+
+Of other muscles the thesis tells nothing.
+"""
+
+PREDICTED = {
+    "PT": (("PT2.5", "max"), ("PT7.5", "max"), ("PT22.5", "max")),
+    "RT": (("RT2.5", "min"), ("RT7.5", "min"), ("RT22.5", "min")),
+}
+"""Task to the pulses whose prediction is tested (3.3)."""
+
+LEVELS_OF = ("PT0", "PT7.5")
+"""Conditions with pulses of both levels."""
+
+
+class AdmittanceEffect(NamedTuple):
+    """Whether the gain differs between the amplitudes of a task.
+
+    Attributes:
+      frequency: [Hz], (frequency,).
+      p: of each element on its own [-], (frequency, output, input).
+      counts: where four adjacent points or more are significant, likewise.
+    """
+
+    frequency: Array
+    p: Array
+    counts: NDArray[np.bool_]
+
+    def where(self, output: int, input_: int) -> list[str]:
+        """Frequencies at which the effect on an element counts, in words."""
+        return [f"{one:.2g}" for one in self.frequency[self.counts[:, output, input_]]]
+
+    def alone(self, output: int, input_: int) -> list[str]:
+        """Frequencies at which it is significant, in words, be it alone."""
+        return [f"{one:.2g}" for one in self.frequency[self.p[:, output, input_] < ALPHA]]
+
+
+class Agreement(NamedTuple):
+    """How many tests are as in the thesis.
+
+    Attributes:
+      told: tests and pairs of which the thesis tells whether they are significant.
+      agree: of these, those that are, or are not, in both.
+    """
+
+    told: int
+    agree: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Effects:
+    """All tests of a study.
+
+    Attributes:
+      admittance: task to the tests of the gain.
+      parameters: task and parameter to p, of the thesis's fits; with a star those of one-joint muscles.
+      rows: one per test, for a table.
+      pairs: one per pair of conditions, likewise.
+      remarks: tests that were not made, or without some people, and why.
+    """
+
+    admittance: Mapping[str, AdmittanceEffect]
+    parameters: Mapping[tuple[str, str], float]
+    rows: tuple[Row, ...]
+    pairs: tuple[Row, ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def agreement(self) -> Agreement:
+        """With the thesis, on what is significant."""
+        told = [(row["p"], row["published_p"]) for row in self.rows if row["published_p"]]
+        told += [(row["p_bonferroni"], row["published_p"]) for row in self.pairs if row["published_p"]]
+        # A printed p is always of a difference that is called significant.
+        return Agreement(len(told), sum((p < ALPHA) == (printed != "ns") for p, printed in told))
+
+
+class _Tests:
+    """Makes tests, and takes down what each gives or why it cannot be made."""
+
+    def __init__(self) -> None:
+        self.rows: list[Row] = []
+        self.pairs: list[Row] = []
+        self.remarks: list[str] = []
+
+    def table(self, what: str, values: Mapping[str, Sequence[float]], conditions: Sequence[str]) -> Array | None:
+        """Values of those who have all, (subject, condition); None if they are too few."""
+        whole = {name: row for name, row in values.items() if np.isfinite(row).all()}
+        for name, row in values.items():
+            lacking = [condition for condition, value in zip(conditions, row, strict=True) if not math.isfinite(value)]
+            if 0 < len(lacking) < len(row):
+                self.remarks.append(f"{what}: without {name}, who has no value in {', '.join(lacking)}")
+        if len(whole) < FEWEST:
+            self.remarks.append(f"{what}: not tested, as {len(whole)} people have a value in every condition")
+            return None
+        return np.array(list(whole.values()))
+
+    def effect(
+        self,
+        what: str,
+        task: str,
+        values: Mapping[str, Sequence[float]],
+        conditions: Sequence[str],
+        printed: str = "",
+        printed_pairs: Mapping[tuple[int, int], str] | None = None,
+    ) -> float:
+        """Test whether conditions differ, and which; gives p, NaN if it cannot be told."""
+        table = self.table(f"{what}, {task}", values, conditions)
+        if table is None:
+            return math.nan
+        found = effect_of_condition(table, conditions=conditions)
+        self.rows.append(
+            {
+                "quantity": what,
+                "task": task,
+                "conditions": ", ".join(conditions),
+                "people": found.n,
+                "test": found.test,
+                "statistic": found.statistic,
+                "dof": ", ".join(f"{dof:.3g}" for dof in found.dof),
+                "p": found.p,
+                "published_p": printed,
+                "effect_size": found.effect_size,
+                "mauchly_p": found.mauchly_p,
+                "epsilon": found.epsilon,
+                "shapiro_p_min": min(found.shapiro_p),
+            }
+        )
+        for (i, j), pair in post_hoc(table, conditions=conditions).items():
+            self.pairs.append(
+                {
+                    "quantity": what,
+                    "task": task,
+                    "first": conditions[i],
+                    "second": conditions[j],
+                    "difference": float(np.mean(table[:, i] - table[:, j])),
+                    "t": pair.t,
+                    "dof": pair.dof,
+                    "p_bonferroni": pair.p_bonferroni,
+                    "published_p": (printed_pairs or {}).get((i, j), ""),
+                }
+            )
+        return found.p
+
+    def levels(self, condition: str, values: Mapping[str, Sequence[float]], printed: str) -> None:
+        """Dependent t-test of the two levels of pulses."""
+        what = f"pulse admittance, levels of {condition}"
+        table = self.table(what, values, ("level 2", "level 1"))
+        if table is None:
+            return
+        found = paired_t(table[:, 0], table[:, 1])
+        self.rows.append(
+            {
+                "quantity": "pulse admittance",
+                "task": condition[:2],
+                "conditions": f"{condition}, level 2 against 1",
+                "people": len(table),
+                "test": "dependent t",
+                "statistic": found.t,
+                "dof": str(found.dof),
+                "p": found.p,
+                "published_p": printed,
+                "effect_size": math.nan,
+                "mauchly_p": math.nan,
+                "epsilon": math.nan,
+                "shapiro_p_min": math.nan,
+            }
+        )
+
+
+def effects(study: StudyResult) -> Effects:
+    """All tests that the people and conditions of a study allow."""
+    tests = _Tests()
+    admittance = {task: found for task in AMPLITUDES if (found := admittance_effect(study, task)) is not None}
+    parameters: dict[tuple[str, str], float] = {}
+    for task, conditions in AMPLITUDES.items():
+        for name in (f"{kind}_{place}" for kind in TRIPLES[task] for place in PLACES):
+            values = {person.name: [_parameter(person, c, name) for c in conditions] for person in study.people}
+            parameters[task, name] = tests.effect(name, task, values, conditions, _printed_parameter(name, task))
+    pulses: dict[str, tuple[Callable[[PulseMeans], float], Mapping[str, tuple[tuple[str, str], ...]]]] = {
+        "peak displacement": (lambda pulse: pulse.displacement, PULSED),
+        "pulse admittance": (lambda pulse: pulse.admittance, PULSED),
+        "pulse prediction": (lambda pulse: pulse.prediction, PREDICTED),
+    }
+    for what, (value, of_task) in pulses.items():
+        for task, pairs in of_task.items():
+            values = {person.name: [_pulse(person, pair, value) for pair in pairs] for person in study.people}
+            of_pulses = tuple(condition for condition, _ in pairs)
+            tests.effect(what, task, values, of_pulses, _printed(what, task), _printed_pairs(what, task))
+    for condition in LEVELS_OF:
+        values = {
+            person.name: [
+                _pulse(person, (condition, level), lambda pulse: pulse.admittance) for level in ("max", "min")
+            ]
+            for person in study.people
+        }
+        tests.levels(condition, values, published.headline_text(f"p_pulse_admittance_level_{condition.lower()}"))
+    return Effects(
+        admittance=admittance,
+        parameters=parameters,
+        rows=tuple(tests.rows),
+        pairs=tuple(tests.pairs),
+        remarks=tuple(tests.remarks),
+    )
+
+
+def admittance_effect(study: StudyResult, task: str) -> AdmittanceEffect | None:
+    """Test the gain of each element at each frequency; None with fewer than three people or amplitudes.
+
+    A condition that the protocol lacks is none of the amplitudes; people who lack one that it has are left out.
+    """
+    conditions = [condition.name for condition in by_task(study).get(task, ())]
+    gains: dict[str, dict[str, Array]] = {}
+    for condition in conditions:
+        for case in study.of(condition):
+            gains.setdefault(case.name, {})[condition] = np.abs(case.identified.spectra.arm)
+    whole = [[of_person[c] for c in conditions] for of_person in gains.values() if len(of_person) == len(conditions)]
+    if len(conditions) < 3 or len(whole) < FEWEST:
+        return None
+    gain = np.array(whole)  # (subject, condition, frequency, output, input)
+    p = np.empty(gain.shape[2:])
+    for index in np.ndindex(p.shape):
+        p[index] = effect_of_condition(gain[:, :, *index]).p
+    return AdmittanceEffect(study.of(conditions[0])[0].identified.spectra.frequency, p, adjacent_effects(p))
+
+
+def _parameter(person: PersonMeasures, condition: str, name: str) -> float:
+    """Mean over the stable trials of what the thesis's estimator gives; NaN without any."""
+    estimate = person.estimates.get(condition)
+    return math.nan if estimate is None else muscle_parameter(name, partial(stable_mean, estimate))
+
+
+def _pulse(person: PersonMeasures, pulse: tuple[str, str], value: Callable[[PulseMeans], float]) -> float:
+    return value(person.pulses[pulse]) if pulse in person.pulses else math.nan
+
+
+def _printed_parameter(name: str, task: str) -> str:
+    if name.endswith("*"):
+        return "< 0.01" if task == "PT" and name in STARRED_MUSCLES else ""
+    if task == "RT":
+        return published.headline_text("p_all_parameters_rt")
+    return published.headline_text(PRINTED_PARAMETERS[name]) if name in PRINTED_PARAMETERS else "ns"
+
+
+def _printed(what: str, task: str) -> str:
+    names = {
+        ("pulse admittance", "PT"): "p_pulse_admittance_anova_pt",
+        ("pulse admittance", "RT"): "p_pulse_admittance_anova_rt",
+        ("pulse prediction", "PT"): "p_pulse_prediction_pt",
+        ("pulse prediction", "RT"): "p_pulse_prediction_anova_rt",
+    }
+    return published.headline_text(names[what, task]) if (what, task) in names else ""
+
+
+def _printed_pairs(what: str, task: str) -> dict[tuple[int, int], str]:
+    if what == "pulse admittance":
+        return {pair: published.headline_text(name) for name, pair in POST_HOC[task].items()}
+    if (what, task) == ("pulse prediction", "RT"):
+        text = published.headline_text("p_pulse_prediction_posthoc_rt")
+        return dict.fromkeys(((0, 1), (0, 2), (1, 2)), text)
+    return {}

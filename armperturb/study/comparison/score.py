@@ -1,0 +1,276 @@
+"""How near a study comes to the thesis's published tables: every cell beside ours, and the headline numbers.
+
+A cell's z is the difference of the means over people, in published SDs. Cells are those of tables 2.1 and F.2 to F.6
+(`results.quantities`) and those that the thesis's own estimator fills: C.3 to C.22, all six structures, first
+without penalty (C.3 to C.5, C.13 to C.15), then from the group's means with it, and D.3 to E.5, one structure from
+several starts. In tables of criterion and VAF, mean and SD are over trials, and N_pos and N_stab are shares of them.
+With the penalty, fits that end unstable all the same have diverged and count nowhere; standard errors that are infinite
+count nowhere either. A cell that cannot be computed is not reproduced: it counts as one that is far.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from armperturb.analysis.fit.thesis import ThesisEstimate
+from armperturb.files import write_csv, written_whole
+from armperturb.study.comparison.headlines import Headline, headlines
+from armperturb.study.published import tables as published
+from armperturb.study.published.tables import FitEntry, MeanSD
+from armperturb.study.results.appendix_fits import FIRST_STEP, STARTS_OF, Appendices
+from armperturb.study.results.quantities import Cell, published_cells
+from armperturb.study.results.study_result import StudyResult
+from armperturb.study.results.trial_measures import PersonMeasures
+
+LIMITS = (0.5, 1.0, 2.0)
+"""Within how many published SDs cells are counted."""
+
+WITHOUT_PENALTY = ("C.3", "C.4", "C.5", "C.13", "C.14", "C.15")
+"""Tables of the first step of appendix C."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoredCell:
+    """A published cell and ours.
+
+    Attributes:
+      cell: which.
+      published: mean (SD), SI.
+      ours: mean (SD) over people, or trials where the table's are, SI; NaN if it cannot be computed.
+      reason: why it cannot be; else empty.
+    """
+
+    cell: Cell
+    published: MeanSD
+    ours: MeanSD
+    reason: str = ""
+
+    @property
+    def z(self) -> float:
+        """Difference of the means in published SDs; NaN without a value or a published SD."""
+        return (self.ours.mean - self.published.mean) / self.published.sd
+
+    @property
+    def sd_ratio(self) -> float:
+        """SD between subjects over the published one; NaN without."""
+        return self.ours.sd / self.published.sd
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Score:
+    """All cells and headline numbers.
+
+    Attributes:
+      people: number of people behind it.
+      cells: every published one, in the order of the tables.
+      headlines: numbers of the running text.
+      remarks: what was left out of a cell that was computed, and what of the study is missing; one line each.
+    """
+
+    people: int
+    cells: tuple[ScoredCell, ...]
+    headlines: tuple[Headline, ...]
+    remarks: tuple[str, ...]
+
+
+class Share(NamedTuple):
+    """How many cells of a table are near.
+
+    Attributes:
+      published: number of cells with an SD.
+      computed: of these, those that we have.
+      within: of these, those within each of `LIMITS`.
+      sd_ratio: median SD between subjects over the published one [-].
+    """
+
+    published: int
+    computed: int
+    within: tuple[int, ...]
+    sd_ratio: float
+
+    @property
+    def parts(self) -> tuple[float, ...]:
+        """Share within each of `LIMITS` [-]; a cell that cannot be computed is not within."""
+        return tuple(n / self.published for n in self.within)
+
+
+def score(study: StudyResult) -> Score:
+    """Compare an analysed study with the published tables."""
+    cells = _measured_cells(study.people)
+    cells += [_fitted_cell(entry, study.appendices, study.people) for entry in published.fit_entries()]
+    return Score(
+        people=len(study.people),
+        cells=tuple(cells),
+        headlines=headlines(study.people),
+        remarks=(*study.missing, *study.remarks, *_diverged(study.appendices)),
+    )
+
+
+def _measured_cells(people: Sequence[PersonMeasures]) -> list[ScoredCell]:
+    scored = []
+    recorded = {condition for person in people for condition in person.conditions}
+    for cell, printed in published_cells().items():
+        values = [person.cells[cell] for person in people if cell in person.cells]
+        reason = ""
+        if not values:
+            reason = "nobody's trials give it" if cell.condition in recorded else f"{cell.condition} was not recorded"
+        scored.append(ScoredCell(cell=cell, published=printed, ours=_mean_sd(values), reason=reason))
+    return scored
+
+
+def _fitted_cell(entry: FitEntry, fits: Appendices, people: Sequence[PersonMeasures]) -> ScoredCell:
+    what = {"parameter": entry.parameter, "SEM": f"SEM {entry.parameter}"}.get(entry.quantity, entry.quantity)
+    cell = Cell(entry.table, entry.condition, f"{what} model {entry.model} {entry.start}".rstrip())
+    ours, reason = MeanSD(math.nan, math.nan), ""
+    estimate = _estimate(entry, fits)
+    step_1 = FIRST_STEP[entry.condition[:2]]
+    if estimate is not None:
+        ours = _fitted_value(entry, estimate)
+        reason = "" if math.isfinite(ours.mean) else "no trial gives a finite value"
+    elif not any(entry.condition in person.conditions for person in people):
+        reason = f"{entry.condition} was not recorded"
+    elif not any(step_1 in person.conditions for person in people):
+        reason = f"{step_1} was not recorded, from which the fits start"
+    else:
+        reason = "nobody's trials could be fitted"
+    return ScoredCell(cell=cell, published=entry.value, ours=ours, reason=reason)
+
+
+def _estimate(entry: FitEntry, fits: Appendices) -> ThesisEstimate | None:
+    """Everybody's fits of which an entry tells."""
+    if entry.start:
+        return fits.starts.get(entry.start)
+    step = fits.first if entry.table in WITHOUT_PENALTY else fits.second
+    return step.get((entry.condition, entry.model))
+
+
+def _fitted_value(entry: FitEntry, estimate: ThesisEstimate) -> MeanSD:
+    stable = estimate.stable
+    if entry.quantity == "N_pos":
+        return MeanSD(estimate.n_positive / len(estimate.fits), math.nan)
+    if entry.quantity == "N_stab":
+        return MeanSD(estimate.n_stable / len(estimate.fits), math.nan)
+    if entry.quantity.startswith("VAF"):
+        mean, sd = estimate.mean_vaf()
+        axis = "xy".index(entry.quantity[-1])
+        return MeanSD(float(mean[axis]), float(sd[axis]))
+    counts = np.ones_like(stable) if entry.table in WITHOUT_PENALTY else stable
+    if entry.quantity == "criterion":
+        return _mean_sd(estimate.criterion[counts].tolist())
+    of_trials = estimate.values if entry.quantity == "parameter" else estimate.sem
+    values = of_trials[:, estimate.parameters.index(entry.parameter)]
+    counts = counts & np.isfinite(values)
+    names = np.array(estimate.subjects)
+    return _mean_sd([float(values[counts & (names == name)].mean()) for name in dict.fromkeys(names[counts].tolist())])
+
+
+def _diverged(fits: Appendices) -> list[str]:
+    named = {f"{condition}, model {model}": estimate for (condition, model), estimate in fits.second.items()}
+    named |= {f"{STARTS_OF}, start {start}": estimate for start, estimate in fits.starts.items()}
+    return [
+        f"{name}: {len(estimate.fits) - estimate.n_stable} of {len(estimate.fits)} fits diverged (unstable on the "
+        "manipulator in spite of the penalty) and are left out"
+        for name, estimate in named.items()
+        if estimate.n_stable < len(estimate.fits)
+    ]
+
+
+def _mean_sd(values: Sequence[float]) -> MeanSD:
+    sd = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
+    return MeanSD(float(np.mean(values)) if len(values) else math.nan, sd)
+
+
+def share(cells: Iterable[ScoredCell]) -> Share:
+    """How many of some cells are near; those without a published SD do not count."""
+    judged = [one for one in cells if math.isfinite(one.published.sd)]
+    z = np.abs([one.z for one in judged if math.isfinite(one.z)])
+    ratios = [one.sd_ratio for one in judged if math.isfinite(one.sd_ratio)]
+    return Share(
+        published=len(judged),
+        computed=len(z),
+        within=tuple(int(np.sum(z <= limit)) for limit in LIMITS),
+        sd_ratio=float(np.median(ratios)) if ratios else math.nan,
+    )
+
+
+def shares(result: Score) -> dict[str, Share]:
+    """Share of each table, and of groups of them: measured (2.1 and F, and of these each task) and fitted (C to E)."""
+    tables = dict.fromkeys(one.cell.table for one in result.cells)
+    of = {table: share(one for one in result.cells if one.cell.table == table) for table in tables}
+    measured = [one for one in result.cells if one.cell.table.startswith(("2", "F"))]
+    groups = {
+        "2.1 and F, PT": [one for one in measured if one.cell.condition.startswith("PT")],
+        "2.1 and F, RT": [one for one in measured if one.cell.condition.startswith("RT")],
+        "2.1 and F": measured,
+        **{
+            appendix: [one for one in result.cells if one.cell.table.startswith(appendix)]
+            for appendix in ("C", "D", "E")
+        },
+        "total": list(result.cells),
+    }
+    return of | {name: share(cells) for name, cells in groups.items()}
+
+
+def missing_cells(result: Score) -> dict[tuple[str, str], int]:
+    """How many cells could not be computed, by reason and by table and condition."""
+    return Counter((one.reason, f"{one.cell.table}, {one.cell.condition}") for one in result.cells if one.reason)
+
+
+def score_text(result: Score) -> str:
+    """Shares, headline numbers and what is missing, for a terminal."""
+    lines = [f"{result.people} people beside the published tables; SDs are the published ones", ""]
+    lines.append(f"{'table':14} {'cells':>9} {'0.5 SD':>12} {'1 SD':>12} {'2 SD':>12} {'SD ratio':>9}")
+    for name, one in shares(result).items():
+        counts = [f"{n} ({100.0 * part:.0f} %)" for n, part in zip(one.within, one.parts, strict=True)]
+        of = f"{one.computed}/{one.published}"
+        lines.append(f"{name:14} {of:>9} " + " ".join(f"{count:>12}" for count in counts) + f" {one.sd_ratio:9.2f}")
+    lines += ["", f"{'number of the text':46} {'published':>14} {'ours':>9}  unit"]
+    for line in result.headlines:
+        remark = f"  ({line.remark})" if line.remark else ""
+        lines.append(f"{line.name:46} {line.published:>14} {line.ours:9.3g}  {line.unit}{remark}")
+    if missing := missing_cells(result):
+        lines += ["", "cells that could not be computed:"]
+        lines += [f"  {where}: {n} cells: {reason}" for (reason, where), n in missing.items()]
+    if result.remarks:
+        lines += ["", "left out:", *(f"  {remark}" for remark in result.remarks)]
+    return "\n".join(lines)
+
+
+def write_score(result: Score, folder: Path) -> Path:
+    """Write `score.csv`, `headlines.csv` and `score.txt`, which tells what is missing and why.
+
+    Args:
+      result: of `score`.
+      folder: is made if it is not there; files of an earlier score in it are replaced.
+
+    Returns:
+      The path of `score.csv`.
+
+    Raises:
+      OSError: a file cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    rows = [
+        {
+            "table": one.cell.table,
+            "condition": one.cell.condition,
+            "quantity": one.cell.quantity,
+            "published_mean": one.published.mean,
+            "published_sd": one.published.sd,
+            "ours": one.ours.mean,
+            "z": one.z,
+            "ours_sd": one.ours.sd,
+            "reason": one.reason,
+        }
+        for one in result.cells
+    ]
+    write_csv(rows, folder / "score.csv")
+    write_csv([vars(one) for one in result.headlines], folder / "headlines.csv")
+    with written_whole(folder / "score.txt") as temporary:
+        temporary.write_text(score_text(result) + "\n", encoding="utf-8")
+    return folder / "score.csv"

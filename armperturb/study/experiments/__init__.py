@@ -1,0 +1,1 @@
+"""Experiments around the study: calibration, mechanisms, a moving shoulder."""

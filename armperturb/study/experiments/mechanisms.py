@@ -1,0 +1,402 @@
+"""Why people yield: what each mechanism of a person's muscle law does to the admittance and to responses to pulses.
+
+The person is simulated without noise under the published forces, with the whole law, with linear muscle, and with one
+mechanism switched off at a time. All arms of a condition get the same multisines, and so do all conditions but for
+their force: what differs between two of them is their doing. A multisine is ended by a pulse to either side, so that
+the movement at the onset, which one pulse takes further and the other back, hardly counts in the mean.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.measures.kinematics import true_rotations
+from armperturb.analysis.measures.pulse import WINDOWS, pulse_peaks
+from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
+from armperturb.arrays import Array
+from armperturb.cohort import Person
+from armperturb.controllers.muscle import element_motion, muscle_parameters, muscle_torque, rested
+from armperturb.environment import Environment
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.trial import Trial
+from armperturb.muscle_law import MuscleLaw
+from armperturb.perturbations.multisine import PERIOD
+from armperturb.study.protocol import THESIS, Protocol, with_published_forces
+from armperturb.study.published import tables as published
+from armperturb.study.results.cases import WINDOW_START
+from armperturb.study.results.quantities import Cell, published_cells
+from armperturb.subject import Subject
+
+Row = dict[str, Any]
+
+WHOLE, LINEAR, ONE_LEVEL = "whole law", "linear muscle", "same co-contraction in all conditions"
+
+MECHANISMS: dict[str, dict[str, float]] = {
+    "no short-range stiffness": {"short_range_stiffness": 0.0},
+    "one elastic limit": {"elastic_limit_spread": 0.0},
+    "elastic limit of any speed": {"elastic_limit_slope": 0.0},
+    "no thixotropy": {"loss_angle_deg": math.inf},
+    "damping does not thin": {"thinning_velocity": math.inf},
+    "spindles do not saturate": {"spindle_saturation": math.inf},
+    "spindles of both directions": {"spindle_direction": 0.0},
+}
+"""What an arm without one mechanism is called, to the fields of its law that are changed, and their values."""
+
+AMPLITUDES = {"RT": ("RT2.5", "RT7.5", "RT22.5"), "PT": ("PT2.5", "PT7.5", "PT22.5")}
+"""Task to its conditions with a multisine, the smallest movement first."""
+
+PULSES = {"RT0": 1.0, "RT22.5": 1.0, "PT7.5": 2.0}
+"""Condition to the level of the pulse whose response is shown."""
+
+CONDITIONS = ("RT0", *(condition for conditions in AMPLITUDES.values() for condition in conditions))
+"""All that are simulated."""
+
+NEEDED = ("RT0", "RT2.5", "RT22.5", "PT2.5", "PT7.5", "PT22.5")
+"""Those that are compared between all arms."""
+
+STEP = 2.5e-3
+"""Of the simulation [s], as in `calibrate.STEP`; with a longer one, arms that are nearly unstable may be so."""
+
+REST = 0.5
+"""Time before a pulse that comes alone [s]."""
+
+CALM = 8.0
+"""Time after a pulse that comes alone, in which an arm has to come to rest [s]."""
+
+RESTLESS = 0.02
+"""Movement in the last second of that time over the largest displacement, up to which an arm is at rest [-]."""
+
+LOW = 2
+"""How many of the lowest frequencies the low-frequency admittance is averaged over (thesis 3.1)."""
+
+LOOP_FREQUENCY = 0.5
+"""Of the sinusoids by which muscle elements are stretched [Hz]."""
+
+LOOP_CYCLES = 12
+"""So many of them, until the loops repeat themselves; the last is kept."""
+
+LOOP_SAMPLES = 200
+"""Of a cycle."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Response:
+    """One arm in one condition.
+
+    Attributes:
+      subject: the arm, at its level of co-contraction.
+      time: after the onset of a pulse [s], (time,); none without a pulse.
+      distance: of the handle from its start, mean over trials [m], (time,).
+      peak: largest distance, mean over trials [m]; NaN without a pulse.
+      pulse_admittance: peak over the largest hand reaction force, mean over trials [m/N]; NaN without a pulse.
+      frequency: [Hz], (frequency,); none without a multisine.
+      gain: of the admittance [m/N], (frequency, output, input).
+      stretch: RMS stretch of the muscle elements under the multisine [rad], (element,).
+    """
+
+    subject: Subject
+    time: Array = field(default_factory=lambda: np.empty(0))
+    distance: Array = field(default_factory=lambda: np.empty(0))
+    peak: float = math.nan
+    pulse_admittance: float = math.nan
+    frequency: Array = field(default_factory=lambda: np.empty(0))
+    gain: Array = field(default_factory=lambda: np.empty((0, 2, 2)))
+    stretch: Array = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def low_gain(self) -> Array:
+        """Gain of the diagonal at the lowest frequencies [m/N], (frequency, axis)."""
+        return np.diagonal(self.gain[:LOW], axis1=1, axis2=2)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Yielding:
+    """A person with and without the mechanisms of the law.
+
+    Attributes:
+      person: with the whole law.
+      variants: names of the arms, the whole law first.
+      responses: of each variant in each condition, by their names; without those that are unstable.
+      unstable: variant and condition to the reason why there is no response.
+    """
+
+    person: Person
+    variants: tuple[str, ...]
+    responses: Mapping[tuple[str, str], Response]
+    unstable: Mapping[tuple[str, str], str]
+
+    def rise(self, variant: str, above: str, below: str) -> float:
+        """Low-frequency gain in one condition over that in another [-]; NaN if a response is missing.
+
+        Mean over the lowest two frequencies and the diagonal, as in `headlines`.
+        """
+        pair = self._pair(variant, above, below)
+        return float(np.mean(pair[0].low_gain / pair[1].low_gain)) if pair else math.nan
+
+    def pulse_rise(self, variant: str) -> float:
+        """Pulse admittance in RT22.5 over that in RT0 [-]; NaN if a response is missing."""
+        pair = self._pair(variant, "RT22.5", "RT0")
+        return pair[0].pulse_admittance / pair[1].pulse_admittance if pair else math.nan
+
+    def _pair(self, variant: str, one: str, other: str) -> tuple[Response, Response] | None:
+        first, second = (self.responses.get((variant, condition)) for condition in (one, other))
+        return (first, second) if first and second else None
+
+    def rows(self) -> list[Row]:
+        """A row per variant, and the published means of people; NaN where an arm is unstable or nothing published."""
+        rows = [
+            {
+                "arm": variant,
+                **{
+                    f"peak_{condition}_m": one.peak if (one := self.responses.get((variant, condition))) else math.nan
+                    for condition in PULSES
+                },
+                "RT_rise": self.rise(variant, "RT22.5", "RT2.5"),
+                "PT_fall": self.rise(variant, "PT2.5", "PT22.5"),
+                "pulse_admittance_RT22.5_over_RT0": self.pulse_rise(variant),
+                "unstable_in": " ".join(condition for name, condition in self.unstable if name == variant),
+            }
+            for variant in self.variants
+        ]
+        people: Row = {"arm": "people, published mean"}
+        for condition, level in PULSES.items():
+            cell = Cell("2.1", condition, f"peak_displacement_{'min' if level == 1.0 else 'max'}")
+            people[f"peak_{condition}_m"] = published_cells()[cell].mean
+        for name, task in (("RT_rise", "rt"), ("PT_fall", "pt")):
+            people[name] = float(published.headline_text(f"admittance_amplitude_factor_{task}"))
+        return [*rows, {**people, "pulse_admittance_RT22.5_over_RT0": math.nan, "unstable_in": ""}]
+
+
+class Loop(NamedTuple):
+    """A cycle of imposed stretch.
+
+    Attributes:
+      stretch: of the muscle elements [rad], (time, element).
+      torque: with which they oppose it, reflexes left out [Nm], (time, element).
+    """
+
+    stretch: Array
+    torque: Array
+
+
+def has_law(person: Person) -> bool:
+    """Whether the person's muscles yield, in any task."""
+    return any(subject.muscle is not None for subject in person.subjects.values())
+
+
+def variants(person: Person) -> dict[str, Person]:
+    """The person, with linear muscle, and with each mechanism switched off that the person has, by name.
+
+    Raises:
+      ValueError: the person has no muscle law.
+    """
+    if not has_law(person):
+        raise ValueError(f"person {person.name!r} has linear muscles; expected a muscle law")
+    found = {WHOLE: person, LINEAR: _with_laws(person, lambda _: None)}
+    for name, off in MECHANISMS.items():
+        changed = _with_laws(person, partial(replace, **off))
+        if changed.subjects != person.subjects:
+            found[name] = changed
+    if len(set(person.levels.values()) | {1.0}) > 1:
+        found[ONE_LEVEL] = replace(person, levels={})
+    return found
+
+
+def _with_laws(person: Person, change: Callable[[MuscleLaw], MuscleLaw | None]) -> Person:
+    subjects = {
+        task: subject if subject.muscle is None else replace(subject, muscle=change(subject.muscle))
+        for task, subject in person.subjects.items()
+    }
+    return replace(person, subjects=subjects)
+
+
+def why_people_yield(
+    person: Person,
+    environment: Environment | None = None,
+    *,
+    seed: int = 0,
+    n_multisines: int = 2,
+    n_threads: int = 0,
+    progress: Callable[[float], object] | None = None,
+) -> Yielding:
+    """Perturb a person with and without each mechanism, side by side.
+
+    Args:
+      person: who has a muscle law, in both tasks.
+      environment: what the hand holds; the thesis's manipulator if not given.
+      seed: of the multisines.
+      n_multisines: realisations behind each admittance.
+      n_threads: 0 takes all cores; no effect on the result.
+      progress: called with the simulated seconds (all trials together) since the last call.
+
+    Raises:
+      ValueError: the person has no muscle law.
+    """
+    environment = environment or Environment()
+    arms = variants(person)
+    subjects = {
+        (name, condition): THESIS.condition(condition).subject_of(arm)
+        for name, arm in arms.items()
+        for condition in CONDITIONS
+        if condition in NEEDED or name in (WHOLE, LINEAR)
+    }
+    wrong = {
+        subject: "is unstable for small or for large movements"
+        for subject in subjects.values()
+        if largest_real_pole(subject, environment) >= 0.0
+    }
+
+    def recorded(protocol: Protocol, pairs: Iterable[tuple[str, Subject]]) -> Iterator[tuple[str, Subject, xr.Dataset]]:
+        trials = {pair: _trials(protocol, *pair, seed) for pair in pairs}
+        if not trials:
+            return
+        everything = [trial for own in trials.values() for trial in own]
+        recording = run_experiment(everything, environment, timestep=STEP, n_threads=n_threads, progress=progress)
+        first = 0
+        for (condition, subject), own in trials.items():
+            yield condition, subject, recording.isel(trial=slice(first, first + len(own)))
+            first += len(own)
+
+    # Arms that are the same are simulated once: most mechanisms change the arm of one task, or of a few conditions.
+    found: dict[tuple[str, Subject], Response | str] = {}
+    steady: dict[Subject, str] = {}
+    for (_, condition), subject in sorted(subjects.items(), key=lambda item: item[0][1] != "RT0"):
+        if subject not in wrong:
+            steady.setdefault(subject, condition)
+    for condition, subject, recording in recorded(_alone(), ((name, subject) for subject, name in steady.items())):
+        reason = _left_workspace(recording) or _restless(recording)
+        if reason:
+            wrong[subject] = reason
+        found[condition, subject] = reason or _response(recording, subject)
+    moved = {(name, subject): None for (_, name), subject in subjects.items() if name != "RT0" and subject not in wrong}
+    for condition, subject, recording in recorded(_continuous(n_multisines), moved):
+        found[condition, subject] = _left_workspace(recording) or _response(recording, subject)
+
+    responses: dict[tuple[str, str], Response] = {}
+    unstable: dict[tuple[str, str], str] = {}
+    for key, subject in subjects.items():
+        answer = wrong[subject] if subject in wrong else found[key[1], subject]
+        if isinstance(answer, Response):
+            responses[key] = answer
+        else:
+            unstable[key] = answer
+    return Yielding(person=person, variants=tuple(arms), responses=responses, unstable=unstable)
+
+
+def _alone() -> Protocol:
+    """Every condition without its multisine, and long enough to see whether an arm comes to rest."""
+    conditions = [
+        replace(
+            THESIS.condition(name),
+            rms_displacement=0.0,
+            published_force=0.0,
+            pulse_levels=(PULSES.get(name, 1.0),),
+            repetitions=1,
+        )
+        for name in CONDITIONS
+    ]
+    return with_published_forces(conditions, REST, REST + CALM)
+
+
+def _continuous(n_multisines: int) -> Protocol:
+    """The conditions with a multisine; with pulses at its end where they are shown."""
+    conditions = [
+        replace(
+            THESIS.condition(name),
+            pulse_levels=(PULSES[name],) if name in PULSES else (),
+            repetitions=n_multisines,
+        )
+        for name in CONDITIONS
+        if THESIS.condition(name).has_multisine
+    ]
+    onset = WINDOW_START + PERIOD
+    return with_published_forces(conditions, onset, onset + max(WINDOWS.values()) + 0.1)
+
+
+def _trials(protocol: Protocol, condition: str, subject: Subject, seed: int) -> list[Trial]:
+    """The trials of one condition, whose multisines are those of all conditions, and of both directions."""
+    own = replace(protocol, conditions=(protocol.condition(condition),))
+    drawn = own.draw_multisines(seed, range(own.conditions[0].repetitions))
+    multisines = {number: drawn[cell.repetition] for number, cell in enumerate(own.cells()) if drawn}
+    person = Person(name=subject.name, height=1.0, mass=1.0, subjects={subject.task: subject})
+    return own.trials(person, own.given_forces(), seed, 0, noisy=False, multisines=multisines)
+
+
+def _left_workspace(recording: xr.Dataset) -> str:
+    """Empty if no trial did."""
+    limit = recording["limit_time"].values
+    return f"leaves the workspace at {np.nanmin(limit):.1f} s" if np.isfinite(limit).any() else ""
+
+
+def _restless(recording: xr.Dataset) -> str:
+    """Empty if the arm comes to rest after a pulse: hardly moves any more, or much less than some time before."""
+    rate = float(recording.attrs["rate"])
+    handle, second = recording["displacement"].values, round(rate)
+    before, after = (
+        np.ptp(part, axis=1).max(axis=-1) for part in (handle[:, -4 * second : -3 * second], handle[:, -second:])
+    )
+    peak = np.linalg.norm(handle, axis=-1).max(axis=-1)
+    restless = (after > RESTLESS * peak) & (after > 0.5 * before)
+    return f"still swings {CALM:g} s after a pulse" if restless.any() else ""
+
+
+def _response(recording: xr.Dataset, subject: Subject) -> Response:
+    """What one arm's trials in one condition show."""
+    rate = float(recording.attrs["rate"])
+    response = Response(subject=subject)
+    pulse_onset = float(recording["pulse_onset"].values[0])
+    if math.isfinite(pulse_onset):
+        onset = round(pulse_onset * rate)
+        shown = slice(onset, onset + round(WINDOWS[subject.task] * rate) + 1)
+        distance = np.linalg.norm(recording["displacement"].values[:, shown], axis=-1)
+        peaks = pulse_peaks(recording)
+        response = replace(
+            response,
+            time=np.arange(distance.shape[1]) / rate,
+            distance=distance.mean(axis=0),
+            peak=float(peaks.displacement.mean()),
+            pulse_admittance=float(peaks.displacement.mean() / peaks.force.mean()),
+        )
+    if pulse_onset < WINDOW_START:
+        return response
+    spectra = estimate_spectra(line_spectra(recording, start=WINDOW_START))
+    rotation = true_rotations(recording)
+    window = slice(round(WINDOW_START * rate), round((WINDOW_START + PERIOD) * rate))
+    stretch = element_motion(rotation[:, window].reshape(-1, 2))
+    return replace(
+        response,
+        frequency=spectra.frequency,
+        gain=np.abs(spectra.arm),
+        stretch=np.sqrt(np.mean(stretch**2, axis=0)),
+    )
+
+
+def intrinsic_loop(subject: Subject, amplitude: Sequence[float] | Array, *, frequency: float = LOOP_FREQUENCY) -> Loop:
+    """Intrinsic torque of the muscle elements while each is stretched to and fro: spring, damper and muscle law.
+
+    Args:
+      subject: whose muscles.
+      amplitude: of the sinusoidal stretch [rad], (element,).
+      frequency: of the sinusoid [Hz].
+
+    Returns:
+      One cycle, closed, after `LOOP_CYCLES` of them: muscle remembers how it was moved.
+    """
+    timestep = 1.0 / (frequency * LOOP_SAMPLES)
+    phase = 2.0 * np.pi * np.arange(LOOP_CYCLES * LOOP_SAMPLES + 1)[:, None] / LOOP_SAMPLES
+    stretch = np.asarray(amplitude, dtype=float) * np.sin(phase)
+    velocity = np.asarray(amplitude, dtype=float) * (2.0 * np.pi * frequency) * np.cos(phase)
+    parameters = muscle_parameters([subject], timestep)
+    state, law = rested(parameters), np.empty_like(stretch)
+    for step in range(len(stretch)):
+        torque, state = muscle_torque(parameters, state, stretch[step : step + 1], velocity[step : step + 1])
+        law[step] = torque[0]
+    linear = np.array(subject.muscle_groups("k")) * stretch + np.array(subject.muscle_groups("b")) * velocity
+    last = slice(-LOOP_SAMPLES - 1, None)
+    return Loop(stretch[last], (linear + law)[last])

@@ -1,0 +1,482 @@
+"""Plan an experiment: how well each parameter will be known, and the line powers that make it best known.
+
+The person is synthetic and so is the noise (`HUMAN_NOISE`, `Instruments`); what the design promises is what they make
+of it. The thesis's multisine, as strong as the same limits allow, stands beside it. That people are quieter when they
+are pushed less is known of the synthetic ones alone. So by default the noise is held at what it is under the thesis's
+multisine, and no joint is loaded more than by that one; what quieter people would add is told beside it.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, rfft
+
+from armperturb.analysis.arm.linear_arm import total_admittance
+from armperturb.analysis.arm.state_space import require_stable
+from armperturb.analysis.fit.structures import GRIP_UNITS, STRUCTURES, Structure, at_truth, true_values, unit
+from armperturb.analysis.force_balance import NoiseLevels
+from armperturb.arrays import Array
+from armperturb.controllers.remnant import HUMAN_NOISE
+from armperturb.environment import Environment
+from armperturb.envs.lab.experiment import MAX_DURATION
+from armperturb.envs.lab.instruments import Instruments
+from armperturb.envs.lab.trial import trial_seed
+from armperturb.perturbations import CLUSTERS, Multisine, Perturbation, Sampled
+from armperturb.perturbations.line_spectrum import draw_multisine
+from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD, PERIOD_SAMPLES
+from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
+from armperturb.study.planning.information import Experiment, Limits, Noise, optimise
+from armperturb.subject import Subject
+from armperturb.validation import require_number
+
+Row = dict[str, Any]
+
+Goal = Literal["reflex", "intrinsic", "grip", "mass", "all"]
+"""Parameters whose standard errors are to be small."""
+
+NoiseLaw = Literal["held", "follows"]
+"""How noisy the person is: as under the thesis's multisine, and more only where a joint is loaded more; or as the
+synthetic people, whose noise rises and falls with the load."""
+
+_QUANTITIES: Mapping[str, tuple[str, ...]] = {
+    "reflex": ("kv", "kp", "ka", "kf", "Td", "fact"),
+    "intrinsic": ("b", "k"),
+    "mass": ("m",),
+}
+_GAINS = tuple(f"{quantity}_{joint}" for quantity in ("kv", "kp", "ka", "kf") for joint in ("s", "se", "e"))
+
+SPREAD = 0.2
+"""Share of each axis's power that is spread evenly over the band [-]. The optimum alone sits on a handful of
+frequencies: whether the structure is right could not be told from it, nor admittances between them, and a person who
+is not as assumed would be badly served. A fifth costs little (docs/design.md has the figures)."""
+
+GAP, RATIO = 7, 1.06
+"""From a cluster to the next: at least so many lines (three empty ones between), and such a ratio of frequencies."""
+
+TIMESTEP = 1e-3
+"""Of the simulation, whose noise is meant [s]."""
+
+
+SHORTEST_PERIOD = PERIOD / 4
+"""Of a multisine [s]; its clusters are 0.8 Hz wide."""
+
+SETTLING = 4.0
+"""Time that a record must leave before the window of a period, in which spectra are estimated [s]."""
+
+USUAL_START = 8.0
+"""Of that window where the record is long enough [s]."""
+
+MOST_TRIALS = 1000
+
+LEAST_FORCE, MOST_FORCE = 1e-3, 1e3
+"""Of a limit [N]: below gauges tell nothing, above no manipulator goes."""
+
+
+def cluster_starts(period: float = PERIOD) -> NDArray[np.int64]:
+    """First lines of the clusters that may be used, in cycles per period, over the thesis's band, (cluster,).
+
+    Args:
+      period: [s].
+    """
+    # Above the thesis's lowest line, and at least two periods in the window.
+    starts = [max(2, int(np.ceil(CLUSTERS[0, 0] * period / PERIOD)))]
+    highest = CLUSTERS[-1, -1] * period / PERIOD - (CLUSTERS.shape[1] - 1)
+    while (following := max(starts[-1] + GAP, round(RATIO * starts[-1]))) <= highest:
+        starts.append(following)
+    return np.array(starts)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignSettings:
+    """What is to be planned.
+
+    Attributes:
+      subject: who will be perturbed, as far as is known.
+      goal: whose standard errors are to be small, see `Goal`.
+      limits: RMS force per axis [N], RMS displacement of the handle per axis that the perturbation causes [m], and
+        duration of a trial [s].
+      model: structure that will be fitted, see `analysis.structures`; what it fixes is known. By default 3b, or 1 for a
+        person without reflexes.
+      trials: that will be identified together, each with phases of its own.
+      peak: largest force there may ever be on an axis [N]; None for no such limit.
+      spread: share of each axis's power that is spread evenly over the band, 0 to 1 [-].
+      noise: for which the lines are chosen, see `NoiseLaw`.
+      proposed: perturbation whose standard errors are to be told beside; it need not keep the limits.
+      seed: of the phases.
+
+    Raises:
+      TypeError: a value has the wrong type.
+      ValueError: a value is out of its range, the model has no such parameters, or the person is unstable.
+    """
+
+    subject: Subject
+    goal: Goal
+    limits: tuple[float, float, float]
+    model: str | None = None
+    trials: int = 8
+    peak: float | None = None
+    spread: float = SPREAD
+    noise: NoiseLaw = "held"
+    proposed: Perturbation | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for field, allowed in (("goal", get_args(Goal)), ("noise", get_args(NoiseLaw))):
+            if getattr(self, field) not in allowed:
+                raise ValueError(f"design: {field} = {getattr(self, field)!r}; expected one of {', '.join(allowed)}")
+        if len(self.limits) != 3:
+            raise ValueError(
+                f"design: limits = {self.limits!r}; expected three numbers: RMS force [N], RMS displacement [m], "
+                "duration [s]"
+            )
+        force, displacement, duration = self.limits
+        require_number("design", "limit of the force [N]", force, at_least=LEAST_FORCE, at_most=MOST_FORCE)
+        name = "limit of the displacement [m]"
+        require_number("design", name, displacement, above=0.0, at_most=LARGEST_RMS_DISPLACEMENT)
+        # What is less than the encoders' steps is lost in them.
+        least = noise_levels(Instruments()).displacement
+        if displacement < least:
+            raise ValueError(
+                f"design: {name} = {displacement:g}; expected at least the noise of the encoders, {least:.2g} m"
+            )
+        # A period that is not whole tells no lines apart.
+        shortest = SHORTEST_PERIOD + SETTLING
+        require_number("design", "duration [s]", duration, at_least=shortest, at_most=MAX_DURATION)
+        if self.model is not None and self.model not in STRUCTURES:
+            raise ValueError(f"design: model = {self.model!r}; expected one of {', '.join(STRUCTURES)}")
+        require_number("design", "trials", self.trials, at_least=1, at_most=MOST_TRIALS)
+        require_number("design", "seed", self.seed, at_least=0)
+        for field in ("trials", "seed"):
+            if not isinstance(getattr(self, field), int):
+                raise TypeError(f"design: {field} = {getattr(self, field)!r}; expected a whole number")
+        if self.peak is not None:
+            require_number("design", "peak [N]", self.peak, at_least=LEAST_FORCE)
+        require_number("design", "spread", self.spread, at_least=0.0, at_most=1.0)
+        if self.proposed is not None:
+            name = "duration of the proposed perturbation [s]"
+            require_number("design", name, self.proposed.duration, at_least=shortest, at_most=MAX_DURATION)
+        require_stable(self.subject, Environment())
+        if not self.wanted():
+            lacking = "" if any(self._gains()) else f", and {self.subject.name!r} no reflexes"
+            raise ValueError(
+                f"design: goal = {self.goal!r}; expected another, as model {self.model_name()} leaves none of these "
+                f"parameters free{lacking}"
+            )
+
+    def _gains(self) -> list[float]:
+        return [getattr(self.subject, name) for name in _GAINS]
+
+    @property
+    def period(self) -> float:
+        """Of the multisine [s]: the thesis's, or its half or quarter where the duration is too short for that."""
+        period = PERIOD
+        while period + SETTLING > self.limits[2]:
+            period /= 2.0
+        return period
+
+    @property
+    def start(self) -> float:
+        """Of the window of whole periods in which `identify` estimates spectra [s]."""
+        return min(USUAL_START, self.limits[2] - self.period)
+
+    def model_name(self) -> str:
+        """Name of the structure that will be fitted."""
+        return self.model or ("3b" if any(self._gains()) else "1")
+
+    def structure(self) -> Structure:
+        """What will be fitted, what it fixes being known."""
+        structure = STRUCTURES[self.model_name()]
+        return at_truth(structure, self.subject).named(structure.name)
+
+    def wanted(self) -> tuple[str, ...]:
+        """Free parameters that the goal names."""
+        free = self.structure().free
+        if self.goal == "all":
+            return free
+        if self.goal == "grip":
+            return tuple(name for name in free if name in GRIP_UNITS)
+        quantities = _QUANTITIES[self.goal]
+        return tuple(name for name in free if name not in GRIP_UNITS and name.partition("_")[0] in quantities)
+
+
+class Signal(NamedTuple):
+    """What a perturbation will tell.
+
+    Attributes:
+      frequency: of its lines [Hz], (line,).
+      power: mean square force [N^2], (line, axis).
+      standard_error: law of the noise to the least standard error of each free parameter, from all trials, SI,
+        (parameter,).
+      displacement: RMS displacement of the handle that it causes, on average over phases [m], (axis,).
+      duration: of a trial [s].
+    """
+
+    frequency: Array
+    power: Array
+    standard_error: Mapping[NoiseLaw, Array]
+    displacement: Array
+    duration: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Design:
+    """What came out.
+
+    Attributes:
+      settings: what was planned.
+      names: of the free parameters.
+      truth: their values, SI, (parameter,).
+      thesis: its multisine, as strong as the limits allow.
+      optimised: the best multisine within the limits.
+      proposed: the proposed perturbation, played in every trial, if there is one.
+      perturbations: realisations of the optimised one, one per trial.
+      excess: bound of how far the optimum is from the best, see `analysis.design.Optimum` [-].
+    """
+
+    settings: DesignSettings
+    names: tuple[str, ...]
+    truth: Array
+    thesis: Signal
+    optimised: Signal
+    proposed: Signal | None
+    perturbations: tuple[Sampled, ...]
+    excess: float
+
+    @property
+    def factor(self) -> float:
+        """Geometric mean of the goal's standard errors, optimised over thesis's, by the law of the settings [-]."""
+        return self.factors[self.settings.noise]
+
+    @cached_property
+    def factors(self) -> dict[NoiseLaw, float]:
+        """Law of the noise to that factor."""
+        columns = [self.names.index(name) for name in self.settings.wanted()]
+        ratios = {
+            law: (self.optimised.standard_error[law] / self.thesis.standard_error[law])[columns]
+            for law in get_args(NoiseLaw)
+        }
+        return {law: float(np.exp(np.mean(np.log(ratio)))) for law, ratio in ratios.items()}
+
+    @cached_property
+    def between_trials(self) -> Array:
+        """What adds to each standard error (as squares) as synthetic people differ from trial to trial, SI.
+
+        That is the SD over trials of a parameter's mean over the joints that it stands for, over the root of the
+        number of trials, (parameter,).
+        """
+        human = HUMAN_NOISE[self.settings.subject.task]
+        shares = [
+            getattr(human, f"spread_{name.partition('_')[0]}", 0.0) if name not in GRIP_UNITS else 0.0
+            for name in self.names
+        ]
+        return np.abs(self.truth) * np.array(shares) / np.sqrt(self.settings.trials)
+
+    def rows(self) -> list[Row]:
+        """Predicted standard errors per parameter, SI."""
+        wanted, law = self.settings.wanted(), self.settings.noise
+        rows: list[Row] = []
+        for column, name in enumerate(self.names):
+            thesis = float(self.thesis.standard_error[law][column])
+            optimised = {key: float(error[column]) for key, error in self.optimised.standard_error.items()}
+            row = {
+                "parameter": name,
+                "unit": unit(name),
+                "value": float(self.truth[column]),
+                "goal": int(name in wanted),
+                "sem_thesis": thesis,
+                "sem_optimised": optimised[law],
+                "ratio": optimised[law] / thesis,
+                "sem_noise_held": optimised["held"],
+                "sem_noise_follows": optimised["follows"],
+                "between_trials": float(self.between_trials[column]),
+            }
+            if self.proposed is not None:
+                row["sem_proposed"] = float(self.proposed.standard_error[law][column])
+            rows.append(row)
+        return rows
+
+    def spectrum_rows(self) -> list[Row]:
+        """RMS force of each line."""
+        return [
+            {
+                "signal": name,
+                "frequency_hz": float(frequency),
+                "force_x_N": float(np.sqrt(x)),
+                "force_y_N": float(np.sqrt(y)),
+            }
+            for name, signal in (("thesis", self.thesis), ("optimised", self.optimised))
+            for frequency, (x, y) in zip(signal.frequency, signal.power, strict=True)
+        ]
+
+    def signal_rows(self) -> list[Row]:
+        """RMS and largest force, and RMS displacement of the handle, of each realisation."""
+        n_period = round(self.settings.period * DESIGN_RATE)
+        moved = [displacements(self.settings.subject, signal, n_period) for signal in self.perturbations]
+        return [
+            {
+                "trial": number,
+                "axis": axis,
+                "rms_force_N": float(np.sqrt(np.mean(signal.force[:n_period, column] ** 2))),
+                "peak_force_N": float(np.abs(signal.force[:, column]).max()),
+                "rms_displacement_m": float(moved[number - 1][column]),
+            }
+            for number, signal in enumerate(self.perturbations, start=1)
+            for column, axis in enumerate(("x", "y"))
+        ]
+
+
+def design(settings: DesignSettings) -> Design:
+    """Plan.
+
+    Raises:
+      ValueError: no multisine tells about some of the model's parameters; the message names them.
+    """
+    force, displacement, duration = settings.limits
+    structure, starts = settings.structure(), cluster_starts(settings.period)
+    n_period = round(settings.period * DESIGN_RATE)
+    seeds = [trial_seed(settings.seed, "design", number) for number in range(settings.trials)]
+
+    usual = experiment_at(settings, CLUSTERS.ravel() / PERIOD)
+    multisine = Multisine(rms=force, phases=np.zeros((2, CLUSTERS.size)))
+    thesis = np.repeat(multisine.amplitudes[:, None] ** 2 / 2.0, 2, axis=1)
+    thesis /= max(1.0, float(usual.displacement(thesis).max()) / displacement**2)
+    if settings.peak is not None:
+        multisines = [Multisine.draw(seed=seed, rms=float(np.sqrt(thesis[:, 0].sum()))) for seed in seeds]
+        largest = max(float(np.abs(one.sample(DESIGN_RATE, PERIOD_SAMPLES)).max()) for one in multisines)
+        thesis *= min(1.0, settings.peak / largest) ** 2
+    usual_demand = usual.demand(thesis)
+
+    lines = (starts[:, None] + np.arange(CLUSTERS.shape[1])).ravel()
+    best = experiment_at(settings, lines / settings.period)
+    held = usual_demand if settings.noise == "held" else None
+    limits = Limits(force, displacement)
+    optimum = optimise(best, len(starts), settings.wanted(), limits, settings.spread, held)
+    drawn = [
+        balanced(
+            settings.subject,
+            draw_multisine(lines, optimum.power, seed=seed, duration=duration, n_period=n_period),
+            n_period,
+        )
+        for seed in seeds
+    ]
+    # How x and y add up depends on the phases: the worst trial must be within the limits.
+    moved = max(float(displacements(settings.subject, one, n_period).max()) for one in drawn)
+    scale = min(1.0, displacement / moved)
+    if settings.peak is not None:
+        scale = min(scale, settings.peak / max(float(np.abs(one.force).max()) for one in drawn))
+
+    def signal(of: Experiment, powers: Array) -> Signal:
+        return _signal(
+            of, powers, usual_demand, lambda demand: of.information(powers, demand), duration, settings.trials
+        )
+
+    return Design(
+        settings=settings,
+        names=structure.free,
+        truth=true_values(settings.subject, structure),
+        thesis=signal(usual, thesis),
+        optimised=signal(best, scale**2 * optimum.power),
+        proposed=None if settings.proposed is None else proposed_signal(settings, usual_demand),
+        perturbations=tuple(Sampled(force=scale * one.force, rate=one.rate) for one in drawn),
+        excess=optimum.excess,
+    )
+
+
+def experiment_at(settings: DesignSettings, frequency: Array) -> Experiment:
+    """The planned experiment with lines at these frequencies [Hz], (frequency,)."""
+    human, instruments = HUMAN_NOISE[settings.subject.task], Instruments()
+    floor, louder = (human.torque_spectrum([rms, rms], TIMESTEP, frequency)[:, 0] for rms in (0.0, 1.0))
+    noise = Noise(floor, louder - floor, noise_levels(instruments), DESIGN_RATE)
+    return Experiment(settings.subject, settings.structure(), Environment(), frequency, noise)
+
+
+def proposed_signal(settings: DesignSettings, usual_demand: Array) -> Signal:
+    """What the proposed perturbation tells, with the phases that it has.
+
+    Args:
+      settings: with a proposed perturbation; each trial plays it for as long as it lasts.
+      usual_demand: with which the thesis's multisine loads each joint [Nm^2], (joint,).
+
+    Raises:
+      ValueError: it tells nothing about some of the model's parameters; the message names them.
+    """
+    assert settings.proposed is not None
+    lasts = settings.proposed.duration
+    n_samples = round(lasts * DESIGN_RATE)
+    spectrum = 2.0 * rfft(settings.proposed.sample(DESIGN_RATE, n_samples), axis=0) / n_samples
+    frequency = np.arange(len(spectrum)) * DESIGN_RATE / n_samples
+    kept = (frequency > 0.0) & (frequency < DESIGN_RATE / 2.0)  # a constant force tells nothing of what moves
+    of, amplitudes = experiment_at(settings, frequency[kept]), spectrum[kept]
+    try:
+        return _signal(
+            of,
+            np.abs(amplitudes) ** 2 / 2.0,
+            usual_demand,
+            lambda demand: of.information_of(amplitudes, demand),
+            lasts,
+            settings.trials,
+        )
+    except ValueError as error:
+        raise ValueError(f"proposed perturbation: {error}") from None
+
+
+def _signal(
+    of: Experiment,
+    powers: Array,
+    usual_demand: Array,
+    told: Callable[[Array], Array],
+    duration: float,
+    trials: int,
+) -> Signal:
+    """What lines tell; `told` gives the information per second for a demand."""
+    own = of.demand(powers)
+    demands: dict[NoiseLaw, Array] = {"held": np.maximum(own, usual_demand), "follows": own}
+    errors = {law: of.standard_error(told(demand), duration, trials) for law, demand in demands.items()}
+    return Signal(of.frequency, powers, errors, np.sqrt(of.displacement(powers)), duration)
+
+
+def balanced(subject: Subject, perturbation: Sampled, n_period: int) -> Sampled:
+    """The perturbation with y later by so much that x and y together move the handle as they do on average over phases.
+
+    On its few lines an optimum may else move it by a third more or less. Neither spectra nor peaks change.
+
+    Args:
+      subject: who is perturbed.
+      perturbation: a periodic one.
+      n_period: samples per period.
+    """
+    spectrum = rfft(perturbation.force[:n_period], axis=0)
+    total = total_admittance(subject, Environment(), np.arange(1, len(spectrum)) * perturbation.rate / n_period)
+    by_axis = total * spectrum[1:, None]
+    alone = np.sum(np.abs(by_axis) ** 2, axis=(0, 2))
+    # Of both together, for each delay of y in samples.
+    common = np.concatenate([np.zeros((1, 2)), by_axis[:, :, 0] * by_axis[:, :, 1].conj()])
+    together = n_period * irfft(common, n_period, axis=0)
+    delay = int(np.argmin(np.max(np.abs(together) / alone, axis=1)))
+    period = np.stack([perturbation.force[:n_period, 0], np.roll(perturbation.force[:n_period, 1], delay)], axis=1)
+    return Sampled(force=np.resize(period, perturbation.force.shape), rate=perturbation.rate)
+
+
+def displacements(subject: Subject, perturbation: Sampled, n_period: int = PERIOD_SAMPLES) -> Array:
+    """RMS displacement of the handle that a periodic perturbation causes once its start is forgotten [m], (axis,).
+
+    Args:
+      subject: who is perturbed.
+      perturbation: of at least a period.
+      n_period: samples per period.
+    """
+    spectrum = rfft(perturbation.force[:n_period], axis=0)[1:] / n_period
+    total = total_admittance(subject, Environment(), np.arange(1, len(spectrum) + 1) * perturbation.rate / n_period)
+    return np.asarray(np.sqrt(2.0 * np.sum(np.abs(np.einsum("fij,fj->fi", total, spectrum)) ** 2, axis=0)))
+
+
+def noise_levels(instruments: Instruments) -> NoiseLevels:
+    """Noise of gauge and encoders per sample, the latter from rounding to counts where the handle starts."""
+    step = 2.0 * np.pi / 2**instruments.encoder_bits
+    # Of the handle per rad of each joint: its distance from that joint.
+    levers = np.hypot(*instruments.base), instruments.link_lengths[1]
+    return NoiseLevels(instruments.force_noise, float(step / np.sqrt(12.0) * np.hypot(*levers) / np.sqrt(2.0)))

@@ -1,0 +1,207 @@
+"""What a plan says, for people and for other programs: text, tables, one figure, and perturbations to play."""
+
+import importlib.metadata
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+from armperturb.arrays import Array
+from armperturb.files import write_csv, write_durably
+from armperturb.perturbations import save_csv
+from armperturb.perturbations.multisine import PERIOD
+from armperturb.plots.style import COLOURS, INK, PUBLISHED, in_style, new_figure, save_svg
+from armperturb.study.planning.information import effective_duration
+from armperturb.study.planning.plan import SETTLING, USUAL_START, Design, NoiseLaw, Signal
+
+LOOKS = {
+    "thesis's multisine": {"color": PUBLISHED["color"]},
+    "optimised": {"color": INK},
+    "proposed": {"color": COLOURS["PT"]},
+}
+"""Colour of each signal, and what it is called."""
+
+NOISE = {"held": "as under the thesis's multisine", "follows": "follows the load"}
+"""What each law of the noise is called."""
+
+LEAST_SHOWN = 1e-5
+"""Power of a line over that of the strongest from which on the figure shows it [-]."""
+
+LONGEST = 8
+"""Longest duration, and most trials, of the figure, over those that are planned [-]."""
+
+
+def design_text(design: Design) -> str:
+    """The table for a terminal: standard errors in percent of the value, or in its unit where that is zero."""
+    settings = design.settings
+    force, displacement, duration = settings.limits
+    head = (
+        f"{settings.subject.name!r} ({settings.subject.task}), model {settings.model_name()}, goal {settings.goal}: "
+        f"{settings.trials} trial{'' if settings.trials == 1 else 's'} of {duration:g} s, RMS of at most {force:g} N "
+        f"and {1e3 * displacement:g} mm per axis"
+    )
+    columns = {"sem_thesis": "SEM thesis", "sem_optimised": "optimised"}
+    if design.proposed is not None:
+        columns["sem_proposed"] = "proposed"
+    titles = " ".join(f"{title:>11}" for title in columns.values())
+    lines = [head, "", f"{'parameter':9}{'value':>16}   {titles} {'ratio':>6} {'trials':>11}"]
+    for row in design.rows():
+        scale, percent = (100.0 / abs(row["value"]), " %") if row["value"] else (1.0, "  ")
+        errors = " ".join(f"{scale * row[name]:>9.3g}{percent}" for name in columns)
+        vary = f"{scale * row['between_trials']:>9.2g}{percent}" if row["between_trials"] else ""
+        mark = " *" if row["goal"] else ""
+        lines.append(
+            f"{row['parameter']:9}{row['value']:8.4g} {row['unit']:7}   {errors} {row['ratio']:>6.2f} {vary:>11}{mark}"
+        )
+    laws: dict[NoiseLaw, str] = {
+        "held": "with the noise held at what it is under the thesis's",
+        "follows": "if the noise follows the load, as that of the synthetic people does",
+    }
+    other: NoiseLaw = "follows" if settings.noise == "held" else "held"
+    lines += [
+        "SEM: least standard error of any unbiased estimator (Cramer-Rao) of the parameters in these trials; ratio: "
+        "optimised over thesis's; * counts;",
+        "trials: what adds, as squares, because parameters of synthetic people differ from trial to trial",
+        "",
+        f"geometric mean of the SEM of *: {design.factor:.2f} of the thesis's {laws[settings.noise]},",
+        f"as from {design.factor**-2:.1f} times as many trials; {design.factors[other]:.2f} {laws[other]}",
+    ]
+    if design.factors[other] > 1.0:
+        lines.append(f"beware: the optimised multisine is worse than the thesis's {laws[other]}")
+    for name, signal in _signals(design):
+        forces = ", ".join(f"{value:.2f}" for value in np.sqrt(signal.power.sum(axis=0)))
+        moves = ", ".join(f"{1e3 * value:.1f}" for value in signal.displacement)
+        lasts = "" if signal.duration == duration else f"; {signal.duration:g} s"
+        lines.append(f"{name}: RMS force x, y {forces} N; RMS displacement {moves} mm{lasts}")
+    peaks = [row["peak_force_N"] for row in design.signal_rows()]
+    lines.append(f"largest force of the realisations: {max(peaks):.1f} N")
+    if settings.period < PERIOD or settings.start < USUAL_START:
+        lines.append(
+            f"period {settings.period:g} s, for which there is time: identify with --period {settings.period:g} "
+            f"--start {settings.start:g}"
+        )
+    return "\n".join(lines)
+
+
+def _signals(design: Design) -> list[tuple[str, Signal]]:
+    signals = zip(LOOKS, (design.thesis, design.optimised, design.proposed), strict=True)
+    return [(name, signal) for name, signal in signals if signal is not None]
+
+
+@in_style()
+def design_figure(design: Design) -> Figure:
+    """Standard errors against duration and number of trials, and the spectra, of both signals."""
+    settings, duration = design.settings, design.settings.limits[2]
+    columns = [design.names.index(name) for name in settings.wanted()]
+    known = bool(design.truth[columns].all())
+    figure = new_figure(5.2)
+    (against_duration, against_trials), (on_x, on_y) = figure.subplots(2, 2, sharey="row")
+    durations = np.geomspace(min(duration, PERIOD + SETTLING), LONGEST * duration, 100)
+    trials = np.arange(1.0, LONGEST * settings.trials + 1.0)
+    lengths = np.array([effective_duration(one) for one in durations])
+    planned = effective_duration(duration)
+    for name, signal in _signals(design):
+        size = np.abs(design.truth[columns]) / 100.0 if known else 1.0
+        # A second of one trial; a proposed perturbation may last longer than what is planned.
+        of_a_second = signal.standard_error[settings.noise][columns] / size
+        of_a_second *= np.sqrt(settings.trials * effective_duration(signal.duration))
+        for ax, steps, seconds, planned_step in (
+            (against_duration, durations, settings.trials * lengths, duration),
+            (against_trials, trials, trials * planned, settings.trials),
+        ):
+            for one in of_a_second:
+                ax.plot(steps, one / np.sqrt(seconds), linewidth=0.6, alpha=0.4, **LOOKS[name])
+            mean = float(np.exp(np.mean(np.log(of_a_second))))
+            ax.plot(steps, mean / np.sqrt(seconds), linewidth=2.0, label=name, **LOOKS[name])
+            ax.plot(planned_step, mean / np.sqrt(settings.trials * planned), "o", **LOOKS[name])
+    against_duration.set_xlabel(f"duration [s], {settings.trials} trial{'' if settings.trials == 1 else 's'}")
+    against_trials.set_xlabel(f"trials of {duration:g} s")
+    against_duration.set_ylabel("SEM [% of the value]" if known else "SEM [SI]")
+    for ax in (against_duration, against_trials):
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+        ax.xaxis.set_minor_locator(NullLocator())
+        _label_decades(ax)
+    against_duration.set_xticks(*_ticks(durations))
+    against_trials.set_xticks(*_ticks(trials))
+    for column, (ax, axis) in enumerate(((on_x, "x"), (on_y, "y"))):
+        for name, signal in _signals(design):
+            _spectrum(ax, signal, column, **LOOKS[name])
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+        _label_decades(ax)
+        ax.set_xticks([0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0])
+        ax.xaxis.set_minor_locator(NullLocator())
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        ax.set_xlabel(f"frequency [Hz], {axis}")
+    on_x.set_ylabel("RMS force of a line [N]")
+    handles, labels = against_duration.get_legend_handles_labels()
+    figure.suptitle(
+        f"{settings.subject.name!r}, goal {settings.goal}: geometric mean (thick) and each SEM, "
+        f"{design.factor:.2f} of the thesis's\n(noise {NOISE[settings.noise]})",
+        fontsize=9,
+    )
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    return figure
+
+
+def _ticks(values: Array) -> tuple[list[float], list[str]]:
+    steps = [step * 10.0**power for power in range(4) for step in (1, 2, 5)]
+    inside = [step for step in steps if values[0] <= step <= values[-1]]
+    return inside, [f"{step:g}" for step in inside]
+
+
+def _label_decades(ax: Axes) -> None:
+    """Plain numbers, also where an axis spans less than a decade."""
+    low, high = ax.get_ylim()
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 30.0 * low else (1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_locator(NullLocator())
+
+
+def _spectrum(ax: Axes, signal: Signal, column: int, color: str) -> None:
+    power = signal.power[:, column]
+    shown = power > LEAST_SHOWN * power.max()
+    ax.plot(signal.frequency[shown], np.sqrt(power[shown]), ".", markersize=3.5, color=color)
+
+
+def write_design(design: Design, folder: Path) -> None:
+    """Write tables, figure, settings, and one perturbation per trial that `simulate` plays.
+
+    Args:
+      design: what was planned.
+      folder: is made if it is not there; files of an earlier plan in it are replaced.
+
+    Raises:
+      OSError: a file cannot be written.
+    """
+    tables, figures, perturbations = (folder / name for name in ("tables", "figures", "perturbations"))
+    for one in (tables, figures, perturbations):
+        one.mkdir(parents=True, exist_ok=True)
+    for old in perturbations.glob("trial_*.csv"):  # of a plan with more trials
+        old.unlink()
+    write_csv(design.rows(), tables / "design.csv")
+    write_csv(design.spectrum_rows(), tables / "spectrum.csv")
+    write_csv(design.signal_rows(), tables / "signals.csv")
+    for number, perturbation in enumerate(design.perturbations, start=1):
+        save_csv(perturbation, perturbations / f"trial_{number:02d}.csv", perturbation.rate)
+    save_svg(design_figure(design), figures / "design.svg")
+    settings = design.settings
+    asked = {**asdict(replace(settings, proposed=None)), "model": settings.model_name()}
+    if settings.proposed is not None:
+        asked["proposed"] = {"duration": settings.proposed.duration}
+    made = {
+        "versions": {name: importlib.metadata.version(name) for name in ("armperturb", "numpy", "scipy")},
+        "settings": asked,
+        "period": settings.period,
+        "start": settings.start,
+        "factor": design.factor,
+        "factor_noise_held": design.factors["held"],
+        "factor_noise_follows": design.factors["follows"],
+        "excess": design.excess,
+    }
+    write_durably(folder / "settings.json", (json.dumps(made, indent=1, ensure_ascii=False) + "\n").encode())

@@ -1,0 +1,278 @@
+"""The thesis's own numbers, as its tables print them, in SI units."""
+
+import csv
+import functools
+import math
+from importlib import resources
+from typing import NamedTuple
+
+SI = {"kN/m": 1e3, "ms": 1e-3, "mm": 1e-3, "deg": math.radians(1.0), "deg/s": math.radians(1.0)}
+"""Factors from the printed units that are not SI."""
+
+PARAMETER_TABLES = {
+    "PT7.5": {"table": "E.3", "model": "3b", "start": "vartheta_i5"},
+    "RT2.5": {"table": "C.16", "model": "1", "start": ""},
+    "RT7.5": {"table": "C.18", "model": "1", "start": ""},
+    "RT22.5": {"table": "C.20", "model": "1", "start": ""},
+}
+"""Which table holds the parameters of a condition for the model that the thesis settled on; PT2.5 and PT22.5 were not
+fitted with model 3b."""
+
+
+class MeanSD(NamedTuple):
+    """Mean and standard deviation over the thesis's subjects, SI."""
+
+    mean: float
+    sd: float
+
+
+@functools.cache
+def _rows(name: str) -> tuple[dict[str, str], ...]:
+    text = resources.files("armperturb.study.published").joinpath(f"{name}.csv").read_text(encoding="utf-8")
+    return tuple(csv.DictReader(text.splitlines()))
+
+
+def parameter(condition: str, name: str) -> MeanSD:
+    """Published estimate of a parameter in a condition.
+
+    Raises:
+      KeyError: the thesis prints none.
+    """
+    if condition not in PARAMETER_TABLES:
+        raise KeyError(f"no published parameters in {condition}; there are some in {', '.join(PARAMETER_TABLES)}")
+    return estimate(name, **PARAMETER_TABLES[condition])
+
+
+def estimate(name: str, table: str, *, model: str, start: str = "", quantity: str = "parameter") -> MeanSD:
+    """An entry of one of the tables of appendices C to E.
+
+    Args:
+      name: of the parameter.
+      table: as printed, e.g. "E.3".
+      model: number of the structure.
+      start: "theta_i1" to "theta_i6" in appendix D, "vartheta_i1" to "vartheta_i6" in appendix E.
+      quantity: "parameter", its "SEM", or where the fit started, "initial", whose SD is NaN.
+
+    Raises:
+      KeyError: there is none.
+    """
+    wanted = {"parameter": name, "table": table, "model": model, "start": start, "quantity": quantity}
+    for row in _rows("parameters"):
+        if all(row[key] == value for key, value in wanted.items()):
+            factor = SI.get(row["unit"], 1.0)
+            return MeanSD(factor * float(row["mean"]), factor * float(row["sd"] or "nan"))
+    raise KeyError(f"table {table} has no {quantity} of {name} for model {model} {start}".rstrip())
+
+
+def bounds(name: str, table: str) -> tuple[float, float]:
+    """Lower and upper bound of a parameter in table "C.2", "D.2" or "E.2", SI.
+
+    Raises:
+      KeyError: there are none.
+    """
+    for row in _rows("bounds"):
+        if (row["table"], row["parameter"]) == (table, name) and row["lower"]:
+            factor = SI.get(row["unit"], 1.0)
+            return factor * float(row["lower"]), factor * float(row["upper"])
+    raise KeyError(f"table {table} has no bounds of {name}")
+
+
+def goodness_of_fit(quantity: str, table: str, *, model: str, start: str = "", condition: str = "PT7.5") -> float:
+    """Mean over trials of how well a structure fits (tables C.5 to E.5).
+
+    Args:
+      quantity: "criterion" [-], "VAF_x" or "VAF_y" [%], or the number of trials "N_pos" or "N_stab".
+      table: as printed, e.g. "E.5".
+      model: number of the structure.
+      start: as in `estimate`.
+      condition: of the trials.
+
+    Raises:
+      KeyError: there is none.
+    """
+    wanted = {"quantity": quantity, "table": table, "model": model, "start": start, "condition": condition}
+    for row in _rows("goodness_of_fit"):
+        if all(row[key] == value for key, value in wanted.items()):
+            return float(row["mean"])
+    raise KeyError(f"table {table} has no {quantity} for model {model} {start} in {condition}")
+
+
+def applied_force(condition: str) -> MeanSD:
+    """RMS force of the multisine, per axis [N] (table 2.1).
+
+    Raises:
+      KeyError: the thesis prints none.
+    """
+    return _condition(condition, "applied_force_rms_N", 1.0)
+
+
+def rms_displacement(condition: str) -> MeanSD:
+    """RMS displacement during the multisine, per axis [m] (table 2.1).
+
+    Raises:
+      KeyError: the thesis prints none.
+    """
+    return _condition(condition, "displacement_rms_mm", 1e-3)
+
+
+def pulse_unit() -> MeanSD:
+    """Peak force of pulse level 1 [N]: ten times the RMS force of PT7.5 (table 2.1)."""
+    return _condition("PT7.5", "pulse_peak_force_unit_N", 1.0)
+
+
+def joint_motion(condition: str, joint: str, quantity: str, pulse: str = "none") -> MeanSD:
+    """Rotation [rad] or velocity [rad/s] of a joint (tables F.2 to F.6).
+
+    Args:
+      condition: e.g. "PT7.5".
+      joint: "s" or "e".
+      quantity: "rms_rotation", "max_rotation", "rms_velocity" or "max_velocity" during the multisine;
+        "peak_rotation" or "peak_velocity" after a pulse.
+      pulse: "none" for the multisine; "min", "max" (level), "left" or "right" (direction).
+
+    Raises:
+      KeyError: the thesis prints none.
+    """
+    wanted = {"condition": condition, "joint": joint, "quantity": quantity, "pulse": pulse}
+    for row in _rows("joint_kinematics"):
+        if all(row[key] == value for key, value in wanted.items()):
+            factor = SI[row["unit"]]
+            return MeanSD(factor * float(row["mean"]), factor * float(row["sd"]))
+    raise KeyError(f"tables F.2 to F.6 have no {quantity} of joint {joint} in {condition} with pulse {pulse}")
+
+
+class FitEntry(NamedTuple):
+    """An entry of tables C.3 to C.22, D.3 to D.5 or E.3 to E.5.
+
+    Attributes:
+      table: as printed, e.g. "C.8".
+      condition: whose trials were fitted.
+      model: number of the structure.
+      start: where the fit started, in appendices D and E, e.g. "theta_i1"; empty in C.
+      quantity: "parameter", "SEM", "criterion" [-], "VAF_x" or "VAF_y" [%], or as shares of the trials [-] "N_pos" or
+        "N_stab".
+      parameter: name of the parameter; empty for the others.
+      value: mean (SD), SI; a share has no SD.
+    """
+
+    table: str
+    condition: str
+    model: str
+    start: str
+    quantity: str
+    parameter: str
+    value: MeanSD
+
+
+@functools.cache
+def fit_entries() -> tuple[FitEntry, ...]:
+    """All results in tables C.3 to C.22, D.3 to D.5 and E.3 to E.5, in the order of the tables."""
+    entries = []
+    for row in (*_rows("parameters"), *_rows("goodness_of_fit")):
+        if row["quantity"] == "initial":  # where a fit started is no result
+            continue
+        factor = 1.0 / float(row["max_count"]) if row.get("max_count") else SI.get(row["unit"], 1.0)
+        value = MeanSD(factor * float(row["mean"]), factor * float(row["sd"] or "nan"))
+        names = {name: row.get(name) or "" for name in FitEntry._fields[:-1]}
+        entries.append(FitEntry(**names, value=value))
+
+    def place(entry: FitEntry) -> tuple[str, int]:
+        appendix, _, number = entry.table.partition(".")
+        return appendix, int(number)
+
+    return tuple(sorted(entries, key=place))
+
+
+def headline_text(name: str) -> str:
+    """An entry of `headline.csv` as it stands there: a number, or "ns" for not significant.
+
+    Raises:
+      KeyError: there is none of that name.
+    """
+    for row in _rows("headline"):
+        if row["name"] == name:
+            return row["value"]
+    raise KeyError(f"no headline number {name!r}")
+
+
+def headline(name: str) -> float:
+    """A number of the running text by its name in `headline.csv`, in the unit that stands there.
+
+    Raises:
+      KeyError: there is none of that name.
+    """
+    return float(headline_text(name))
+
+
+def conditions() -> tuple[str, ...]:
+    """Names of the thesis's conditions, in the order of table 2.1."""
+    return tuple(dict.fromkeys(row["condition"] for row in _rows("conditions")))
+
+
+def has_multisine(condition: str) -> bool:
+    """Whether table 2.1 has a multisine in a condition."""
+    return any(row["condition"] == condition and float(row["intended_rms_mm"]) > 0.0 for row in _rows("conditions"))
+
+
+def pulse_levels(condition: str) -> tuple[str, ...]:
+    """Names of a condition's pulse levels, "min" (1) and "max" (2); empty for no condition of the thesis."""
+    return tuple(row["pulse_level_name"] for row in _rows("conditions") if row["condition"] == condition)
+
+
+def peak_displacement(condition: str, level: str) -> MeanSD:
+    """Peak displacement after a pulse, both directions pooled [m] (table 2.1).
+
+    Args:
+      condition: e.g. "PT7.5".
+      level: of the pulse, "min" or "max".
+
+    Raises:
+      KeyError: the thesis prints none.
+    """
+    for row in _rows("conditions"):
+        if (row["condition"], row["pulse_level_name"]) == (condition, level):
+            mean, sd = (1e-2 * float(row[f"pulse_peak_displacement_cm_{name}"]) for name in ("mean", "sd"))
+            return MeanSD(mean, sd)
+    raise KeyError(f"table 2.1 has no peak displacement of level {level} in {condition}")
+
+
+class JointMotion(NamedTuple):
+    """An entry of tables F.2 to F.6; its fields are as the arguments of `joint_motion`.
+
+    Attributes:
+      table: as printed, e.g. "F.2".
+      condition: e.g. "PT7.5".
+      pulse: "none", "min", "max", "left" or "right".
+      joint: "s" or "e".
+      quantity: e.g. "rms_rotation".
+    """
+
+    table: str
+    condition: str
+    pulse: str
+    joint: str
+    quantity: str
+
+
+def joint_motions() -> tuple[JointMotion, ...]:
+    """All entries of tables F.2 to F.6, as printed."""
+    return tuple(JointMotion(*(row[name] for name in JointMotion._fields)) for row in _rows("joint_kinematics"))
+
+
+def moment_arms() -> dict[str, float]:
+    """Joint ("wrist", "shoulder", "elbow") to the mean moment arm of its muscles [m] (table F.1).
+
+    The mean is over the muscles that the printed one holds: it leaves out the second of two equal rows of the shoulder.
+    """
+    arms: dict[str, list[float]] = {}
+    for row in _rows("moment_arms"):
+        if row["in_printed_mean"] == "yes":
+            arms.setdefault(row["joint"], []).append(SI[row["unit"]] * float(row["moment_arm"]))
+    return {joint: sum(values) / len(values) for joint, values in arms.items()}
+
+
+def _condition(condition: str, column: str, factor: float) -> MeanSD:
+    for row in _rows("conditions"):
+        if row["condition"] == condition and row[f"{column}_mean"] and row[f"{column}_sd"]:
+            return MeanSD(factor * float(row[f"{column}_mean"]), factor * float(row[f"{column}_sd"]))
+    raise KeyError(f"table 2.1 has no {column} in {condition}")

@@ -1,0 +1,339 @@
+"""The practice session: forces that move each person's handle as far as intended (thesis 2.5)."""
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from armperturb.analysis.arm.linear_arm import total_admittance
+from armperturb.arrays import Array
+from armperturb.cohort import Person
+from armperturb.controllers.remnant import HUMAN_NOISE
+from armperturb.environment import Environment, Strap
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.trial import Trial, random_stream, trial_seed
+from armperturb.perturbations import Multisine
+from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD
+from armperturb.study.protocol import PULSE_UNIT, Condition, Protocol
+from armperturb.subject import Subject
+
+Measure = Callable[[NDArray[np.int_], Array], Array]
+"""Numbers of cells and the RMS force to try in each [N], to the RMS displacement [m] that each answers with."""
+
+TOLERANCE = 0.02
+"""An RMS displacement this close to the intended one is a hit [-]."""
+
+AIM = 0.01
+"""Rounds go on until every cell is this close [-]: a hit with something to spare."""
+
+MAX_ROUNDS = 6
+"""Rounds that a practice session may take."""
+
+SETTLE = 8.0
+"""Time that passes before the displacement counts [s], as in the analysis: the transient has gone."""
+
+STEP = 2.5e-3
+"""Of the simulation [s]. Beside 1 ms, it makes the RMS displacement 0.05 % larger on average over conditions and people
+whose muscles yield, and 0.5 % in the worst (PT22.5): a quarter of the tolerance, and of the costs."""
+
+TRIALS_PER_BATCH = 240
+"""How many practice trials are simulated side by side; bounds the memory, changes no result."""
+
+N_CANDIDATES = 500
+"""How many sets of phases the practice multisine is picked from; its crest factor on y is some 2.8."""
+
+_YIELDING = 1.3
+"""Exponent of the response [-] in the first correction of people whose muscles yield: theirs is 1.0 to 1.8."""
+
+_LARGEST_STEP = math.log(4.0)
+"""Of the logarithm of the force from one round to the next."""
+
+_EXPONENTS = (0.1, 8.0)
+"""Between which the exponent of the response is looked for [-]: 1 is a linear arm."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Adjustment:
+    """What `adjust` found, one entry per cell.
+
+    Attributes:
+      force: RMS force [N], (cell,).
+      displacement: RMS displacement that it gave [m], (cell,).
+      rounds: how many rounds the cell took, (cell,).
+    """
+
+    force: Array
+    displacement: Array
+    rounds: NDArray[np.int_]
+
+
+def practise(
+    people: Sequence[Person],
+    protocol: Protocol,
+    seed: int,
+    environment: Environment | None = None,
+    n_threads: int = 0,
+    *,
+    noisy: bool = False,
+    progress: Callable[[float], object] | None = None,
+) -> tuple[dict[str, float], ...]:
+    """Forces for every person, each condition's adjusted until the handle moves as far as it shall.
+
+    That is as far as intended, times what people reach of it (`Condition.reached`). All people and conditions are
+    measured together, round after round; a cell that is settled leaves. With
+    `forces = "published"` nobody practises. A person's forces depend on the person, the protocol and the seed, not on
+    who else is there.
+
+    Args:
+      people: who practises.
+      protocol: whose conditions.
+      seed: of the study.
+      environment: what the hand holds; the thesis's manipulator if not given.
+      n_threads: of the simulation; 0 takes all cores.
+      noisy: whether people are noisy while they practise, in the same way in every round.
+      progress: called with the simulated seconds (all trials together) since the last call.
+
+    Returns:
+      Per person: name of each condition with a multisine to its RMS force per axis [N], and "pulse_unit" to the peak
+      force of pulse level 1 [N].
+
+    Raises:
+      KeyError: a person lacks a task of the protocol.
+      RuntimeError: a displacement was not reached in six rounds; the message names person, condition and values.
+    """
+    if protocol.forces == "published":
+        return tuple(protocol.given_forces() for _ in people)
+    environment = environment or Environment()
+    # Who is alike and shall move as far needs the same force.
+    cells: dict[_Cell, None] = {}
+    needs: list[dict[str, _Cell]] = []
+    for person in people:
+        needs.append({c.name: _Cell.of(person, c, seed) for c in protocol.conditions if c.has_multisine})
+        cells.update(dict.fromkeys(needs[-1].values()))
+    found = []
+    if cells:
+        found = _adjust_cells(list(cells), seed, environment, protocol.strap, n_threads, noisy, progress).force.tolist()
+    force_of = dict(zip(cells, found, strict=True))
+    forces = []
+    for need in needs:
+        of_person = {name: force_of[cell] for name, cell in need.items()}
+        unit = protocol.pulse_unit
+        if protocol.pulse_unit_condition:
+            unit = protocol.pulse_unit_factor * of_person[protocol.pulse_unit_condition]
+        forces.append({**of_person, PULSE_UNIT: float(unit)})
+    return tuple(forces)
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """Who shall move the handle how far; `condition` names one in which that is so, and makes no difference."""
+
+    subject: Subject
+    displacement: float
+    condition: str = field(compare=False)
+
+    @classmethod
+    def of(cls, person: Person, condition: Condition, seed: int) -> Self:
+        share = condition.reached
+        if condition.reached_spread:
+            rng = np.random.default_rng(random_stream(seed, f"reached {person.name} {condition.name}"))
+            share *= math.exp(condition.reached_spread * float(np.clip(rng.normal(), -2.0, 2.0)))
+        return cls(condition.subject_of(person), share * condition.rms_displacement, condition.name)
+
+
+def _adjust_cells(
+    cells: Sequence[_Cell],
+    seed: int,
+    environment: Environment,
+    strap: Strap | None,
+    n_threads: int,
+    noisy: bool,
+    progress: Callable[[float], object] | None,
+) -> Adjustment:
+    """The force of each cell.
+
+    Raises:
+      RuntimeError: a cell was not settled.
+    """
+    multisine = practice_multisine(seed)
+    per_newton = [linear_displacement(cell.subject, environment, multisine) for cell in cells]
+    targets = np.array([cell.displacement for cell in cells])
+
+    def measure(numbers: NDArray[np.int_], force: Array) -> Array:
+        trials = [
+            Trial(
+                subject=cell.subject,
+                perturbation=replace(multisine, rms=newton),
+                condition=cell.condition,
+                # The same noise in every round, or the session would chase it.
+                seed=trial_seed(seed, f"practice {cell.subject.name} {cell.condition}"),
+                noise=HUMAN_NOISE[cell.subject.task] if noisy else None,
+            )
+            for cell, newton in zip([cells[number] for number in numbers.tolist()], force.tolist(), strict=True)
+        ]
+        return np.concatenate(
+            [
+                measured_displacement(trials[first : first + TRIALS_PER_BATCH], environment, n_threads, progress, strap)
+                for first in range(0, len(trials), TRIALS_PER_BATCH)
+            ]
+        )
+
+    exponents = np.array([1.0 if cell.subject.muscle is None else _YIELDING for cell in cells])
+    found = adjust(targets, targets / np.array(per_newton), measure, exponents)
+    off = np.abs(found.displacement / targets - 1.0)
+    worst = int(np.argmax(np.where(np.isnan(off), np.inf, off)))
+    if not off[worst] <= TOLERANCE:
+        raise RuntimeError(
+            f"practice of {cells[worst].subject.name!r} in {cells[worst].condition}: RMS displacement = "
+            f"{1e3 * found.displacement[worst]:.4g} mm at an RMS force of {found.force[worst]:.4g} N after "
+            f"{found.rounds[worst]} rounds; expected {1e3 * targets[worst]:g} mm within {TOLERANCE:.0%}"
+        )
+    return found
+
+
+@functools.lru_cache(maxsize=64)
+def practice_multisine(seed: int) -> Multisine:
+    """The disturbance that people practise with, 1 N RMS: one that moves them as realisations do on average.
+
+    How far one realisation moves an arm depends, through the cross terms of the admittance, on the phases between x and
+    y: they differ by 8 % (SD over realisations, PT), in single cases by 30 %. Here the phase between x and y makes half
+    a turn within each cluster, + - - +, so that what the cross terms give in two lines they take in the other two:
+    1 % is left (SD over people). The phase of each cluster is free, and chosen for a low peak.
+    """
+    rng = np.random.default_rng(random_stream(seed, "practice"))
+    multisine = Multisine.draw(seed=rng, rms=1.0, duration=SETTLE + PERIOD)
+    n_clusters, n_lines = multisine.clusters.shape
+    turned = multisine.phases[0].reshape(n_clusters, n_lines) + np.pi * np.array([0.0, 1.0, 1.0, 0.0])
+    best, lowest = multisine, np.inf
+    for _ in range(N_CANDIDATES):
+        phases = (turned + rng.uniform(-np.pi, np.pi, (n_clusters, 1))).ravel()
+        candidate = replace(multisine, phases=np.stack([multisine.phases[0], phases]))
+        peak = candidate.crest_factor(DESIGN_RATE)[1]
+        if peak < lowest:
+            best, lowest = candidate, peak
+    return best
+
+
+def linear_displacement(subject: Subject, environment: Environment, multisine: Multisine) -> float:
+    """RMS displacement per axis of the linear arm under a multisine, in the steady state [m]."""
+    force = (multisine.amplitudes * np.exp(1j * multisine.phases)).T
+    response = np.einsum("foi,fi->fo", total_admittance(subject, environment, multisine.frequencies), force)
+    # A line has half its squared amplitude in power; pooled over both axes.
+    return float(np.sqrt(np.sum(np.abs(response) ** 2) / 4.0))
+
+
+def measured_displacement(
+    trials: Sequence[Trial],
+    environment: Environment,
+    n_threads: int = 0,
+    progress: Callable[[float], object] | None = None,
+    strap: Strap | None = None,
+) -> Array:
+    """RMS displacement from the start, pooled over both axes, from 8 s to 28.48 s [m], (trial,).
+
+    Infinite where the handle reached the workspace limit before the end, or the simulation diverged.
+    """
+    recording = run_experiment(trials, environment, timestep=STEP, strap=strap, n_threads=n_threads, progress=progress)
+    first, last = (round(time * recording.attrs["rate"]) for time in (SETTLE, SETTLE + PERIOD))
+    inside = recording["displacement"].values[:, first:last]
+    rms = np.sqrt(np.mean(inside**2, axis=(1, 2)))
+    return np.where((recording["limit_time"].values < SETTLE + PERIOD) | ~np.isfinite(rms), np.inf, rms)
+
+
+def adjust(
+    target: Array,
+    guess: Array,
+    measure: Measure,
+    exponent: Array | None = None,
+    *,
+    aim: float = AIM,
+    max_rounds: int = MAX_ROUNDS,
+) -> Adjustment:
+    """Find the force at which each cell's displacement is as intended.
+
+    Assumes that more force moves the handle further. The first correction is that of an arm that answers with a power
+    of the force; then such a law, from three rounds on above a noise, runs through the last rounds (`_model_solution`),
+    as far as it agrees with what is known to be too much and too little; otherwise the middle of these is tried.
+
+    Args:
+      target: intended RMS displacement [m], > 0, (cell,).
+      guess: RMS force of the first round [N], > 0, (cell,).
+      measure: numbers of cells and their forces to displacements; infinite where it was far too much.
+      exponent: of the first correction [-], > 0, (cell,); that of linear arms, 1, if not given.
+      aim: relative error at which a cell is settled [-].
+      max_rounds: when to give up.
+
+    Returns:
+      For each cell the best of its rounds, settled or not.
+    """
+    n_cells = len(target)
+    tried: list[list[tuple[float, float]]] = [[] for _ in range(n_cells)]
+    force = np.array(guess, dtype=float)
+    exponents = np.ones(n_cells) if exponent is None else exponent
+    unsettled = np.arange(n_cells)
+    for _ in range(max_rounds):
+        answer = measure(unsettled, force[unsettled])
+        for cell, displacement in zip(unsettled.tolist(), answer.tolist(), strict=True):
+            error = math.log(displacement / target[cell]) if displacement > 0.0 else -math.inf
+            tried[cell].append((math.log(force[cell]), error))
+        unsettled = np.array([i for i in unsettled.tolist() if not abs(math.expm1(tried[i][-1][1])) <= aim], dtype=int)
+        if not len(unsettled):
+            break
+        for cell in unsettled.tolist():
+            force[cell] = math.exp(_next_try(tried[cell], exponents[cell]))
+    best = [min(of_cell, key=lambda point: abs(point[1])) for of_cell in tried]
+    return Adjustment(
+        force=np.exp([point[0] for point in best]),
+        displacement=np.exp([point[1] for point in best]) * target,
+        rounds=np.array([len(of_cell) for of_cell in tried]),
+    )
+
+
+def _next_try(tried: Sequence[tuple[float, float]], exponent: float) -> float:
+    """Logarithm of the force to try next, from pairs of it and the logarithm of displacement over target."""
+    (last, error) = tried[-1]
+    below = max((point for point in tried if point[1] < 0.0), default=None)
+    above = min((point for point in tried if point[1] > 0.0), default=None)
+    if math.isinf(error):
+        return 0.5 * (below[0] + last) if below else last - math.log(2.0)
+    guess = _model_solution([point for point in dict.fromkeys(tried) if math.isfinite(point[1])])
+    correction = -error / exponent if guess is None else guess - last
+    guess = last + min(max(correction, -_LARGEST_STEP), _LARGEST_STEP)
+    if below is None or above is None or below[0] < guess < above[0]:
+        return guess
+    return 0.5 * (below[0] + above[0])
+
+
+def _model_solution(points: Sequence[tuple[float, float]]) -> float | None:
+    """Where y^2 = n^2 + (c F)^2p, the power of a noise and of a response to the force F, meets the target.
+
+    The last three points tell n, c and p; two tell c and p without noise.
+
+    Returns:
+      Logarithm of the force; None if no such law runs through the points.
+    """
+    if len(points) < 2:
+        return None
+    force, level = np.array(points[-3:]).T
+    force, power = force - force[-1], np.exp(2.0 * level)
+    if len(points) == 2:
+        exponent = (level[0] - level[1]) / force[0]
+        return float(points[-1][0] - level[1] / exponent) if _EXPONENTS[0] < exponent < _EXPONENTS[1] else None
+    exponent = 1.0
+    rise = (power[0] - power[2]) / (power[1] - power[2]) if power[1] != power[2] else math.nan
+
+    def excess(p: float) -> float:
+        return float(np.expm1(2.0 * p * force[0]) / np.expm1(2.0 * p * force[1]) - rise)
+
+    if math.isfinite(rise) and excess(_EXPONENTS[0]) * excess(_EXPONENTS[1]) < 0.0:
+        exponent = float(optimize.brentq(excess, *_EXPONENTS))
+    response = (power[-2] - power[-1]) / np.expm1(2.0 * exponent * force[-2])
+    noise = power[-1] - response
+    if not (response > 0.0 and noise < 1.0):
+        return None
+    return float(points[-1][0] + math.log((1.0 - noise) / response) / (2.0 * exponent))

@@ -1,0 +1,389 @@
+"""Runs the experiments of a study: draws people, lets them practise, perturbs them, records.
+
+Everything that a subject's file holds follows from the settings and the subject's number alone, so a study may be
+stopped, killed and started again, and be shared out over processes and machines, without any effect on the files.
+"""
+
+import hashlib
+import itertools
+import math
+import time
+from collections.abc import Callable, Generator, Sequence
+from contextlib import AbstractContextManager, closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import joblib
+import numpy as np
+import xarray as xr
+from tqdm import tqdm
+
+from armperturb.cohort import MUSCLES, Person, draw_cohort
+from armperturb.environment import Environment
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.instruments import Instruments
+from armperturb.envs.lab.trial import Trial
+from armperturb.files import write_durably
+from armperturb.perturbations import Multisine
+from armperturb.recording import encode_recording, stack_trials
+from armperturb.study.protocol import FORCES, THESIS, Protocol, load_protocol
+from armperturb.study.recording.folder import StudyFolder, cannot_write, open_study
+from armperturb.study.recording.manifest import Manifest
+from armperturb.study.recording.practice import practise
+from armperturb.validation import require_number
+from armperturb.workers import LOG, Workers, completed, ctrl_c_held_back, workers_for
+
+BLOCK = 96
+"""How many trials are simulated side by side unless told otherwise: more hardly gains speed, but takes memory."""
+
+PROGRESS_INTERVAL = 0.2
+"""How often a worker tells how far it is [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudySettings:
+    """What determines a study.
+
+    Attributes:
+      subjects: number of people.
+      seed: of everything random.
+      protocol: file of what everyone goes through, see `armperturb.study.protocol`; the thesis's if None.
+      ideal: whether people and instruments are free of noise.
+      forces: "practice" or "published", whatever the protocol says; None for what it says.
+      muscles: "nonlinear" or "linear" people, see `armperturb.cohort.draw_person`.
+
+    Raises:
+      TypeError: a value is not a number.
+      ValueError: a value is out of its range.
+    """
+
+    subjects: int = 10
+    seed: int = 0
+    protocol: Path | None = None
+    ideal: bool = False
+    forces: str | None = None
+    muscles: str = "nonlinear"
+
+    def __post_init__(self) -> None:
+        require_number("study", "subjects", self.subjects, at_least=1)
+        require_number("study", "seed", self.seed, at_least=0)
+        if self.forces is not None and self.forces not in FORCES:
+            raise ValueError(f"study: forces = {self.forces!r}; expected one of {', '.join(FORCES)}")
+        if self.muscles not in MUSCLES:
+            raise ValueError(f"study: muscles = {self.muscles!r}; expected one of {', '.join(MUSCLES)}")
+
+    def load_protocol(self) -> Protocol:
+        """The protocol that they name, with their `forces`.
+
+        Raises:
+          TypeError: a value in the file has the wrong type.
+          ValueError: the file is refused.
+          OSError: the file cannot be read.
+        """
+        protocol = THESIS if self.protocol is None else load_protocol(self.protocol)
+        return protocol if self.forces is None else replace(protocol, forces=self.forces)
+
+    def draw_people(self, environment: Environment) -> tuple[Person, ...]:
+        """The people that they name, each stable on the environment.
+
+        Raises:
+          RuntimeError: no stable person was found, which only an odd environment can cause.
+        """
+        return draw_cohort(self.subjects, self.seed, environment, muscles=self.muscles)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Unit:
+    """Some people's whole experiment, to be done in one go; all that a worker needs to know."""
+
+    number: int
+    people: tuple[tuple[int, Person], ...]
+    protocol: Protocol
+    multisines: dict[int, Multisine]
+    environment: Environment
+    seed: int
+    ideal: bool
+    block: int
+    n_threads: int
+    staging: Path | None  # where to leave the files; None to send them back
+    progress: Path | None  # where to tell the simulated seconds, as the double at place `number`
+
+    @property
+    def seconds(self) -> float:
+        """Simulated time of all trials [s]."""
+        return len(self.people) * len(self.protocol.cells()) * self.protocol.trial_duration
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Finished:
+    """A subject's file that a worker has written."""
+
+    name: str
+    content: Path | bytes
+    sha256: str
+
+
+def record_study(
+    settings: StudySettings,
+    out: Path,
+    *,
+    workers: int | None = 1,
+    dask: str | None = None,
+    block: int = BLOCK,
+    show_progress: bool = True,
+) -> list[Path]:
+    """Draw the cohort, let it practise, simulate every trial and write one recording per subject.
+
+    A study that was stopped or killed goes on where it was: subjects whose file is there and whole are not done again.
+    Neither `workers` nor `dask` nor `block` has any effect on what the files hold.
+
+    Args:
+      settings: what determines the study.
+      out: the study folder, see `armperturb.study.recording.folder`.
+      workers: number of processes; 1 for this one alone with as many threads as there are cores, None for about
+        one per core.
+      dask: address of a Dask scheduler whose workers do the work instead; they send the files back.
+      block: number of trials that a worker simulates side by side; its memory grows with it, or with the trials
+        of a person if they are more.
+      show_progress: whether to draw a progress bar on the terminal.
+
+    Returns:
+      The path of each subject's recording, subjects in order.
+
+    Raises:
+      TypeError: a setting has the wrong type.
+      ValueError: a setting is out of its range, or the folder was made with other settings.
+      RuntimeError: another run is at work in the folder, workers die again and again, or Dask is not installed.
+      OSError: a file cannot be read or written, or no Dask scheduler answers.
+    """
+    require_number("study", "block", block, at_least=1)
+    if workers is not None:
+        require_number("study", "workers", workers, at_least=1)
+    protocol, environment = settings.load_protocol(), Environment()
+    people = settings.draw_people(environment)
+    names = [person.name for person in people]
+    made = Manifest.of(people, protocol, seed=settings.seed, ideal=settings.ideal, muscles=settings.muscles)
+    with open_study(out, made.to_dict()) as folder:
+        done, damaged = folder.check(names)
+        for path in damaged:
+            LOG.warning("%s does not match its checksum: set aside, and its subject is done again", path)
+        missing = [(number, person) for number, person in enumerate(people) if person.name not in set(done)]
+        if missing:
+            n_trials = len(protocol.cells())
+            with (
+                workers_for(worker_count(workers, len(missing)), dask) as crew,
+                _Progress(len(people) * n_trials, len(done) * n_trials, protocol.trial_duration, show_progress) as bar,
+            ):
+                units = _units(missing, settings, protocol, environment, folder, crew, block)
+                with closing(_work(units, crew, bar)) as finished:
+                    for file in finished:
+                        content = file.content
+                        staged = content if isinstance(content, Path) else _stage(content, folder.staging, file.name)
+                        folder.keep(file.name, staged, file.sha256)
+        return [folder.recording(name) for name in names]
+
+
+def worker_count(workers: int | None, n_subjects: int) -> int:
+    """Number of processes, None standing for about one per core: no more than there is work for."""
+    if workers is None:
+        cores = joblib.cpu_count()
+        # One process in four more than cores costs little, and is worth it if then none is idle in the last round.
+        workers = next((count for count in range(cores, cores + cores // 4 + 1) if n_subjects % count == 0), cores)
+    return min(workers, n_subjects)
+
+
+def _units(
+    missing: Sequence[tuple[int, Person]],
+    settings: StudySettings,
+    protocol: Protocol,
+    environment: Environment,
+    folder: StudyFolder,
+    crew: Workers | None,
+    block: int,
+) -> list[_Unit]:
+    """Share the people out."""
+    n_groups = math.ceil(len(missing) / max(1, block // len(protocol.cells())))
+    if crew is not None:
+        # People side by side gain some speed, but every worker has at least two turns, and all have as many: the last
+        # ones would be waited for.
+        count = crew.at_once() // 2
+        n_groups = min(max(2, math.ceil(n_groups / count)) * count, len(missing))
+    size, n_larger = divmod(len(missing), n_groups)
+    starts = [size * number + min(number, n_larger) for number in range(n_groups + 1)]
+    groups = [tuple(missing[first:last]) for first, last in itertools.pairwise(starts)]
+    multisines = _draw_multisines(protocol, settings.seed, crew)
+    progress = None
+    if crew is not None and not crew.remote:
+        progress = folder.staging / "progress"
+        progress.write_bytes(bytes(8 * len(groups)))
+    return [
+        _Unit(
+            number=number,
+            people=group,
+            protocol=protocol,
+            multisines=multisines,
+            environment=environment,
+            seed=settings.seed,
+            ideal=settings.ideal,
+            block=block,
+            n_threads=0 if crew is None else crew.threads(number, len(groups)),
+            staging=None if crew is not None and crew.remote else folder.staging.resolve(),
+            progress=progress,
+        )
+        for number, group in enumerate(groups)
+    ]
+
+
+def _draw_multisines(protocol: Protocol, seed: int, crew: Workers | None) -> dict[int, Multisine]:
+    """`Protocol.draw_multisines`, shared out: some seconds' work that everybody's trials wait for."""
+    if crew is None:
+        return protocol.draw_multisines(seed)
+    numbers = [number for number, cell in enumerate(protocol.cells()) if cell.condition.has_multisine]
+    drawn: dict[int, Multisine] = {}
+    for some in completed(_draw_multisine, [(protocol, seed, number) for number in numbers], crew):
+        drawn.update(some)
+    return drawn
+
+
+def _draw_multisine(unit: tuple[Protocol, int, int]) -> dict[int, Multisine]:
+    protocol, seed, number = unit
+    return protocol.draw_multisines(seed, [number])
+
+
+def _work(units: Sequence[_Unit], crew: Workers | None, bar: "_Progress") -> Generator[_Finished]:
+    """Do the units and give each subject's file as it comes."""
+    if crew is None:
+        for unit in units:
+            yield from _do(unit, bar.add)
+        return
+    seconds = np.array([unit.seconds for unit in units])
+    finished = np.zeros(len(units), bool)
+    told = units[0].progress
+
+    def look() -> None:
+        running = np.zeros(len(units)) if told is None else np.fromfile(told)
+        bar.reach(float(np.where(finished, seconds, running).sum()))
+
+    with closing(completed(_do_numbered, units, crew, look)) as results:
+        for number, files in results:
+            finished[number] = True
+            look()
+            yield from files
+
+
+def _do_numbered(unit: _Unit) -> tuple[int, list[_Finished]]:
+    """What a worker process does."""
+    if unit.progress is None:
+        return unit.number, _do(unit, None)
+    with unit.progress.open("r+b", buffering=0) as told:
+        done, next_time = 0.0, 0.0
+
+        def tell(seconds: float) -> None:
+            nonlocal done, next_time
+            done += seconds
+            if (now := time.monotonic()) >= next_time:
+                told.seek(8 * unit.number)
+                told.write(np.float64(done).tobytes())
+                next_time = now + PROGRESS_INTERVAL
+
+        return unit.number, _do(unit, tell)
+
+
+def _do(unit: _Unit, progress: Callable[[float], object] | None) -> list[_Finished]:
+    """Let the people of a unit practise, perturb them, and write their files."""
+    people = [person for _, person in unit.people]
+    forces = practise(people, unit.protocol, unit.seed, unit.environment, unit.n_threads)
+    trials = [
+        trial
+        for (number, person), own in zip(unit.people, forces, strict=True)
+        for trial in unit.protocol.trials(
+            person, own, unit.seed, number, noisy=not unit.ideal, multisines=unit.multisines
+        )
+    ]
+    recording = _simulate(trials, unit, progress)
+    finished = []
+    for place, person in enumerate(people):
+        n_trials = len(trials) // len(people)
+        mine = recording.isel(trial=slice(place * n_trials, (place + 1) * n_trials))
+        finished.append(_write(mine, person.name, unit.staging))
+    return finished
+
+
+def _simulate(trials: Sequence[Trial], unit: _Unit, progress: Callable[[float], object] | None) -> xr.Dataset:
+    """The recording of all trials, at most `block` of them side by side."""
+    pieces = [
+        run_experiment(
+            trials[first : first + unit.block],
+            unit.environment,
+            strap=unit.protocol.strap,
+            instruments=None if unit.ideal else Instruments(),
+            n_threads=unit.n_threads,
+            progress=progress,
+        )
+        for first in range(0, len(trials), unit.block)
+    ]
+    return pieces[0] if len(pieces) == 1 else stack_trials(pieces)
+
+
+def _write(recording: xr.Dataset, name: str, staging: Path | None) -> _Finished:
+    """A subject's file: on disk for `StudyFolder.keep` to take over, or to be sent back."""
+    with ctrl_c_held_back():  # in the middle of a file, HDF5 makes other errors of it
+        content = encode_recording(recording)
+    sha256 = hashlib.sha256(content).hexdigest()
+    return _Finished(name=name, content=content if staging is None else _stage(content, staging, name), sha256=sha256)
+
+
+def _stage(content: bytes, staging: Path, name: str) -> Path:
+    path = staging / f"{name}.nc"
+    try:
+        write_durably(path, content)
+    except OSError as error:
+        raise cannot_write(path, error) from None
+    return path
+
+
+class _Progress(AbstractContextManager["_Progress"]):
+    """A bar that shows trials done, speed as a multiple of real time, and time left.
+
+    Args:
+      n_trials: of the whole study.
+      n_before: of them, done by earlier runs.
+      duration: of a trial [s].
+      show: whether to draw it if there is a terminal.
+    """
+
+    def __init__(self, n_trials: int, n_before: int, duration: float, show: bool) -> None:
+        self._n_trials, self._n_before, self._duration = n_trials, n_before, duration
+        self._seconds = 0.0
+        self._start = self._next = time.monotonic()
+        self._bar = tqdm(
+            total=n_trials,
+            initial=n_before,
+            desc="simulate",
+            disable=None if show else True,
+            bar_format="{l_bar}{bar}| {remaining} left{postfix}",
+        )
+
+    def __exit__(self, *_: object) -> None:
+        self._draw()
+        self._bar.close()
+
+    def add(self, seconds: float) -> None:
+        """So many simulated seconds more have been done."""
+        self.reach(self._seconds + seconds)
+
+    def reach(self, seconds: float) -> None:
+        """So many simulated seconds have been done in this run."""
+        self._seconds = seconds
+        now = time.monotonic()
+        if now >= self._next:
+            self._next = now + PROGRESS_INTERVAL
+            self._draw()
+
+    def _draw(self) -> None:
+        # Not a rounding error more than all, which tqdm would complain about.
+        n_done = min(self._n_before + self._seconds / self._duration, self._n_trials)
+        speed = self._seconds / (time.monotonic() - self._start)
+        # Set by hand, as tqdm's own counts are whole numbers; it then bases the time left on the mean speed.
+        self._bar.n = n_done
+        self._bar.set_postfix_str(f"{int(n_done + 1e-6)}/{self._bar.total} trials, {speed:.0f} x real time")

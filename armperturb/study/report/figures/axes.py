@@ -1,0 +1,88 @@
+"""What figures of the report share: looks of conditions, true and mean admittances, marks of significance."""
+
+import itertools
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.path import Path
+from numpy.typing import NDArray
+
+from armperturb.analysis.arm.linear_arm import arm_admittance
+from armperturb.arrays import Array
+from armperturb.plots.axes import FREQUENCY, Element, plot_admittance
+from armperturb.plots.style import COLOURS, INK, TRUE, shades
+from armperturb.study.protocol import Condition
+from armperturb.study.results.cases import Case
+from armperturb.study.results.mean_admittance import MeanAdmittance, by_task
+from armperturb.study.results.study_result import StudyResult
+
+Marks = Mapping[Element, tuple[NDArray[np.bool_], NDArray[np.bool_]]]
+"""Element to the frequencies at which conditions differ with p < 0.05, and with p < 0.01, (frequency,) each."""
+
+_STROKES = np.array([[np.cos(angle), np.sin(angle)] for angle in np.pi * (0.5 + np.arange(3) / 3)])
+
+_STAR = np.stack([_STROKES, -_STROKES], axis=1).reshape(-1, 2)
+
+_ABOVE = np.array([0.0, 1.4])
+
+STARS = (
+    Path(_STAR, [Path.MOVETO, Path.LINETO] * 3),
+    Path(np.concatenate([_STAR - _ABOVE, _STAR + _ABOVE]), [Path.MOVETO, Path.LINETO] * 6),
+)
+"""Markers of differences with p < 0.05, and with p < 0.01: an asterisk, and two above each other."""
+
+STARRED: dict[str, Any] = {"linestyle": "", "color": INK, "markeredgewidth": 0.9}
+
+
+def looks(study: StudyResult, task: str) -> list[tuple[Condition, dict[str, Any]]]:
+    """Conditions of a task with their colours and markers: shades of the task's colour, darker for larger movements."""
+    conditions = by_task(study)[task]
+    return [
+        (condition, {"color": colour, "marker": marker})
+        for condition, colour, marker in zip(
+            conditions, shades(COLOURS[task], len(conditions)), itertools.cycle("osD^v"), strict=False
+        )
+    ]
+
+
+def plot_truth(panels: dict[Element, tuple[Axes, Axes]], case: Case) -> list[Line2D]:
+    """Draw a linear person's own admittance, and return its entry in the legend; others have neither."""
+    if case.truth is None or case.truth.muscle is not None:
+        return []
+    plot_admittance(panels, FREQUENCY, arm_admittance(case.truth, FREQUENCY), **TRUE)
+    return [Line2D([], [], label="true", **TRUE)]
+
+
+def plot_mean(panels: dict[Element, tuple[Axes, Axes]], mean: MeanAdmittance, look: dict[str, Any]) -> None:
+    """Draw gain and phase of each element of a mean admittance."""
+    plot_admittance(panels, mean.frequency, mean.gain * np.exp(1j * mean.phase), **look)
+
+
+def plot_marks(ax: Axes, frequency: Array, height: Array, masks: tuple[NDArray[np.bool_], NDArray[np.bool_]]) -> None:
+    """Stars at the frequencies at which conditions differ; one for p < 0.05, two for p < 0.01.
+
+    Args:
+      ax: where.
+      frequency: [Hz], (frequency,).
+      height: of the stars, in units of the axis, (frequency,).
+      masks: as in `Marks`.
+    """
+    differs, clearly = masks
+    for star, mask in zip(STARS, (differs & ~clearly, clearly), strict=True):
+        ax.plot(frequency[mask], height[mask], marker=star, markersize=_size(star), **STARRED)
+
+
+def marks_legend() -> list[Line2D]:
+    """Entries of `plot_marks` in a legend."""
+    return [
+        Line2D([], [], marker=star, markersize=_size(star), label=f"p < {level}", **STARRED)
+        for star, level in zip(STARS, ("0.05", "0.01"), strict=True)
+    ]
+
+
+def _size(marker: Path) -> float:
+    """Matplotlib scales a marker so that its farthest point is at half its size."""
+    return 4.5 * float(np.abs(marker.vertices).max())

@@ -1,0 +1,160 @@
+"""Which figures a study allows."""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+
+from armperturb.analysis.measures.kinematics import hand_path, within_reach
+from armperturb.analysis.trials import of_condition
+from armperturb.recording import load_recording
+from armperturb.study.comparison.effects import AdmittanceEffect, Effects
+from armperturb.study.experiments.mechanisms import Yielding
+from armperturb.study.report.figures import admittance as admittance_figures
+from armperturb.study.report.figures import fit as fit_figures
+from armperturb.study.report.figures import mechanisms as yielding_figures
+from armperturb.study.report.figures import nonlinear as nonlinear_figures
+from armperturb.study.report.figures import parameters as parameter_figures
+from armperturb.study.report.figures import perturbation as perturbation_figures
+from armperturb.study.report.figures import pulses as pulse_figures
+from armperturb.study.report.figures import rig as rig_figures
+from armperturb.study.report.figures import trajectories as trajectory_figures
+from armperturb.study.report.figures.axes import Marks
+from armperturb.study.report.figures.bars import CONDITIONS
+from armperturb.study.report.figures.trajectories import around_pulse, first_pulses
+from armperturb.study.report.nonlinear_tables import left_out_pulses, tasks_fitted, true_parameters
+from armperturb.study.results.mean_admittance import by_task, main_conditions
+from armperturb.study.results.nonlinear_fits import PATHS
+from armperturb.study.results.study_result import StudyResult
+
+Drawings = dict[str, Callable[[], Figure]]
+
+CLEARLY = 0.01
+"""Level of the thesis's second star [-]."""
+
+
+def drawings(study: StudyResult, effects: Effects, yielding: Yielding | None) -> Drawings:
+    """Figures by name; drawing one may raise RuntimeError, if this machine cannot draw the rig.
+
+    Args:
+      study: analysed; its recordings must still be there.
+      effects: whose significant ones are marked.
+      yielding: why people yield; None if nobody asked.
+
+    Raises:
+      OSError: a recording is gone.
+    """
+    drawn = {**_of_cases(study, effects), **_of_people(study, effects), **_of_pulses(study), **_of_laws(study)}
+    if study.cohort:
+        drawn["rig"] = partial(rig_figures.rig, study)
+    if yielding is not None:
+        drawn["yielding_loops"] = partial(yielding_figures.loops, yielding)
+        drawn["yielding_admittance"] = partial(yielding_figures.admittance, yielding)
+        drawn["yielding_pulses"] = partial(yielding_figures.pulses, yielding)
+    return drawn
+
+
+def _of_cases(study: StudyResult, effects: Effects) -> Drawings:
+    """Of the people who were identified in conditions with a multisine."""
+    drawn: Drawings = {}
+    main = {task: study.of(condition.name)[0] for task, condition in main_conditions(study).items()}
+    marks = {task: _marks(effect) for task, effect in effects.admittance.items()}
+    if main:
+        arms = [case.identified.fit.arm for case in study.of(next(iter(main.values())).condition.name)]
+        directions = study.protocol.pulse_directions_deg
+        drawn["pulse_directions"] = partial(perturbation_figures.pulse_directions, arms, directions)
+        drawn["perturbation"] = partial(perturbation_figures.perturbation, next(iter(main.values())))
+        drawn["admittance_by_task"] = partial(admittance_figures.admittance_by_task, study)
+        drawn["gain_linear_scale"] = partial(admittance_figures.gain_linear_scale, study, marks)
+        drawn["coherence"] = partial(admittance_figures.coherence, study)
+    for task, first in main.items():
+        if len(by_task(study)[task]) > 1:
+            drawn[f"admittance_by_amplitude_{task}"] = partial(
+                admittance_figures.admittance_by_amplitude, study, task, marks.get(task)
+            )
+        drawn[f"admittance_{task}"] = partial(admittance_figures.admittance_of_trials, first)
+        drawn[f"fit_{task}"] = partial(fit_figures.fit, first)
+        drawn[f"prediction_{task}"] = partial(fit_figures.prediction, first)
+        if study.has_truth:
+            drawn[f"parameters_{task}"] = partial(parameter_figures.parameters, study, task)
+    return drawn
+
+
+def _of_people(study: StudyResult, effects: Effects) -> Drawings:
+    """Of what everybody's trials tell in the thesis's conditions."""
+    drawn: Drawings = {}
+    trials = [trial for person in study.people for trial in person.trials]
+    if np.isfinite([trial.vaf_linear for trial in trials]).any():
+        drawn["vaf"] = partial(fit_figures.vaf, study)
+    p: dict[str, dict[str, float]] = {task: {} for task in CONDITIONS}
+    for (task, name), of_effect in effects.parameters.items():
+        p[task][name] = of_effect
+    for task in CONDITIONS:
+        if parameter_figures.estimated(study, task):
+            drawn[f"joint_parameters_{task}"] = partial(parameter_figures.joint_parameters, study, task, p[task])
+            drawn["penalty"] = partial(fit_figures.penalty, study)
+            drawn["muscle_parameters"] = partial(parameter_figures.muscle_parameters, study, p)
+    if np.isfinite([trial.displacement for trial in trials]).any():
+        levels = {row["conditions"].split(",")[0]: row["p"] for row in effects.rows if row["test"] == "dependent t"}
+        drawn["peak_displacement"] = partial(pulse_figures.peak_displacement, study)
+        drawn["pulse_admittance"] = partial(pulse_figures.pulse_admittance, study, levels)
+    if np.isfinite([trial.predicted_linear for trial in trials]).any():
+        drawn["pulse_prediction"] = partial(pulse_figures.pulse_prediction, study)
+    return drawn
+
+
+def _of_pulses(study: StudyResult) -> Drawings:
+    """Of single pulses to the first person."""
+    if not study.recordings:
+        return {}
+    drawn: Drawings = {}
+    name, path = next(iter(study.recordings.items()))
+    recording = load_recording(path, ["joint_angle"])
+    stills: dict[str, xr.Dataset] = {}
+    for condition in study.protocol.conditions:
+        trials = of_condition(recording, condition.name)
+        pulses = first_pulses(trials) if condition.pulse_levels and not condition.has_multisine else {}
+        if not pulses:
+            continue
+        trial = trials.isel(trial=[next(iter(pulses.values()))])
+        drawn.setdefault("pulse_signal", partial(perturbation_figures.pulse_signal, trial))
+        if all(_within_reach(around_pulse(trials, number)) for number in pulses.values()):
+            drawn.setdefault("joint_rotations", partial(trajectory_figures.joint_rotations, trials))
+        stills.setdefault(condition.task, trial)
+    person = next((person for person in study.cohort if person.name == name), None)
+    if person is not None and stills and "joint_angle" in recording:
+        drawn["stills"] = partial(rig_figures.stills, person, study.environment, list(stills.values()))
+    measures = next((person for person in study.people if person.name == name), None)
+    for task, (condition_name, level) in PATHS.items():
+        trials = of_condition(recording, condition_name)
+        if first_pulses(trials, level):
+            estimate = measures.estimates.get(condition_name) if measures else None
+            drawn[f"trajectories_{task}"] = partial(trajectory_figures.trajectories, trials, estimate, level)
+    return drawn
+
+
+def _of_laws(study: StudyResult) -> Drawings:
+    """Of nonlinear fits."""
+    drawn: Drawings = {}
+    for task in tasks_fitted(study):
+        if any(true_parameters(study, fit) for fit in study.nonlinear if fit.task == task and not fit.failed):
+            drawn[f"nonlinear_parameters_{task}"] = partial(nonlinear_figures.parameters, study, task)
+        if nonlinear_figures.drawn_pulses(study, task):
+            drawn[f"nonlinear_trajectories_{task}"] = partial(nonlinear_figures.trajectories, study, task)
+        if left_out_pulses(study, task):
+            drawn["nonlinear_prediction"] = partial(nonlinear_figures.prediction, study)
+    return drawn
+
+
+def _within_reach(trials: xr.Dataset) -> bool:
+    """Whether the handle stays within the arm's reach."""
+    lengths = (trials[name].values[:, None] for name in ("l_h", "l_f"))
+    return bool(within_reach(hand_path(trials), *lengths).all())
+
+
+def _marks(effect: AdmittanceEffect) -> Marks:
+    """Where an effect counts, and where it is clear as well."""
+    counts, clear = (np.moveaxis(mask, 0, -1) for mask in (effect.counts, effect.counts & (effect.p < CLEARLY)))
+    return {(output, input_): (counts[output, input_], clear[output, input_]) for output, input_ in np.ndindex(2, 2)}

@@ -1,0 +1,117 @@
+"""Figures of why people yield: what `armperturb.study.experiments.mechanisms` computed."""
+
+import itertools
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from armperturb.plots.axes import AXES, label_frequency, legend
+from armperturb.plots.style import COLOURS, GREY, INK, in_style, new_figure, shades
+from armperturb.study.experiments.mechanisms import AMPLITUDES, LINEAR, PULSES, WHOLE, Yielding, intrinsic_loop
+
+ELEMENTS = ("shoulder", "two-joint", "elbow")
+
+SWITCHED_OFF: tuple[dict[str, Any], ...] = (
+    {"color": "#0072B2", "linestyle": "-"},
+    {"color": "#E69F00", "linestyle": (0, (5, 1.5))},
+    {"color": "#009E73", "linestyle": (0, (3, 1, 1, 1))},
+    {"color": "#D55E00", "linestyle": (0, (2, 1))},
+    {"color": "#CC79A7", "linestyle": "-"},
+    {"color": "#56B4E9", "linestyle": (0, (5, 1, 1, 1, 1, 1))},
+    {"color": "#0072B2", "linestyle": (0, (1, 1))},
+    {"color": "#D55E00", "linestyle": (0, (6, 1, 2, 1))},
+)
+"""Line of each arm without a mechanism, from Okabe and Ito's palette; dashes tell apart where colours do not."""
+
+
+@in_style()
+def loops(yielding: Yielding) -> Figure:
+    """Torque of the muscle elements over their stretch in sinusoids of each condition's RMS stretch."""
+    figure = new_figure(4.9)
+    panels = figure.subplots(2, 3, sharex="row", sharey="row")
+    handles = []
+    for row, (task, conditions) in zip(panels, AMPLITUDES.items(), strict=True):
+        colours = shades(COLOURS[task], len(conditions))
+        # The largest loop first, so that smaller ones lie on top.
+        for condition, colour in reversed(list(zip(conditions, colours, strict=True))):
+            response = yielding.responses.get((WHOLE, condition))
+            if response is None:
+                continue
+            loop = intrinsic_loop(response.subject, np.sqrt(2.0) * response.stretch)
+            for element, ax in enumerate(row):
+                ax.plot(np.degrees(loop.stretch[:, element]), loop.torque[:, element], color=colour)
+        handles += [Line2D([], [], color=c, label=name) for name, c in zip(conditions, colours, strict=True)]
+        row[0].set_ylabel("torque [Nm]")
+    for ax, name in zip(panels[0], ELEMENTS, strict=True):
+        ax.set_title(name)
+    for ax in panels[-1]:
+        ax.set_xlabel("stretch [°]")
+    legend(figure, *handles)
+    return figure
+
+
+@in_style()
+def admittance(yielding: Yielding) -> Figure:
+    """Gain of the diagonal of the admittance at each amplitude, with the whole law and with linear muscle."""
+    figure = new_figure(5.4)
+    panels = figure.subplots(2, 2, sharex=True, sharey=True)
+    handles = []
+    for column, (task, conditions) in zip(panels.T, AMPLITUDES.items(), strict=True):
+        for condition, colour, marker in zip(
+            conditions, shades(COLOURS[task], len(conditions)), itertools.cycle("osD"), strict=False
+        ):
+            looks: dict[str, dict[str, Any]] = {
+                WHOLE: {"color": colour, "marker": marker, "markersize": 3.5},
+                LINEAR: {"color": colour, "linestyle": (0, (4, 2)), "linewidth": 1.0},
+            }
+            for variant, look in looks.items():
+                response = yielding.responses.get((variant, condition))
+                if response is None:
+                    continue
+                for axis, ax in enumerate(column):
+                    ax.loglog(response.frequency, response.gain[:, axis, axis], **look)
+            handles.append(Line2D([], [], label=condition, **looks[WHOLE]))
+        above, below = (conditions[-1], conditions[0]) if task == "RT" else (conditions[0], conditions[-1])
+        factors = [yielding.rise(variant, above, below) for variant in (WHOLE, LINEAR)]
+        told = [f"{factor:.2f}" if np.isfinite(factor) else "none" for factor in factors]
+        column[0].set_title(f"{above} / {below} at low f: {told[0]}, linear {told[1]}")
+    for name, ax in zip(AXES, panels[:, 0], strict=True):
+        ax.set_ylabel(f"$|H_{{{2 * name}}}|$ [m/N]")
+    for ax in panels[-1]:
+        label_frequency(ax)
+    handles.append(Line2D([], [], color=GREY, linestyle=(0, (4, 2)), linewidth=1.0, label=LINEAR))
+    legend(figure, *handles, n_columns=7)
+    return figure
+
+
+@in_style()
+def pulses(yielding: Yielding) -> Figure:
+    """Distance of the handle after pulses, with the whole law and without each mechanism."""
+    figure = new_figure(4.3)
+    panels = figure.subplots(1, len(PULSES))
+    drawn: set[str] = set()
+    looks: dict[str, dict[str, Any]] = {
+        WHOLE: {"color": INK, "linewidth": 2.4},
+        LINEAR: {"color": GREY, "linewidth": 1.8},
+    }
+    others = (name for name in yielding.variants if name not in looks)
+    looks |= dict(zip(others, itertools.cycle(SWITCHED_OFF), strict=False))
+    for ax, (condition, level) in zip(panels, PULSES.items(), strict=True):
+        whole = yielding.responses.get((WHOLE, condition))
+        for variant, look in looks.items():
+            response = yielding.responses.get((variant, condition))
+            # An arm that is the same as with the whole law would hide it.
+            if response is not None and (variant == WHOLE or whole is None or response.subject != whole.subject):
+                ax.plot(response.time, 100.0 * response.distance, **look)
+                drawn.add(variant)
+        ax.set(title=f"{condition}, level {level:g}", xlabel="time after the onset [s]")
+        ax.set_xlim(left=0.0)
+    panels[1].sharey(panels[0])
+    for ax in panels:
+        ax.set_ylim(bottom=0.0)
+    panels[0].set_ylabel("distance from the start [cm]")
+    handles = [Line2D([], [], label=name, **look) for name, look in looks.items() if name in drawn]
+    legend(figure, *handles, n_columns=3)
+    return figure

@@ -1,0 +1,183 @@
+"""Figures of nonlinear fits: estimates over truth, and left-out pulses as all models predict them."""
+
+import math
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from armperturb.analysis.measures.pulse import WINDOWS
+from armperturb.plots.axes import AXES, legend
+from armperturb.plots.style import GREY, INK, PUBLISHED, RECORDED, in_style, new_figure, shades
+from armperturb.study.published import tables as published
+from armperturb.study.report.figures.bars import MODELS as LINEAR_MODELS
+from armperturb.study.report.figures.bars import UNKNOWN, Bar, draw_groups, mean_sd
+from armperturb.study.report.nonlinear_tables import (
+    SEES_NONE,
+    SEES_OTHERS,
+    SHOWN_MODELS,
+    degrees,
+    fitted,
+    left_out_pulses,
+    nonlinear_parameter_rows,
+    tasks_fitted,
+    words_of,
+)
+from armperturb.study.results.nonlinear_fits import PATHS, LeftOutPulse
+from armperturb.study.results.study_result import StudyResult
+
+LOOKS: dict[str, dict[str, Any]] = {
+    **LINEAR_MODELS,
+    SEES_NONE: {"color": "#009E73", "linewidth": 1.3},
+    SEES_OTHERS: {"color": "#56B4E9", "linewidth": 1.3, "linestyle": (0, (1.5, 1.2))},
+}
+"""Model to its look."""
+
+NAMES = {
+    "linear": "linear",
+    "skeletal": "skeletal",
+    SEES_NONE: "nonlinear, from multisines",
+    SEES_OTHERS: "nonlinear, with the other direction",
+}
+"""Model to its entry in legends."""
+
+RATIOS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
+
+
+@in_style()
+def prediction(study: StudyResult) -> Figure:
+    """Predicted over recorded peak displacement of pulses that a model had not seen, mean and SD over trials."""
+    groups = {
+        task: {
+            f"{condition}\n\u00d7{level:g}": [
+                Bar(mean_sd(peak for peak, _ in of_model[model]), UNKNOWN, LOOKS[model]["color"])
+                for model in SHOWN_MODELS
+            ]
+            for (condition, level), of_model in left_out_pulses(study, task).items()
+        }
+        for task in tasks_fitted(study)
+    }
+    groups = {task: bars for task, bars in groups.items() if bars}
+    figure = new_figure(3.6)
+    panels = figure.subplots(1, len(groups), sharey=True, squeeze=False, width_ratios=list(map(len, groups.values())))
+    low, high = (published.headline(f"pulse_prediction_{end}") for end in ("low", "high"))
+    for ax, bars in zip(panels.flat, groups.values(), strict=True):
+        ax.axhspan(low, high, color=PUBLISHED["color"], alpha=0.18, linewidth=0)
+        ax.axhline(100.0, color=GREY, linewidth=0.9)
+        draw_groups(ax, bars)
+    # Not before all are drawn: panels share their axis, which then no longer grows.
+    panels[0, 0].set_ylim(bottom=0)
+    panels[0, 0].set_ylabel("predicted / recorded peak [%]")
+    band = Patch(color=PUBLISHED["color"], alpha=0.25, linewidth=0, label=f"published range, {low:g} to {high:g} %")
+    legend(
+        figure, *(Patch(color=LOOKS[model]["color"], label=NAMES[model]) for model in SHOWN_MODELS), band, n_columns=3
+    )
+    return figure
+
+
+@in_style()
+def parameters(study: StudyResult, task: str) -> Figure:
+    """Estimates over true values with 95 % intervals, a point per person and fit."""
+    rows = [row for row in nonlinear_parameter_rows(study) if row["task"] == task and math.isfinite(row["ratio"])]
+    names = list(dict.fromkeys(row["parameter"] for row in rows))
+    kinds = sorted({row["fitted_pulses_deg"] for row in rows})
+    colours = [LOOKS[SEES_NONE]["color"], *shades(LOOKS[SEES_OTHERS]["color"], 3)[1:]]
+    figure = new_figure(0.7 + 0.28 * len(names))
+    ax = figure.subplots()
+    ratios = [row["ratio"] for row in rows]
+    low, high = max(RATIOS[0], min(0.5, 0.8 * min(ratios))), min(RATIOS[-1], max(2.0, 1.25 * max(ratios)))
+    people = list(dict.fromkeys(row["subject"] for row in rows))
+    for place, name in enumerate(names):
+        if place % 2:
+            ax.axhspan(place - 0.5, place + 0.5, color=GREY, alpha=0.08, linewidth=0)
+        for row in rows:
+            if row["parameter"] != name:
+                continue
+            kind = kinds.index(row["fitted_pulses_deg"])
+            slot = kind * len(people) + people.index(row["subject"])
+            y = place - 0.42 + 0.84 * (slot + 0.5) / (len(kinds) * len(people))
+            # What is beyond the axis, as a group of the wrong sign, stands at its end.
+            ratio, *ends = np.clip([row[end] / row["true"] for end in ("estimated", "lower_95", "upper_95")], low, high)
+            mark = "<" if row["ratio"] < low else ">" if row["ratio"] > high else "o"
+            ax.plot(ends, (y, y), color=colours[kind], linewidth=0.7)
+            ax.plot(ratio, y, mark, color=colours[kind], markersize=2.2 if mark == "o" else 4.0, clip_on=False)
+    ax.axvline(1.0, color=INK, linewidth=0.9)
+    ax.set_xscale("log")
+    ax.set_xlim(low, high)
+    ax.xaxis.set_major_locator(FixedLocator(RATIOS))
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.set_yticks(range(len(names)), [words_of(name) for name in names])
+    ax.set_ylim(len(names) - 0.5, -0.5)
+    ax.tick_params(axis="y", length=0)
+    ax.grid(visible=False, axis="y")
+    ax.set_xlabel("estimated / true")
+    labels = [f"pulses at {degrees(kind)} fitted too" if kind else "from multisines" for kind in kinds]
+    handles = [
+        Line2D([], [], color=colour, marker="o", markersize=3, label=label)
+        for colour, label in zip(colours, labels, strict=False)
+    ]
+    legend(figure, *handles)
+    return figure
+
+
+def drawn_pulses(study: StudyResult, task: str) -> dict[float, dict[str, LeftOutPulse]]:
+    """Direction to whether pulses were fitted to the first left-out pulse of `PATHS` to the first person with one.
+
+    Both are of one trial, the first of its direction whose linear fit predicts it, if any does.
+    """
+    for person in study.names:
+        found: dict[float, dict[str, LeftOutPulse]] = {}
+        for model, pulses in ((SEES_NONE, False), (SEES_OTHERS, True)):
+            for fit in fitted(study, task, pulses=pulses):
+                shown = [one for one in fit.pulses if (one.condition, one.level) == PATHS[task] and one.paths]
+                for one in sorted(shown, key=lambda one: "linear" not in one.paths):
+                    if fit.name == person:
+                        found.setdefault(one.direction_deg, {}).setdefault(model, one)
+        if found:
+            return dict(sorted(found.items()))
+    return {}
+
+
+@in_style()
+def trajectories(study: StudyResult, task: str) -> Figure:
+    """Paths of the handle after left-out pulses, from above and over time (thesis figs 3.17, 3.18).
+
+    Args:
+      study: in which `drawn_pulses` finds some.
+      task: "PT" or "RT".
+    """
+    figure = new_figure(4.4)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1.15, 1.0))
+    above = figure.add_subplot(grid[:, 0])
+    over_time = [figure.add_subplot(grid[row, 1]) for row in range(2)]
+    used: list[str] = []
+    condition = PATHS[task][0]
+    for of_fit in drawn_pulses(study, task).values():
+        first = next(iter(of_fit.values()))
+        lines = [("recorded", first.paths["recorded"], RECORDED)]
+        lines += [(model, first.paths[model], LOOKS[model]) for model in LINEAR_MODELS if model in first.paths]
+        lines += [
+            (model, one.paths["nonlinear"], LOOKS[model]) for model, one in of_fit.items() if "nonlinear" in one.paths
+        ]
+        for name, path, look in lines:
+            x, y = 100.0 * path.T
+            above.plot(x, y, **look)
+            above.plot(x[0], y[0], "o", color=look["color"], markersize=3)
+            time = np.linspace(0.0, WINDOWS[task], len(path))
+            for ax, along in zip(over_time, (x, y), strict=True):
+                ax.plot(time, along, **look)
+            used.append(name)
+    above.set_aspect("equal", adjustable="datalim")
+    above.set(xlabel="x, to the right [cm]", ylabel="y, forward [cm]", title=f"{condition}, from above")
+    for ax, axis in zip(over_time, AXES, strict=True):
+        ax.set_ylabel(f"{axis} [cm]")
+    over_time[0].tick_params(labelbottom=False)
+    over_time[1].set_xlabel("time after the onset [s]")
+    looks = {"recorded": RECORDED, **LOOKS}
+    names = {"recorded": "recorded", **NAMES}
+    legend(figure, *(Line2D([], [], label=names[n], **look) for n, look in looks.items() if n in used), n_columns=3)
+    return figure

@@ -1,0 +1,247 @@
+"""Figures of estimated parameters (thesis figures 3.12 to 3.14)."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from armperturb.analysis.fit.structures import unit
+from armperturb.analysis.fit.thesis import ThesisEstimate
+from armperturb.plots.axes import legend, padded
+from armperturb.plots.style import BESIDE, COLOURS, GREY, PALE, PUBLISHED, TRUE, in_style, new_figure, shades
+from armperturb.study.published import tables as published
+from armperturb.study.published.tables import MeanSD
+from armperturb.study.report.figures.axes import looks
+from armperturb.study.report.figures.bars import (
+    CONDITIONS,
+    Bar,
+    draw_groups,
+    mean_sd,
+    printed_handles,
+    stars,
+)
+from armperturb.study.report.tables import published_or_nan, true_value
+from armperturb.study.results.study_result import StudyResult
+from armperturb.study.results.trial_measures import muscle_parameter, stable_mean
+
+QUANTITIES = {"b": "damping", "k": "stiffness", "kv": "velocity\nfeedback", "kp": "position\nfeedback"}
+"""What is drawn of a joint, and what it is called."""
+
+JOINTS = {"s": "shoulder", "se": "shoulder-elbow", "e": "elbow"}
+MUSCLES = {"s*": "shoulder", "se": "shoulder-elbow", "e*": "elbow"}
+
+SEM_TABLES = {"PT7.5": "E.4", "RT2.5": "C.17", "RT7.5": "C.19", "RT22.5": "C.21"}
+"""Condition to the table of the SEMs of `published.PARAMETER_TABLES`."""
+
+Estimates = Mapping[str, Sequence[ThesisEstimate]]
+"""Condition to one estimate per person."""
+
+
+@in_style()
+def parameters(study: StudyResult, task: str) -> Figure:
+    """Estimated against true parameters of linear people in a task's conditions, beside the published mean and SD.
+
+    Bars are 95 % intervals; what the thesis's estimator gives beyond a panel is drawn at its edge.
+    """
+    conditions = looks(study, task)
+    names = tuple(study.of(conditions[0][0].name)[0].identified.fit.values)
+    n_columns = 5
+    n_rows = -(-len(names) // n_columns)
+    figure = new_figure(1.75 * n_rows + 0.6)
+    panels = figure.subplots(n_rows, n_columns, squeeze=False)
+    any_printed = False
+    for ax, name in zip(panels.flat, names, strict=False):
+        truths: list[float] = []
+        reach: list[float] = []
+        of_thesis: list[tuple[float, float]] = []
+        printed: list[tuple[published.MeanSD, dict[str, Any]]] = []
+        for condition, look in conditions:
+            cases = study.of(condition.name)
+            truth = [true_value(case.truth, name) for case in cases]
+            fits = [case.identified.fit for case in cases]
+            estimate = [fit.values[name] for fit in fits]
+            half = np.array([fit.interval(name).upper - fit.values[name] for fit in fits])
+            truths += truth
+            reach += estimate
+            ax.errorbar(
+                truth,
+                estimate,
+                np.where(np.isfinite(half), half, 0),
+                fmt=look["marker"],
+                color=look["color"],
+                markersize=3.5,
+                elinewidth=0.8,
+                alpha=0.85,
+            )
+            of_thesis += [(true_value(case.truth, name), case.thesis.fit.values[name]) for case in cases if case.thesis]
+            mean_sd = published_or_nan(published.parameter, condition.name, name)
+            if np.isfinite(mean_sd.mean):
+                printed.append((mean_sd, look))
+                reach += [mean_sd.mean - mean_sd.sd, mean_sd.mean + mean_sd.sd]
+        (left, high), (bottom, top) = padded(truths), padded([*truths, *reach])
+        for true, found in of_thesis:
+            ax.plot(true, np.clip(found, bottom, top), **BESIDE, clip_on=False, zorder=1.5)
+        ax.plot((left, high), (left, high), **{**TRUE, "linewidth": 1})
+        place_width = 0.11 * (high - left)
+        right = high + place_width * (len(printed) + 0.6) if printed else high
+        any_printed |= bool(printed)
+        ax.axvspan(high, right, color=PALE, alpha=0.35, linewidth=0)
+        for place, (one, look) in enumerate(printed, start=1):
+            x = high + (place - 0.2) * place_width
+            ax.errorbar(x, one.mean, one.sd, fmt=look["marker"], color=PUBLISHED["color"], markersize=3.5)
+        ax.set(xlim=(left, right), ylim=(bottom, top), box_aspect=1)
+        ax.set_title(f"{parameter_symbol(name)} [{unit(name)}]")
+        for axis in (ax.xaxis, ax.yaxis):
+            axis.set_major_locator(MaxNLocator(3))
+    for ax in panels.flat[len(names) :]:
+        ax.set_visible(False)
+    figure.supxlabel("true", fontsize=9)
+    figure.supylabel("estimated", fontsize=9)
+    handles = [Line2D([], [], linestyle="", label=condition.name, **look) for condition, look in conditions]
+    handles.append(Line2D([], [], label="thesis's estimator", **BESIDE))
+    handles.append(Line2D([], [], label="estimated = true", **{**TRUE, "linewidth": 1}))
+    if any_printed:
+        handles.append(Line2D([], [], marker="o", linestyle="", label="published mean ± SD", **PUBLISHED))
+    legend(figure, *handles)
+    return figure
+
+
+@in_style()
+def joint_parameters(study: StudyResult, task: str, p: Mapping[str, float] | None = None) -> Figure:
+    """Joint parameters and their SEM, mean and SD over people of means over stable trials (thesis figs 3.12, 3.13).
+
+    Estimates and SEMs are those of the thesis's estimator, trial by trial.
+
+    Args:
+      study: with estimates in the task, see `estimated`.
+      task: "PT" or "RT".
+      p: parameter to the p of an effect of the amplitude on it.
+    """
+    estimates = estimated(study, task)
+    quantities = _quantities(estimates)
+    figure = new_figure(1.7 * len(quantities) + 0.7)
+    panels = figure.subplots(len(quantities), 2, squeeze=False)
+    drawn = []
+    for row, quantity in zip(panels, quantities, strict=True):
+        for ax, sem in zip(row, (False, True), strict=True):
+            names = {place: f"{quantity}_{joint}" for joint, place in JOINTS.items()}
+            ours = partial(stable_mean, sem=sem)
+            printed = partial(published_or_nan, _printed_sem if sem else published.parameter)
+            groups = {place: _bars(task, estimates, name, ours, printed) for place, name in names.items()}
+            drawn.append(groups)
+            _draw(ax, groups, names, {} if sem or p is None else p)
+            ax.set_ylabel(f"{QUANTITIES[quantity]} [{unit(quantity)}]")
+    for ax, title in zip(panels[0], ("estimate", "SEM"), strict=True):
+        ax.set_title(title)
+    legend(figure, *_handles(task, estimates), *printed_handles(drawn))
+    return figure
+
+
+@in_style()
+def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] | None = None) -> Figure:
+    """Parameters of muscle groups, mean and SD over people of means over stable trials (thesis fig. 3.14).
+
+    Those of one-joint muscles are the joint's less the two-joint muscles' (eq. 2.10); of these the published tables
+    give the mean alone.
+
+    Args:
+      study: with estimates in a task, see `estimated`.
+      p: task to parameter, with a star for one-joint muscles, to the p of an effect of the amplitude on it.
+    """
+    tasks = {task: estimates for task in CONDITIONS if (estimates := estimated(study, task))}
+    rows = {task: _quantities(estimates) for task, estimates in tasks.items()}
+    n_rows = max(map(len, rows.values()))
+    figure = new_figure(1.7 * n_rows + 0.7)
+    panels = figure.subplots(n_rows, len(tasks), squeeze=False)
+    drawn = []
+    for column, (task, estimates) in zip(panels.T, tasks.items(), strict=True):
+        for ax, quantity in zip(column, rows[task], strict=False):
+            names = {place: f"{quantity}_{muscles}" for muscles, place in MUSCLES.items()}
+            groups = {
+                place: _bars(task, estimates, name, _muscle_mean, _printed_muscle) for place, name in names.items()
+            }
+            drawn.append(groups)
+            _draw(ax, groups, names, (p or {}).get(task, {}))
+            ax.set_ylabel(f"{QUANTITIES[quantity]} [{unit(quantity)}]")
+        for ax in column[len(rows[task]) :]:
+            ax.set_visible(False)
+    handles = [handle for task, estimates in tasks.items() for handle in _handles(task, estimates)]
+    legend(figure, *handles, *printed_handles(drawn), n_columns=7)
+    return figure
+
+
+def estimated(study: StudyResult, task: str) -> Estimates:
+    """The thesis's estimates in each condition of a task in which there are any, one per person."""
+    found = {
+        condition: [person.estimates[condition] for person in study.people if condition in person.estimates]
+        for condition in CONDITIONS[task]
+    }
+    return {condition: estimates for condition, estimates in found.items() if estimates}
+
+
+def _quantities(estimates: Estimates) -> list[str]:
+    """Those of `QUANTITIES` that were estimated."""
+    names = next(iter(estimates.values()))[0].parameters
+    return [quantity for quantity in QUANTITIES if f"{quantity}_s" in names]
+
+
+def _muscle_mean(estimate: ThesisEstimate, name: str) -> float:
+    return muscle_parameter(name, partial(stable_mean, estimate))
+
+
+def _printed_muscle(condition: str, name: str) -> MeanSD:
+    printed = partial(published_or_nan, published.parameter, condition)
+    mean = muscle_parameter(name, lambda joint: printed(joint).mean)
+    return MeanSD(mean, math.nan if name.endswith("*") else printed(name).sd)
+
+
+def _printed_sem(condition: str, name: str) -> MeanSD:
+    where = {**published.PARAMETER_TABLES[condition], "table": SEM_TABLES[condition]}
+    return published.estimate(name, quantity="SEM", **where)
+
+
+def _colours(task: str, estimates: Estimates) -> list[tuple[str, str]]:
+    """Conditions with their colours."""
+    return list(zip(estimates, shades(COLOURS[task], len(estimates)), strict=True))
+
+
+def _handles(task: str, estimates: Estimates) -> list[Patch]:
+    return [Patch(color=colour, label=condition) for condition, colour in _colours(task, estimates)]
+
+
+def _bars(
+    task: str,
+    estimates: Estimates,
+    name: str,
+    ours: Callable[[ThesisEstimate, str], float],
+    printed: Callable[[str, str], MeanSD],
+) -> list[Bar]:
+    """A bar of a parameter for each condition, from the estimates of each person."""
+    return [
+        Bar(mean_sd(ours(one, name) for one in estimates[condition]), printed(condition, name), colour)
+        for condition, colour in _colours(task, estimates)
+    ]
+
+
+def _draw(ax: Axes, groups: Mapping[str, Sequence[Bar]], names: Mapping[str, str], p: Mapping[str, float]) -> None:
+    """Groups of bars, with stars above those whose parameter, that of its name, has a small p."""
+    tops = draw_groups(ax, groups)
+    for group, (label, top) in enumerate(tops.items()):
+        ax.text(group, top, stars(p.get(names[label], 1.0)), ha="center", va="bottom", fontsize=11)
+    ax.axhline(0.0, color=GREY, linewidth=0.8)
+    ax.margins(y=0.16)
+    ax.yaxis.set_major_locator(MaxNLocator(4))
+
+
+def parameter_symbol(name: str) -> str:
+    """A parameter as mathematical text, e.g. kv_se as k with the subscript v,se."""
+    quantity, _, place = name.partition("_")
+    letter, more = quantity[0], quantity[1:]
+    return f"${letter}_{{\\mathrm{{{','.join(filter(None, (more, place)))}}}}}$"

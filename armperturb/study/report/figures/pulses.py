@@ -1,0 +1,196 @@
+"""Figures of the responses to pulses: peaks and their prediction (thesis figures 3.15, 3.16, 3.19)."""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from armperturb.plots.axes import legend
+from armperturb.plots.style import COLOURS, PUBLISHED, in_style, new_figure, shades
+from armperturb.study.published import tables as published
+from armperturb.study.report.figures.bars import (
+    CONDITIONS,
+    MODELS,
+    UNKNOWN,
+    Bar,
+    draw_groups,
+    mean_sd,
+    model_handles,
+    printed_handles,
+    stars,
+)
+from armperturb.study.report.tables import published_or_nan
+from armperturb.study.results.quantities import LEVELS
+from armperturb.study.results.study_result import StudyResult
+from armperturb.study.results.trial_measures import TrialMeasures
+
+Levels = dict[str, dict[str, list[float]]]
+"""Condition and level ("min", "max") to one value per trial or person."""
+
+NAMES = {"min": "minimum level", "max": "maximum level"}
+
+
+@in_style()
+def peak_displacement(study: StudyResult) -> Figure:
+    """Peak displacement after pulses, mean and SD over people of means over trials (thesis fig. 3.15, table 2.1)."""
+    found = _by_level(
+        lambda condition, level: [
+            person.pulses[condition, level].displacement
+            for person in study.people
+            if (condition, level) in person.pulses
+        ]
+    )
+    figure, _ = _draw_levels(found, "peak displacement [cm]", 100.0, published.peak_displacement)
+    return figure
+
+
+@in_style()
+def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -> Figure:
+    """Peak displacement over peak hand reaction force, mean and SD over trials (thesis fig. 3.16).
+
+    Above conditions with both levels stands the ratio of their means, and what the thesis has.
+
+    Args:
+      study: with trials that have pulses.
+      p: condition with both levels to the p of the level's effect.
+    """
+    found = pulsed_trials(study, lambda trial: trial.admittance)
+    figure, panels = _draw_levels(found, "pulse admittance [mm/N]", 1000.0, shared=False)
+    for task, (ax, tops) in panels.items():
+        if any(len(levels) == len(LEVELS) for levels in found[task].values()):
+            ax.set_ylim(top=1.2 * max(tops.values()))
+        for group, (condition, levels) in enumerate(found[task].items()):
+            if len(levels) < len(LEVELS):
+                continue
+            ratio = mean_sd(levels["max"]).mean / mean_sd(levels["min"]).mean
+            text = f"× {ratio:.2f} {stars((p or {}).get(condition, 1.0))}".strip()
+            ax.annotate(text, (group, tops[condition]), (0, 15), textcoords="offset points", ha="center", va="bottom")
+            name = f"pulse_admittance_ratio_max_min_{condition.lower()}"
+            ax.annotate(
+                f"× {published.headline(name):g} published",
+                *((group, tops[condition]), (0, 4)),
+                textcoords="offset points",
+                ha="center",
+                va="bottom",
+                color=PUBLISHED["color"],
+                fontsize=8,
+            )
+    return figure
+
+
+@in_style()
+def pulse_prediction(study: StudyResult) -> Figure:
+    """Predicted over recorded peak displacement of both models, mean and SD over trials (thesis fig. 3.19)."""
+    found = {model: pulsed_trials(study, partial(predicted_share, model=model)) for model in MODELS}
+    groups = {
+        task: {
+            f"{condition}\n{level}": [
+                Bar(mean_sd(found[model].get(task, {}).get(condition, {}).get(level, ())), UNKNOWN, look["color"])
+                for model, look in MODELS.items()
+            ]
+            for condition, levels in conditions.items()
+            for level in levels
+        }
+        for task, conditions in found["linear"].items()
+    }
+    figure, panels = _panels(3.4, {task: len(bars) for task, bars in groups.items()})
+    low, high = (published.headline(f"pulse_prediction_{end}") for end in ("low", "high"))
+    for task, ax in panels.items():
+        ax.axhspan(low, high, color=PUBLISHED["color"], alpha=0.18, linewidth=0)
+        ax.axhline(100.0, color=PUBLISHED["color"], linewidth=0)
+        draw_groups(ax, groups[task])
+        ax.set_ylim(bottom=0)
+    next(iter(panels.values())).set_ylabel("predicted / recorded peak [%]")
+    band = Patch(color=PUBLISHED["color"], alpha=0.25, linewidth=0, label=f"published range, {low:g} to {high:g} %")
+    legend(figure, *model_handles(), band)
+    return figure
+
+
+def predicted_share(trial: TrialMeasures, model: str) -> float:
+    """Predicted over recorded peak displacement of a trial [%] (eq. 2.25); NaN without a prediction.
+
+    Args:
+      trial: with a pulse.
+      model: "linear" or "skeletal".
+    """
+    return 100.0 * float(getattr(trial, f"predicted_{model}")) / trial.displacement
+
+
+def pulsed_trials(study: StudyResult, quantity: Callable[[TrialMeasures], float]) -> dict[str, Levels]:
+    """Task, condition and level to the finite values of everybody's trials; only those that have any."""
+    return _by_level(
+        lambda condition, level: [
+            quantity(trial)
+            for person in study.people
+            for trial in person.trials
+            if trial.condition == condition and abs(trial.pulse_level) == LEVELS[level]
+        ]
+    )
+
+
+def _by_level(values_of: Callable[[str, str], list[float]]) -> dict[str, Levels]:
+    """Task, condition and level to the finite ones of their values; only those that have any."""
+    found: dict[str, Levels] = {}
+    for task, conditions in CONDITIONS.items():
+        for condition in conditions:
+            for level in LEVELS:
+                values = [value for value in values_of(condition, level) if np.isfinite(value)]
+                if values:
+                    found.setdefault(task, {}).setdefault(condition, {})[level] = values
+    return found
+
+
+def _draw_levels(
+    found: Mapping[str, Levels],
+    label: str,
+    scale: float,
+    source: Callable[..., published.MeanSD] | None = None,
+    *,
+    shared: bool = True,
+) -> tuple[Figure, dict[str, tuple[Axes, dict[str, float]]]]:
+    """Bars of both pulse levels in each condition, a panel per task; and the panels with where each group ends."""
+    groups = {
+        task: {
+            condition: [
+                Bar(
+                    mean_sd(values),
+                    published_or_nan(source, condition, level) if source else UNKNOWN,
+                    _colour(task, level),
+                )
+                for level, values in levels.items()
+            ]
+            for condition, levels in conditions.items()
+        }
+        for task, conditions in found.items()
+    }
+    figure, panels = _panels(3.3, {task: len(bars) for task, bars in groups.items()}, shared=shared)
+    tops = {task: draw_groups(ax, groups[task], scale) for task, ax in panels.items()}
+    next(iter(panels.values())).set_ylabel(label)
+    handles = [
+        Patch(color=_colour(task, level), label=f"{task}, {name}")
+        for task, conditions in found.items()
+        for level, name in NAMES.items()
+        if any(level in levels for levels in conditions.values())
+    ]
+    legend(figure, *handles, *printed_handles(groups.values()))
+    for ax in panels.values():
+        ax.set_ylim(bottom=0)
+        if not shared:
+            ax.set_ylabel(label)
+    return figure, {task: (ax, tops[task]) for task, ax in panels.items()}
+
+
+def _panels(height: float, n_groups: Mapping[str, int], *, shared: bool = True) -> tuple[Figure, dict[str, Axes]]:
+    """One panel per task side by side, as wide as its groups of bars need."""
+    figure = new_figure(height)
+    panels = figure.subplots(1, len(n_groups), sharey=shared, squeeze=False, width_ratios=list(n_groups.values()))
+    return figure, dict(zip(n_groups, panels.flat, strict=True))
+
+
+def _colour(task: str, level: str) -> str:
+    """Darker for the larger pulse."""
+    light, _, dark = shades(COLOURS[task], 3)
+    return {"min": light, "max": dark}[level]

@@ -1,0 +1,232 @@
+"""Tables of nonlinear fits: beside the truth and the linear arms, and what all models predict of left-out pulses."""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from armperturb.analysis.nonlinear.model import BODY, ELEMENTS, GRIP, GROUPS, true_values, unit
+from armperturb.study.report.tables import Row, mean_sd_of
+from armperturb.study.results.nonlinear_fits import LeftOutPulse, NonlinearFit
+from armperturb.study.results.study_result import StudyResult
+
+QUANTITIES = {
+    "m_h": "mass of the upper arm",
+    "m_f": "mass of the forearm",
+    "k_h": "stiffness of the grip",
+    "b_h": "damping of the grip",
+    "k": "stiffness",
+    "b": "damping",
+    "kv": "velocity feedback",
+    "kp": "position feedback",
+    "Td": "delay",
+    "fact": "cut-off of the activation",
+    "short_range_stiffness": "short-range stiffness",
+    "elastic_limit_deg": "elastic limit",
+    "elastic_limit_spread": "spread of elastic limits",
+    "loss_angle_deg": "movement that wears stiffness off",
+    "recovery_time": "time of its recovery",
+    "thinning_velocity": "speed that halves damping",
+    "spindle_saturation": "speed that saturates spindles",
+    "level": "level of co-contraction",
+}
+"""What a parameter is of, in words."""
+
+SEES_NONE, SEES_OTHERS = "nonlinear", "nonlinear, other pulses"
+SHOWN_MODELS = ("linear", "skeletal", SEES_NONE, SEES_OTHERS)
+"""What predicts pulses; the nonlinear model was fitted without pulses, or with those of the other directions too."""
+
+
+def words_of(parameter: str) -> str:
+    """A parameter in words."""
+    what, _, of = parameter.partition(".")
+    return f"{QUANTITIES[what]}, {of}" if of else QUANTITIES[what]
+
+
+def degrees(pulses: str) -> str:
+    """Directions of pulses, as tables have them, in words."""
+    return " and ".join(f"{deg}\u00b0" for deg in pulses.split())
+
+
+def fitted(study: StudyResult, task: str, *, pulses: bool) -> list[NonlinearFit]:
+    """Fits in a task that did not fail, to what comes before pulses alone, or to some pulses too."""
+    return [one for one in study.nonlinear if one.task == task and not one.failed and bool(one.fitted_deg) == pulses]
+
+
+def tasks_fitted(study: StudyResult) -> list[str]:
+    """Tasks in which somebody was identified nonlinearly."""
+    return list(dict.fromkeys(one.task for one in study.nonlinear if not one.failed))
+
+
+def true_parameters(study: StudyResult, fit: NonlinearFit) -> dict[str, float]:
+    """Parameter to its true value; empty of people who are not known."""
+    person = next((person for person in study.cohort if person.name == fit.name), None)
+    conditions = {condition.name: condition for condition in study.protocol.conditions}
+    if person is None or fit.reference not in conditions:
+        return {}
+
+    def level(name: str) -> float:
+        return conditions[name].co_contraction * person.levels.get(name, 1.0)
+
+    levels = {name: level(name) / level(fit.reference) for name in conditions if name != fit.reference}
+    return true_values(conditions[fit.reference].subject_of(person), levels)
+
+
+def linear_parameters(study: StudyResult, name: str, task: str) -> dict[str, list[float]]:
+    """Parameter to what the linear arm of each condition of a person has for it."""
+    arms = [
+        case.identified.fit.arm
+        for condition in study.conditions
+        for case in study.of(condition.name)
+        if case.name == name and condition.task == task
+    ]
+    found = {name: [float(getattr(arm, name)) for arm in arms] for name in (*BODY, *GRIP)}
+    for group in GROUPS:
+        for place, element in enumerate(ELEMENTS):
+            found[f"{group}.{element}"] = [float(arm.muscle_groups(group)[place]) for arm in arms]
+    return found
+
+
+def nonlinear_parameter_rows(study: StudyResult) -> list[Row]:
+    """Every parameter of every fit beside its truth, if it is known, and the linear arms' least and most."""
+    rows = []
+    for fit in study.nonlinear:
+        truth, linear = true_parameters(study, fit), linear_parameters(study, fit.name, fit.task)
+        for name, value in fit.values.items():
+            true = truth.get(name, math.nan)
+            arms = linear.get(name) or [math.nan]
+            rows.append(
+                {
+                    "task": fit.task,
+                    "subject": fit.name,
+                    "fitted_pulses_deg": " ".join(f"{deg:g}" for deg in fit.fitted_deg),
+                    "parameter": name,
+                    "unit": unit(name),
+                    "true": true,
+                    "linear_least": min(arms),
+                    "linear_most": max(arms),
+                    "estimated": value,
+                    "lower_95": fit.lower[name],
+                    "upper_95": fit.upper[name],
+                    "ratio": value / true,
+                    "at_bound": str(name in fit.at_bound).lower(),
+                }
+            )
+    return rows
+
+
+def nonlinear_summary_rows(of_parameters: list[Row]) -> list[Row]:
+    """Means over people, and how fits agree with the truth, per task, parameter and whether pulses were fitted."""
+    rows = []
+    for task, pulses, name in dict.fromkeys(
+        (row["task"], bool(row["fitted_pulses_deg"]), row["parameter"]) for row in of_parameters
+    ):
+        mine = [
+            row
+            for row in of_parameters
+            if (row["task"], bool(row["fitted_pulses_deg"]), row["parameter"]) == (task, pulses, name)
+        ]
+        ratios = np.array([row["ratio"] for row in mine])
+        known = ratios[np.isfinite(ratios)]
+        held = [row["lower_95"] <= row["true"] <= row["upper_95"] for row in mine if math.isfinite(row["true"])]
+        rows.append(
+            {
+                "task": task,
+                "fitted_pulses": "others" if pulses else "none",
+                "parameter": name,
+                "unit": mine[0]["unit"],
+                "fits": len(mine),
+                **mean_sd_of("true", [row["true"] for row in mine if math.isfinite(row["true"])]),
+                **mean_sd_of("estimated", [row["estimated"] for row in mine]),
+                "linear_least_mean": _mean(row["linear_least"] for row in mine),
+                "linear_most_mean": _mean(row["linear_most"] for row in mine),
+                "median_ratio": float(np.median(known)) if len(known) else math.nan,
+                "median_abs_error_percent": 100.0 * float(np.median(np.abs(known - 1.0))) if len(known) else math.nan,
+                "coverage_95_percent": 100.0 * _mean(held),
+                "median_width_percent": 50.0
+                * float(np.median([(row["upper_95"] - row["lower_95"]) / abs(row["estimated"]) for row in mine])),
+                "at_bound": sum(row["at_bound"] == "true" for row in mine),
+            }
+        )
+    return rows
+
+
+def left_out_pulses(study: StudyResult, task: str) -> dict[tuple[str, float], dict[str, list[tuple[float, float]]]]:
+    """Condition and level to each of `SHOWN_MODELS` to peak and VAF [%] of the pulses that it had not seen.
+
+    The linear and the skeletal model predict each trial by its own fit, and so need a multisine before the pulse.
+    """
+    found: dict[tuple[str, float], dict[str, list[tuple[float, float]]]] = {}
+    for pulses in (False, True):
+        for fit in fitted(study, task, pulses=pulses):
+            for pulse in fit.pulses:
+                own = found.setdefault((pulse.condition, pulse.level), {model: [] for model in SHOWN_MODELS})
+                for model in pulse.peak:
+                    if model == "nonlinear":
+                        own[SEES_OTHERS if pulses else SEES_NONE].append(_both(pulse, model))
+                    elif not pulses:
+                        own[model].append(_both(pulse, model))
+    order = [condition.name for condition in study.protocol.conditions]
+    order += [condition for condition, _ in found if condition not in order]
+    return {key: found[key] for key in sorted(found, key=lambda key: (order.index(key[0]), key[1]))}
+
+
+def nonlinear_pulse_rows(study: StudyResult) -> list[Row]:
+    """Predicted shares of peaks (2.25), and of trajectories, of left-out pulses per condition, level and model."""
+    rows = []
+    for task in tasks_fitted(study):
+        for (condition, level), of_model in left_out_pulses(study, task).items():
+            for model, told in of_model.items():
+                if told:
+                    peak, vaf = np.transpose(told)
+                    rows.append(
+                        {
+                            "task": task,
+                            "condition": condition,
+                            "level": level,
+                            "model": model,
+                            "pulses": len(told),
+                            "median_peak_percent": float(np.median(peak)),
+                            **mean_sd_of("peak_percent", peak.tolist()),
+                            "median_vaf_percent": float(np.median(vaf)),
+                            "least_vaf_percent": float(vaf.min()),
+                        }
+                    )
+    return rows
+
+
+def nonlinear_fit_rows(study: StudyResult) -> list[Row]:
+    """How each fit went."""
+    return [
+        {
+            "task": one.task,
+            "subject": one.name,
+            "fitted_pulses_deg": " ".join(f"{deg:g}" for deg in one.fitted_deg),
+            "converged": str(one.converged).lower(),
+            "status": one.status or one.failed,
+            "parameters": len(one.values),
+            "at_bound": " ".join(one.at_bound),
+            "remarks": "; ".join(one.remarks),
+        }
+        for one in study.nonlinear
+    ]
+
+
+def nonlinear_tables(study: StudyResult) -> dict[str, list[Row]]:
+    """All of them by name; without rows where nobody was identified nonlinearly."""
+    of_parameters = nonlinear_parameter_rows(study)
+    return {
+        "nonlinear_fits": nonlinear_fit_rows(study),
+        "nonlinear_parameters": of_parameters,
+        "nonlinear_summary": nonlinear_summary_rows(of_parameters),
+        "nonlinear_pulses": nonlinear_pulse_rows(study),
+    }
+
+
+def _both(pulse: LeftOutPulse, model: str) -> tuple[float, float]:
+    return pulse.peak[model], pulse.vaf[model]
+
+
+def _mean(values: Iterable[float]) -> float:
+    there = list(values)
+    return float(np.mean(there)) if there else math.nan

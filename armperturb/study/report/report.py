@@ -1,0 +1,227 @@
+"""The report of a study: tables, figures, and one HTML file that holds everything and opens offline."""
+
+import base64
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import jinja2
+from markupsafe import Markup
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from armperturb.archive import code_digest, recalled
+from armperturb.cohort import Person
+from armperturb.environment import Environment
+from armperturb.files import write_csv, written_whole
+from armperturb.perturbations.multisine import CLUSTERS, PERIOD
+from armperturb.plots.style import save_svg
+from armperturb.study.comparison.effects import effects
+from armperturb.study.comparison.score import Score, score, write_score
+from armperturb.study.experiments.mechanisms import Yielding, has_law, why_people_yield
+from armperturb.study.experiments.moving_shoulder import MovingShoulder, moving_shoulder
+from armperturb.study.recording.record import worker_count
+from armperturb.study.report import formats
+from armperturb.study.report.figures.catalogue import drawings
+from armperturb.study.report.nonlinear_tables import nonlinear_tables
+from armperturb.study.report.sections import Section, joint_rows, sections
+from armperturb.study.report.tables import write_tables
+from armperturb.study.results.appendix_fits import Appendices
+from armperturb.study.results.mean_admittance import by_task, main_conditions
+from armperturb.study.results.study_result import ANALYSIS, StudyResult
+from armperturb.workers import Workers, completed, workers_for
+
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
+
+MOST_WORKERS = 8
+"""Processes that drawing is shared between at most: each has to load what draws."""
+
+SCORE = "score"
+
+
+class Picture(NamedTuple):
+    """A figure inside the report.
+
+    Attributes:
+      uri: the SVG itself, as a data URI.
+      width: [inch].
+      height: [inch].
+    """
+
+    uri: str
+    width: float
+    height: float
+
+
+def write_report(study: StudyResult, out: Path, *, workers: int | None = 1, show_progress: bool = True) -> Path:
+    """Write `tables/*.csv`, `score/`, `figures/*.svg` and `report.html`, which needs none of them nor a network.
+
+    Some more trials of the first person are simulated, to show what the muscle law does, and what a shoulder that
+    moves; they are kept in the folder, as results are. Without a GL library, pictures of the rig are left out and the
+    report says so.
+
+    Args:
+      study: the analysed study; its recordings must still be there.
+      out: folder, which is made if needed.
+      workers: number of processes; None for about one per core. No effect on the files but for rounding.
+      show_progress: whether to draw progress bars on the terminal.
+
+    Returns:
+      The path of the report.
+
+    Raises:
+      OSError: the folder cannot be written to, or a recording is gone.
+      RuntimeError: workers die again and again.
+    """
+    rows = write_tables(study, out / "tables")
+    tested, scored = effects(study), _score(study, out)
+    # Figures need none of the fits, which are many.
+    drawn = replace(study, appendices=Appendices())
+    with workers_for(worker_count(workers, MOST_WORKERS), None) as crew:
+        yielding, shoulder = _simulated(study, out, crew, show_progress)
+        (out / "figures").mkdir(exist_ok=True)
+        figures = [_Figure(name, draw, out / "figures") for name, draw in drawings(drawn, tested, yielding).items()]
+        pictures, not_drawn = {}, {}
+        for name, picture, reason in _each(_draw, figures, crew, "draw", show_progress):
+            if picture is None:
+                not_drawn[name] = reason
+            else:
+                pictures[name] = picture
+    more = {
+        "statistics": list(tested.rows),
+        "statistics_pairs": list(tested.pairs),
+        "joints": joint_rows(study),
+        "yielding": yielding.rows() if yielding else [],
+        "moving_shoulder": shoulder.table() if shoulder else [],
+        **nonlinear_tables(study),
+    }
+    for name, lines in more.items():
+        if lines:
+            write_csv(lines, out / "tables" / f"{name}.csv")
+    parts = sections(study, scored, tested, rows, yielding, shoulder, {*pictures, *not_drawn})
+    page = _page(study, parts, pictures, not_drawn)
+    report = out / "report.html"
+    with written_whole(report) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    return report
+
+
+def _score(study: StudyResult, out: Path) -> Score | None:
+    """Beside the published tables, written; None if no condition of theirs was recorded."""
+    if not any(person.cells for person in study.people):
+        return None
+    scored = score(study)
+    write_score(scored, out / SCORE)
+    return scored
+
+
+class _Simulation(NamedTuple):
+    """A simulation of the first person, and where what it gives is kept.
+
+    Attributes:
+      function: takes the person, the environment and the seed.
+      kind: what it gives.
+      path: of the file.
+      person: who.
+      environment: what the hand holds.
+      seed: of the multisines.
+    """
+
+    function: Callable[..., Any]
+    kind: type
+    path: Path
+    person: Person
+    environment: Environment
+    seed: int
+
+
+def _simulated(
+    study: StudyResult, out: Path, crew: Workers | None, show_progress: bool
+) -> tuple[Yielding | None, MovingShoulder | None]:
+    """What the muscle law of the first person does, and what a moving shoulder; None where there is nothing to show."""
+    if not study.cohort:
+        return None, None
+    person, found = study.cohort[0], dict[str, Any]()
+    wanted: dict[str, tuple[Callable[..., Any], type]] = {"moving-shoulder": (moving_shoulder, MovingShoulder)}
+    if has_law(person):
+        wanted = {"yielding": (why_people_yield, Yielding), **wanted}
+    units = [
+        _Simulation(*function, out / ANALYSIS / f"{name}.json.gz", person, study.environment, study.seed)
+        for name, function in wanted.items()
+    ]
+    for path, result in _each(_simulate, units, crew, "simulate", show_progress):
+        found[path.name.partition(".")[0]] = result
+    return found.get("yielding"), found["moving-shoulder"]
+
+
+def _simulate(unit: _Simulation) -> tuple[Path, Any]:
+    what = f"{unit.function.__name__} {unit.person!r} {unit.environment!r} {unit.seed} {code_digest()}"
+    key = hashlib.sha256(what.encode()).hexdigest()
+    return unit.path, recalled(
+        unit.path, key, unit.kind, lambda: unit.function(unit.person, environment=unit.environment, seed=unit.seed)
+    )
+
+
+class _Figure(NamedTuple):
+    """A figure to be drawn into a folder."""
+
+    name: str
+    draw: Callable[[], Figure]
+    folder: Path
+
+
+def _draw(unit: _Figure) -> tuple[str, Picture | None, str]:
+    """Name and picture, or why there is none."""
+    try:
+        return unit.name, _embed(unit.draw(), unit.folder / f"{unit.name}.svg"), ""
+    except RuntimeError as error:  # this machine cannot draw the rig
+        return unit.name, None, str(error)
+
+
+def _embed(figure: Figure, path: Path) -> Picture:
+    """Write a figure to a file, and return what the report shows of it."""
+    save_svg(figure, path)
+    content = base64.b64encode(path.read_bytes()).decode("ascii")
+    width, height = figure.get_size_inches()
+    return Picture(f"data:image/svg+xml;base64,{content}", float(width), float(height))
+
+
+def _each(
+    function: Callable[[Unit], Result], units: Sequence[Unit], crew: Workers | None, label: str, show_progress: bool
+) -> Iterator[Result]:
+    """What a function gives of each unit, as it comes."""
+    with tqdm(total=len(units), desc=label, disable=None if show_progress else True) as bar:
+        for result in map(function, units) if crew is None else completed(function, units, crew, bar.refresh):
+            bar.update()
+            yield result
+
+
+def _page(study: StudyResult, parts: Sequence[Section], pictures: dict[str, Picture], not_drawn: dict[str, str]) -> str:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("armperturb.study.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    for name in ("chance", "digits", "fixed", "mean_sd", "signed", "symbol", "words"):
+        environment.filters[name] = getattr(formats, name)
+    environment.globals.update(
+        study=study,
+        main={task: study.of(condition.name)[0] for task, condition in main_conditions(study).items()},
+        tasks=by_task(study),
+        pictures=pictures,
+        not_drawn=not_drawn,
+        multisine={"period": PERIOD, "lines": CLUSTERS.size, "clusters": len(CLUSTERS)},
+        versions={name: metadata.version(name) for name in ("armperturb", "mujoco", "numpy", "scipy")},
+    )
+    # Sections come out as markup, escaped already.
+    bodies = [
+        (section, Markup(environment.get_template(f"{section.template}.html").render(section.context)))
+        for section in parts
+    ]
+    return environment.get_template("report.html").render(sections=bodies)

@@ -1,0 +1,306 @@
+"""The sections of the report: what each one's template is given."""
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
+from armperturb.study.comparison.effects import Effects
+from armperturb.study.comparison.elastic_limits import NAMES, elastic_rows
+from armperturb.study.comparison.headlines import Headline
+from armperturb.study.comparison.score import Score, missing_cells, shares
+from armperturb.study.experiments.mechanisms import PULSES, Yielding
+from armperturb.study.experiments.moving_shoulder import MovingShoulder
+from armperturb.study.protocol import Condition
+from armperturb.study.report.formats import digits, fixed
+from armperturb.study.report.nonlinear_tables import SHOWN_MODELS, nonlinear_tables, words_of
+from armperturb.study.report.published_tables import published_tables
+from armperturb.study.report.tables import Row, mean_sd_of
+from armperturb.study.results.quantities import Cell, published_cells
+from armperturb.study.results.study_result import StudyResult
+
+NEAR = 0.15
+"""A headline number this close to the published one is near [-]."""
+
+MOST_NAMED = 5
+"""How many cells or tables the summary names."""
+
+PULSES_DRAWN = {"peak_displacement", "pulse_admittance", "pulse_prediction", "trajectories_PT", "trajectories_RT"}
+"""Figures of pulse responses."""
+
+FACTORS = {
+    "admittance_ratio_rt7.5_pt7.5": "admittance, relaxing over holding position",
+    "admittance_amplitude_factor_pt": "its fall with amplitude, holding position",
+    "admittance_amplitude_factor_rt": "its rise with amplitude, relaxing",
+    "pulse_underprediction_factor": "peak after a pulse over its prediction",
+    "pulse_prediction_low": "predicted share of a peak, least [%]",
+    "pulse_prediction_high": "predicted share of a peak, most [%]",
+    "peak_displacement_ratio_rt_pt_min_level": "peak after a pulse, relaxing over holding",
+    "pulse_admittance_ratio_max_min_pt0": "pulse admittance, level 2 over 1, PT0",
+    "pulse_admittance_ratio_max_min_pt7.5": "pulse admittance, level 2 over 1, PT7.5",
+}
+"""Headline numbers of the summary, in words."""
+
+GROUPS = {
+    "2.1 and F": "movements: 2.1, F.2 to F.6",
+    "C": "six structures: C.3 to C.22",
+    "D": "six starts: D.3 to D.5",
+    "E": "final structure: E.3 to E.5",
+    "total": "all",
+}
+"""Groups of tables of the summary, in words."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """One section of the report.
+
+    Attributes:
+      title: its heading.
+      template: file in `templates/`, which is also its anchor.
+      context: what the template shows beside what all sections know.
+    """
+
+    title: str
+    template: str
+    context: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Factor(NamedTuple):
+    """A headline number of the summary.
+
+    Attributes:
+      label: in words.
+      published: as printed.
+      ours: NaN if it cannot be computed.
+      remark: how it was computed, or why it was not.
+    """
+
+    label: str
+    published: str
+    ours: float
+    remark: str
+
+    @property
+    def mark(self) -> str:
+        """ "beyond-1" where ours is not within `NEAR` of the printed one, or "missing"."""
+        if not math.isfinite(self.ours):
+            return "missing"
+        return "" if abs(self.ours / float(self.published) - 1.0) <= NEAR else "beyond-1"
+
+
+def sections(
+    study: StudyResult,
+    score: Score | None,
+    effects: Effects,
+    rows: Mapping[str, list[Row]],
+    yielding: Yielding | None,
+    shoulder: MovingShoulder | None,
+    drawn: Collection[str],
+) -> list[Section]:
+    """All sections that a study has content for, in order.
+
+    Args:
+      study: analysed.
+      score: beside the published tables; None if nothing of them was recorded.
+      effects: tests within people.
+      rows: tables by name.
+      yielding: what the first person's muscles do; None if they are linear.
+      shoulder: what it does if the first person's shoulder moves; None of people who were not simulated.
+      drawn: names of the figures that are there.
+    """
+    found = [
+        Section(title="Summary", template="summary", context={"rows": rows["summary"], **_summary(score)}),
+        Section(title="Method", template="method"),
+        Section(
+            title="Conditions", template="conditions", context={"rows": rows["conditions"], "drifting": drifting(study)}
+        ),
+        Section(title="Admittance", template="admittance", context={"effects": effects}),
+        Section(
+            title="Fits",
+            template="fits",
+            context={"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study)},
+        ),
+        Section(title="Parameters", template="parameters", context={"rows": rows["parameters_summary"]}),
+    ]
+    if PULSES_DRAWN & set(drawn):
+        found.append(
+            Section(title="Pulse response", template="pulses", context={"headlines": score and _of_pulses(score)})
+        )
+    if study.nonlinear:
+        found.append(Section(title="Nonlinear identification", template="nonlinear", context=_nonlinear(study)))
+    if effects.rows or effects.admittance:
+        found.append(Section(title="Statistics", template="statistics", context={"effects": effects}))
+    if score is not None or "joint_rotations" in drawn:
+        context: dict[str, Any] = {
+            "joints": joint_rows(study),
+            "limits": elastic_rows(_means(study)),
+            "printed_limits": elastic_rows({cell: printed.mean for cell, printed in published_cells().items()}),
+            "shoulder": shoulder,
+            "names": NAMES,
+        }
+        found.append(Section(title="Kinematics", template="kinematics", context=context))
+    if "stills" in drawn:
+        found.append(Section(title="Videos, as stills", template="stills"))
+    if yielding is not None:
+        context = {"person": yielding.person, "rows": yielding.rows(), "pulses": PULSES, "unstable": yielding.unstable}
+        found.append(Section(title="Why people yield", template="yielding", context=context))
+    if score is not None:
+        found.append(
+            Section(
+                title="Beside the thesis",
+                template="published",
+                context={"tables": published_tables(score), "score": score, "missing": missing_cells(score)},
+            )
+        )
+    found.append(
+        Section(
+            title="What was left out",
+            template="left_out",
+            context={"lists": left_out(study, rows["fits"], score.remarks if score is not None else study.remarks)},
+        )
+    )
+    return found
+
+
+def _nonlinear(study: StudyResult) -> dict[str, Any]:
+    """What each table of nonlinear fits shows, and what the fits say of themselves."""
+    tables = nonlinear_tables(study)
+    pulses: dict[tuple[str, float], dict[str, Row]] = {}
+    for row in tables["nonlinear_pulses"]:
+        pulses.setdefault((row["condition"], row["level"]), {})[row["model"]] = row
+    summaries: dict[str, dict[str, dict[str, Row]]] = {}
+    for row in tables["nonlinear_summary"]:
+        summaries.setdefault(row["task"], {}).setdefault(row["parameter"], {})[row["fitted_pulses"]] = row
+    people: dict[tuple[str, str], dict[str, dict[str, Row]]] = {}
+    for row in tables["nonlinear_parameters"]:
+        of_person = people.setdefault((row["task"], row["subject"]), {})
+        of_person.setdefault(row["parameter"], {})[row["fitted_pulses_deg"]] = row
+    there = {case.condition.task for case in study.cases if case.identification is not None}
+    return {
+        "pulses": pulses,
+        "models": SHOWN_MODELS,
+        "summaries": summaries,
+        "people": people,
+        "remarks": {
+            (task, name): {fit.told: fit.remarks for fit in study.nonlinear if (fit.task, fit.name) == (task, name)}
+            for task, name in people
+        },
+        "words_of": words_of,
+        "digits": digits,
+        "two_digits": partial(digits, n=2),
+        "whole": partial(fixed, decimals=0),
+        "failed": [fit for fit in study.nonlinear if fit.failed],
+        "unasked": sorted(there - {fit.task for fit in study.nonlinear}),
+    }
+
+
+def joint_rows(study: StudyResult) -> list[Row]:
+    """Joint rotations and velocities from the handle's path, and as simulated, beside the printed ones, SI."""
+    rows = []
+    for cell, printed in published_cells().items():
+        if not cell.table.startswith("F"):
+            continue
+        path, true = (
+            [of_person[cell] for of_person in found if cell in of_person]
+            for found in ([person.cells for person in study.people], [person.true_cells for person in study.people])
+        )
+        if path:
+            row: Row = {"table": cell.table, "condition": cell.condition, "quantity": cell.quantity}
+            row |= {"published_mean": printed.mean, "published_sd": printed.sd}
+            rows.append(row | mean_sd_of("path", path) | mean_sd_of("simulated", true))
+    return rows
+
+
+def _means(study: StudyResult) -> dict[Cell, float]:
+    """Means over people of the cells that somebody fills."""
+    found = {cell: [p.cells[cell] for p in study.people if cell in p.cells] for cell in published_cells()}
+    return {cell: float(np.mean(values)) for cell, values in found.items() if values}
+
+
+def _summary(score: Score | None) -> dict[str, Any]:
+    """Score, headline numbers and what differs."""
+    if score is None:
+        return {"factors": [], "shares": {}, "differs": []}
+    by_name = {line.name: line for line in score.headlines}
+    factors = [
+        Factor(label, line.published, line.ours, line.remark)
+        for name, label in FACTORS.items()
+        if (line := by_name.get(name))
+    ]
+    of_group = {label: shares(score)[name] for name, label in GROUPS.items()}
+    return {"factors": factors, "shares": of_group, "differs": _differs(score, factors)}
+
+
+def _differs(score: Score, factors: list[Factor]) -> list[str]:
+    """The largest differences, in words."""
+    off = [factor for factor in factors if factor.mark == "beyond-1"]
+    lines = [f"{len(off)} of {len(factors)} headline numbers are off by more than {100.0 * NEAR:.0f} %"] if off else []
+    measured = [one for one in score.cells if one.cell.table[0] in "2F"]
+    beyond = [one for one in measured if abs(one.z) > 2.0]
+    if beyond:
+        named = ", ".join(f"{one.cell.quantity} in {one.cell.condition}" for one in beyond[:MOST_NAMED])
+        more = f" and {len(beyond) - MOST_NAMED} more" if len(beyond) > MOST_NAMED else ""
+        lines.append(f"movements beyond 2 SD: {named.replace('_', ' ')}{more}")
+    of_tables = {name: one for name, one in shares(score).items() if "." in name and " " not in name}
+    far = sorted((one.parts[1], name) for name, one in of_tables.items() if one.parts[1] < 0.5)
+    if far:
+        worst = ", ".join(f"{name} ({100.0 * part:.0f}\u00a0%)" for part, name in far[:MOST_NAMED])
+        lines.append(f"less than half of the cells within 1 SD: {len(far)} of {len(of_tables)} tables, least {worst}")
+    lacking = sum(missing_cells(score).values())
+    if lacking:
+        lines.append(f"{lacking} of {len(score.cells)} cells could not be computed and count as not reproduced")
+    return lines
+
+
+def _of_pulses(score: Score) -> list[Headline]:
+    """Numbers of the text on pulses, but for p values, which the statistics have."""
+    return [line for line in score.headlines if "pulse" in line.name and not line.name.startswith("p_")]
+
+
+def drifting(study: StudyResult) -> list[Condition]:
+    """Conditions in which people shall move further, or less far, in the experiment than in practice."""
+    return [c for c in study.protocol.conditions if c.has_multisine and (c.reached != 1.0 or c.reached_spread)]
+
+
+def left_out(study: StudyResult, fits: list[Row], remarks: Sequence[str]) -> dict[str, list[str]]:
+    """What no table shows, or what a reader should not trust: heading to one line each."""
+
+    def those(says: Callable[[Row], str]) -> list[str]:
+        return [f"{row['subject']} in {row['condition']}: {says(row)}" for row in fits if says(row)]
+
+    return {
+        "What is missing, or was made otherwise": list(study.missing),
+        "What was left out of single results": [line for line in remarks if line not in study.missing],
+        "Trials and people that were left out": [reason for case in study.cases for reason in case.left_out],
+        "Fits of greatest likelihood that did not converge": those(
+            lambda row: "" if row["converged"] else row["status"]
+        ),
+        "Fits of greatest likelihood with a parameter at its bound": those(lambda row: row["at_bound"]),
+        "Fits whose trials say that the model is wrong, or the person not linear": those(
+            lambda row: (
+                f"chi2 / dof {row['chi2'] / row['dof']:.2f}, p = {row['p_value']:.1g}"
+                if row["p_value"] < SUSPICIOUS
+                else ""
+            )
+        ),
+        "Fits of greatest likelihood that are unstable on the manipulator": those(
+            lambda row: "" if row["stable"] else f"largest real part of a pole {row['largest_real_pole_per_s']:.3g} 1/s"
+        ),
+    }
+
+
+def remarks(study: StudyResult) -> dict[str, dict[str, list[str]]]:
+    """Condition to person to what to know before trusting their estimates, the thesis's estimator's last."""
+    said: dict[str, dict[str, list[str]]] = {}
+    for case in study.cases:
+        if case.identification is not None:
+            lines = list(case.identified.fit.remarks)
+            lines += [f"thesis's estimator: {line}" for line in (case.thesis.fit.remarks if case.thesis else ())]
+            if lines:
+                said.setdefault(case.condition.name, {})[case.name] = lines
+    return {condition.name: said[condition.name] for condition in study.conditions if condition.name in said}

@@ -1,0 +1,160 @@
+"""What appendices C to E of the thesis fit to every trial of every person: structures, starts and penalties.
+
+Each step takes one person; only the second step of appendix C needs those of everybody, as it starts from their mean.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import xarray as xr
+
+from armperturb.analysis.fit.thesis import (
+    ThesisEstimate,
+    Trials,
+    Wanted,
+    appendix_d,
+    appendix_e,
+    fit_wanted,
+    join_estimates,
+)
+from armperturb.study.published import tables as published
+from armperturb.study.results.cases import WINDOW_START
+from armperturb.analysis.trials import multisine_part, of_condition
+
+FIRST_STEP = {"PT": "PT7.5", "RT": "RT7.5"}
+"""Task to the condition of the first step of appendix C."""
+
+STRUCTURES_C = tuple("123456")
+"""Structures of appendix C."""
+
+STARTS_OF = "PT7.5"
+"""Condition of appendices D and E, which try several starts."""
+
+Key = tuple[str, str]
+"""Condition and structure."""
+
+
+class Fits(NamedTuple):
+    """Fits to the trials of one person.
+
+    Attributes:
+      name: of the person.
+      first: step 1 of appendix C, without penalty.
+      starts: name of each start of appendices D and E to its fits.
+      left_out: why there are none, one line each.
+    """
+
+    name: str
+    first: Mapping[Key, ThesisEstimate]
+    starts: Mapping[str, ThesisEstimate]
+    left_out: tuple[str, ...]
+
+
+class SecondStep(NamedTuple):
+    """Step 2 of appendix C for one person, with penalty, from everybody's means.
+
+    Attributes:
+      estimates: condition and structure to the fits.
+      left_out: why there are none, one line each.
+    """
+
+    estimates: Mapping[Key, ThesisEstimate]
+    left_out: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Appendices:
+    """Everybody's fits.
+
+    Attributes:
+      first: step 1 of appendix C, condition and structure to the fits.
+      second: step 2, likewise.
+      starts: name of each start of appendices D and E to its fits.
+    """
+
+    first: Mapping[Key, ThesisEstimate] = field(default_factory=dict)
+    second: Mapping[Key, ThesisEstimate] = field(default_factory=dict)
+    starts: Mapping[str, ThesisEstimate] = field(default_factory=dict)
+
+
+def fit_person(recording: xr.Dataset) -> Fits:
+    """Step 1 of appendix C, and appendices D and E, for one person.
+
+    Args:
+      recording: the person's trials.
+    """
+    name = str(recording["subject"].values[0])
+    left_out: list[str] = []
+    prepared = _prepared(recording, FIRST_STEP.values(), left_out)
+    first: dict[Key, ThesisEstimate] = {}
+    starts: dict[str, ThesisEstimate] = {}
+    try:
+        first = _fitted(
+            {(c, model): Wanted(trials, model) for c, trials in prepared.items() for model in STRUCTURES_C},
+            use_penalty=False,
+        )
+        if STARTS_OF in prepared:
+            starts = appendix_d(prepared[STARTS_OF]) | appendix_e(prepared[STARTS_OF])
+    except ValueError as error:
+        left_out.append(f"{name} was not fitted as in appendices C to E: {error}")
+    return Fits(name, first, starts, tuple(left_out))
+
+
+def fit_second_step(recording: xr.Dataset, means: Mapping[Key, Mapping[str, float]]) -> SecondStep:
+    """Step 2 of appendix C for one person.
+
+    Args:
+      recording: the person's trials.
+      means: task and structure to everybody's means of step 1, from which the fits start.
+    """
+    name = str(recording["subject"].values[0])
+    left_out: list[str] = []
+    prepared = _prepared(recording, filter(published.has_multisine, published.conditions()), left_out)
+    estimates: dict[Key, ThesisEstimate] = {}
+    try:
+        estimates = _fitted(
+            {
+                (condition, model): Wanted(trials, model, start)
+                for condition, trials in prepared.items()
+                for (task, model), start in means.items()
+                if condition.startswith(task)
+            },
+            use_penalty=True,
+        )
+    except ValueError as error:
+        left_out.append(f"{name} was not fitted as in step 2 of appendix C: {error}")
+    return SecondStep(estimates, tuple(left_out))
+
+
+def _prepared(recording: xr.Dataset, conditions: Iterable[str], left_out: list[str]) -> dict[str, Trials]:
+    """Conditions to their trials, as far as there are any that can be analysed; else says why."""
+    name = str(recording["subject"].values[0])
+    prepared = {}
+    for condition in conditions:
+        part, fitted = multisine_part(of_condition(recording, condition))
+        if not len(fitted):
+            continue
+        try:
+            prepared[condition] = Trials.prepare(part, start=WINDOW_START)
+        except ValueError as error:
+            left_out.append(f"{name} in {condition} was not fitted as in appendices C to E: {error}")
+    return prepared
+
+
+def _fitted(wanted: Mapping[Key, Wanted], *, use_penalty: bool) -> dict[Key, ThesisEstimate]:
+    """All fits at once, which is many times faster than one after the other."""
+    return dict(zip(wanted, fit_wanted(list(wanted.values()), use_penalty=use_penalty), strict=True))
+
+
+def means_of(first: Mapping[Key, ThesisEstimate]) -> dict[Key, dict[str, float]]:
+    """Task and structure to everybody's means of step 1 (appendix C, step 2)."""
+    tasks = {condition: task for task, condition in FIRST_STEP.items()}
+    return {(tasks[condition], model): estimate.start() for (condition, model), estimate in first.items()}
+
+
+def joined(people: Iterable[Mapping]) -> dict:
+    """The fits of several people in one, by key."""
+    people = list(people)
+    keys = dict.fromkeys(key for person in people for key in person)
+    return {key: join_estimates([person[key] for person in people if key in person]) for key in keys}

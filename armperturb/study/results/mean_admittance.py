@@ -1,0 +1,67 @@
+"""Admittance of a condition over its subjects."""
+
+from armperturb.arrays import Array
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armperturb.study.protocol import Condition
+from armperturb.study.results.study_result import StudyResult
+from armperturb.subject import TASKS
+
+
+
+def by_task(study: StudyResult) -> dict[str, list[Condition]]:
+    """Tasks in which somebody was identified, to their conditions, the smallest intended displacement first."""
+    present = sorted(study.conditions, key=lambda condition: condition.rms_displacement)
+    tasks = {task: [condition for condition in present if condition.task == task] for task in TASKS}
+    return {task: conditions for task, conditions in tasks.items() if conditions}
+
+
+def main_conditions(study: StudyResult) -> dict[str, Condition]:
+    """Tasks in which somebody was identified, to the condition that most trials are spent on."""
+    return {
+        task: max(conditions, key=lambda condition: study.n_trials(condition.name))
+        for task, conditions in by_task(study).items()
+    }
+
+
+class MeanAdmittance(NamedTuple):
+    """Admittance of a condition over its subjects: geometric mean of gains, circular mean of phases.
+
+    Attributes:
+      frequency: [Hz], (frequency,).
+      gain: [m/N], (frequency, output, input).
+      gain_ratio: one SD over subjects as a factor on the gain [-]; NaN for one subject.
+      phase: [rad], (frequency, output, input).
+      phase_sd: over subjects [rad]; NaN for one subject.
+    """
+
+    frequency: Array
+    gain: Array
+    gain_ratio: Array
+    phase: Array
+    phase_sd: Array
+
+
+def mean_admittance(study: StudyResult, condition: str) -> MeanAdmittance:
+    """Mean of the estimated admittance over the subjects of a condition.
+
+    Raises:
+      ValueError: no subject was identified in the condition.
+    """
+    cases = study.of(condition)
+    if not cases:
+        raise ValueError(f"condition = {condition!r}; expected one in which somebody was identified")
+    spectra = [case.identified.spectra for case in cases]
+    arm = np.stack([one.arm for one in spectra])
+    log_gain, direction = np.log(np.abs(arm)), np.mean(arm / np.abs(arm), axis=0)
+    if len(arm) > 1:
+        gain_ratio = np.exp(log_gain.std(axis=0, ddof=1))
+        phase_sd = np.angle(arm / direction).std(axis=0, ddof=1)
+    else:
+        gain_ratio = phase_sd = np.full(direction.shape, np.nan)
+    return MeanAdmittance(
+        spectra[0].frequency, np.exp(log_gain.mean(axis=0)), gain_ratio, np.angle(direction), phase_sd
+    )

@@ -1,0 +1,258 @@
+"""Cells of the published tables that a person's recordings fill: tables 2.1 and F.2 to F.6.
+
+| table | condition | quantity | unit |
+|---|---|---|---|
+| 2.1 | with a multisine | `rms_force`, `rms_displacement` | N, m |
+| 2.1 | all | `peak_displacement_min`, `peak_displacement_max` | m |
+| F.2 | with a multisine | `rms_velocity_s`, `max_velocity_s`, likewise `_e` | rad/s |
+| F.3 | all | `peak_velocity_min_s`, `peak_velocity_max_s`, likewise `_e` | rad/s |
+| F.4 | with a multisine | `rms_rotation_s`, `max_rotation_s`, likewise `_e` | rad |
+| F.5 | all | `peak_rotation_min_s`, `peak_rotation_max_s`, likewise `_e` | rad |
+| F.6 | two repetitions | `peak_rotation_left_s`, `peak_rotation_right_s`, likewise `_e` | rad |
+
+Everything is taken from perturbation and displacement, joints by `armperturb.analysis.measures.kinematics`, and counted from the
+start of the trial. The multisine is measured over one period from `WINDOW_START` on, in which a person's RMS pools all
+trials, and of force and displacement both axes; largest values are means over trials. Peaks are the largest values in
+the window of `armperturb.analysis.measures.pulse`, as means over the trials that a cell pools: repetitions and both directions
+of a level (min 1, max 2), or repetitions and levels of a direction. The thesis numbers levels with a sign, negative at
+20 deg and positive at 200 deg from the x axis (note d of table 2.1); a pulse to the right is one at 20 deg, as x points
+right, whatever the sign. The pulse unit of table 2.1 is no cell: it is ten times the force of PT7.5.
+"""
+
+from armperturb.arrays import Array
+import functools
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from armperturb.analysis.measures.kinematics import (
+    hand_path,
+    joint_rotations,
+    joint_velocities,
+    true_rotations,
+    within_reach,
+)
+from armperturb.analysis.measures.pulse import peak_norm, pulse_span
+from armperturb.perturbations.multisine import PERIOD
+from armperturb.recording import REQUIRED_SIGNALS, check_recording
+from armperturb.study.published import tables as published
+from armperturb.study.results.cases import WINDOW_START
+from armperturb.study.published.tables import MeanSD
+
+
+JOINTS = ("s", "e")
+"""Shoulder and elbow, in the order of a recording."""
+
+LEVELS = {"min": 1.0, "max": 2.0}
+"""Name of a pulse level to the level [-]."""
+
+
+class Cell(NamedTuple):
+    """A cell of a published table.
+
+    Attributes:
+      table: as printed, e.g. "F.2".
+      condition: e.g. "PT7.5".
+      quantity: what is measured, see the head of this module.
+    """
+
+    table: str
+    condition: str
+    quantity: str
+
+
+class Measured(NamedTuple):
+    """What a person's recordings fill.
+
+    Attributes:
+      cells: to the value of this person, SI.
+      left_out: why trials, or parts of them, fill none; one line each.
+    """
+
+    cells: dict[Cell, float]
+    left_out: tuple[str, ...]
+
+
+@functools.cache
+def published_cells() -> Mapping[Cell, MeanSD]:
+    """All cells of tables 2.1 and F.2 to F.6, mean (SD) over the thesis's subjects, SI."""
+    cells = {}
+    for condition in published.conditions():
+        if published.has_multisine(condition):
+            cells[Cell("2.1", condition, "rms_force")] = published.applied_force(condition)
+            cells[Cell("2.1", condition, "rms_displacement")] = published.rms_displacement(condition)
+        for level in published.pulse_levels(condition):
+            cells[Cell("2.1", condition, f"peak_displacement_{level}")] = published.peak_displacement(condition, level)
+    for entry in published.joint_motions():
+        pulse = "" if entry.pulse == "none" else f"_{entry.pulse}"
+        cell = Cell(entry.table, entry.condition, f"{entry.quantity}{pulse}_{entry.joint}")
+        cells[cell] = published.joint_motion(entry.condition, entry.joint, entry.quantity, entry.pulse)
+    return MappingProxyType(cells)
+
+
+def measured_cells(recording: xr.Dataset, *, start: float = WINDOW_START, period: float = PERIOD) -> dict[Cell, float]:
+    """Published cells that the recordings of one person fill, SI; `measure` also tells what is missing and why.
+
+    Args:
+      recording: trials of one person in any of the thesis's conditions, of people or simulated, with or without
+        instruments; conditions that are missing give no cells.
+      start: of the multisine's window [s].
+      period: its length [s].
+
+    Raises:
+      ValueError: the recording is refused (see `check_recording`), or holds several people.
+    """
+    return measure(recording, start=start, period=period).cells
+
+
+def measure(
+    recording: xr.Dataset, *, start: float = WINDOW_START, period: float = PERIOD, simulated_joints: bool = False
+) -> Measured:
+    """As `measured_cells`, with the reasons why trials, or parts of them, fill no cell.
+
+    Args:
+      recording: as there.
+      start: as there.
+      period: as there.
+      simulated_joints: take the joints as the simulation has them, `joint_angle`, and not from the handle's path.
+
+    Raises:
+      ValueError: as there, or there are no simulated joints.
+    """
+    check_recording(recording)
+    people = list(dict.fromkeys(recording["subject"].values.tolist()))
+    if len(people) > 1:
+        raise ValueError(f"recordings of {', '.join(map(str, people))}; expected those of one person")
+    inside, left_out = _cut_at_limits(recording[list(REQUIRED_SIGNALS)])
+    rotation = true_rotations(recording) if simulated_joints else joint_rotations(inside)
+    path = _Path(recording=inside, rotation=rotation)
+    wanted, pools = published_cells(), dict[Cell, dict[str, list[float]]]()
+    for trial, condition in enumerate(inside["condition"].values.tolist()):
+        parts: list[Callable[[], Iterator[_Value]]] = []
+        if published.has_multisine(condition):
+            parts.append(partial(_multisine_values, path, trial, start, period))
+        if published.pulse_levels(condition) and not np.isnan(inside["pulse_onset"].values[trial]):
+            parts.append(partial(_pulse_values, path, trial))
+        for part in parts:
+            try:
+                values = list(part())
+            except ValueError as error:
+                left_out.append(str(error))
+                continue
+            for value in values:
+                pools.setdefault(value.cell, {}).setdefault(value.kind, []).append(value.value)
+    cells = {}
+    for cell in wanted:
+        kinds = pools.get(cell, {})
+        missing = _kinds_needed(cell) - kinds.keys()
+        if kinds and not missing:
+            mean = float(np.mean([np.mean(values) for values in kinds.values()]))
+            cells[cell] = math.sqrt(mean) if cell.quantity.startswith("rms") else mean
+        elif kinds:
+            left_out.append(f"{cell.table}, {cell.condition}, {cell.quantity}: no trial of level {', '.join(missing)}")
+    return Measured(cells, tuple(left_out))
+
+
+class _Value(NamedTuple):
+    """What a trial adds to a cell: the square of an RMS, or a largest value; kinds of pulses count alike."""
+
+    cell: Cell
+    kind: str
+    value: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Path:
+    """A recording and its joints' rotations [rad], (trial, time, joint)."""
+
+    recording: xr.Dataset
+    rotation: Array
+
+    @property
+    def rate(self) -> float:
+        return float(self.recording.attrs["rate"])
+
+    @functools.cached_property
+    def velocity(self) -> Array:
+        """[rad/s], (trial, time, joint)."""
+        return joint_velocities(self.rotation, self.rate)
+
+
+def _cut_at_limits(recording: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
+    """Handles that stand still from where they met the workspace limit or left the arm's reach, as told in limit_time.
+
+    Beyond it signals mean nothing, and joint angles may not exist.
+    """
+    lengths = (recording[name].values[:, None] for name in ("l_h", "l_f"))
+    beyond = ~within_reach(hand_path(recording), *lengths)
+    rate, limit_time = float(recording.attrs["rate"]), recording["limit_time"].values.astype(float)
+    displacement = recording["displacement"].values.copy()
+    told = []
+    for trial in range(len(limit_time)):
+        if beyond[trial].any():
+            time = int(np.argmax(beyond[trial])) / rate
+            if not limit_time[trial] <= time:
+                told.append(f"trial {trial}: the handle is out of the arm's reach at {time:.3f} s")
+                limit_time[trial] = time
+        if np.isfinite(limit_time[trial]):
+            last = max(math.ceil(limit_time[trial] * rate) - 1, 0)
+            displacement[trial, last:] = displacement[trial, last]
+    changed = recording.assign(
+        displacement=(recording["displacement"].dims, displacement, recording["displacement"].attrs)
+    )
+    return changed.assign_coords(limit_time=("trial", limit_time)), told
+
+
+def _multisine_values(path: _Path, trial: int, start: float, period: float) -> Iterator[_Value]:
+    recording = path.recording
+    window = slice(round(start * path.rate), round((start + period) * path.rate))
+    onset = float(recording["pulse_onset"].values[trial])
+    end = recording.sizes["time"] if np.isnan(onset) else round(onset * path.rate)
+    if window.stop > end:
+        raise ValueError(
+            f"trial {trial}: the multisine ends at {end / path.rate:g} s; expected {start + period:g} s or more"
+        )
+    limit = float(recording["limit_time"].values[trial])
+    if limit * path.rate < window.stop:
+        raise ValueError(
+            f"trial {trial}: the workspace limit is reached at {limit:.3f} s, within the multisine's window"
+        )
+    condition = str(recording["condition"].values[trial])
+    for name, signal in (("rms_force", "perturbation"), ("rms_displacement", "displacement")):
+        yield _Value(Cell("2.1", condition, name), "", float(np.mean(recording[signal].values[trial, window] ** 2)))
+    for table, name, values in (("F.2", "velocity", path.velocity), ("F.4", "rotation", path.rotation)):
+        for joint, of_joint in zip(JOINTS, values[trial, window].T, strict=True):
+            yield _Value(Cell(table, condition, f"rms_{name}_{joint}"), "", float(np.mean(of_joint**2)))
+            yield _Value(Cell(table, condition, f"max_{name}_{joint}"), "", float(np.abs(of_joint).max()))
+
+
+def _pulse_values(path: _Path, trial: int) -> Iterator[_Value]:
+    recording = path.recording
+    window = pulse_span(recording, trial)
+    condition, level = str(recording["condition"].values[trial]), abs(float(recording["pulse_level"].values[trial]))
+    named = next((name for name, value in LEVELS.items() if value == level), None)
+    if named is None:
+        raise ValueError(
+            f"trial {trial}: pulse_level = {level:g}; expected one of {', '.join(map(str, LEVELS.values()))}"
+        )
+    angle = math.radians(float(recording["pulse_direction"].values[trial]))
+    direction = "right" if math.cos(angle) > 0.0 else "left"
+    distance = peak_norm(recording["displacement"].values[trial, window])
+    yield _Value(Cell("2.1", condition, f"peak_displacement_{named}"), direction, distance)
+    for joint, index in zip(JOINTS, range(2), strict=True):
+        velocity, rotation = (float(np.abs(of[trial, window, index]).max()) for of in (path.velocity, path.rotation))
+        yield _Value(Cell("F.3", condition, f"peak_velocity_{named}_{joint}"), direction, velocity)
+        yield _Value(Cell("F.5", condition, f"peak_rotation_{named}_{joint}"), direction, rotation)
+        yield _Value(Cell("F.6", condition, f"peak_rotation_{direction}_{joint}"), named, rotation)
+
+
+def _kinds_needed(cell: Cell) -> set[str]:
+    """Kinds of pulses without which a cell would not mean what the thesis's does: a level more makes peaks larger."""
+    return set(published.pulse_levels(cell.condition)) if cell.table == "F.6" else set()

@@ -1,0 +1,300 @@
+"""What the thesis reports of one person, from the person's recordings: cells of tables, admittance, pulses, fits."""
+
+from armperturb.arrays import Array
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from armperturb.analysis.measures.pulse import peak_norm, predicted_peaks, pulse_peaks, pulse_span
+from armperturb.analysis.fit.thesis import ThesisEstimate
+from armperturb.analysis.measures.vaf import variance_accounted_for
+from armperturb.environment import Environment
+from armperturb.envs.lab.skeletal import Prediction, simulate_skeletal
+from armperturb.study.published import tables as published
+from armperturb.study.results.cases import Case
+from armperturb.analysis.trials import multisine_part, of_condition
+from armperturb.study.results.quantities import LEVELS, Cell, measure
+from armperturb.subject import Subject
+
+
+N_LOW = 2
+"""How many of the lowest frequency points tell the low-frequency gain (thesis 3.1)."""
+
+
+class TrialMeasures(NamedTuple):
+    """What one trial tells, and what its own fit predicts of it.
+
+    Numbers are NaN where there is none: no pulse, no stable fit, or a skeletal model that reached the workspace limit.
+
+    Attributes:
+      condition: of the protocol.
+      repetition: of the condition, from 0.
+      pulse_level: as recorded, multiple of the unit pulse; 0 without pulse.
+      pulse_direction_deg: of its force, from the x axis.
+      displacement: peak after the pulse [m].
+      force: peak hand reaction force after the pulse [N].
+      predicted_linear: peak displacement as the linear model has it [m].
+      predicted_skeletal: likewise, the nonlinear skeletal model.
+      vaf_linear: variance of the displacement before the pulse that the linear model accounts for, x and y [%].
+      vaf_skeletal: likewise, the nonlinear skeletal model.
+    """
+
+    condition: str
+    repetition: int
+    pulse_level: float
+    pulse_direction_deg: float
+    displacement: float
+    force: float
+    predicted_linear: float = math.nan
+    predicted_skeletal: float = math.nan
+    vaf_linear: tuple[float, float] = (math.nan, math.nan)
+    vaf_skeletal: tuple[float, float] = (math.nan, math.nan)
+
+    @property
+    def admittance(self) -> float:
+        """Pulse admittance [m/N]. Source: eq. 2.24."""
+        return self.displacement / self.force
+
+
+class PulseMeans(NamedTuple):
+    """A person's responses to the pulses of a condition and level, as means over trials.
+
+    Attributes:
+      displacement: peak [m].
+      admittance: pulse admittance [m/N].
+      prediction: predicted over recorded peak displacement, of the linear model [%]; NaN if there is no model.
+      excess: recorded over predicted peak displacement, of the linear model [-]; likewise.
+      prediction_skeletal: predicted over recorded peak displacement, of the nonlinear skeletal model [%]; likewise.
+    """
+
+    displacement: float
+    admittance: float
+    prediction: float
+    excess: float
+    prediction_skeletal: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PersonMeasures:
+    """What a person's recordings tell.
+
+    Attributes:
+      name: of the person.
+      conditions: that were recorded.
+      cells: of tables 2.1 and F.2 to F.6 to the person's values, SI; joints from the handle's path.
+      true_cells: those of tables F.2 to F.6, with the joints as the simulation has them; none of people.
+      low_gain: condition to the gain of the diagonal of the admittance at the lowest frequencies [m/N], (frequency,
+        axis).
+      trials: what each recorded trial of the published conditions tells.
+      estimates: condition to the fits of its trials that predict them.
+      left_out: why trials, or parts of them, tell nothing; one line each.
+    """
+
+    name: str
+    conditions: tuple[str, ...]
+    cells: Mapping[Cell, float]
+    true_cells: Mapping[Cell, float]
+    low_gain: Mapping[str, Array]
+    trials: tuple[TrialMeasures, ...]
+    estimates: Mapping[str, ThesisEstimate]
+    left_out: tuple[str, ...]
+
+    @cached_property
+    def pulses(self) -> dict[tuple[str, str], PulseMeans]:
+        """Condition and level ("min", "max") to the means over the trials whose pulse tells something."""
+        found = {}
+        for condition in dict.fromkeys(trial.condition for trial in self.trials):
+            for name, level in LEVELS.items():
+                its = [
+                    trial
+                    for trial in self.trials
+                    if trial.condition == condition
+                    and abs(trial.pulse_level) == level
+                    and math.isfinite(trial.displacement)
+                ]
+                if its:
+                    found[condition, name] = _pulse_means(its)
+        return found
+
+
+def measure_person(recording: xr.Dataset, cases: Sequence[Case]) -> PersonMeasures:
+    """All of it.
+
+    Args:
+      recording: the person's trials.
+      cases: what was identified from them; each trial is predicted by its own fit, of the thesis's estimator.
+
+    Raises:
+      ValueError: the recording is refused, or holds several people.
+    """
+    cells, told = measure(recording)
+    name, rate = str(recording["subject"].values[0]), float(recording.attrs["rate"])
+    left_out = [f"{name}: {line}" for line in told]
+    conditions = tuple(dict.fromkeys(recording["condition"].values.tolist()))
+    by_condition = {case.condition.name: case for case in cases}
+    low_gain: dict[str, Array] = {}
+    trials: list[TrialMeasures] = []
+    multisines: list[_Asked] = []
+    pulses: list[_Asked] = []
+    estimates: dict[str, ThesisEstimate] = {}
+    for condition in published.conditions():
+        mine = of_condition(recording, condition)
+        if not mine.sizes["trial"]:
+            continue
+        part, fitted = multisine_part(mine)
+        case = by_condition.get(condition)
+        if case is not None and case.identification is not None:
+            gain = np.abs(np.diagonal(case.identification.spectra.arm, axis1=1, axis2=2))
+            low_gain[condition] = gain[:N_LOW]
+        estimate = case.thesis_estimate if case is not None else None
+        models: dict[int, tuple[Subject, Environment, list[float]]] = {}
+        if estimate is not None:
+            estimates[condition] = estimate
+            left_out += [f"{name}, {line}" for line in _unstable(estimate, condition)]
+            models = {
+                trial: (fit.arm, estimate.environment, vaf)
+                for trial, fit, vaf in zip(fitted.tolist(), estimate.fits, estimate.vaf.tolist(), strict=True)
+                if fit.stable
+            }
+        for trial, measures in enumerate(_recorded_trials(mine)):
+            if trial in models:
+                arm, environment, (x, y) = models[trial]
+                one = mine.isel(trial=[trial])
+                predicted = float(predicted_peaks(one, arm, environment)[0])
+                measures = measures._replace(predicted_linear=predicted, vaf_linear=(x, y))
+                multisines.append(_asked(len(trials), one, slice(0, part.sizes["time"]), arm, environment))
+                if math.isfinite(predicted):
+                    pulses.append(_asked(len(trials), one, pulse_span(one, 0), arm, environment))
+            trials.append(measures)
+    left_out += [f"{name} in {line}" for line in _predict_skeletal(trials, multisines, pulses, rate)]
+    return PersonMeasures(
+        name=name,
+        conditions=conditions,
+        cells=cells,
+        true_cells=_true_cells(recording),
+        low_gain=low_gain,
+        trials=tuple(trials),
+        estimates=estimates,
+        left_out=tuple(left_out),
+    )
+
+
+def _true_cells(recording: xr.Dataset) -> dict[Cell, float]:
+    if "joint_angle" not in recording:
+        return {}
+    cells = measure(recording, simulated_joints=True).cells
+    return {cell: value for cell, value in cells.items() if cell.table.startswith("F")}
+
+
+def _unstable(estimate: ThesisEstimate, condition: str) -> list[str]:
+    n = len(estimate.fits) - estimate.n_stable
+    if not n:
+        return []
+    return [
+        f"{condition}, model {estimate.structure}: {n} of {len(estimate.fits)} fits diverged (unstable on the "
+        "manipulator in spite of the penalty) and are left out"
+    ]
+
+
+def stable_mean(estimate: ThesisEstimate, name: str, *, sem: bool = False) -> float:
+    """A person's mean over stable trials of a parameter, or of its SEM; NaN without any."""
+    per_trial = (estimate.sem if sem else estimate.values)[estimate.stable, estimate.parameters.index(name)]
+    return float(per_trial.mean()) if len(per_trial) else math.nan
+
+
+def muscle_parameter(name: str, of_joints: Callable[[str], float]) -> float:
+    """A parameter of a muscle group, from those of joints: k_s* = k_s - k_se, k_e* = k_e - k_se (eq. 2.10).
+
+    Args:
+      name: with a star for muscles of one joint.
+      of_joints: name of a joint's parameter to its value.
+    """
+    joint, star, _ = name.partition("*")
+    return of_joints(joint) - of_joints(f"{joint.split('_')[0]}_se") if star else of_joints(joint)
+
+
+def _recorded_trials(recording: xr.Dataset) -> list[TrialMeasures]:
+    """What the trials of a recording tell without any model."""
+    peaks = pulse_peaks(recording)
+    return [
+        TrialMeasures(
+            condition=str(recording["condition"].values[trial]),
+            repetition=int(recording["repetition"].values[trial]),
+            pulse_level=float(recording["pulse_level"].values[trial]),
+            pulse_direction_deg=float(recording["pulse_direction"].values[trial]),
+            displacement=float(peaks.displacement[trial]),
+            force=float(peaks.force[trial]),
+        )
+        for trial in range(recording.sizes["trial"])
+    ]
+
+
+class _Asked(NamedTuple):
+    """What the skeletal model is to predict.
+
+    Attributes:
+      place: of the trial among the person's.
+      prediction: what to simulate.
+      recorded: displacement of the handle in its time [m], (time, axis).
+    """
+
+    place: int
+    prediction: Prediction
+    recorded: Array
+
+
+def _asked(place: int, trial: xr.Dataset, span: slice, arm: Subject, environment: Environment) -> _Asked:
+    prediction = Prediction(
+        arm=arm,
+        environment=environment,
+        perturbation=trial["perturbation"].values[0, : span.stop],
+        onset=span.start,
+    )
+    return _Asked(place, prediction, trial["displacement"].values[0, span])
+
+
+def _predict_skeletal(
+    trials: list[TrialMeasures], multisines: list[_Asked], pulses: list[_Asked], rate: float
+) -> list[str]:
+    """Fill in what the nonlinear skeletal model predicts; returns what it could not, one line each."""
+    told = []
+    for what, asked in (("multisine", multisines), ("pulse", pulses)):
+        paths = simulate_skeletal([one.prediction for one in asked], rate)
+        for one, path in zip(asked, paths, strict=True):
+            trial = trials[one.place]
+            lost = np.flatnonzero(np.isnan(path[:, 0]))
+            if len(lost):
+                told.append(
+                    f"{trial.condition}, repetition {trial.repetition}: the skeletal model left the workspace "
+                    f"{lost[0] / rate:.3f} s after the {what} began; it predicts nothing of it"
+                )
+            elif what == "pulse":
+                trials[one.place] = trial._replace(predicted_skeletal=peak_norm(path))
+            else:
+                x, y = variance_accounted_for(one.recorded, path, rate).tolist()
+                trials[one.place] = trial._replace(vaf_skeletal=(x, y))
+    return told
+
+
+def _pulse_means(trials: list[TrialMeasures]) -> PulseMeans:
+    displacement = np.array([trial.displacement for trial in trials])
+
+    def known(predicted: list[float]) -> Array:
+        ratio = np.array(predicted) / displacement
+        return ratio[np.isfinite(ratio)]
+
+    linear = known([trial.predicted_linear for trial in trials])
+    skeletal = known([trial.predicted_skeletal for trial in trials])
+    return PulseMeans(
+        displacement=float(displacement.mean()),
+        admittance=float(np.mean([trial.admittance for trial in trials])),
+        prediction=100.0 * float(linear.mean()) if len(linear) else math.nan,
+        excess=float((1.0 / linear).mean()) if len(linear) else math.nan,
+        prediction_skeletal=100.0 * float(skeletal.mean()) if len(skeletal) else math.nan,
+    )

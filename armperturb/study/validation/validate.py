@@ -1,0 +1,410 @@
+"""Monte-Carlo judgement of the estimators, on synthetic people whose truth is known.
+
+Groups of trials are simulated and identified again and again. What an estimator gives is compared with the truth, its
+error with the Cramer-Rao bound (of all that the trials hold), and its intervals with how often they hold the truth.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import joblib
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from scipy import stats
+from tqdm import tqdm
+
+from armperturb.analysis.fit.identify import Estimator
+from armperturb.analysis.fit.maximum_likelihood import Group, Method, estimate
+from armperturb.analysis.fit.structures import STRUCTURES, Structure, at_truth, body_of, true_values, unit
+from armperturb.analysis.fit.thesis import MODEL_3_WIDE, fit_trials
+from armperturb.arrays import Array
+from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.instruments import Instruments
+from armperturb.envs.lab.trial import Trial, trial_seed
+from armperturb.perturbations import Multisine
+from armperturb.subject import POSITION, RELAX, TASKS, Subject
+from armperturb.validation import require_number
+from armperturb.workers import completed, workers_for
+
+Row = dict[str, Any]
+
+Wrong = Literal["nothing", "delay", "force-feedback", "grip"]
+"""What is wrong on purpose with the structure that is fitted."""
+
+ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
+
+RMS_FORCE = {"PT": 5.4, "RT": 0.9}
+"""Published RMS force per axis in PT7.5 and RT7.5 [N] (table 2.1)."""
+
+DURATION = 32.0
+"""Of a trial [s], as the multisine of section 2.4."""
+
+WRONG_DELAY = 0.010
+"""By how much the fixed delay is off [s]."""
+
+WRONG_GRIP = 0.8
+"""Fixed over true grip stiffness [-]."""
+
+FORCE_FEEDBACK = -0.5
+"""Gain of the inhibition by tendon organs that the structure leaves out [-]; the published ones are near it (C.8)."""
+
+SAME_OPTIMUM = 0.5
+"""Twice the log likelihood by which a fit may miss the one that starts at the truth [-]; a datum tells about one."""
+
+SAME_CRITERION = 0.01
+"""Share by which the thesis's criterion may exceed its least value and the minimum still count as found [-]."""
+
+BIASED = 2.0
+"""From how many standard errors on the mean error of a parameter makes a run a biased one [-]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidateSettings:
+    """What a validation is made of.
+
+    Attributes:
+      task: "PT" or "RT": whose preset is perturbed, in the manner of PT7.5 or RT7.5.
+      subject: TOML file of who is perturbed instead; its task is used.
+      model: structure that is fitted, see `fit.structures`; what it fixes is fixed at the truth. Delay
+        and cut-off, where free, have the bounds of table D.2: the cut-off of 3.5 Hz is beyond those of table C.2.
+      groups: how often it all is repeated.
+      trials: that are identified together.
+      estimators: of `ESTIMATORS`, those that are judged.
+      noise: factor on the person's noise; 0 leaves the instruments' alone.
+      force: RMS force of the multisine, per axis [N]; the published one of the task if None.
+      wrong: what is wrong on purpose.
+      multibody: whether MuJoCo's arm is perturbed, which moves in a circle; the linear one if not, for which the
+        structure is exactly right.
+      seed: of everything random.
+
+    Raises:
+      TypeError: a value has the wrong type.
+      ValueError: a value is out of its range.
+    """
+
+    task: str = "PT"
+    subject: Path | None = None
+    model: str = "3b"
+    groups: int = 40
+    trials: int = 8
+    estimators: tuple[Estimator, ...] = ESTIMATORS
+    noise: float = 1.0
+    force: float | None = None
+    wrong: Wrong = "nothing"
+    multibody: bool = False
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.task not in TASKS:
+            raise ValueError(f"validate: task = {self.task!r}; expected one of {', '.join(TASKS)}")
+        if self.model not in STRUCTURES:
+            raise ValueError(f"validate: model = {self.model!r}; expected one of {', '.join(STRUCTURES)}")
+        for name, least in (("groups", 1), ("trials", 1), ("seed", 0)):
+            value = getattr(self, name)
+            require_number("validate", name, value, at_least=least)
+            if not isinstance(value, int):
+                raise TypeError(f"validate: {name} = {value!r}; expected a whole number")
+        if not self.estimators or len(set(self.estimators)) < len(self.estimators):
+            raise ValueError(f"validate: estimators = {self.estimators!r}; expected at least one, each once")
+        for name in self.estimators:
+            if name not in ESTIMATORS:
+                raise ValueError(f"validate: estimators = {name!r}; expected some of {', '.join(ESTIMATORS)}")
+        require_number("validate", "noise", self.noise, at_least=0.0)
+        if self.force is not None:
+            require_number("validate", "force", self.force, above=0.0)
+        if self.wrong not in get_args(Wrong):
+            raise ValueError(f"validate: wrong = {self.wrong!r}; expected one of {', '.join(get_args(Wrong))}")
+
+    def truth(self) -> Subject:
+        """Who is perturbed.
+
+        Raises:
+          ValueError: the file is refused.
+          OSError: the file cannot be read.
+        """
+        subject = Subject.load(self.subject) if self.subject else {"PT": POSITION, "RT": RELAX}[self.task]
+        if self.wrong == "force-feedback":
+            subject = replace(subject, kf_s=FORCE_FEEDBACK, kf_e=FORCE_FEEDBACK)
+        return subject
+
+    def structure(self) -> Structure:
+        """What is fitted: the model, with what it fixes at the truth but for what is wrong on purpose.
+
+        Raises:
+          ValueError: as `truth`; or the truth is outside the model's bounds, or what is to be wrong has no effect.
+        """
+        truth, structure = self.truth(), STRUCTURES[self.model]
+        wide = {
+            name: (MODEL_3_WIDE.bounds[name][0], structure.start[name], MODEL_3_WIDE.bounds[name][1])
+            for name in structure.free
+            if name.startswith(("Td_", "fact_"))
+        }
+        structure = at_truth(structure.freeing(**wide), truth)
+        if self.wrong == "delay":
+            if not any(getattr(truth, f"{gain}_{joint}") for gain in ("kv", "kp", "ka") for joint in ("s", "se", "e")):
+                raise ValueError(
+                    f"validate: wrong = {self.wrong!r}; expected another for {truth.name!r}, in whom nothing is delayed"
+                )
+            structure = structure.fixing(**{name: getattr(truth, name) + WRONG_DELAY for name in ("Td_s", "Td_e")})
+        elif self.wrong == "force-feedback":
+            structure = structure.fixing(kf_s=0.0, kf_se=0.0, kf_e=0.0)
+        elif self.wrong == "grip":
+            structure = structure.fixing(k_h=WRONG_GRIP * truth.k_h)
+        for name, value in zip(structure.free, true_values(truth, structure), strict=True):
+            lower, upper = structure.bounds[name]
+            if not lower <= value <= upper:
+                raise ValueError(
+                    f"validate: {name} = {value:g} {unit(name)} in {truth.name!r}; expected {lower:g} to {upper:g}, "
+                    f"the bounds of model {self.model}"
+                )
+        return structure.named(self.model)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judged:
+    """One estimator on one group of trials.
+
+    Attributes:
+      values: estimates, (parameter,), SI.
+      error: standard errors, (parameter,), SI.
+      covered: whether the 95 % intervals hold the truth, (parameter,).
+      converged: share of the fits that ended at an optimum [-]: of one, or for "thesis" of those of all trials.
+      stable: share of them that give a stable arm [-].
+      is_global: share of them than which no better optimum is known [-]: none that is found from the truth; for
+        "thesis" none from several starts carried to their minima, for the first trial alone.
+      suspicious: whether the estimator itself says that the structure is wrong; None if it cannot.
+    """
+
+    values: Array
+    error: Array
+    covered: NDArray[np.bool_]
+    converged: float
+    stable: float
+    is_global: float
+    suspicious: bool | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Validation:
+    """What came out.
+
+    Attributes:
+      settings: what was done.
+      names: of the free parameters.
+      truth: their true values, (parameter,), SI.
+      bound: Cramer-Rao bound of their standard deviation from the whole records, (parameter,), SI.
+      judged: estimator to one entry per group.
+    """
+
+    settings: ValidateSettings
+    names: tuple[str, ...]
+    truth: Array
+    bound: Array
+    judged: dict[Estimator, tuple[Judged, ...]]
+
+    def rows(self) -> list[Row]:
+        """Bias, error, bound and coverage per estimator and parameter.
+
+        Low and high are a 95 % interval of the RMS error over its bound, from the number of groups (chi2 distribution).
+        """
+        rows = []
+        n = self.settings.groups
+        spread = np.sqrt(n / stats.chi2.ppf([0.975, 0.025], n))
+        for estimator, judged in self.judged.items():
+            deviation = np.array([one.values for one in judged]) - self.truth
+            rms = np.sqrt(np.mean(deviation**2, axis=0))
+            for column, name in enumerate(self.names):
+                scale = 100.0 / abs(self.truth[column]) if self.truth[column] else np.nan
+                rows.append(
+                    {
+                        "estimator": estimator,
+                        "parameter": name,
+                        "unit": unit(name),
+                        "true": float(self.truth[column]),
+                        "bias": float(deviation[:, column].mean()),
+                        "rms_error": float(rms[column]),
+                        "rms_error_percent": float(scale * rms[column]),
+                        "bound": float(self.bound[column]),
+                        "rms_error_over_bound": float(rms[column] / self.bound[column]),
+                        "rms_error_over_bound_low": float(rms[column] / self.bound[column] * spread[0]),
+                        "rms_error_over_bound_high": float(rms[column] / self.bound[column] * spread[1]),
+                        "mean_standard_error": float(np.mean([one.error[column] for one in judged])),
+                        "coverage_percent": 100.0 * float(np.mean([one.covered[column] for one in judged])),
+                    }
+                )
+        return rows
+
+    def summary(self) -> list[Row]:
+        """How the fits went, per estimator.
+
+        A run counts as biased if the mean error of some parameter, over all groups, is above `BIASED` of the standard
+        errors that the run itself gives.
+        """
+        rows = []
+        for estimator, judged in self.judged.items():
+            deviation = np.array([one.values for one in judged]) - self.truth
+            error = np.array([one.error for one in judged])
+            biased = np.any(np.abs(deviation.mean(axis=0)) > BIASED * error, axis=1)
+            flagged = np.array([np.nan if one.suspicious is None else one.suspicious for one in judged], dtype=float)
+            rows.append(
+                {
+                    "estimator": estimator,
+                    "groups": len(judged),
+                    "converged_percent": 100.0 * float(np.mean([one.converged for one in judged])),
+                    "stable_percent": 100.0 * float(np.mean([one.stable for one in judged])),
+                    "global_percent": 100.0 * float(np.mean([one.is_global for one in judged])),
+                    "coverage_percent": 100.0 * float(np.mean([one.covered for one in judged])),
+                    "median_error_over_bound": float(np.median(np.sqrt(np.mean(deviation**2, axis=0)) / self.bound)),
+                    "flagged_percent": 100.0 * float(flagged.mean()),
+                    "biased_percent": 100.0 * float(biased.mean()),
+                    "flagged_of_biased_percent": 100.0 * float(flagged[biased].mean()) if biased.any() else np.nan,
+                }
+            )
+        return rows
+
+
+def validate(settings: ValidateSettings, *, workers: int | None = None, show_progress: bool = True) -> Validation:
+    """Judge the estimators.
+
+    Args:
+      settings: what to do; they alone determine the result.
+      workers: number of processes; by default one per core.
+      show_progress: whether to draw a progress bar where there is a terminal.
+
+    Raises:
+      TypeError: workers is not a number.
+      ValueError: subject, structure or workers are refused, or the arm is unstable.
+      OSError: the subject's file cannot be read.
+    """
+    settings.structure()
+    if workers is None:
+        workers = joblib.cpu_count()
+    require_number("validate", "workers", workers, at_least=1)
+    units, do, results = range(settings.groups), partial(run_group, settings), []
+    with (
+        workers_for(min(workers, settings.groups), None) as crew,
+        tqdm(total=len(units), desc="validate", unit="group", disable=None if show_progress else True) as bar,
+    ):
+        for result in map(do, units) if crew is None else completed(do, units, crew, bar.refresh):
+            results.append(result)
+            bar.update()
+    return collect(settings, results)
+
+
+def simulate_group(settings: ValidateSettings, number: int) -> xr.Dataset:
+    """The recording of one group of trials, counted from 0.
+
+    Raises:
+      ValueError: the subject is refused, or the arm is unstable.
+      OSError: the subject's file cannot be read.
+    """
+    truth = settings.truth()
+    return run_experiment(
+        [_trial(settings, truth, number, trial) for trial in range(settings.trials)],
+        linear=not settings.multibody,
+        instruments=Instruments(marker_noise=None, emg=None),
+        n_threads=1,
+    )
+
+
+def run_group(settings: ValidateSettings, number: int) -> tuple[int, dict[Estimator, Judged], Array]:
+    """Simulate and identify one group of trials.
+
+    Args:
+      settings: what to do.
+      number: of the group, from 0; it and the settings determine everything.
+
+    Returns:
+      The number, estimator to what it made of the group, and the Fisher information at the truth.
+
+    Raises:
+      ValueError: as `ValidateSettings.structure`, or the arm is unstable.
+      OSError: the subject's file cannot be read.
+    """
+    truth, structure, recording = settings.truth(), settings.structure(), simulate_group(settings, number)
+    body = body_of(recording)
+    group = Group.prepare(recording, body, structure)
+    values = true_values(truth, structure)
+    right = at_truth(structure, truth).parameters(truth.task, values)
+    group.record.weigh(right)
+    information = group.record.normal(right, structure.mixing).information
+    judged = {
+        estimator: _by_thesis(recording, structure, values)
+        if estimator == "thesis"
+        else _by_likelihood(group, estimator, values)
+        for estimator in settings.estimators
+    }
+    return number, judged, information
+
+
+def collect(settings: ValidateSettings, results: Sequence[tuple[int, dict[Estimator, Judged], Array]]) -> Validation:
+    """What `run_group` gave of every group, together."""
+    ordered = sorted(results, key=lambda result: result[0])
+    structure = settings.structure()
+    information = np.mean([one for _, _, one in ordered], axis=0)
+    return Validation(
+        settings=settings,
+        names=structure.free,
+        truth=true_values(settings.truth(), structure),
+        bound=np.sqrt(np.diag(np.linalg.inv(information))),
+        judged={name: tuple(judged[name] for _, judged, _ in ordered) for name in settings.estimators},
+    )
+
+
+def _trial(settings: ValidateSettings, truth: Subject, group: int, number: int) -> Trial:
+    force = RMS_FORCE[truth.task] if settings.force is None else settings.force
+    rng = np.random.default_rng(trial_seed(settings.seed, "validate multisine", group, number))
+    return Trial(
+        subject=truth,
+        perturbation=replace(Multisine.draw(seed=rng, rms=force, crested=False), duration=DURATION),
+        condition=f"{truth.task}7.5",
+        repetition=number,
+        seed=trial_seed(settings.seed, "validate trial", group, number),
+        noise=_scaled(HUMAN_NOISE[truth.task], settings.noise),
+    )
+
+
+def _scaled(noise: HumanNoise, factor: float) -> HumanNoise:
+    """The same noise, so many times stronger, of a person who is the same in all trials: else there is no one truth."""
+    louder = {
+        name: factor * getattr(noise, name)
+        for name in ("remnant_share", "remnant_floor", "voluntary_share", "voluntary_floor")
+    }
+    return replace(noise, **louder, spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
+
+
+def _by_likelihood(group: Group, method: Method, truth: Array) -> Judged:
+    found = estimate([group], method)
+    names = group.structure.free
+    from_truth = estimate([group], method, start=dict(zip(names, truth.tolist(), strict=True)))
+    intervals = [found.interval(name) for name in names]
+    return Judged(
+        values=np.array([*found.values.values()]),
+        error=np.array([*found.standard_error.values()]),
+        covered=np.array([one.lower <= true <= one.upper for one, true in zip(intervals, truth, strict=True)]),
+        converged=float(found.converged),
+        stable=float(found.stable),
+        is_global=float(found.objective <= from_truth.objective + SAME_OPTIMUM),
+        suspicious=found.is_suspicious,
+    )
+
+
+def _by_thesis(recording: xr.Dataset, structure: Structure, truth: Array) -> Judged:
+    """Each trial alone, averaged as published; intervals from the mean of the standard errors of eq. 2.22."""
+    found = fit_trials(recording, structure)
+    least = fit_trials(recording.isel(trial=[0]), structure, as_published=False)
+    values, error = found.values.mean(axis=0), found.sem.mean(axis=0)
+    return Judged(
+        values=values,
+        error=error,
+        covered=np.abs(values - truth) <= stats.norm.ppf(0.975) * error,
+        converged=float(np.mean([fit.converged for fit in found.fits])),
+        stable=float(found.stable.mean()),
+        is_global=float(found.criterion[0] <= (1.0 + SAME_CRITERION) * least.criterion[0]),
+        suspicious=None,
+    )

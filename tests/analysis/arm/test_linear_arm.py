@@ -1,0 +1,256 @@
+"""The linear model against python-control, limit cases, finite differences and the literature's Pade approximation."""
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import integrate
+
+from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix
+from armperturb.analysis.arm.linear_arm import (
+    Environments,
+    LinearArm,
+    arm_admittance,
+    environment_admittance,
+    joint_impedance,
+    total_admittance,
+)
+from armperturb.analysis.arm.parameters import PARAMETERS, groups_of, parameter_vector
+from armperturb.analysis.arm.state_space import largest_real_pole, require_stable, simulate_linear, state_space
+from armperturb.environment import Environment
+from armperturb.subject import POSITION, RELAX
+
+ENVIRONMENT = Environment()
+FREQUENCY = np.geomspace(0.1, 45.0, 25)
+OTHER = replace(POSITION, Td_s=0.041, Td_e=0.024, fact_s=2.1, fact_e=5.2, zeta_act=1.0, theta_s_deg=50.0, l_f=0.41)
+SENSING = replace(
+    OTHER, ka_s=0.6, ka_se=0.3, ka_e=0.9, kf_s=-0.7, kf_se=-0.3, kf_e=-0.4, kp_s=20.0, kv_e=18.0, name="sensing"
+)
+PEOPLE = pytest.mark.parametrize(
+    "subject", [RELAX, POSITION, OTHER, SENSING], ids=["relax", "position", "other", "sensing"]
+)
+
+
+def total(subject, frequency, delay):
+    return total_admittance(subject, ENVIRONMENT, frequency, delay)
+
+
+def hand(subject, q):
+    return subject.l_h * np.exp(1j * q[0]) + subject.l_f * np.exp(1j * (q[0] + q[1]))
+
+
+@PEOPLE
+def test_jacobian_is_the_derivative_of_the_hand_position(subject):
+    step = 1e-6
+    for joint in range(2):
+        change = step * np.eye(2)[joint]
+        slope = (hand(subject, subject.posture + change) - hand(subject, subject.posture - change)) / (2 * step)
+        np.testing.assert_allclose(hand_jacobian(subject)[:, joint], [slope.real, slope.imag], rtol=1e-8)
+
+
+@PEOPLE
+def test_mass_matrix_gives_the_kinetic_energy_of_the_point_masses(subject):
+    rate, step = np.array([0.7, -1.3]), 1e-6
+
+    def masses(q):
+        elbow = subject.l_h * np.exp(1j * q[0])
+        return np.array([elbow / 2, elbow + subject.l_f / 2 * np.exp(1j * (q[0] + q[1]))])
+
+    speed = np.abs(masses(subject.posture + step * rate) - masses(subject.posture - step * rate)) / (2 * step)
+    energy = 0.5 * np.array([subject.m_h, subject.m_f]) @ speed**2
+    assert 0.5 * rate @ mass_matrix(subject) @ rate == pytest.approx(energy, rel=1e-8)
+
+
+@PEOPLE
+def test_state_space_equals_the_transfer_functions(subject):
+    system = control.ss(*state_space(subject, ENVIRONMENT))
+    response = np.moveaxis(system(2j * np.pi * FREQUENCY), -1, 0)
+    total = total_admittance(subject, ENVIRONMENT, FREQUENCY, "pade")
+    np.testing.assert_allclose(response[:, 0:2], total, rtol=1e-9, atol=1e-9 * np.abs(total).max())
+    force = np.linalg.solve(arm_admittance(subject, FREQUENCY, "pade"), total)
+    np.testing.assert_allclose(response[:, 2:4], force, rtol=1e-8, atol=1e-8 * np.abs(force).max())
+
+
+def test_pade_delay_is_that_of_python_control():
+    # With Kp = I, what reflexes add to the impedance is delay times activation filter.
+    subject = replace(RELAX, kp_s=1.0, kp_e=1.0, Td_s=0.03, Td_e=0.05)
+    reflex = joint_impedance(subject, FREQUENCY, "pade") - joint_impedance(RELAX, FREQUENCY)
+    for joint, delay in enumerate((0.03, 0.05)):
+        pade = control.tf(*control.pade(delay, 3))(2j * np.pi * FREQUENCY)
+        omega = 2 * np.pi * subject.fact_s
+        activation = control.tf([omega**2], [1, 2 * subject.zeta_act * omega, omega**2])(2j * np.pi * FREQUENCY)
+        np.testing.assert_allclose(reflex[:, joint, joint], pade * activation, rtol=1e-9)
+
+
+def test_pade_and_exact_delay_agree_where_the_approximation_holds():
+    slow = FREQUENCY[FREQUENCY < 8]
+    exact, pade = (arm_admittance(POSITION, slow, kind) for kind in ("exact", "pade"))
+    np.testing.assert_allclose(pade, exact, rtol=2e-3, atol=2e-3 * np.abs(exact).min())
+
+
+@PEOPLE
+def test_slow_admittance_is_the_compliance_of_arm_and_grip(subject):
+    jacobian = hand_jacobian(subject)
+    muscle = subject.joint_matrix("k") + subject.joint_matrix("kp")
+    stiffness = np.linalg.solve(np.eye(2) - subject.joint_matrix("kf"), muscle)
+    compliance = jacobian @ np.linalg.solve(stiffness, jacobian.T) + np.eye(2) / subject.k_h
+    np.testing.assert_allclose(arm_admittance(subject, [1e-6])[0].real, compliance, rtol=1e-9)
+
+
+def test_environment_is_a_mass_spring_damper():
+    s = 2j * np.pi * FREQUENCY
+    expected = 1 / (ENVIRONMENT.m_env * s**2 + ENVIRONMENT.b_env * s + ENVIRONMENT.k_env)
+    response = environment_admittance(ENVIRONMENT, FREQUENCY)
+    np.testing.assert_allclose(response[:, 1, 1], expected)
+    np.testing.assert_array_equal(response[:, 0, 1], 0)
+
+
+@pytest.mark.parametrize("delay", ["exact", "pade"])
+@PEOPLE
+def test_gradient_equals_finite_differences(subject, delay):
+    model, values = LinearArm(subject, FREQUENCY, delay), parameter_vector(subject)
+    cases = (
+        (arm_admittance, model.admittance_and_gradient(values)[1]),
+        (joint_impedance, model.joint_impedance_gradient(values)),
+        (total, model.total_and_gradient(values, ENVIRONMENT)[1]),
+    )
+    for column, name in enumerate(PARAMETERS):
+        value = getattr(subject, name)
+        step = 1e-5 * max(abs(value), 0.1)
+        above, below = (replace(subject, **{name: value + sign * step}) for sign in (1, -1))
+        for function, exact in cases:
+            slope = (function(above, FREQUENCY, delay) - function(below, FREQUENCY, delay)) / (2 * step)
+            scale = np.abs(function(subject, FREQUENCY, delay)).max() / max(abs(value), 0.1)
+            np.testing.assert_allclose(exact[..., column], slope, rtol=1e-5, atol=1e-7 * scale, err_msg=name)
+
+
+def test_force_feedback_makes_a_slow_arm_softer_or_stiffer():
+    # At rest R = 1: tau = (K + Kp) q + Kf tau.
+    still = [1e-6]
+    for gain in (-0.8, 0.4):
+        arm = replace(POSITION, kf_s=gain, kf_e=gain)
+        expected = (POSITION.joint_matrix("k") + POSITION.joint_matrix("kp")) / (1.0 - gain)
+        np.testing.assert_allclose(joint_impedance(arm, still)[0].real, expected, rtol=1e-9)
+
+
+def test_one_prepared_arm_serves_any_parameters():
+    model, values = LinearArm(POSITION, FREQUENCY), parameter_vector(SENSING)
+    same_body = replace(POSITION, **dict(zip(PARAMETERS, values.tolist(), strict=True)))
+    np.testing.assert_array_equal(model.admittance(values), arm_admittance(same_body, FREQUENCY))
+    response, gradient = model.total_and_gradient(values, ENVIRONMENT)
+    np.testing.assert_array_equal(response, total_admittance(same_body, ENVIRONMENT, FREQUENCY))
+    assert gradient.shape == (len(FREQUENCY), 2, 2, len(PARAMETERS))
+
+
+@pytest.mark.parametrize("delay", ["exact", "pade"])
+def test_a_batch_of_arms_is_what_each_is_alone(delay):
+    people = [RELAX, POSITION, OTHER, SENSING]
+    environments = [Environment(m_env=1.0 + n, b_env=0.3 * n, k_env=30.0) for n in range(4)]
+    frequency = np.array([FREQUENCY * (1 + 0.1 * n) for n in range(4)])
+    batch, order = LinearArm(people, frequency, delay), np.array([3, 0, 2])
+    values, held = np.array([parameter_vector(one) for one in people]), Environments.of(environments)
+    for arms, index in ((batch, np.arange(4)), (batch.take(order), order)):
+        poles = arms.poles(values[index], held.take(index))
+        largest = np.take_along_axis(poles, np.argmax(poles.real, axis=-1)[:, None], axis=-1)[:, 0]
+        found = (
+            arms.joint_impedance(values[index]),
+            arms.joint_impedance_gradient(values[index]),
+            *arms.admittance_and_gradient(values[index]),
+            poles,
+            arms.pole_gradient(values[index], held.take(index), largest),
+        )
+        for row, i in enumerate(index):
+            alone = LinearArm(people[i], frequency[i], delay)
+            expected = (
+                alone.joint_impedance(values[i]),
+                alone.joint_impedance_gradient(values[i]),
+                *alone.admittance_and_gradient(values[i]),
+                alone.poles(values[i], environments[i]),
+                alone.pole_gradient(values[i], environments[i], largest[row]),
+            )
+            for one, other in zip(found, expected, strict=True):
+                np.testing.assert_allclose(one[row], other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
+
+
+def test_weighted_gradient_is_the_real_part_of_weight_times_gradient():
+    arm, values = LinearArm(SENSING, FREQUENCY, "pade"), parameter_vector(SENSING)
+    admittance, gradient = arm.admittance_and_gradient(values)
+    wanted = np.array([name.startswith(("m_", "kp", "fact", "b_")) for name in PARAMETERS])
+    groups, columns = groups_of(wanted)
+    assert {PARAMETERS[i] for i in columns} >= {name for name, one in zip(PARAMETERS, wanted, strict=True) if one}
+    assert not {"k_s", "Td_s", "kf_e"} & {PARAMETERS[i] for i in columns}
+    same, real = arm.admittance_and_weighted_gradient(values, lambda h: (2 - 1j) / h, groups)
+    np.testing.assert_array_equal(same, admittance)
+    expected = (((2 - 1j) / admittance)[..., None] * gradient).real[..., columns]
+    np.testing.assert_allclose(real, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_random_arms_with_every_feedback_are_the_same_in_state_space(seed):
+    rng = np.random.default_rng(seed)
+    factors = rng.uniform(0.5, 1.5, len(PARAMETERS))
+    arm = replace(SENSING, **dict(zip(PARAMETERS, (factors * parameter_vector(SENSING)).tolist(), strict=True)))
+    a, b, c, d = state_space(arm, ENVIRONMENT)
+    s = 2j * np.pi * FREQUENCY[:, None, None]
+    response = c @ np.linalg.solve(s * np.eye(len(a)) - a, b) + d
+    expected = total_admittance(arm, ENVIRONMENT, FREQUENCY, "pade")
+    np.testing.assert_allclose(response[:, :2], expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
+
+
+@PEOPLE
+def test_poles_move_as_their_gradient_says(subject):
+    model, values = LinearArm(subject, ()), parameter_vector(subject)
+
+    def largest(moved):
+        poles = model.poles(moved, ENVIRONMENT)
+        return poles[np.argmax(poles.real + 1e-9 * poles.imag)]
+
+    pole = largest(values)
+    np.testing.assert_allclose(pole.real, largest_real_pole(subject, ENVIRONMENT))
+    gradient = model.pole_gradient(values, ENVIRONMENT, pole)
+    for column, name in enumerate(PARAMETERS):
+        step = 1e-5 * max(abs(values[column]), 0.01)
+        above, below = (largest(values + sign * step * np.eye(len(values))[column]) for sign in (1, -1))
+        slope = (above - below).real / (2 * step)
+        size = abs(pole) / max(abs(values[column]), 0.01)
+        np.testing.assert_allclose(gradient[column], slope, rtol=1e-4, atol=1e-6 * size, err_msg=name)
+
+
+@PEOPLE
+def test_time_response_equals_an_adaptive_integration(subject):
+    rate = 200.0
+    time = np.arange(300) / rate
+    force = np.stack([np.sin(9 * time), 0.5 * np.cos(4 * time) - 0.5], axis=-1)
+    a, b, c, _ = state_space(subject, ENVIRONMENT)
+
+    def slope(t, state):
+        d = [np.interp(t, time, force[:, axis]) for axis in range(2)]
+        return a @ state + b @ d
+
+    solution = integrate.solve_ivp(
+        slope, (0, time[-1]), np.zeros(18), "LSODA", time, rtol=1e-9, atol=1e-12, max_step=0.005
+    )
+    expected = c @ solution.y
+    response = simulate_linear(subject, ENVIRONMENT, force, rate)
+    together = np.concatenate([response.displacement, response.force, response.joint_angle], axis=1)
+    np.testing.assert_allclose(together, expected.T, atol=2e-6 * np.abs(expected).max())
+
+
+def test_unstable_subjects_are_refused():
+    require_stable(POSITION, ENVIRONMENT)
+    wild = replace(POSITION, kv_s=60.0, kv_e=90.0)
+    assert largest_real_pole(wild, ENVIRONMENT) > 0
+    with pytest.raises(ValueError, match=r"'position' and the environment are unstable: .* expected below 0"):
+        require_stable(wild, ENVIRONMENT)
+
+
+def test_an_arm_that_is_lost_costs_the_others_nothing():
+    values = np.array([parameter_vector(POSITION)] * 3)
+    values[1, 4] = np.nan
+    poles = LinearArm(POSITION, [1.0]).poles(values, ENVIRONMENT)
+    assert np.isnan(poles[1]).all()
+    np.testing.assert_array_equal(poles[[0, 2]], LinearArm(POSITION, [1.0]).poles(values[[0, 2]], ENVIRONMENT))

@@ -1,0 +1,285 @@
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.fit.maximum_likelihood import Group, estimate, profile
+from armperturb.analysis.fit.structures import STRUCTURES, body_of
+from armperturb.controllers.remnant import HUMAN_NOISE
+from armperturb.environment import Environment
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.instruments import Instruments
+from armperturb.envs.lab.trial import Trial
+from armperturb.perturbations import Multisine
+from armperturb.subject import POSITION, RELAX
+
+RMS = {"PT": 5.4, "RT": 0.9}
+METHODS = pytest.mark.parametrize("method", ["frequency", "record"])
+INSTRUMENTS = Instruments(marker_noise=None, emg=None)
+
+
+def record(subject, n=4, *, seed=0, noise=1.0, linear=True, instruments=INSTRUMENTS, condition="", force=1.0):
+    """Trials of a person who is the same in all of them."""
+    human = HUMAN_NOISE[subject.task]
+    names = ("remnant_share", "remnant_floor", "voluntary_share", "voluntary_floor")
+    spreads = {f"spread_{quantity}": 0.0 for quantity in ("b", "k", "kv", "kp")}
+    human = replace(human, **spreads, **{name: noise * getattr(human, name) for name in names})
+    trials = [
+        Trial(
+            subject=subject,
+            perturbation=Multisine.draw(
+                seed=1000 * seed + trial, rms=force * RMS[subject.task], duration=30.0, crested=False
+            ),
+            condition=condition or f"{subject.task}7.5",
+            repetition=trial,
+            seed=1000 * seed + trial,
+            noise=human if noise else None,
+        )
+        for trial in range(n)
+    ]
+    return run_experiment(trials, linear=linear, instruments=instruments)
+
+
+def group_of(recording, model, **options):
+    structure = STRUCTURES[model] if isinstance(model, str) else model
+    return Group.prepare(recording, body_of(recording), structure, **options)
+
+
+def true_value(arm, name):
+    return arm.m_h + arm.m_f if name == "m_tot" else getattr(arm, name)
+
+
+@pytest.fixture(scope="module")
+def position(once):
+    return once("eight of position", lambda _: record(POSITION, 8))
+
+
+@pytest.fixture(scope="module")
+def relax(once):
+    return once("eight of relax", lambda _: record(RELAX, 8))
+
+
+@pytest.fixture(scope="module")
+def position_group(position):
+    return group_of(position, "3b")
+
+
+@pytest.fixture(scope="module")
+def relax_group(relax):
+    return group_of(relax, "1")
+
+
+@pytest.mark.parametrize(("subject", "model"), [(POSITION, "3b"), (RELAX, "1")], ids=["PT", "RT"])
+def test_intervals_hold_the_truth_as_often_as_they_say(subject, model):
+    recording = record(subject, 24, seed=77)
+    groups = [group_of(recording.isel(trial=slice(first, first + 4)), model) for first in range(0, 24, 4)]
+    for method in ("frequency", "record"):
+        every = [estimate([group], method) for group in groups]
+        assert all(found.converged and found.stable for found in every)
+        pairs = [(found, name) for found in every for name in found.values]
+        inside = [
+            found.interval(name).lower < true_value(subject, name) < found.interval(name).upper for found, name in pairs
+        ]
+        deviation = [
+            (found.values[name] - true_value(subject, name)) / found.standard_error[name] for found, name in pairs
+        ]
+        assert np.mean(inside) > 0.88
+        assert np.sqrt(np.mean(np.square(deviation))) == pytest.approx(1.0, abs=0.2)
+        assert np.mean([found.chi2 / found.dof for found in every]) == pytest.approx(1.0, abs=0.12)
+
+
+@METHODS
+def test_a_right_structure_raises_no_doubt_and_a_wrong_one_does(position, position_group, method):
+    right = estimate([position_group], method)
+    assert not right.is_suspicious
+    assert not any("explains more" in remark for remark in right.remarks())
+    late = STRUCTURES["3b"].fixing(Td_s=0.060, Td_e=0.060, m_tot=2.5)
+    for wrong in (estimate([group_of(position, "1")], method), estimate([group_of(position, late)], method)):
+        assert wrong.is_suspicious
+        assert wrong.dispersion > 1.2
+        assert any("differs from trial to trial" in remark for remark in wrong.remarks())
+
+
+@pytest.mark.parametrize("n_trials", [1, 2])
+@pytest.mark.parametrize(("subject", "model"), [(POSITION, "3b"), (RELAX, "1")], ids=["PT", "RT"])
+def test_ideal_recordings_give_the_arm_back(subject, model, n_trials):
+    for linear, instruments, force, error in (
+        (True, None, 1.0, 1e-3),
+        (True, replace(INSTRUMENTS, antialias=None, force_noise=0.0, encoder_bits=32), 1.0, 0.01),
+        (False, None, 0.01, 0.01),
+    ):
+        if linear or (n_trials == 2 and subject is POSITION):
+            recording = record(subject, n_trials, noise=0.0, linear=linear, instruments=instruments, force=force)
+            group = group_of(recording, model)
+            for found in (estimate([group], "frequency"), estimate([group], "record")):
+                assert found.converged
+                for name, value in found.values.items():
+                    assert value == pytest.approx(true_value(subject, name), rel=error), (name, linear, instruments)
+
+
+def test_a_shared_mass_is_one_value_and_better_known_than_from_either_condition_alone():
+    small = record(POSITION, 4, seed=1, condition="PT7.5")
+    stiffer = replace(POSITION, k_s=140.0, k_e=180.0)
+    large = record(stiffer, 4, seed=2, condition="PT22.5", force=2.0)
+    groups = [group_of(small, "3b"), group_of(large, "3b")]
+    together, apart = estimate(groups, share=["mass"]), estimate(groups)
+    assert len(together.values) == 25
+    assert len(apart.values) == 26
+    assert together.arms["PT7.5"].m_f == together.arms["PT22.5"].m_f
+    assert together.standard_error["m_tot"] < min(apart.standard_error[f"m_tot [{one.label}]"] for one in groups)
+    assert abs(together.values["m_tot"] - 3.38) < 4 * together.standard_error["m_tot"]
+    assert together.arms["PT22.5"].k_s == together.values["k_s [PT22.5]"]
+    alone = [estimate([group]) for group in groups]
+    for group, one in zip(groups, alone, strict=True):
+        for name, value in one.values.items():
+            assert apart.values[f"{name} [{group.label}]"] == pytest.approx(value, abs=0.1 * one.standard_error[name])
+    started = estimate(groups, share=["m_tot", "velocity"], start={"m_tot": 4.0, "kv_s": 12.0, "k_e [PT7.5]": 150.0})
+    assert started.converged
+    assert "kv_s" in started.values
+
+
+def test_profile_is_zero_at_the_estimate_and_384_at_the_limits_of_the_interval(position_group):
+    for method in ("frequency", "record"):
+        found = estimate([position_group], method)
+        for name in ("m_tot", "k_e"):
+            value, half = found.values[name], 1.96 * found.standard_error[name] / np.sqrt(found.dispersion)
+            points = [value - half, value, value + half, value + 2 * half]
+            deviance = profile([position_group], found, name, points)
+            assert deviance[1] == pytest.approx(0.0, abs=0.01)
+            assert deviance[[0, 2]] == pytest.approx(3.84, rel=0.15)
+            assert deviance[3] == pytest.approx(4 * 3.84, rel=0.25)
+
+
+def late_by(remarks):
+    """Skew that is remarked upon [ms]."""
+    (found,) = [re.search(r"RT7.5: force is recorded ([\d.]+) ms later", remark) for remark in remarks]
+    return float(found[1])
+
+
+def test_skew_of_the_clocks_is_remarked_upon(relax, relax_group):
+    assert not any("later than" in remark for remark in estimate([relax_group], "frequency").remarks())
+    late = relax.copy(deep=True)
+    frequency = np.fft.rfftfreq(12000, 1 / 200.0)
+    for name in ("force", "perturbation"):
+        spectrum = np.fft.rfft(late[name].values, 12000, axis=1)
+        spectrum *= np.exp(-2j * np.pi * frequency * 1e-3)[:, None]
+        late[name].values[:] = np.fft.irfft(spectrum, 12000, axis=1)[:, : relax.sizes["time"]]
+    remarks = estimate([group_of(late, "1")], "frequency").remarks()
+    assert late_by(remarks) == pytest.approx(1.0, abs=0.05)
+
+
+def test_records_that_start_amid_movement_are_judged_after_they_settle(position):
+    late = position.isel(time=slice(300, None)).assign_coords(time=position["time"].values[:-300])
+    settled = estimate([group_of(late, "3b", settle=6.0)])
+    assert not settled.is_suspicious
+    for name, value in settled.values.items():
+        assert abs(value - true_value(POSITION, name)) < 4 * settled.standard_error[name]
+    with pytest.raises(ValueError, match=r"Group: settle = 20.0; expected a finite number at least 0 and at most"):
+        group_of(position, "3b", settle=20.0)
+
+
+@pytest.fixture(scope="module")
+def loud(once):
+    return once(
+        "loud", lambda _: {subject.task: record(subject, 1, seed=3, noise=5.0) for subject in (POSITION, RELAX)}
+    )
+
+
+@METHODS
+@pytest.mark.parametrize("model", ["1", "3b", "4", "6"])
+@pytest.mark.parametrize("task", ["PT", "RT"])
+def test_whatever_is_fitted_to_one_loud_trial_ends_with_a_status(loud, task, model, method):
+    group = group_of(loud[task], model)
+    found = estimate([group], method)
+    assert found.status.startswith("converged: " if found.converged else "not converged: ")
+    assert found.converged or any(found.status in remark for remark in found.remarks())
+    assert np.isfinite(list(found.values.values())).all()
+    assert not np.isnan(list(found.standard_error.values())).any()
+    assert np.isfinite(found.correlation).all()
+    for name, value in found.values.items():
+        lower, upper = group.structure.bounds[name]
+        assert lower <= value <= upper
+        assert (name in found.at_bound) == (min(value - lower, upper - value) <= 1e-6 * (upper - lower))
+
+
+def test_an_arm_that_cannot_be_stable_is_fitted_and_said_to_be_unstable(relax):
+    wild = STRUCTURES["1"].fixing(kv_s=60.0, kv_e=60.0)
+    found = estimate([group_of(relax, wild)], "frequency")
+    assert not found.stable
+    assert found.largest_real_pole > 0
+    assert any("unstable" in remark for remark in found.remarks())
+
+
+def test_an_unstable_start_is_made_stable(position_group):
+    start = {"kv_s": 100.0, "kv_se": 0.0, "kv_e": 100.0, "b_s": 0.1, "b_e": 0.1}
+    arm = replace(POSITION, **start)
+    assert largest_real_pole(arm, Environment()) > 0
+    found, usual = (estimate([position_group], "frequency", start=given) for given in (start, None))
+    assert found.converged
+    for name, value in usual.values.items():
+        assert found.values[name] == pytest.approx(value, abs=0.1 * usual.standard_error[name])
+
+
+def test_structures_that_no_trial_identifies_are_refused_with_the_direction(relax):
+    silent = STRUCTURES["1"].freeing(Td_s=(0.02, 0.03, 0.04))
+    with pytest.raises(ValueError, match=r"Td_s cannot be identified: no effect on the movement"):
+        estimate([group_of(relax, silent)])
+    base = STRUCTURES["1"]
+    twice = replace(
+        base,
+        bounds={name: pair for name, pair in base.bounds.items() if name != "b_s"} | {"b": (0.0, 9.0), "c": (0.0, 9.0)},
+        start={name: value for name, value in base.start.items() if name != "b_s"} | {"b": 1.0, "c": 1.0},
+        tied={"b_s": {"b": 1.0, "c": 0.5}},
+    )
+    with pytest.raises(ValueError, match=r"a change of [+-]0.5 b [+-]1 c leaves the movement as it is"):
+        estimate([group_of(relax, twice)])
+
+
+def test_bad_input_is_refused_in_one_sentence(position, position_group, relax, relax_group):
+    for arguments, options, message in (
+        (([],), {}, r"groups is empty; expected the trials of at least one condition"),
+        (([position_group], "best"), {}, r"method = 'best'; expected one of frequency, record"),
+        (([position_group],), {"start": {"k": 1.0}}, r"start: unknown parameter 'k'; expected m_tot, b_s"),
+        (([position_group],), {"start": {"k_s": -1.0}}, r"start: k_s = -1.0; expected 0 to 1000 Nm/rad"),
+        (([position_group],), {"start": {"k_s": np.nan}}, r"start: k_s = nan; expected 0 to 1000 Nm/rad"),
+        (([position_group],), {"share": ["masses"]}, r"share: 'masses' is no free parameter; expected mass, damping"),
+        (([position_group, position_group],), {}, r"condition 'PT7.5' comes twice"),
+        (([position_group, relax_group],), {}, r"differ in name \(position, relax\); expected one person"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            estimate(*arguments, **options)
+    heavy = group_of(
+        position.assign_coords(condition=("trial", ["PT2.5"] * 8)), STRUCTURES["3b"].freeing(m_tot=(9.0, 9.5, 10.0))
+    )
+    with pytest.raises(ValueError, match=r"bounds of the shared m_tot cross \(9 to 8\)"):
+        estimate([position_group, heavy], share=["mass"])
+    found = estimate([position_group], "frequency")
+    with pytest.raises(ValueError, match=r"no parameter 'k'; expected one of m_tot"):
+        profile([position_group], found, "k", [1.0])
+    with pytest.raises(ValueError, match=r"k_s = -1.0; expected 0 to 1000 Nm/rad"):
+        profile([position_group], found, "k_s", [-1.0])
+
+    body = body_of(position)
+    with pytest.raises(ValueError, match=r"theta_s_deg = 22.5 in the recording; expected 30.0 \(body\)"):
+        Group.prepare(position, replace(body, theta_s_deg=30.0), STRUCTURES["3b"])
+    with pytest.raises(ValueError, match=r"several values of l_h"):
+        Group.prepare(position.assign_coords(l_h=("trial", np.linspace(0.3, 0.33, 8))), body, STRUCTURES["3b"])
+    broken = position.copy(deep=True)
+    broken["force"].values[2, 5, 1] = np.nan
+    with pytest.raises(ValueError, match=r"force of trial 2 is nan at sample 5"):
+        Group.prepare(broken, body, STRUCTURES["3b"])
+    with pytest.raises(ValueError, match=r"expected a whole period of 20.48 s"):
+        group_of(position.isel(time=slice(0, 4000)), "3b")
+    with pytest.raises(ValueError, match=r"trial 0 changes by \d+% of its RMS from one period of 10 s to the next"):
+        group_of(position, "3b", period=10.0)
+    met = position.assign_coords(limit_time=("trial", [np.nan, 3.0] + [np.nan] * 6))
+    with pytest.raises(ValueError, match=r"trial 1 reached the workspace limit at 3.000 s"):
+        group_of(met, "3b")
+    one_way = position.copy(deep=True)
+    added = one_way["perturbation"].values[..., 0] - one_way["perturbation"].values[..., 1]
+    for name in ("perturbation", "force"):
+        one_way[name].values[..., 1] += added
+    with pytest.raises(ValueError, match=r"cannot be told apart"):
+        group_of(one_way, "3b")

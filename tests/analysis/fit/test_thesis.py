@@ -1,0 +1,175 @@
+"""The thesis's estimator on simulated recordings: procedures, averages, starts and refusals."""
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from armperturb.analysis.fit.admittance_fit import penalty_factor
+from armperturb.analysis.fit.structures import STRUCTURES
+from armperturb.analysis.fit.thesis import (
+    MODEL_3_WIDE,
+    THETA,
+    VARTHETA,
+    Trials,
+    Wanted,
+    appendix_c,
+    appendix_d,
+    appendix_e,
+    fit_trials,
+    fit_wanted,
+)
+from armperturb.controllers.remnant import HUMAN_NOISE
+from armperturb.environment import Environment
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.trial import Trial
+from armperturb.perturbations import Multisine
+from armperturb.study.published import tables as published
+from armperturb.study.report.tables import true_value
+from armperturb.subject import POSITION
+
+
+@pytest.fixture(scope="module")
+def two_people(position_recording):
+    """Three trials of one person and one of another, who is the same but for the name."""
+    names = xr.DataArray(["first", "first", "other", "first"], dims="trial")
+    return position_recording.assign_coords(subject=names)
+
+
+@pytest.fixture(scope="module")
+def estimate(two_people, once):
+    return once("estimate of the thesis", lambda _: fit_trials(two_people, "3b"))
+
+
+def test_ideal_trials_give_the_person_back_and_are_predicted(estimate):
+    truth = [true_value(POSITION, name) for name in estimate.parameters]
+    for name, found, true in zip(estimate.parameters, estimate.values.mean(axis=0), truth, strict=True):
+        if name.startswith(("m", "b", "kv")) or name in ("k_s", "k_se", "k_e"):
+            assert found == pytest.approx(true, rel=0.25), name
+    assert (estimate.vaf > 95).all()
+    assert estimate.n_positive == estimate.n_stable == 4
+    assert estimate.environment.m_env == pytest.approx(Environment().m_env, rel=0.01)
+    assert sum(estimate.status.values()) == 4
+    assert all(word.startswith(("converged", "not converged")) for word in estimate.status)
+
+
+def test_criterion_is_the_printed_sum(estimate):
+    assert estimate.fits[0].n_errors == 72
+    np.testing.assert_allclose(estimate.criterion, [72 * fit.criterion for fit in estimate.fits])
+
+
+def test_averages_are_over_trials_and_then_over_subjects(estimate):
+    mean, sd = estimate.over_subjects(estimate.values)
+    of_first, of_other = estimate.values[[0, 1, 3]].mean(axis=0), estimate.values[2]
+    np.testing.assert_allclose(mean, (of_first + of_other) / 2)
+    np.testing.assert_allclose(sd, np.abs(of_first - of_other) / np.sqrt(2))
+    rows = {row["parameter"]: row for row in estimate.rows()}
+    assert rows["k_s"]["value"] == pytest.approx(mean[estimate.parameters.index("k_s")])
+    assert rows["k_s"]["sem_over_value"] == pytest.approx(rows["k_s"]["sem"] / rows["k_s"]["value"])
+    assert estimate.start() == pytest.approx(dict(zip(estimate.parameters, mean, strict=True)))
+
+
+def test_only_positive_vaf_counts(estimate):
+    kept = estimate.vaf.copy()
+    try:
+        estimate.vaf[0, 1] = -20.0
+        estimate.vaf[2] = -np.inf
+        assert estimate.n_positive == 2
+        np.testing.assert_allclose(estimate.mean_vaf()[0], kept[[1, 3]].mean(axis=0))
+        estimate.vaf[:] = -1.0
+        assert np.isnan(estimate.mean_vaf()[0]).all()
+    finally:
+        estimate.vaf[:] = kept
+
+
+def test_appendix_c_goes_from_the_first_step_to_the_second(two_people):
+    one = two_people.isel(trial=[0, 2])
+    (first, second), *others = appendix_c(one, {"PT7.5": one, "again": one.isel(trial=[1])}, ["3"]).values()
+    assert not others
+    assert all(fit.penalty == 1.0 for fit in first.fits)
+    assert list(second) == ["PT7.5", "again"]
+    repeated = fit_trials(one, "3", initial=first.start())
+    np.testing.assert_array_equal(second["PT7.5"].values, repeated.values)
+    assert repeated.n_stable == 2
+    assert repeated.fits[0].penalty == pytest.approx(penalty_factor(repeated.fits[0].largest_real_pole))
+
+
+def test_wanted_fits_are_those_of_each_alone(two_people):
+    one, other = two_people.isel(trial=[0]), two_people.isel(trial=[2, 3])
+    first, second = Trials.prepare(one), Trials.prepare(other, environment=Environment(m_env=3.0))
+    start = VARTHETA["vartheta_i4"]
+    found = fit_wanted([Wanted(first, "1"), Wanted(second, "3b", start), Wanted(first, "3b")], use_penalty=False)
+    alone = [
+        fit_trials(one, "1", use_penalty=False),
+        fit_trials(other, "3b", initial=start, use_penalty=False, environment=Environment(m_env=3.0)),
+        fit_trials(one, "3b", use_penalty=False),
+    ]
+    for a, b in zip(found, alone, strict=True):
+        assert (a.structure, a.subjects, a.environment) == (b.structure, b.subjects, b.environment)
+        np.testing.assert_allclose(a.criterion, b.criterion, rtol=1e-3)
+        np.testing.assert_allclose(a.vaf, b.vaf, atol=0.1)
+    assert found[1].subjects == ("other", "first")
+    assert fit_wanted([]) == []
+
+
+def test_appendix_d_and_e_take_every_published_start(two_people):
+    one = Trials.prepare(two_people.isel(trial=[1]))
+    d, e = appendix_d(one), appendix_e(one)
+    assert list(d) == [f"theta_i{i}" for i in range(1, 7)]
+    assert {estimate.structure for estimate in d.values()} == {"3 (D.2)"}
+    assert [e[f"vartheta_i{i}"].structure for i in range(1, 7)] == ["3a", *["3b"] * 5]
+
+
+def test_the_published_optimisation_stops_on_the_way_to_a_minimum_that_all_starts_share():
+    trial = Trial(
+        subject=POSITION,
+        perturbation=Multisine.draw(seed=3, rms=4.0, crested=False, duration=30.0),
+        seed=4,
+        noise=HUMAN_NOISE["PT"],
+    )
+    noisy = run_experiment([trial])
+    spread = {}
+    for as_published in (True, False):
+        found = [
+            fit_trials(noisy, "3b", initial=VARTHETA[f"vartheta_i{i}"], as_published=as_published).values[0]
+            for i in (2, 3, 5)
+        ]
+        spread[as_published] = (np.std(found, axis=0) / np.max(found, axis=0).clip(1e-3)).max()
+    assert spread[False] < 1e-3
+    assert spread[True] > 0.1
+
+
+@pytest.mark.parametrize(("table", "model", "starts"), [("D.3", "3", THETA), ("E.3", "3b", VARTHETA)])
+def test_starts_are_the_published_ones(table, model, starts):
+    for start, values in starts.items():
+        of_model = "3a" if start == "vartheta_i1" else model
+        for name, value in values.items():
+            printed = published.estimate(name, table, model=of_model, start=start, quantity="initial").mean
+            if (start, name) == ("theta_i6", "k_h"):
+                assert (printed, value) == (32.6e3, MODEL_3_WIDE.bounds["k_h"][1])
+            else:
+                assert value == pytest.approx(printed, rel=1e-12), (start, name)
+        structure = MODEL_3_WIDE if table == "D.3" else STRUCTURES[of_model]
+        assert all(structure.bounds[name][0] <= value <= structure.bounds[name][1] for name, value in values.items())
+
+
+def test_bounds_are_the_published_ones():
+    for table, structures in (
+        ("C.2", [STRUCTURES[n] for n in "23456"]),
+        ("D.2", [MODEL_3_WIDE]),
+        ("E.2", [STRUCTURES["3b"]]),
+    ):
+        for structure in structures:
+            for name, pair in structure.bounds.items():
+                printed = published.bounds(name, table)
+                assert printed == ((0.035, 0.045) if (table, name) == ("C.2", "Td_e") else pytest.approx(pair)), name
+
+
+def test_bad_input_is_named(two_people):
+    with pytest.raises(ValueError, match=r"start: k_s = 5000.0; expected 0 to 1000 Nm/rad"):
+        fit_trials(two_people, "3b", initial={"k_s": 5000.0})
+    broken = two_people.assign(force=two_people["force"] * np.nan)
+    with pytest.raises(ValueError, match="force"):
+        fit_trials(broken, "3b")
+    flipped = two_people.assign(force=-two_people["force"])
+    with pytest.raises(ValueError, match="expected a positive mass"):
+        fit_trials(flipped, "3b")

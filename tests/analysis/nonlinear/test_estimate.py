@@ -1,0 +1,399 @@
+"""Fits to trials that MuJoCo simulated: truth found, intervals, going on after a stop, and what is refused."""
+
+from dataclasses import replace
+
+import nonlinear_trials as made
+import numpy as np
+import pytest
+import xarray as xr
+
+from armperturb.analysis.nonlinear import choice, estimate
+from armperturb.analysis.nonlinear.choice import Choice, Gain, Judged, compare_laws
+from armperturb.analysis.nonlinear.estimate import fit, free_parameters, nearest_arms
+from armperturb.analysis.nonlinear.model import ELEMENTS, Model, true_values
+from armperturb.analysis.nonlinear.prediction import predict_pulses, predict_pulses_linearly
+from armperturb.analysis.nonlinear.problem import Problem, State
+from armperturb.analysis.nonlinear.start import best_start
+from armperturb.analysis.nonlinear.trials import trial_sets
+from armperturb.cohort import average_person, draw_person
+from armperturb.subject import RELAX, at_level
+
+PERSON = average_person().subjects["RT"]
+TRUE = true_values(PERSON, {})
+FREE = ("k.shoulder", "short_range_stiffness.shoulder", "elastic_limit_deg.shoulder", "thinning_velocity")
+FEW = Model(fixed={name: value for name, value in TRUE.items() if name not in FREE and name in set(TRUE) - {
+    "Td", "fact", *(f"{group}.{e}" for group in ("kv", "kp") for e in ("shoulder", "two-joint", "elbow")),
+    "spindle_saturation",
+}})  # fmt: skip
+
+
+def linear_arm(share):
+    """An arm whose bonds hold as much of the time as the share says: near what a linear fit gives."""
+    k, s = (np.array([TRUE[f"{name}.{e}"] for e in ELEMENTS]) for name in ("k", "short_range_stiffness"))
+    shoulder, both, elbow = k + share * s
+    return replace(PERSON, muscle=None, k_s=shoulder + both, k_se=both, k_e=elbow + both)
+
+
+ARM = linear_arm(0.25)
+ARMS = {"RT2.5": linear_arm(0.7), "RT7.5": ARM}
+
+
+@pytest.fixture(autouse=True, scope="module")
+def compiled(once):
+    once("compiled arms", made.compile_arms)
+
+
+def sets_of(once, name, person, n_trials, noisy):
+    def make(_):
+        return [
+            made.trial_set(
+                made.record(
+                    person, [made.push(10 * i + k, rms) for k in range(n_trials)], noisy=noisy, condition=condition
+                ),
+                person,
+            )
+            for i, (condition, rms) in enumerate((("RT2.5", 0.5), ("RT7.5", 1.5)))
+        ]
+
+    return once(f"nonlinear trials, {name}", make)
+
+
+@pytest.fixture(scope="module")
+def ideal(once):
+    """One noise-free trial at each of two amplitudes."""
+    return sets_of(once, "ideal", PERSON, 1, False)
+
+
+@pytest.fixture(scope="module")
+def noisy(once):
+    """Four noisy trials at each of two amplitudes."""
+    return sets_of(once, "noisy", PERSON, 4, True)
+
+
+@pytest.fixture(scope="module")
+def noisy_fit(noisy, once):
+    return once("nonlinear fit", lambda _: fit(noisy, ARMS, FEW, n_pairs=2))
+
+
+def test_without_noise_the_truth_is_found(ideal):
+    found = fit(ideal, ARMS, FEW, n_pairs=0)
+    assert set(found.values) == set(FREE)
+    for name in FREE:
+        assert found.values[name] == pytest.approx(TRUE[name], rel=0.01)
+    assert found.subject("RT", "RT7.5").muscle.of_elements("elastic_limit_deg") == pytest.approx(
+        PERSON.muscle.of_elements("elastic_limit_deg"), rel=0.01
+    )
+
+
+def test_with_noise_the_intervals_hold_the_truth_and_are_no_wider_than_they_must_be(noisy_fit):
+    assert noisy_fit.converged
+    for name in FREE:
+        low, high = noisy_fit.interval(name, 0.997)
+        assert low < TRUE[name] < high
+        assert noisy_fit.log_error[name] < 0.4
+    narrow, wide = noisy_fit.interval(FREE[1], 0.5), noisy_fit.interval(FREE[1], 0.95)
+    assert wide[0] < narrow[0] < noisy_fit.values[FREE[1]] < narrow[1] < wide[1]
+    np.testing.assert_allclose(np.diag(noisy_fit.correlation), 1.0)
+    assert all(one.p_value > 1e-3 for one in noisy_fit.lack_of_fit.values())
+    assert not any("amplitude" in remark for remark in noisy_fit.remarks())
+
+
+def test_a_wrong_law_leaves_a_lack_of_fit(noisy):
+    fixed = {name: value for name, value in FEW.fixed.items() if name in ("m_h", "m_f", "k_h", "b_h")}
+    found = fit(noisy, ARMS, Model(law="linear", fixed=fixed), n_pairs=0)
+    assert min(one.p_value for one in found.lack_of_fit.values()) < 1e-3
+
+
+class Stopped(Exception):
+    pass
+
+
+@pytest.mark.parametrize("after", [2, -1])  # without noise in the prediction, and with it: before the last round
+def test_a_search_that_was_stopped_goes_on_to_the_same_result(noisy, noisy_fit, tmp_path, after):
+    lines = []
+    after = after if after > 0 else noisy_fit.n_rounds + after
+
+    def stop(line):
+        lines.append(line)
+        if len(lines) == after:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        fit(noisy, ARMS, FEW, n_pairs=2, checkpoint=tmp_path / "c.npz", progress=stop)
+    went_on = []
+    found = fit(noisy, ARMS, FEW, n_pairs=2, checkpoint=tmp_path / "c.npz", progress=went_on.append)
+    assert after <= found.n_rounds <= noisy_fit.n_rounds
+    assert len(went_on) < noisy_fit.n_rounds
+    assert found.values == pytest.approx(noisy_fit.values, rel=1e-9)
+    assert found.log_error == pytest.approx(noisy_fit.log_error, rel=1e-6)
+
+
+def test_the_checkpoint_of_another_fit_is_left_alone(ideal, noisy_fit, tmp_path):
+    (tmp_path / "c.npz").write_bytes(b"no such thing")
+    found = fit(ideal, ARMS, FEW, n_pairs=0, checkpoint=tmp_path / "c.npz")
+    again = []
+    other = replace(FEW, fixed={**FEW.fixed, "k.shoulder": TRUE["k.shoulder"]})
+    fit(ideal, ARMS, other, n_pairs=0, checkpoint=tmp_path / "c.npz", progress=again.append)
+    assert len(again) > 1
+    assert found.values.keys() != other.fixed.keys()
+    # Half a file is none: the search begins anew.
+    whole = (tmp_path / "c.npz").read_bytes()
+    (tmp_path / "c.npz").write_bytes(whole[: len(whole) // 2])
+    assert fit(ideal, ARMS, other, n_pairs=0, checkpoint=tmp_path / "c.npz").n_rounds == len(again)
+
+
+def test_one_amplitude_is_said_to_tell_little(noisy):
+    found = fit(noisy[1:], ARMS, FEW, n_pairs=0)
+    assert any("all trials have one amplitude" in remark for remark in found.remarks())
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"name": "S02"}, "trials differ in subject (.*, S02); expected one person in one posture"),
+        ({"l_h": 0.4}, "trials differ in l_h"),
+        ({"theta_s_deg": 30.0}, "trials differ in theta_s_deg"),
+    ],
+)
+def test_trials_of_two_people_are_refused(ideal, change, message):
+    other = replace(ideal[1], body=replace(ideal[1].body, **change))
+    with pytest.raises(ValueError, match=message.replace("(", r"\(").replace(")", r"\)")):
+        fit([ideal[0], other], ARMS, FEW)
+
+
+def test_a_recording_of_two_people_is_refused():
+    people = PERSON, replace(PERSON, name="S02")
+    recordings = [made.record(person, [made.push(0, 0.5)]) for person in people]
+    with pytest.raises(ValueError, match=r"the recording holds trials of .* and S02; expected one person"):
+        trial_sets(xr.concat(recordings, "trial", data_vars="all", coords="different", compat="equals", join="exact"))
+
+
+def test_what_cannot_be_fitted_is_refused(ideal):
+    with pytest.raises(ValueError, match="no trials; expected at least one"):
+        fit([], ARMS, FEW)
+    with pytest.raises(ValueError, match="arms: none of the task RT; expected at least one"):
+        fit(ideal, {}, FEW)
+    with pytest.raises(ValueError, match=r"start: 'm_h' is not free; expected k.shoulder"):
+        fit(ideal, ARMS, FEW, start={"m_h": 2.0})
+    with pytest.raises(ValueError, match=r"start: thinning_velocity = -1; expected 0.01 to 50"):
+        fit(ideal, ARMS, FEW, start={"thinning_velocity": -1.0})
+    with pytest.raises(ValueError, match="sampling rates 100, 200 Hz; expected one"):
+        fit([ideal[0], replace(ideal[1], rate=200.0)], ARMS, FEW)
+
+
+def test_an_unstable_start_is_refused():
+    arm = replace(average_person().subjects["PT"], muscle=None)
+    trials = made.trial_set(made.record(arm, [made.push(0, 3.0, duration=6.0)], condition="PT7.5"), arm)
+    with pytest.raises(ValueError, match="start: the arm is unstable, and so are all arms near it; expected a start"):
+        fit([trials], {"PT7.5": arm}, Model(law="linear"), start=dict.fromkeys(
+            ("kv.shoulder", "kv.two-joint", "kv.elbow"), 150.0))  # fmt: skip
+
+
+def test_negative_groups_of_linear_people_are_found():
+    arm = draw_person(1, 0, muscles="linear").subjects["PT"]
+    true = true_values(arm, {})
+    assert min(true["kp.shoulder"], true["kv.shoulder"]) < -4.0
+    pushes = [made.push(seed, 3.0, duration=12.0) for seed in range(2)]
+    trials = made.trial_set(made.record(arm, pushes, condition="PT7.5"), arm)
+    found = fit([trials], {"PT7.5": arm}, Model(law="linear"), start={"kp.shoulder": 10.0}, n_pairs=0)
+    for name, value in found.values.items():
+        assert value == pytest.approx(true[name], rel=0.1), name
+    low, high = found.interval("kp.shoulder")
+    assert low < found.values["kp.shoulder"] < high < 0.0
+
+
+def test_dampers_that_linear_arms_have_negative_start_from_small_positive_ones(ideal):
+    # b_se > b_s: the shoulder's own damping is negative, which a law whose damping thins must not have.
+    odd = {label: replace(arm, b_s=1.0, b_se=1.4, b_e=1.6) for label, arm in ARMS.items()}
+    assert min(odd["RT2.5"].muscle_groups("b")) < 0.0
+    found = fit(ideal, odd, FEW, n_pairs=0)
+    for name in FREE:
+        assert found.values[name] == pytest.approx(TRUE[name], rel=0.01)
+
+
+def test_pulses_of_the_true_person_are_predicted_and_those_of_a_linear_arm_are_not():
+    force = np.zeros((1000, 2))
+    force[500:512] = 12.0, 6.0
+    recorded = made.trial_set(made.record(PERSON, [force + made.push(5, 0.5, duration=10.0)]), PERSON)
+    recorded = replace(recorded, onset=np.array([500]), direction_deg=np.array([27.0]))
+    (itself,) = predict_pulses(recorded, PERSON)
+    assert itself.vaf > 99.9
+    assert itself.peak == pytest.approx(100.0, abs=1.0)
+    assert itself.direction_deg == 27.0
+    assert itself.time[0] == 0.0
+    assert itself.time[-1] == pytest.approx(1.0)
+    (linear,), (skeletal,) = predict_pulses_linearly(recorded, ARM), predict_pulses(recorded, ARM)
+    assert max(linear.vaf, skeletal.vaf) < 95.0
+    assert not np.allclose(linear.predicted, skeletal.predicted, rtol=0.01)
+    assert predict_pulses(replace(recorded, end=600), PERSON) == []  # the window is not recorded
+
+
+@pytest.mark.parametrize("truth", ["linear", "short-range"])
+def test_laws_are_told_apart_by_trials_left_out(noisy, once, monkeypatch, truth):
+    monkeypatch.setattr(choice, "LAWS", ("linear", "short-range"))
+    monkeypatch.setattr(choice, "N_PAIRS_OF_FOLDS", 1)
+    monkeypatch.setattr(estimate, "N_PAIRS_OF_ERRORS", 2)
+    sets = sets_of(once, "linear", RELAX, 4, True) if truth == "linear" else noisy
+    arms = dict.fromkeys(ARMS, RELAX) if truth == "linear" else ARMS
+    found = compare_laws([one.take(range(3)) for one in sets], arms, n_pairs=0)
+    assert found.chosen == truth
+    assert ("your data do not show muscles that yield" in " ".join(found.verdict())) == (truth == "linear")
+    assert found.estimate.model.law == truth
+
+
+def judged(values):
+    conditions = tuple(np.repeat(["RT2.5", "RT7.5"], len(values) // 2).tolist())
+    return Judged(model=Model(), estimate=None, log_likelihood=np.array(values), conditions=conditions, pulses=())
+
+
+def test_a_gain_is_shown_if_it_is_larger_than_trials_of_a_condition_make_it_differ():
+    nothing = judged([0.0] * 8)
+    # What differs between conditions is no error.
+    gain = judged([1.0, 1.2, 0.8, 1.0, 30.0, 30.2, 29.8, 30.0]).gain(nothing)
+    assert gain.mean == pytest.approx(124.0)
+    assert gain.standard_error == pytest.approx(np.sqrt(8.0 * 0.08 / 3.0))
+    assert gain.dof == 6
+    assert gain.is_shown
+    assert not judged([-1.0, 2.0, -1.0, 2.0, 1.0, -2.0, 3.0, 0.0]).gain(nothing).is_shown
+    alone = judged([50.0, 50.0]).gain(judged([0.0, 0.0]))  # one trial in each condition
+    assert not alone.is_shown
+    assert alone.standard_error == np.inf
+
+
+def test_verdicts_say_what_is_not_shown():
+    nothing = judged([0.0] * 8)
+    gains = {"short-range": Gain(90.0, 9.0, 6), "full": Gain(3.0, 4.0, 6)}
+    laws = dict.fromkeys(("linear", "short-range", "full"), nothing)
+    said = Choice(judged=laws, chosen="short-range", gains=gains, mechanisms={}).verdict()
+    assert said[0].endswith("likelier by 90.0 (standard error 9.0) in the logarithm than the linear one")
+    assert said[1] == (
+        "the full law makes left-out trials likelier by 3.0 (standard error 4.0) in the logarithm, which may be "
+        "chance, than the short-range one"
+    )
+    assert "do not show thixotropy" in said[2]
+    shown = {"thixotropy": Gain(-1.0, 4.0, 6)}
+    said = Choice(judged=laws, chosen="full", gains=gains, mechanisms=shown).verdict()
+    assert said[-1].startswith("your data do not show thixotropy: with it, left-out trials are less likely by 1.0")
+
+
+def test_conditions_of_one_trial_cannot_be_left_out(ideal):
+    with pytest.raises(ValueError, match="each condition has one trial; expected two in one at least"):
+        compare_laws(ideal, ARMS)
+
+
+def told(noisy_fit, correlation, errors=(0.39, 0.33)):
+    """Remarks of a fit to two parameters with the values 43 deg and 2 s."""
+    names = ("loss_angle_deg", "recovery_time")
+    return replace(
+        noisy_fit,
+        values=dict(zip(names, (43.0, 2.0), strict=True)),
+        log_error=dict(zip(names, errors, strict=True)),
+        correlation=np.array([[1.0, correlation], [correlation, 1.0]]),
+    ).remarks()
+
+
+def test_what_is_not_told_alone_is_named_with_what_is_told_together(noisy_fit):
+    # SD of a difference: sqrt(0.39^2 + 0.33^2 - 2 * 0.86 * 0.39 * 0.33) = 0.199, exp(1.96 * 0.199) = 1.478
+    first, second, both = told(noisy_fit, 0.86)
+    assert first.startswith("loss_angle_deg is not told by these trials: 43 (20 to 92)")
+    assert second.startswith("recovery_time is not told by these trials")
+    assert both == (
+        "loss_angle_deg / recovery_time is told: 21.5 (15 to 32), standard error of the logarithm 0.20, of each alone "
+        "0.39 and 0.33"
+    )
+    (of_product,) = (remark for remark in told(noisy_fit, -0.86) if "is told" in remark)
+    assert of_product.startswith("loss_angle_deg * recovery_time is told: 86 (58 to 1.3e+02)")
+    assert not any("is told" in remark for remark in told(noisy_fit, 0.7))  # too weak
+    assert not any("is told" in remark for remark in told(noisy_fit, 0.86, (0.9, 0.1)))  # the ratio is not told either
+    assert told(noisy_fit, 0.86, (0.2, 0.2)) == ()
+
+
+POSITION = average_person().subjects["PT"]
+
+
+def position_problem(sets, **fixed):
+    arms = {"PT7.5": replace(POSITION, muscle=None)}
+    parameters = free_parameters(sets, Model(fixed=fixed))
+    return Problem(parameters, sets, nearest_arms(sets, arms))
+
+
+@pytest.mark.parametrize("level", [0.4, 1.4])
+def test_pulses_alone_start_from_the_level_that_answers_them(level):
+    true = true_values(POSITION, {})
+    fixed = {name: true[name] for name in Model().names("PT", ["PT7.5"])}
+    multisine = made.trial_set(made.record(POSITION, [made.push(1, 1.5, 6.0)], condition="PT7.5"), POSITION)
+    force = np.zeros((600, 2))
+    force[100:112] = 12.0, 6.0
+    pulse = made.trial_set(made.record(at_level(POSITION, level), [force], condition="PT0"), POSITION)
+    problem = position_problem([multisine, pulse], **fixed)
+    assert problem.parameters.names == ["level.PT0"]
+    start = best_start(problem, np.zeros(1), {})
+    assert np.exp(start.point) == pytest.approx([level], rel=0.15)
+    assert best_start(problem, np.log([0.8]), {"level.PT0": 0.8}).point == pytest.approx(np.log([0.8]))
+
+
+def test_arms_whose_reflexes_sustain_an_oscillation_are_found(noisy, monkeypatch):
+    push = made.push(1, 1.5, 6.0)
+    trials = made.trial_set(made.record(POSITION, [push], condition="PT7.5"), POSITION)
+    true, problem = true_values(POSITION, {}), position_problem([trials])
+    names = problem.parameters.names
+    state = State(np.log([true[name] for name in names]), np.zeros(4), np.full(4, 0.1))
+    assert problem.restless(state) == ()
+    reflexes = np.array([2.5 if name.startswith("kv") else 1.0 for name in names])
+    assert problem.restless(state._replace(point=state.point + np.log(reflexes))) == ("PT7.5",)
+    monkeypatch.setattr(Problem, "restless", lambda *_: ("RT7.5",))
+    monkeypatch.setattr(estimate, "MAX_ROUNDS", 1)
+    found = fit(noisy[:1], ARMS, FEW, n_pairs=0)
+    assert not found.converged
+    assert "the arm sustains oscillations in RT7.5" in found.remarks()[0]
+
+
+@pytest.fixture(scope="module")
+def at_truth(noisy):
+    """A problem at the truth, and derivatives there."""
+    problem = Problem(free_parameters(noisy, FEW), noisy, ARMS)
+    effects = np.zeros(len(problem.kind_of))
+    state = State(np.log([TRUE[name] for name in problem.parameters.names]), effects, np.full(len(problem.kinds), 0.08))
+    problem.weigh(problem.residual(problem.predict([state])[0]))
+    return problem, state, problem.slopes(state)
+
+
+def test_what_a_fit_leaves_of_a_record_moves_it_no_more(at_truth):
+    problem, state, slopes = at_truth
+    white = problem.white(problem.residual(problem.predict([state])[0]))
+    (left,) = problem._unexplained(state, slopes, [white])
+    before, after = (
+        problem.gathered(state, [a @ b for a, b in zip(slopes, record, strict=True)]) for record in (white, left)
+    )
+    n = len(state.point)
+    assert np.abs(after[:n]).max() < 1e-6 * np.abs(before[:n]).max()
+    assert sum(np.sum(one**2) for one in left) < sum(np.sum(one**2) for one in white)
+
+
+def test_draws_are_strong_enough_for_what_a_fit_takes_of_them(at_truth, monkeypatch):
+    problem, state, _ = at_truth
+    residual, plain = problem.residual(problem.predict([state])[0]), problem._draws
+    assert not problem.is_noisy
+
+    def strength():
+        problem.draw(state, residual, 1, 0)
+        assert problem.is_noisy
+        problem._draws = plain
+        return np.mean([noise.strength for noise in problem.noises])
+
+    fitted = strength()
+    monkeypatch.setattr(problem, "_unexplained", lambda state, slopes, records: records)
+    assert fitted > 1.001 * strength()
+
+
+def test_lack_of_fit_is_judged_by_draws(at_truth):
+    problem, state, slopes = at_truth
+    predicted = problem.predict([state])[0]
+    none = problem.drawn(state, 0, 1, 0)
+    drawn = problem.drawn(state, 3, 2, 0)
+    stronger = type(drawn)(*([2.0 * one for one in half] for half in drawn))
+    stationary, as_drawn, less = (problem.lack_of_fit(state, predicted, slopes, one) for one in (none, drawn, stronger))
+    for label in ("RT2.5", "RT7.5"):
+        assert stationary[label].dof % 8 == 0
+        assert less[label].dof == as_drawn[label].dof
+        assert less[label].chi2 == pytest.approx(as_drawn[label].chi2 / 4.0)

@@ -1,0 +1,104 @@
+"""Weights and draws of the noise against noise whose spectrum is known."""
+
+import numpy as np
+import pytest
+from scipy import signal, stats
+
+from armperturb.analysis.arm.state_space import simulate_linear
+from armperturb.analysis.nonlinear.noise import Noise
+from armperturb.environment import Environment
+from armperturb.subject import RELAX
+
+RATE, N, N_TRIALS = 100.0, 3000, 8
+SHAPE = signal.butter(2, 3.0, fs=RATE, output="sos")
+MIXING = np.array([[1.0, 0.0], [0.6, 0.5]])
+"""Of independent noises along the axes."""
+
+
+@pytest.fixture(scope="module")
+def forces():
+    """Hand forces of coloured, correlated noise [N], (trial, time, axis)."""
+    white = np.random.default_rng(0).standard_normal((N_TRIALS, N, 2))
+    return signal.sosfilt(SHAPE, white, axis=1) @ MIXING.T
+
+
+@pytest.fixture(scope="module")
+def residual(forces):
+    return simulate_linear(RELAX, Environment(), forces, RATE).displacement
+
+
+@pytest.fixture
+def noise(residual):
+    found = Noise(RELAX, Environment(), N, N_TRIALS, RATE)
+    found.weigh(residual)
+    return found
+
+
+def test_white_residuals_have_unit_variance_and_are_uncorrelated(noise, residual):
+    white = noise.white(residual)
+    n = white.shape[1] // 4  # of each axis, real and imaginary
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.05)
+    x, y = np.moveaxis(white.reshape(N_TRIALS, 2, 2, n), 2, 0)
+    assert abs(np.mean(x * y)) < 3.0 / np.sqrt(2 * N_TRIALS * n) + 0.01
+    # At all frequencies alike, in spite of a spectrum that falls by orders of magnitude.
+    power = np.mean(x**2 + y**2, axis=(0, 1)) / 2.0
+    np.testing.assert_allclose([part.mean() for part in np.array_split(power[10:], 6)], 1.0, atol=0.15)
+
+
+def test_other_draws_of_the_same_noise_are_as_white(noise):
+    other = signal.sosfilt(SHAPE, np.random.default_rng(1).standard_normal((N_TRIALS, N, 2)), axis=1) @ MIXING.T
+    white = noise.white(simulate_linear(RELAX, Environment(), other, RATE).displacement)
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.08)
+
+
+def test_draws_have_the_spectrum_of_the_noise(noise, forces):
+    rng = np.random.default_rng(2)
+    draws = np.array([noise.draw(rng.standard_normal((N, 2))) for _ in range(20)])
+
+    def spectra(signals):
+        options = {"fs": RATE, "nperseg": 500, "axis": 1}
+        frequency, own = signal.welch(signals, **options)
+        _, cross = signal.csd(signals[:, :, 0], signals[:, :, 1], **options)
+        return frequency, np.column_stack([own.mean(axis=0), cross.mean(axis=0).real])
+
+    (frequency, found), (_, expected) = spectra(draws), spectra(forces)
+    for low, high in ((0.4, 1.5), (1.5, 4.0), (4.0, 10.0)):
+        band = (frequency >= low) & (frequency < high)
+        np.testing.assert_allclose(found[band].mean(axis=0), expected[band].mean(axis=0), rtol=0.12)
+
+
+def test_strength_makes_up_for_draws_that_are_too_weak(noise, residual):
+    white = noise.white(residual)
+    noise.match(white, white / 1.5)
+    np.testing.assert_allclose(noise.strength, 1.5)
+    noise.match(white, white * 1.5)
+    np.testing.assert_allclose(noise.strength, 1.0)
+    # Of each frequency for itself, on average over some.
+    n = white.shape[1] // 4
+    weaker = np.tile(np.where(np.arange(n) < n // 2, 0.5, 1.0), 4) * white
+    noise.match(white, weaker)
+    np.testing.assert_allclose(noise.strength[: n // 4], 2.0)
+    np.testing.assert_allclose(noise.strength[-n // 4 :], 1.0)
+
+
+def test_log_determinant_is_what_scaling_the_noise_changes(residual):
+    found = Noise(RELAX, Environment(), N, N_TRIALS, RATE)
+    found.weigh(residual)
+    before = found.log_determinant
+    found.weigh(3.0 * residual)
+    numbers = found.white(residual).shape[1]
+    # Minus twice the log density of noise that is three times as strong: the cost stays, log det grows.
+    assert before - found.log_determinant == pytest.approx(2.0 * numbers * np.log(3.0), rel=1e-9)
+
+
+def test_lack_of_fit_sees_a_response_that_is_left_and_no_other(noise, residual):
+    rng = np.random.default_rng(3)
+    push = signal.sosfilt(SHAPE, rng.standard_normal((N_TRIALS, N, 2)), axis=1)
+    left = 0.3 * simulate_linear(RELAX, Environment(), push, RATE).displacement
+    noise.weigh(residual)
+    both = np.array([noise.white(residual), noise.white(residual + left)])
+    (right, wrong), dof = noise.lack_of_fit(both, push)
+    assert dof % 8 == 0
+    assert 0.005 < stats.chi2.sf(right, dof) < 0.995
+    assert stats.chi2.sf(wrong, dof) < 1e-6
+    np.testing.assert_allclose(noise.lack_of_fit(both[0], push)[0], right)

@@ -1,0 +1,94 @@
+"""Compiled arms against MuJoCo's, and against the linear model where arms are linear."""
+
+from dataclasses import replace
+
+import nonlinear_trials as made
+import numpy as np
+import pytest
+
+from armperturb.analysis.arm.state_space import simulate_linear
+from armperturb.analysis.nonlinear.lanes import lane_table
+from armperturb.analysis.nonlinear.response import Disturbances
+from armperturb.cohort import draw_person
+from armperturb.environment import Environment
+from armperturb.muscle_law import MuscleLaw
+from armperturb.subject import POSITION, RELAX
+
+
+@pytest.fixture(autouse=True, scope="module")
+def compiled(once):
+    once("compiled arms", made.compile_arms)
+
+
+def answered(people, pushes, environment=None, rate=made.RATE, threads=1):
+    """What compiled arms do, one for each push."""
+    disturbances = Disturbances(np.array(pushes), rate, threads)
+    lanes = lane_table(people, [environment or Environment()] * len(people), disturbances.timestep)
+    return disturbances.responses(lanes, np.arange(len(people)))
+
+
+@pytest.mark.parametrize(("task", "rms"), [("RT", 1.8), ("PT", 10.0)])
+def test_people_of_the_cohort_move_as_in_mujoco(task, rms):
+    person = draw_person(0, 3).subjects[task]
+    force = made.push(1, rms, duration=6.0)
+    (found,) = answered([person], [force])
+    for timestep, share in ((2.5e-3, 2e-4), (1e-3, 5e-3)):
+        recorded = made.record(person, [force], timestep=timestep)["displacement"].values[0]
+        # The elastic limits must have been passed for this to say anything of the law.
+        assert np.abs(recorded).max() > 0.01
+        assert np.abs(found - recorded).max() < share * np.abs(recorded).max()
+
+
+def test_every_mechanism_acts_as_in_mujoco():
+    law = MuscleLaw(
+        short_range_stiffness=(9.0, 6.0, 4.0),
+        elastic_limit_deg=(0.5, 0.7, 0.9),
+        elastic_limit_spread=0.4,
+        elastic_limit_slope=0.02,
+        loss_angle_deg=(20.0, 30.0, 25.0),
+        recovery_time=0.7,
+        thinning_velocity=(0.4, 0.5, 0.6),
+        spindle_saturation=0.3,
+        spindle_direction=(0.5, -0.5, 1.0),
+    )
+    person = replace(RELAX, muscle=law, kv_s=0.4, kv_se=0.2, kv_e=0.5, kp_s=0.5, kp_se=0.2, kp_e=0.4, Td_e=0.041)
+    environment = Environment(m_env=3.0, b_env=4.0, k_env=60.0)
+    force = made.push(2, 3.0, duration=6.0)
+    recorded = made.record(person, [force])["displacement"].values[0]
+    (found,) = answered([person], [force])
+    assert np.abs(found - recorded).max() < 2e-4 * np.abs(recorded).max()
+    # What the hand holds is not the default either.
+    assert np.abs(answered([person], [force], environment)[0] - recorded).max() > 0.1 * np.abs(recorded).max()
+
+
+@pytest.mark.parametrize("arm", [RELAX, POSITION], ids=lambda arm: arm.task)
+def test_small_movements_are_those_of_the_linear_model(arm):
+    force = made.push(3, 1e-4, duration=6.0, rate=400.0, top=6.0)
+    environment = Environment(m_env=2.5, b_env=6.0, k_env=30.0)
+    expected = simulate_linear(arm, environment, force, 400.0).displacement
+    (found,) = answered([arm], [force], environment, rate=400.0)
+    assert np.abs(found - expected).max() < 2e-3 * np.abs(expected).max()
+
+
+def test_a_lane_is_the_same_beside_any_others_and_on_any_number_of_threads():
+    people = [draw_person(1, i).subjects["RT"] for i in range(5)]
+    pushes = [made.push(i, 1.0, duration=2.0) for i in range(5)]
+    together = answered(people, pushes, threads=3)
+    for i in range(5):
+        alone = answered(people[i : i + 1], pushes[i : i + 1])
+        np.testing.assert_array_equal(together[i], alone[0])
+
+
+def test_an_arm_that_blows_up_is_nan_from_there_on():
+    wild = replace(POSITION, kv_s=300.0, kv_e=300.0)
+    (found,) = answered([wild], [made.push(1, 5.0, duration=4.0)])
+    lost = np.isnan(found[:, 0])
+    assert 0 < np.argmax(lost) < len(lost) - 1
+    assert lost[np.argmax(lost) :].all()
+
+
+def test_what_the_compiled_arm_has_not_is_refused():
+    with pytest.raises(ValueError, match="acceleration or force feedback; expected velocity and position"):
+        lane_table([replace(RELAX, ka_s=0.1)], [Environment()], 2.5e-3)
+    with pytest.raises(ValueError, match=r"delay = 0.001 s; expected at least the step of 0.0025 s"):
+        lane_table([replace(RELAX, Td_s=0.001)], [Environment()], 2.5e-3)

@@ -1,0 +1,112 @@
+import numpy as np
+import pytest
+
+from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels
+from armperturb.environment import Environment
+
+RATE, N_SAMPLES, N_TRIALS = 200.0, 6000, 4
+ENVIRONMENT = Environment(m_env=3.1, b_env=1.4, k_env=25.0)
+LEVELS = NoiseLevels(force=0.02, displacement=8e-6)
+INNER = slice(round(EDGE * RATE), -round(EDGE * RATE))
+
+
+def moving(seed, late=0.0):
+    """A handle that starts at rest and is amid movement at the end [m], and the force that this takes, late [N]."""
+    rng = np.random.default_rng(seed)
+    n = 2 * N_SAMPLES
+    frequency = np.fft.rfftfreq(n, 1 / RATE)
+    smooth = (frequency > 0.1) & (frequency < 42.0)
+    random = rng.normal(size=(2, len(frequency), N_TRIALS * 2)) * (smooth / (1.0 + (frequency / 1.5) ** 2))[:, None]
+    time = np.arange(n) / RATE
+    fade = np.clip(np.minimum(time, 60.0 - time), 0.0, 1.0)
+    path = 2.0 * np.fft.irfft(random[0] + 1j * random[1], n, axis=0) * (0.5 - 0.5 * np.cos(np.pi * fade))[:, None]
+    s = 2j * np.pi * frequency[:, None]
+    impedance = (ENVIRONMENT.m_env * s**2 + ENVIRONMENT.b_env * s + ENVIRONMENT.k_env) * np.exp(-s * late)
+    load = np.fft.irfft(impedance * np.fft.rfft(path, axis=0), n, axis=0)
+    return tuple(values[:N_SAMPLES].reshape(N_SAMPLES, N_TRIALS, 2).swapaxes(0, 1) for values in (path, load))
+
+
+def recorded(seed, late=0.0, levels=LEVELS):
+    """Balance of noisy signals, and the true path [m]; some of the load is d, the rest -f."""
+    path, load = moving(seed, late)
+    rng = np.random.default_rng([seed, 1])
+    d = rng.normal(size=load.shape)
+    force = d - load + levels.force * rng.normal(size=load.shape)
+    return Balance(d, force, path + levels.displacement * rng.normal(size=path.shape), RATE), path
+
+
+@pytest.fixture(scope="module")
+def balances():
+    return [recorded(seed) for seed in range(12)]
+
+
+def test_environment_and_noise_of_both_instruments_come_out_of_the_balance(balances):
+    found = [balance.fit() for balance, _ in balances]
+    for environment, levels in found:
+        assert environment.m_env == pytest.approx(ENVIRONMENT.m_env, rel=5e-4)
+        assert environment.b_env == pytest.approx(ENVIRONMENT.b_env, rel=0.03)
+        assert environment.k_env == pytest.approx(ENVIRONMENT.k_env, rel=0.01)
+        assert levels.force == pytest.approx(LEVELS.force, rel=0.15)
+        assert levels.displacement == pytest.approx(LEVELS.displacement, rel=0.03)
+    assert np.mean([levels.force for _, levels in found]) == pytest.approx(LEVELS.force, rel=0.04)
+    # No bias: least squares would make the mass too small by more than this.
+    mass = np.array([environment.m_env for environment, _ in found])
+    assert abs(mass.mean() - ENVIRONMENT.m_env) < 3 * mass.std(ddof=1) / np.sqrt(len(mass))
+
+
+@pytest.mark.parametrize("gauge", [0.2, 2.0])
+def test_noise_levels_hold_for_other_instruments(gauge):
+    levels = NoiseLevels(force=gauge, displacement=3e-5)
+    found = recorded(0, levels=levels)[0].fit()[1]
+    assert found.force == pytest.approx(levels.force, rel=0.15)
+    assert found.displacement == pytest.approx(levels.displacement, rel=0.05)
+
+
+def test_combined_displacement_has_the_variance_of_theory_and_is_better_than_either_instrument(balances):
+    frequency = np.fft.rfftfreq(N_SAMPLES - 2 * round(EDGE * RATE), 1 / RATE)[1:]
+    s = 2j * np.pi * frequency
+    impedance = ENVIRONMENT.m_env * s**2 + ENVIRONMENT.b_env * s + ENVIRONMENT.k_env
+    gauge = LEVELS.force**2 / np.abs(impedance) ** 2  # as a meter of displacement
+    theory = 1.0 / (1.0 / gauge + 1.0 / LEVELS.displacement**2)
+    power = np.zeros(len(frequency))
+    for balance, path in balances:
+        error = (balance.displacement(*balance.fit()) - path)[:, INNER]
+        taper = np.hanning(error.shape[1])
+        spectrum = np.fft.rfft(error * taper[:, None], axis=1)[:, 1:] / np.linalg.norm(taper)
+        power += np.mean(np.abs(spectrum) ** 2, axis=(0, 2)) / len(balances)
+    for low, high in ((1, 3), (3, 6), (6, 12), (12, 25), (25, 40)):
+        band = (frequency > low) & (frequency < high)
+        assert power[band].mean() == pytest.approx(theory[band].mean(), rel=0.05)
+        assert power[band].mean() < 1.03 * min(gauge[band].mean(), LEVELS.displacement**2)
+    band = (frequency > 6) & (frequency < 12)
+    assert power[band].mean() < 0.9 * min(gauge[band].mean(), LEVELS.displacement**2)
+    assert power[frequency > 35].mean() < (LEVELS.displacement / 25) ** 2
+
+
+def test_skew_of_the_clocks_is_measured(balances):
+    none = np.array([balance.skew(*balance.fit()) for balance, _ in balances])
+    assert np.sqrt(np.mean((none[:, 0] / none[:, 1]) ** 2)) == pytest.approx(1.0, abs=0.5)
+    assert none[:, 1].max() < 2e-5
+    for late in (-2e-4, 2e-4, 1e-3):
+        balance, _ = recorded(0, late)
+        skew = balance.skew(*balance.fit())
+        assert skew.time == pytest.approx(late, rel=0.02, abs=4 * skew.standard_error)
+        assert abs(skew.time) > 10 * skew.standard_error
+
+
+def test_perfect_instruments_are_taken_as_they_are():
+    balance, path = recorded(0, levels=NoiseLevels(0.0, 0.0))
+    environment, levels = balance.fit()
+    assert environment.m_env == pytest.approx(ENVIRONMENT.m_env, rel=1e-6)
+    assert levels.force < 1e-5
+    # Also at the end, where the record breaks off amid movement.
+    assert np.abs(balance.displacement(environment, levels) - path).max() < 2e-4 * np.abs(path).max()
+    assert abs(balance.skew(environment, levels).time) < 1e-7
+
+
+def test_what_is_no_balance_is_refused():
+    path, load = moving(0)
+    with pytest.raises(ValueError, match=r"mass comes out at -.*expected a positive mass"):
+        Balance(load * 0, load, path, RATE).fit()
+    with pytest.raises(ValueError, match=r"lasts 4 s; expected at least 5 s"):
+        Balance(load[:, :800], load[:, :800], path[:, :800], RATE)

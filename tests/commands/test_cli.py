@@ -1,0 +1,330 @@
+"""The commands as a stranger types them: what they write, and one clear line when they refuse."""
+
+import csv
+import errno
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from armperturb import cli
+from armperturb.files import written_whole
+from armperturb.perturbations import Multisine, Pulse, save_csv
+from armperturb.recording import load_recording, save_recording
+from armperturb.study.recording import record as runner
+from armperturb.subject import POSITION, RELAX
+
+
+@pytest.fixture
+def inputs(tmp_path):
+    POSITION.save(tmp_path / "subject.toml")
+    save_csv(Multisine.draw(seed=1, rms=3.0, crested=False), tmp_path / "multisine.csv", 200.0)
+    save_csv(Pulse(peak=20.0, direction_deg=20.0, onset=0.1, duration=0.6), tmp_path / "pulse.csv", 1000.0)
+    return tmp_path
+
+
+def run(*arguments):
+    return cli.main([str(argument) for argument in arguments])
+
+
+def refused(capsys, *arguments):
+    """Run a command that must fail and return its one line."""
+    assert run(*arguments) == 1
+    captured = capsys.readouterr()
+    lines = captured.err.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("armperturb: error: ")
+    assert "Traceback" not in captured.out + captured.err
+    return lines[0]
+
+
+def simulate(folder, *options, subject="subject.toml", perturbation="pulse.csv", out="out.nc"):
+    paths = ("--subject", folder / subject, "--perturbation", folder / perturbation, "--out", folder / out)
+    return ("simulate", *paths, *options)
+
+
+def test_simulate_then_identify(inputs, capsys):
+    assert run(*simulate(inputs, "--ideal", perturbation="multisine.csv")) == 0
+    assert run("identify", inputs / "out.nc", "--model", "3b", "--out", inputs / "results") == 0
+    assert "converged" in capsys.readouterr().out
+    with (inputs / "results" / "admittance.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == [
+        "frequency_hz", "output", "input", "real", "imag", "gain_m_per_N", "phase_deg", "coherence", "condition",
+    ]  # fmt: skip
+    assert len(rows) == 18 * 4
+    for row in rows:
+        value = complex(float(row["real"]), float(row["imag"]))
+        assert float(row["gain_m_per_N"]) == pytest.approx(abs(value))
+        assert float(row["phase_deg"]) == pytest.approx(np.degrees(np.angle(value)))
+        assert 0 <= float(row["coherence"]) <= 1
+    with (inputs / "results" / "parameters.csv").open() as file:
+        parameters = {row["parameter"]: row for row in csv.DictReader(file)}
+    assert list(parameters["m_tot"]) == [
+        "parameter", "value", "standard_error", "lower_95", "upper_95", "unit", "at_bound", "condition",
+    ]  # fmt: skip
+    assert float(parameters["m_tot"]["value"]) == pytest.approx(3.38, rel=0.01)
+    for row in parameters.values():
+        half = 1.96 * float(row["standard_error"])
+        assert float(row["lower_95"]) == pytest.approx(float(row["value"]) - half)
+        assert float(row["upper_95"]) == pytest.approx(float(row["value"]) + half)
+    assert parameters["k_s"]["unit"] == "Nm/rad"
+    fit = json.loads((inputs / "results" / "fit.json").read_text())
+    assert {"status", "criterion", "VAF_x", "VAF_y", "stable", "remarks", "chi2", "dof", "p_value"} <= set(fit)
+    assert fit["estimator"] == "record"
+    assert fit["correlation"]["parameters"] == list(parameters)
+    matrix = np.array(fit["correlation"]["matrix"])
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-9)
+    np.testing.assert_allclose(np.diag(matrix), 1.0)
+    assert fit["stable"] is True
+    assert fit["VAF_x"] > 98
+
+
+def test_ideal_records_the_truth_and_the_seed_its_noise(inputs):
+    for options, name in ((("--ideal",), "a"), (("--seed", 1), "b"), (("--seed", 2), "c"), (("--seed", 2), "d")):
+        assert run(*simulate(inputs, *options, out=f"{name}.nc")) == 0
+    a, b, c, d = (load_recording(inputs / f"{name}.nc") for name in "abcd")
+    assert not a["force"].equals(b["force"])
+    assert not b["force"].equals(c["force"])
+    assert c.identical(d)
+    assert a.attrs["rate"] == 200.0
+
+
+def test_pendulum_rope_changes_the_recording(inputs):
+    assert run(*simulate(inputs, "--ideal", out="a.nc")) == 0
+    assert run(*simulate(inputs, "--ideal", "--rope", "pendulum", out="b.nc")) == 0
+    a, b = (load_recording(inputs / name)["displacement"] for name in ("a.nc", "b.nc"))
+    assert not a.equals(b)
+
+
+EDITS = {
+    "unknown key": ("subject.toml", lambda text: text + "k_x = 1.0\n", "unknown key 'k_x'"),
+    "missing key": ("subject.toml", lambda text: text.replace("k_h", "#k_h"), "missing key 'k_h'"),
+    "negative mass": ("subject.toml", lambda text: text.replace("m_h = 1", "m_h = -1"), "m_h = -1"),
+    "no length": ("subject.toml", lambda text: text.replace("l_f = 0.34", "l_f = 0.0"), "l_f = 0.0"),
+    "no delay": ("subject.toml", lambda text: text.replace("Td_s = 0.03", "Td_s = 0.0"), "Td_s = 0.0"),
+    "short delay": ("subject.toml", lambda text: text.replace("Td_s = 0.03", "Td_s = 0.0002"), "Td_s = 0.0002"),
+    "text": ("subject.toml", lambda text: text.replace("m_h = 1", 'm_h = "1" #'), "m_h = '1'; expected a number"),
+    "unstable": ("subject.toml", lambda text: text.replace("kv_s = 15.7", "kv_s = 80"), "unstable"),
+    "no TOML": ("subject.toml", lambda text: "m_h: 3", "not a TOML file"),
+    "NaN": (
+        "pulse.csv",
+        lambda text: text.replace("0.05,0,0", "0.05,nan,0").replace("0.05,0.0,0.0", "0.05,nan,0.0"),
+        "nan",
+    ),
+    "gap": ("pulse.csv", lambda text: "\n".join(t for t in text.splitlines() if not t.startswith("0.2")), "expected"),
+    "columns": ("pulse.csv", lambda text: text.replace("d_y_N", "d_z_N"), "d_y_N"),
+    "line break": ("subject.toml", lambda text: text.replace('"position"', '"a\\u0000b"'), "printable"),
+    "empty": ("pulse.csv", lambda text: "", "expected"),
+}
+
+
+@pytest.mark.parametrize("name", EDITS)
+def test_bad_files_are_refused_in_one_line(name, inputs, capsys):
+    path, edit, message = EDITS[name]
+    before = (inputs / path).read_text()
+    (inputs / path).write_text(edit(before))
+    assert (inputs / path).read_text() != before
+    line = refused(capsys, *simulate(inputs))
+    assert message in line
+    assert path in line
+    assert sorted(p.name for p in inputs.iterdir()) == ["multisine.csv", "pulse.csv", "subject.toml"]
+
+
+def test_too_fast_perturbations_are_refused(inputs, capsys):
+    time = np.arange(4000) / 4000
+    rows = [f"{t:.6f},{np.sin(2 * np.pi * 500 * t):.6f},0" for t in time]
+    (inputs / "fast.csv").write_text("time_s,d_x_N,d_y_N\n" + "\n".join(rows) + "\n")
+    assert "expected at most 450 Hz" in refused(capsys, *simulate(inputs, perturbation="fast.csv"))
+
+
+def test_workspace_limit_is_reported(inputs, capsys):
+    RELAX.save(inputs / "relax.toml")
+    save_csv(Pulse(peak=600.0, direction_deg=20.0, onset=0.1, duration=1.0), inputs / "hard.csv", 1000.0)
+    line = refused(capsys, *simulate(inputs, subject="relax.toml", perturbation="hard.csv"))
+    assert "reached the workspace limit at 0." in line
+    assert not (inputs / "out.nc").exists()
+
+
+def test_missing_files_and_folders_are_named(inputs, capsys):
+    assert "none.toml" in refused(capsys, *simulate(inputs, subject="none.toml"))
+    assert "none.csv" in refused(capsys, *simulate(inputs, perturbation="none.csv"))
+    assert "does not exist" in refused(capsys, *simulate(inputs, out="no/folder/out.nc"))
+    assert "no such file" in refused(capsys, "identify", inputs / "none.nc", "--model", "1", "--out", inputs / "r")
+    assert not (inputs / "r").exists()
+
+
+DAMAGE = {
+    "no force": (lambda r: r.drop_vars("force"), "variable 'force' is missing"),
+    "rate": (lambda r: r.isel(time=slice(None, None, 4)), "rate = 200 Hz"),
+    "too short": (lambda r: r.isel(time=slice(2000)), "expected a whole period of 20.48 s from 8 s on"),
+    "one direction": (lambda r: r.assign(perturbation=r["perturbation"] * [1.0, 0.0]), "cannot be told apart"),
+    "flipped": (lambda r: r.assign(force=-r["force"]), "force must be the reaction force"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_bad_recordings_are_refused_in_one_line(name, position_recording, tmp_path, capsys):
+    damage, message = DAMAGE[name]
+    damage(position_recording.isel(trial=[0])).to_netcdf(tmp_path / "bad.nc", engine="h5netcdf")
+    line = refused(capsys, "identify", tmp_path / "bad.nc", "--model", "3b", "--out", tmp_path / "results")
+    assert message in line
+    assert "bad.nc" in line
+    assert not (tmp_path / "results").exists()
+
+
+def test_subject_and_condition_are_picked(relax_recording, tmp_path, capsys):
+    save_recording(relax_recording, tmp_path / "r.nc")
+    common = ("identify", tmp_path / "r.nc", "--model", "1", "--out", tmp_path / "results")
+    assert "no subject 'X'; expected one of relax" in refused(capsys, *common, "--subject", "X")
+    assert "no condition 'PT0'; expected one of RT7.5" in refused(capsys, *common, "--condition", "PT0")
+    assert run(*common, "--subject", "relax", "--condition", "RT7.5", "--lines-per-average", 1) == 0
+
+
+@pytest.fixture
+def two_recordings(noisy_relax_recording, tmp_path):
+    """Both conditions of a person, each in a file of its own."""
+    paths = [tmp_path / "a.nc", tmp_path / "b.nc"]
+    for path, part in zip(paths, (slice(3), slice(3, 6)), strict=True):
+        save_recording(noisy_relax_recording.isel(trial=part), path)
+    return paths
+
+
+def test_several_recordings_are_identified_together(two_recordings, tmp_path, capsys):
+    common = ("identify", *two_recordings, "--model", "1", "--out", tmp_path / "r")
+    assert run(*common, "--estimator", "frequency", "--share", "mass,grip") == 0
+    printed = capsys.readouterr().out
+    assert "RT7.5: converged" in printed
+    assert "RT22.5: converged" in printed
+    with (tmp_path / "r" / "parameters.csv").open() as file:
+        rows = {(row["condition"], row["parameter"]): row["value"] for row in csv.DictReader(file)}
+    assert len(rows) == 20
+    names = {name for _, name in rows}
+    assert {n for n in names if rows["RT7.5", n] == rows["RT22.5", n]} == {"m_h", "m_f", "b_h", "k_h"}
+    fits = json.loads((tmp_path / "r" / "fit.json").read_text())
+    assert list(fits) == ["RT7.5", "RT22.5"]
+    assert fits["RT7.5"]["estimator"] == "frequency"
+    assert len(fits["RT7.5"]["correlation"]["parameters"]) == 16
+
+
+def test_the_thesis_estimator_can_be_asked_for(two_recordings, tmp_path, capsys):
+    assert run(
+        "identify", two_recordings[0], "--model", "1", "--estimator", "thesis", "--out", tmp_path / "r"
+    ) == 0  # fmt: skip
+    assert "of 3 trials" in capsys.readouterr().out
+    fit = json.loads((tmp_path / "r" / "fit.json").read_text())
+    assert (fit["estimator"], fit["n_trials"]) == ("thesis", 3)
+    assert "chi2" not in fit
+
+
+def test_what_cannot_be_identified_together_is_refused(two_recordings, position_recording, tmp_path, capsys):
+    save_recording(position_recording, tmp_path / "p.nc")
+    save_recording(position_recording.isel(time=slice(5800)), tmp_path / "short.nc")
+    out = ("--out", tmp_path / "r")
+    a, b = two_recordings
+    line = refused(capsys, "identify", a, tmp_path / "p.nc", "--model", "1", *out)
+    assert "expected one rate and duration" in line or "trials of the tasks RT and PT; expected one" in line
+    line = refused(capsys, "identify", tmp_path / "p.nc", tmp_path / "short.nc", "--model", "3b", *out)
+    assert "p.nc" in line
+    assert "expected one rate and duration" in line
+    line = refused(capsys, "identify", a, b, "--model", "1", "--estimator", "thesis", "--share", "mass", *out)
+    assert "share = mass; expected nothing with the thesis's estimator" in line
+    line = refused(capsys, "identify", a, b, "--model", "1", "--share", "k_x", *out)
+    assert "share: 'k_x' is no free parameter" in line
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_result_that_cannot_be_written_leaves_the_others_as_they_were(position_recording, tmp_path, capsys):
+    save_recording(position_recording.isel(trial=[0]), tmp_path / "r.nc")
+    (tmp_path / "results" / "parameters.csv").mkdir(parents=True)
+    line = refused(capsys, "identify", tmp_path / "r.nc", "--model", "3b", "--out", tmp_path / "results")
+    assert "parameters.csv: is a folder" in line
+    assert [path.name for path in (tmp_path / "results").iterdir()] == ["parameters.csv"]
+
+
+def test_bad_study_settings_are_refused(tmp_path, capsys):
+    assert "subjects = 0; expected" in refused(capsys, "study", "--out", tmp_path / "s", "--subjects", 0)
+    assert not (tmp_path / "s").exists()
+
+
+@pytest.mark.parametrize("muscles", [None, "nonlinear", "linear"])
+def test_study_draws_the_people_that_are_asked_for(tmp_path, monkeypatch, muscles):
+    asked = []
+    monkeypatch.setattr(runner, "record_study", lambda settings, out, **options: asked.append(settings.muscles))
+    options = () if muscles is None else ("--muscles", muscles)
+    assert run("study", "--out", tmp_path / "s", "--record-only", *options) == 0
+    assert asked == [muscles or "nonlinear"]
+
+
+UNKNOWN = ["identify", "r.nc", "--model", "1", "--estimator", "guess", "--out", "x"]
+
+
+def test_calibrations_that_could_not_be_written_are_refused_before_they_run(tmp_path, capsys):
+    message = refused(capsys, "calibrate", "--out", tmp_path / "person.toml", "--laws", "linear")
+    assert "laws = ('linear',); expected 'full' among them" in message
+    message = refused(capsys, "calibrate", "--out", tmp_path / "nowhere" / "person.toml")
+    assert f"folder {tmp_path / 'nowhere'} does not exist" in message
+    assert not list(tmp_path.iterdir())
+
+
+def in_a_process(folder, backend, *arguments):
+    """Exit status and stderr of a command that is run in a folder with a value of MUJOCO_GL and no display."""
+    unset = ("DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM")
+    clean = {name: value for name, value in os.environ.items() if name not in unset} | {"MUJOCO_GL": backend}
+    # As on a machine without OSMesa, whether or not it is there.
+    hide = "import ctypes.util as u; f = u.find_library; u.find_library = lambda n: None if n == 'OSMesa' else f(n)"
+    code = f"{hide}\nimport sys; from armperturb.cli import main; sys.exit(main({list(map(str, arguments))!r}))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=clean, cwd=folder, check=False
+    )
+    return done.returncode, done.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="OSMesa is for Linux")
+@pytest.mark.parametrize(
+    ("backend", "message"),
+    [
+        ("osmesa", "with MUJOCO_GL=osmesa; on Debian or Ubuntu: apt-get install libosmesa6"),
+        ("foo", "MUJOCO_GL = 'foo'; expected egl, osmesa, glfw or off, or unset"),
+    ],
+)
+def test_a_library_that_does_not_load_is_one_line(tmp_path, backend, message):
+    status, said = in_a_process(tmp_path, backend, "study", "--out", tmp_path / "s", "--subjects", 0)
+    assert status == 1
+    assert said.startswith("armperturb: error: ")
+    assert said.endswith(f"{message}\n")
+    assert said.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_identify_needs_no_simulator(tmp_path):
+    status, said = in_a_process(tmp_path, "foo", "identify", "none.nc", "--model", "1", "--out", "r")
+    assert status == 1
+    assert said.startswith("armperturb: error: none.nc: no such file")
+
+
+def test_a_file_that_cannot_be_written_is_named_as_the_user_did(tmp_path, monkeypatch):
+    def denied(*_, **options):
+        raise OSError(errno.EACCES, os.strerror(errno.EACCES), str(tmp_path / f"{options['prefix']}xyz.part"))
+
+    gone = pytest.raises(FileNotFoundError, match=r"No such file or directory: '[^']*/a\.nc'$")
+    with gone, written_whole(tmp_path / "a.nc") as temporary:
+        temporary.unlink()
+    monkeypatch.setattr("tempfile.mkstemp", denied)
+    with pytest.raises(PermissionError) as caught, written_whole(tmp_path / "a.nc"):
+        pytest.fail("nothing is to be written")
+    assert caught.value.filename == str(tmp_path / "a.nc")
+    assert ".part" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_usage_errors_leave_with_a_status(capsys):
+    no_muscles = ["study", "--out", "x", "--muscles", "soft"]
+    for arguments in ([], ["fly"], ["identify", "r.nc", "--model", "9", "--out", "x"], UNKNOWN, no_muscles):
+        with pytest.raises(SystemExit) as caught:
+            cli.main(arguments)
+        assert caught.value.code != 0
+    capsys.readouterr()

@@ -1,0 +1,137 @@
+"""`identify --model nonlinear` as a stranger types it."""
+
+import csv
+import json
+from functools import partial
+
+import nonlinear_trials as made
+import numpy as np
+import pytest
+
+from armperturb import cli
+from armperturb.analysis.nonlinear import estimate, identify
+from armperturb.controllers.remnant import HUMAN_NOISE
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.instruments import Instruments
+from armperturb.envs.lab.trial import Trial
+from armperturb.perturbations import Multisine, MultisineThenPulse
+from armperturb.recording import save_recording
+from armperturb.subject import RELAX
+
+
+@pytest.fixture(autouse=True, scope="module")
+def compiled(once):
+    once("compiled arms", made.compile_arms)
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """Fits in the presence of little drawn noise."""
+    monkeypatch.setattr(identify, "fit", partial(estimate.fit, n_pairs=1))
+    monkeypatch.setattr(estimate, "N_PAIRS_OF_ERRORS", 2)
+    monkeypatch.setattr(cli.joblib, "cpu_count", lambda: 1)
+
+
+def perturbed():
+    """Two trials in each of two conditions, all with a pulse, to one side and the other."""
+    trials = [
+        Trial(
+            subject=RELAX,
+            perturbation=MultisineThenPulse.join(
+                Multisine.draw(seed=seed, rms=rms, crested=False), peak=25.0, direction_deg=20.0 + 180.0 * i, tail=1.8
+            ),
+            condition=condition,
+            repetition=i,
+            pulse_level=1.0,
+            seed=seed,
+            noise=HUMAN_NOISE["RT"],
+        )
+        for seed, (condition, rms, i) in enumerate(
+            (condition, rms, i) for condition, rms in (("RT7.5", 0.9), ("RT22.5", 1.8)) for i in range(2)
+        )
+    ]
+    return run_experiment(trials, timestep=2.5e-3, instruments=Instruments(emg=None), n_threads=1)
+
+
+@pytest.fixture
+def path(once, tmp_path):
+    save_recording(once("recording for nonlinear fits", lambda _: perturbed()), tmp_path / "r.nc")
+    return tmp_path / "r.nc"
+
+
+def run(path, *options, out="out"):
+    arguments = ["identify", path, "--model", "nonlinear", "--out", path.parent / out, *options]
+    return cli.main([str(argument) for argument in arguments])
+
+
+def rows(path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_search_that_is_interrupted_goes_on_and_writes_what_it_found(path, capsys, monkeypatch):
+    out, told = path.parent / "out", estimate._Search._tell
+    with monkeypatch.context() as patch:
+        done = []
+
+        def tell(self, cost, step):
+            told(self, cost, step)
+            done.append(step)
+            if len(done) == 3:
+                raise KeyboardInterrupt
+
+        patch.setattr(estimate._Search, "_tell", tell)
+        assert run(path, "--law", "linear") == 130
+    said = capsys.readouterr().err.splitlines()
+    assert said[-1] == "armperturb: stopped; the same command goes on from here"
+    assert said[-2].startswith("round 3: cost ")
+    assert [one.name for one in out.iterdir()] == ["checkpoint.npz"]
+
+    assert run(path, "--law", "linear") == 0
+    captured = capsys.readouterr()
+    assert captured.err.startswith("round 3: ")
+    assert captured.out.startswith("linear law: settled\n")
+    assert sorted(one.name for one in out.iterdir()) == [
+        "correlations.csv", "fit.json", "parameters.csv", "predictions.csv", "pulses.svg",
+    ]  # fmt: skip
+    parameters = {row["name"]: row for row in rows(out / "parameters.csv")}
+    assert list(next(iter(parameters.values()))) == ["name", "value", "unit", "lower", "upper", "log_error"]
+    for name, true, unit in (("m_f", RELAX.m_f, "kg"), ("k.shoulder", RELAX.muscle_groups("k")[0], "Nm/rad")):
+        assert parameters[name]["unit"] == unit
+        assert float(parameters[name]["lower"]) < float(parameters[name]["value"]) < float(parameters[name]["upper"])
+        assert float(parameters[name]["value"]) == pytest.approx(true, rel=0.25)
+    correlations = rows(out / "correlations.csv")
+    assert [row["name"] for row in correlations] == list(parameters)
+    assert float(correlations[2]["k.elbow"]) == pytest.approx(
+        float(next(row for row in correlations if row["name"] == "k.elbow")[correlations[2]["name"]])
+    )
+    predictions = rows(out / "predictions.csv")
+    assert {row["model"] for row in predictions} == {"nonlinear", "linear", "skeletal"}
+    assert len(predictions) == 3 * 4
+    # The person is linear: everyone predicts the pulse well, the skeleton beside.
+    assert float(np.median([float(r["vaf_percent"]) for r in predictions if r["model"] == "skeletal"])) > 90.0
+    summary = json.loads((out / "fit.json").read_text())
+    assert summary["law"] == "linear"
+    assert summary["converged"]
+    assert summary["lack_of_fit"].keys() == {"RT7.5", "RT22.5"}
+    assert summary["left_out_pulses"]["nonlinear"]["n"] == 4
+    assert summary["choice"] is None
+
+
+def test_settings_that_do_not_go_together_are_refused(path, capsys):
+    def refused(*options):
+        assert run(path, *options) == 1
+        return capsys.readouterr().err.strip()
+
+    assert "identify: estimator = 'thesis'; expected 'record' with the nonlinear model" in refused(
+        "--estimator", "thesis"
+    )
+    assert "identify: share = 'mass'; expected None with the nonlinear model" in refused("--share", "mass")
+    assert "identify: pulses = 'left'; expected directions with commas between" in refused("--pulses", "left")
+    assert "pulses: no pulse in the direction 77 deg; expected some of 20, 200" in refused("--pulses", "77")
+    assert "no subject 'S99'; expected one of" in refused("--subject", "S99")
+    assert "all pulses come before 65.48 s; expected a trial with a whole period" in refused("--start", "45")
+    assert not (path.parent / "out").exists()
+    linear = ["identify", str(path), "--model", "1", "--out", str(path.parent / "o")]
+    assert cli.main([*linear, "--law", "full"]) == 1
+    assert "identify: law = 'full'; expected none but of the nonlinear model" in capsys.readouterr().err

@@ -1,0 +1,521 @@
+"""Laboratories' files become the recordings that they are, whatever their units, axes, formats and faults."""
+
+import json
+import re
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from laboratory import LABELS, MASS, N_TIME, N_TRIALS, RATE, as_text, handle, meaning, table, write
+from scipy.io import savemat
+
+from armperturb import cli
+from armperturb.analysis.fit.identify import identify
+from armperturb.analysis.force_balance import Balance
+from armperturb.convert import c3d, export_recording, import_recording
+from armperturb.convert.balance import check_balance
+from armperturb.convert.sidecar import Sidecar
+from armperturb.recording import REQUIRED_SIGNALS, load_recording, make_recording, save_recording
+
+D, F, X = slice(2, 4), slice(4, 6), slice(6, 8)
+
+
+def truth(name, n_trials=N_TRIALS, **options):
+    place = REQUIRED_SIGNALS.index(name)
+    return np.stack([handle(trial, **options)[place] for trial in range(n_trials)])
+
+
+def assert_is_the_laboratory(recording, tolerance=1e-12, n_trials=N_TRIALS):
+    assert recording.attrs["rate"] == RATE
+    for name in REQUIRED_SIGNALS:
+        expected = truth(name, n_trials)
+        np.testing.assert_allclose(recording[name].values, expected, atol=tolerance * np.abs(expected).max(), rtol=0)
+    for name, value in LABELS.items():
+        assert recording[name].values.tolist() == [value] * n_trials
+
+
+@pytest.fixture(scope="module")
+def estimates(position_recording):
+    return identify(position_recording, "3b", estimator="frequency")
+
+
+@pytest.mark.parametrize(("ending", "tolerance"), [("csv", 1e-9), ("mat", 1e-12), ("nc", 1e-12)])
+def test_exported_and_read_back_the_estimates_are_the_same(position_recording, estimates, tmp_path, ending, tolerance):
+    export_recording(position_recording, tmp_path / f"r.{ending}")
+    found = import_recording([tmp_path / f"r.{ending}"])
+    assert found.notes == ()
+    for name in (*position_recording.data_vars, *position_recording.coords):
+        np.testing.assert_array_equal(found.recording[name].values, position_recording[name].values)
+    if ending != "csv":
+        return  # what is the same to the last bit gives the same estimates
+    again = identify(found.recording, "3b", estimator="frequency")
+    np.testing.assert_allclose(again.spectra.arm, estimates.spectra.arm, rtol=tolerance)
+    np.testing.assert_allclose(again.spectra.coherence, estimates.spectra.coherence, rtol=tolerance)
+    assert again.fit.values == pytest.approx(estimates.fit.values, rel=tolerance)
+    assert again.fit.standard_error == pytest.approx(estimates.fit.standard_error, rel=tolerance)
+
+
+def test_units_axes_signs_starts_and_dialects_are_turned_into_ours(tmp_path):
+    # x points back, y to the left; force in pounds, of the hand on the handle; path in inches from somewhere.
+    values = table()
+    turn = np.array([[0.0, -1.0], [-1.0, 0.0]])  # lab's x and y of our right and forward
+    lab = values.copy()
+    lab[:, 1] *= 1e3
+    lab[:, D] = values[:, D] @ turn / 1e3
+    lab[:, F] = -(values[:, F] @ turn) / 4.4482216152605
+    lab[:, X] = values[:, X] @ turn / 0.0254 + [10.0, -3.0]
+    sidecar = meaning(
+        axes={"x": "backward", "y": "left"},
+        time={"channel": "t", "unit": "ms"},
+        csv={"delimiter": ";", "decimal": ",", "skip_lines": 2},
+        labels={**LABELS, "l_h": "31 cm", "theta_s_deg": f"{np.radians(22.5).item()!r} rad"},
+    )
+    sidecar["signals"]["perturbation"]["unit"] = "kN"
+    sidecar["signals"]["force"] |= {"unit": "lbf", "exerted_by": "hand"}
+    sidecar["signals"]["displacement"] |= {"unit": "in", "start": [10.0, -3.0]}
+    text = "Laboratory of arms\n;;\n" + as_text(lab, delimiter=";", decimal=",")
+    found = import_recording([write(tmp_path, sidecar=sidecar, text=text)])
+    assert_is_the_laboratory(found.recording)
+    sidecar["signals"]["displacement"]["start"] = "first"
+    assert_is_the_laboratory(import_recording([write(tmp_path, sidecar=sidecar, text=text)]).recording)
+
+
+def test_a_signal_may_have_axes_of_its_own(tmp_path):
+    values = table()
+    values[:, F] = values[:, [5, 4]]
+    sidecar = meaning()
+    sidecar["signals"]["force"]["axes"] = {"x": "forward", "y": "right"}
+    assert_is_the_laboratory(import_recording([write(tmp_path, values, sidecar)]).recording)
+
+
+def test_one_file_per_trial_with_one_sidecar(tmp_path):
+    values = table(3)
+    paths = [write(tmp_path, values[values[:, 0] == k], name=f"trial{k}") for k in (1, 2, 3)]
+    sidecar = {
+        **meaning(),
+        "trials": {p.name: {"pulse_level": 1.0, "pulse_onset": f"{k} s"} for k, p in enumerate(paths)},
+    }
+    del sidecar["trial"]
+    (tmp_path / "all.json").write_text(json.dumps(sidecar))
+    found = import_recording(paths, sidecar=tmp_path / "all.json").recording
+    assert_is_the_laboratory(found, n_trials=3)
+    assert found["pulse_onset"].values.tolist() == [0.0, 1.0, 2.0]
+    assert found["repetition"].values.tolist() == [0, 1, 2]
+
+
+def test_labels_of_trials_and_what_is_left_out(tmp_path):
+    sidecar = meaning(trials={"1": {"condition": "PT2.5"}, "2": {"condition": None, "pulse_direction": 20}})
+    found = import_recording([write(tmp_path, sidecar=sidecar)]).recording
+    assert found["condition"].values.tolist() == ["PT2.5", "PT7.5"]
+    assert found["repetition"].values.tolist() == [0, 0]
+    np.testing.assert_array_equal(found["pulse_direction"], [np.nan, 20.0])
+    np.testing.assert_array_equal(found["pulse_level"], [0.0, 0.0])
+    assert np.isnan(found["limit_time"].values).all()
+
+
+def v73(path, content):
+    """A file as MATLAB writes it: HDF5 below a header of 512 bytes, dimensions turned round."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        refs = file.create_group("#refs#")
+        for name, value in content.items():
+            if isinstance(value, dict):
+                group = file.create_group(name)
+                group.attrs["MATLAB_class"] = np.bytes_("struct")
+                for field, parts in value.items():
+                    data = group.create_dataset(field, (len(parts), 1), dtype=h5py.ref_dtype)
+                    for k, part in enumerate(parts):
+                        one = refs.create_dataset(f"{field}{k}", data=part.T)
+                        one.attrs["MATLAB_class"] = np.bytes_("double")
+                        data[k, 0] = one.ref
+            else:
+                file.create_dataset(name, data=value.T).attrs["MATLAB_class"] = np.bytes_("double")
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+
+
+def in_matlab(form):
+    """Content of a MATLAB file, and its channels of d, f and x."""
+    trials = [handle(k) for k in range(N_TRIALS)]
+    if form == "matrices with a column of trials":
+        parts = np.concatenate([np.concatenate(one, axis=1) for one in trials])
+        content = {"data": {"all": parts}, "trial": np.repeat(np.arange(1.0, N_TRIALS + 1), N_TIME)[:, None]}
+        return content, {name: [f"data.all(time,{2 * i + k})" for k in (1, 2)] for i, name in enumerate("dfx")}
+    if form == "time by trial":
+        content = {
+            f"{n}{k}": np.stack([t[i][:, k] for t in trials], axis=1) for i, n in enumerate("dfx") for k in (0, 1)
+        }
+        return content, {name: [f"{name}{k}(time,trial)" for k in (0, 1)] for name in "dfx"}
+    if form == "structures":
+        array = np.empty((1, N_TRIALS), dtype=[(name, object) for name in "dfx"])
+        for k, one in enumerate(trials):
+            array[0, k] = one
+        return {"session": {"trials": array}}, {
+            n: [f"session.trials(trial).{n}(time,{k})" for k in (1, 2)] for n in "dfx"
+        }
+    content = {}
+    for i, name in enumerate("dfx"):
+        content[name] = np.empty((1, N_TRIALS), dtype=object)
+        for k, one in enumerate(trials):
+            content[name][0, k] = one[i]
+    return content, {name: [f"{name}{{trial}}(time,{k})" for k in (1, 2)] for name in "dfx"}
+
+
+def matlab_meaning(channels):
+    sidecar = meaning()
+    for name, of_one in zip(REQUIRED_SIGNALS, channels.values(), strict=True):
+        sidecar["signals"][name]["channels"] = dict(zip("xy", of_one, strict=True))
+    return sidecar
+
+
+@pytest.mark.parametrize("form", ["matrices with a column of trials", "time by trial", "structures", "cells"])
+def test_matlab_v5_in_every_form(tmp_path, form):
+    content, channels = in_matlab(form)
+    sidecar = matlab_meaning(channels)
+    if "trial" not in content:
+        del sidecar["trial"]
+    savemat(tmp_path / "lab.mat", content, do_compression=form == "cells")
+    (tmp_path / "lab.json").write_text(json.dumps(sidecar))
+    assert_is_the_laboratory(import_recording([tmp_path / "lab.mat"]).recording)
+
+
+@pytest.mark.parametrize("form", ["time by trial", "structures"])
+def test_matlab_v73(tmp_path, form):
+    content, channels = in_matlab("time by trial")
+    if form == "structures":
+        content = {"s": {name: [handle(k)[i] for k in range(N_TRIALS)] for i, name in enumerate("dfx")}}
+        channels = {name: [f"s(trial).{name}(time,{k})" for k in (1, 2)] for name in "dfx"}
+    sidecar = matlab_meaning(channels)
+    del sidecar["trial"]
+    v73(tmp_path / "lab.mat", content)
+    (tmp_path / "lab.json").write_text(json.dumps(sidecar))
+    assert_is_the_laboratory(import_recording([tmp_path / "lab.mat"]).recording)
+
+
+def write_c3d(path, seed=0):
+    """Marker on the handle at 200 Hz in mm; forces at 1000 Hz, as a robot's converter has them."""
+    ezc3d = pytest.importorskip("ezc3d")
+    d, f, _ = handle(seed, rate=1000.0)
+    _, _, x = handle(seed)
+    file = ezc3d.c3d()
+    parameters, points = file["parameters"], np.zeros((4, 1, len(x)))
+    points[:2, 0] = 1e3 * x.T
+    points[3] = 1.0
+    for group, rate, labels, units in (
+        ("POINT", 200.0, ["HANDLE"], ["mm"]),
+        ("ANALOG", 1000.0, ["Dx", "Dy", "Fx", "Fy"], ["N"] * 4),
+    ):
+        for name, value in (("RATE", [rate]), ("LABELS", labels), ("UNITS", units)):
+            parameters[group][name]["value"] = value
+    file["data"]["points"], file["data"]["analogs"] = points, np.concatenate([d, f], axis=1).T[None]
+    file.write(str(path))
+    sidecar = meaning()
+    del sidecar["trial"], sidecar["rate"]
+    sidecar["signals"]["displacement"] = {"channels": {"x": "HANDLE.X", "y": "HANDLE.Y"}, "unit": "mm"}
+    path.with_suffix(".json").write_text(json.dumps(sidecar))
+
+
+def test_c3d_with_markers_and_converter_at_different_rates(tmp_path):
+    write_c3d(tmp_path / "lab.c3d")
+    with pytest.raises(
+        ValueError, match=r"perturbation at 1000 Hz.*displacement at 200 Hz; expected one rate \(choose"
+    ):
+        import_recording([tmp_path / "lab.c3d"])
+    found = import_recording([tmp_path / "lab.c3d"], rate=200.0).recording
+    assert found.sizes["time"] == N_TIME
+    inner = slice(100, -100)
+    for name in REQUIRED_SIGNALS:  # single precision, and the filter's ripple
+        expected = truth(name, 1)[:, inner]
+        np.testing.assert_allclose(found[name].values[:, inner], expected, atol=2e-3 * np.abs(expected).max())
+    environment, _ = Balance(*(found[name].values for name in REQUIRED_SIGNALS), 200.0).fit()
+    assert environment.m_env == pytest.approx(MASS, rel=2e-3)
+
+
+def test_c3d_units_that_the_file_contradicts_are_refused(tmp_path):
+    write_c3d(tmp_path / "lab.c3d")
+    text = (tmp_path / "lab.json").read_text()
+    (tmp_path / "lab.json").write_text(text.replace('"unit": "mm"', '"unit": "cm"'))
+    with pytest.raises(ValueError, match=r"HANDLE.X is in 'mm'; expected 'cm', as signals.displacement.unit"):
+        import_recording([tmp_path / "lab.c3d"], rate=200.0)
+
+
+def test_without_ezc3d_the_extra_is_named(tmp_path, monkeypatch):
+    write_c3d(tmp_path / "lab.c3d")
+    monkeypatch.setattr(c3d, "find_spec", lambda name: None)
+    with pytest.raises(RuntimeError, match=r"lab.c3d: C3D needs ezc3d; install armperturb\[c3d\]"):
+        import_recording([tmp_path / "lab.c3d"], rate=200.0)
+
+
+def test_other_rates_are_resampled_as_asked(tmp_path):
+    fine = table(rate=500.0)
+    path = write(tmp_path, fine, meaning(rate=500.0))
+    assert import_recording([path]).recording.attrs["rate"] == 500.0
+    found = import_recording([path], rate=200.0).recording
+    inner = slice(100, -100)
+    for name in REQUIRED_SIGNALS:
+        expected = truth(name)[:, inner]
+        np.testing.assert_allclose(found[name].values[:, inner], expected, atol=3e-3 * np.abs(expected).max())
+
+
+WRONG = {
+    "the sign of force were turned": lambda v: np.hstack([v[:, :4], -v[:, F], v[:, X]]),
+    "the sign of displacement were turned": lambda v: np.hstack([v[:, :6], -v[:, X]]),
+    "the sign of perturbation were turned": lambda v: np.hstack([v[:, :2], -v[:, D], v[:, 4:]]),
+    "x and y of force were swapped": lambda v: v[:, [0, 1, 2, 3, 5, 4, 6, 7]],
+    "x and y of displacement were swapped": lambda v: v[:, [0, 1, 2, 3, 4, 5, 7, 6]],
+    "x and y of perturbation were swapped": lambda v: v[:, [0, 1, 3, 2, 4, 5, 6, 7]],
+    "the sign of x of force were turned": lambda v: v * np.where(np.arange(8) == 4, -1.0, 1.0),
+    "the sign of y of displacement were turned": lambda v: v * np.where(np.arange(8) == 7, -1.0, 1.0),
+    "force were multiplied by 4.448": lambda v: np.hstack([v[:, :4], v[:, F] / 4.4482216152605, v[:, X]]),
+}
+
+
+@pytest.mark.parametrize("remedy", WRONG)
+def test_what_is_wrong_with_the_balance_is_named(tmp_path, remedy):
+    with pytest.raises(ValueError, match=re.escape(f"as it would if {remedy}")):
+        import_recording([write(tmp_path, WRONG[remedy](table()))])
+
+
+def test_a_simulated_arm_passes_and_its_force_turned_is_named(noisy_relax_recording, position_recording):
+    for recording in (noisy_relax_recording, position_recording):
+        assert check_balance(recording) == []
+        with pytest.raises(ValueError, match=r"the sign of force were turned \(exerted_by: the other body\)"):
+            check_balance(recording.assign(force=-recording["force"]))
+
+
+def laboratory_recording(*trials, limit_time=np.nan):
+    signals = {name: np.stack(parts) for name, parts in zip(REQUIRED_SIGNALS, zip(*trials, strict=True), strict=True)}
+    labels = LABELS | {"repetition": 0, "pulse_level": 0.0, "pulse_direction": np.nan, "pulse_onset": np.nan}
+    labels["limit_time"] = limit_time
+    return make_recording(signals, {name: [value] * len(trials) for name, value in labels.items()}, RATE)
+
+
+def test_one_trial_that_was_turned_is_named_among_others():
+    d, f, x = handle(1)
+    with pytest.raises(ValueError, match=r"damper in trial 2 \(.*the sign of force were turned"):
+        check_balance(laboratory_recording(handle(0), (d, -f, x), *(handle(seed) for seed in range(2, 10))))
+
+
+def test_a_pulse_at_the_end_tells_the_sign_of_the_perturbation():
+    d, f, x = handle(0)
+    pulse = np.zeros_like(d)
+    pulse[-200:-190] = [20.0, 10.0]
+    assert check_balance(laboratory_recording((pulse, f - d + pulse, x))) == []
+    with pytest.raises(ValueError, match="the sign of perturbation were turned"):
+        check_balance(laboratory_recording((-pulse, f - d + pulse, x)))
+    none = laboratory_recording((0.0 * d, f - d, x))
+    assert check_balance(none) == [
+        "the perturbation is too weak beside other forces: its sign, axes and unit are unchecked"
+    ]
+
+
+def test_what_comes_after_the_workspace_limit_is_not_held_against_physics():
+    d, f, x = (values.copy() for values in handle(0))
+    f[1500:] = 300.0 * np.sin(np.arange(500))[:, None]  # the stop takes the load
+    with pytest.raises(ValueError, match="d - f"):
+        check_balance(laboratory_recording((d, f, x)))
+    assert check_balance(laboratory_recording((d, f, x), limit_time=7.5)) == []
+
+
+def test_a_mass_that_is_no_handles_or_not_the_one_set_to_is_refused(tmp_path):
+    values = table()
+    millimetres = np.hstack([values[:, :6], values[:, X] * 1e3])
+    with pytest.raises(ValueError, match=r"displacement is .* m at .* s; expected at most 0.65 \(a wrong unit"):
+        import_recording([write(tmp_path, millimetres)])
+    centimetres = np.hstack([values[:, :2], 0.2 * values[:, 2:6], 20.0 * values[:, X]])
+    with pytest.raises(ValueError, match=r"moves a mass of 0.03 kg; expected 0.1 to 60 kg"):
+        import_recording([write(tmp_path, centimetres)])
+    assert import_recording([write(tmp_path, values, meaning(environment={"m_env": "3.1 kg"}))]).notes == ()
+    with pytest.raises(ValueError, match=r"moves a mass of 3 kg; expected 4 to 9 kg"):
+        import_recording([write(tmp_path, values, meaning(environment={"m_env": 6.0}))])
+
+
+def test_a_short_recording_cannot_be_held_against_physics_and_says_so(tmp_path):
+    found = import_recording([write(tmp_path, table(duration=3.0))])
+    assert len(found.notes) == 1
+    assert "3 s at 200 Hz are too short" in found.notes[0]
+
+
+def test_clocks_of_force_and_displacement_that_differ_or_drift_are_told(tmp_path):
+    found = import_recording([write(tmp_path, table(late=0.004, duration=20.0))])
+    assert len(found.notes) == 1
+    late = re.match(r"force is recorded ([\d.]+) ms later than displacement", found.notes[0])
+    assert float(late[1]) == pytest.approx(4.0, rel=0.05)
+    values = table(duration=20.0, late=5e-4 * np.arange(4000) / RATE)  # a clock that loses 10 ms over the trial
+    with pytest.raises(ValueError, match=r"force drifts against displacement by .* ms from the first to") as caught:
+        import_recording([write(tmp_path, values)])
+    drift = re.search(r"by ([-\d.]+) ms", str(caught.value))
+    assert float(drift[1]) == pytest.approx(5.0, rel=0.2)
+
+
+TIMED = {"time": {"channel": "t", "unit": "s"}}
+
+
+def inner_error(recording, name="displacement"):
+    """Largest error away from the ends, over the largest value [-]."""
+    n_time = recording.sizes["time"]
+    expected = truth(name, recording.sizes["trial"])[:, :n_time]
+    return np.abs(recording[name].values - expected)[:, 20:-20].max() / np.abs(expected).max()
+
+
+def test_gaps_are_refused_with_their_time_and_filled_if_asked(tmp_path):
+    values = table()
+    values[N_TIME + 600 : N_TIME + 605, 6] = np.nan
+    path = write(tmp_path, values)
+    message = r"lab.csv: trial '2': X \(displacement\) has a gap of 0.025 s at 3 s; expected none \(--repair gaps"
+    with pytest.raises(ValueError, match=message):
+        import_recording([path])
+    with pytest.raises(ValueError, match=r"--repair gaps"):
+        import_recording([path], repair=["drops", "clock", "lengths"])
+    found = import_recording([path], repair=["gaps"])
+    assert inner_error(found.recording) < 2e-3
+    assert "has a gap of 0.025 s at 3 s: repaired" in found.notes[0]
+    assert found.recording.attrs["repairs"] == found.notes[0]
+    values[N_TIME + 600 : N_TIME + 625, 6] = np.nan
+    with pytest.raises(ValueError, match=r"gap of 0.125 s at 3 s.*cannot be repaired \(--repair trials"):
+        import_recording([write(tmp_path, values)], repair=["gaps"])
+    found = import_recording([write(tmp_path, values)], repair=["gaps", "trials"])
+    assert found.recording.sizes["trial"] == 1
+    assert "trial '2' is left out: X (displacement) has a gap" in found.notes[0]
+
+
+def test_dropped_samples_are_refused_with_their_time_and_filled_if_asked(tmp_path):
+    path = write(tmp_path, np.delete(table(), slice(700, 705), axis=0), meaning(**TIMED))
+    with pytest.raises(ValueError, match=r"trial '1': 5 samples are dropped at 3.495 s .*cannot be repaired"):
+        import_recording([path], repair=["drops"])
+    values = np.delete(table(), slice(700, 704), axis=0)
+    path = write(tmp_path, values, meaning(**TIMED))
+    with pytest.raises(ValueError, match=r"trial '1': 4 samples are dropped at 3.495 s .*\(--repair drops"):
+        import_recording([path])
+    found = import_recording([path], repair=["drops"]).recording
+    assert found.sizes["time"] == N_TIME
+    assert inner_error(found) < 2e-3
+
+
+def test_without_times_dropped_samples_that_repeat_the_last_are_seen(tmp_path):
+    values = table()
+    values[500:504, 2:] = values[499, 2:]
+    with pytest.raises(ValueError, match=r"trial '1': all channels hold their value for 0.02 s at 2.495 s"):
+        import_recording([write(tmp_path, values)])
+
+
+def test_a_drifting_clock_is_refused_with_its_rate_and_resampled_if_asked(tmp_path):
+    true_rate = 199.3
+    values = table(rate=true_rate)
+    path = write(tmp_path, values, meaning(**TIMED))
+    with pytest.raises(ValueError, match=r"time runs at 199.3 Hz: sample \d+ is at .* s, and off by up to 3\d.*ms"):
+        import_recording([path])
+    found = import_recording([path], repair=["clock"]).recording
+    assert inner_error(found) < 1e-4
+    assert inner_error(found, "force") < 2e-2  # of which 20 Hz is ten samples a period
+    alone = meaning(**TIMED)
+    del alone["rate"]
+    assert import_recording([write(tmp_path, values, alone)]).recording.attrs["rate"] == pytest.approx(199.3)
+
+
+def test_times_in_whole_milliseconds_are_even(tmp_path):
+    values = table()
+    values[:, 1] = np.round(values[:, 1] + 1e-4, 3)  # 5 ms steps; and 199.3 Hz would not be
+    sidecar = meaning(**TIMED)
+    del sidecar["rate"]
+    assert_is_the_laboratory(import_recording([write(tmp_path, values, sidecar)]).recording)
+
+
+def test_unequal_lengths_are_refused_and_cut_if_asked(tmp_path):
+    values = table()[:-40]
+    path = write(tmp_path, values)
+    with pytest.raises(
+        ValueError, match=r"trial '2': perturbation lasts 9.8 s, in other trials 10 s; .*--repair length"
+    ):
+        import_recording([path])
+    found = import_recording([path], repair=["lengths"])
+    assert found.recording.sizes["time"] == N_TIME - 40
+    assert inner_error(found.recording) < 1e-12
+    assert "all are cut to the shortest" in found.notes[0]
+
+
+def test_clipped_and_stuck_channels_are_refused_with_their_time(tmp_path):
+    values = table()
+    clipped, stuck = values.copy(), values.copy()
+    limit = 0.6 * np.abs(values[:N_TIME, 6]).max()
+    clipped[:N_TIME, 6] = np.clip(values[:N_TIME, 6], -limit, limit)
+    stuck[N_TIME:, 5] = 0.3
+    first = int(np.flatnonzero(np.abs(values[:N_TIME, 6]) > limit)[0])
+    with pytest.raises(ValueError, match=r"trial '1': X \(displacement\) is clipped at .*times in all") as caught:
+        import_recording([write(tmp_path, clipped)])
+    when = float(re.search(r"s at ([\d.]+) s", str(caught.value))[1])
+    assert abs(when - first / RATE) < 3.0  # the first of those that are steep enough to be sure
+    with pytest.raises(ValueError, match=r"trial '2': Fy \(force\) is constant at 0.3"):
+        import_recording([write(tmp_path, stuck)])
+    found = import_recording([write(tmp_path, stuck)], repair=["trials"])
+    assert found.recording.sizes["trial"] == 1
+
+
+def test_coarse_encoders_and_pulses_are_not_taken_for_clipped(tmp_path):
+    for step in (1e-5, 3e-5, 1e-4):
+        values = table()
+        values[:, X] = step * np.round(values[:, X] / step)
+        assert import_recording([write(tmp_path, values)]).recording.sizes["trial"] == 2
+
+
+def test_identify_takes_other_formats_and_its_errors_name_them(position_recording, tmp_path, capsys):
+    export_recording(position_recording, tmp_path / "r.csv")
+    save_recording(position_recording, tmp_path / "r.nc")
+    tables = []
+    for ending in ("csv", "nc"):
+        arguments = [
+            "identify",
+            tmp_path / f"r.{ending}",
+            "--model",
+            "3b",
+            "--estimator",
+            "frequency",
+            "--out",
+            tmp_path / ending,
+        ]
+        assert cli.main([str(one) for one in arguments]) == 0
+        tables.append((tmp_path / ending / "parameters.csv").read_text())
+    assert tables[0] == tables[1]
+    capsys.readouterr()
+
+
+def test_convert_goes_there_and_back_on_the_command_line(tmp_path, capsys):
+    path = write(tmp_path)
+    assert cli.main(["convert", str(path), "--out", str(tmp_path / "r.nc")]) == 0
+    assert_is_the_laboratory(load_recording(tmp_path / "r.nc"))
+    assert cli.main(["convert", str(tmp_path / "r.nc"), "--out", str(tmp_path / "back.mat")]) == 0
+    assert cli.main(["convert", str(tmp_path / "back.mat"), "--out", str(tmp_path / "r2.nc")]) == 0
+    assert "recording: " in capsys.readouterr().out
+    assert_is_the_laboratory(load_recording(tmp_path / "r2.nc"))
+    values = table()[:-40]
+    path = write(tmp_path, values)
+    assert cli.main(["convert", str(path), "--out", str(tmp_path / "r.nc"), "--repair", "lengths", "clock"]) == 0
+    assert "all are cut to the shortest" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("ending", ["mat", "csv"])
+def test_emg_markers_and_joints_survive(tmp_path, ending):
+    rng = np.random.default_rng(0)
+    signals = {name: truth(name) for name in REQUIRED_SIGNALS}
+    signals["shoulder_marker"] = 1e-3 * rng.normal(size=(N_TRIALS, N_TIME, 2))
+    signals["emg"] = rng.normal(size=(N_TRIALS, 3 * N_TIME, 8)).astype(np.float32)
+    labels = {name: [value] * N_TRIALS for name, value in LABELS.items()} | {"repetition": [0, 1], "order": [4, 2]}
+    labels |= {"pulse_level": [0.0, 1.0], "pulse_direction": [np.nan, 20.0], "pulse_onset": [np.nan, 4.0]}
+    recording = make_recording(signals, {**labels, "limit_time": [np.nan] * 2}, RATE, emg_rate=3 * RATE)
+    export_recording(recording, tmp_path / f"r.{ending}")
+    found = import_recording([tmp_path / f"r.{ending}"]).recording
+    for name in (*recording.data_vars, *recording.coords):
+        np.testing.assert_array_equal(found[name].values, recording[name].values)
+    if ending == "csv":  # the trials of both files must be the same
+        text = (tmp_path / "r_emg.csv").read_text().replace("\n2,", "\n3,")
+        (tmp_path / "r_emg.csv").write_text(text)
+        with pytest.raises(ValueError, match=r"r_emg.csv: trials 1, 3; expected 1, 2 as r.csv has"):
+            import_recording([tmp_path / "r.csv"])
+
+
+def test_the_example_of_the_documentation_is_a_sidecar(tmp_path):
+    text = (Path(__file__).parents[2] / "docs" / "recordings.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"```json\n(.*?)```", text, flags=re.DOTALL)
+    (tmp_path / "example.json").write_text(blocks[0])
+    sidecar = Sidecar.load(tmp_path / "example.json")
+    assert set(sidecar.signals) >= set(REQUIRED_SIGNALS)

@@ -1,0 +1,288 @@
+import ctypes.util
+import gc
+import math
+import os
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from armperturb.envs.render import gl
+from armperturb.envs.render.camera import DISTURBANCE, REACTION, Arrow, Camera, force_arrows, render
+from armperturb.models import build_model
+from armperturb.subject import RELAX
+
+
+@pytest.fixture(scope="module")
+def model():
+    model = build_model(RELAX)
+    model.vis.quality.shadowsize = 256  # a fine one takes most of the time
+    return model
+
+
+needs_gl = pytest.mark.skipif(
+    sys.platform == "linux" and not (ctypes.util.find_library("EGL") or ctypes.util.find_library("GL")),
+    reason="no GL library on this machine",
+)
+
+
+@needs_gl
+@pytest.mark.parametrize("camera", ["top", "oblique"])
+def test_draws_a_picture(model, camera):
+    picture = render(model, camera=camera, width=64, height=48)
+    assert picture.shape == (48, 64, 3)
+    assert picture.dtype == np.uint8
+    assert picture.std() > 10.0
+
+
+@needs_gl
+def test_top_view_has_x_right_and_y_up(model):
+    start = render(model, camera="top", width=320, height=240).astype(int)
+
+    def changed(x: float, y: float) -> tuple[float, float]:
+        """Mean row and column of the pixels that change when the carriage moves."""
+        moved = render(model, [*RELAX.posture, x, y], "top", width=320, height=240).astype(int)
+        rows, columns = np.nonzero(np.abs(moved - start).sum(axis=2) > 100)
+        return rows.mean(), columns.mean()
+
+    assert changed(0.3, 0.0)[1] > changed(-0.3, 0.0)[1] + 20
+    assert changed(0.0, 0.3)[0] < changed(0.0, -0.3)[0] - 20
+
+
+@needs_gl
+def test_qpos_moves_the_arm(model):
+    start = render(model, width=64, height=48)
+    bent = render(model, [*RELAX.posture, 0.1, 0.1], width=64, height=48)
+    assert (start != bent).any()
+
+
+@needs_gl
+def test_poses_drawn_together_look_as_drawn_alone(model):
+    poses = np.array([[[*RELAX.posture, x, y] for x in (-0.2, 0.0, 0.2)] for y in (0.0, 0.1)])
+    pictures = render(model, poses, "top", width=64, height=48)
+    assert pictures.shape == (2, 3, 48, 64, 3)
+    for index in ((0, 0), (1, 2)):
+        np.testing.assert_array_equal(pictures[index], render(model, poses[index], "top", width=64, height=48))
+    assert (pictures[0, 0] != pictures[1, 2]).any()
+
+
+@needs_gl
+def test_closing_one_camera_leaves_another_as_it_was(model):
+    with Camera(model, width=64, height=48) as stays:
+        before = stays.draw()
+        with Camera(model, width=64, height=48) as goes:
+            np.testing.assert_array_equal(goes.draw(), before)
+        np.testing.assert_array_equal(stays.draw(), before)
+    goes.close()
+    with pytest.raises(RuntimeError, match="is closed"):
+        goes.draw()
+
+
+def pinhole(point, width, height):
+    """Column and row at which the camera above the rig sees a point: rig.xml puts it at (0.06, 0.22, 7), 13.5 deg."""
+    per_metre = height / 2 / math.tan(math.radians(13.5 / 2)) / (7.0 - point[2])
+    return width / 2 + per_metre * (point[0] - 0.06), height / 2 - per_metre * (point[1] - 0.22)
+
+
+@needs_gl
+@pytest.mark.parametrize("force", [(40.0, 10.0), (-20.0, 35.0), (-15.0, -40.0)])
+@pytest.mark.parametrize("which", ["d", "f"])
+def test_arrows_point_where_forces_do_and_are_to_scale(model, force, which):
+    scale, moved = 0.006, (0.05, -0.04)
+    colour = DISTURBANCE if which == "d" else REACTION
+    d, f = (force, (0.0, 0.0)) if which == "d" else ((0.0, 0.0), force)
+    with Camera(model, width=640, height=480) as camera:
+        pose = [*RELAX.posture, *moved]
+        empty = camera.draw(pose, "top")
+        picture = camera.draw(pose, "top", arrows=force_arrows(d, f, scale))
+    rows, columns = np.nonzero(np.abs(picture.astype(int) - empty).sum(axis=2) > 20)
+    wanted = np.array([int(colour[i : i + 2], 16) for i in (1, 3, 5)])
+    assert np.median(picture[rows, columns], axis=0).argmax() == wanted.argmax()
+    # The hand starts where eq. B.28 puts it; the arrow lies over the handle, whose middle is 1.05 m high.
+    shoulder, elbow = RELAX.posture
+    start = np.array(
+        [
+            RELAX.l_h * math.cos(shoulder) + RELAX.l_f * math.cos(shoulder + elbow) + moved[0],
+            RELAX.l_h * math.sin(shoulder) + RELAX.l_f * math.sin(shoulder + elbow) + moved[1],
+            1.05 + 0.11,
+        ]
+    )
+    tip = start + scale * np.array([*force, 0.0])
+    begin, end = (np.array(pinhole(point, 640, 480)) for point in (start, tip))
+    along = (end - begin) / np.linalg.norm(end - begin)
+    pixels = np.column_stack([columns + 0.5, rows + 0.5]) - begin
+    assert (pixels @ along).max() == pytest.approx(np.linalg.norm(end - begin), abs=2.5)
+    assert (pixels @ along).min() > -4.0
+    assert abs((pixels @ [-along[1], along[0]]).mean()) < 1.0
+
+
+@needs_gl
+def test_projection_is_a_pinhole_camera(model):
+    points = np.array([[0.0, 0.0, 1.05], [0.4, -0.2, 0.8]])
+    with Camera(model, width=320, height=240) as camera:
+        top, oblique = camera.project(points, "top"), camera.project(points, "oblique")
+        # What a camera looks at is in the middle of its picture: rig.xml's oblique one from here along its own z.
+        middle = np.array([-1.889, 3.628, 2.44]) - 3.0 * np.cross([-0.866, -0.5, 0.0], [0.1954, -0.3384, 0.9205])
+        np.testing.assert_allclose(camera.project(middle, "oblique"), [160.0, 120.0], atol=0.1)
+        np.testing.assert_allclose(camera.handle([0.1, 0.2]) - camera.handle(), [0.1, 0.2, 0.0])
+    np.testing.assert_allclose(top, [pinhole(point, 320, 240) for point in points])
+    # Its x points to the left and up, its y to the left and down.
+    assert oblique.shape == (2, 2)
+
+
+@needs_gl
+def test_trail_ends_at_the_handle_and_fades(model):
+    with Camera(model, width=640, height=480) as camera:
+        pose = [*RELAX.posture, 0.0, 0.2]
+        path = np.column_stack([np.linspace(-0.3, 0.0, 50), np.full(50, 0.2)])
+        change = np.abs(camera.draw(pose, "top", trail=path).astype(int) - camera.draw(pose, "top")).sum(axis=2)
+        long = camera.draw(pose, "top", trail=np.repeat(path, 100, axis=0))
+        np.testing.assert_array_equal(camera.draw(pose, "top", trail=path[:1]), camera.draw(pose, "top"))
+        first, last = camera.project(camera.handle(path[[0, -1]]), "top")
+        with pytest.raises(ValueError, match=r"trail of shape \(3,\); expected \(n, 2\)"):
+            camera.draw(trail=[0.0, 0.1, 0.2])
+    rows, columns = np.nonzero(change > 10)
+    assert abs(rows.mean() - last[1]) < 2.0
+    assert columns.max() == pytest.approx(last[0], abs=3.0)
+    assert columns.min() == pytest.approx(first[0], abs=8.0)
+    strength = change[rows.min() : rows.max() + 1].max(axis=0)
+    third = round((last[0] - first[0]) / 3)
+    old, new = (strength[round(x) :][:third].mean() for x in (first[0], last[0] - third))
+    assert old < 0.6 * new
+    assert long.shape == (480, 640, 3)
+
+
+def test_arrows_for_the_forces_of_one_instant():
+    d, f = force_arrows([10.0, -5.0], [2.0, 4.0], 0.01)
+    assert d == Arrow((0.1, -0.05), DISTURBANCE, radius=d.radius)
+    np.testing.assert_allclose(f.vector, (0.02, 0.04))
+    assert d.radius > f.radius, "the one below must show"
+    assert f.lift > d.lift
+
+
+@needs_gl
+def test_a_camera_that_is_left_open_says_nothing_at_exit(tmp_path):
+    # dm_control ends EGL at exit, as MuJoCo does; whichever was imported last would do so first.
+    code = (
+        "from armperturb.envs.render.camera import Camera\nfrom armperturb.envs.render.gl import load_dm_control\n"
+        "from armperturb.models import build_model\nfrom armperturb.subject import RELAX\n"
+        "camera = Camera(build_model(RELAX), width=16, height=16)\nload_dm_control()\n"
+        "camera.circle = camera\nprint(camera.draw().shape)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
+    assert (done.stdout, done.stderr) == ("(16, 16, 3)\n", "")
+    assert not list(tmp_path.iterdir()), "nor in MuJoCo's log"
+
+
+@pytest.fixture
+def headless(monkeypatch):
+    """A Linux machine without a display on which nobody has chosen a library, nor tried one."""
+    for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM"):
+        monkeypatch.setenv(name, "")  # so that it is put back afterwards
+        monkeypatch.delenv(name)
+    monkeypatch.setattr("sys.platform", "linux")
+    choose = gl._headless
+    choose.cache_clear()
+    yield monkeypatch
+    choose.cache_clear()
+
+
+def library(works):
+    """In place of mujoco.egl or mujoco.osmesa."""
+
+    class Context:
+        def __init__(self, width, height):
+            if not works:
+                raise RuntimeError("no driver")
+
+        def make_current(self):
+            pass
+
+        def free(self):
+            pass
+
+    return SimpleNamespace(GLContext=Context)
+
+
+@pytest.mark.parametrize(("egl", "osmesa", "chosen"), [(True, True, "egl"), (False, True, "osmesa")])
+def test_egl_is_preferred_and_osmesa_stands_in(headless, egl, osmesa, chosen):
+    headless.setitem(sys.modules, "mujoco.egl", library(egl))
+    headless.setitem(sys.modules, "mujoco.osmesa", library(osmesa))
+    assert gl.choose_backend() == chosen
+    assert os.environ["MUJOCO_GL"] == chosen
+    assert "PYOPENGL_PLATFORM" not in os.environ
+    assert isinstance(gl.new_context(8, 8), sys.modules[f"mujoco.{chosen}"].GLContext)
+
+
+@pytest.mark.parametrize(("name", "value"), [("MUJOCO_GL", "osmesa"), ("DISPLAY", ":0"), ("WAYLAND_DISPLAY", "wl")])
+def test_what_the_user_has_stands(headless, name, value):
+    headless.setattr(gl, "_headless", lambda: pytest.fail("nothing is to be chosen"))
+    headless.setenv(name, value)
+    assert gl.choose_backend() == ("osmesa" if name == "MUJOCO_GL" else "")
+
+
+def test_says_what_to_install_without_gl(model, headless):
+    headless.setitem(sys.modules, "mujoco.egl", None)
+    headless.setitem(sys.modules, "mujoco.osmesa", None)
+    with pytest.raises(RuntimeError, match=r"egl: .*osmesa: .*apt-get install libegl1"):
+        render(model, width=16, height=16)
+    assert "MUJOCO_GL" not in os.environ
+    headless.setenv("MUJOCO_GL", "osmesa")
+    with pytest.raises(RuntimeError, match=r"MUJOCO_GL=osmesa.*apt-get install libosmesa6$"):
+        render(model, width=16, height=16)
+    headless.setenv("MUJOCO_GL", "Off")
+    with pytest.raises(RuntimeError, match=r"MUJOCO_GL=off: drawing is switched off; expected MUJOCO_GL unset or egl$"):
+        render(model, width=16, height=16)
+
+
+def test_a_window_that_does_not_open_leaves_no_error_behind(headless):
+    class Context:
+        def __init__(self, width, height):
+            raise RuntimeError("no display")
+
+        def __del__(self):
+            freed.append(self._context)
+
+    freed = []
+    headless.setitem(sys.modules, "mujoco.gl_context", SimpleNamespace(GLContext=Context))
+    headless.setenv("MUJOCO_GL", "glfw")
+    with pytest.raises(RuntimeError, match=r"MUJOCO_GL=glfw: no display; a window library needs a display"):
+        gl.new_context(8, 8)
+    gc.collect()
+    assert freed == [None]
+
+
+def test_dm_control_loads_without_gl():
+    code = (
+        "import os, warnings; warnings.simplefilter('error', UserWarning)\n"
+        "from armperturb.envs.render.gl import load_dm_control; load_dm_control()\n"
+        "import dm_control.mujoco; print(os.environ['MUJOCO_GL'])"
+    )
+    unset = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM")
+    clean = {name: value for name, value in os.environ.items() if name not in unset}
+    clean["MUJOCO_EGL_DEVICE_ID"] = "99"  # which is not there
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=clean, check=False)
+    assert done.stdout.strip() in ("osmesa", "off"), done.stderr
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"camera": "front"}, "view = 'front'; expected one of top, oblique"),
+        ({"width": 0}, "width = 0; expected 1 to 1920 pixels"),
+        ({"height": 10_000}, "height = 10000; expected 1 to 1440 pixels"),
+        ({"qpos": [0.0, 0.0]}, r"qpos of shape \(2,\); expected \(..., 4\)"),
+        ({"qpos": 0.1}, r"qpos of shape \(\); expected \(..., 4\)"),
+    ],
+)
+def test_refuses_what_it_cannot_draw(model, settings, message):
+    with pytest.raises(ValueError, match=message):
+        render(model, **settings)
+
+
+def test_refuses_a_model_without_visuals():
+    with pytest.raises(ValueError, match="expected a model built with visual=True"):
+        render(build_model(RELAX, visual=False))

@@ -1,0 +1,155 @@
+"""Tests of the effect of amplitude: on the right numbers, beside the right printed ones, and told where not made."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from invented import people_of, study_of
+from scipy import stats
+
+from armperturb.analysis.measures.statistics import adjacent_effects, effect_of_condition
+from armperturb.study.comparison.effects import admittance_effect, effects
+
+NAMES = ("S01", "S02", "S03", "S04", "S05")
+
+
+@pytest.fixture(scope="module")
+def people():
+    return people_of(NAMES)
+
+
+@pytest.fixture(scope="module")
+def tested(people):
+    return effects(study_of(people))
+
+
+def row(rows, **wanted):
+    (found,) = [one for one in rows if all(one[key] == value for key, value in wanted.items())]
+    return found
+
+
+def table(people, pulses, value):
+    """Means over the trials of a pulse that tell something, (person, pulse)."""
+    return np.array(
+        [
+            [
+                np.nanmean([value(t) for t in one.trials if t.condition == c and abs(t.pulse_level) == level])
+                for c, level in pulses
+            ]
+            for one in people
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("quantity", "value"),
+    [("peak displacement", lambda t: t.displacement), ("pulse admittance", lambda t: t.displacement / t.force)],
+)
+@pytest.mark.parametrize(("task", "level"), [("PT", 2.0), ("RT", 1.0)])
+def test_pulses_are_compared_between_amplitudes_at_one_level(people, tested, quantity, value, task, level):
+    conditions = [f"{task}{amplitude}" for amplitude in ("0", "2.5", "7.5", "22.5")]
+    values = table(people, [(condition, level) for condition in conditions], value)
+    expected = effect_of_condition(values)
+    found = row(tested.rows, quantity=quantity, task=task, conditions=", ".join(conditions))
+    assert (found["test"], found["people"]) == (expected.test, 5)
+    assert found["p"] == pytest.approx(expected.p)
+    pair = row(tested.pairs, quantity=quantity, task=task, first=conditions[1], second=conditions[3])
+    t = stats.ttest_rel(values[:, 1], values[:, 3])
+    assert pair["t"] == pytest.approx(t.statistic)
+    assert pair["p_bonferroni"] == pytest.approx(min(1.0, 6 * t.pvalue))
+    assert pair["difference"] == pytest.approx(np.mean(values[:, 1] - values[:, 3]))
+
+
+def test_levels_are_compared_by_a_dependent_t_test(people, tested):
+    values = table(people, [("PT0", 2.0), ("PT0", 1.0)], lambda t: t.displacement / t.force)
+    found = row(tested.rows, test="dependent t", conditions="PT0, level 2 against 1")
+    assert found["p"] == pytest.approx(stats.ttest_rel(*values.T).pvalue)
+    assert found["published_p"] == "0.009"
+
+
+def test_parameters_are_means_over_stable_trials(people, tested):
+    values = np.array(
+        [
+            [
+                np.mean([fit.values["k_s"] for fit in one.estimates[f"PT{a}"].fits if fit.stable])
+                for a in ("2.5", "7.5", "22.5")
+            ]
+            for one in people
+        ]
+    )
+    found = row(tested.rows, quantity="k_s", task="PT")
+    assert found["p"] == pytest.approx(effect_of_condition(values).p) == tested.parameters["PT", "k_s"]
+
+
+def test_one_joint_muscles_are_joints_less_the_two_joint_muscles(people, tested):
+    def difference(fit):
+        return fit.values["kv_e"] - fit.values["kv_se"]
+
+    values = np.array(
+        [
+            [np.mean([difference(f) for f in one.estimates[f"PT{a}"].fits if f.stable]) for a in ("2.5", "7.5", "22.5")]
+            for one in people
+        ]
+    )
+    found = row(tested.rows, quantity="kv_e*", task="PT")
+    assert found["p"] == pytest.approx(effect_of_condition(values).p) == tested.parameters["PT", "kv_e*"]
+
+
+def test_printed_numbers_stand_beside(tested):
+    printed = {
+        (one["quantity"], one["task"]): one["published_p"] for one in tested.rows if one["test"] != "dependent t"
+    }
+    assert printed["k_s", "PT"] == "0.002"
+    assert printed["k_e", "PT"] == "ns"
+    assert printed["b_se", "RT"] == "0.000"
+    assert printed["pulse admittance", "PT"] == "0.001"
+    assert printed["pulse prediction", "PT"] == "ns"
+    assert printed["peak displacement", "PT"] == ""
+    assert printed["kv_s*", "PT"] == "< 0.01"
+    assert printed["kv_e*", "PT"] == printed["k_s*", "RT"] == ""
+    assert len(tested.parameters) == 12 + 8 + 6 + 4
+    pair = row(tested.pairs, quantity="pulse admittance", task="RT", first="RT7.5", second="RT22.5")
+    assert pair["published_p"] == "0.009"
+
+
+def test_gain_is_tested_at_each_frequency(people, tested):
+    found = tested.admittance["PT"]
+    study = study_of(people)
+    gain = np.array([[abs(case.identified.spectra.arm) for case in study.of(f"PT{a}")] for a in ("2.5", "7.5", "22.5")])
+    assert found.p.shape == (18, 2, 2)
+    assert found.p[4, 0, 1] == pytest.approx(effect_of_condition(gain[:, :, 4, 0, 1].T).p)
+    np.testing.assert_array_equal(found.counts, adjacent_effects(found.p))
+    alone = [f"{f:.2g}" for f, p in zip(found.frequency, found.p[:, 1, 1], strict=True) if p < 0.05]
+    assert found.alone(1, 1) == alone
+
+
+def test_an_effect_on_the_gain_counts_over_four_points(people):
+    study = study_of(people)
+    for case in study.cases:
+        if case.condition.name == "RT22.5":
+            case.identified.spectra.arm[5:9] *= 100.0
+            case.identified.spectra.arm[12:15] *= 100.0
+    found = admittance_effect(study, "RT")
+    assert (found.p[5:9] < 0.05).all()
+    assert (found.p[12:15] < 0.05).all()
+    assert found.counts[5:9].all()
+    lonely = (found.p < 0.05) & ~found.counts
+    assert lonely.any()
+
+
+def test_whoever_lacks_a_condition_is_left_out_by_name(people, tested):
+    first = people[0]
+    without = replace(first, trials=tuple(t for t in first.trials if t.condition != "PT2.5"))
+    found = effects(study_of((without, *people[1:])))
+    assert row(found.rows, quantity="peak displacement", task="PT")["people"] == 4
+    assert row(found.rows, quantity="peak displacement", task="RT")["people"] == 5
+    assert any("without S01, who has no value in PT2.5" in line for line in found.remarks)
+
+
+def test_too_few_people_are_told():
+    found = effects(study_of(people_of(("S01", "S02"))))
+    assert found.rows == ()
+    assert found.admittance == {}
+    assert all(math.isnan(p) for p in found.parameters.values())
+    assert "k_s, PT: not tested, as 2 people have a value in every condition" in found.remarks

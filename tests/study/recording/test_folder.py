@@ -1,0 +1,188 @@
+"""The study folder: one run at a time, the same settings, and files that are whole or known not to be."""
+
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from armperturb.study.recording.folder import digest, open_study
+
+MANIFEST = {"subjects": 2, "seed": 0, "protocol": {"forces": "practice", "conditions": [{"name": "A", "levels": [1]}]}}
+
+
+def keep(folder, name, content):
+    staged = folder.staging / f"{name}.nc"
+    staged.write_bytes(content)
+    return folder.keep(name, staged, hashlib.sha256(content).hexdigest())
+
+
+def test_kept_files_are_found_again_and_sha256sum_agrees(tmp_path):
+    with open_study(tmp_path / "s", MANIFEST) as folder:
+        keep(folder, "S02", b"two")
+        keep(folder, "S01", b"one")
+    with open_study(tmp_path / "s", MANIFEST) as folder:
+        assert folder.check(["S01", "S02", "S03"]) == (["S01", "S02"], [])
+    subprocess.run(["sha256sum", "-c", "--quiet", "SHA256SUMS"], cwd=tmp_path / "s" / "recordings", check=True)
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[:-1], lambda b: b"x" + b[1:], lambda b: b""])
+def test_damaged_files_are_set_aside(tmp_path, damage):
+    with open_study(tmp_path, MANIFEST) as folder:
+        path = keep(folder, "S01", b"content")
+        keep(folder, "S02", b"other")
+    path.write_bytes(damage(b"content"))
+    with open_study(tmp_path, MANIFEST) as folder:
+        whole, damaged = folder.check(["S01", "S02"])
+    assert whole == ["S02"]
+    assert damaged == [tmp_path / "recordings" / "S01.nc.corrupt"]
+    assert not path.exists()
+    assert damaged[0].read_bytes() == damage(b"content")
+
+
+def test_a_lost_checksum_costs_its_subject_only(tmp_path):
+    with open_study(tmp_path, MANIFEST) as folder:
+        keep(folder, "S01", b"one")
+        keep(folder, "S02", b"two")
+    sums = tmp_path / "recordings" / "SHA256SUMS"
+    sums.write_bytes(sums.read_bytes()[:80])  # in the middle of the second line
+    with open_study(tmp_path, MANIFEST) as folder:
+        whole, damaged = folder.check(["S01", "S02"])
+        assert whole == ["S01"]
+        assert len(damaged) == 1
+        keep(folder, "S02", b"two")
+        assert folder.check(["S01", "S02"])[0] == ["S01", "S02"]
+
+
+def test_a_checksum_without_its_file_is_an_unfinished_subject(tmp_path):
+    with open_study(tmp_path, MANIFEST) as folder:
+        keep(folder, "S01", b"one").unlink()
+        assert folder.check(["S01"]) == ([], [])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"subjects": 3}, "subjects is 2 there and 3 now"),
+        ({"protocol": {**MANIFEST["protocol"], "forces": "published"}}, 'protocol.forces is "practice" there and "pub'),
+        (
+            {"protocol": {"forces": "practice", "conditions": [{"name": "A", "levels": [1, 2]}]}},
+            "protocol.conditions[A].levels is [1] there and [1, 2] now",
+        ),
+        (
+            {"protocol": {"forces": "practice", "conditions": [{"name": "B", "levels": list(range(40))}]}},
+            'protocol.conditions[A] is {"name": "A", "levels": [1]} there and missing now; protocol.conditions[B] is '
+            'missing there and {"name": "B", "levels": [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10... now',
+        ),
+        (
+            {"protocol": {"forces": "practice", "conditions": [{"name": "A", "levels": [2]}]}},
+            "protocol.conditions[A].levels[0] is 1 there and 2 now",
+        ),
+        ({"ideal": True}, "ideal is missing there and true now"),
+        ({"subjects": 3, "seed": 4}, "subjects is 2 there and 3 now; seed is 0 there and 4 now"),
+    ],
+)
+def test_other_settings_are_refused_by_name(tmp_path, change, message):
+    with open_study(tmp_path, MANIFEST):
+        pass
+    before = (tmp_path / "manifest.json").read_bytes()
+    with (
+        pytest.raises(ValueError, match="was made with other settings") as caught,
+        open_study(tmp_path, {**MANIFEST, **change}),
+    ):
+        pass
+    assert message in str(caught.value)
+    assert (tmp_path / "manifest.json").read_bytes() == before
+
+
+def test_foreign_and_unreadable_folders_are_refused(tmp_path):
+    (tmp_path / "recordings").mkdir()
+    (tmp_path / "recordings" / "S01.nc").write_bytes(b"somebody's")
+    with (
+        pytest.raises(ValueError, match=r"holds recordings/S01.nc but no manifest.json"),
+        open_study(tmp_path, MANIFEST),
+    ):
+        pass
+    assert (tmp_path / "recordings" / "S01.nc").read_bytes() == b"somebody's"
+    (tmp_path / "manifest.json").write_text('{"subjects": 2')
+    with pytest.raises(ValueError, match=r"manifest.json: not readable as JSON"), open_study(tmp_path, MANIFEST):
+        pass
+
+
+def test_half_written_files_of_a_killed_run_go(tmp_path):
+    with open_study(tmp_path, MANIFEST) as folder:
+        keep(folder, "S01", b"one")
+    left = [
+        tmp_path / ".manifest.json.x.part",
+        tmp_path / "recordings" / ".SHA256SUMS.y.part",
+        folder.staging / "S02.nc",
+    ]
+    folder.staging.mkdir()
+    for path in left:
+        path.write_bytes(b"half")
+    with open_study(tmp_path, MANIFEST):
+        assert not any(path.exists() for path in left)
+    assert sorted(p.name for p in tmp_path.rglob("*")) == [
+        ".lock",
+        "S01.nc",
+        "SHA256SUMS",
+        "manifest.json",
+        "recordings",
+    ]
+
+
+HOLDER = """
+import json, sys, time
+from pathlib import Path
+from armperturb.study.recording.folder import open_study
+with open_study(Path(sys.argv[1]), json.loads(sys.argv[2])):
+    print("holding", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_a_second_run_is_refused_until_the_first_is_killed(tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(tmp_path), json.dumps(MANIFEST)], stdout=subprocess.PIPE, text=True
+    ) as holder:
+        assert holder.stdout.readline() == "holding\n"
+        message = f"another run is at work in this folder .process {holder.pid} on"
+        with pytest.raises(RuntimeError, match=message), open_study(tmp_path, MANIFEST):
+            pass
+        holder.send_signal(signal.SIGKILL)
+    with open_study(tmp_path, MANIFEST):
+        pass
+
+
+def test_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch):
+    with open_study(tmp_path, MANIFEST) as folder:
+        keep(folder, "S01", b"one")
+        before = {path: digest(path) for path in tmp_path.rglob("*") if path.is_file()}
+
+        def full(*_):
+            raise OSError(28, "No space left on device")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", full)
+            with pytest.raises(OSError, match=r"S02.nc: cannot be written \(No space left on device\)"):
+                keep(folder, "S02", b"two")
+        (folder.staging / "S02.nc").unlink()
+        assert {path: digest(path) for path in tmp_path.rglob("*") if path.is_file()} == before
+        assert folder.check(["S01", "S02"]) == (["S01"], [])
+
+
+@pytest.mark.parametrize("name", ["mkdir", "open"])
+def test_a_read_only_folder_is_told(tmp_path, monkeypatch, name):
+    # By hand, as permissions do not bind the administrator, who runs tests in containers.
+    def refuse(*_, **__):
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr(os, name, refuse)
+    with (
+        pytest.raises(OSError, match=r"s: cannot be written \(Read-only file system\)"),
+        open_study(tmp_path / "s", MANIFEST),
+    ):
+        pass

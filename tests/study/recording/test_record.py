@@ -1,0 +1,415 @@
+"""A study gives the same files however it is run, stopped, killed and started again."""
+
+import hashlib
+import io
+import logging
+import os
+import resource
+import runpy
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from armperturb.cli import main
+from armperturb.recording import load_recording
+from armperturb.study.recording import record as runner
+from armperturb.study.recording.record import StudySettings, record_study
+from armperturb.study.results.study_result import run_study
+
+PROTOCOL = """
+forces = "published"
+trial_duration = 1.0
+multisine_duration = 0.9
+onset_window = [0.3, 0.8]
+
+[[conditions]]
+name = "PT2.5"
+task = "PT"
+rms_displacement = 0.0025
+published_force = 1.2
+pulse_levels = [1]
+
+[[conditions]]
+name = "RT0"
+task = "RT"
+pulse_levels = [1]
+"""
+N_SUBJECTS, N_TRIALS = 4, 4
+PATIENCE = 120.0  # [s]; far more than anything here takes, on however busy a machine
+
+
+@pytest.fixture(scope="module")
+def protocol(tmp_path_factory):
+    path = tmp_path_factory.mktemp("protocol") / "short.toml"
+    path.write_text(PROTOCOL)
+    return path
+
+
+@pytest.fixture(scope="module")
+def settings(protocol):
+    return StudySettings(subjects=N_SUBJECTS, seed=3, protocol=protocol, muscles="linear")
+
+
+@pytest.fixture(scope="module")
+def finished(settings, once):
+    """Folder of a study that nothing disturbed."""
+
+    def make(folder):
+        record_study(settings, folder, show_progress=False)
+        return folder
+
+    return once("finished", make)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(finished):
+    """File name to bytes of its recordings."""
+    return files(finished)
+
+
+@pytest.fixture
+def copied(finished, tmp_path):
+    """Folder of the same study, to do something to."""
+    shutil.copytree(finished, tmp_path / "copied")
+    return tmp_path / "copied"
+
+
+def files(out):
+    return {path.name: path.read_bytes() for path in (out / "recordings").iterdir()}
+
+
+def assert_same_content(out, expected):
+    """The same files with the same content, and checksums that fit.
+
+    Bytes nearly always agree too, and then nothing is read; but HDF5 may arrange a file differently.
+    """
+    found = files(out)
+    assert found.keys() == expected.keys()
+    for name in found.keys() - {"SHA256SUMS"}:
+        if found[name] != expected[name]:
+            here, there = (load_recording(write(out, each)) for each in (found[name], expected[name]))
+            assert here.identical(there), name
+    assert_checksums_fit(found)
+
+
+def write(out, content):
+    path = out.with_name(f"{out.name}-compared.nc")
+    path.write_bytes(content)
+    return path
+
+
+def assert_checksums_fit(found):
+    sums = dict(reversed(line.split("  ")) for line in found["SHA256SUMS"].decode().splitlines())
+    assert sums == {name: hashlib.sha256(found[name]).hexdigest() for name in found if name.endswith(".nc")}
+
+
+def count(out):
+    return len(list((out / "recordings").glob("*.nc")))
+
+
+def command(out, protocol, *options):
+    return [
+        *(sys.executable, "-m", "armperturb.cli", "study", "--out", str(out), "--protocol", str(protocol)),
+        *("--subjects", str(N_SUBJECTS), "--seed", "3", "--muscles", "linear", "--record-only", *options),
+    ]
+
+
+def arguments(out, protocol, *options):
+    return command(out, protocol, *options)[3:]
+
+
+def wait_for(condition):
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def test_files_hold_every_trial_in_order(settings, undisturbed, tmp_path):
+    assert len(undisturbed) == N_SUBJECTS + 1
+    (tmp_path / "S02.nc").write_bytes(undisturbed["S02.nc"])
+    recording = load_recording(tmp_path / "S02.nc")
+    assert recording.sizes["trial"] == N_TRIALS
+    assert set(recording["subject"].values) == {"S02"}
+    assert sorted(recording["condition"].values) == ["PT2.5", "PT2.5", "RT0", "RT0"]
+    assert recording["order"].values.tolist() == list(range(N_TRIALS))
+
+
+@pytest.mark.parametrize("options", [{"block": 3}, {"workers": 3, "block": 1}], ids=str)
+def test_workers_and_blocks_change_no_file(settings, undisturbed, tmp_path, options):
+    record_study(settings, tmp_path, show_progress=False, **options)
+    assert_same_content(tmp_path, undisturbed)
+
+
+def test_blocks_change_no_file_of_people_whose_muscles_yield(settings, tmp_path):
+    two = replace(settings, subjects=2, muscles="nonlinear")
+    for block in (96, 3):
+        record_study(two, tmp_path / str(block), block=block, show_progress=False)
+    assert_same_content(tmp_path / "96", files(tmp_path / "3"))
+
+
+def killing(out, victim):
+    """A thread that kills a process as soon as the first file is there, and its verdict whether that was on the way."""
+    on_the_way = []
+
+    def kill():
+        wait_for(lambda: count(out) > 0)
+        victim().kill()
+        on_the_way.append(count(out) < N_SUBJECTS)
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    return thread, on_the_way
+
+
+def a_worker():
+    children = psutil.Process().children()
+    return next(child for child in children if any("LokyProcess" in word for word in child.cmdline()))
+
+
+def test_a_killed_worker_costs_nothing(settings, undisturbed, tmp_path, caplog):
+    thread, on_the_way = killing(tmp_path, a_worker)
+    with caplog.at_level(logging.WARNING):
+        record_study(settings, tmp_path, workers=2, show_progress=False)
+    thread.join()
+    assert on_the_way == [True]
+    assert "a worker process died" in caplog.text
+    assert_same_content(tmp_path, undisturbed)
+
+
+def test_a_dask_cluster_gives_the_same_files_though_a_worker_is_killed(settings, undisturbed, tmp_path):
+    from distributed import Client, LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
+    ) as cluster:
+        with Client(cluster, set_as_default=False) as client:
+            pids = list(client.run(os.getpid).values())
+        thread, on_the_way = killing(tmp_path, lambda: psutil.Process(pids[0]))
+        record_study(settings, tmp_path, dask=cluster.scheduler_address, show_progress=False)
+        thread.join()
+    assert on_the_way == [True]
+    assert_same_content(tmp_path, undisturbed)
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_killed_and_started_again_it_ends_the_same(protocol, undisturbed, tmp_path, workers, capfd):
+    rng = np.random.default_rng(int(workers))
+    for n_files in (0, rng.integers(1, N_SUBJECTS - 1)):  # ten times: `benchmarks.study_kills`
+        killed = command(tmp_path, protocol, "--workers", workers, "--block", "4")
+        # What a killed run's helpers say at their end is not the next one's.
+        with subprocess.Popen(killed, stderr=subprocess.DEVNULL) as run:
+            wait_for(lambda n=n_files: count(tmp_path) > n or (run.poll() is not None))
+            time.sleep(rng.uniform(0.0, 0.2))
+            run.kill()
+    capfd.readouterr()
+    assert main(arguments(tmp_path, protocol, "--workers", "1")) == 0
+    assert capfd.readouterr().err == ""
+    assert_same_content(tmp_path, undisturbed)
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "manifest.json", "recordings"]
+
+
+def stop_by_ctrl_c(out, protocol, workers):
+    """Seconds that a study takes to stop, once its first file is there."""
+    run = subprocess.Popen(
+        command(out, protocol, "--workers", workers, "--block", "4"),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # Where the tests run in the background, Ctrl-C may be ignored; a study would inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    wait_for(lambda: count(out) > 0)
+    workers_then = psutil.Process(run.pid).children(recursive=True)
+    start = time.monotonic()
+    os.killpg(run.pid, signal.SIGINT)  # as a terminal does: to all processes
+    _, errors = run.communicate(timeout=PATIENCE)
+    took = time.monotonic() - start
+    assert run.returncode == 130, errors
+    assert errors == "armperturb: stopped; the same command goes on from here\n"
+    psutil.wait_procs(workers_then, timeout=5.0)
+    assert not [process for process in workers_then if process.is_running() and process.status() != "zombie"]
+    return took
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_ctrl_c_stops_soon_and_keeps_what_is_finished(protocol, settings, undisturbed, tmp_path, workers):
+    for attempt in range(3):
+        out = tmp_path / str(attempt)
+        took = stop_by_ctrl_c(out, protocol, workers)
+        if took < 2.0:  # where other tests hold the processors, it waits for them, too
+            break
+    assert took < 2.0
+    kept = files(out)
+    assert len(kept) > 1
+    assert all(
+        hashlib.sha256(kept[name]).hexdigest() in kept["SHA256SUMS"].decode() for name in kept if name.endswith(".nc")
+    )
+    record_study(settings, out, show_progress=False)
+    assert_same_content(out, undisturbed)
+
+
+def test_workers_of_a_killed_study_end_too(protocol, tmp_path):
+    with subprocess.Popen(command(tmp_path, protocol, "--workers", "2", "--block", "4")) as run:
+        wait_for(lambda: count(tmp_path) > 0)
+        children = psutil.Process(run.pid).children(recursive=True)
+        run.kill()
+    _, alive = psutil.wait_procs(children, timeout=10.0)
+    assert not [process for process in alive if process.status() != "zombie"]
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b[:5000] + b"?" + b[5001:]])
+def test_a_damaged_file_is_named_set_aside_and_redone(settings, undisturbed, copied, caplog, damage):
+    path = copied / "recordings" / "S03.nc"
+    path.write_bytes(damage(undisturbed["S03.nc"]))
+    with caplog.at_level(logging.WARNING):
+        record_study(settings, copied, show_progress=False)
+    assert f"{path}.corrupt does not match its checksum" in caplog.text
+    aside = copied / "recordings" / "S03.nc.corrupt"
+    assert aside.read_bytes() == damage(undisturbed["S03.nc"])
+    aside.unlink()
+    assert_same_content(copied, undisturbed)
+
+
+def test_finished_subjects_are_not_done_again(settings, copied, monkeypatch):
+    monkeypatch.setattr(runner, "run_experiment", None)
+    found = record_study(settings, copied, workers=2, show_progress=False)
+    assert found == [copied / "recordings" / f"S0{number}.nc" for number in range(1, N_SUBJECTS + 1)]
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_full_disk_is_one_line_and_spares_earlier_files(protocol, settings, undisturbed, copied, workers):
+    for name in ("S02.nc", "S04.nc"):
+        (copied / "recordings" / name).unlink()
+    before = files(copied)
+    # A limit on the size of files stands for a full disk: the same call fails in the same place.
+    limit = len(undisturbed["S02.nc"]) // 2
+    run = subprocess.run(
+        command(copied, protocol, "--workers", workers),
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+        check=False,
+    )
+    assert run.returncode == 1
+    assert len(run.stderr.splitlines()) == 1
+    assert "cannot be written (File too large); what was finished before is kept" in run.stderr
+    assert files(copied) == before
+    record_study(settings, copied, show_progress=False)
+    assert_same_content(copied, undisturbed)
+
+
+def test_a_second_run_and_other_settings_are_refused(protocol, settings, tmp_path, capsys):
+    with subprocess.Popen(command(tmp_path, protocol, "--workers", "1", "--block", "1")) as run:
+        wait_for(lambda: (tmp_path / "recordings").is_dir())
+        refused = main(arguments(tmp_path, protocol))
+        still_running = run.poll() is None
+        run.kill()
+    assert still_running
+    assert refused == 1
+    assert capsys.readouterr().err.startswith(
+        f"armperturb: error: {tmp_path}: another run is at work in this folder (process {run.pid}"
+    )
+    with pytest.raises(ValueError, match=r"ideal is false there and true now; protocol.forces is \"published\" there"):
+        record_study(replace(settings, ideal=True, forces="practice"), tmp_path)
+
+
+def test_another_protocol_in_the_same_file_is_refused(settings, tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(PROTOCOL)
+    mine = replace(settings, subjects=1, protocol=path)
+    record_study(mine, tmp_path / "s", show_progress=False)
+    path.write_text(PROTOCOL.replace("onset_window = [0.3, 0.8]", "onset_window = [0.3, 0.9]"))
+    with pytest.raises(ValueError, match=r"protocol.onset_window\[1\] is 0.8 there and 0.9 now"):
+        record_study(mine, tmp_path / "s", show_progress=False)
+
+
+def test_other_muscles_are_other_files_and_refused(settings, undisturbed, tmp_path):
+    nonlinear = replace(settings, subjects=1, muscles="nonlinear")
+    (path,) = record_study(nonlinear, tmp_path / "s", show_progress=False)
+    (tmp_path / "linear.nc").write_bytes(undisturbed["S01.nc"])
+    mine, other = (load_recording(file) for file in (path, tmp_path / "linear.nc"))
+    assert mine["perturbation"].equals(other["perturbation"])
+    assert not np.allclose(mine["displacement"], other["displacement"], rtol=0.1)
+    with pytest.raises(ValueError, match=r'muscles is "nonlinear" there and "linear" now'):
+        record_study(replace(nonlinear, muscles="linear"), tmp_path / "s", show_progress=False)
+
+
+def test_progress_shows_trials_speed_and_time_left(settings, tmp_path, monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(runner, "PROGRESS_INTERVAL", 0.0)
+    record_study(replace(settings, subjects=2), tmp_path, block=4)
+    shown = terminal.getvalue()
+    assert f"{2 * N_TRIALS}/{2 * N_TRIALS} trials, " in shown
+    assert " x real time" in shown
+    assert "00:0" in shown
+    assert " left" in shown
+    assert len(shown.split("\r")) > 10
+
+
+def test_by_default_the_last_round_is_full_if_it_can_be(monkeypatch):
+    monkeypatch.setattr(runner.joblib, "cpu_count", lambda: 4)
+    assert [runner.worker_count(None, n) for n in (1, 3, 4, 9, 10, 12, 1000)] == [1, 3, 4, 4, 5, 4, 4]
+    assert runner.worker_count(8, 3) == 3
+
+
+def test_bad_numbers_are_refused(settings, tmp_path):
+    for options, message in (
+        ({"workers": 0}, "workers = 0; expected a finite number at least 1"),
+        ({"block": 0}, "block = 0; expected a finite number at least 1"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            record_study(settings, tmp_path / "s", **options)
+    with pytest.raises(ValueError, match="forces = 'none'; expected one of practice, published"):
+        StudySettings(forces="none")
+    with pytest.raises(ValueError, match="study: muscles = 'soft'; expected one of nonlinear, linear"):
+        StudySettings(muscles="soft")
+    assert not (tmp_path / "s").exists()
+
+
+def test_a_protocol_with_a_strap_records_shoulders_that_move(settings, tmp_path):
+    longer = PROTOCOL.replace("trial_duration = 1.0", "trial_duration = 2.0").replace("0.9", "1.5")
+    path, farthest = tmp_path / "p.toml", {}
+    for name, table in (("fixed", ""), ("strapped", "[strap]\nstiffness = 4000.0\n")):
+        path.write_text(f"{longer}\n{table}")
+        one = replace(settings, subjects=1, protocol=path, muscles="nonlinear")
+        (file,) = record_study(one, tmp_path / name, show_progress=False)
+        farthest[name] = np.abs(load_recording(file)["shoulder_marker"].values).max(axis=(1, 2))
+    assert farthest["fixed"].max() < 5e-3
+    assert farthest["strapped"].max() > 6e-3
+    with pytest.raises(ValueError, match=r"protocol\.strap"):
+        record_study(one, tmp_path / "fixed", show_progress=False)
+
+
+def test_a_short_multisine_is_left_out_with_its_reason(settings, copied):
+    result = run_study(settings, copied, show_progress=False)
+    assert [case.condition.name for case in result.cases] == ["PT2.5"] * N_SUBJECTS
+    assert result.of("PT2.5") == []
+    assert "S01 in PT2.5 was not identified: the multisine lasts 0.9 s" in result.cases[0].left_out[0]
+
+
+def test_digest_file_is_that_of_the_files(undisturbed):
+    assert_checksums_fit(undisturbed)
+
+
+def test_the_example_of_a_thousand_subjects_runs_with_three(protocol, tmp_path):
+    example = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "thousand_subjects.py"))
+    options = ["--subjects", "3", "--workers", "1", "--protocol", str(protocol)]
+    files = example["main"]([str(tmp_path), *options])
+    assert [path.name for path in files] == ["S01.nc", "S02.nc", "S03.nc"]
+    assert all(path.is_file() for path in files)

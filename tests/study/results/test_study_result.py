@@ -1,0 +1,343 @@
+"""An analysed study: kept and read again, made anew where its sources change, and made of what is there."""
+
+import dataclasses
+import hashlib
+import json
+import math
+import os
+import shutil
+from collections.abc import Mapping
+from functools import partial
+
+import numpy as np
+import pytest
+
+from armperturb import archive
+from armperturb.cli import main
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.recording import load_recording, save_recording
+from armperturb.study.comparison.score import score, share
+from armperturb.study.protocol import THESIS
+from armperturb.study.recording import record as runner
+from armperturb.study.recording.record import StudySettings, record_study
+from armperturb.study.report.report import write_report
+from armperturb.study.results import appendix_fits as fits
+from armperturb.study.results import study_result as results
+from armperturb.study.results import trial_measures as measure
+from armperturb.study.results.quantities import Cell
+from armperturb.study.results.study_result import analyse_study
+
+COMPUTING = ("identify_person", "measure_person", "fit_person", "fit_second_step")
+
+
+def differences(a, b, where="result", rel=0.0):
+    """Where two values differ, however deep, by more than a share of them; NaN equals NaN."""
+    if type(a) is not type(b):
+        return [f"{where}: {type(a)} and {type(b)}"]
+    if dataclasses.is_dataclass(a):
+        names = [field.name for field in dataclasses.fields(a)]
+        return [d for name in names for d in differences(getattr(a, name), getattr(b, name), f"{where}.{name}", rel)]
+    if isinstance(a, np.ndarray):
+        if a.dtype != b.dtype or a.shape != b.shape or a.dtype.kind not in "fc":
+            return [] if np.array_equal(a, b) else [where]
+        return [] if np.allclose(a, b, rtol=rel, atol=0.0, equal_nan=True) else [where]
+    if isinstance(a, Mapping):
+        if list(a) != list(b):
+            return [f"{where}: {list(a)} and {list(b)}"]
+        return [d for key in a for d in differences(a[key], b[key], f"{where}[{key}]", rel)]
+    if isinstance(a, list | tuple):
+        if len(a) != len(b):
+            return [f"{where}: {len(a)} and {len(b)} long"]
+        return [d for k, (x, y) in enumerate(zip(a, b, strict=True)) for d in differences(x, y, f"{where}[{k}]", rel)]
+    if isinstance(a, float):
+        return [] if np.allclose(a, b, rtol=rel, atol=0.0, equal_nan=True) else [f"{where}: {a} and {b}"]
+    return [] if a == b else [f"{where}: {a} and {b}"]
+
+
+@pytest.fixture(scope="module")
+def folder(study):
+    return study.of("PT7.5")[0].recording.parents[1]
+
+
+@pytest.fixture
+def copied(folder, tmp_path):
+    """A copy of the small study with its analysis; its recordings are links, to be replaced and not written to."""
+    root = tmp_path / "copied"
+    shutil.copytree(folder, root, ignore=shutil.ignore_patterns("*.nc", ".lock"))
+    for path in (folder / "recordings").glob("*.nc"):
+        os.link(path, root / "recordings" / path.name)
+    return root
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """What takes long is left out: all but one structure of appendix C, and the skeletal model."""
+    monkeypatch.setattr(fits, "STRUCTURES_C", ("1",))
+    monkeypatch.setattr(fits, "STARTS_OF", "none")
+    monkeypatch.setattr(measure, "_predict_skeletal", lambda *_: [])
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What is computed, as (function, person); the rest was kept."""
+    calls = []
+
+    def watched(name, function):
+        def call(recording, *rest):
+            calls.append((name, str(recording["subject"].values[0])))
+            return function(recording, *rest)
+
+        return call
+
+    for name in COMPUTING:
+        monkeypatch.setattr(results, name, watched(name, getattr(results, name)))
+    return calls
+
+
+def refuse(*_):
+    raise ValueError("asked to identify")
+
+
+def analysed(root):
+    return analyse_study(root, workers=1, show_progress=False)
+
+
+def replaced(path, recording):
+    """Another recording under the name of one that is there, with its checksum."""
+    path.unlink()
+    save_recording(recording, path)
+    sums = path.parent / "SHA256SUMS"
+    of = dict(reversed(line.split("  ")) for line in sums.read_text().splitlines())
+    of[path.name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    sums.write_text("".join(f"{value}  {name}\n" for name, value in of.items()))
+
+
+def changed_manifest(root, **changes):
+    path = root / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), **changes}))
+
+
+def cells_of(study):
+    return {one.cell: one for one in score(study).cells}
+
+
+def told(study, tmp_path):
+    """The text of the report."""
+    return write_report(study, tmp_path / "report").read_text(encoding="utf-8")
+
+
+def test_what_is_kept_is_what_was_computed(thesis_study, asked):
+    again = analysed(thesis_study.cases[0].recording.parents[1])
+    assert asked == []
+    assert differences(again, thesis_study) == []
+    assert (len(again.people), len(again.cases)) == (3, 3 * 6)
+    assert (len(again.appendices.first), len(again.appendices.second)) == (2, 6)
+    assert len(again.appendices.starts) > 6
+
+
+def test_other_recordings_and_other_code_are_analysed_anew(copied, asked, quick, monkeypatch):
+    path = copied / "recordings" / "S02.nc"
+    recording = load_recording(path)
+    gone = recording["condition"].values == "RT22.5"
+    replaced(path, recording.isel(trial=np.flatnonzero(~gone)))
+    found = analysed(copied)
+    # Step 2 of appendix C follows from everybody.
+    assert [name for name, person in asked if person == "S01"] == ["fit_second_step"]
+    assert sorted(name for name, person in asked if person == "S02") == sorted(COMPUTING)
+    assert found.missing == ("S02 has 0 of 1 trials in RT22.5",)
+    assert [case.name for case in found.of("RT22.5")] == ["S01"]
+    one = cells_of(found)[Cell("2.1", "RT22.5", "rms_force")]
+    assert one.ours.mean == pytest.approx(found.of("RT22.5")[0].force)
+    assert math.isnan(one.ours.sd)
+
+    asked.clear()
+    analysed(copied)
+    assert asked == []
+    monkeypatch.setattr(results, "identify_person", refuse)
+    for name, value in (("code_digest", "other"), ("current_versions", {"scipy": "0.1"})):
+        with monkeypatch.context() as patch:
+            patch.setattr(results, name, lambda value=value: value)
+            with pytest.raises(ValueError, match=r"S01\.nc: asked to identify"):
+                analysed(copied)
+
+
+def test_people_without_a_whole_recording_are_told(study, copied, quick, sketched, tmp_path):
+    path = copied / "recordings" / "S02.nc"
+    content = path.read_bytes()
+    path.unlink()
+    incomplete = "the study is incomplete: 1 of 2 people have no whole recording (S02)"
+    for is_there, first in ((False, incomplete), (True, "S02.nc does not match its checksum; it is left out")):
+        if is_there:
+            path.write_bytes(content[: len(content) // 2])
+        found = analysed(copied)
+        assert found.missing[0] == first
+        assert incomplete in found.missing
+        assert found.names == ("S01",)
+        assert found.n_people == 2
+        # What was kept of who is left is used.
+        assert differences(found.people[0], study.people[0]) == []
+        result = score(found)
+        assert result.people == 1
+        assert incomplete in result.remarks
+    text = told(found, tmp_path)
+    assert 0 < text.index("S02.nc does not match its checksum") < text.index(incomplete) < text.index("<section")
+
+
+def test_nobody_in_a_condition_is_not_reproduced(study, copied, quick, sketched, tmp_path):
+    (copied / "recordings" / "S02.nc").unlink()
+    path = copied / "recordings" / "S01.nc"
+    recording = load_recording(path)
+    replaced(path, recording.isel(trial=np.flatnonzero(recording["condition"].values != "RT22.5")))
+    found = analysed(copied)
+    cells = [one for one in cells_of(found).values() if one.cell.condition == "RT22.5"]
+    assert {one.reason for one in cells} == {"RT22.5 was not recorded"}
+    assert share(cells).computed == 0
+    assert share(cells).parts == (0.0, 0.0, 0.0)
+    whole, partial = (share(score(one).cells) for one in (study, found))
+    assert partial.published == whole.published
+    assert partial.computed < whole.computed
+    text = told(found, tmp_path)
+    assert "<li>S01 has 0 of 1 trials in RT22.5</li>" in text
+    assert "1 of 2 people have no whole recording (S02)</li>" in text
+    assert "RT22.5 was not recorded" in text
+
+
+def test_manifests_of_other_versions_are_told(study, copied, asked, sketched, tmp_path):
+    versions = json.loads((copied / "manifest.json").read_text())["versions"]
+    changed_manifest(copied, versions={**versions, "mujoco": "1.2.3"})
+    found = analysed(copied)
+    line = f"the recordings were made with other versions: mujoco 1.2.3, now {versions['mujoco']}"
+    assert found.missing == (line,)
+    assert differences(found.people, study.people) == []
+    assert found.has_truth
+    assert line in told(found, tmp_path)
+
+    changed_manifest(copied, people="others")
+    found = analysed(copied)
+    assert "this version draws other people than those who were recorded" in found.missing[1]
+    assert found.cohort == ()
+    assert not found.has_truth
+    assert asked == []
+    assert differences(score(found).cells, score(study).cells) == []
+
+
+def test_without_a_manifest_the_protocol_is_the_thesiss(study, copied, asked, quick, sketched, tmp_path):
+    for path in ("manifest.json", "recordings/S02.nc", "recordings/SHA256SUMS"):
+        (copied / path).unlink()
+    found = analysed(copied)
+    assert len(asked) == len(COMPUTING)
+    assert (found.made, found.protocol, found.cohort) == (None, THESIS, ())
+    of_pt22 = [line for line in found.missing if line.startswith("S01 has 0 of ") and line.endswith("trials in PT22.5")]
+    assert len(of_pt22) == 1
+    assert found.n_people == 1
+    # The same multisines tell the same.
+    mine, known = found.of("PT7.5")[0], study.of("PT7.5")[0]
+    assert mine.identified.fit.values == known.identified.fit.values
+    assert mine.truth is None
+    assert cells_of(found)[Cell("2.1", "PT7.5", "rms_force")].ours.mean == pytest.approx(mine.force)
+    assert of_pt22[0] in told(found, tmp_path)
+
+    for content, message in (("{", "not readable as JSON"), ("[]", "holds a list"), ("{}", "no 'subjects'")):
+        (copied / "manifest.json").write_text(content)
+        again = analysed(copied)
+        assert "the thesis's protocol is assumed" in again.missing[0]
+        assert message in again.missing[0]
+        assert differences(again.people, found.people) == []
+    assert len(asked) == len(COMPUTING)
+
+
+def test_conditions_that_the_protocol_lacks_are_told(copied):
+    recording = load_recording(copied / "recordings" / "S01.nc")
+    labels = ["elsewhere" if name == "RT22.5" else name for name in recording["condition"].values]
+    lines = results._missing(recording.assign_coords(condition=("trial", labels)), analysed(copied).protocol)
+    assert lines == ["S01 has 0 of 1 trials in RT22.5", "S01 was recorded in elsewhere, which the protocol lacks"]
+
+
+def test_folders_that_cannot_be_written_to_are_analysed(study, copied, monkeypatch, caplog):
+    # By hand, as permissions do not bind the administrator, who runs tests in containers.
+    def read_only(path):
+        raise OSError(30, "Read-only file system")
+
+    shutil.rmtree(copied / "analysis")
+    monkeypatch.setattr(archive, "written_whole", read_only)
+    of = {person.name: person for person in study.people}
+    nothing = fits.Fits("", {}, {}, ())
+    monkeypatch.setattr(results, "identify_person", lambda recording, *_: ())
+    monkeypatch.setattr(results, "measure_person", lambda recording, _: of[str(recording["subject"].values[0])])
+    monkeypatch.setattr(results, "fit_person", lambda recording: nothing)
+    monkeypatch.setattr(results, "fit_second_step", lambda *_: fits.SecondStep({}, ()))
+    found = analysed(copied)
+    assert differences(found.people, study.people) == []
+    assert "S01.json.gz cannot be written (Read-only file system): it will be computed again next time" in caplog.text
+    assert not list((copied / "analysis").iterdir())
+
+
+def test_a_recording_of_two_people_is_named(copied, monkeypatch):
+    path = copied / "recordings" / "S01.nc"
+    recording = load_recording(path)
+    names = ["S01"] * (recording.sizes["trial"] - 1) + ["S09"]
+    replaced(path, recording.assign_coords(subject=("trial", names)))
+    monkeypatch.setattr(results, "identify_person", lambda *_: ())  # takes seconds
+    with pytest.raises(ValueError, match=r"S01\.nc: recordings of S01, S09; expected those of one person"):
+        analysed(copied)
+
+
+LONG_ENOUGH = """
+forces = "published"
+trial_duration = 28.7
+multisine_duration = 28.5
+pulse_directions_deg = [20.0]
+
+[[conditions]]
+name = "RT22.5"
+task = "RT"
+rms_displacement = 0.0225
+published_force = 1.8
+"""
+
+
+def test_worker_processes_change_nothing_but_roundings(tmp_path, monkeypatch):
+    (tmp_path / "p.toml").write_text(LONG_ENOUGH)
+    settings = StudySettings(subjects=2, protocol=tmp_path / "p.toml", muscles="linear")
+    # A step at which this takes seconds; nothing here depends on it.
+    monkeypatch.setattr(runner, "run_experiment", partial(run_experiment, timestep=5e-3))
+    record_study(settings, tmp_path / "s", show_progress=False)
+    here = analysed(tmp_path / "s")
+    shutil.rmtree(tmp_path / "s" / "analysis")  # else it would only be read again
+    there = analyse_study(tmp_path / "s", workers=2, show_progress=False)
+    assert [case.name for case in there.of("RT22.5")] == ["S01", "S02"]
+    assert len(here.people[0].trials) == 1  # appendix C, which takes long, starts from RT7.5, which is not there
+    # With another number of threads, BLAS adds in another order.
+    assert differences(here, there, rel=1e-10) == []
+
+
+def test_the_command_reports_on_what_is_there(copied, asked, sketched, capsys):
+    assert main(["report", str(copied), "--workers", "1"]) == 0
+    assert capsys.readouterr().out == f"report: {copied / 'report.html'}\n"
+    assert (copied / "report.html").is_file()
+    assert (copied / "score" / "score.csv").is_file()
+    assert asked == []
+
+
+@pytest.mark.parametrize("command", ["report", "score"])
+def test_a_folder_without_recordings_is_one_line(tmp_path, capsys, command):
+    assert main([command, str(tmp_path)]) == 1
+    [line] = capsys.readouterr().err.splitlines()
+    assert line == f"armperturb: error: {tmp_path}: holds no recordings/*.nc; expected the folder of a study"
+    assert not list(tmp_path.iterdir())
+
+
+def test_bad_numbers_of_workers_are_refused(folder):
+    with pytest.raises(ValueError, match="analysis: workers = 0; expected a finite number at least 1"):
+        analyse_study(folder, workers=0)
+    with pytest.raises(TypeError, match="workers"):
+        analyse_study(folder, workers="two")
+
+
+def test_a_person_in_two_files_is_refused_by_name(study, tmp_path):
+    (tmp_path / "recordings").mkdir()
+    recording = study.of("PT7.5")[0].recording
+    for name in ("A.nc", "B.nc"):
+        (tmp_path / "recordings" / name).symlink_to(recording)
+    with pytest.raises(ValueError, match="2 recordings are of subject 'S01'; expected one per person"):
+        analyse_study(tmp_path, workers=1, show_progress=False)

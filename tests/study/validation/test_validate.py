@@ -1,0 +1,210 @@
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armperturb.analysis.fit.structures import true_values
+from armperturb.cli import main
+from armperturb.study.validation.report import summary_text, title
+from armperturb.study.validation.validate import Judged, ValidateSettings, Validation, simulate_group, validate
+from armperturb.subject import POSITION
+
+RECORD = ValidateSettings(groups=4, trials=2, estimators=("record",))
+
+
+@pytest.fixture(scope="module")
+def right(once) -> Validation:
+    return once("validation", lambda _: validate(RECORD, workers=1, show_progress=False))
+
+
+def judged(values, error=(1.0, 1.0), suspicious=False, converged=1.0) -> Judged:
+    values, error = np.array(values, dtype=float), np.array(error)
+    return Judged(
+        values=values,
+        error=error,
+        covered=np.abs(values - [10.0, 0.0]) < 1.96 * error,
+        converged=converged,
+        stable=1.0,
+        is_global=1.0,
+        suspicious=suspicious,
+    )
+
+
+def hand_made(*groups: Judged) -> Validation:
+    return Validation(
+        settings=ValidateSettings(groups=len(groups), estimators=("record",)),
+        names=("k_s", "kp_s"),
+        truth=np.array([10.0, 0.0]),
+        bound=np.array([1.0, 2.0]),
+        judged={"record": groups},
+    )
+
+
+def test_whole_records_come_near_the_bound_and_their_intervals_hold_the_truth(right):
+    ratio = [row["rms_error_over_bound"] for row in right.rows()]
+    assert 0.6 < np.median(ratio) < 1.4
+    assert max(ratio) < 2.5
+    (summary,) = right.summary()
+    assert summary["coverage_percent"] > 80.0
+    assert summary["converged_percent"] == summary["stable_percent"] == summary["global_percent"] == 100.0
+
+
+def test_the_thesis_is_judged_beside_and_is_far_from_the_bound():
+    found = validate(
+        replace(RECORD, groups=1, trials=1, estimators=("thesis", "record")), workers=1, show_progress=False
+    )
+    thesis, record = ([r for r in found.rows() if r["estimator"] == name] for name in ("thesis", "record"))
+    assert [r["parameter"] for r in thesis] == [r["parameter"] for r in record]
+    assert [r["bound"] for r in thesis] == [r["bound"] for r in record]
+    median = [np.median([r["rms_error_over_bound"] for r in rows]) for rows in (thesis, record)]
+    assert median[0] > 3.0 * median[1]
+    assert np.isnan(found.summary()[0]["flagged_percent"])
+
+
+def test_half_the_noise_halves_the_bound(right):
+    half = validate(replace(RECORD, groups=1, noise=0.5), workers=1, show_progress=False)
+    stiffness = [right.names.index(name) for name in ("k_s", "k_se", "k_e")]
+    assert half.bound[stiffness] == pytest.approx(0.5 * right.bound[stiffness], rel=0.15)
+
+
+@pytest.mark.parametrize("wrong", ["delay", "force-feedback"])
+def test_a_wrong_structure_is_biased_and_flagged_and_has_the_bound_of_the_right_one(wrong, right):
+    found = validate(replace(RECORD, groups=1, trials=8, wrong=wrong), workers=1, show_progress=False)
+    (summary,) = found.summary()
+    assert summary["biased_percent"] == summary["flagged_percent"] == summary["flagged_of_biased_percent"] == 100.0
+    # Four times the trials have half the bound, whatever is wrong; the force feedback is part of the truth.
+    assert np.median(found.bound / right.bound) == pytest.approx(0.5, rel=0.1)
+
+
+def test_the_right_structure_is_not_flagged(right):
+    (summary,) = right.summary()
+    assert summary["flagged_percent"] == summary["biased_percent"] == 0.0
+
+
+def test_the_number_of_workers_has_no_effect():
+    settings = replace(RECORD, groups=2, trials=1, estimators=("frequency", "record"))
+    one, two = (validate(settings, workers=count, show_progress=False) for count in (1, 2))
+    assert one.rows() == two.rows()
+    assert one.names == two.names == settings.structure().free
+
+
+def test_groups_differ_and_the_seed_sets_them(right):
+    values = np.array([one.values for one in right.judged["record"]])
+    assert (values.std(axis=0) > 0.0).all()
+    again, other = (simulate_group(replace(RECORD, seed=seed), 0)["force"].values for seed in (0, 1))
+    assert np.array_equal(again, simulate_group(RECORD, 0)["force"].values)
+    assert not np.allclose(again, other, rtol=1e-3)
+
+
+def test_bias_error_coverage_and_their_interval_are_those_of_the_definition():
+    found = hand_made(judged([11.0, 0.0]), judged([13.0, -4.0]))
+    k, kp = found.rows()
+    assert (k["bias"], k["rms_error"]) == (2.0, pytest.approx(np.sqrt(5.0)))
+    assert k["rms_error_percent"] == pytest.approx(10.0 * np.sqrt(5.0))
+    assert np.isnan(kp["rms_error_percent"])
+    assert kp["rms_error_over_bound"] == pytest.approx(np.sqrt(8.0) / 2.0)
+    assert k["coverage_percent"] == kp["coverage_percent"] == 50.0
+    # chi2 with two degrees of freedom: minus twice the logarithm of the chance to be above.
+    assert (k["rms_error_over_bound_high"] / k["rms_error_over_bound"]) ** 2 == pytest.approx(-1 / np.log(0.975))
+    assert (k["rms_error_over_bound_low"] / k["rms_error_over_bound"]) ** 2 == pytest.approx(-1 / np.log(0.025))
+
+
+def test_the_flagged_are_counted_among_the_biased_alone():
+    sharp, blunt = (0.1, 0.1), (9.0, 9.0)
+    found = hand_made(
+        judged([12.0, 0.0], sharp, suspicious=True),
+        judged([12.0, 0.0], sharp, suspicious=False, converged=0.0),
+        judged([12.0, 0.0], blunt, suspicious=True),
+        judged([12.0, 0.0], blunt, suspicious=False),
+    )
+    (summary,) = found.summary()
+    assert summary["biased_percent"] == summary["flagged_percent"] == summary["flagged_of_biased_percent"] == 50.0
+    assert summary["converged_percent"] == 75.0
+
+
+def test_the_text_has_a_line_for_each_parameter_and_estimator():
+    text = summary_text(hand_made(judged([11.0, 0.0]), judged([13.0, -4.0])))
+    k, kp = (line for line in text.splitlines() if line.startswith(("k_s", "kp_s")))
+    assert k.split() == ["k_s", "10", "Nm/rad", "10.0", "%", "|", "20.0", "22.4", "2.24", "50"]
+    # Where the truth is zero there is no percentage.
+    assert kp.split() == ["kp_s", "0", "Nm/rad", "2.00", "|", "-2.00", "2.83", "1.41", "50"]
+    assert title(hand_made(judged([11.0, 0.0]))).startswith("'position' (PT), model 3b, 1 group of 8 trials, linear")
+
+
+def test_true_values_are_those_of_the_person():
+    structure = ValidateSettings(model="3").structure()
+    truth = dict(zip(structure.free, true_values(POSITION, structure), strict=True))
+    assert len(truth) == 20
+    assert truth == pytest.approx({name: getattr(POSITION, name) for name in structure.free})
+    shared = ValidateSettings().structure()
+    assert true_values(POSITION, shared)[shared.free.index("m_tot")] == pytest.approx(POSITION.m_h + POSITION.m_f)
+
+
+def test_what_is_wrong_is_fixed_beside_the_truth():
+    arms = {
+        wrong: ValidateSettings(wrong=wrong).structure().arm(POSITION, np.ones(13))
+        for wrong in ("nothing", "delay", "grip")
+    }
+    assert arms["nothing"].Td_s == POSITION.Td_s
+    assert (arms["delay"].Td_s, arms["delay"].Td_e) == pytest.approx((0.040, 0.040))
+    assert arms["grip"].k_h == pytest.approx(0.8 * POSITION.k_h)
+    settings = ValidateSettings(wrong="force-feedback")
+    assert settings.truth().kf_s == settings.truth().kf_e == -0.5
+    assert settings.structure().arm(POSITION, np.ones(13)).kf_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"task": "XT"}, "task = 'XT'; expected one of PT, RT"),
+        ({"model": "7"}, "model = '7'; expected one of 1, 2"),
+        ({"groups": 0}, "groups = 0; expected a finite number at least 1"),
+        ({"trials": 1.5}, "trials = 1.5; expected a whole number"),
+        ({"estimators": ()}, "expected at least one, each once"),
+        ({"estimators": ("record", "record")}, "expected at least one, each once"),
+        ({"estimators": ("guess",)}, "estimators = 'guess'; expected some of thesis, frequency, record"),
+        ({"noise": -1.0}, "noise = -1.0; expected a finite number at least 0"),
+        ({"force": 0.0}, "force = 0.0; expected a finite number above 0"),
+        ({"wrong": "all"}, "wrong = 'all'; expected one of nothing, delay"),
+        ({"seed": -1}, "seed = -1; expected a finite number at least 0"),
+    ],
+)
+def test_bad_settings_are_refused(change, message):
+    with pytest.raises((ValueError, TypeError)) as refused:
+        ValidateSettings(**change)
+    assert message in str(refused.value)
+
+
+def test_a_person_beyond_the_bounds_of_the_model_is_refused(tmp_path):
+    replace(POSITION, k_s=1500.0, name="stiff").save(tmp_path / "stiff.toml")
+    with pytest.raises(ValueError, match="k_s = 1500 Nm/rad in 'stiff'; expected 0 to 1000"):
+        validate(ValidateSettings(subject=tmp_path / "stiff.toml"), workers=1)
+
+
+def test_no_wrong_delay_where_nothing_is_delayed():
+    with pytest.raises(ValueError, match="wrong = 'delay'; expected another for 'relax'"):
+        ValidateSettings(task="RT", wrong="delay").structure()
+
+
+def test_the_command_writes_what_it_says(tmp_path, capsys):
+    words = ["--model", "1", "--task", "RT", "--trials", "1", "--workers", "1", "--estimators", "frequency", "record"]
+    assert main(["validate", "--out", str(tmp_path / "new"), "--groups", "2", *words]) == 0
+    assert "'relax' (RT), model 1, 2 groups of 1 trial, linear arm" in capsys.readouterr().out
+    with (tmp_path / "new/tables/validation.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["estimator"], row["parameter"]) for row in rows][9:11] == [("frequency", "k_h"), ("record", "m_h")]
+    with (tmp_path / "new/tables/validation_summary.csv").open() as file:
+        assert [row["groups"] for row in csv.DictReader(file)] == ["2", "2"]
+    assert (tmp_path / "new/figures/validation.svg").read_text().startswith("<?xml")
+    made = json.loads((tmp_path / "new/settings.json").read_text())
+    assert made["settings"]["estimators"] == ["frequency", "record"]
+    assert made["truth"]["name"] == "relax"
+    assert "numpy" in made["versions"]
+
+
+def test_the_command_refuses_in_one_line(tmp_path, capsys):
+    assert main(["validate", "--out", str(tmp_path / "new"), "--groups", "0"]) == 1
+    assert capsys.readouterr().err == ("armperturb: error: validate: groups = 0; expected a finite number at least 1\n")
+    assert not (tmp_path / "new").exists()
