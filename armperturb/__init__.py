@@ -7,7 +7,8 @@ from armperturb.analysis.arm.linear_arm import arm_admittance as arm_admittance
 from armperturb.analysis.fit.identify import identify as identify
 from armperturb.analysis.response.best_linear import estimate_best_linear as estimate_best_linear
 from armperturb.analysis.response.estimate import estimate_response as estimate_response
-from armperturb.cohort import draw as draw
+from armperturb.cohort import draw_cohort as draw_cohort
+from armperturb.cohort import draw_person as draw_person
 from armperturb.environment import Environment as Environment
 from armperturb.environment import Strap as Strap
 from armperturb.envs.learning.registration import load_dm_env as load_dm_env
@@ -15,8 +16,8 @@ from armperturb.envs.learning.registration import register_environments
 from armperturb.perturbations import Multisine as Multisine
 from armperturb.perturbations import MultisineThenPulse as MultisineThenPulse
 from armperturb.perturbations import Pulse as Pulse
-from armperturb.perturbations import load_csv as load_csv
-from armperturb.perturbations import save_csv as save_csv
+from armperturb.perturbations import load_perturbation as load_perturbation
+from armperturb.perturbations import save_perturbation as save_perturbation
 from armperturb.recording import load_recording as load_recording
 from armperturb.recording import save_recording as save_recording
 from armperturb.subject import POSITION as POSITION

@@ -19,7 +19,7 @@ from armperturb.convert.exporter import require_ending
 from armperturb.convert.faults import Repair
 from armperturb.environment import Environment
 from armperturb.envs.render.gl import require_simulator
-from armperturb.perturbations import load_csv
+from armperturb.perturbations import load_perturbation
 from armperturb.recording import load_recording, save_recording
 from armperturb.subject import RELAX, TASKS, Subject
 from armperturb.validation import require_number
@@ -363,7 +363,7 @@ def simulate(settings: Simulate) -> xr.Dataset:
     from armperturb.envs.lab.instruments import Instruments
     from armperturb.envs.lab.trial import Trial
 
-    person, perturbation = Subject.load(settings.subject), load_csv(settings.perturbation)
+    person, perturbation = Subject.load(settings.subject), load_perturbation(settings.perturbation)
     if not settings.out.parent.is_dir():
         raise FileNotFoundError(f"{settings.out}: folder {settings.out.parent} does not exist; expected one that does")
     environment = Environment()
@@ -611,7 +611,7 @@ def design(settings: Design) -> str:
         DesignSettings(
             subject=Subject.load(settings.subject),
             limits=(force, displacement, duration),
-            proposed=None if settings.perturbation is None else load_csv(settings.perturbation),
+            proposed=None if settings.perturbation is None else load_perturbation(settings.perturbation),
             **what,
         )
     )
