@@ -11,7 +11,7 @@ import armperturb
 
 ROOT = Path(armperturb.__file__).parent
 
-BASE = {"arrays", "validation", "files", "muscle_law", "subject", "environment", "recording"}
+BASE = {"arrays", "validation", "seeds", "files", "muscle_law", "subject", "environment", "recording"}
 ARM = BASE | {"analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics"}
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear", "plots"}
 LAB = ARM | {"perturbations", "models", "controllers", "cohort"}
@@ -21,6 +21,7 @@ ARROWS = {
     "validation": set(),
     "files": set(),
     "extras": set(),
+    "seeds": set(),
     "muscle_law": {"validation"},
     "subject": {"validation", "muscle_law"},
     "environment": {"validation"},
