@@ -1,4 +1,4 @@
-"""One direction of imports, and a face that loads light."""
+"""One direction of imports, and an analysis that loads no simulator."""
 
 import ast
 import subprocess
@@ -20,6 +20,7 @@ ARROWS = {
     "arrays": set(),
     "validation": set(),
     "files": set(),
+    "extras": set(),
     "seeds": set(),
     "muscle_law": {"validation"},
     "subject": {"validation", "muscle_law"},
