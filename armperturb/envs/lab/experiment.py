@@ -21,6 +21,7 @@ from armperturb.envs.lab.simulation import Simulation, silent_simulator
 from armperturb.envs.lab.trial import (
     EMG,
     MARKER,
+    MAX_DURATION,
     Trial,
     held_force,
     noise_torque,
@@ -37,9 +38,6 @@ T = TypeVar("T")
 
 CHUNK = 100
 """Samples of the recording between two runs of the anti-alias filter: what is kept at the simulation's rate."""
-
-MAX_DURATION = 3600.0
-"""Longest trial [s]: anything longer is a slip in a file, and would not fit into memory."""
 
 
 def run_experiment(

@@ -50,10 +50,15 @@ def require_simulator() -> None:
     """Import MuJoCo, which loads the library that MUJOCO_GL names.
 
     Raises:
+      ModuleNotFoundError: it is not installed.
       RuntimeError: it cannot be imported; the message says why, and what helps.
     """
     try:
         importlib.import_module("mujoco")
+    except ModuleNotFoundError as error:
+        if error.name == "mujoco":
+            raise
+        raise RuntimeError(f"MuJoCo does not load ({_said(error)})") from error
     except Exception as error:  # of MuJoCo, PyOpenGL, or ctypes
         if "invalid value" in str(error) and "MUJOCO_GL" in str(error):
             given = os.environ["MUJOCO_GL"]

@@ -67,7 +67,7 @@ def replay():
     return Replay.of_trial(recorded(), 0)
 
 
-SMALL = Clip(width=160, height=120, start=1.0, stop=1.2)
+SMALL = Clip(size=(160, 120), start=1.0, stop=1.2)
 
 
 def decoded(path):
@@ -299,11 +299,10 @@ def refused(capsys, *arguments):
         (("--trial", 2), "trial = 2; expected 0 to 1"),
         (("--trial", -1), "trial = -1; expected 0 to 1"),
         (("--view", "front"), "view = 'front'; expected one of both, top, oblique"),
-        (("--size", "641x480"), "width = 641; expected a multiple of 2 pixels"),
-        (("--size", "640x482"), "height = 482; expected a multiple of 4 pixels"),
-        (("--size", "64x48"), "width = 64; expected a finite number at least 160 and at most 1920"),
-        (("--size", "640x4800"), "height = 4800; expected a finite number at least 120 and at most 1440"),
-        (("--size", "big"), "size = 'big'; expected width x height in pixels, e.g. 640x480"),
+        (("--size", 641, 480), "width = 641; expected a multiple of 2 pixels"),
+        (("--size", 640, 482), "height = 482; expected a multiple of 4 pixels"),
+        (("--size", 64, 48), "width = 64; expected a finite number at least 160 and at most 1920"),
+        (("--size", 640, 4800), "height = 4800; expected a finite number at least 120 and at most 1440"),
         (("--slow", 0), "slow = 0.0; expected a finite number above 0"),
         (("--slow", -3), "slow = -3.0; expected a finite number above 0"),
         (("--slow", "nan"), "slow = nan; expected a finite number above 0"),
@@ -365,7 +364,7 @@ def test_a_failing_encoder_leaves_the_old_file(file, capsys, monkeypatch):
     out = file.parent / "a.mp4"
     out.write_bytes(b"old")
     monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: "/bin/false")
-    options = ("--trial", 0, "--out", out, "--size", "160x120", "--stop", 0.2)
+    options = ("--trial", 0, "--out", out, "--size", 160, 120, "--stop", 0.2)
     assert "a.mp4: the encoder failed" in refused(capsys, "video", file, *options)
     assert out.read_bytes() == b"old"
     assert sorted(os.listdir(file.parent)) == ["a.mp4", "rec.nc"]
@@ -374,7 +373,7 @@ def test_a_failing_encoder_leaves_the_old_file(file, capsys, monkeypatch):
 @needs_gl
 def test_command_writes_a_video(file, capsys):
     out = file.parent / "a.MP4"
-    options = ("--trial", 0, "--out", out, "--size", "160x120", "--stop", 0.2, "--view", "top")
+    options = ("--trial", 0, "--out", out, "--size", 160, 120, "--stop", 0.2, "--view", "top")
     assert cli.main([str(word) for word in ("video", file, *options)]) == 0
     assert capsys.readouterr().out == f"video: {out}\n"
     assert decoded(out)[1].shape == (6, 180, 160, 3)
