@@ -12,8 +12,10 @@ import armperturb
 ROOT = Path(armperturb.__file__).parent
 
 BASE = {"arrays", "validation", "files", "muscle_law", "subject", "environment", "recording"}
-ARM = BASE | {"analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics"}
-ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear", "plots"}
+ARM = BASE | {
+    "analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics", "analysis.results", "plots",
+}  # fmt: skip
+ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear"}
 LAB = ARM | {"perturbations", "models", "controllers", "cohort"}
 STUDY = LAB | ANALYSIS | {"envs.lab", "archive", "workers", "study.protocol", "study.published"}
 ARROWS = {
@@ -32,12 +34,13 @@ ARROWS = {
     "analysis.numerics": BASE,
     "analysis.arm": BASE,
     "analysis.force_balance": BASE,
+    "plots": BASE,
+    "analysis.results": BASE | {"plots"},
     "analysis.trials": ARM - {"analysis.trials"},
     "analysis.response": ARM,
     "analysis.measures": ARM,
     "analysis.fit": ARM | {"analysis.response", "analysis.measures"},
     "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "controllers"},
-    "plots": BASE | {"analysis.response", "analysis.nonlinear"},
     "cohort": ARM,
     "convert": ARM,
     "envs.lab": LAB,
