@@ -14,7 +14,7 @@ ROOT = Path(armperturb.__file__).parent
 BASE = {"arrays", "validation", "files", "muscle_law", "subject", "environment", "recording"}
 ARM = BASE | {"analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics"}
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear", "plots"}
-LAB = ARM | {"perturbations", "models", "controllers", "cohort"}
+LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
 STUDY = LAB | ANALYSIS | {"envs.lab", "archive", "workers", "study.protocol", "study.published"}
 ARROWS = {
     "arrays": set(),
@@ -28,6 +28,7 @@ ARROWS = {
     "workers": set(),
     "perturbations": BASE,
     "controllers": BASE,
+    "planar_arm": ARM | {"controllers", "perturbations"},
     "models": BASE,
     "analysis.numerics": BASE,
     "analysis.arm": BASE,
@@ -36,7 +37,7 @@ ARROWS = {
     "analysis.response": ARM,
     "analysis.measures": ARM,
     "analysis.fit": ARM | {"analysis.response", "analysis.measures"},
-    "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "controllers"},
+    "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "planar_arm"},
     "plots": BASE | {"analysis.response", "analysis.nonlinear"},
     "cohort": ARM,
     "convert": ARM,

@@ -74,7 +74,6 @@ def quick(monkeypatch):
     """What takes long is left out: all but one structure of appendix C, and the skeletal model."""
     monkeypatch.setattr(fits, "STRUCTURES_C", ("1",))
     monkeypatch.setattr(fits, "STARTS_OF", "none")
-    monkeypatch.setattr(measure, "_predict_skeletal", lambda *_: [])
 
 
 @pytest.fixture
