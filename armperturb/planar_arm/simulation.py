@@ -1,6 +1,5 @@
 """How people answer disturbances: many lanes of the compiled arm side by side."""
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -8,6 +7,7 @@ from numpy.typing import NDArray
 from scipy import interpolate
 
 from armperturb.arrays import Array, Indices
+from armperturb.extras import naming_the_extra
 from armperturb.perturbations.hold import held_over_steps
 from armperturb.planar_arm.lanes import Start, at_rest
 
@@ -65,9 +65,10 @@ class Disturbances:
           start: of each lane, with `n_history(lanes)` motor commands; by default all are at rest.
 
         Raises:
-          ImportError: numba is not installed.
+          ModuleNotFoundError: numba is not installed.
         """
-        simulate_lanes = _compiled()
+        with naming_the_extra("the compiled arm"):  # here, as few analyses need it, and it loads slowly
+            from armperturb.planar_arm.compiled import simulate_lanes
         wanted = np.full(len(lanes), self.n_samples) if n_samples is None else np.asarray(n_samples)
         of_lane, wanted = (np.asarray(values, dtype=np.intp) for values in (of_lane, wanted))
         displacement = np.zeros((len(lanes), self.n_samples, 2))
@@ -96,21 +97,6 @@ class Disturbances:
     def n_history(self, lanes: NDArray[np.void]) -> int:
         """How many past motor commands the delays of these lanes need."""
         return int(np.ceil(lanes["delay"].max() / self.timestep)) + 3
-
-
-def _compiled() -> Callable[..., None]:
-    """`compiled.simulate_lanes`; loaded here, as compiling loads slowly and most analyses need none."""
-    try:
-        from armperturb.planar_arm.compiled import simulate_lanes
-    except ModuleNotFoundError as error:
-        if error.name != "numba":
-            raise
-        raise ModuleNotFoundError(
-            "numba is not installed; expected it for simulations of the compiled arm (pip install "
-            '"armperturb[nonlinear]")',
-            name="numba",
-        ) from None
-    return simulate_lanes
 
 
 def _held(perturbation: Array, decimation: int, straight: bool) -> Array:

@@ -57,7 +57,7 @@ def simulate_skeletal(
       ValueError: the rate is not positive, the perturbation has the wrong shape or is not finite, no sample follows the
         onset, the arm has force or acceleration feedback, which eq. 2.17 does not have, a delay is shorter than the
         step, or the arm is unstable on the environment.
-      ImportError: numba is not installed.
+      ModuleNotFoundError: numba is not installed.
     """
     require_number("simulate_skeletal", "rate", rate, above=0.0)
     force = np.asarray(perturbation, dtype=float)

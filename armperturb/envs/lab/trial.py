@@ -122,13 +122,3 @@ def require_integrable(subject: Subject, environment: Environment, strap: Strap 
 def held_force(perturbation: Perturbation, timestep: float, n_steps: int) -> Array:
     """Force to hold over each step so that the handle feels the perturbation [N], (step, axis)."""
     return held_over_steps(perturbation.sample(1.0 / timestep, n_steps + 2, -timestep / 2))
-
-
-def random_stream(seed: int, purpose: str, *numbers: int) -> np.random.SeedSequence:
-    """A stream of random numbers of its own for each purpose: "order" of person 1 has nothing to do with "onset"."""
-    return np.random.SeedSequence(seed, spawn_key=(*purpose.encode(), *numbers))
-
-
-def trial_seed(seed: int, purpose: str, *numbers: int) -> int:
-    """A seed for `Trial.seed`: 63 bits, so that not even thousands of people share one."""
-    return int(random_stream(seed, purpose, *numbers).generate_state(1, np.uint64)[0] >> np.uint64(1))

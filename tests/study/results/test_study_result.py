@@ -23,7 +23,6 @@ from armperturb.study.recording.record import StudySettings, record_study
 from armperturb.study.report.report import write_report
 from armperturb.study.results import appendix_fits as fits
 from armperturb.study.results import study_result as results
-from armperturb.study.results import trial_measures as measure
 from armperturb.study.results.quantities import Cell
 from armperturb.study.results.study_result import analyse_study
 
