@@ -244,7 +244,7 @@ def response_frame(frequency: Array, response: ComplexArray) -> "pd.DataFrame":
             "input": np.tile(axes, 2 * n),
             "real": flat.real,
             "imag": flat.imag,
-            "gain_m_per_N": np.abs(flat),
+            "gain_m_per_N": np.hypot(flat.real, flat.imag),
             "phase_deg": np.degrees(np.angle(flat)),
         }
     )

@@ -63,11 +63,11 @@ def plot_responses(curves: Sequence[Curve], level: float = 0.95, figure: Figure 
         look = dict(curve.look)
         colour = GREY if look["color"] == INK else look["color"]
         if curve.bands is not None:
-            _draw_bands(panels, curve, {"color": colour, "alpha": 0.35, "lw": 0})
+            _draw_bands(panels, curve, {"color": colour, "alpha": 0.4, "lw": 0})
         plot_admittance(panels, curve.frequency, curve.response, **look)
         handles.append(Line2D([], [], label=curve.label, **look))
         if curve.bands is not None:
-            handles.append(Patch(facecolor=colour, alpha=0.35, label=f"{level:.0%} of each element"))
+            handles.append(Patch(facecolor=colour, alpha=0.4, label=f"{level:.0%} of each element"))
     legend(figure, *handles)
     return np.array([[panels[output, input_] for input_ in range(2)] for output in range(2)])
 

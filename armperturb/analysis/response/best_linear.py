@@ -170,7 +170,7 @@ class BestLinear(Result):
         """
         from armperturb.plots.bands import plot_distortion
 
-        limit = stats.norm.ppf(0.95) * self.distortion_error  # one-sided, as `p_value`
+        limit = 1.645 * self.distortion_error  # one-sided, as `p_value`
         return plot_distortion(self.response.frequency, self.linear, self.distortion, self.noise, limit, figure)
 
     @property
@@ -191,7 +191,7 @@ class BestLinear(Result):
         return np.asarray(error / (self.linear + self.distortion).sum(axis=0))
 
 
-def estimate_best_linear(
+def best_linear(
     recordings: Recordings, *, period: float = 20.48, start: float = 2.0, lines_per_average: int = 4
 ) -> BestLinear:
     """Best linear approximation of the arm, from multisines.
