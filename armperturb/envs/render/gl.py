@@ -1,8 +1,8 @@
 """How pictures are drawn without a window: the one place that chooses between EGL, OSMesa and a window library.
 
-MuJoCo and dm_control read MUJOCO_GL once, when they are first imported, and unset take a window library, which draws
-nothing where there is no display. Who has set MUJOCO_GL has chosen; with a display MuJoCo's own choice stands;
-otherwise it is EGL, and OSMesa where EGL gives no context.
+MuJoCo reads MUJOCO_GL once, when it is first imported, and without it takes a window library, which draws nothing where
+there is no display. A value that the user has set stands, and so does MuJoCo's own choice where there is a display;
+otherwise this module chooses EGL, or OSMesa where EGL gives no context.
 """
 
 import atexit
@@ -76,30 +76,22 @@ def choose_backend() -> str:
     return _asked()
 
 
-def load_dm_control() -> None:
-    """Import dm_control with the library that draws here: by itself it tries a window library first, and warns.
-
-    Where nothing draws, MUJOCO_GL is set to "off": dm_control is imported all the same, and refuses to render.
-
-    Raises:
-      RuntimeError: with this MUJOCO_GL MuJoCo cannot be imported.
-    """
-    require_simulator()
-    try:
-        choose_backend()
-    except RuntimeError:
-        os.environ["MUJOCO_GL"] = "off"
-    importlib.import_module("dm_control.mujoco")
-    _stay_last()
-
-
 def close_at_exit(owner: Closeable) -> None:
     """Close what holds a context before the interpreter exits, if nobody does earlier.
 
     Once the OpenGL library is gone, a context that is freed prints errors.
     """
     _OPEN.add(owner)
-    _stay_last()
+    stay_last()
+
+
+def stay_last() -> None:
+    """Close contexts first when the interpreter exits: before OpenGL libraries that were imported since end themselves.
+
+    What is registered last runs first.
+    """
+    atexit.unregister(_close_all)
+    atexit.register(_close_all)
 
 
 def new_context(width: int, height: int) -> Any:
@@ -167,12 +159,6 @@ def _said(error: Exception) -> str:
     except Exception:  # PyOpenGL's errors may fail to describe themselves
         text = ""
     return text or type(error).__name__
-
-
-def _stay_last() -> None:
-    """Register `_close_all` anew: what is registered last runs first, so before the ends of the OpenGL libraries."""
-    atexit.unregister(_close_all)
-    atexit.register(_close_all)
 
 
 def _close_all() -> None:
