@@ -1,7 +1,7 @@
 """What the package uses of dm_control, imported so that it draws without a window.
 
-dm_control reads MUJOCO_GL when it is imported, tries a window library where that is not set, and warns. So the library is
-chosen first. Where nothing draws, MUJOCO_GL becomes "off": dm_control is imported all the same, and refuses to render.
+dm_control reads MUJOCO_GL when it is imported; where that is not set it tries a window library, and warns. So the
+library is chosen first. Where nothing draws, MUJOCO_GL becomes "off": dm_control then loads, and refuses to render.
 """
 
 import os

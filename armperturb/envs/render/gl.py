@@ -14,6 +14,8 @@ import warnings
 import weakref
 from typing import Any, Protocol
 
+from armperturb.extras import naming_the_extra
+
 PACKAGES = {"egl": "libegl1 libopengl0 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 """Libraries that draw without a window, the better one first, and their packages in Debian and Ubuntu."""
 
@@ -38,7 +40,7 @@ def has_display() -> bool:
 
 def gl_help() -> str:
     """What to do where this process cannot draw, given MUJOCO_GL."""
-    chosen = _asked()
+    chosen = _requested()
     if chosen in OFF:
         return "drawing is switched off; expected MUJOCO_GL unset or egl"
     if chosen in PACKAGES or not (chosen or has_display()):
@@ -53,13 +55,14 @@ def require_simulator() -> None:
       RuntimeError: it cannot be imported; the message says why, and what helps.
     """
     try:
-        importlib.import_module("mujoco")
+        with naming_the_extra("the simulation"):
+            importlib.import_module("mujoco")
     except Exception as error:  # of MuJoCo, PyOpenGL, or ctypes
         if "invalid value" in str(error) and "MUJOCO_GL" in str(error):
             given = os.environ["MUJOCO_GL"]
             raise RuntimeError(f"MUJOCO_GL = {given!r}; expected egl, osmesa, glfw or off, or unset") from error
-        with_gl = f" with MUJOCO_GL={_asked()}; {gl_help()}" if _asked() else ""
-        raise RuntimeError(f"MuJoCo does not load ({_said(error)}){with_gl}") from error
+        with_gl = f" with MUJOCO_GL={_requested()}; {gl_help()}" if _requested() else ""
+        raise RuntimeError(f"MuJoCo does not load ({_in_one_line(error)}){with_gl}") from error
 
 
 def choose_backend() -> str:
@@ -71,9 +74,9 @@ def choose_backend() -> str:
     Raises:
       RuntimeError: nothing draws here; the message names what to install, and MUJOCO_GL stays unset.
     """
-    if not _asked() and not has_display():
+    if not _requested() and not has_display():
         os.environ["MUJOCO_GL"] = _headless()
-    return _asked()
+    return _requested()
 
 
 def close_at_exit(owner: Closeable) -> None:
@@ -118,7 +121,7 @@ def new_context(width: int, height: int) -> Any:
             warnings.filterwarnings("error", category=UserWarning)  # which is all that glfw makes of its errors
             return kind(width, height)
     except Exception as error:  # whatever a window library raises
-        raise RuntimeError(f"no OpenGL context with {tried}: {_said(error)}; {gl_help()}") from error
+        raise RuntimeError(f"no OpenGL context with {tried}: {_in_one_line(error)}; {gl_help()}") from error
 
 
 @functools.cache
@@ -137,7 +140,7 @@ def _headless() -> str:
             context.free()
             return name
         except Exception as error:  # PyOpenGL has errors of its own, and AttributeError for a missing library
-            reasons.append(f"{name}: {_said(error)}")
+            reasons.append(f"{name}: {_in_one_line(error)}")
         # The library that failed has claimed PyOpenGL for itself, which would refuse the next one.
         if before is None:
             os.environ.pop("PYOPENGL_PLATFORM", None)
@@ -147,12 +150,12 @@ def _headless() -> str:
     raise RuntimeError(f"no OpenGL context ({'; '.join(reasons)}); {gl_help()}")
 
 
-def _asked() -> str:
+def _requested() -> str:
     """MUJOCO_GL as MuJoCo reads it."""
     return os.environ.get("MUJOCO_GL", "").lower().strip()
 
 
-def _said(error: Exception) -> str:
+def _in_one_line(error: Exception) -> str:
     """An error in one line."""
     try:
         text = " ".join(str(error).split())

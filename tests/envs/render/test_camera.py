@@ -2,7 +2,6 @@ import ctypes.util
 import gc
 import math
 import os
-import subprocess
 import sys
 from types import SimpleNamespace
 
