@@ -11,7 +11,7 @@ import armperturb
 
 ROOT = Path(armperturb.__file__).parent
 
-BASE = {"arrays", "validation", "seeds", "files", "muscle_law", "subject", "environment", "recording"}
+BASE = {"arrays", "validation", "extras", "seeds", "files", "muscle_law", "subject", "environment", "recording"}
 ARM = BASE | {
     "analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics", "analysis.results", "plots",
 }  # fmt: skip
@@ -32,7 +32,7 @@ ARROWS = {
     "workers": set(),
     "perturbations": BASE,
     "controllers": BASE,
-    "planar_arm": ARM | {"controllers", "extras", "perturbations"},
+    "planar_arm": ARM | {"controllers", "perturbations"},
     "models": BASE,
     "analysis.numerics": BASE,
     "analysis.arm": BASE,
