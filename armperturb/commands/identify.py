@@ -107,7 +107,7 @@ class Identify(Command):
         lines = []
         for condition, result in results.items():
             lines.append(
-                f"{condition}: {result.fit.status}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %",
+                f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %",
             )
             lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
         return lines
@@ -116,8 +116,7 @@ class Identify(Command):
         with naming_the_extra("identify --model nonlinear"):
             from armperturb.analysis.nonlinear.identify import identify_nonlinear, told, write_nonlinear
             from armperturb.workers import cpu_count
-        from armperturb.plots.pulses import pulses_figure
-        from armperturb.plots.style import save_svg
+        from armperturb.plots.style import new_figure, save_svg
 
         if self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
@@ -140,7 +139,9 @@ class Identify(Command):
                 self.out.rmdir()
             raise
         if result.pulses["nonlinear"]:
-            save_svg(pulses_figure(result.pulses), self.out / "pulses.svg")
+            figure = new_figure(1.0)
+            result.plot(figure)
+            save_svg(figure, self.out / "pulses.svg")
         write_nonlinear(result, self.out)
         return told(result)
 

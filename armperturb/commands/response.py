@@ -82,22 +82,6 @@ class Response(Command):
         return [*lines, f"results: {self.out}"]
 
 
-def distortion_rows(found: BestLinear) -> list[dict[str, Any]]:
-    """One row per frequency and output: mean squares of the sine wave at a line [m^2]."""
-    return [
-        {
-            "frequency_hz": float(frequency),
-            "output": axis,
-            "linear_m2": float(found.linear[k, output]),
-            "noise_m2": float(found.noise[k, output]),
-            "distortion_m2": float(found.distortion[k, output]),
-            "distortion_standard_error_m2": float(found.distortion_error[k, output]),
-        }
-        for k, frequency in enumerate(found.response.frequency)
-        for output, axis in enumerate(LABELS["axis"])
-    ]
-
-
 def distortion_text(found: BestLinear) -> str:
     """The share of the distortion in one line; negative shares, which chance makes, are none."""
     both = zip(found.share, found.share_error, strict=True)
@@ -123,18 +107,23 @@ def write_response(
     Raises:
       OSError: the folder cannot be made or written to.
     """
-    from armperturb.plots.bands import distortion_levels, response_bands
-    from armperturb.plots.style import save_svg
-
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / name for name in ("response.csv", "response.svg", "distortion.csv", "distortion.svg")]
-    write_csv(({**row, "condition": condition} for row in found.rows()), paths[0])
-    save_svg(response_bands(found), paths[1])
+    write_csv(found.to_frame().assign(condition=condition), paths[0])
+    _save(found, paths[1])
     if distortion is None:
         for path in paths[2:]:
             path.unlink(missing_ok=True)
         return paths[:2]
-    write_csv(({**row, "condition": condition} for row in distortion_rows(distortion)), paths[2])
-    save_svg(distortion_levels(distortion), paths[3])
+    write_csv(distortion.to_frame().assign(condition=condition), paths[2])
+    _save(distortion, paths[3])
     return paths
+
+
+def _save(result: FrequencyResponse | BestLinear, path: Path) -> None:
+    from armperturb.plots.style import new_figure, save_svg
+
+    figure = new_figure(1.0)
+    result.plot(figure=figure)
+    save_svg(figure, path)
