@@ -46,8 +46,8 @@ class Clip:
         for name, value, least, most, multiple in zip(
             ("width", "height"), self.size, SMALLEST, LARGEST, (2, 4), strict=True
         ):
+            require_number("video", name, value, at_least=least, at_most=most)
             require_whole("video", name, value, at_least=least)
-            require_number("video", name, value, at_most=most)
             if value % multiple:
                 raise ValueError(f"video: {name} = {value!r}; expected a multiple of {multiple} pixels")
         require_number("video", "slow", self.slow, above=0.0, at_most=1000.0)
