@@ -11,7 +11,18 @@ import armperturb
 
 ROOT = Path(armperturb.__file__).parent
 
-BASE = {"arrays", "validation", "extras", "seeds", "files", "muscle_law", "subject", "environment", "recording"}
+BASE = {
+    "arrays",
+    "validation",
+    "extras",
+    "seeds",
+    "files",
+    "foreign",
+    "muscle_law",
+    "subject",
+    "environment",
+    "recording",
+}
 ARM = BASE | {"analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics"}
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear", "plots"}
 LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
@@ -25,7 +36,8 @@ ARROWS = {
     "muscle_law": {"validation"},
     "subject": {"validation", "muscle_law"},
     "environment": {"validation"},
-    "recording": {"files"},
+    "foreign": {"extras"},
+    "recording": {"files", "foreign"},
     "archive": {"files"},
     "workers": set(),
     "perturbations": BASE,

@@ -56,7 +56,7 @@ def import_recording(
       TypeError: a field of the sidecar has the wrong type.
       ValueError: a file or sidecar is refused, or has a fault that is not to be repaired; the message names file,
         trial, channel and time. Or perturbation, force and displacement do not obey physics.
-      RuntimeError: C3D is to be read, and ezc3d is not installed.
+      ModuleNotFoundError: C3D is to be read, and ezc3d is not installed.
       OSError: a file cannot be read.
     """
     files = [Path(path) for path in paths]

@@ -21,7 +21,7 @@ def read_trials(path: Path, meaning: Sidecar) -> Sequence[RawTrial]:
 
     Raises:
       ValueError: the file is refused, lacks a channel, or the sidecar does not suit the format.
-      RuntimeError: C3D is to be read, and ezc3d is not installed.
+      ModuleNotFoundError: C3D is to be read, and ezc3d is not installed.
       OSError: the file cannot be read.
     """
     names = {name for signal in meaning.signals.values() if signal.file is None for name in signal.channels.values()}

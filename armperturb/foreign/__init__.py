@@ -17,6 +17,7 @@ from typing import IO, Any
 
 import numpy as np
 
+from armperturb.extras import naming_the_extra
 from armperturb.foreign.program import REFUSED
 from armperturb.foreign.program import Refused as Refused
 
@@ -58,14 +59,15 @@ def read_foreign(path: Path, names: Collection[str] | None = None, *, seconds: f
 
     Raises:
       Refused: (a ValueError) the file is damaged, of another format or too large, or parsing it takes too long.
-      RuntimeError: C3D is to be read, and ezc3d is not installed.
+      ModuleNotFoundError: C3D is to be read, and ezc3d is not installed.
       OSError: the file cannot be read.
     """
     require_modest(path)
     with path.open("rb"):
         pass  # raises what the child process could not
     if path.suffix.lower() == ".c3d" and find_spec("ezc3d") is None:
-        raise RuntimeError(f"{path}: C3D needs ezc3d; install armperturb[c3d]")
+        with naming_the_extra(f"{path}: C3D"):
+            raise ModuleNotFoundError(name="ezc3d")
     program, wanted = Path(__file__).with_name("program.py"), json.dumps(None if names is None else sorted(names))
     arguments = (program, path.resolve(), wanted, LARGEST, seconds)
     with tempfile.TemporaryFile() as output:
