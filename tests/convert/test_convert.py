@@ -304,9 +304,7 @@ def test_what_comes_after_the_workspace_limit_is_not_held_against_physics():
 def test_a_mass_that_is_no_handles_or_not_the_one_set_to_is_refused(tmp_path):
     values = table()
     millimetres = np.hstack([values[:, :6], values[:, X] * 1e3])
-    with pytest.raises(
-        ValueError, match=r"displacement is .* m at .* s; expected at most 0.65 \(a wrong signals"
-    ):
+    with pytest.raises(ValueError, match=r"displacement is .* m at .* s; expected at most 0.65 \(a wrong signals"):
         import_recording([write(tmp_path, millimetres)])
     centimetres = np.hstack([values[:, :2], 0.2 * values[:, 2:6], 20.0 * values[:, X]])
     with pytest.raises(ValueError, match=r"moves a mass of 0.03 kg; expected 0.1 to 60 kg"):
