@@ -524,7 +524,7 @@ def identify_nonlinear(settings: Identify) -> list[str]:
     # Here, so that the other commands start without compiler and drawing library.
     from armperturb.analysis.nonlinear.identify import identify_nonlinear as search
     from armperturb.analysis.nonlinear.identify import told, write_nonlinear
-    from armperturb.plots.style import new_figure, save_svg
+    from armperturb.plots.style import save_plot
 
     for name in ("estimator", "share", "lines_per_average"):
         default = Identify.__dataclass_fields__[name].default
@@ -559,9 +559,7 @@ def identify_nonlinear(settings: Identify) -> list[str]:
             settings.out.rmdir()
         raise ValueError(f"{', '.join(map(str, settings.recordings))}: {error}") from None
     if found.pulses["nonlinear"]:
-        figure = new_figure(1.0)
-        found.plot(figure)
-        save_svg(figure, settings.out / "pulses.svg")
+        save_plot(found, settings.out / "pulses.svg")
     write_nonlinear(found, settings.out)
     return told(found)
 
@@ -576,14 +574,14 @@ def validate(settings: Validate) -> str:
       OSError: a file cannot be read or written.
     """
     # Here, so that the other commands start without the drawing library.
-    from armperturb.study.validation.report import summary_text, write_validation
+    from armperturb.study.validation.report import write_validation
     from armperturb.study.validation.validate import ValidateSettings
     from armperturb.study.validation.validate import validate as judge
 
     what = {name: value for name, value in vars(settings).items() if name not in ("out", "workers")}
     result = judge(ValidateSettings(**what), workers=settings.workers)
     write_validation(result, settings.out)
-    return summary_text(result)
+    return result.summary()
 
 
 def design(settings: Design) -> str:
@@ -597,7 +595,7 @@ def design(settings: Design) -> str:
     # Here, so that the other commands start without the drawing library.
     from armperturb.study.planning.plan import DesignSettings
     from armperturb.study.planning.plan import design as plan
-    from armperturb.study.planning.report import design_text, write_design
+    from armperturb.study.planning.report import write_design
 
     try:
         force, displacement, duration = map(float, settings.limits.split(","))
@@ -617,7 +615,7 @@ def design(settings: Design) -> str:
         )
     )
     write_design(result, settings.out)
-    return design_text(result)
+    return result.summary()
 
 
 def score(settings: Score) -> str:
@@ -631,12 +629,12 @@ def score(settings: Score) -> str:
     """
     # Here, so that the other commands start without what a study needs.
     from armperturb.study.comparison.score import score as compare
-    from armperturb.study.comparison.score import score_text, write_score
+    from armperturb.study.comparison.score import write_score
     from armperturb.study.results.study_result import analyse_study
 
     result = compare(analyse_study(settings.folder, workers=settings.workers))
     write_score(result, settings.out or settings.folder / "score")
-    return score_text(result)
+    return result.summary()
 
 
 def video(settings: Video) -> None:

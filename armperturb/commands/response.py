@@ -5,7 +5,7 @@ from pathlib import Path
 from armperturb.analysis.response.best_linear import BestLinear
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.files import write_csv
-from armperturb.plots.style import new_figure, save_svg
+from armperturb.plots.style import save_plot
 from armperturb.recording import LABELS
 
 
@@ -38,17 +38,11 @@ def write_response(
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / name for name in ("response.csv", "response.svg", "distortion.csv", "distortion.svg")]
     write_csv(found.to_frame().assign(condition=condition), paths[0])
-    _save(found, paths[1])
+    save_plot(found, paths[1])
     if distortion is None:
         for path in paths[2:]:
             path.unlink(missing_ok=True)
         return paths[:2]
     write_csv(distortion.to_frame().assign(condition=condition), paths[2])
-    _save(distortion, paths[3])
+    save_plot(distortion, paths[3])
     return paths
-
-
-def _save(result: FrequencyResponse | BestLinear, path: Path) -> None:
-    figure = new_figure(1.0)
-    result.plot(figure=figure)
-    save_svg(figure, path)
