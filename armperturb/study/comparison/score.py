@@ -85,7 +85,9 @@ class Score(Result):
     def describe(self) -> Description:
         """How many cells of each table are near, the numbers of the running text, and what is missing."""
         rows = []
-        for name, near in shares(self).items():
+        each = shares(self)
+        groups = [name for name in reversed(each) if name not in {scored.cell.table for scored in self.cells}]
+        for name, near in ((name, each[name]) for name in dict.fromkeys([*groups, *each])):
             counts = [f"{n} ({100.0 * part:.0f} %)" for n, part in zip(near.within, near.parts, strict=True)]
             rows.append((name, f"{near.computed}/{near.published}", *counts, f"{near.sd_ratio:.2f}"))
         quoted = Table(

@@ -58,19 +58,20 @@ def _counted(number: int, thing: str) -> str:
 def describe(validation: Validation) -> Description:
     """Errors in percent of the true value, or in its unit where that is zero, and how the fits went."""
     estimators, frame = list(validation.judged), validation.to_frame()
-    columns = ["parameter", "true", "unit", "bound"]
+    columns = ["parameter", "true", "bound"]
     for name in estimators:
-        columns += [f"{name}: bias", "RMS", "/bound", "held"]
+        columns += [f"{name}: bias", "RMS", "held"]
     rows = []
     for _, of_parameter in frame.groupby("parameter", sort=False):
         blocks = {row["estimator"]: row for row in of_parameter.to_dict("records")}
         first = blocks[estimators[0]]
         scale, percent = (100.0 / abs(first["true"]), " %") if first["true"] else (1.0, "")
-        cells = [first["parameter"], f"{first['true']:.4g}", first["unit"], plain(scale * first["bound"], 3) + percent]
+        true = f"{first['true']:.4g} {first['unit']}"
+        cells = [first["parameter"], true, plain(scale * first["bound"], 3) + percent]
         for name in estimators:
             row = blocks[name]
-            numbers = (scale * row["bias"], scale * row["rms_error"], row["rms_error_over_bound"])
-            cells += [*(plain(value, 3) for value in numbers), f"{row['coverage_percent']:.0f}"]
+            numbers = plain(scale * row["bias"], 3), plain(row["rms_error_over_bound"], 3)
+            cells += [*numbers, f"{row['coverage_percent']:.0f}"]
         rows.append(tuple(cells))
     shares = ("converged", "stable", "global", "coverage", "flagged")
     summary = Table(
@@ -85,11 +86,12 @@ def describe(validation: Validation) -> Description:
     )
     return Description(
         title=f"Validation: {title(validation)}",
-        facts=("bias and RMS error in % of the true value, bound: Cramer-Rao of the whole records",),
+        facts=(
+            "bias in % of the true value; bound: Cramer-Rao, from the whole records; RMS error over the bound; held: "
+            "share of the 95 % intervals that hold the true value [%]",
+        ),
         table=Table(tuple(columns), tuple(rows)),
         details=(
-            "held: share of the 95 % intervals that hold the true value [%]",
-            "",
             *summary.lines(),
             "flagged: the estimator itself reports a lack of fit",
         ),
