@@ -18,7 +18,8 @@ from armperturb.perturbations import save_perturbation
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.plots.style import COLOURS, INK, PUBLISHED, figure_for, in_style, save_plot
 from armperturb.study.planning.information import effective_duration
-from armperturb.study.planning.plan import SETTLING, USUAL_START, Design, NoiseLaw, Signal
+from armperturb.study.planning.plan import Design, Signal
+from armperturb.study.planning.settings import SETTLING, USUAL_START, NoiseLaw
 
 LOOKS = {
     "thesis's multisine": {"color": PUBLISHED["color"]},
@@ -47,7 +48,6 @@ LAWS: dict[NoiseLaw, str] = {
 def describe(design: Design) -> Description:
     """Standard errors in percent of the value, or in its unit where that is zero, and what the signals demand."""
     settings = design.settings
-    force, displacement, duration = settings.limits
     errors = {"sem_thesis": "SEM thesis", "sem_optimised": "optimised"}
     if design.proposed is not None:
         errors["sem_proposed"] = "proposed"
@@ -64,7 +64,7 @@ def describe(design: Design) -> Description:
     for name, signal in _signals(design):
         forces = ", ".join(f"{value:.2f}" for value in np.sqrt(signal.power.sum(axis=0)))
         moves = ", ".join(f"{1e3 * value:.1f}" for value in signal.displacement)
-        lasts = "" if signal.duration == duration else f"; {signal.duration:g} s"
+        lasts = "" if signal.duration == settings.duration else f"; {signal.duration:g} s"
         signals.append(f"{name}: RMS force x, y {forces} N; RMS displacement {moves} mm{lasts}")
     details = [
         "SEM: least standard error of any unbiased estimator (Cramer-Rao) of the parameters in these trials; ratio: "
@@ -82,8 +82,8 @@ def describe(design: Design) -> Description:
     worse = design.factors[other] > 1.0
     return Description(
         title=f"Design for {settings.subject.name!r} ({settings.subject.task}), model {settings.model_name()}, goal "
-        f"{settings.goal}: {settings.trials} trial{'' if settings.trials == 1 else 's'} of {duration:g} s, RMS of at "
-        f"most {force:g} N and {1e3 * displacement:g} mm per axis",
+        f"{settings.goal}: {settings.trials} trial{'' if settings.trials == 1 else 's'} of {settings.duration:g} s, "
+        f"RMS of at most {settings.force:g} N and {1e3 * settings.displacement:g} mm per axis",
         facts=(
             f"geometric mean of the SEM of *: {design.factor:.2f} of the thesis's {LAWS[settings.noise]}, as from "
             f"{design.factor**-2:.1f} times as many trials; {design.factors[other]:.2f} {LAWS[other]}",
@@ -102,7 +102,7 @@ def _signals(design: Design) -> list[tuple[str, Signal]]:
 @in_style()
 def plot_design(design: Design, figure: Figure | None = None) -> Any:
     """Standard errors against duration and number of trials, and the spectra, of both signals; see `Design.plot`."""
-    settings, duration = design.settings, design.settings.limits[2]
+    settings, duration = design.settings, design.settings.duration
     columns = [design.names.index(name) for name in settings.wanted()]
     known = bool(design.truth[columns].all())
     figure = figure_for(figure, 5.2)
@@ -199,9 +199,9 @@ def write_design(design: Design, folder: Path) -> None:
         save_perturbation(perturbation, perturbations / f"trial_{number:02d}.csv", perturbation.rate)
     save_plot(design, figures / "design.svg")
     settings = design.settings
-    asked = {**asdict(replace(settings, proposed=None)), "model": settings.model_name()}
-    if settings.proposed is not None:
-        asked["proposed"] = {"duration": settings.proposed.duration}
+    asked = {**asdict(replace(settings, perturbation=None)), "model": settings.model_name()}
+    if settings.perturbation is not None:
+        asked["perturbation"] = {"duration": settings.perturbation.duration}
     made = {
         "versions": {name: importlib.metadata.version(name) for name in ("armperturb", "numpy", "scipy")},
         "settings": asked,
