@@ -522,8 +522,8 @@ def identify_nonlinear(settings: Identify) -> list[str]:
       OSError: a file cannot be read or written.
     """
     # Here, so that the other commands start without compiler and drawing library.
+    from armperturb.analysis.nonlinear.export import write_nonlinear
     from armperturb.analysis.nonlinear.identify import identify_nonlinear as search
-    from armperturb.analysis.nonlinear.identify import told, write_nonlinear
     from armperturb.plots.style import new_figure, save_svg
 
     for name in ("estimator", "share", "lines_per_average"):
@@ -563,7 +563,7 @@ def identify_nonlinear(settings: Identify) -> list[str]:
         found.plot(figure)
         save_svg(figure, settings.out / "pulses.svg")
     write_nonlinear(found, settings.out)
-    return told(found)
+    return found.summary().splitlines()
 
 
 def validate(settings: Validate) -> str:

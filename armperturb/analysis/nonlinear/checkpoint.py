@@ -11,7 +11,6 @@ import numpy as np
 
 from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem, State
 from armperturb.analysis.nonlinear.search import Position, Stage
-from armperturb.arrays import Array
 from armperturb.files import written_whole
 
 
@@ -67,7 +66,7 @@ def load_position(path: Path, digest: str) -> Position | None:
         return None
 
 
-def _position(arrays: dict[str, Array]) -> Position:
+def _position(arrays: dict[str, Any]) -> Position:
     state, reference = (State(*(arrays[part + name] for name in State._fields)) for part in ("state_", "reference_"))
     draws = None
     if "n_pairs" in arrays:

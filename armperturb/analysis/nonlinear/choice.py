@@ -265,7 +265,7 @@ class _Fits:
             trials,
             self.arms,
             model,
-            start={name: float(np.clip(value, *limits[name])) for name, value in start.items() if name in limits},
+            initial={name: float(np.clip(value, *limits[name])) for name, value in start.items() if name in limits},
             n_pairs=n_pairs,
             n_pairs_of_errors=self.n_pairs_of_errors,
             seed=self.seed,

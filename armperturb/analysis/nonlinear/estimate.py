@@ -15,7 +15,7 @@ import numpy as np
 
 from armperturb.analysis.nonlinear.checkpoint import digest_of, load_position, save_position
 from armperturb.analysis.nonlinear.draws import Deviations, lack_of_fit, score_variance, simulate_deviations
-from armperturb.analysis.nonlinear.model import EFFECTS, Model, Parameters, value_at
+from armperturb.analysis.nonlinear.model import EFFECTS, Model, Parameters, value_at, value_per_coordinate
 from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem
 from armperturb.analysis.nonlinear.result import NonlinearEstimate, remarks_on
 from armperturb.analysis.nonlinear.search import CONVERGED, MAX_STEPS, Position, Search, Solution, inverse
@@ -38,7 +38,7 @@ def fit(
     arms: Mapping[str, Subject],
     model: Model | None = None,
     *,
-    start: Mapping[str, float] | None = None,
+    initial: Mapping[str, float] | None = None,
     n_pairs: int = N_PAIRS,
     n_pairs_of_errors: int = N_PAIRS_OF_ERRORS,
     max_steps: int = MAX_STEPS,
@@ -53,7 +53,7 @@ def fit(
       sets: trials of one person, see `training_sets`. The first condition of the position task has level 1.
       arms: condition to a linear arm that fits it; where there is none, the nearest of its task is taken.
       model: the structure; by default the full law.
-      start: parameter to the value that it starts with, instead of what the linear arms say.
+      initial: parameter to the value that it starts with, instead of that from the linear arms.
       n_pairs: draws of the noise, pairs of opposite sign, in whose presence trials are predicted; 0 leaves noise out.
       n_pairs_of_errors: draws from which the errors are estimated.
       max_steps: most steps of each of the first two stages of the search.
@@ -63,7 +63,7 @@ def fit(
       threads: how many simulate at a time; no effect on the result.
 
     Raises:
-      ValueError: trials are of several people or rates, there are none, `start` or `model` names what is not free, or
+      ValueError: trials are of several people or rates, there are none, `initial` or `model` names what is not free, or
         the arm at the start is unstable.
       OSError: the checkpoint cannot be read or written.
       ModuleNotFoundError: numba is not installed.
@@ -72,12 +72,12 @@ def fit(
     parameters = free_parameters(sets, model)
     everywhere = nearest_arms(sets, arms)
     problem = Problem(parameters, sets, everywhere, threads)
-    point = start_values(parameters, sets, everywhere, start or {})
+    point = start_values(parameters, sets, everywhere, initial or {})
     begin, save = None, None
     if checkpoint is not None:
         digest = digest_of(problem, point.tolist(), sorted(everywhere.items()), n_pairs, seed)
         begin, save = load_position(checkpoint, digest), partial(save_position, checkpoint, digest)
-    begin = begin or Position.at_start(best_start(problem, point, start or {}))
+    begin = begin or Position.at_start(best_start(problem, point, initial or {}))
     search = Search(problem, begin, n_pairs=n_pairs, seed=seed, max_steps=max_steps, save=save, progress=progress)
     return _estimate(problem, search.run(), n_pairs_of_errors, seed + 1)
 
@@ -184,6 +184,7 @@ def _estimate(problem: Problem, solution: Solution, n_pairs_of_errors: int, seed
         )
     return NonlinearEstimate(
         values=values,
+        standard_error={name: value_per_coordinate(name, values[name]) * coordinate_error[name] for name in names},
         coordinate_error=coordinate_error,
         correlation=correlation,
         at_bound=at_bound,

@@ -141,7 +141,7 @@ class Problem:
             Noise(arms[trials.label], trials.environment, trials.end, trials.n_trials, trials.rate)
             for trials in self.sets
         ]
-        self._averaged = (Disturbances(self.perturbation, self._rate, self._threads),)
+        self._averaged: tuple[Disturbances, ...] = (Disturbances(self.perturbation, self._rate, self._threads),)
 
     @property
     def is_noisy(self) -> bool:

@@ -4,12 +4,12 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from armperturb.analysis.fit.likelihood import LackOfFit
-from armperturb.analysis.nonlinear.model import SIGNED, Model, Parameters, coordinate, stem, value_at
+from armperturb.analysis.nonlinear.model import SIGNED, Model, Parameters, coordinate, stem, unit, value_at
 from armperturb.analysis.nonlinear.noise import Noise
 from armperturb.analysis.nonlinear.problem import State
+from armperturb.analysis.results import Description, FitResult, Interval, normal_quantile, parameter_table
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -21,19 +21,15 @@ TOGETHER = 0.8
 [-]."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class NonlinearEstimate:
-    """Maximum-likelihood estimate of one person's parameters.
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class NonlinearEstimate(FitResult):
+    """Maximum-likelihood estimate of one person's parameters, in the units of `Subject` and `MuscleLaw`.
+
+    Errors are closest to normal in the parameters' `model.coordinate`: the logarithm, or an asinh of what may be
+    negative. Confidence intervals are symmetric there; `standard_error` is its linear approximation at the estimate.
 
     Attributes:
-      values: free parameter to its estimate, in the units of `Subject` and `MuscleLaw`.
-      coordinate_error: standard error of the estimates' `model.coordinate`, in which errors are closest to normal: the
-        logarithm, of what may be negative an asinh.
-      correlation: of these errors, (parameter, parameter), in the order of `values`.
-      at_bound: parameters that sit on a bound.
-      converged: whether the search ended at a maximum.
-      message: how it ended, in words.
-      remarks: what a reader must know before trusting the values, a sentence each.
+      coordinate_error: standard error of the estimates' coordinates [-]; `correlation` is that of these errors.
       model: the structure.
       parameters: what was free in it.
       spread: task and quantity to the SD over trials of the logarithm of a factor on it.
@@ -46,13 +42,7 @@ class NonlinearEstimate:
       strengths: factor on the amplitude of draws of each noise, (frequency,) each.
     """
 
-    values: Mapping[str, float]
     coordinate_error: Mapping[str, float]
-    correlation: Array
-    at_bound: tuple[str, ...]
-    converged: bool
-    message: str
-    remarks: tuple[str, ...]
     model: Model
     parameters: Parameters
     spread: Mapping[tuple[str, str], float]
@@ -64,21 +54,52 @@ class NonlinearEstimate:
     noises: tuple[Noise, ...]
     strengths: tuple[Array, ...]
 
-    def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
-        """Confidence interval of a parameter: symmetric in its `coordinate`."""
-        return _interval(
-            name, self.values[name], float(stats.norm.ppf(0.5 + level / 2.0)) * self.coordinate_error[name]
-        )
+    def interval(self, name: str, level: float = 0.95) -> Interval:
+        """Confidence interval of a parameter: symmetric in its `coordinate`.
+
+        Args:
+          name: of the parameter, as in `values`.
+          level: probability with which such intervals hold the true value [-].
+        """
+        return _interval(name, self.values[name], normal_quantile(level) * self.coordinate_error[name])
+
+    def unit_of(self, name: str) -> str:
+        """Unit of a parameter; "-" if it has none."""
+        return unit(name)
+
+    def place_of(self, name: str) -> tuple[str, str]:
+        """Name of a parameter in tables, and the condition in which it holds; "" if it holds in all of its task."""
+        if stem(name) != "level":
+            return name, ""
+        level, _, condition = name.partition(" ")[0].partition(".")
+        return level, condition
 
     def subject(self, task: str, condition: str = "") -> Subject:
         """The person in a task and condition, in a trial like the average one."""
         return self.parameters.person(task, self.state.point, condition)
 
+    def describe(self) -> Description:
+        """Whose muscles they are, how the search ended, and the parameters."""
+        name = next(iter(self.parameters.bodies.values())).name
+        fits = ", ".join(f"{label} {test.p_value:.2g}" for label, test in self.lack_of_fit.items())
+        spread = ", ".join(f"{quantity} [{task}] {100.0 * sd:.0f} %" for (task, quantity), sd in self.spread.items())
+        return Description(
+            title=f"Muscles of {name} in {' and '.join(self.parameters.bodies)}: {self.model.law} law, maximum "
+            f"likelihood of raw trials in {self.n_conditions} condition{'' if self.n_conditions == 1 else 's'}",
+            facts=(f"{self.message} after {self.n_steps} steps; lack of fit, p: {fits}",),
+            table=parameter_table(self.to_frame()),
+            remarks=self.remarks,
+            details=(
+                f"SD over trials: {spread}",
+                f"minus twice the log-likelihood, but for a constant: {self.objective:.2f}",
+            ),
+        )
 
-def _interval(name: str, value: float, half: float) -> tuple[float, float]:
-    """Ends of an interval that reaches so far to both sides in the parameter's coordinate."""
+
+def _interval(name: str, value: float, half: float) -> Interval:
+    """The interval that reaches so far to both sides in the parameter's coordinate."""
     middle = coordinate(name, value)
-    return value_at(name, middle - half), value_at(name, middle + half)
+    return Interval(value_at(name, middle - half), value_at(name, middle + half))
 
 
 def remarks_on(
@@ -92,7 +113,7 @@ def remarks_on(
       correlation: of the errors, (parameter, parameter).
       at_bound: parameters that sit on a bound.
     """
-    names, half = list(values), float(stats.norm.ppf(0.975))
+    names, half = list(values), normal_quantile(0.95)
     remarks = [f"{name} sits on a bound" for name in at_bound]
     for name in names:
         if error[name] > UNCERTAIN and name not in at_bound:

@@ -204,7 +204,7 @@ class Search:
         return float(np.max(np.abs(self._at.state.point - self._at.reference.point), initial=0.0))
 
     def _descend(self, slopes: list[Array], predicted: Array) -> str:
-        """Gauss-Newton steps with one spectrum and one set of derivatives; returns how they ended, "" if too far away."""
+        """Gauss-Newton steps with one spectrum and one set of derivatives; returns how they ended, "" if far away."""
         problem = self._problem
         while True:
             state = self._at.state

@@ -110,10 +110,10 @@ def start_values(
                 values[name] = initial[bare]
     for name, value in given.items():
         if name not in parameters.names:
-            raise ValueError(f"start: {name!r} is not free; expected {', '.join(parameters.names)}")
+            raise ValueError(f"initial: {name!r} is not free; expected {', '.join(parameters.names)}")
         low, high = bounds(name, parameters.model.law)
         if not low - 1e-3 * abs(low) <= value <= 1.001 * high:  # those that sat on a bound were rounded
-            raise ValueError(f"start: {name} = {value:g}; expected {low:g} to {high:g}")
+            raise ValueError(f"initial: {name} = {value:g}; expected {low:g} to {high:g}")
         values[name] = value
     point = [coordinate(name, values[name]) for name in parameters.names]
     return np.clip(point, parameters.lower + 1e-6, parameters.upper - 1e-6)
@@ -142,8 +142,8 @@ def best_start(problem: Problem, point: Array, given: Mapping[str, float]) -> St
     objectives = [float(np.sum(_objectives(problem, state))) for state in unique]
     if not np.isfinite(objectives).any():
         raise ValueError(
-            "start: the arm is unstable, and so are all arms near it; expected a start that comes to rest (less "
-            "feedback, or more damping)"
+            "initial: the arm is unstable, and so are all arms near it; expected values of an arm that comes to rest "
+            "(less feedback, or more damping)"
         )
     best = unique[int(np.argmin(objectives))]
     return best._replace(point=_best_levels(problem, best, given))
