@@ -433,7 +433,7 @@ def test_bad_laws_are_named(change, error, message):
 
 
 def test_bad_subjects_with_a_law_are_named():
-    with pytest.raises(ValueError, match=r"b_s = 5.78; expected at least b_se = 8.83 with damping that thins"):
+    with pytest.raises(ValueError, match=r"b_s = 5.78; expected at least b_se = 8.83 with shear-thinning damping"):
         with_law(POSITION, thinning_velocity=0.2)
     with pytest.raises(TypeError, match="muscle = 3; expected MuscleLaw or None"):
         replace(RELAX, muscle=3)

@@ -245,7 +245,7 @@ def test_each_part_of_the_action_can_be_switched_off(settings, size):
 def test_senses_are_late_by_their_delays_and_vision_has_its_gain():
     env = made("ArmPerturb/Pulse-v0", proprioceptive_delay=0.04, visual_delay=0.1, visual_gain=3.0, **SHORT)
     observation, info = env.reset(seed=3)
-    posture = env.settings.own.posture
+    posture = env.settings.subject.posture
     infos, observations = [info], [observation]
     for _ in range(25):
         observation, _, _, _, info = env.step(env.own_action)
@@ -301,7 +301,12 @@ def test_who_reaches_the_limit_pays_and_the_trial_ends():
     assert ends[-1][1] == pytest.approx(-worst * (51 - len(ends)), rel=1e-12)
     assert min(end[1] for end in ends[:-1]) > -worst
     recording = run_experiment(
-        [Trial(subject=env.settings.own, perturbation=Pulse(peak=900.0, direction_deg=20.0, onset=0.1, duration=1.0))],
+        [
+            Trial(
+                subject=env.settings.subject,
+                perturbation=Pulse(peak=900.0, direction_deg=20.0, onset=0.1, duration=1.0),
+            )
+        ],
         rate=1000.0,
     )
     assert 0.0 <= 0.02 * len(ends) - recording["limit_time"].item() <= 0.02
@@ -313,7 +318,7 @@ def test_what_cannot_be_integrated_ends_its_own_trial_only():
     lone = vectorised(1, "ArmPerturb/Relax-v0", perturbation="pulse", noise=False, **SHORT)
     expected = lone.reset(seed=1)
     huge = Pulse(peak=1e30, direction_deg=20.0, onset=0.1, duration=0.6)
-    envs.reset(options={"trial": Trial(subject=envs.settings.own, perturbation=huge)})
+    envs.reset(options={"trial": Trial(subject=envs.settings.subject, perturbation=huge)})
     envs.reset(seed=[0, 1], options={"reset_mask": np.array([False, True])})
     still = np.zeros((2, *lone.single_action_space.shape), dtype=np.float32)
     ended = False
