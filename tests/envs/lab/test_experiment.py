@@ -91,7 +91,7 @@ def assert_is_theory(spectra, subject):
 @pytest.mark.slow(reason="lets slow transients of six trials pass")
 def test_admittance_of_the_recording_is_that_of_theory():
     subjects = (RELAX, POSITION, OTHER)
-    for subject, spectra in zip(subjects, both_axes(subjects, SETTLED["other"], timestep=2.5e-3), strict=True):
+    for subject, spectra in zip(subjects, both_axes(subjects, SETTLED["other"], timestep=1.25e-3), strict=True):
         assert_is_theory(spectra, subject)
 
 
@@ -152,6 +152,7 @@ def plain_loop(trial, n_samples, decimation, timestep=1e-3):
     return np.array(log)
 
 
+@pytest.mark.slow(reason="a loop of single simulations")
 def test_batch_equals_a_plain_loop_to_the_last_bit_at_any_number_of_threads():
     trials = mixed_trials()
     reference = run_experiment(trials, ENVIRONMENT, n_threads=1)
@@ -283,6 +284,7 @@ def noisy_trials():
     return [*trials, replace(trials[1], noise=None), replace(trials[0], perturbation=pulse, seed=7)]
 
 
+@pytest.mark.slow(reason="runs the laboratory twelve times")
 def test_whole_laboratory_is_the_same_alone_and_together_at_any_number_of_threads():
     trials, instruments = noisy_trials(), Instruments()
     together = run_experiment(trials, ENVIRONMENT, instruments=instruments, n_threads=1)
@@ -311,6 +313,7 @@ def test_noise_at_zero_is_no_noise_to_the_last_bit():
     assert run_experiment(silent, ENVIRONMENT).identical(run_experiment(trials, ENVIRONMENT))
 
 
+@pytest.mark.slow(reason="nineteen experiments")
 def test_every_kind_of_noise_moves_the_arm_by_its_seed():
     still = mixed_trials()[1]
     ideal = run_experiment([still], ENVIRONMENT)
@@ -354,7 +357,7 @@ def test_people_are_as_noisy_as_the_thesis_describes():
     trials = [
         Trial(
             subject=at_level(person.subjects[name[:2]], person.levels.get(name, 1.0)),
-            perturbation=Multisine.draw(seed=seed, rms=rms, duration=8.0 + MULTISINE_PERIOD),
+            perturbation=Multisine.draw(seed=seed, rms=rms, duration=8.0 + MULTISINE_PERIOD, crested=False),
             seed=seed + 1000 * round(10 * rms),
             noise=HUMAN_NOISE[name[:2]],
         )

@@ -60,11 +60,13 @@ def same(one, other):
     return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
+@pytest.mark.slow(reason="draws pictures")
 @pytest.mark.parametrize("name", NAMES)
 def test_gymnasiums_checker_has_nothing_to_say(name):
     check_env(made(name, width=64, height=48))
 
 
+@pytest.mark.slow(reason="three trials of a second")
 @pytest.mark.parametrize("name", NAMES)
 def test_observations_are_as_specified_and_live(name):
     env = made(name, duration=6.0, onset_window=(0.2, 0.4))
@@ -80,6 +82,7 @@ def test_observations_are_as_specified_and_live(name):
     assert np.array_equal(env.reset(seed=1)[0], kept)
 
 
+@pytest.mark.slow(reason="six trials of each task")
 @pytest.mark.parametrize("name", NAMES)
 def test_a_seed_gives_a_path_and_the_next_trial_is_another(name):
     env, other = made(name, **SHORT), made(name, **SHORT)
@@ -97,6 +100,7 @@ def digest():
     return hashlib.sha256(b"".join(np.ascontiguousarray(column).tobytes() for column in rows)).hexdigest()
 
 
+@pytest.mark.slow(reason="needs another process")
 def test_the_path_is_the_same_in_another_process():
     code = "import sys; sys.path.insert(0, 'tests/envs/learning'); import test_gym_env; print(test_gym_env.digest())"
     shown = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
@@ -120,6 +124,7 @@ def study_trials(task):
     ]
 
 
+@pytest.mark.slow(reason="whole trials of the study")
 @pytest.mark.parametrize("task", ["PT", "RT"])
 def test_own_parameters_reproduce_the_studys_trial_to_the_last_bit(task):
     trials = study_trials(task)
@@ -172,6 +177,7 @@ BREAKING = {
 }
 
 
+@pytest.mark.slow(reason="eighty decisions of four people, twice")
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_vector_environment_is_gymnasiums_own_to_the_last_bit(mode):
     n = 4
@@ -373,6 +379,7 @@ def test_constant_levels_make_the_person_of_those_levels():
         np.testing.assert_allclose(env.step(action)[4]["displacement"], sample, rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.slow(reason="waits until the arm is at rest")
 def test_torque_moves_the_hand_as_statics_say():
     env = made(**LINEAR, task="RT", reflexes=False, duration=20.0, highest_torque=0.2, **CALM)
     env.reset(seed=0)
@@ -403,6 +410,7 @@ def test_options_change_one_trial():
     assert np.flatnonzero(pushes[:, 1])[0] == 25
 
 
+@pytest.mark.slow(reason="lowers the peaks of eight multisines")
 def test_several_forces_are_drawn_from():
     settings = TaskSettings(rms=(1.0, 4.0), duration=1.0, onset_window=(0.1, 0.2))
     rng = np.random.default_rng(0)
@@ -613,6 +621,7 @@ def test_nothing_to_see_before_reset():
             envs.render()
 
 
+@pytest.mark.slow(reason="draws pictures")
 def test_pictures_show_the_handle_moving():
     env = made("ArmPerturb/Pulse-v0", render_mode="rgb_array", view="top", width=160, height=120, **SHORT)
     env.reset(seed=0)

@@ -13,6 +13,7 @@ LEVELS = np.array([[0.6, 1.3, 0.9], [1.5, 0.4, 0.0], [0.2, 1.1, 2.0]])
 """Of co-contraction, velocity and position feedback of the muscle groups."""
 
 
+@pytest.mark.slow(reason="whole trials in both tasks")
 @pytest.mark.parametrize("task", ["PT", "RT"])
 def test_an_agent_that_keeps_to_its_levels_is_this_subject(task):
     settings = {"task": task, "noise": False, "torque": False, "highest_level": 2.0, "activation_time": 0.0}
