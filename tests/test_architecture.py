@@ -11,9 +11,12 @@ import armperturb
 
 ROOT = Path(armperturb.__file__).parent
 
-BASE = {"arrays", "validation", "extras", "seeds", "files", "muscle_law", "subject", "environment", "recording"}
-ARM = BASE | {"analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics"}
-ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear", "plots"}
+BASE = {"arrays", "validation", "extras", "seeds", "files", "foreign", "recording"}
+BASE |= {"muscle_law", "subject", "environment"}
+ARM = BASE | {
+    "analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics", "analysis.results", "plots",
+}  # fmt: skip
+ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear"}
 LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
 STUDY = LAB | ANALYSIS | {"envs.lab", "archive", "workers", "study.protocol", "study.published"}
 ARROWS = {
@@ -25,7 +28,8 @@ ARROWS = {
     "muscle_law": {"validation"},
     "subject": {"validation", "muscle_law"},
     "environment": {"validation"},
-    "recording": {"files"},
+    "foreign": {"extras"},
+    "recording": {"files", "foreign"},
     "archive": {"files"},
     "workers": set(),
     "perturbations": BASE,
@@ -35,12 +39,13 @@ ARROWS = {
     "analysis.numerics": BASE,
     "analysis.arm": BASE,
     "analysis.force_balance": BASE,
+    "plots": BASE,
+    "analysis.results": BASE | {"plots"},
     "analysis.trials": ARM - {"analysis.trials"},
     "analysis.response": ARM,
     "analysis.measures": ARM,
     "analysis.fit": ARM | {"analysis.response", "analysis.measures"},
     "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "planar_arm"},
-    "plots": BASE | {"analysis.response", "analysis.nonlinear"},
     "cohort": ARM,
     "convert": ARM,
     "envs.lab": LAB,

@@ -18,7 +18,7 @@ from armperturb.analysis.trials import multisine_part
 from armperturb.arrays import Array
 from armperturb.perturbations import Pulse
 from armperturb.planar_arm.skeletal import simulate_skeletal
-from armperturb.plots.axes import legend
+from armperturb.plots.panels import legend
 from armperturb.plots.style import PALE, RECORDED, TRUE, in_style, new_figure
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures.bars import MODELS, PRINTED, printed_handle
