@@ -34,10 +34,10 @@ from pathlib import Path
 import numpy as np
 
 from armperturb.analysis.nonlinear.choice import compare_laws
-from armperturb.analysis.nonlinear.result import UNCERTAIN, NonlinearEstimate
 from armperturb.analysis.nonlinear.identify import identify_nonlinear
 from armperturb.analysis.nonlinear.model import coordinate, true_values
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
+from armperturb.analysis.nonlinear.result import UNCERTAIN, NonlinearEstimate
 from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import training_sets, trial_sets
 from armperturb.analysis.results import normal_quantile
