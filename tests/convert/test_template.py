@@ -10,6 +10,7 @@ from laboratory import MASS, N_TRIALS, RATE, as_text, handle, table
 from scipy.io import savemat
 from test_convert import in_matlab, truth, v73, write_c3d
 
+from armperturb import cli
 from armperturb.analysis.fit.identify import identify
 from armperturb.convert import import_recording, write_sidecar
 from armperturb.recording import REQUIRED_SIGNALS
@@ -176,6 +177,18 @@ def test_c3d_files(tmp_path):
     assert "displacement in mm move a mass of 3 kg" in written.notes[-1]
     recording = import_recording([tmp_path / "lab.c3d"], rate=200.0).recording
     assert np.abs(recording["displacement"].values[:, 100:-100] - truth("displacement", 1)[:, 100:-100]).max() < 1e-4
+
+
+def test_the_command_prints_the_guesses_and_the_sidecar(tmp_path, capsys):
+    path = tmp_path / "lab.csv"
+    path.write_text(as_text(table(duration=6.0)))
+    assert cli.main(["sidecar", str(path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == 'time.unit = "s": from the steps of the times'
+    assert lines[1].startswith('axes = {"x": "right", "y": "forward"}: where x and y point')
+    assert lines[-1] == f"sidecar: {tmp_path / 'lab.json'}"
+    assert cli.main(["sidecar", str(path)]) == 1
+    assert capsys.readouterr().err.startswith(f"armperturb: error: {tmp_path / 'lab.json'} exists; expected a new file")
 
 
 @pytest.mark.slow(reason="identifies a recording")
