@@ -321,7 +321,7 @@ def study(settings: Study) -> Path:
         record_study(what, settings.out, workers=settings.workers, dask=settings.dask, block=settings.block)
         return settings.out
     from armperturb.study.report.report import write_report
-    from armperturb.study.results.study_result import run_study
+    from armperturb.study.results.analyse import run_study
 
     result = run_study(
         what,
@@ -345,7 +345,7 @@ def report(settings: Report) -> Path:
     """
     # Here, so that the other commands start without the drawing library.
     from armperturb.study.report.report import write_report
-    from armperturb.study.results.study_result import analyse_study
+    from armperturb.study.results.analyse import analyse_study
 
     result = analyse_study(settings.folder, workers=settings.workers, nonlinear=settings.nonlinear)
     return write_report(result, settings.folder, workers=settings.workers)
@@ -631,7 +631,7 @@ def score(settings: Score) -> str:
     # Here, so that the other commands start without what a study needs.
     from armperturb.study.comparison.score import score as compare
     from armperturb.study.comparison.score import score_text, write_score
-    from armperturb.study.results.study_result import analyse_study
+    from armperturb.study.results.analyse import analyse_study
 
     result = compare(analyse_study(settings.folder, workers=settings.workers))
     write_score(result, settings.out or settings.folder / "score")

@@ -12,7 +12,7 @@ from typing import Any
 
 from armperturb.study.recording.record import StudySettings, record_study
 from armperturb.study.report.report import write_report
-from armperturb.study.results.study_result import analyse_study
+from armperturb.study.results.analyse import analyse_study
 
 
 def main() -> None:

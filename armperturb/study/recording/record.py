@@ -28,7 +28,7 @@ from armperturb.perturbations import Multisine
 from armperturb.recording import encode_recording, stack_trials
 from armperturb.study.protocol import FORCES, THESIS, Protocol, load_protocol
 from armperturb.study.recording.folder import StudyFolder, cannot_write, open_study
-from armperturb.study.recording.manifest import Manifest
+from armperturb.study.recording.manifest import TIMESTEP, Manifest
 from armperturb.study.recording.practice import practise
 from armperturb.validation import require_number
 from armperturb.workers import LOG, Workers, completed, ctrl_c_held_back, workers_for
@@ -51,6 +51,7 @@ class StudySettings:
       ideal: whether people and instruments are free of noise.
       forces: "practice" or "published", whatever the protocol says; None for what it says.
       muscles: "nonlinear" or "linear" people, see `armperturb.cohort.draw_person`.
+      timestep: of the simulation [s], > 0; recordings need a whole number of steps per sample of 5 ms.
 
     Raises:
       TypeError: a value is not a number.
@@ -63,10 +64,12 @@ class StudySettings:
     ideal: bool = False
     forces: str | None = None
     muscles: str = "nonlinear"
+    timestep: float = TIMESTEP
 
     def __post_init__(self) -> None:
         require_number("study", "subjects", self.subjects, at_least=1)
         require_number("study", "seed", self.seed, at_least=0)
+        require_number("study", "timestep", self.timestep, above=0.0)
         if self.forces is not None and self.forces not in FORCES:
             raise ValueError(f"study: forces = {self.forces!r}; expected one of {', '.join(FORCES)}")
         if self.muscles not in MUSCLES:
@@ -103,6 +106,7 @@ class _Unit:
     environment: Environment
     seed: int
     ideal: bool
+    timestep: float
     block: int
     n_threads: int
     staging: Path | None  # where to leave the files; None to send them back
@@ -111,7 +115,7 @@ class _Unit:
     @property
     def seconds(self) -> float:
         """Simulated time of all trials [s]."""
-        return len(self.people) * len(self.protocol.cells()) * self.protocol.trial_duration
+        return len(self.people) * len(self.protocol.planned_trials()) * self.protocol.trial_duration
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -162,14 +166,21 @@ def record_study(
     protocol, environment = settings.load_protocol(), Environment()
     people = settings.draw_people(environment)
     names = [person.name for person in people]
-    made = Manifest.of(people, protocol, seed=settings.seed, ideal=settings.ideal, muscles=settings.muscles)
+    made = Manifest.of(
+        people,
+        protocol,
+        seed=settings.seed,
+        ideal=settings.ideal,
+        muscles=settings.muscles,
+        timestep=settings.timestep,
+    )
     with open_study(out, made.to_dict()) as folder:
         done, damaged = folder.check(names)
         for path in damaged:
             LOG.warning("%s does not match its checksum: set aside, and its subject is done again", path)
         missing = [(number, person) for number, person in enumerate(people) if person.name not in set(done)]
         if missing:
-            n_trials = len(protocol.cells())
+            n_trials = len(protocol.planned_trials())
             with (
                 workers_for(worker_count(workers, len(missing)), dask) as crew,
                 _Progress(len(people) * n_trials, len(done) * n_trials, protocol.trial_duration, show_progress) as bar,
@@ -202,7 +213,7 @@ def _units(
     block: int,
 ) -> list[_Unit]:
     """Share the people out."""
-    n_groups = math.ceil(len(missing) / max(1, block // len(protocol.cells())))
+    n_groups = math.ceil(len(missing) / max(1, block // len(protocol.planned_trials())))
     if crew is not None:
         # People side by side gain some speed, but every worker has at least two turns, and all have as many: the last
         # ones would be waited for.
@@ -225,6 +236,7 @@ def _units(
             environment=environment,
             seed=settings.seed,
             ideal=settings.ideal,
+            timestep=settings.timestep,
             block=block,
             n_threads=0 if crew is None else crew.threads(number, len(groups)),
             staging=None if crew is not None and crew.remote else folder.staging.resolve(),
@@ -238,7 +250,7 @@ def _draw_multisines(protocol: Protocol, seed: int, crew: Workers | None) -> dic
     """`Protocol.draw_multisines`, shared out: some seconds' work that everybody's trials wait for."""
     if crew is None:
         return protocol.draw_multisines(seed)
-    numbers = [number for number, cell in enumerate(protocol.cells()) if cell.condition.has_multisine]
+    numbers = [number for number, planned in enumerate(protocol.planned_trials()) if planned.condition.has_multisine]
     drawn: dict[int, Multisine] = {}
     for some in completed(_draw_multisine, [(protocol, seed, number) for number in numbers], crew):
         drawn.update(some)
@@ -315,6 +327,7 @@ def _simulate(trials: Sequence[Trial], unit: _Unit, progress: Callable[[float], 
         run_experiment(
             trials[first : first + unit.block],
             unit.environment,
+            timestep=unit.timestep,
             strap=unit.protocol.strap,
             instruments=None if unit.ideal else Instruments(),
             n_threads=unit.n_threads,

@@ -23,7 +23,7 @@ from armperturb.cli import main
 from armperturb.recording import load_recording
 from armperturb.study.recording import record as runner
 from armperturb.study.recording.record import StudySettings, record_study
-from armperturb.study.results.study_result import run_study
+from armperturb.study.results.analyse import run_study
 
 PROTOCOL = """
 forces = "published"
