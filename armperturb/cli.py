@@ -13,13 +13,13 @@ import xarray as xr
 from tqdm import tqdm
 
 from armperturb.analysis.fit.export import write_identification
-from armperturb.analysis.fit.identify import Identification, identify_conditions
+from armperturb.analysis.fit.identify import Identifications, identify_conditions
 from armperturb.convert import export_recording, import_recording
 from armperturb.convert.exporter import require_ending
 from armperturb.convert.faults import Repair
 from armperturb.environment import Environment
 from armperturb.envs.render.gl import require_simulator
-from armperturb.perturbations import load_csv
+from armperturb.perturbations import load_perturbation
 from armperturb.recording import load_recording, save_recording
 from armperturb.subject import RELAX, TASKS, Subject
 from armperturb.validation import require_number
@@ -363,7 +363,7 @@ def simulate(settings: Simulate) -> xr.Dataset:
     from armperturb.envs.lab.instruments import Instruments
     from armperturb.envs.lab.trial import Trial
 
-    person, perturbation = Subject.load(settings.subject), load_csv(settings.perturbation)
+    person, perturbation = Subject.load(settings.subject), load_perturbation(settings.perturbation)
     if not settings.out.parent.is_dir():
         raise FileNotFoundError(f"{settings.out}: folder {settings.out.parent} does not exist; expected one that does")
     environment = Environment()
@@ -404,7 +404,7 @@ def convert(settings: Convert) -> tuple[tuple[str, ...], list[Path]]:
     return found.notes, paths
 
 
-def identify(settings: Identify) -> dict[str, Identification]:
+def identify(settings: Identify) -> Identifications:
     """Identify the arm from recordings, write the results and return them by condition.
 
     Raises:
@@ -449,9 +449,9 @@ def response(settings: Response) -> list[str]:
       OSError: a file cannot be read or written.
     """
     # Here, so that the other commands start without the drawing library.
-    from armperturb.analysis.response.best_linear import estimate_best_linear
+    from armperturb.analysis.response.best_linear import best_linear
     from armperturb.analysis.response.closed_loop import period_of
-    from armperturb.analysis.response.estimate import estimate_response
+    from armperturb.analysis.response.estimate import response as estimate
     from armperturb.commands.response import distortion_text, write_response
 
     periodic = settings.method in ("multisine", "spectral")
@@ -478,7 +478,7 @@ def response(settings: Response) -> list[str]:
             said.append(f"period: {options['period']:g} s")
         elif settings.period is not None:
             options |= {"period": settings.period}
-        found = estimate_response(recordings, settings.method, what=settings.what, **options)
+        found = estimate(recordings, settings.method, what=settings.what, **options)
     except ValueError as error:
         raise ValueError(f"{named}: {error}") from None
     if found.environment is not None:
@@ -491,7 +491,7 @@ def response(settings: Response) -> list[str]:
         said.append(f"no uncertainty: {settings.method} needs more trials for one")
     if settings.method == "multisine" and settings.what == "arm":
         try:
-            distortion = estimate_best_linear(recordings, **options)
+            distortion = best_linear(recordings, **options)
             said.append(distortion_text(distortion))
         except ValueError as error:
             said.append(f"nonlinear distortion: not told ({error})")
@@ -524,8 +524,7 @@ def identify_nonlinear(settings: Identify) -> list[str]:
     # Here, so that the other commands start without compiler and drawing library.
     from armperturb.analysis.nonlinear.identify import identify_nonlinear as search
     from armperturb.analysis.nonlinear.identify import told, write_nonlinear
-    from armperturb.plots.pulses import pulses_figure
-    from armperturb.plots.style import save_svg
+    from armperturb.plots.style import new_figure, save_svg
 
     for name in ("estimator", "share", "lines_per_average"):
         default = Identify.__dataclass_fields__[name].default
@@ -560,7 +559,9 @@ def identify_nonlinear(settings: Identify) -> list[str]:
             settings.out.rmdir()
         raise ValueError(f"{', '.join(map(str, settings.recordings))}: {error}") from None
     if found.pulses["nonlinear"]:
-        save_svg(pulses_figure(found.pulses), settings.out / "pulses.svg")
+        figure = new_figure(1.0)
+        found.plot(figure)
+        save_svg(figure, settings.out / "pulses.svg")
     write_nonlinear(found, settings.out)
     return told(found)
 
@@ -611,7 +612,7 @@ def design(settings: Design) -> str:
         DesignSettings(
             subject=Subject.load(settings.subject),
             limits=(force, displacement, duration),
-            proposed=None if settings.perturbation is None else load_csv(settings.perturbation),
+            proposed=None if settings.perturbation is None else load_perturbation(settings.perturbation),
             **what,
         )
     )
@@ -800,7 +801,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             for condition, result in identify(command).items():
                 fit, vaf = result.fit, result.vaf
-                print(f"{condition}: {fit.status}; VAF x {vaf[0]:.1f} %, y {vaf[1]:.1f} %")
+                print(f"{condition}: {fit.message}; VAF x {vaf[0]:.1f} %, y {vaf[1]:.1f} %")
                 for remark in fit.remarks:
                     print(f"{condition}: {remark}")
             print(f"results: {command.out}")

@@ -10,7 +10,6 @@ import pytest
 
 from armperturb.cohort import average_person
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.envs.lab import skeletal
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
@@ -149,10 +148,8 @@ FEW_FITS = AnalysisSettings(structures=("1",), starts_of=None)
 
 
 def coarse_study(settings, folder, analysis=FEW_FITS):
-    """A study simulated, and predicted by the skeletal model, at steps at which that takes seconds."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(skeletal, "STEP", 5e-3)
-        return run_study(replace(settings, timestep=2.5e-3), folder, analysis=analysis, show_progress=False)
+    """A study simulated at a step at which that takes seconds, and analysed."""
+    return run_study(replace(settings, timestep=2.5e-3), folder, analysis=analysis, show_progress=False)
 
 
 @pytest.fixture(scope="session")

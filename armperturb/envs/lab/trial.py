@@ -11,6 +11,7 @@ from armperturb.arrays import Array
 from armperturb.controllers.remnant import HumanNoise
 from armperturb.environment import Environment, Strap
 from armperturb.perturbations import Perturbation, Pulse
+from armperturb.perturbations.hold import held_over_steps
 from armperturb.subject import Subject
 from armperturb.validation import require_number
 
@@ -119,20 +120,5 @@ def require_integrable(subject: Subject, environment: Environment, strap: Strap 
 
 
 def held_force(perturbation: Perturbation, timestep: float, n_steps: int) -> Array:
-    """Force to hold over each step so that the handle feels the perturbation [N], (step, axis).
-
-    A held force acts on average at the middle of its step, and holding weakens it by sinc(f timestep); the second
-    difference restores that to fourth order.
-    """
-    middle = perturbation.sample(1.0 / timestep, n_steps + 2, -timestep / 2)
-    return middle[1:-1] - np.diff(middle, n=2, axis=0) / 24.0
-
-
-def random_stream(seed: int, purpose: str, *numbers: int) -> np.random.SeedSequence:
-    """A stream of random numbers of its own for each purpose: "order" of person 1 has nothing to do with "onset"."""
-    return np.random.SeedSequence(seed, spawn_key=(*purpose.encode(), *numbers))
-
-
-def trial_seed(seed: int, purpose: str, *numbers: int) -> int:
-    """A seed for `Trial.seed`: 63 bits, so that not even thousands of people share one."""
-    return int(random_stream(seed, purpose, *numbers).generate_state(1, np.uint64)[0] >> np.uint64(1))
+    """Force to hold over each step so that the handle feels the perturbation [N], (step, axis)."""
+    return held_over_steps(perturbation.sample(1.0 / timestep, n_steps + 2, -timestep / 2))

@@ -14,8 +14,9 @@ import numpy as np
 from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Strap
-from armperturb.envs.lab.trial import Trial, random_stream, trial_seed
+from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, draw_onset
+from armperturb.seeds import random_stream, trial_seed
 from armperturb.study.protocol.condition import PULSE_UNIT, Condition, PlannedTrial, numbers, require_different
 from armperturb.validation import require_number
 
