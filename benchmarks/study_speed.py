@@ -29,7 +29,8 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.models import JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, build_model
 from armperturb.study.protocol import THESIS
-from armperturb.study.recording.record import StudySettings, record_study
+from armperturb.study.recording.record import record_study
+from armperturb.study.recording.settings import StudySettings
 
 N_SUBJECTS, TIMESTEP, DECIMATION = 10, 1e-3, 5
 LOOP_TRIALS, LOOP_SECONDS = 6, 4.0

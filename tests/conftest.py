@@ -16,7 +16,7 @@ from armperturb.envs.lab.trial import Trial
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse
 from armperturb.study.experiments.mechanisms import why_people_yield
-from armperturb.study.recording.record import StudySettings
+from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.figures import rig as rig_figures
 from armperturb.study.report.report import write_report
 from armperturb.study.results.analyse import run_study

@@ -15,7 +15,7 @@ from armperturb.recording import load_recording, save_recording
 from armperturb.study.comparison.headlines import headlines
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.published import tables as published
-from armperturb.study.recording.record import StudySettings
+from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.tables import (
     condition_rows,
     correlation_rows,

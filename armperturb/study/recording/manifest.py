@@ -13,10 +13,8 @@ from armperturb.cohort import MUSCLES, Person, draw_cohort
 from armperturb.environment import Environment
 from armperturb.study.protocol import Protocol
 from armperturb.study.recording.folder import MANIFEST
+from armperturb.study.recording.settings import TIMESTEP
 from armperturb.validation import require_number
-
-TIMESTEP = 1e-3
-"""Of the simulation, unless a study says otherwise [s]."""
 
 MOST_SUBJECTS = 100_000
 """More people than this are a slip in a manifest: drawing them would take hours."""

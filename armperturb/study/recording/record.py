@@ -10,15 +10,14 @@ import math
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager, closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import joblib
 import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from armperturb.cohort import MUSCLES, Person, draw_cohort
+from armperturb.cohort import Person
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
@@ -26,73 +25,16 @@ from armperturb.envs.lab.trial import Trial
 from armperturb.files import write_durably
 from armperturb.perturbations import Multisine
 from armperturb.recording import encode_recording, stack_trials
-from armperturb.study.protocol import FORCES, THESIS, Protocol, load_protocol
+from armperturb.study.protocol import Protocol
 from armperturb.study.recording.folder import StudyFolder, cannot_write, open_study
-from armperturb.study.recording.manifest import TIMESTEP, Manifest
+from armperturb.study.recording.manifest import Manifest
 from armperturb.study.recording.practice import practise
+from armperturb.study.recording.settings import BLOCK, StudySettings
 from armperturb.validation import require_number
-from armperturb.workers import LOG, Workers, completed, ctrl_c_held_back, workers_for
-
-BLOCK = 96
-"""How many trials are simulated side by side unless told otherwise: more hardly gains speed, but takes memory."""
+from armperturb.workers import LOG, Workers, completed, cpu_count, ctrl_c_held_back, workers_for
 
 PROGRESS_INTERVAL = 0.2
-"""How often a worker tells how far it is [s]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class StudySettings:
-    """What determines a study.
-
-    Attributes:
-      subjects: number of people.
-      seed: of everything random.
-      protocol: file of what everyone goes through, see `armperturb.study.protocol`; the thesis's if None.
-      ideal: whether people and instruments are free of noise.
-      forces: "practice" or "published", whatever the protocol says; None for what it says.
-      muscles: "nonlinear" or "linear" people, see `armperturb.cohort.draw_person`.
-      timestep: of the simulation [s], > 0; recordings need a whole number of steps per sample of 5 ms.
-
-    Raises:
-      TypeError: a value is not a number.
-      ValueError: a value is out of its range.
-    """
-
-    subjects: int = 10
-    seed: int = 0
-    protocol: Path | None = None
-    ideal: bool = False
-    forces: str | None = None
-    muscles: str = "nonlinear"
-    timestep: float = TIMESTEP
-
-    def __post_init__(self) -> None:
-        require_number("study", "subjects", self.subjects, at_least=1)
-        require_number("study", "seed", self.seed, at_least=0)
-        require_number("study", "timestep", self.timestep, above=0.0)
-        if self.forces is not None and self.forces not in FORCES:
-            raise ValueError(f"study: forces = {self.forces!r}; expected one of {', '.join(FORCES)}")
-        if self.muscles not in MUSCLES:
-            raise ValueError(f"study: muscles = {self.muscles!r}; expected one of {', '.join(MUSCLES)}")
-
-    def load_protocol(self) -> Protocol:
-        """The protocol that they name, with their `forces`.
-
-        Raises:
-          TypeError: a value in the file has the wrong type.
-          ValueError: the file is refused.
-          OSError: the file cannot be read.
-        """
-        protocol = THESIS if self.protocol is None else load_protocol(self.protocol)
-        return protocol if self.forces is None else replace(protocol, forces=self.forces)
-
-    def draw_people(self, environment: Environment) -> tuple[Person, ...]:
-        """The people that they name, each stable on the environment.
-
-        Raises:
-          RuntimeError: no stable person was found, which only an odd environment can cause.
-        """
-        return draw_cohort(self.subjects, self.seed, environment, muscles=self.muscles)
+"""Time between two reports of a worker's progress [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,7 +52,7 @@ class _Unit:
     block: int
     n_threads: int
     staging: Path | None  # where to leave the files; None to send them back
-    progress: Path | None  # where to tell the simulated seconds, as the double at place `number`
+    progress: Path | None  # file of the simulated seconds, those of this unit being the double at place `number`
 
     @property
     def seconds(self) -> float:
@@ -182,11 +124,11 @@ def record_study(
         if missing:
             n_trials = len(protocol.planned_trials())
             with (
-                workers_for(worker_count(workers, len(missing)), dask) as crew,
+                workers_for(worker_count(workers, len(missing)), dask) as pool,
                 _Progress(len(people) * n_trials, len(done) * n_trials, protocol.trial_duration, show_progress) as bar,
             ):
-                units = _units(missing, settings, protocol, environment, folder, crew, block)
-                with closing(_work(units, crew, bar)) as finished:
+                units = _units(missing, settings, protocol, environment, folder, pool, block)
+                with closing(_work(units, pool, bar)) as finished:
                     for file in finished:
                         content = file.content
                         staged = content if isinstance(content, Path) else _stage(content, folder.staging, file.name)
@@ -197,7 +139,7 @@ def record_study(
 def worker_count(workers: int | None, n_subjects: int) -> int:
     """Number of processes, None standing for about one per core: no more than there is work for."""
     if workers is None:
-        cores = joblib.cpu_count()
+        cores = cpu_count()
         # One process in four more than cores costs little, and is worth it if then none is idle in the last round.
         workers = next((count for count in range(cores, cores + cores // 4 + 1) if n_subjects % count == 0), cores)
     return min(workers, n_subjects)
@@ -209,22 +151,21 @@ def _units(
     protocol: Protocol,
     environment: Environment,
     folder: StudyFolder,
-    crew: Workers | None,
+    pool: Workers | None,
     block: int,
 ) -> list[_Unit]:
     """Share the people out."""
     n_groups = math.ceil(len(missing) / max(1, block // len(protocol.planned_trials())))
-    if crew is not None:
-        # People side by side gain some speed, but every worker has at least two turns, and all have as many: the last
-        # ones would be waited for.
-        count = crew.at_once() // 2
+    if pool is not None:
+        # Balance the load: at least two batches per worker, equal counts, so that no worker idles at the end.
+        count = pool.at_once() // 2
         n_groups = min(max(2, math.ceil(n_groups / count)) * count, len(missing))
     size, n_larger = divmod(len(missing), n_groups)
     starts = [size * number + min(number, n_larger) for number in range(n_groups + 1)]
     groups = [tuple(missing[first:last]) for first, last in itertools.pairwise(starts)]
-    multisines = _draw_multisines(protocol, settings.seed, crew)
+    multisines = _draw_multisines(protocol, settings.seed, pool)
     progress = None
-    if crew is not None and not crew.remote:
+    if pool is not None and not pool.remote:
         progress = folder.staging / "progress"
         progress.write_bytes(bytes(8 * len(groups)))
     return [
@@ -238,21 +179,21 @@ def _units(
             ideal=settings.ideal,
             timestep=settings.timestep,
             block=block,
-            n_threads=0 if crew is None else crew.threads(number, len(groups)),
-            staging=None if crew is not None and crew.remote else folder.staging.resolve(),
+            n_threads=0 if pool is None else pool.threads(number, len(groups)),
+            staging=None if pool is not None and pool.remote else folder.staging.resolve(),
             progress=progress,
         )
         for number, group in enumerate(groups)
     ]
 
 
-def _draw_multisines(protocol: Protocol, seed: int, crew: Workers | None) -> dict[int, Multisine]:
+def _draw_multisines(protocol: Protocol, seed: int, pool: Workers | None) -> dict[int, Multisine]:
     """`Protocol.draw_multisines`, shared out: some seconds' work that everybody's trials wait for."""
-    if crew is None:
+    if pool is None:
         return protocol.draw_multisines(seed)
     numbers = [number for number, planned in enumerate(protocol.planned_trials()) if planned.condition.has_multisine]
     drawn: dict[int, Multisine] = {}
-    for some in completed(_draw_multisine, [(protocol, seed, number) for number in numbers], crew):
+    for some in completed(_draw_multisine, [(protocol, seed, number) for number in numbers], pool):
         drawn.update(some)
     return drawn
 
@@ -262,24 +203,24 @@ def _draw_multisine(unit: tuple[Protocol, int, int]) -> dict[int, Multisine]:
     return protocol.draw_multisines(seed, [number])
 
 
-def _work(units: Sequence[_Unit], crew: Workers | None, bar: "_Progress") -> Generator[_Finished]:
+def _work(units: Sequence[_Unit], pool: Workers | None, bar: "_Progress") -> Generator[_Finished]:
     """Do the units and give each subject's file as it comes."""
-    if crew is None:
+    if pool is None:
         for unit in units:
             yield from _do(unit, bar.add)
         return
     seconds = np.array([unit.seconds for unit in units])
     finished = np.zeros(len(units), bool)
-    told = units[0].progress
+    progress_file = units[0].progress
 
-    def look() -> None:
-        running = np.zeros(len(units)) if told is None else np.fromfile(told)
+    def poll() -> None:
+        running = np.zeros(len(units)) if progress_file is None else np.fromfile(progress_file)
         bar.reach(float(np.where(finished, seconds, running).sum()))
 
-    with closing(completed(_do_numbered, units, crew, look)) as results:
+    with closing(completed(_do_numbered, units, pool, poll)) as results:
         for number, files in results:
             finished[number] = True
-            look()
+            poll()
             yield from files
 
 
@@ -287,18 +228,18 @@ def _do_numbered(unit: _Unit) -> tuple[int, list[_Finished]]:
     """What a worker process does."""
     if unit.progress is None:
         return unit.number, _do(unit, None)
-    with unit.progress.open("r+b", buffering=0) as told:
+    with unit.progress.open("r+b", buffering=0) as progress_file:
         done, next_time = 0.0, 0.0
 
-        def tell(seconds: float) -> None:
+        def report_progress(seconds: float) -> None:
             nonlocal done, next_time
             done += seconds
             if (now := time.monotonic()) >= next_time:
-                told.seek(8 * unit.number)
-                told.write(np.float64(done).tobytes())
+                progress_file.seek(8 * unit.number)
+                progress_file.write(np.float64(done).tobytes())
                 next_time = now + PROGRESS_INTERVAL
 
-        return unit.number, _do(unit, tell)
+        return unit.number, _do(unit, report_progress)
 
 
 def _do(unit: _Unit, progress: Callable[[float], object] | None) -> list[_Finished]:
@@ -307,9 +248,9 @@ def _do(unit: _Unit, progress: Callable[[float], object] | None) -> list[_Finish
     forces = practise(people, unit.protocol, unit.seed, unit.environment, unit.n_threads)
     trials = [
         trial
-        for (number, person), own in zip(unit.people, forces, strict=True)
+        for (number, person), of_person in zip(unit.people, forces, strict=True)
         for trial in unit.protocol.trials(
-            person, own, unit.seed, number, noisy=not unit.ideal, multisines=unit.multisines
+            person, of_person, unit.seed, number, noisy=not unit.ideal, multisines=unit.multisines
         )
     ]
     recording = _simulate(trials, unit, progress)

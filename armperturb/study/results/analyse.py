@@ -15,7 +15,8 @@ from armperturb.recording import load_recording
 from armperturb.study.protocol import THESIS, Protocol
 from armperturb.study.recording.folder import RECORDINGS, digest, find_recordings
 from armperturb.study.recording.manifest import Manifest, current_versions, read_manifest
-from armperturb.study.recording.record import BLOCK, StudySettings, record_study, worker_count
+from armperturb.study.recording.record import record_study, worker_count
+from armperturb.study.recording.settings import BLOCK, StudySettings
 from armperturb.study.results.appendix_fits import Appendices, Key, SecondStep, fit_second_step, joined, means_of
 from armperturb.study.results.cache import ANALYSIS, CachedResult, StaleResult
 from armperturb.study.results.cases import Case

@@ -14,7 +14,7 @@ from markupsafe import escape
 from armperturb.plots.style import COLOURS, TRUE, save_svg, shades
 from armperturb.study.comparison.effects import effects
 from armperturb.study.protocol import THESIS, Condition, Protocol
-from armperturb.study.recording.record import StudySettings
+from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.figures import fit as fit_figures
 from armperturb.study.report.figures import parameters as parameter_figures
 from armperturb.study.report.figures import perturbation as perturbation_figures

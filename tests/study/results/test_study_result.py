@@ -18,7 +18,8 @@ from armperturb.cli import main
 from armperturb.recording import load_recording, save_recording
 from armperturb.study.comparison.score import score, share
 from armperturb.study.protocol import THESIS
-from armperturb.study.recording.record import StudySettings, record_study
+from armperturb.study.recording.record import record_study
+from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report import report
 from armperturb.study.results import analyse, person
 from armperturb.study.results.analyse import analyse_study
