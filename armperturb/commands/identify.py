@@ -114,9 +114,10 @@ class Identify(Command):
 
     def _identify_nonlinear(self, recording: xr.Dataset) -> list[str]:
         with naming_the_extra("identify --model nonlinear"):
-            from armperturb.analysis.nonlinear.identify import identify_nonlinear, told, write_nonlinear
+            from armperturb.analysis.nonlinear.export import write_nonlinear
+            from armperturb.analysis.nonlinear.identify import identify_nonlinear
             from armperturb.workers import cpu_count
-        from armperturb.plots.style import new_figure, save_svg
+        from armperturb.plots.style import save_plot
 
         if self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
@@ -139,11 +140,9 @@ class Identify(Command):
                 self.out.rmdir()
             raise
         if result.pulses["nonlinear"]:
-            figure = new_figure(1.0)
-            result.plot(figure)
-            save_svg(figure, self.out / "pulses.svg")
+            save_plot(result, self.out / "pulses.svg")
         write_nonlinear(result, self.out)
-        return told(result)
+        return result.summary().splitlines()
 
     @contextmanager
     def _naming_the_files(self) -> Iterator[None]:

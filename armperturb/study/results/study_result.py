@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+<<<<<<< HEAD
 
 from armperturb.cohort import Person
 from armperturb.environment import Environment
@@ -13,10 +14,67 @@ from armperturb.study.results.appendix_fits import Appendices
 from armperturb.study.results.cases import Case
 from armperturb.study.results.nonlinear_fits import NonlinearFit
 from armperturb.study.results.trial_measures import PersonMeasures
+=======
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
+
+import numpy as np
+from tqdm import tqdm
+
+from armperturb.analysis import results
+from armperturb.archive import code_digest, keep, read_archive
+from armperturb.cohort import Person
+from armperturb.environment import Environment
+from armperturb.recording import load_recording
+from armperturb.study.protocol import THESIS, Condition, Protocol
+from armperturb.study.recording.folder import RECORDINGS, digest, find_recordings
+from armperturb.study.recording.manifest import Manifest, current_versions, read_manifest
+from armperturb.study.recording.record import BLOCK, StudySettings, record_study, worker_count
+from armperturb.study.results.appendix_fits import (
+    Appendices,
+    Fits,
+    Key,
+    SecondStep,
+    fit_person,
+    fit_second_step,
+    joined,
+    means_of,
+)
+from armperturb.study.results.cases import Case, identify_person
+from armperturb.study.results.nonlinear_fits import NonlinearFit, fit_nonlinear
+from armperturb.study.results.trial_measures import PersonMeasures, measure_person
+from armperturb.subject import TASKS
+from armperturb.validation import require_number
+from armperturb.workers import Workers, completed, workers_for
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+ANALYSIS = "analysis"
+
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StudyResult:
+class PersonResults(NamedTuple):
+    """What one person's recording tells.
+
+    Attributes:
+      cases: the person in each condition that has a multisine.
+      measures: what the thesis reports of a person.
+      fits: of appendices C to E, but for step 2 of C.
+      missing: what the protocol has and the recording lacks, one line each.
+    """
+
+    cases: tuple[Case, ...]
+    measures: PersonMeasures
+    fits: Fits
+    missing: tuple[str, ...]
+>>>>>>> main
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class StudyResult(results.Result):
     """An analysed study.
 
     Attributes:
@@ -44,6 +102,48 @@ class StudyResult:
     nonlinear: tuple[NonlinearFit, ...] = ()
     missing: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+
+    def describe(self) -> results.Description:
+        """Who was recorded, and in each condition who was identified and how well the arms predict."""
+        rows = []
+        for condition in self.conditions:
+            cases = self.of(condition.name)
+            vaf = np.mean([case.identified.vaf for case in cases], axis=0)
+            trials = sum(case.identified.n_trials for case in cases)
+            model = "/".join(dict.fromkeys(case.identified.fit.structure for case in cases))
+            rows.append((condition.name, str(len(cases)), str(trials), model, f"{vaf[0]:.1f}", f"{vaf[1]:.1f}"))
+        n, nonlinear = len(self.names), sum(not fit.failed for fit in self.nonlinear)
+        return results.Description(
+            title=f"Study of {n} {'person' if n == 1 else 'people'} in {len(self.conditions)} conditions",
+            facts=(f"{nonlinear} nonlinear fits",) if self.nonlinear else (),
+            table=results.Table(("condition", "people", "trials", "model", "VAF x [%]", "VAF y [%]"), tuple(rows)),
+            remarks=(*self.missing, *self.remarks),
+        )
+
+    def to_frame(self) -> "pd.DataFrame":
+        """One row per person, condition and parameter: `subject`, and the columns of `results.PARAMETER_COLUMNS`."""
+        import pandas as pd
+
+        parts = [
+            case.identified.to_frame().assign(subject=case.name)
+            for condition in self.conditions
+            for case in self.of(condition.name)
+        ]
+        return pd.concat(parts, ignore_index=True)[["subject", *results.PARAMETER_COLUMNS]]
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw the mean admittance over people in each condition, with one SD over people to either side.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (output, input, 2): gain and phase of each element.
+        """
+        from armperturb.plots.bands import plot_responses
+        from armperturb.study.results.mean_admittance import mean_curves
+
+        return plot_responses(mean_curves(self), "SD over people", figure)
 
     @property
     def n_people(self) -> int:
