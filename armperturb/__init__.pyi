@@ -44,10 +44,10 @@ from .study.planning.plan import design as design
 from .study.protocol import Condition as Condition
 from .study.protocol import Protocol as Protocol
 from .study.protocol import load_protocol as load_protocol
-from .study.recording.record import StudySettings as StudySettings
+from .study.recording.settings import StudySettings as StudySettings
 from .study.report.report import write_report as write_report
-from .study.results.study_result import analyse_study as analyse_study
-from .study.results.study_result import run_study as run_study
+from .study.results.analyse import analyse_study as analyse_study
+from .study.results.analyse import run_study as run_study
 from .study.validation.validate import ValidateSettings as ValidateSettings
 from .study.validation.validate import validate as validate
 from .subject import POSITION as POSITION
