@@ -4,8 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-<<<<<<< HEAD
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from armperturb.analysis import results
 from armperturb.cohort import Person
 from armperturb.environment import Environment
 from armperturb.study.protocol import Condition, Protocol
@@ -14,63 +17,10 @@ from armperturb.study.results.appendix_fits import Appendices
 from armperturb.study.results.cases import Case
 from armperturb.study.results.nonlinear_fits import NonlinearFit
 from armperturb.study.results.trial_measures import PersonMeasures
-=======
-from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
-
-import numpy as np
-from tqdm import tqdm
-
-from armperturb.analysis import results
-from armperturb.archive import code_digest, keep, read_archive
-from armperturb.cohort import Person
-from armperturb.environment import Environment
-from armperturb.recording import load_recording
-from armperturb.study.protocol import THESIS, Condition, Protocol
-from armperturb.study.recording.folder import RECORDINGS, digest, find_recordings
-from armperturb.study.recording.manifest import Manifest, current_versions, read_manifest
-from armperturb.study.recording.record import BLOCK, StudySettings, record_study, worker_count
-from armperturb.study.results.appendix_fits import (
-    Appendices,
-    Fits,
-    Key,
-    SecondStep,
-    fit_person,
-    fit_second_step,
-    joined,
-    means_of,
-)
-from armperturb.study.results.cases import Case, identify_person
-from armperturb.study.results.nonlinear_fits import NonlinearFit, fit_nonlinear
-from armperturb.study.results.trial_measures import PersonMeasures, measure_person
-from armperturb.subject import TASKS
-from armperturb.validation import require_number
-from armperturb.workers import Workers, completed, workers_for
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-ANALYSIS = "analysis"
-
-Unit = TypeVar("Unit")
-Result = TypeVar("Result")
-
-
-class PersonResults(NamedTuple):
-    """What one person's recording tells.
-
-    Attributes:
-      cases: the person in each condition that has a multisine.
-      measures: what the thesis reports of a person.
-      fits: of appendices C to E, but for step 2 of C.
-      missing: what the protocol has and the recording lacks, one line each.
-    """
-
-    cases: tuple[Case, ...]
-    measures: PersonMeasures
-    fits: Fits
-    missing: tuple[str, ...]
->>>>>>> main
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

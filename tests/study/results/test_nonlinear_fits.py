@@ -214,13 +214,8 @@ def test_what_cannot_be_fitted_is_told(yielding, monkeypatch):
 
     monkeypatch.setattr(nonlinear_estimate, "fit", fit)
     found = fit_nonlinear(yielding, "RT", [case_of(True, True)], (20.0,))
-<<<<<<< HEAD
-    assert found == NonlinearFit("relax", "RT", (20.0,), failed="start: the arm is unstable")
-    assert found.label == "RT, pulses at 20\u00b0 fitted too"
-=======
     assert found == NonlinearFit("relax", "RT", (20.0,), failed="initial: the arm is unstable")
-    assert found.told == "RT, pulses at 20\u00b0 fitted too"
->>>>>>> main
+    assert found.label == "RT, pulses at 20\u00b0 fitted too"
     assert found.others_deg == ()
 
 
