@@ -16,6 +16,7 @@ from .controllers.remnant import HUMAN_NOISE as HUMAN_NOISE
 from .controllers.remnant import HumanNoise as HumanNoise
 from .convert import export_recording as export_recording
 from .convert import import_recording as import_recording
+from .convert import write_sidecar as write_sidecar
 from .environment import Environment as Environment
 from .environment import Strap as Strap
 from .envs.lab.experiment import run_experiment as run_experiment
@@ -45,8 +46,8 @@ from .study.protocol import Protocol as Protocol
 from .study.protocol import load_protocol as load_protocol
 from .study.recording.settings import StudySettings as StudySettings
 from .study.report.report import write_report as write_report
-from .study.results.study_result import analyse_study as analyse_study
-from .study.results.study_result import run_study as run_study
+from .study.results.analyse import analyse_study as analyse_study
+from .study.results.analyse import run_study as run_study
 from .study.validation.settings import ValidateSettings as ValidateSettings
 from .study.validation.validate import validate as validate
 from .subject import POSITION as POSITION
