@@ -163,7 +163,7 @@ class Multisine:
         period_samples = rate * PERIOD_SAMPLES / DESIGN_RATE
         if period_samples.is_integer() and period_samples > 2 * self.lines[-1]:
             return self._tile(int(period_samples), n_samples, start)
-        return self._sum(times)
+        return self.sum_at(times)
 
     def _tile(self, period_samples: int, n_samples: int, start: float) -> np.ndarray:
         """`periodic` by one inverse Fourier transform, for rates with a whole number of samples per period."""
@@ -173,7 +173,7 @@ class Multisine:
         period = irfft(spectrum, period_samples, norm="forward").T / 2.0
         return np.resize(period, (n_samples, 2))
 
-    def _sum(self, times: np.ndarray) -> np.ndarray:
+    def sum_at(self, times: np.ndarray) -> np.ndarray:
         """`periodic` by adding the sinusoids, for any times (time,)."""
         phasors = self.amplitudes * np.exp(1j * self.phases)
         force = np.empty((len(times), 2))

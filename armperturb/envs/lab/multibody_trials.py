@@ -59,7 +59,7 @@ def simulate_multibody(
     """What MuJoCo's arms do.
 
     Args:
-      trials: what happens to them.
+      trials: perturbation, noise and seed of each.
       subjects: the person as it is in each trial.
       setup: what the trials share.
       n_threads: of the simulation.

@@ -29,7 +29,7 @@ DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQ
 
 
 @functools.cache
-def _warning_handler() -> tuple[ctypes.c_void_p, int | None]:
+def warning_handler() -> tuple[ctypes.c_void_p, int | None]:
     """Where MuJoCo keeps its handler, and the address of one that does nothing."""
     library = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
     handler = ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mju_user_warning")
@@ -43,7 +43,7 @@ def silent_simulator() -> Iterator[None]:
     The batch calls its threads' handler without Python, so it must be a C function: any that takes a text and does
     nothing with it.
     """
-    handler, nothing = _warning_handler()
+    handler, nothing = warning_handler()
     with _SILENCE:
         if not _SILENT:
             _SILENT.append(handler.value)

@@ -75,7 +75,7 @@ def choose_backend() -> str:
       RuntimeError: nothing draws here; the message names what to install, and MUJOCO_GL stays unset.
     """
     if not _requested() and not has_display():
-        os.environ["MUJOCO_GL"] = _headless()
+        os.environ["MUJOCO_GL"] = headless_backend()
     return _requested()
 
 
@@ -125,7 +125,7 @@ def new_context(width: int, height: int) -> Any:
 
 
 @functools.cache
-def _headless() -> str:
+def headless_backend() -> str:
     """The first of `PACKAGES` that gives a context.
 
     Raises:
