@@ -27,7 +27,7 @@ REDUCED_BAND = (1.8, 40.0)
 """Band of reduced power [Hz]; its four extra clusters stay below 7 Hz."""
 
 REDUCED_RATIO = {"amplitude": 0.15, "power": math.sqrt(0.15)}
-"""Amplitude of the reduced band over that of the full band [-]: "15 %" is said of the amplitude in the text of
+"""Amplitude of the reduced band over that of the full band [-]: "15 %" refers to the amplitude in the text of
 thesis 2.4 and of the power in the caption of its fig. 2.5. Power is the default: only 15 % of power, an amplitude
 ratio of 0.387, gives the published ratios of joint velocity to joint rotation."""
 

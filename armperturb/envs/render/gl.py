@@ -66,7 +66,7 @@ def require_simulator() -> None:
 
 
 def choose_backend() -> str:
-    """Settle MUJOCO_GL for this process and those that it starts, where nobody has and there is no display.
+    """Set MUJOCO_GL for this process and its children, where the user has not and there is no display.
 
     Returns:
       MUJOCO_GL as it is then, in small letters; empty where a window library draws.
@@ -80,7 +80,7 @@ def choose_backend() -> str:
 
 
 def close_at_exit(owner: Closeable) -> None:
-    """Close what holds a context before the interpreter exits, if nobody does earlier.
+    """Close what holds a context before the interpreter exits, unless it is closed earlier.
 
     Once the OpenGL library is gone, a context that is freed prints errors.
     """

@@ -176,6 +176,7 @@ def test_stability_is_asked_of_the_arm_on_its_strap():
     assert farthest(late) < 1e-3 * farthest(recording["displacement"])
 
 
+@pytest.mark.slow(reason="pulses on four straps for each of six cases")
 @pytest.mark.parametrize("subject", [POSITION, RELAX, YIELDING], ids=lambda subject: subject.name)
 @pytest.mark.parametrize("rope", models.ROPES)
 def test_a_very_stiff_strap_is_a_fixed_shoulder(subject, rope):
