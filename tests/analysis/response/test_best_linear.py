@@ -129,7 +129,7 @@ def test_results_read_as_tables():
         assert len(repr(result).splitlines()) <= LINES
         assert result.describe().title in result.summary()
         assert result._repr_html_().count("<tr>") == len(found.response.frequency) + 1
-    assert f"p = {found.p_value:.2g} if the arm is linear" in repr(found)
+    assert f"p = {found.p_value:.2g} if the arm is linear" in found.summary()
     assert "2 trials" in repr(found)
     data, response = found.to_xarray(), found.response
     assert data["response"].dims == ("frequency", "output", "input")
