@@ -1,8 +1,10 @@
-"""What mkdocs puts into pages that it builds: the command reference, from the dataclasses that parse the commands."""
+"""What mkdocs adds to the pages: the command reference, and equations as MathML, which browsers draw by themselves."""
 
 import ast
 import functools
+import html
 import inspect
+import re
 import types
 from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
@@ -15,6 +17,12 @@ from armperturb import cli
 
 PLACE = "<!-- commands -->"
 """Where the reference stands in `commands.md`."""
+
+
+EQUATION = re.compile(
+    r'<(?P<tag>span|div) class="arithmatex">\\[(\[](?P<latex>.*?)\\[)\]]</(?P=tag)>', re.DOTALL
+)
+"""An equation as `pymdownx.arithmatex` leaves it."""
 
 
 class Argument(NamedTuple):
@@ -36,6 +44,18 @@ class Argument(NamedTuple):
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Called by mkdocs for each page; gives the markdown that is rendered."""
     return markdown.replace(PLACE, reference()) if page.file.src_uri == "commands.md" else markdown
+
+
+def on_page_content(content: str, **_: Any) -> str:
+    """Called by mkdocs for each rendered page; turns equations from LaTeX into MathML."""
+    return EQUATION.sub(_mathml, content)
+
+
+def _mathml(equation: re.Match[str]) -> str:
+    from latex2mathml.converter import convert  # only where pages are built
+
+    display = "block" if equation["tag"] == "div" else "inline"
+    return convert(html.unescape(equation["latex"].strip()), display=display)
 
 
 def reference() -> str:
