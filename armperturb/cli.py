@@ -19,7 +19,7 @@ from armperturb.convert.exporter import require_ending
 from armperturb.convert.faults import Repair
 from armperturb.environment import Environment
 from armperturb.envs.render.gl import require_simulator
-from armperturb.perturbations import load_csv
+from armperturb.perturbations import load_perturbation
 from armperturb.recording import load_recording, save_recording
 from armperturb.subject import RELAX, TASKS, Subject
 from armperturb.validation import require_number
@@ -363,7 +363,7 @@ def simulate(settings: Simulate) -> xr.Dataset:
     from armperturb.envs.lab.instruments import Instruments
     from armperturb.envs.lab.trial import Trial
 
-    person, perturbation = Subject.load(settings.subject), load_csv(settings.perturbation)
+    person, perturbation = Subject.load(settings.subject), load_perturbation(settings.perturbation)
     if not settings.out.parent.is_dir():
         raise FileNotFoundError(f"{settings.out}: folder {settings.out.parent} does not exist; expected one that does")
     environment = Environment()
@@ -449,9 +449,9 @@ def response(settings: Response) -> list[str]:
       OSError: a file cannot be read or written.
     """
     # Here, so that the other commands start without the drawing library.
-    from armperturb.analysis.response.best_linear import estimate_best_linear
+    from armperturb.analysis.response.best_linear import best_linear
     from armperturb.analysis.response.closed_loop import period_of
-    from armperturb.analysis.response.estimate import estimate_response
+    from armperturb.analysis.response.estimate import response as estimate
     from armperturb.commands.response import distortion_text, write_response
 
     periodic = settings.method in ("multisine", "spectral")
@@ -478,7 +478,7 @@ def response(settings: Response) -> list[str]:
             said.append(f"period: {options['period']:g} s")
         elif settings.period is not None:
             options |= {"period": settings.period}
-        found = estimate_response(recordings, settings.method, what=settings.what, **options)
+        found = estimate(recordings, settings.method, what=settings.what, **options)
     except ValueError as error:
         raise ValueError(f"{named}: {error}") from None
     if found.environment is not None:
@@ -491,7 +491,7 @@ def response(settings: Response) -> list[str]:
         said.append(f"no uncertainty: {settings.method} needs more trials for one")
     if settings.method == "multisine" and settings.what == "arm":
         try:
-            distortion = estimate_best_linear(recordings, **options)
+            distortion = best_linear(recordings, **options)
             said.append(distortion_text(distortion))
         except ValueError as error:
             said.append(f"nonlinear distortion: not told ({error})")
@@ -611,7 +611,7 @@ def design(settings: Design) -> str:
         DesignSettings(
             subject=Subject.load(settings.subject),
             limits=(force, displacement, duration),
-            proposed=None if settings.perturbation is None else load_csv(settings.perturbation),
+            proposed=None if settings.perturbation is None else load_perturbation(settings.perturbation),
             **what,
         )
     )

@@ -12,6 +12,7 @@ import numpy as np
 
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.environment import Environment
+from armperturb.seeds import random_stream
 from armperturb.subject import HUMERUS_MASS_SHARE, POSITION, PRESETS, RELAX, TASKS, Subject, at_level
 from armperturb.validation import require_number
 
@@ -143,7 +144,7 @@ class Person:
             require_number("Person", f"levels[{condition!r}]", level, above=0.0)
 
 
-def draw(
+def draw_subject(
     preset: str, seed: int | np.random.Generator, *, name: str | None = None, environment: Environment | None = None
 ) -> Subject:
     """A person drawn around a preset, each parameter from a normal distribution with the published mean and SD.
@@ -208,7 +209,7 @@ def draw_person(
     Segment lengths and masses are the fractions of height and body mass in Winter (2009), posture has the published
     mean and SD. Nonlinear muscles are drawn around the calibrated average person: each parameter times a factor of its
     own and one that all share, both log-normal; so are the levels of co-contraction. Linear muscles, reflexes and grip
-    are drawn as `draw` does, on this body; what has no published spread (grip, delay and cut-off in PT) is the
+    are drawn as `draw_subject` does, on this body; what has no published spread (grip, delay and cut-off in PT) is the
     preset's.
 
     Args:
@@ -232,7 +233,7 @@ def draw_person(
     environment = environment or Environment()
     body_rng, *task_rngs, level_rng = (
         # A stream of its own for each purpose: the draws of one task do not move those of the other.
-        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(*b"cohort", number, stream)))
+        np.random.default_rng(random_stream(seed, "cohort", number, stream))
         for stream in range(2 + len(PRESETS))
     )
     height = _ordinary(body_rng, *HEIGHT)

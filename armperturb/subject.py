@@ -293,4 +293,4 @@ POSITION = Subject(
 """The mean position-task arm of the thesis, reflexes included (table E.3, start vartheta_i5)."""
 
 PRESETS = {"relax": RELAX, "position": POSITION}
-"""The thesis's mean arms by name; `armperturb.cohort.draw` draws people around them."""
+"""The thesis's mean arms by name; `armperturb.cohort.draw_subject` draws people around them."""

@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.fit.maximum_likelihood import Group, estimate
 from armperturb.analysis.fit.structures import at_truth, body_of
-from armperturb.cohort import draw
+from armperturb.cohort import draw_subject
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
-from armperturb.envs.lab.trial import Trial, trial_seed
+from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine, Perturbation
+from armperturb.seeds import trial_seed
 from armperturb.study.planning.plan import Design, DesignSettings, NoiseLaw, design, experiment_at
 from armperturb.study.validation.validate import ValidateSettings
 from armperturb.subject import POSITION, RELAX
@@ -45,7 +46,7 @@ CASES = {
         subject=POSITION, goal="reflex", limits=(5.4, 7.5e-3, 32.0), trials=TRIALS, noise="follows"
     ),
     "a person of the PT cohort, reflexes": DesignSettings(
-        subject=draw("position", 3), goal="reflex", limits=(5.4, 7.5e-3, 32.0), trials=TRIALS
+        subject=draw_subject("position", 3), goal="reflex", limits=(5.4, 7.5e-3, 32.0), trials=TRIALS
     ),
     "PT7.5, stiffness, damping": DesignSettings(
         subject=POSITION, goal="intrinsic", limits=(5.4, 7.5e-3, 32.0), trials=TRIALS
@@ -153,7 +154,7 @@ def factor_for(plan: Design, person: DesignSettings) -> float:
 def other_people(settings: DesignSettings) -> None:
     """What the design for the mean person promises others, and what designs of their own would."""
     plan = design(settings)
-    people = [replace(settings, subject=draw("position", seed), trials=1) for seed in range(PEOPLE)]
+    people = [replace(settings, subject=draw_subject("position", seed), trials=1) for seed in range(PEOPLE)]
     factors = [factor_for(plan, person) for person in people]
     own = [design(person).factor for person in people[:OWN]]
     print(

@@ -9,14 +9,14 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from armperturb import POSITION, Multisine, save_csv
+from armperturb import POSITION, Multisine, save_perturbation
 
 
 def main(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     # A stiffer elbow with weaker reflexes than the thesis's mean arm.
     replace(POSITION, name="mine", k_e=260.0, kv_e=18.0).save(folder / "mine.toml")
-    save_csv(Multisine.draw(seed=1, rms=5.4), folder / "multisine.csv", rate=200.0)
+    save_perturbation(Multisine.draw(seed=1, rms=5.4), folder / "multisine.csv", rate=200.0)
     for command in (
         f"simulate --subject {folder}/mine.toml --perturbation {folder}/multisine.csv --out {folder}/mine.nc",
         f"identify {folder}/mine.nc --model 3b --out {folder}/identified",

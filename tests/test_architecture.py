@@ -1,4 +1,4 @@
-"""One direction of imports, and a face that loads light."""
+"""One direction of imports, and an analysis that loads no simulator."""
 
 import ast
 import subprocess
@@ -11,7 +11,7 @@ import armperturb
 
 ROOT = Path(armperturb.__file__).parent
 
-BASE = {"arrays", "validation", "files", "muscle_law", "subject", "environment", "recording"}
+BASE = {"arrays", "validation", "seeds", "files", "muscle_law", "subject", "environment", "recording"}
 ARM = BASE | {"analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics"}
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear", "plots"}
 LAB = ARM | {"perturbations", "models", "controllers", "cohort"}
@@ -20,6 +20,8 @@ ARROWS = {
     "arrays": set(),
     "validation": set(),
     "files": set(),
+    "extras": set(),
+    "seeds": set(),
     "muscle_law": {"validation"},
     "subject": {"validation", "muscle_law"},
     "environment": {"validation"},

@@ -22,9 +22,9 @@ from armperturb.cohort import (
     STABILITY_MARGIN,
     Person,
     average_person,
-    draw,
     draw_cohort,
     draw_person,
+    draw_subject,
 )
 from armperturb.environment import Environment
 from armperturb.study.published import tables as published
@@ -40,7 +40,7 @@ def test_spread_is_the_published_one(preset, condition):
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_people_are_stable_different_and_near_the_mean(preset):
-    people = [draw(preset, seed) for seed in range(60)]
+    people = [draw_subject(preset, seed) for seed in range(60)]
     assert max(largest_real_pole(person, Environment()) for person in people) < -STABILITY_MARGIN
     for name, sd in SPREAD[preset].items():
         values = np.array([true_value(person, name) for person in people])
@@ -53,13 +53,13 @@ def test_people_are_stable_different_and_near_the_mean(preset):
 
 
 def test_same_seed_same_person():
-    assert draw("position", 3, name="A") == draw("position", 3, name="A")
-    assert draw("position", 3) != draw("position", 4)
+    assert draw_subject("position", 3, name="A") == draw_subject("position", 3, name="A")
+    assert draw_subject("position", 3) != draw_subject("position", 4)
 
 
 def test_unknown_preset_is_named():
     with pytest.raises(ValueError, match="preset = 'tense'; expected one of relax, position"):
-        draw("tense", 0)
+        draw_subject("tense", 0)
 
 
 @pytest.mark.parametrize("muscles", MUSCLES)
@@ -154,7 +154,7 @@ def test_cohort_is_spread_as_published():
         for name, sd in SPREAD[preset].items():
             if name not in BODY:
                 values = np.array([getattr(person.subjects[task], name) for person in people])
-                # Stability needs damping: redrawing moves b_e by half an SD, here as in `draw`.
+                # Stability needs damping: redrawing moves b_e by half an SD, here as in `draw_subject`.
                 assert abs(values.mean() - getattr(PRESETS[preset], name)) < 0.7 * sd
                 assert 0.5 * sd < values.std() < 1.3 * sd
     # Bodies are not drawn from the thesis's masses, yet are no strangers to them (table C.18).

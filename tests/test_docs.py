@@ -227,12 +227,12 @@ def test_recording_of_ones_own_is_one(tmp_path, monkeypatch):
 
 
 def test_first_files_are_written(tmp_path, monkeypatch):
-    from armperturb import Subject, load_csv
+    from armperturb import Subject, load_perturbation
 
     monkeypatch.chdir(tmp_path)
     exec(python_blocks("index.md")[0], {})
     assert Subject.load("position.toml").task == "PT"
-    assert load_csv("multisine_2.csv")
+    assert load_perturbation("multisine_2.csv")
 
 
 def test_versions_of_the_documentation_are_pinned():

@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from armperturb import RELAX, identify, load_csv
+from armperturb import RELAX, identify, load_perturbation
 from armperturb.analysis.response.closed_loop import estimate_multisine
 from armperturb.cohort import draw_person
 from armperturb.convert import import_recording
@@ -163,7 +163,7 @@ def test_plan_keeps_its_limits_and_promises_more_than_the_thesis(run, tmp_path):
     worth, other = numbers(printed, "as from")
     assert 0.0 < other <= factor < 1.0  # people who are quieter under less load are not known worse
     assert worth == pytest.approx(factor**-2, rel=0.05)
-    played = load_csv(tmp_path / "plan" / "perturbations" / "trial_01.csv")
+    played = load_perturbation(tmp_path / "plan" / "perturbations" / "trial_01.csv")
     period = played.force[: round(20.48 * played.rate)]
     assert np.sqrt(np.mean(period**2, axis=0)).max() <= 5.4 * 1.001
     # What the plan says of the thesis's perturbation is near what the fit of such trials says of itself.

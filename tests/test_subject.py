@@ -20,9 +20,9 @@ def test_file_gives_back_the_same_subject(preset, tmp_path):
 
 def test_presets_hold_the_published_means():
     for subject, condition, total in ((RELAX, "RT7.5", False), (POSITION, "PT7.5", True)):
-        folder = Path(published.__file__).parent / "published" / "parameters.csv"
+        table = Path(published.__file__).parent / "parameters.csv"
         wanted = published.PARAMETER_TABLES[condition]
-        with folder.open(encoding="utf-8") as file:
+        with table.open(encoding="utf-8") as file:
             rows = [
                 row
                 for row in csv.DictReader(file)

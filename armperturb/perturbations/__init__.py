@@ -8,5 +8,5 @@ from armperturb.perturbations.perturbation import check_bandwidth as check_bandw
 from armperturb.perturbations.pulse import Pulse as Pulse
 from armperturb.perturbations.pulse import draw_onset as draw_onset
 from armperturb.perturbations.sampled import Sampled as Sampled
-from armperturb.perturbations.sampled import load_csv as load_csv
-from armperturb.perturbations.sampled import save_csv as save_csv
+from armperturb.perturbations.sampled import load_perturbation as load_perturbation
+from armperturb.perturbations.sampled import save_perturbation as save_perturbation

@@ -8,9 +8,6 @@ import numpy as np
 from armperturb.perturbations.perturbation import sample_times
 from armperturb.validation import require_number
 
-PULSE_DIRECTIONS_DEG = (20.0, 200.0)
-"""Directions of the thesis's pulses, from the fronto-parallel (x) axis [deg]; fig. 2.4."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Pulse:

@@ -104,8 +104,8 @@ class Sampled:
         return force
 
 
-def save_csv(perturbation: Perturbation, path: str | Path, rate: float) -> None:
-    """Write a perturbation to a file that `load_csv` reads back exactly.
+def save_perturbation(perturbation: Perturbation, path: str | Path, rate: float) -> None:
+    """Write a perturbation to a file that `load_perturbation` reads back exactly.
 
     Args:
       perturbation: what to write, from time 0 to the end of its duration.
@@ -116,10 +116,10 @@ def save_csv(perturbation: Perturbation, path: str | Path, rate: float) -> None:
       ValueError: rate is not positive or gives fewer than 2 samples.
       OSError: the file cannot be written.
     """
-    require_number("save_csv", "rate", rate, above=0.0)
+    require_number("save_perturbation", "rate", rate, above=0.0)
     n_samples = math.ceil(perturbation.duration * rate * (1.0 - 1e-12))
     if n_samples < 2:
-        raise ValueError(f"save_csv: rate = {rate:g} Hz gives {n_samples} sample; expected at least 2")
+        raise ValueError(f"save_perturbation: rate = {rate:g} Hz gives {n_samples} sample; expected at least 2")
     force = perturbation.sample(rate, n_samples)
     with open(path, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -127,7 +127,7 @@ def save_csv(perturbation: Perturbation, path: str | Path, rate: float) -> None:
         writer.writerows((k / rate, x, y) for k, (x, y) in enumerate(force.tolist()))
 
 
-def load_csv(path: str | Path) -> Sampled:
+def load_perturbation(path: str | Path) -> Sampled:
     """Read a perturbation from a file with the columns time_s, d_x_N and d_y_N, in any order, at any uniform rate.
 
     Args:

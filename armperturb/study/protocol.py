@@ -15,9 +15,10 @@ import numpy as np
 from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Strap
-from armperturb.envs.lab.trial import Trial, random_stream, trial_seed
+from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, draw_onset
 from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
+from armperturb.seeds import random_stream, trial_seed
 from armperturb.subject import TASKS, Subject, at_level
 from armperturb.validation import require_number
 

@@ -12,7 +12,7 @@ import pytest
 
 from armperturb import cli
 from armperturb.files import written_whole
-from armperturb.perturbations import Multisine, Pulse, save_csv
+from armperturb.perturbations import Multisine, Pulse, save_perturbation
 from armperturb.recording import load_recording, save_recording
 from armperturb.study.recording import record as runner
 from armperturb.subject import POSITION, RELAX
@@ -21,8 +21,8 @@ from armperturb.subject import POSITION, RELAX
 @pytest.fixture
 def inputs(tmp_path):
     POSITION.save(tmp_path / "subject.toml")
-    save_csv(Multisine.draw(seed=1, rms=3.0, crested=False), tmp_path / "multisine.csv", 200.0)
-    save_csv(Pulse(peak=20.0, direction_deg=20.0, onset=0.1, duration=0.6), tmp_path / "pulse.csv", 1000.0)
+    save_perturbation(Multisine.draw(seed=1, rms=3.0, crested=False), tmp_path / "multisine.csv", 200.0)
+    save_perturbation(Pulse(peak=20.0, direction_deg=20.0, onset=0.1, duration=0.6), tmp_path / "pulse.csv", 1000.0)
     return tmp_path
 
 
@@ -143,7 +143,7 @@ def test_too_fast_perturbations_are_refused(inputs, capsys):
 
 def test_workspace_limit_is_reported(inputs, capsys):
     RELAX.save(inputs / "relax.toml")
-    save_csv(Pulse(peak=600.0, direction_deg=20.0, onset=0.1, duration=1.0), inputs / "hard.csv", 1000.0)
+    save_perturbation(Pulse(peak=600.0, direction_deg=20.0, onset=0.1, duration=1.0), inputs / "hard.csv", 1000.0)
     line = refused(capsys, *simulate(inputs, subject="relax.toml", perturbation="hard.csv"))
     assert "reached the workspace limit at 0." in line
     assert not (inputs / "out.nc").exists()

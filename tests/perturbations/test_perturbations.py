@@ -18,8 +18,8 @@ from armperturb.perturbations import (
     Sampled,
     check_bandwidth,
     draw_onset,
-    load_csv,
-    save_csv,
+    load_perturbation,
+    save_perturbation,
 )
 from armperturb.perturbations.multisine import PERIOD
 
@@ -239,11 +239,11 @@ def test_onset_of_a_trial_may_be_later_than_the_multisine(multisine):
 
 def test_csv_round_trip(trial, tmp_path):
     path = tmp_path / "trial.csv"
-    save_csv(trial, path, 200.0)
-    loaded = load_csv(path)
+    save_perturbation(trial, path, 200.0)
+    loaded = load_perturbation(path)
     assert (loaded.rate, loaded.duration) == (200.0, 36.0)
     np.testing.assert_array_equal(loaded.sample(200.0, 7400), trial.sample(200.0, 7400))
-    save_csv(loaded, tmp_path / "again.csv", 200.0)
+    save_perturbation(loaded, tmp_path / "again.csv", 200.0)
     assert (tmp_path / "again.csv").read_text() == path.read_text()
 
 
@@ -253,7 +253,7 @@ def test_csv_round_trip(trial, tmp_path):
 def test_harmless_variants_of_a_file(text, tmp_path):
     path = tmp_path / "variant.csv"
     path.write_bytes(text.encode())
-    loaded = load_csv(path)
+    loaded = load_perturbation(path)
     assert loaded.rate == 10.0
     np.testing.assert_array_equal(loaded.force, [[1.0, 2.0], [3.0, 4.0]])
 
@@ -292,26 +292,26 @@ def test_bad_files_are_refused_in_one_line(text, message, tmp_path):
     path = tmp_path / "bad.csv"
     path.write_text(text)
     with pytest.raises(ValueError, match=f"^{re.escape(str(path) + message)}$"):
-        load_csv(path)
+        load_perturbation(path)
 
 
 def test_binary_file_is_refused(tmp_path):
     path = tmp_path / "bad.csv"
     path.write_bytes(b"\xff\xfe\x00\x01")
     with pytest.raises(ValueError, match=r"bad\.csv: no readable text .*; expected a CSV file in UTF-8$"):
-        load_csv(path)
+        load_perturbation(path)
 
 
 def test_rounded_times_within_tolerance_pass(tmp_path):
     path = tmp_path / "rounded.csv"
     path.write_text(HEADER + "".join(f"{k / 30:.6f},{k},0\n" for k in range(300)))
-    assert load_csv(path).rate == 30.0
+    assert load_perturbation(path).rate == 30.0
 
 
 def test_other_rates_are_kept(tmp_path):
     path = tmp_path / "odd.csv"
-    save_csv(PULSE, path, 250.5)
-    assert load_csv(path).rate == pytest.approx(250.5, rel=1e-12)
+    save_perturbation(PULSE, path, 250.5)
+    assert load_perturbation(path).rate == pytest.approx(250.5, rel=1e-12)
 
 
 def test_spline_keeps_40_hz_sampled_at_200_hz():
@@ -406,7 +406,10 @@ def test_every_kind_is_a_perturbation(multisine, trial):
             lambda: MultisineThenPulse(multisine=Multisine.draw(seed=1, rms=1.0, crested=False), pulse=PULSE, fade=6.0),
             "MultisineThenPulse: fade = 6.0; expected a finite number above 0 and at most 5",
         ),
-        (lambda: save_csv(PULSE, "unwritten.csv", 0.1), "save_csv: rate = 0.1 Hz gives 1 sample; expected at least 2"),
+        (
+            lambda: save_perturbation(PULSE, "unwritten.csv", 0.1),
+            "save_perturbation: rate = 0.1 Hz gives 1 sample; expected at least 2",
+        ),
     ],
 )
 def test_bad_values_are_refused(make, message):

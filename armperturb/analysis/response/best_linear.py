@@ -121,7 +121,7 @@ class BestLinear:
         return np.asarray(error / (self.linear + self.distortion).sum(axis=0))
 
 
-def estimate_best_linear(
+def best_linear(
     recordings: Recordings, *, period: float = 20.48, start: float = 2.0, lines_per_average: int = 4
 ) -> BestLinear:
     """Best linear approximation of the arm, from multisines.

@@ -16,7 +16,7 @@ from armperturb.controllers.arm_control import ArmControl
 from armperturb.controllers.layout import trials_adjacent
 from armperturb.environment import Environment, Strap
 from armperturb.envs.lab.instruments import Instruments
-from armperturb.envs.lab.linear_arm import linear_signals
+from armperturb.envs.lab.linear_simulation import linear_signals
 from armperturb.envs.lab.simulation import Simulation, silent_simulator
 from armperturb.envs.lab.trial import (
     EMG,

@@ -126,13 +126,3 @@ def held_force(perturbation: Perturbation, timestep: float, n_steps: int) -> Arr
     """
     middle = perturbation.sample(1.0 / timestep, n_steps + 2, -timestep / 2)
     return middle[1:-1] - np.diff(middle, n=2, axis=0) / 24.0
-
-
-def random_stream(seed: int, purpose: str, *numbers: int) -> np.random.SeedSequence:
-    """A stream of random numbers of its own for each purpose: "order" of person 1 has nothing to do with "onset"."""
-    return np.random.SeedSequence(seed, spawn_key=(*purpose.encode(), *numbers))
-
-
-def trial_seed(seed: int, purpose: str, *numbers: int) -> int:
-    """A seed for `Trial.seed`: 63 bits, so that not even thousands of people share one."""
-    return int(random_stream(seed, purpose, *numbers).generate_state(1, np.uint64)[0] >> np.uint64(1))

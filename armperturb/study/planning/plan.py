@@ -24,11 +24,11 @@ from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import MAX_DURATION
 from armperturb.envs.lab.instruments import Instruments
-from armperturb.envs.lab.trial import trial_seed
 from armperturb.perturbations import CLUSTERS, Multisine, Perturbation, Sampled
 from armperturb.perturbations.line_spectrum import draw_multisine
 from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD, PERIOD_SAMPLES
 from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
+from armperturb.seeds import trial_seed
 from armperturb.study.planning.information import Experiment, Limits, Noise, optimise
 from armperturb.subject import Subject
 from armperturb.validation import require_number

@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from armperturb.arrays import Array
 from armperturb.files import write_csv, write_durably
-from armperturb.perturbations import save_csv
+from armperturb.perturbations import save_perturbation
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.plots.style import COLOURS, INK, PUBLISHED, in_style, new_figure, save_svg
 from armperturb.study.planning.information import effective_duration
@@ -188,7 +188,7 @@ def write_design(design: Design, folder: Path) -> None:
     write_csv(design.spectrum_rows(), tables / "spectrum.csv")
     write_csv(design.signal_rows(), tables / "signals.csv")
     for number, perturbation in enumerate(design.perturbations, start=1):
-        save_csv(perturbation, perturbations / f"trial_{number:02d}.csv", perturbation.rate)
+        save_perturbation(perturbation, perturbations / f"trial_{number:02d}.csv", perturbation.rate)
     save_svg(design_figure(design), figures / "design.svg")
     settings = design.settings
     asked = {**asdict(replace(settings, proposed=None)), "model": settings.model_name()}

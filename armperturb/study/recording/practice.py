@@ -16,9 +16,10 @@ from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment, Strap
 from armperturb.envs.lab.experiment import run_experiment
-from armperturb.envs.lab.trial import Trial, random_stream, trial_seed
+from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD
+from armperturb.seeds import random_stream, trial_seed
 from armperturb.study.protocol import PULSE_UNIT, Condition, Protocol
 from armperturb.subject import Subject
 

@@ -18,9 +18,9 @@ from armperturb.analysis.fit.thesis import (
     fit_wanted,
     join_estimates,
 )
+from armperturb.analysis.trials import multisine_part, of_condition
 from armperturb.study.published import tables as published
 from armperturb.study.results.cases import WINDOW_START
-from armperturb.analysis.trials import multisine_part, of_condition
 
 FIRST_STEP = {"PT": "PT7.5", "RT": "RT7.5"}
 """Task to the condition of the first step of appendix C."""

@@ -4,25 +4,26 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+
 from armperturb.analysis.fit.identify import Identification, identify, identify_conditions
 from armperturb.analysis.fit.maximum_likelihood import Estimate
-from armperturb.analysis.response.spectra import SpectralEstimate, estimate_spectra, line_spectra
 from armperturb.analysis.fit.thesis import ThesisEstimate
+from armperturb.analysis.response.spectra import SpectralEstimate, estimate_spectra, line_spectra
+from armperturb.analysis.trials import multisine_part, of_condition
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.recording import load_recording, stack_trials
 from armperturb.study.protocol import Condition, Protocol
 from armperturb.subject import Subject
-from armperturb.analysis.trials import of_condition
-from armperturb.analysis.trials import multisine_part
 
 MODELS = {"PT": "3b", "RT": "1"}
 """Task to the structure that is fitted, see `armperturb.analysis.fit.structures`."""
 
 WINDOW_START = 8.0
 """Time from which on a trial is analysed [s]: the transient has gone by then."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Case:
@@ -84,6 +85,7 @@ class Case:
         mine = of_condition(load_recording(self.recording, ["joint_angle"]), self.condition.name)
         return mine.isel(trial=multisine_part(mine)[1])
 
+
 def identify_person(recording: xr.Dataset, path: Path, protocol: Protocol) -> tuple[Case, ...]:
     """Identify a person in every condition of a protocol that has a multisine.
 
@@ -110,6 +112,7 @@ def identify_person(recording: xr.Dataset, path: Path, protocol: Protocol) -> tu
         )
         for case in cases
     )
+
 
 def _identify(
     condition: Condition, name: str, recording: xr.Dataset, path: Path, protocol: Protocol
@@ -148,6 +151,7 @@ def _identify(
         left_out.append(f"{name} in {condition.name} was not identified: {error}")
         return replace(case, left_out=tuple(left_out)), part
 
+
 def _by_thesis(parts: Mapping[str, xr.Dataset]) -> tuple[dict[str, Identification], dict[str, str]]:
     """What the thesis's estimator gives in each condition, and why it gives nothing in others.
 
@@ -166,6 +170,7 @@ def _by_thesis(parts: Mapping[str, xr.Dataset]) -> tuple[dict[str, Identificatio
             for condition in conditions:
                 failed[condition] = f"in {condition} was not identified by the thesis's estimator: {error}"
     return found, failed
+
 
 def _rms(signal: xr.DataArray) -> float:
     """RMS per axis over the window of the analysis, pooled over axes and trials."""

@@ -1,15 +1,13 @@
 """Admittance of a condition over its subjects."""
 
-from armperturb.arrays import Array
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armperturb.arrays import Array
 from armperturb.study.protocol import Condition
 from armperturb.study.results.study_result import StudyResult
 from armperturb.subject import TASKS
-
 
 
 def by_task(study: StudyResult) -> dict[str, list[Condition]]:

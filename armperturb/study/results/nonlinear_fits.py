@@ -4,22 +4,21 @@ Two kinds of fit: to what comes before the pulses, and, for each direction of pu
 directions. Pulses that were left out of a fit are what it is judged by.
 """
 
-from armperturb.arrays import Array
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.fit.thesis import ThesisEstimate
-from armperturb.envs.lab.skeletal import Prediction, simulate_skeletal
 from armperturb.analysis.nonlinear.model import stem
 from armperturb.analysis.nonlinear.trials import TrialSet, training_sets, trial_sets
-from armperturb.study.results.cases import Case
 from armperturb.analysis.trials import multisine_part
+from armperturb.arrays import Array
+from armperturb.envs.lab.skeletal import Prediction, simulate_skeletal
+from armperturb.study.results.cases import Case
 from armperturb.subject import Subject
 
 if TYPE_CHECKING:

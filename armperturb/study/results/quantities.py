@@ -10,16 +10,16 @@
 | F.5 | all | `peak_rotation_min_s`, `peak_rotation_max_s`, likewise `_e` | rad |
 | F.6 | two repetitions | `peak_rotation_left_s`, `peak_rotation_right_s`, likewise `_e` | rad |
 
-Everything is taken from perturbation and displacement, joints by `armperturb.analysis.measures.kinematics`, and counted from the
-start of the trial. The multisine is measured over one period from `WINDOW_START` on, in which a person's RMS pools all
-trials, and of force and displacement both axes; largest values are means over trials. Peaks are the largest values in
-the window of `armperturb.analysis.measures.pulse`, as means over the trials that a cell pools: repetitions and both directions
-of a level (min 1, max 2), or repetitions and levels of a direction. The thesis numbers levels with a sign, negative at
-20 deg and positive at 200 deg from the x axis (note d of table 2.1); a pulse to the right is one at 20 deg, as x points
-right, whatever the sign. The pulse unit of table 2.1 is no cell: it is ten times the force of PT7.5.
+Everything is taken from perturbation and displacement, joints by `armperturb.analysis.measures.kinematics`, and counted
+from the start of the trial. The multisine is measured over one period from `WINDOW_START` on, in which a person's RMS
+pools all trials, and of force and displacement both axes; largest values are means over trials. Peaks are the largest
+values in the window of `armperturb.analysis.measures.pulse`, as means over the trials that a cell pools: repetitions
+and both directions of a level (min 1, max 2), or repetitions and levels of a direction. The thesis numbers levels with
+a sign, negative at 20 deg and positive at 200 deg from the x axis (note d of table 2.1); a pulse to the right is one at
+20 deg, as x points right, whatever the sign. The pulse unit of table 2.1 is no cell: it is ten times the force of
+PT7.5.
 """
 
-from armperturb.arrays import Array
 import functools
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -30,7 +30,6 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from armperturb.analysis.measures.kinematics import (
     hand_path,
@@ -40,12 +39,12 @@ from armperturb.analysis.measures.kinematics import (
     within_reach,
 )
 from armperturb.analysis.measures.pulse import peak_norm, pulse_span
+from armperturb.arrays import Array
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.recording import REQUIRED_SIGNALS, check_recording
 from armperturb.study.published import tables as published
-from armperturb.study.results.cases import WINDOW_START
 from armperturb.study.published.tables import MeanSD
-
+from armperturb.study.results.cases import WINDOW_START
 
 JOINTS = ("s", "e")
 """Shoulder and elbow, in the order of a recording."""

@@ -21,21 +21,30 @@ from typing import Any, NamedTuple, Self, TypeVar
 
 from tqdm import tqdm
 
+from armperturb.archive import code_digest, keep, read_archive
 from armperturb.cohort import Person
 from armperturb.environment import Environment
 from armperturb.recording import load_recording
-from armperturb.archive import code_digest, keep, read_archive
-from armperturb.study.results.cases import Case, identify_person
-from armperturb.study.results.appendix_fits import Appendices, Fits, Key, SecondStep, fit_person, fit_second_step, joined, means_of
-from armperturb.study.recording.manifest import Manifest, current_versions, read_manifest
-from armperturb.study.results.trial_measures import PersonMeasures, measure_person
-from armperturb.study.results.nonlinear_fits import NonlinearFit, fit_nonlinear
 from armperturb.study.protocol import THESIS, Condition, Protocol
-from armperturb.study.recording.record import BLOCK, StudySettings, record_study, worker_count
 from armperturb.study.recording.folder import RECORDINGS, digest, find_recordings
-from armperturb.workers import Workers, completed, workers_for
+from armperturb.study.recording.manifest import Manifest, current_versions, read_manifest
+from armperturb.study.recording.record import BLOCK, StudySettings, record_study, worker_count
+from armperturb.study.results.appendix_fits import (
+    Appendices,
+    Fits,
+    Key,
+    SecondStep,
+    fit_person,
+    fit_second_step,
+    joined,
+    means_of,
+)
+from armperturb.study.results.cases import Case, identify_person
+from armperturb.study.results.nonlinear_fits import NonlinearFit, fit_nonlinear
+from armperturb.study.results.trial_measures import PersonMeasures, measure_person
 from armperturb.subject import TASKS
 from armperturb.validation import require_number
+from armperturb.workers import Workers, completed, workers_for
 
 ANALYSIS = "analysis"
 

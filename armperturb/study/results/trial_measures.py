@@ -1,6 +1,5 @@
 """What the thesis reports of one person, from the person's recordings: cells of tables, admittance, pulses, fits."""
 
-from armperturb.arrays import Array
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,19 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from armperturb.analysis.measures.pulse import peak_norm, predicted_peaks, pulse_peaks, pulse_span
 from armperturb.analysis.fit.thesis import ThesisEstimate
+from armperturb.analysis.measures.pulse import peak_norm, predicted_peaks, pulse_peaks, pulse_span
 from armperturb.analysis.measures.vaf import variance_accounted_for
+from armperturb.analysis.trials import multisine_part, of_condition
+from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.envs.lab.skeletal import Prediction, simulate_skeletal
 from armperturb.study.published import tables as published
 from armperturb.study.results.cases import Case
-from armperturb.analysis.trials import multisine_part, of_condition
 from armperturb.study.results.quantities import LEVELS, Cell, measure
 from armperturb.subject import Subject
-
 
 N_LOW = 2
 """How many of the lowest frequency points tell the low-frequency gain (thesis 3.1)."""

@@ -25,8 +25,9 @@ from armperturb.arrays import Array
 from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
-from armperturb.envs.lab.trial import Trial, trial_seed
+from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
+from armperturb.seeds import trial_seed
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import require_number
 from armperturb.workers import completed, workers_for

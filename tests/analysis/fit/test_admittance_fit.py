@@ -10,7 +10,7 @@ from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.fit.admittance_fit import Target, _checked, fit_admittance, fit_admittances, penalty_factor
 from armperturb.analysis.fit.structures import STRUCTURES
-from armperturb.cohort import draw
+from armperturb.cohort import draw_subject
 from armperturb.environment import Environment
 from armperturb.study.report.tables import true_value
 from armperturb.subject import POSITION, RELAX
@@ -55,7 +55,7 @@ def test_own_response_gives_every_parameter_back_from_starts_25_percent_off(mode
 @pytest.mark.parametrize(("model", "preset"), [("1", "relax"), ("3b", "position")])
 def test_drawn_people_are_given_back_from_the_published_start(model, preset):
     for seed in range(8):
-        arm = draw(preset, seed)
+        arm = draw_subject(preset, seed)
         truth = truth_of(arm, model)
         inside = all(low < truth[name] < high for name, (low, high) in STRUCTURES[model].bounds.items())
         result = fit(arm, model)

@@ -6,7 +6,7 @@ import pytest
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.fit.linear_start import linear_start
 from armperturb.analysis.fit.structures import STRUCTURES
-from armperturb.cohort import draw
+from armperturb.cohort import draw_subject
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.subject import POSITION, RELAX
 
@@ -25,7 +25,7 @@ def start_of(arm, structure, frequency=FREQUENCY):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_where_the_impedance_is_linear_in_all_that_is_free_the_start_is_the_arm(seed):
-    arm, structure = draw("position", seed), STRUCTURES["3a"]
+    arm, structure = draw_subject("position", seed), STRUCTURES["3a"]
     for name, value in start_of(arm, structure).items():
         lower, upper = structure.bounds[name]
         if all(lower <= true_value(arm, one) <= upper for one in structure.free):
@@ -34,7 +34,7 @@ def test_where_the_impedance_is_linear_in_all_that_is_free_the_start_is_the_arm(
 
 @pytest.mark.parametrize("seed", range(8))
 def test_with_a_grip_that_is_guessed_the_start_is_near_the_arm(seed):
-    arm = replace(draw("relax", seed), k_h=8.2e3, b_h=30.0)  # guessed: 8.4 kN/m, 32.8 Ns/m
+    arm = replace(draw_subject("relax", seed), k_h=8.2e3, b_h=30.0)  # guessed: 8.4 kN/m, 32.8 Ns/m
     for name, value in start_of(arm, STRUCTURES["1"], FREQUENCY).items():
         if name not in ("b_h", "k_h"):
             assert value == pytest.approx(true_value(arm, name), rel=0.15, abs=0.3 if name == "k_se" else 0.0)

@@ -21,7 +21,7 @@ from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
-from armperturb.perturbations import CLUSTERS, Multisine, Sampled, line_spectrum, load_csv, save_csv
+from armperturb.perturbations import CLUSTERS, Multisine, Sampled, line_spectrum, load_perturbation, save_perturbation
 from armperturb.perturbations.line_spectrum import draw_multisine
 from armperturb.perturbations.multisine import PERIOD, PERIOD_SAMPLES
 from armperturb.study.planning.information import Experiment, Limits, Noise, effective_duration, optimise
@@ -416,7 +416,7 @@ def test_the_command_writes_what_simulate_plays(tmp_path, capsys):
     out = tmp_path / "plan"
     (out / "perturbations").mkdir(parents=True)
     (out / "perturbations" / "trial_09.csv").write_text("of an earlier plan")
-    save_csv(Multisine.draw(seed=0, rms=2.0, crested=False), tmp_path / "own.csv", 200.0)
+    save_perturbation(Multisine.draw(seed=0, rms=2.0, crested=False), tmp_path / "own.csv", 200.0)
     own = ["--perturbation", str(tmp_path / "own.csv")]
     assert cli.main(["design", *arguments, *own, "--trials", "2", "--out", str(out)]) == 0
     said = capsys.readouterr().out
@@ -434,7 +434,7 @@ def test_the_command_writes_what_simulate_plays(tmp_path, capsys):
     assert all(float(row["sem_proposed"]) > float(row["sem_optimised"]) for row in rows.values())
     assert (out / "figures" / "design.svg").read_text().startswith("<?xml")
     assert sorted(path.name for path in (out / "perturbations").iterdir()) == ["trial_01.csv", "trial_02.csv"]
-    played = load_csv(out / "perturbations" / "trial_01.csv")
+    played = load_perturbation(out / "perturbations" / "trial_01.csv")
     assert np.sqrt(np.mean(played.force[:PERIOD_SAMPLES] ** 2, axis=0)).max() <= 5.4 * (1 + 1e-9)
 
 

@@ -11,8 +11,9 @@ from armperturb.analysis.arm.linear_arm import total_admittance
 from armperturb.cohort import draw_cohort
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment, Strap
-from armperturb.envs.lab.trial import Trial, trial_seed
+from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
+from armperturb.seeds import trial_seed
 from armperturb.study.protocol import PULSE_UNIT, THESIS
 from armperturb.study.recording import practice
 from armperturb.study.recording.practice import (

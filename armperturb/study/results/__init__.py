@@ -1,0 +1,1 @@
+"""What recordings tell, per person and per trial."""
