@@ -31,7 +31,7 @@ from armperturb.analysis.response.spectra import LineSpectra, SpectralEstimate, 
 from armperturb.analysis.response.subspace import PAST, fit_subspace
 from armperturb.analysis.response.tapers import estimate_multitaper, estimate_welch
 from armperturb.arrays import Array
-from armperturb.recording import join_recordings
+from armperturb.recording import join_recordings, named
 
 Recordings = xr.Dataset | Sequence[xr.Dataset]
 
@@ -242,7 +242,7 @@ def response(
     if method not in METHODS:
         raise ValueError(f"method = {method!r}; expected one of {', '.join(METHODS)}")
     require_system(options.get("what", "arm"))
-    return METHODS[method](recording, frequency=frequency, **options)
+    return replace(METHODS[method](recording, frequency=frequency, **options), label=f"{named(recording)}, {method}")
 
 
 def _wanted(frequency: ArrayLike | None, records: JointRecords) -> Array:
