@@ -1,6 +1,6 @@
 """What does each mechanism of the muscle law do to the average person's movements?
 
-Run `python examples/why_people_yield.py FOLDER`. It writes the pictures of docs/muscle.md and prints their numbers.
+Run `python examples/muscle_mechanisms.py FOLDER`. It writes the pictures of docs/muscle.md and prints their numbers.
 """
 
 import sys
@@ -13,7 +13,7 @@ from armperturb.study.report.figures import mechanisms as yielding_figures
 
 
 def main(folder: Path) -> None:
-    found = yielding.why_people_yield(average_person())
+    found = yielding.muscle_mechanisms(average_person())
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("loops", "admittance", "pulses"):
         save_png(getattr(yielding_figures, name)(found), folder / f"yielding_{name}.png", 110.0)
