@@ -13,7 +13,7 @@ from armperturb.study.report.figures import mechanisms as yielding_figures
 
 
 def main(folder: Path) -> None:
-    found = yielding.muscle_mechanisms(average_person())
+    found = yielding.why_people_yield(average_person())
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("loops", "admittance", "pulses"):
         save_png(getattr(yielding_figures, name)(found), folder / f"yielding_{name}.png", 110.0)

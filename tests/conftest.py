@@ -255,6 +255,6 @@ def explained(once):
     def make(_):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(why, "STEP", 5e-3)  # for speed
-            return why.muscle_mechanisms(replace(average, subjects=subjects, levels={}))
+            return why.why_people_yield(replace(average, subjects=subjects, levels={}))
 
     return once("explained", make)

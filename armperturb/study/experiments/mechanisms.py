@@ -216,7 +216,7 @@ def _with_laws(person: Person, change: Callable[[MuscleLaw], MuscleLaw | None]) 
     return replace(person, subjects=subjects)
 
 
-def muscle_mechanisms(
+def why_people_yield(
     person: Person,
     environment: Environment | None = None,
     *,

@@ -21,7 +21,7 @@ from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.plots.style import save_svg
 from armperturb.study.comparison.effects import effects
 from armperturb.study.comparison.score import Score, score, write_score
-from armperturb.study.experiments.mechanisms import Yielding, has_law, muscle_mechanisms
+from armperturb.study.experiments.mechanisms import Yielding, has_law, why_people_yield
 from armperturb.study.experiments.moving_shoulder import MovingShoulder, moving_shoulder
 from armperturb.study.recording.record import worker_count
 from armperturb.study.report import formats
@@ -148,7 +148,7 @@ def _simulated(
     person, found = study.cohort[0], dict[str, Any]()
     wanted: dict[str, tuple[Callable[..., Any], type]] = {"moving-shoulder": (moving_shoulder, MovingShoulder)}
     if has_law(person):
-        wanted = {"yielding": (muscle_mechanisms, Yielding), **wanted}
+        wanted = {"yielding": (why_people_yield, Yielding), **wanted}
     units = [
         _Simulation(*function, out / ANALYSIS / f"{name}.json.gz", person, study.environment, study.seed)
         for name, function in wanted.items()

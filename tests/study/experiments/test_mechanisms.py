@@ -22,7 +22,7 @@ from armperturb.study.experiments.mechanisms import (
     has_law,
     intrinsic_loop,
     variants,
-    muscle_mechanisms,
+    why_people_yield,
 )
 from armperturb.study.protocol import THESIS
 from armperturb.study.recording.manifest import Manifest
@@ -72,7 +72,7 @@ def test_mechanisms_that_a_person_lacks_are_not_switched_off():
 
 def test_linear_people_do_not_yield():
     with pytest.raises(ValueError, match="'S01' has linear muscles; expected a muscle law"):
-        muscle_mechanisms(draw_cohort(1, 0, muscles="linear")[0])
+        why_people_yield(draw_cohort(1, 0, muscles="linear")[0])
 
 
 def test_linear_muscle_knows_no_amplitude(explained):
@@ -119,7 +119,7 @@ def test_unstable_arms_are_told(monkeypatch):
     monkeypatch.setattr(why, "STEP", 5e-3)
     monkeypatch.setattr(why, "CONDITIONS", ("PT7.5",))
     monkeypatch.setattr(why, "CALM", 5.0)
-    found = muscle_mechanisms(person)
+    found = why_people_yield(person)
     name = "spindles do not saturate"
     assert (name, "PT7.5") not in found.responses
     assert found.unstable[name, "PT7.5"].startswith(("leaves the workspace", "still swings"))
@@ -142,7 +142,7 @@ def test_arms_without_stable_poles_are_told_and_not_simulated(monkeypatch):
     person = with_law(MuscleLaw(spindle_saturation=1.0))
     position = replace(person.subjects["PT"], **{f"kv_{joint}": 1e3 for joint in ("s", "e")})
     monkeypatch.setattr(why, "CONDITIONS", ("PT2.5", "PT7.5"))
-    found = muscle_mechanisms(replace(person, subjects={"PT": position}))
+    found = why_people_yield(replace(person, subjects={"PT": position}))
     assert not found.responses
     assert set(found.unstable) == {(name, condition) for name in found.variants for condition in ("PT2.5", "PT7.5")}
     assert set(found.unstable.values()) == {"is unstable for small or for large movements"}
@@ -190,7 +190,7 @@ def test_figures_do_without_arms_that_are_unstable(explained):
 
 
 def test_example_draws_and_tells(explained, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(why, "muscle_mechanisms", lambda person: explained)
+    monkeypatch.setattr(why, "why_people_yield", lambda person: explained)
     runpy.run_path(str(ROOT / "examples" / "muscle_mechanisms.py"))["main"](tmp_path / "folder")
     assert {path.name for path in (tmp_path / "folder").iterdir()} == {
         f"yielding_{name}.png" for name in ("loops", "admittance", "pulses")
@@ -215,12 +215,12 @@ def without_pictures(*args, **options):
 
 @pytest.fixture
 def reported(explained, tmp_path, monkeypatch):
-    """The text of the report on somebody, and how `muscle_mechanisms` was asked."""
+    """The text of the report on somebody, and how `why_people_yield` was asked."""
     monkeypatch.setattr(rig_figures, "render", without_pictures)
 
     def write(person, found=explained):
         asked = []
-        monkeypatch.setattr(report, "muscle_mechanisms", lambda *given, **named: asked.append((given, named)) or found)
+        monkeypatch.setattr(report, "why_people_yield", lambda *given, **named: asked.append((given, named)) or found)
         monkeypatch.setattr(report, "moving_shoulder", lambda *given, **named: None)  # tests/test_shoulder.py
         return write_report(study_of(person), tmp_path).read_text(encoding="utf-8"), asked
 
