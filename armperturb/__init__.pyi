@@ -31,6 +31,7 @@ from .perturbations import Pulse as Pulse
 from .perturbations import Sampled as Sampled
 from .perturbations import load_perturbation as load_perturbation
 from .perturbations import save_perturbation as save_perturbation
+from .plots import plot as plot
 from .recording import load_recording as load_recording
 from .recording import make_recording as make_recording
 from .recording import save_recording as save_recording

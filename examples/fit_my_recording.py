@@ -46,8 +46,7 @@ except ValueError as error:
 admittance = ap.response(recording)
 radius = np.median(admittance.radius() / np.abs(admittance.response))
 print(f"{len(admittance.frequency)} frequencies; 95 % confidence radius {radius:.0%} of the gain (median)")
-admittance.plot();
-
+admittance.plot()
 # %% [markdown]
 # ## The parameters of the arm
 #
@@ -64,8 +63,7 @@ arm
 # resonance; the fit uses every line.
 
 # %% alt="Estimated admittance and that of the fitted arm"
-arm.plot();
-
+arm.plot()
 # %% [markdown]
 # ## Is it right?
 #
@@ -89,7 +87,7 @@ print(table.round(2).to_string(index=False))
 relaxed = ap.load_recording(data / "relax.nc")
 linear = ap.best_linear(relaxed)
 print("\n".join(repr(linear).splitlines()[:3]))
-linear.plot();
+linear.plot()
 
 # %% [markdown]
 # Such a person needs [nonlinear identification](../nonlinear.md): `ap.identify_nonlinear` fits the muscle law itself to trials of several

@@ -18,9 +18,7 @@ import armperturb as ap
 
 person = ap.draw_person(seed=0, number=0)
 relaxed = person.subjects["RT"]
-perturbation = ap.MultisineThenPulse.join(
-    ap.Multisine.draw(seed=1, rms=0.9), peak=54.0, direction_deg=20.0, tail=2.0
-)
+perturbation = ap.MultisineThenPulse.join(ap.Multisine.draw(seed=1, rms=0.9), peak=54.0, direction_deg=20.0, tail=2.0)
 trial = ap.Trial(subject=relaxed, perturbation=perturbation, seed=1, noise=ap.HUMAN_NOISE["RT"], condition="RT7.5")
 recording = ap.run_experiment([trial], instruments=ap.Instruments())
 recording[["perturbation", "force", "displacement"]]
@@ -34,13 +32,14 @@ axes[0].plot(recording["time"], recording["perturbation"][0], lw=0.7)
 axes[0].set_ylabel("perturbation [N]")
 axes[1].plot(recording["time"], 1e3 * recording["displacement"][0], lw=0.7, label=["x", "y"])
 axes[1].set(xlabel="time [s]", ylabel="displacement [mm]")
-axes[1].legend(frameon=False);
+axes[1].legend(frameon=False)
 
 # %% [markdown]
 # ## Judge an analysis by the truth
 #
 # A linear person has true parameters, which the estimates should recover. A person with nonlinear muscles (the default) has none: an estimate
 # then describes the movement of one condition. Two trials of each are recorded and identified:
+
 
 # %%
 def record(subject):
@@ -56,7 +55,9 @@ for name, subject in {"linear muscles": linear, "nonlinear muscles": relaxed}.it
     arm = ap.identify(recorded, model="1")
     low, high = arm.fit.interval("k_s")
     share = ap.best_linear(recorded).share.mean()
-    print(f"{name}: k_s = {low:.2f} to {high:.2f} Nm/rad, in the model {subject.k_s:.2f}; nonlinear distortion {share:.1%}")
+    print(
+        f"{name}: k_s = {low:.2f} to {high:.2f} Nm/rad, in the model {subject.k_s:.2f}; nonlinear distortion {share:.1%}"
+    )
 
 # %% [markdown]
 # ## A study
@@ -91,7 +92,12 @@ print(f"{report}: {report.stat().st_size / 1e6:.1f} MB, {len(list(Path('study/fi
 import pandas as pd
 
 table = pd.read_csv("study/tables/parameters.csv")
-print(table[["subject", "parameter", "unit", "true", "estimated", "lower_95", "upper_95"]].head(8).round(2).to_string(index=False))
+print(
+    table[["subject", "parameter", "unit", "true", "estimated", "lower_95", "upper_95"]]
+    .head(8)
+    .round(2)
+    .to_string(index=False)
+)
 
 # %% [markdown]
 # On the command line the same is

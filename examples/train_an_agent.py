@@ -88,7 +88,12 @@ judged = range(1000, 1012)
 still, no_torque = np.zeros(5), policy * [1, 1, 1, 0, 0]
 nothing, without, *learning = rewards(np.array([still, no_torque, *history]), judged)
 learnt = learning[-1]
-for name, result in {"does nothing": nothing, "before training": learning[0], "learnt": learnt, "learnt, no torque": without}.items():
+for name, result in {
+    "does nothing": nothing,
+    "before training": learning[0],
+    "learnt": learnt,
+    "learnt, no torque": without,
+}.items():
     print(f"{name:18} {result.mean():8.2f}")
 gain = learnt - learning[0]
 print(f"learnt - before: {gain.mean():+.2f}, standard error {gain.std(ddof=1) / np.sqrt(len(gain)):.2f}")
@@ -96,7 +101,7 @@ print(f"learnt - before: {gain.mean():+.2f}, standard error {gain.std(ddof=1) / 
 figure, axes = plt.subplots(figsize=(7.0, 3.5), layout="constrained")
 error = np.std(learning, axis=1, ddof=1) / np.sqrt(len(judged))
 axes.errorbar(range(len(learning)), -np.mean(learning, axis=1), error, fmt="ko-", markersize=4)
-axes.set(xlabel="generation", ylabel="mean cost per decision", ylim=(0, None));
+axes.set(xlabel="generation", ylabel="mean cost per decision", ylim=(0, None))
 
 # %% [markdown]
 # `env.unwrapped.own_action` is what the simulated person does in a study, a reference that needs no training.

@@ -14,8 +14,6 @@ import warnings
 import weakref
 from typing import Any, Protocol
 
-from armperturb.extras import naming_the_extra
-
 PACKAGES = {"egl": "libegl1 libopengl0 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 """Libraries that draw without a window, the better one first, and their packages in Debian and Ubuntu."""
 
@@ -52,12 +50,14 @@ def require_simulator() -> None:
     """Import MuJoCo, which loads the library that MUJOCO_GL names.
 
     Raises:
+      ModuleNotFoundError: it is not installed.
       RuntimeError: it cannot be imported; the message says why, and what helps.
     """
     try:
-        with naming_the_extra("the simulation"):
-            importlib.import_module("mujoco")
+        importlib.import_module("mujoco")
     except Exception as error:  # of MuJoCo, PyOpenGL, or ctypes
+        if isinstance(error, ModuleNotFoundError) and error.name == "mujoco":
+            raise
         if "invalid value" in str(error) and "MUJOCO_GL" in str(error):
             given = os.environ["MUJOCO_GL"]
             raise RuntimeError(f"MUJOCO_GL = {given!r}; expected egl, osmesa, glfw or off, or unset") from error

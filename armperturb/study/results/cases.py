@@ -12,6 +12,7 @@ from armperturb.analysis.fit.identify import Identification, identify, identify_
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.response.spectra import SpectralEstimate, estimate_spectra, line_spectra
+from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import multisine_part, of_condition
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.recording import load_recording, stack_trials
@@ -25,8 +26,8 @@ WINDOW_START = 8.0
 """Time from which on a trial is analysed [s]: the transient has gone by then."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Case:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Case(Result):
     """One person in one condition.
 
     Attributes:
@@ -54,6 +55,13 @@ class Case:
     force: float = math.nan
     displacement: float = math.nan
     truth: Subject | None = None
+
+    def describe(self) -> Description:
+        """The identification, and why parts are missing."""
+        if self.identification is None:
+            return Description(title=f"{self.name} in {self.condition.name}: not identified", remarks=self.left_out)
+        said = self.identification.describe()
+        return replace(said, remarks=(*said.remarks, *self.left_out))
 
     @property
     def model(self) -> str:

@@ -17,10 +17,12 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar
 
+import numpy as np
 from tqdm import tqdm
 
+from armperturb.analysis import results
 from armperturb.archive import code_digest, keep, read_archive
 from armperturb.cohort import Person
 from armperturb.environment import Environment
@@ -46,6 +48,10 @@ from armperturb.subject import TASKS
 from armperturb.validation import require_number
 from armperturb.workers import Workers, completed, workers_for
 
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
 ANALYSIS = "analysis"
 
 Unit = TypeVar("Unit")
@@ -68,8 +74,8 @@ class PersonResults(NamedTuple):
     missing: tuple[str, ...]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StudyResult:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class StudyResult(results.Result):
     """An analysed study.
 
     Attributes:
@@ -97,6 +103,48 @@ class StudyResult:
     nonlinear: tuple[NonlinearFit, ...] = ()
     missing: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+
+    def describe(self) -> results.Description:
+        """Who was recorded, and in each condition who was identified and how well the arms predict."""
+        rows = []
+        for condition in self.conditions:
+            cases = self.of(condition.name)
+            vaf = np.mean([case.identified.vaf for case in cases], axis=0)
+            trials = sum(case.identified.n_trials for case in cases)
+            model = "/".join(dict.fromkeys(case.identified.fit.structure for case in cases))
+            rows.append((condition.name, str(len(cases)), str(trials), model, f"{vaf[0]:.1f}", f"{vaf[1]:.1f}"))
+        n, nonlinear = len(self.names), sum(not fit.failed for fit in self.nonlinear)
+        return results.Description(
+            title=f"Study of {n} {'person' if n == 1 else 'people'} in {len(self.conditions)} conditions",
+            facts=(f"{nonlinear} nonlinear fits",) if self.nonlinear else (),
+            table=results.Table(("condition", "people", "trials", "model", "VAF x [%]", "VAF y [%]"), tuple(rows)),
+            remarks=(*self.missing, *self.remarks),
+        )
+
+    def to_frame(self) -> "pd.DataFrame":
+        """One row per person, condition and parameter: `subject`, and the columns of `results.PARAMETER_COLUMNS`."""
+        import pandas as pd
+
+        parts = [
+            case.identified.to_frame().assign(subject=case.name)
+            for condition in self.conditions
+            for case in self.of(condition.name)
+        ]
+        return pd.concat(parts, ignore_index=True)[["subject", *results.PARAMETER_COLUMNS]]
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw the mean admittance over people in each condition, with one SD over people to either side.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (output, input, 2): gain and phase of each element.
+        """
+        from armperturb.plots.bands import plot_responses
+        from armperturb.study.results.mean_admittance import mean_curves
+
+        return plot_responses(mean_curves(self), "SD over people", figure)
 
     @property
     def n_people(self) -> int:
