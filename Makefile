@@ -3,7 +3,7 @@ PYTHON ?= python3
 OUT ?= results
 BIN := .venv/bin
 
-.PHONY: run quick test check docs bench clean
+.PHONY: run quick test check docs tutorials bench clean
 .DELETE_ON_ERROR:
 
 run: .venv/installed
@@ -24,6 +24,10 @@ check: .venv/installed-test .venv/installed-check docs
 # Into site/. While writing, `.venv/bin/mkdocs serve` shows each change at once.
 docs: .venv/installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -W error -m mkdocs build --strict
+
+# Runs the tutorials in examples/, and writes their pages, pictures and notebooks.
+tutorials: .venv/installed-test
+	$(BIN)/python docs/tutorials/make.py
 
 bench: .venv/installed-test
 	$(BIN)/python -m benchmarks

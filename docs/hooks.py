@@ -1,5 +1,6 @@
 """What mkdocs adds to the pages: references of commands, public names and modules, from the code itself."""
 
+import ast
 import inspect
 import itertools
 import re

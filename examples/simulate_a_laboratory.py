@@ -1,18 +1,18 @@
 # %% [markdown]
 # # Simulate a laboratory and report
 #
-# This tutorial perturbs synthetic people, first in one trial and then in a small study with a report. The truth about these people is known,
-# so an analysis can be judged before it is used on recordings of people. It needs the extra `sim`.
+# This tutorial perturbs synthetic people, first in one trial and then in a small study with a report. The truth about
+# these people is known, so an analysis can be judged before it is used on recordings of people. It needs the extra
+# `sim`.
 #
 # ## One trial
 #
-# A person is drawn with a body, muscles and reflexes for both tasks. In the relax task, a multisine of 0.9 N RMS per axis runs for 32 s,
-# followed by a pulse of 54 N. The [instruments](../laboratory.md#instruments) add the noise of strain gauge and encoders, and `HUMAN_NOISE`
-# adds the person's own.
+# A person is drawn with a body, muscles and reflexes for both tasks. In the relax task, a multisine of 0.9 N RMS per
+# axis runs for 32 s, followed by a pulse of 54 N. The [instruments](../laboratory.md#instruments) add the noise of
+# strain gauge and encoders, and `HUMAN_NOISE` adds the person's own.
 
 # %%
 import matplotlib.pyplot as plt
-import numpy as np
 
 import armperturb as ap
 
@@ -37,8 +37,9 @@ axes[1].legend(frameon=False)
 # %% [markdown]
 # ## Judge an analysis by the truth
 #
-# A linear person has true parameters, which the estimates should recover. A person with nonlinear muscles (the default) has none: an estimate
-# then describes the movement of one condition. Two trials of each are recorded and identified:
+# A linear person has true parameters, which the estimates should recover. A person with nonlinear muscles (the
+# default) has none: an estimate then describes the movement of one condition. Two trials of each are recorded and
+# identified:
 
 
 # %%
@@ -55,16 +56,15 @@ for name, subject in {"linear muscles": linear, "nonlinear muscles": relaxed}.it
     arm = ap.identify(recorded, model="1")
     low, high = arm.fit.interval("k_s")
     share = ap.best_linear(recorded).share.mean()
-    print(
-        f"{name}: k_s = {low:.2f} to {high:.2f} Nm/rad, in the model {subject.k_s:.2f}; nonlinear distortion {share:.1%}"
-    )
+    print(f"{name}: k_s = {low:.2f} to {high:.2f} Nm/rad, true {subject.k_s:.2f}; nonlinear distortion {share:.1%}")
 
 # %% [markdown]
 # ## A study
 #
-# A study takes a cohort through a protocol: practice finds each person's forces, all trials are recorded, identified and summarised. The default is
-# the [thesis's protocol](../protocol.md) with 32 trials per person, which takes minutes. A protocol is a TOML file; this one has one
-# condition with a fixed force, and the two people have linear muscles, so that the report can compare estimates with the truth:
+# A study takes a cohort through a protocol: practice finds each person's forces, all trials are recorded, identified
+# and summarised. The default is the [thesis's protocol](../protocol.md) with 32 trials per person, which takes
+# minutes. A protocol is a TOML file; this one has one condition with a fixed force, and the two people have linear
+# muscles, so that the report can compare estimates with the truth:
 
 # %%
 from pathlib import Path
@@ -85,8 +85,8 @@ report = ap.write_report(study, Path("study"), show_progress=False)
 print(f"{report}: {report.stat().st_size / 1e6:.1f} MB, {len(list(Path('study/figures').iterdir()))} figures")
 
 # %% [markdown]
-# The report is one HTML file that needs no network; [Numbers of the report](../report.md) defines each number in it. All tables are CSV
-# files as well. An interrupted study continues when it is run again.
+# The report is one HTML file that needs no network; [Numbers of the report](../report.md) defines each number in it.
+# All tables are CSV files as well. An interrupted study continues when it is run again.
 
 # %%
 import pandas as pd

@@ -1,15 +1,15 @@
 # %% [markdown]
 # # Train an agent
 #
-# In this tutorial an agent learns to hold the handle as a person would: it sets co-contraction, reflex gains and joint torque of a simulated
-# arm, and senses with neural delays. The [environment](../environments.md) is the physics of the studies; it needs the extra `learn`. The
-# learning method is deliberately small, the cross-entropy method in a few lines of NumPy. Any library for gymnasium environments can take
-# its place.
+# In this tutorial an agent learns to hold the handle as a person would: it sets co-contraction, reflex gains and
+# joint torque of a simulated arm, and senses with neural delays. The [environment](../environments.md) is the physics
+# of the studies; it needs the extra `learn`. The learning method is deliberately small, the cross-entropy method in a
+# few lines of NumPy. Any library for gymnasium environments can take its place.
 #
 # ## The task
 #
-# A multisine pushes the handle, and the reward is minus squared displacement and effort. Effort is made ten times as expensive as by default,
-# because otherwise the optimum is simply to be as stiff as possible.
+# A multisine pushes the handle, and the reward is minus squared displacement and effort. Effort is made ten times as
+# expensive as by default, because otherwise the optimum is simply to be as stiff as possible.
 
 # %%
 import gymnasium as gym
@@ -31,8 +31,8 @@ print(f"{env.observation_space.shape[0]} observations, {env.action_space.shape[0
 # %% [markdown]
 # ## A policy of five numbers
 #
-# The policy holds three levels (co-contraction, velocity feedback, position feedback) and answers the sensed joint velocity with a torque at
-# each joint. All candidates try the same trials side by side in one vector environment.
+# The policy holds three levels (co-contraction, velocity feedback, position feedback) and answers the sensed joint
+# velocity with a torque at each joint. All candidates try the same trials side by side in one vector environment.
 
 
 # %%
@@ -60,8 +60,8 @@ def rewards(policies, seeds):
 # %% [markdown]
 # ## Training
 #
-# In each generation twelve candidates are drawn around the policy; the mean of the best three becomes the next policy. Each generation meets
-# new trials.
+# In each generation twelve candidates are drawn around the policy; the mean of the best three becomes the next
+# policy. Each generation meets new trials.
 
 # %%
 rng = np.random.default_rng(0)
@@ -80,8 +80,9 @@ print("torque per velocity [Nms/rad], shoulder and elbow:", (10.0 * policy[3:]).
 # %% [markdown]
 # ## Did it learn?
 #
-# The policies are judged on trials that none of them was trained on, together with two references: an arm that does nothing, and the learnt
-# levels without torque. All meet the same trials, so a difference has a smaller standard error than either mean.
+# The policies are judged on trials that none of them was trained on, together with two references: an arm that does
+# nothing, and the learnt levels without torque. All meet the same trials, so a difference has a smaller standard
+# error than either mean.
 
 # %% alt="Mean cost per decision against generation"
 judged = range(1000, 1012)
@@ -104,5 +105,5 @@ axes.errorbar(range(len(learning)), -np.mean(learning, axis=1), error, fmt="ko-"
 axes.set(xlabel="generation", ylabel="mean cost per decision", ylim=(0, None))
 
 # %% [markdown]
-# `env.unwrapped.own_action` is what the simulated person does in a study, a reference that needs no training.
-# [Effort against accuracy](../effort.md) uses the same reward to ask why people's admittance falls with amplitude.
+# `env.unwrapped.own_action` is what the simulated person does in a study, a reference that needs no training. [Effort
+# against accuracy](../effort.md) uses the same reward to ask why people's admittance falls with amplitude.

@@ -76,13 +76,15 @@ def run(name: str) -> list[Output]:
 
 
 def _execute(source: str, names: dict[str, Any]) -> None:
-    """Run a cell; print its last expression if it has a value and draws nothing, as a notebook shows it."""
+    """Run a cell; print the value of its last expression, as a notebook shows it, unless the cell draws."""
+    import matplotlib.pyplot as plt
+
     body = ast.parse(source).body
-    last = body.pop() if body and isinstance(body[-1], ast.Expr) and not source.rstrip().endswith(";") else None
+    last = body.pop() if body and isinstance(body[-1], ast.Expr) else None
     exec(compile(ast.Module(body, []), "tutorial", "exec"), names)
     if isinstance(last, ast.Expr):
         value = eval(compile(ast.Expression(last.value), "tutorial", "eval"), names)
-        if value is not None:
+        if value is not None and not plt.get_fignums():
             print(value)
 
 
@@ -100,7 +102,9 @@ def page(name: str, outputs: list[Output]) -> tuple[str, dict[str, bytes]]:
             file = f"{name}_{number}{'abcdef'[place]}.png"
             pictures[file] = picture
             parts.append(f"![{cell.alt}]({file})")
-    parts.append(f"*This page is the script `examples/{name}.py`, executed. As a notebook: [{name}.ipynb]({name}.ipynb).*")
+    parts.append(
+        f"*This page is the script `examples/{name}.py`, executed. As a notebook: [{name}.ipynb]({name}.ipynb).*"
+    )
     return "\n\n".join(parts) + "\n", pictures
 
 

@@ -5,7 +5,6 @@ import io
 import logging
 import os
 import resource
-import runpy
 import shutil
 import signal
 import subprocess
@@ -13,7 +12,6 @@ import sys
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import psutil
