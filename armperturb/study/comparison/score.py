@@ -23,8 +23,9 @@ from armperturb.files import write_csv, written_whole
 from armperturb.study.comparison.headlines import Headline, headlines
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import FitEntry, MeanSD
-from armperturb.study.results.appendix_fits import FIRST_STEP, STARTS_OF, Appendices
+from armperturb.study.results.appendix_fits import FIRST_STEP, Appendices
 from armperturb.study.results.quantities import Cell, published_cells
+from armperturb.study.results.settings import STARTS_OF
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import PersonMeasures
 

@@ -193,20 +193,30 @@ def _cut_at_limits(recording: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     beyond = ~within_reach(hand_path(recording), *lengths)
     rate, limit_time = float(recording.attrs["rate"]), recording["limit_time"].values.astype(float)
     displacement = recording["displacement"].values.copy()
-    told = []
+    left_out = []
     for trial in range(len(limit_time)):
         if beyond[trial].any():
             time = int(np.argmax(beyond[trial])) / rate
             if not limit_time[trial] <= time:
-                told.append(f"trial {trial}: the handle is out of the arm's reach at {time:.3f} s")
+                left_out.append(f"trial {trial}: the handle is out of the arm's reach at {time:.3f} s")
                 limit_time[trial] = time
         if np.isfinite(limit_time[trial]):
-            last = max(math.ceil(limit_time[trial] * rate) - 1, 0)
+            last = max(_first_sample_from(limit_time[trial], rate) - 1, 0)
             displacement[trial, last:] = displacement[trial, last]
     changed = recording.assign(
         displacement=(recording["displacement"].dims, displacement, recording["displacement"].attrs)
     )
-    return changed.assign_coords(limit_time=("trial", limit_time)), told
+    return changed.assign_coords(limit_time=("trial", limit_time)), left_out
+
+
+def _first_sample_from(time: float, rate: float) -> int:
+    """The first sample at a time or later.
+
+    A time that was made as sample over rate is that sample's, whatever rounding makes of it: 3645 / 200 * 200 exceeds
+    3645.
+    """
+    samples = time * rate
+    return round(samples) if math.isclose(samples, round(samples), abs_tol=1e-6) else math.ceil(samples)
 
 
 def _multisine_values(path: _Path, trial: int, start: float, period: float) -> Iterator[_Value]:
