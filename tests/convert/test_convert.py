@@ -206,6 +206,7 @@ def write_c3d(path, seed=0):
     path.with_suffix(".json").write_text(json.dumps(sidecar))
 
 
+@pytest.mark.slow(reason="two child processes")
 def test_c3d_with_markers_and_converter_at_different_rates(tmp_path):
     write_c3d(tmp_path / "lab.c3d")
     with pytest.raises(
@@ -271,7 +272,7 @@ def test_what_is_wrong_with_the_balance_is_named(remedy):
 @pytest.mark.slow(reason="simulates trials")
 def test_a_simulated_arm_passes_and_its_force_turned_is_named(position_recording):
     assert check_balance(position_recording) == []
-    with pytest.raises(ValueError, match=r"the sign of force were turned \(exerted_by: the other body\)"):
+    with pytest.raises(ValueError, match=r"the sign of force were turned \(signals.force.exerted_by of the"):
         check_balance(position_recording.assign(force=-position_recording["force"]))
 
 
@@ -437,6 +438,7 @@ def test_clipped_and_stuck_channels_are_refused_with_their_time(tmp_path):
     assert found.recording.sizes["trial"] == 1
 
 
+@pytest.mark.slow(reason="three recordings, as text")
 def test_coarse_encoders_and_pulses_are_not_taken_for_clipped(tmp_path):
     for step in (1e-5, 3e-5, 1e-4):
         values = table()

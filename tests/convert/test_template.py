@@ -187,7 +187,7 @@ def test_the_command_prints_the_guesses_and_the_sidecar(tmp_path, capsys):
     assert cli.main(["sidecar", str(path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == 'time.unit = "s": from the steps of the times'
-    assert lines[1].startswith('axes = {"x": "right", "y": "forward"}: where x and y point')
+    assert lines[1].startswith('axes = {"x": "right", "y": "forward"}: where x and y point, e.g.')
     assert lines[-1] == f"sidecar: {tmp_path / 'lab.json'}"
     assert cli.main(["sidecar", str(path)]) == 1
     assert capsys.readouterr().err.startswith(f"armperturb: error: {tmp_path / 'lab.json'} exists; expected a new file")
