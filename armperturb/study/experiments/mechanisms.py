@@ -365,7 +365,7 @@ def _response(recording: xr.Dataset, subject: Subject) -> Response:
         )
     if pulse_onset < WINDOW_START:
         return response
-    spectra = estimate_spectra(line_spectra(recording, start=WINDOW_START))
+    spectra = estimate_spectra(line_spectra(recording, window_start=WINDOW_START))
     rotation = true_rotations(recording)
     window = slice(round(WINDOW_START * rate), round((WINDOW_START + PERIOD) * rate))
     stretch = element_motion(rotation[:, window].reshape(-1, 2))

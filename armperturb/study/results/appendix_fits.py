@@ -150,7 +150,7 @@ def _fitted(wanted: Mapping[Key, Wanted], *, use_penalty: bool) -> dict[Key, The
 def means_of(first: Mapping[Key, ThesisEstimate]) -> dict[Key, dict[str, float]]:
     """Task and structure to everybody's means of step 1 (appendix C, step 2)."""
     tasks = {condition: task for task, condition in FIRST_STEP.items()}
-    return {(tasks[condition], model): estimate.start() for (condition, model), estimate in first.items()}
+    return {(tasks[condition], model): estimate.means() for (condition, model), estimate in first.items()}
 
 
 def joined(people: Iterable[Mapping]) -> dict:

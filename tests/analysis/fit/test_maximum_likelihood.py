@@ -135,7 +135,7 @@ def test_a_shared_mass_is_one_value_and_better_known_than_from_either_condition_
     for group, one in zip(groups, alone, strict=True):
         for name, value in one.values.items():
             assert apart.values[f"{name} [{group.label}]"] == pytest.approx(value, abs=0.1 * one.standard_error[name])
-    started = estimate(groups, share=["m_tot", "velocity"], start={"m_tot": 4.0, "kv_s": 12.0, "k_e [PT7.5]": 150.0})
+    started = estimate(groups, share=["m_tot", "velocity"], initial={"m_tot": 4.0, "kv_s": 12.0, "k_e [PT7.5]": 150.0})
     assert started.converged
     assert "kv_s" in started.values
 
@@ -216,7 +216,7 @@ def test_an_unstable_start_is_made_stable(position_group):
     start = {"kv_s": 100.0, "kv_se": 0.0, "kv_e": 100.0, "b_s": 0.1, "b_e": 0.1}
     arm = replace(POSITION, **start)
     assert largest_real_pole(arm, Environment()) > 0
-    found, usual = (estimate([position_group], "frequency", start=given) for given in (start, None))
+    found, usual = (estimate([position_group], "frequency", initial=given) for given in (start, None))
     assert found.converged
     for name, value in usual.values.items():
         assert found.values[name] == pytest.approx(value, abs=0.1 * usual.standard_error[name])
@@ -230,7 +230,7 @@ def test_structures_that_no_trial_identifies_are_refused_with_the_direction(rela
     twice = replace(
         base,
         bounds={name: pair for name, pair in base.bounds.items() if name != "b_s"} | {"b": (0.0, 9.0), "c": (0.0, 9.0)},
-        start={name: value for name, value in base.start.items() if name != "b_s"} | {"b": 1.0, "c": 1.0},
+        initial={name: value for name, value in base.initial.items() if name != "b_s"} | {"b": 1.0, "c": 1.0},
         tied={"b_s": {"b": 1.0, "c": 0.5}},
     )
     with pytest.raises(ValueError, match=r"a change of [+-]0.5 b [+-]1 c leaves the movement as it is"):

@@ -106,7 +106,7 @@ def test_appendix_c_is_what_the_estimator_gives(study, result):
         return [multisine_part(of_condition(recording, condition))[0] for recording in recordings]
 
     first = join_estimates([fit_trials(one, "1", use_penalty=False) for one in trials("RT7.5")])
-    second = join_estimates([fit_trials(one, "1", initial=first.start()) for one in trials("RT22.5")])
+    second = join_estimates([fit_trials(one, "1", initial=first.means()) for one in trials("RT22.5")])
     cells = of(result)
     place = first.parameters.index("k_se")
     for table, condition, estimate in (("C.13", "RT7.5", first), ("C.20", "RT22.5", second)):
