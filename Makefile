@@ -3,7 +3,7 @@ PYTHON ?= python3
 OUT ?= results
 BIN := .venv/bin
 
-.PHONY: run test check docs bench clean
+.PHONY: run quick test check docs bench clean
 .DELETE_ON_ERROR:
 
 run: .venv/installed
@@ -11,6 +11,10 @@ run: .venv/installed
 
 test: .venv/installed-test
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
+
+# The tests that are not marked slow.
+quick: .venv/installed-test
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
 
 check: .venv/installed-test .venv/installed-check docs
 	$(BIN)/ruff check .

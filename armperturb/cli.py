@@ -122,10 +122,10 @@ class Identify:
     """Which subject, if the recording holds several."""
     condition: str | None = None
     """Which condition alone; by default all that have a multisine."""
-    start: float = 8.0
-    """Start of the spectral window [s]."""
-    period: float = 20.48
-    """Period of the disturbance [s]."""
+    window_start: float = 8.0
+    """Start of the window of whole periods [s]: the transient must have died away by then."""
+    period: float | None = None
+    """Period of the perturbation [s]; by default it is found."""
     lines_per_average: int = 4
     """Adjacent excited lines that are averaged in admittance.csv and by the thesis's estimator; 1 keeps every line and
     needs several trials."""
@@ -149,7 +149,7 @@ class Response:
     """Which subject, if the recordings hold several."""
     condition: str | None = None
     """Which condition, if they hold several."""
-    start: float | None = None
+    window_start: float | None = None
     """Start of what is used [s]; by default 2 of multisine, 8 of spectral, and else 0."""
     period: float | None = None
     """Period of a multisine [s]; by default it is found."""
@@ -429,7 +429,7 @@ def identify(settings: Identify) -> dict[str, Identification]:
             settings.model,
             estimator=settings.estimator,
             share=() if settings.share is None else tuple(settings.share.split(",")),
-            start=settings.start,
+            window_start=settings.window_start,
             period=settings.period,
             lines_per_average=settings.lines_per_average,
         )
@@ -449,9 +449,10 @@ def response(settings: Response) -> list[str]:
       OSError: a file cannot be read or written.
     """
     # Here, so that the other commands start without the drawing library.
-    from armperturb.analysis.response.best_linear import estimate_best_linear
-    from armperturb.analysis.response.closed_loop import period_of
-    from armperturb.analysis.response.estimate import estimate_response
+    from armperturb.analysis.defaults import SETTLED
+    from armperturb.analysis.response.best_linear import best_linear
+    from armperturb.analysis.response.estimate import response as estimate
+    from armperturb.analysis.trials import common_period, prepared_recordings
     from armperturb.commands.response import distortion_text, write_response
 
     periodic = settings.method in ("multisine", "spectral")
@@ -469,16 +470,19 @@ def response(settings: Response) -> list[str]:
         chosen = held[0] if wanted is None else wanted
         recordings = [one.isel(trial=np.flatnonzero(one[name].values == chosen)) for one in recordings]
         recordings = [one for one in recordings if one.sizes["trial"]]
-    options: dict[str, Any] = {} if settings.start is None else {"start": settings.start}
+    condition = str(recordings[0]["condition"].values[0])
+    options: dict[str, Any] = {} if settings.window_start is None else {"window_start": settings.window_start}
     said, distortion = [], None
     try:
+        trials = prepared_recordings(recordings)
         if settings.method == "multisine":
-            start = 2.0 if settings.start is None else settings.start
-            options |= {"period": period_of(recordings, start) if settings.period is None else settings.period}
+            start = SETTLED if settings.window_start is None else settings.window_start
+            found_or_given = common_period(trials, start) if settings.period is None else settings.period
+            options |= {"period": found_or_given}
             said.append(f"period: {options['period']:g} s")
         elif settings.period is not None:
             options |= {"period": settings.period}
-        found = estimate_response(recordings, settings.method, what=settings.what, **options)
+        found = estimate(trials, settings.method, what=settings.what, **options)
     except ValueError as error:
         raise ValueError(f"{named}: {error}") from None
     if found.environment is not None:
@@ -491,11 +495,11 @@ def response(settings: Response) -> list[str]:
         said.append(f"no uncertainty: {settings.method} needs more trials for one")
     if settings.method == "multisine" and settings.what == "arm":
         try:
-            distortion = estimate_best_linear(recordings, **options)
+            distortion = best_linear(trials, **options)
             said.append(distortion_text(distortion))
         except ValueError as error:
             said.append(f"nonlinear distortion: not told ({error})")
-    write_response(found, distortion, settings.out, str(recordings[0]["condition"].values[0]))
+    write_response(found, distortion, settings.out, condition)
     return said
 
 
@@ -549,7 +553,7 @@ def identify_nonlinear(settings: Identify) -> list[str]:
             recording,
             settings.law or "full",
             pulse_directions_deg=directions,
-            start=settings.start,
+            window_start=settings.window_start,
             period=settings.period,
             folder=settings.out,
             progress=lambda line: print(line, file=sys.stderr, flush=True),

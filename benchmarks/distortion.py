@@ -1,4 +1,4 @@
-"""Whether linear arms look linear, and nonlinear ones do not: `estimate_best_linear`, on people of known muscles.
+"""Whether linear arms look linear, and nonlinear ones do not: `best_linear`, on people of known muscles.
 
 Run by `python -m benchmarks.distortion [linear] [nonlinear] [short-range]`; without arguments all three, some 70 min of
 one core, nearly all of it for simulating the nonlinear people (the linear ones take 4 min).
@@ -25,7 +25,7 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from armperturb.analysis.response.best_linear import estimate_best_linear
+from armperturb.analysis.response.best_linear import best_linear
 from armperturb.cohort import draw_person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.lab.experiment import run_experiment
@@ -85,7 +85,7 @@ def judge(muscles: str, condition: str) -> None:
             inside = np.flatnonzero(np.isnan(of_person["limit_time"].values))
             for n_trials in TRIALS:
                 if len(inside) >= n_trials:
-                    found[n_trials].append(estimate_best_linear(of_person.isel(trial=inside[:n_trials])))
+                    found[n_trials].append(best_linear(of_person.isel(trial=inside[:n_trials])))
     for n_trials, every in found.items():
         if not every:
             continue

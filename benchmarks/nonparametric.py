@@ -21,7 +21,7 @@ from scipy import fft
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.response.arx import HIGHEST_ORDER, Regression, fit_arx
-from armperturb.analysis.response.estimate import estimate_response
+from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.joint_records import JointRecords, admittance_of, joint_records
 from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.response.subspace import fit_subspace
@@ -147,20 +147,20 @@ def run(case: Case, method: str, recording: xr.Dataset, frequency: Any) -> dict[
     start = time.process_time()
     order = pole = ratio = np.nan
     if method == "parametric":
-        response = arm_admittance(identify(recording, case.model).fit.arm, frequency)
+        values = arm_admittance(identify(recording, case.model).fit.arm, frequency)
     elif method == "direct":
-        response = direct(recording, frequency)
+        values = direct(recording, frequency)
     else:
-        found = estimate_response(recording, method, frequency)
-        response = found.response
+        found = response(recording, method, frequency)
+        values = found.response
         if found.covariance is not None:
-            ratio = float(np.mean(np.abs(response - truth) ** 2 / found.covariance))
+            ratio = float(np.mean(np.abs(values - truth) ** 2 / found.covariance))
     took = time.process_time() - start
     if method in ("arx", "subspace"):
         fit: Any = {"arx": fit_arx, "subspace": fit_subspace}[method]
         model = fit(joint_records(recording), frequency)
         order, pole = model.order, model.largest_pole
-    error = np.linalg.norm(response - truth, axis=(1, 2)) / np.linalg.norm(truth, axis=(1, 2))
+    error = np.linalg.norm(values - truth, axis=(1, 2)) / np.linalg.norm(truth, axis=(1, 2))
     return {"error": float(np.sqrt(np.mean(error**2))), "order": order, "pole": pole, "ratio": ratio, "took": took}
 
 
@@ -172,8 +172,8 @@ def orders(recording: xr.Dataset, truth: Any, frequency: Any) -> dict[str, tuple
     error = []
     criterion = []
     for model in models:
-        response = admittance_of("arm", model.response(frequency)[0])
-        off = np.linalg.norm(response - truth, axis=(1, 2)) / np.linalg.norm(truth, axis=(1, 2))
+        values = admittance_of("arm", model.response(frequency)[0])
+        off = np.linalg.norm(values - truth, axis=(1, 2)) / np.linalg.norm(truth, axis=(1, 2))
         error.append(np.sqrt(np.mean(off**2)))
         n, width = regression.n_rows, regression.width(model.order)
         likely = n * np.linalg.slogdet(model.noise / np.outer(model.response_scale, model.response_scale))[1]

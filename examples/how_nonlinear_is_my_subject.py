@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from armperturb import identify
 from armperturb.analysis.measures.pulse import pulse_peaks, pulse_prediction
-from armperturb.analysis.response.best_linear import BestLinear, estimate_best_linear
+from armperturb.analysis.response.best_linear import BestLinear, best_linear
 from armperturb.convert import import_recording
 
 DATA = Path(__file__).parent / "data"
@@ -82,7 +82,7 @@ def picture(people: dict[str, BestLinear]) -> Figure:
 def main(files: list[Path], sidecar: Path | None, folder: Path) -> None:
     recording, notes = import_recording(files, sidecar=sidecar)
     print(*notes, sep="\n", end="\n" if notes else "")
-    people = {"recording": estimate_best_linear(recording), "linear person": estimate_best_linear(control(recording))}
+    people = {"recording": best_linear(recording), "linear person": best_linear(control(recording))}
     for name, found in people.items():
         tell(name, found)
     if np.isfinite(recording["pulse_onset"].values).all() and (recording["task"] == "RT").all():

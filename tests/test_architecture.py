@@ -1,4 +1,4 @@
-"""One direction of imports, and a face that loads light."""
+"""One direction of imports, and an analysis that loads no simulator."""
 
 import ast
 import subprocess
@@ -12,7 +12,7 @@ import armperturb
 ROOT = Path(armperturb.__file__).parent
 
 BASE = {"arrays", "validation", "seeds", "files", "muscle_law", "subject", "environment", "recording"}
-ARM = BASE | {"analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics"}
+ARM = BASE | {"analysis.defaults", "analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics"}
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear", "plots"}
 LAB = ARM | {"perturbations", "models", "controllers", "cohort"}
 STUDY = LAB | ANALYSIS | {"envs.lab", "archive", "workers", "study.protocol", "study.published"}
@@ -20,6 +20,7 @@ ARROWS = {
     "arrays": set(),
     "validation": set(),
     "files": set(),
+    "extras": set(),
     "seeds": set(),
     "muscle_law": {"validation"},
     "subject": {"validation", "muscle_law"},
@@ -30,6 +31,7 @@ ARROWS = {
     "perturbations": BASE,
     "controllers": BASE,
     "models": BASE,
+    "analysis.defaults": BASE,
     "analysis.numerics": BASE,
     "analysis.arm": BASE,
     "analysis.force_balance": BASE,

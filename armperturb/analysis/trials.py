@@ -127,6 +127,11 @@ class ConditionTrials:
         return replace(POSITION if values["task"] == "PT" else RELAX, name=name, **values)
 
     @property
+    def name(self) -> str:
+        """Of the person."""
+        return str(self.recording["subject"].values[0])
+
+    @property
     def rate(self) -> float:
         """Sampling rate [Hz]."""
         return float(self.recording.attrs["rate"])

@@ -159,8 +159,8 @@ def fit_admittance(
       delay: "exact", or the thesis's "pade".
 
     Raises:
-      ValueError: shapes do not fit, values are not finite, an admittance is zero, an initial value is unknown or outside
-        its bounds, or free parameters are not separately identifiable from any admittance at these frequencies.
+      ValueError: shapes do not fit, values are not finite, an admittance is zero, an initial value is unknown or not
+        within its bounds, or free parameters are not separately identifiable from any admittance at these frequencies.
     """
     target = Target(frequency=frequency, admittance=admittance, body=body, environment=environment, coherence=coherence)
     if as_published:

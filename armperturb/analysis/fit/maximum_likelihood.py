@@ -446,7 +446,7 @@ def estimate(
 
     Raises:
       ValueError: there is no group, groups differ in person or posture, a shared name is unknown, an initial value is
-        unknown or outside its bounds, or the structure cannot be identified from any data; the message names the direction.
+        unknown or outside its bounds, or no data identify the structure; the message names the direction.
     """
     if method not in get_args(Method):
         raise ValueError(f"method = {method!r}; expected one of {', '.join(get_args(Method))}")

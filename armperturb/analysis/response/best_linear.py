@@ -123,7 +123,7 @@ class BestLinear:
         return np.asarray(error / (self.linear + self.distortion).sum(axis=0))
 
 
-def estimate_best_linear(
+def best_linear(
     recordings: SeveralTrials,
     *,
     period: float | None = None,

@@ -93,8 +93,8 @@ def spectral_response(
 def _averaged(lines: LineSpectra, spectra: SpectralEstimate, what: System) -> FrequencyResponse:
     """The estimate, with the covariance that lines and trials of each average tell."""
     if spectra.n_averages.min() <= N_INPUTS:
-        response = {"arm": spectra.arm, "environment": spectra.environment, "total": spectra.total}[what]
-        return FrequencyResponse(frequency=spectra.frequency, response=response, covariance=None, what=what)
+        values = {"arm": spectra.arm, "environment": spectra.environment, "total": spectra.total}[what]
+        return FrequencyResponse(frequency=spectra.frequency, response=values, covariance=None, what=what)
     answer = np.concatenate([lines.force, lines.displacement], axis=-1)
     ends = np.cumsum(spectra.n_averages // len(answer))
     fits = []
@@ -215,7 +215,7 @@ METHODS: dict[str, Callable[..., FrequencyResponse]] = {
 """Name of a method to what estimates by it."""
 
 
-def estimate_response(
+def response(
     recording: SeveralTrials, method: str = "multisine", frequency: ArrayLike | None = None, **options: Any
 ) -> FrequencyResponse:
     """Frequency response of the arm, the environment or both, without a model of the arm.

@@ -1,11 +1,14 @@
-"""Three tasks by name, for gymnasium and dm_control. To import this loads no MuJoCo."""
+"""Three tasks by name, for gymnasium and dm_control. This module imports neither, nor MuJoCo."""
 
+import sys
+from collections.abc import Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-import gymnasium as gym
-import numpy as np
-
 if TYPE_CHECKING:
+    import numpy as np
     from dm_control import composer
 
 ENTRY_POINT = "armperturb.envs.learning.gym_env:ArmPerturbEnv"
@@ -20,14 +23,44 @@ TASKS: dict[str, dict[str, Any]] = {
 
 
 def register_environments() -> None:
-    """Tell gymnasium; a second time does nothing."""
+    """Register the tasks with gymnasium: now if it is imported already, and otherwise as soon as it is."""
+    if "gymnasium" in sys.modules:
+        _register(sys.modules["gymnasium"])
+    elif not any(isinstance(finder, _GymnasiumFinder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _GymnasiumFinder())
+
+
+def _register(gymnasium: ModuleType) -> None:
     for name, settings in TASKS.items():
-        if name not in gym.registry:
-            gym.register(name, ENTRY_POINT, vector_entry_point=VECTOR_ENTRY_POINT, kwargs=settings)
+        if name not in gymnasium.registry:
+            gymnasium.register(name, ENTRY_POINT, vector_entry_point=VECTOR_ENTRY_POINT, kwargs=settings)
+
+
+class _GymnasiumFinder(MetaPathFinder):
+    """Adds the registration to the import of gymnasium, which loads no plugins by itself."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """The module's spec, as the other finders give it."""
+        if fullname != "gymnasium":
+            return None
+        specs = (finder.find_spec(fullname, path, target) for finder in sys.meta_path if finder is not self)
+        spec = next((spec for spec in specs if spec is not None), None)
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def execute_and_register(module: ModuleType) -> None:
+                execute(module)
+                sys.meta_path.remove(self)
+                _register(module)
+
+            spec.loader.exec_module = execute_and_register  # type: ignore[method-assign]
+        return spec
 
 
 def load_dm_env(
-    name: str, *, random_state: int | np.random.RandomState | None = None, **settings: Any
+    name: str, *, random_state: "int | np.random.RandomState | None" = None, **settings: Any
 ) -> "composer.Environment":
     """A task as dm_control's composer has it: `dm_control.viewer` and all that knows dm_env take it.
 

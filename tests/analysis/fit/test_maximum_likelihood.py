@@ -6,7 +6,7 @@ import pytest
 
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.fit.maximum_likelihood import Group, estimate, profile
-from armperturb.analysis.fit.structures import STRUCTURES, body_of
+from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
@@ -44,7 +44,7 @@ def record(subject, n=4, *, seed=0, noise=1.0, linear=True, instruments=INSTRUME
 
 def group_of(recording, model, **options):
     structure = STRUCTURES[model] if isinstance(model, str) else model
-    return Group.prepare(recording, body_of(recording), structure, **options)
+    return Group.prepare(recording, structure, **options)
 
 
 def true_value(arm, name):
@@ -261,16 +261,15 @@ def test_bad_input_is_refused_in_one_sentence(position, position_group, relax, r
     with pytest.raises(ValueError, match=r"k_s = -1.0; expected 0 to 1000 Nm/rad"):
         profile([position_group], found, "k_s", [-1.0])
 
-    body = body_of(position)
-    with pytest.raises(ValueError, match=r"theta_s_deg = 22.5 in the recording; expected 30.0 \(body\)"):
-        Group.prepare(position, replace(body, theta_s_deg=30.0), STRUCTURES["3b"])
-    with pytest.raises(ValueError, match=r"several values of l_h"):
-        Group.prepare(position.assign_coords(l_h=("trial", np.linspace(0.3, 0.33, 8))), body, STRUCTURES["3b"])
+    with pytest.raises(ValueError, match=r"l_h has several values"):
+        Group.prepare(position.assign_coords(l_h=("trial", np.linspace(0.3, 0.33, 8))), STRUCTURES["3b"])
     broken = position.copy(deep=True)
     broken["force"].values[2, 5, 1] = np.nan
     with pytest.raises(ValueError, match=r"force of trial 2 is nan at sample 5"):
-        Group.prepare(broken, body, STRUCTURES["3b"])
+        Group.prepare(broken, STRUCTURES["3b"])
     with pytest.raises(ValueError, match=r"expected a whole period of 20.48 s"):
+        group_of(position.isel(time=slice(0, 4000)), "3b", period=20.48)
+    with pytest.raises(ValueError, match=r"does not repeat within the 18 s from 2 s on"):
         group_of(position.isel(time=slice(0, 4000)), "3b")
     with pytest.raises(ValueError, match=r"trial 0 changes by \d+% of its RMS from one period of 10 s to the next"):
         group_of(position, "3b", period=10.0)

@@ -7,7 +7,7 @@ from scipy import signal
 from armperturb.analysis.force_balance import NoiseLevels
 from armperturb.analysis.numerics.periodicity import find_period
 from armperturb.analysis.response.closed_loop import estimate_multisine, estimate_noise
-from armperturb.analysis.response.estimate import estimate_response
+from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.analysis.response.line_balance import LineBalance
 from armperturb.analysis.response.local_polynomial import Window, fit_locally
@@ -210,7 +210,7 @@ def test_tapers_of_unequal_records(method):
     for seed in range(12):
         rng = np.random.default_rng([seed, 5])
         recordings = [recorded(noise(rng, n, t), rng, own=0.3, instruments=1.0) for n, t in ((2, 25.0), (1, 41.0))]
-        found = estimate_response(recordings, method, frequency)
+        found = response(recordings, method, frequency)
         covered.append(found.covers(TRUE["arm"](frequency)).mean())
         errors.append(
             np.abs(found.response - TRUE["arm"](frequency))
@@ -232,7 +232,7 @@ def test_tapers_against_scipy():
 
     own = np.fft.rfftfreq(n, 1 / RATE)[10:60]
     arm = np.linalg.solve(cross(d, f), cross(d, x)).swapaxes(1, 2)[10:60]
-    np.testing.assert_allclose(estimate_response(recording, "welch", own).response, arm, rtol=1e-9)
+    np.testing.assert_allclose(response(recording, "welch", own).response, arm, rtol=1e-9)
 
 
 @pytest.mark.parametrize(("draw", "estimate"), [(multisine, estimate_multisine), (noise, estimate_noise)])
@@ -261,7 +261,7 @@ def test_a_longer_record_says_more():
 def test_transients_do_not_bias():
     rng = np.random.default_rng(5)
     force = multisine(rng, 4, 32.0)
-    from_rest = estimate_multisine(recorded(force, rng), start=0.0)
+    from_rest = estimate_multisine(recorded(force, rng), window_start=0.0)
     assert worst(from_rest, "arm") < 0.02
 
 
@@ -326,11 +326,11 @@ def test_bad_input_is_refused(excited):
     with pytest.raises(ValueError, match=r"does not repeat after 5\.12 s"):
         estimate_multisine(recording, period=5.12)
     with pytest.raises(ValueError, match=r"holds 12 s from 20 s on; expected a whole period of 20\.48 s"):
-        estimate_multisine(recording, start=20.0, period=PERIOD)
+        estimate_multisine(recording, window_start=20.0, period=PERIOD)
     with pytest.raises(ValueError, match=r"hold 0 independent spectra with 40 s of Welch's segments"):
-        estimate_response(recording, "welch", segment=40.0)
+        response(recording, "welch", segment=40.0)
     with pytest.raises(ValueError, match=r"hold 0 independent spectra with a half bandwidth of 0\.01 Hz"):
-        estimate_response(recording, "multitaper", half_bandwidth=0.01)
+        response(recording, "multitaper", half_bandwidth=0.01)
     same = recording.copy(deep=True)
     same["perturbation"][..., 1] = same["perturbation"][..., 0]
     with pytest.raises(ValueError, match="cannot be told apart"):

@@ -9,7 +9,7 @@ from armperturb import POSITION, Environment, Instruments, Multisine, Trial, arm
 from armperturb.analysis.arm.linear_arm import environment_admittance, total_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.response.arx import Regression, fit_arx
-from armperturb.analysis.response.estimate import METHODS, estimate_response
+from armperturb.analysis.response.estimate import METHODS, response
 from armperturb.analysis.response.joint_records import JointRecords, admittance_of, joint_records, variance_of
 from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.response.subspace import fit_subspace
@@ -75,8 +75,8 @@ def load_recording(drive, n_trials=2, duration=30.0, rate=200.0):
     return recording_of(d[:, kept], y[:, kept, :2], y[:, kept, 2:], rate)
 
 
-def relative_error(response, truth):
-    return np.linalg.norm(response - truth, axis=(1, 2)) / np.linalg.norm(truth, axis=(1, 2))
+def relative_error(values, truth):
+    return np.linalg.norm(values - truth, axis=(1, 2)) / np.linalg.norm(truth, axis=(1, 2))
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +98,7 @@ def noisy_arm():
 @pytest.mark.parametrize("method", sorted(set(METHODS) - {"welch", "multitaper"}))
 def test_a_load_is_recovered_from_multisines(load, method, what):
     # Spectra are averages over clusters: they stand for their mean frequency where responses bend little, above 2 Hz.
-    frequency = estimate_response(load, "spectral").frequency
+    frequency = response(load, "spectral").frequency
     frequency = frequency[(frequency < 20.0) & (frequency > (2.5 if method == "spectral" else 0.0))]
     truth = {
         "arm": load_admittance,
@@ -107,7 +107,7 @@ def test_a_load_is_recovered_from_multisines(load, method, what):
             np.linalg.inv(load_admittance(f)) + np.linalg.inv(environment_admittance(ENVIRONMENT, f))
         ),
     }[what](frequency)
-    found = estimate_response(load, method, frequency, what=what)
+    found = response(load, method, frequency, what=what)
     assert found.what == what
     np.testing.assert_array_equal(found.frequency, frequency)
     assert relative_error(found.response, truth).max() < (0.05 if method == "spectral" else 0.02)
@@ -116,7 +116,7 @@ def test_a_load_is_recovered_from_multisines(load, method, what):
 @pytest.mark.parametrize("method", ["arx", "subspace"])
 def test_a_load_is_recovered_from_noise_at_another_rate(method):
     recording = load_recording(coloured_noise, n_trials=1, duration=20.0, rate=1000.0)
-    found = estimate_response(recording, method, BELOW_20)
+    found = response(recording, method, BELOW_20)
     assert relative_error(found.response, load_admittance(BELOW_20)).max() < 0.02
 
 
@@ -126,7 +126,7 @@ def test_an_arm_with_delayed_reflexes_is_recovered(method):
     recording = run_experiment(trials, linear=True, n_threads=1)
     frequency = line_spectra(recording).frequency
     frequency = frequency[frequency < 20.0]
-    found = estimate_response(recording, method, frequency)
+    found = response(recording, method, frequency)
     assert relative_error(found.response, arm_admittance(POSITION, frequency)).max() < 0.01
 
 
@@ -135,10 +135,10 @@ def test_of_a_noisy_arm_models_err_less_than_spectra(noisy_arm, method):
     spectra = estimate_spectra(line_spectra(noisy_arm))
     kept = spectra.frequency < 20.0
     truth = arm_admittance(POSITION, spectra.frequency[kept])
-    found = estimate_response(noisy_arm, method, spectra.frequency[kept])
+    found = response(noisy_arm, method, spectra.frequency[kept])
     size = {
-        name: np.sqrt(np.mean(relative_error(response, truth) ** 2))
-        for name, response in (("model", found.response), ("spectra", spectra.arm[kept]))
+        name: np.sqrt(np.mean(relative_error(values, truth) ** 2))
+        for name, values in (("model", found.response), ("spectra", spectra.arm[kept]))
     }
     assert size["model"] < 0.6 * size["spectra"]
     if method == "arx":
@@ -162,7 +162,7 @@ def test_a_model_straight_from_force_to_displacement_would_be_biased(noisy_arm):
     )
     truth = arm_admittance(POSITION, BELOW_20)
     direct = Regression(straight, 30).model(30).response(BELOW_20)[0]
-    joint = estimate_response(noisy_arm, "arx", BELOW_20, order=30).response
+    joint = response(noisy_arm, "arx", BELOW_20, order=30).response
     assert np.median(relative_error(joint, truth)) < 0.3 * np.median(relative_error(direct, truth))
 
 
@@ -170,8 +170,7 @@ def test_responses_of_one_recording_fit_together(noisy_arm):
     frequency = BELOW_20
     order = {"order": 15}
     arm, environment, total = (
-        estimate_response(noisy_arm, "arx", frequency, what=what, **order).response
-        for what in ("arm", "environment", "total")
+        response(noisy_arm, "arx", frequency, what=what, **order).response for what in ("arm", "environment", "total")
     )
     np.testing.assert_allclose(np.linalg.inv(total), np.linalg.inv(arm) + np.linalg.inv(environment), rtol=1e-6)
     truth = total_admittance(POSITION, ENVIRONMENT, frequency)
@@ -180,20 +179,20 @@ def test_responses_of_one_recording_fit_together(noisy_arm):
 
 @pytest.mark.parametrize("method", ["multisine", "spectral"])
 def test_some_frequencies_of_a_multisine(load, method):
-    whole = estimate_response(load, method)
-    some = estimate_response(load, method, whole.frequency[[4, 2]])
+    whole = response(load, method)
+    some = response(load, method, whole.frequency[[4, 2]])
     for name in ("frequency", "response", "covariance", "dof"):
         np.testing.assert_array_equal(getattr(some, name), getattr(whole, name)[[4, 2]])
 
 
 def test_as_many_averages_as_inputs_tell_no_covariance(load):
     with pytest.warns(RuntimeWarning, match="as many averages as inputs"):
-        found = estimate_response(load, "spectral", lines_per_average=1)
+        found = response(load, "spectral", lines_per_average=1)
     assert found.covariance is None
 
 
 def test_circles_hold_a_load_whose_force_is_noisy(load):
-    wanted = estimate_response(load, "spectral").frequency
+    wanted = response(load, "spectral").frequency
     wanted = wanted[(wanted > 4.0) & (wanted < 16.0)]
     covered = {"spectral": [], "subspace": []}
     for seed in range(4):
@@ -204,7 +203,7 @@ def test_circles_hold_a_load_whose_force_is_noisy(load):
         later = noisy.isel(time=slice(3000, None)).assign_coords(time=noisy["time"].values[:3000])
         halves = [noisy.isel(time=slice(0, 3000)), later]
         for method, recording, options in (("spectral", noisy, {}), ("subspace", halves, {"order": 8})):
-            found = estimate_response(recording, method, wanted, **options)
+            found = response(recording, method, wanted, **options)
             covered[method].append(found.covers(load_admittance(wanted)).mean())
     for values in covered.values():
         assert np.mean(values) >= 0.85
@@ -213,11 +212,9 @@ def test_circles_hold_a_load_whose_force_is_noisy(load):
 @pytest.mark.parametrize("method", ["arx", "subspace", "welch", "multitaper", "noise"])
 def test_what_is_before_the_start_is_left_out(load, method):
     later = load.isel(time=slice(1000, None)).assign_coords(time=load["time"].values[:-1000])
-    frequency = estimate_response(load, "spectral").frequency[3:8]
+    frequency = response(load, "spectral").frequency[3:8]
     found, expected = (
-        estimate_response(
-            recording, method, frequency, start=start, **({"balance": False} if method == "noise" else {})
-        )
+        response(recording, method, frequency, window_start=start, **({"balance": False} if method == "noise" else {}))
         for recording, start in ((load, 5.0), (later, 0.0))
     )
     np.testing.assert_allclose(found.response, expected.response, rtol=1e-9)
@@ -349,7 +346,7 @@ def test_records_end_at_the_pulse_of_each_trial(load):
 
 def test_several_recordings_may_have_several_lengths(load):
     shorter = load.isel(trial=[0], time=slice(0, 3000))
-    found = estimate_response([load.isel(trial=[1]), shorter], "arx", BELOW_20)
+    found = response([load.isel(trial=[1]), shorter], "arx", BELOW_20)
     assert relative_error(found.response, load_admittance(BELOW_20)).max() < 0.02
 
 
@@ -403,7 +400,7 @@ def with_nan(recording):
 )
 def test_recordings_are_refused(load, method, spoil, message):
     with pytest.raises(ValueError, match=message):
-        estimate_response(spoil(load), method, BELOW_20)
+        response(spoil(load), method, BELOW_20)
 
 
 @pytest.mark.parametrize(
@@ -446,4 +443,4 @@ def test_recordings_are_refused(load, method, spoil, message):
 )
 def test_requests_are_refused(load, arguments, options, error, message):
     with pytest.raises(error, match=message):
-        estimate_response(load, *arguments, **options)
+        response(load, *arguments, **options)

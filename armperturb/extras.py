@@ -1,0 +1,41 @@
+"""The optional parts of the package: which library belongs to which, and the error that names it."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+EXTRAS = {
+    "mujoco": "sim",
+    "loky": "sim",
+    "gymnasium": "learn",
+    "dm_control": "dm",
+    "dm_env": "dm",
+    "mediapy": "video",
+    "imageio_ffmpeg": "video",
+    "PIL": "video",
+    "numba": "nonlinear",
+    "ezc3d": "c3d",
+    "distributed": "dask",
+}
+"""Library, as imported, to the extra that installs it."""
+
+
+@contextmanager
+def naming_the_extra(wanted: str) -> Iterator[None]:
+    """Name the extra to install if a library of an optional part is missing.
+
+    Args:
+      wanted: what needs the library, for the message.
+
+    Raises:
+      ModuleNotFoundError: the library is missing; the message says how to install it.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        library = (error.name or "").partition(".")[0]
+        if library not in EXTRAS:
+            raise
+        raise ModuleNotFoundError(
+            f"{wanted} needs {library}, which is not installed; expected `pip install 'armperturb[{EXTRAS[library]}]'`",
+            name=library,
+        ) from error

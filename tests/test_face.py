@@ -1,0 +1,74 @@
+"""The public names: complete, quick to import, and clear about what an optional part needs."""
+
+import subprocess
+import sys
+
+import pytest
+
+import armperturb
+
+NAMES = """
+Subject POSITION RELAX MuscleLaw Person draw_cohort draw_person average_person
+Environment Strap Trial Instruments HumanNoise HUMAN_NOISE run_experiment build_model
+Multisine MultisineThenPulse Pulse Sampled load_perturbation save_perturbation
+make_recording load_recording save_recording stack_trials import_recording export_recording
+identify identify_conditions identify_nonlinear response best_linear arm_admittance
+Structure STRUCTURES variance_accounted_for
+Protocol Condition load_protocol StudySettings run_study analyse_study write_report score design DesignSettings
+validate ValidateSettings calibrate
+load_dm_env write_video
+"""
+HEAVY = {"numpy", "scipy", "xarray", "pandas", "matplotlib", "numba", "gymnasium", "mujoco", "dm_control", "joblib"}
+VECTOR = "gym.make_vec('ArmPerturb/Pulse-v0').close()"
+
+
+def in_python(*lines):
+    """What a fresh interpreter prints that runs these lines."""
+    run = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    return run.stdout.strip()
+
+
+def test_the_names_are_complete():
+    assert set(dir(armperturb)) == set(armperturb.__all__) == set(NAMES.split())
+    for name in dir(armperturb):
+        assert getattr(armperturb, name) is not None
+    with pytest.raises(AttributeError):
+        armperturb.estimate  # noqa: B018
+
+
+def test_importing_is_quick_and_loads_no_heavy_library():
+    clock, loaded = in_python(
+        "import sys, time",
+        "start = time.process_time()",
+        "import armperturb",
+        "print(time.process_time() - start)",
+        f"print({HEAVY} & set(sys.modules))",
+    ).splitlines()
+    assert float(clock) < 0.3
+    assert loaded == "set()"
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ("import gymnasium as gym", "import armperturb", VECTOR),
+        ("import armperturb", "import gymnasium as gym", VECTOR),
+        ("import gymnasium as gym", VECTOR.replace("Arm", "armperturb:Arm", 1)),
+    ],
+    ids=["gymnasium first", "armperturb first", "by gymnasium"],
+)
+def test_gymnasium_knows_the_environments(lines):
+    in_python(*lines)
+
+
+def test_a_missing_library_is_an_error_that_names_the_extra():
+    message = in_python(
+        "import sys, armperturb",
+        "sys.modules['mujoco'] = None",
+        "try: armperturb.run_experiment",
+        "except ModuleNotFoundError as error: print(error)",
+    )
+    assert message == (
+        "armperturb.run_experiment needs mujoco, which is not installed; expected `pip install 'armperturb[sim]'`"
+    )
