@@ -64,7 +64,7 @@ class Case:
 
     @property
     def estimate(self) -> Estimate:
-        """The maximum likelihood estimate of such a case, with more than the arm: intervals, correlations, lack of fit."""
+        """The maximum likelihood estimate of such a case: intervals, correlations, lack of fit."""
         assert isinstance(self.identified.fit.detail, Estimate)
         return self.identified.fit.detail
 
@@ -168,5 +168,6 @@ def _by_thesis(multisines: Mapping[str, ConditionTrials]) -> tuple[dict[str, Ide
 
 def _rms(signal: Array, rate: float) -> float:
     """RMS per axis over the window of the analysis, pooled over axes and trials."""
-    window = slice(round(WINDOW_START * rate), round((WINDOW_START + PERIOD) * rate))
+    time = np.arange(signal.shape[1]) / rate
+    window = (time >= WINDOW_START) & (time < WINDOW_START + PERIOD - 1e-9)
     return float(np.sqrt(np.mean(signal[:, window] ** 2)))

@@ -289,8 +289,8 @@ def test_an_admittance_without_inverse_is_fitted_all_the_same():
     ("change", "message"),
     [
         ({"structure": "7"}, "model = '7'; expected one of 1, 2, 3, 4, 5, 6, 3a, 3b"),
-        ({"start": {"m_x": 1.0}}, "start: unknown parameter 'm_x'; model 1 has m_h"),
-        ({"start": {"m_h": 9.0}}, "start: m_h = 9.0; expected 1 to 3 kg"),
+        ({"initial": {"m_x": 1.0}}, "initial: unknown parameter 'm_x'; model 1 has m_h"),
+        ({"initial": {"m_h": 9.0}}, "initial: m_h = 9.0; expected 1 to 3 kg"),
         ({"frequency": FREQUENCY[:3]}, r"shapes \(3,\), \(18, 2, 2\)"),
         ({"frequency": FREQUENCY - 1.0}, "frequency = -0.7 Hz; expected frequencies above 0"),
         ({"coherence": np.full((18, 2), np.nan)}, "coherence holds nan; expected finite values"),

@@ -10,6 +10,7 @@ from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.force_balance import Balance
 from armperturb.analysis.measures.vaf import variance_accounted_for
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.environment import Environment
 from armperturb.study.report.tables import true_value
 from armperturb.subject import POSITION, RELAX

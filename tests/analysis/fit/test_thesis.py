@@ -165,7 +165,7 @@ def test_bounds_are_the_published_ones():
 
 
 def test_bad_input_is_named(two_people):
-    with pytest.raises(ValueError, match=r"start: k_s = 5000.0; expected 0 to 1000 Nm/rad"):
+    with pytest.raises(ValueError, match=r"initial: k_s = 5000.0; expected 0 to 1000 Nm/rad"):
         fit_trials(two_people, "3b", initial={"k_s": 5000.0})
     broken = two_people.assign(force=two_people["force"] * np.nan)
     with pytest.raises(ValueError, match="force"):
