@@ -13,7 +13,7 @@ import xarray as xr
 from tqdm import tqdm
 
 from armperturb.analysis.fit.export import write_identification
-from armperturb.analysis.fit.identify import Identification, identify_conditions
+from armperturb.analysis.fit.identify import Identifications, identify_conditions
 from armperturb.convert import export_recording, import_recording
 from armperturb.convert.exporter import require_ending
 from armperturb.convert.faults import Repair
@@ -404,7 +404,7 @@ def convert(settings: Convert) -> tuple[tuple[str, ...], list[Path]]:
     return found.notes, paths
 
 
-def identify(settings: Identify) -> dict[str, Identification]:
+def identify(settings: Identify) -> Identifications:
     """Identify the arm from recordings, write the results and return them by condition.
 
     Raises:
@@ -528,8 +528,7 @@ def identify_nonlinear(settings: Identify) -> list[str]:
     # Here, so that the other commands start without compiler and drawing library.
     from armperturb.analysis.nonlinear.identify import identify_nonlinear as search
     from armperturb.analysis.nonlinear.identify import told, write_nonlinear
-    from armperturb.plots.pulses import pulses_figure
-    from armperturb.plots.style import save_svg
+    from armperturb.plots.style import new_figure, save_svg
 
     for name in ("estimator", "share", "lines_per_average"):
         default = Identify.__dataclass_fields__[name].default
@@ -564,7 +563,9 @@ def identify_nonlinear(settings: Identify) -> list[str]:
             settings.out.rmdir()
         raise ValueError(f"{', '.join(map(str, settings.recordings))}: {error}") from None
     if found.pulses["nonlinear"]:
-        save_svg(pulses_figure(found.pulses), settings.out / "pulses.svg")
+        figure = new_figure(1.0)
+        found.plot(figure)
+        save_svg(figure, settings.out / "pulses.svg")
     write_nonlinear(found, settings.out)
     return told(found)
 
@@ -804,7 +805,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             for condition, result in identify(command).items():
                 fit, vaf = result.fit, result.vaf
-                print(f"{condition}: {fit.status}; VAF x {vaf[0]:.1f} %, y {vaf[1]:.1f} %")
+                print(f"{condition}: {fit.message}; VAF x {vaf[0]:.1f} %, y {vaf[1]:.1f} %")
                 for remark in fit.remarks:
                     print(f"{condition}: {remark}")
             print(f"results: {command.out}")

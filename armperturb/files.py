@@ -6,7 +6,10 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @contextmanager
@@ -75,15 +78,22 @@ def sync_folder(path: str | Path) -> None:
     sync_file(path)
 
 
-def write_csv(rows: Iterable[Mapping[str, Any]], path: str | Path) -> None:
-    """Write rows as CSV with a header line, numbers in full precision.
+def write_csv(table: "pd.DataFrame | Iterable[Mapping[str, Any]]", path: str | Path) -> None:
+    """Write a table as CSV with a header line, numbers in full precision.
 
     Args:
-      rows: at least one; all with the keys of the first.
+      table: a pandas DataFrame, whose truth values are written as true and false; or at least one row, all with the
+        keys of the first.
       path: of the file.
     """
-    rows = list(rows)
+    frame: Any = table if hasattr(table, "to_dict") else None
+    if frame is None:
+        rows: list[Any] = list(table)
+        columns = list(rows[0])
+    else:
+        columns = list(frame.columns)
+        rows = frame.map(lambda value: str(value).lower() if isinstance(value, bool) else value).to_dict("records")
     with written_whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, fieldnames=list(rows[0]), lineterminator="\n")
+        writer = csv.DictWriter(file, fieldnames=columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)

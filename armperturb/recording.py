@@ -152,6 +152,17 @@ def join_recordings(recordings: Sequence[xr.Dataset], source: str = "recordings"
     return stack_trials([one[list(REQUIRED_SIGNALS)].drop_vars(partial, errors="ignore") for one in recordings])
 
 
+def named(recordings: xr.Dataset | Sequence[xr.Dataset]) -> str:
+    """Who, in which conditions, and how many trials, for people to read."""
+    parts = [recordings] if isinstance(recordings, xr.Dataset) else recordings
+    who, where = (
+        ", ".join(dict.fromkeys(str(label) for part in parts for label in part[name].values))
+        for name in ("subject", "condition")
+    )
+    n = sum(part.sizes["trial"] for part in parts)
+    return f"{who}, {where}, {n} trial{'' if n == 1 else 's'}"
+
+
 def stack_trials(recordings: Sequence[xr.Dataset]) -> xr.Dataset:
     """The trials of recordings with the same signals and times in one; attributes that differ are lost."""
     return xr.concat(

@@ -33,7 +33,6 @@ from pathlib import Path
 
 import numpy as np
 
-from armperturb.analysis.fit.identify import NORMAL_95
 from armperturb.analysis.nonlinear.choice import compare_laws
 from armperturb.analysis.nonlinear.estimate import UNCERTAIN, NonlinearEstimate
 from armperturb.analysis.nonlinear.identify import identify_nonlinear
@@ -41,6 +40,7 @@ from armperturb.analysis.nonlinear.model import coordinate, true_values
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
 from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import training_sets, trial_sets
+from armperturb.analysis.results import normal_quantile
 from armperturb.cohort import Person, draw_person
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
@@ -140,7 +140,7 @@ def _ratio(estimate: NonlinearEstimate, known: Mapping[str, float]) -> tuple[flo
     first, second = estimate.log_error[above], estimate.log_error[below]
     shared = estimate.correlation[names.index(above), names.index(below)] * first * second
     claimed = float(np.sqrt(first**2 + second**2 - 2.0 * shared))
-    return error, claimed, abs(error) < NORMAL_95 * claimed
+    return error, claimed, abs(error) < normal_quantile(0.95) * claimed
 
 
 def fit_person(part: str, path: Path, truth: Person) -> tuple[str, Results]:

@@ -26,16 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from armperturb.analysis.nonlinear.lanes import lane_table
 from armperturb.analysis.nonlinear.model import BOUNDS, Model, person, true_values
-from armperturb.analysis.nonlinear.response import STEP, Disturbances
-from armperturb.analysis.nonlinear.response import _held as held_force
 from armperturb.cohort import draw_person
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.models import ANGLE_SENSORS, BIARTICULAR, GRIP, REFLEXES, SLIDES, STRAIN_GAUGE, build_spec
 from armperturb.perturbations import Multisine
+from armperturb.planar_arm.lanes import lane_table
+from armperturb.planar_arm.simulation import STEP, Disturbances
 from armperturb.subject import Subject
 
 Array = NDArray[np.float64]
@@ -172,7 +171,7 @@ def sysid_fit(data: Data, start: Array, sysid: Any, **options: Any) -> Found:
     model = spec.compile()
     every, force = stepwise(data)
     # Both hold the same force over each step; what sysid is given last only ends the record.
-    held = np.vstack([held_force(force[None], 1)[0], force[-1:]])
+    held = np.vstack([Disturbances(force[None], 1.0 / STEP).held[0], force[-1:]])
     control = sysid.TimeSeries.from_control_names(STEP * np.arange(len(held)), held, model)
     sensed = sysid.TimeSeries.from_names(np.arange(len(data.displacement)) / RATE, data.displacement, model)
     initial = sysid.create_initial_state(model, mujoco.MjData(model).qpos)

@@ -24,7 +24,7 @@ from armperturb.cohort import average_person
 from armperturb.envs.learning.levels import subject_at
 from armperturb.envs.learning.task import TaskSettings
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.plots.axes import AXES, label_frequency, legend
+from armperturb.plots.panels import AXES, label_frequency, legend
 from armperturb.plots.style import COLOURS, GREY, INK, PUBLISHED, in_style, new_figure, save_png, shades
 from armperturb.study.experiments.effort import chosen_level, derived_levels, weight_of
 from armperturb.study.protocol import THESIS

@@ -39,7 +39,7 @@ def main(files: list[Path], sidecar: Path | None, folder: Path) -> None:
     found = identify(recording, model=model)
     fit, manipulator = found.fit, found.environment
     print(f"manipulator: {manipulator.m_env:.2f} kg, {manipulator.b_env:.2f} Ns/m, {manipulator.k_env:.1f} N/m")
-    print(f"model {model}: {fit.status}; explains {found.vaf[0]:.0f} and {found.vaf[1]:.0f} % of x and y")
+    print(f"model {model}: {fit.message}; explains {found.vaf[0]:.0f} and {found.vaf[1]:.0f} % of x and y")
     for remark in fit.remarks:
         print(f"beware: {remark}")
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from scipy import signal
 
 from armperturb import identify
-from armperturb.analysis.fit.identify import NORMAL_95
+from armperturb.analysis.results import normal_quantile
 from armperturb.study.validation.validate import ValidateSettings, simulate_group
 
 NAMES = ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e")
@@ -80,14 +80,14 @@ def main(folder: Path, groups: int) -> None:
         off = values - truth
         for i, parameter in enumerate(NAMES):
             share = 100.0 / truth[i]
-            covered = np.mean(np.abs(off[:, i]) <= NORMAL_95 * errors[:, i])
+            covered = np.mean(np.abs(off[:, i]) <= normal_quantile(0.95) * errors[:, i])
             rms = np.sqrt(np.mean(off[:, i] ** 2))
             print(
                 f"{name:10}{parameter:6}{truth[i]:9.2f}{share * off[:, i].mean():7.1f} %{share * rms:9.1f} %"
                 f"{share * errors[:, i].mean():7.1f} %{covered:9.0%}"
             )
             at = i + 0.4 * place - 0.2 + np.linspace(-0.15, 0.15, groups)
-            bar = share * NORMAL_95 * errors[:, i]
+            bar = share * normal_quantile(0.95) * errors[:, i]
             label = name if i == 0 else None
             axes.errorbar(at, share * off[:, i], bar, fmt=".", color=f"C{place}", lw=0.8, label=label)
     print("\nbias, RMS error, and the standard error that the estimator itself says, of the true value")

@@ -11,7 +11,6 @@ import pytest
 
 from armperturb.cohort import average_person
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.envs.lab import skeletal
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
@@ -148,13 +147,12 @@ def short_protocol(tmp_path_factory):
 
 
 def coarse_study(settings, folder, *, starts_of="none"):
-    """A study simulated, and predicted by the skeletal model, at steps at which that takes seconds.
+    """A study simulated at steps at which that takes seconds.
 
     Appendix C has its first structure alone, and D and E are of that condition, if it is one.
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(runner, "run_experiment", partial(run_experiment, timestep=2.5e-3))
-        patch.setattr(skeletal, "STEP", 5e-3)
         patch.setattr(fits, "STRUCTURES_C", ("1",))
         patch.setattr(fits, "STARTS_OF", starts_of)
         return run_study(settings, folder, show_progress=False)

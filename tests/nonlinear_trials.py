@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from armperturb.analysis.force_balance import NoiseLevels
-from armperturb.analysis.nonlinear.lanes import lane_table
-from armperturb.analysis.nonlinear.response import Disturbances
 from armperturb.analysis.nonlinear.trials import TrialSet
 from armperturb.cohort import average_person
 from armperturb.controllers.remnant import HUMAN_NOISE
@@ -14,6 +12,8 @@ from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Sampled
+from armperturb.planar_arm.lanes import lane_table
+from armperturb.planar_arm.simulation import Disturbances
 
 RATE, DURATION = 100.0, 14.0
 

@@ -11,10 +11,13 @@ import armperturb
 
 ROOT = Path(armperturb.__file__).parent
 
-BASE = {"arrays", "validation", "seeds", "files", "muscle_law", "subject", "environment", "recording"}
-ARM = BASE | {"analysis.defaults", "analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics"}
-ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear", "plots"}
-LAB = ARM | {"perturbations", "models", "controllers", "cohort"}
+BASE = {"arrays", "validation", "extras", "seeds", "files", "muscle_law", "subject", "environment", "recording"}
+ARM = BASE | {
+    "analysis.defaults", "analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics",
+    "analysis.results", "plots",
+}  # fmt: skip
+ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear"}
+LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
 STUDY = LAB | ANALYSIS | {"envs.lab", "archive", "workers", "study.protocol", "study.published"}
 ARROWS = {
     "arrays": set(),
@@ -30,17 +33,19 @@ ARROWS = {
     "workers": set(),
     "perturbations": BASE,
     "controllers": BASE,
+    "planar_arm": ARM | {"controllers", "perturbations"},
     "models": BASE,
     "analysis.defaults": BASE,
     "analysis.numerics": BASE,
     "analysis.arm": BASE,
     "analysis.force_balance": BASE,
+    "plots": BASE,
+    "analysis.results": BASE | {"plots"},
     "analysis.trials": ARM - {"analysis.trials"},
     "analysis.response": ARM,
     "analysis.measures": ARM,
     "analysis.fit": ARM | {"analysis.response", "analysis.measures"},
-    "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "controllers"},
-    "plots": BASE | {"analysis.response", "analysis.nonlinear"},
+    "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "planar_arm"},
     "cohort": ARM,
     "convert": ARM,
     "envs.lab": LAB,

@@ -1,30 +1,12 @@
 """What the command `response` writes: table and figure of a frequency response, and of the arm's distortion."""
 
 from pathlib import Path
-from typing import Any
 
 from armperturb.analysis.response.best_linear import BestLinear
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.files import write_csv
-from armperturb.plots.bands import distortion_levels, response_bands
-from armperturb.plots.style import save_svg
+from armperturb.plots.style import new_figure, save_svg
 from armperturb.recording import LABELS
-
-
-def distortion_rows(found: BestLinear) -> list[dict[str, Any]]:
-    """One row per frequency and output: mean squares of the sine wave at a line [m^2]."""
-    return [
-        {
-            "frequency_hz": float(frequency),
-            "output": axis,
-            "linear_m2": float(found.linear[k, output]),
-            "noise_m2": float(found.noise[k, output]),
-            "distortion_m2": float(found.distortion[k, output]),
-            "distortion_standard_error_m2": float(found.distortion_error[k, output]),
-        }
-        for k, frequency in enumerate(found.response.frequency)
-        for output, axis in enumerate(LABELS["axis"])
-    ]
 
 
 def distortion_text(found: BestLinear) -> str:
@@ -55,12 +37,18 @@ def write_response(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / name for name in ("response.csv", "response.svg", "distortion.csv", "distortion.svg")]
-    write_csv(({**row, "condition": condition} for row in found.rows()), paths[0])
-    save_svg(response_bands(found), paths[1])
+    write_csv(found.to_frame().assign(condition=condition), paths[0])
+    _save(found, paths[1])
     if distortion is None:
         for path in paths[2:]:
             path.unlink(missing_ok=True)
         return paths[:2]
-    write_csv(({**row, "condition": condition} for row in distortion_rows(distortion)), paths[2])
-    save_svg(distortion_levels(distortion), paths[3])
+    write_csv(distortion.to_frame().assign(condition=condition), paths[2])
+    _save(distortion, paths[3])
     return paths
+
+
+def _save(result: FrequencyResponse | BestLinear, path: Path) -> None:
+    figure = new_figure(1.0)
+    result.plot(figure=figure)
+    save_svg(figure, path)

@@ -1,6 +1,7 @@
-"""Figures of a frequency response with its uncertainty, and of the levels of noise and distortion."""
+"""Figures of frequency responses with their uncertainty, and of the levels of noise and distortion."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,86 +9,124 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from armperturb.analysis.response.best_linear import BestLinear
-from armperturb.analysis.response.frequency_response import FrequencyResponse
-from armperturb.plots.axes import AXES, PHASES, Element, admittance_panels, label_frequency, legend, plot_admittance
-from armperturb.plots.style import COLOURS, GREY, INK, in_style, new_figure
+from armperturb.arrays import Array, ComplexArray
+from armperturb.plots.panels import (
+    AXES,
+    HEIGHT,
+    PHASES,
+    Element,
+    admittance_panels,
+    label_frequency,
+    legend,
+    plot_admittance,
+)
+from armperturb.plots.style import COLOURS, GREY, INK, figure_for, in_style
+
+POINTS: dict[str, Any] = {"color": INK, "marker": "o", "markersize": 2.5}
+"""Line of an estimate at single frequencies."""
+
+
+class Curve(NamedTuple):
+    """A frequency response to be drawn.
+
+    Attributes:
+      label: for the legend.
+      frequency: [Hz], (frequency,).
+      response: [m/N], (frequency, output, input).
+      bands: lowest and highest gain [m/N], and lowest and highest phase [rad], each (frequency, output, input); None if
+        they are not known.
+      look: of the line, as Matplotlib has it.
+    """
+
+    label: str
+    frequency: Array
+    response: ComplexArray
+    bands: tuple[Array, Array, Array, Array] | None = None
+    look: Mapping[str, Any] = POINTS
 
 
 @in_style()
-def response_bands(
-    found: FrequencyResponse,
-    level: float = 0.95,
-    panels: tuple[Figure, Mapping[Element, tuple[Axes, Axes]]] | None = None,
-) -> Figure:
-    """Gain and phase of each element, with the limits within which it lies with a probability if these are known.
+def plot_responses(curves: Sequence[Curve], level: float = 0.95, figure: Figure | None = None) -> Any:
+    """Gain and phase of each element of frequency responses, with their bands.
 
     Args:
-      found: the response.
-      level: the probability [-].
-      panels: what `study.axes.admittance_panels` gave, to draw over what they show; None makes new ones.
+      curves: what to draw.
+      level: probability with which a band holds the true response, for the legend [-].
+      figure: where to draw; its height is set. None makes a new one of pyplot.
 
     Returns:
-      Their figure.
-
-    Raises:
-      ValueError: the level is no probability.
+      Axes, (output, input, 2): gain and phase.
     """
-    figure, axes = admittance_panels() if panels is None else panels
-    handles: list[Line2D | Patch] = [
-        Line2D([], [], color=INK, marker="o", markersize=2.5, label=f"estimate ({found.what})")
-    ]
-    if found.covariance is not None:
-        _draw_bands(axes, found, level)
-        handles.append(Patch(facecolor=GREY, alpha=0.4, label=f"{level:.0%} of each element"))
-    plot_admittance(axes, found.frequency, found.response, color=INK, marker="o", markersize=2.5)
+    figure, panels = admittance_panels(figure_for(figure, HEIGHT))
+    handles: list[Line2D | Patch] = []
+    for curve in curves:
+        look = dict(curve.look)
+        colour = GREY if look["color"] == INK else look["color"]
+        if curve.bands is not None:
+            _draw_bands(panels, curve, {"color": colour, "alpha": 0.4, "lw": 0})
+        plot_admittance(panels, curve.frequency, curve.response, **look)
+        handles.append(Line2D([], [], label=curve.label, **look))
+        if curve.bands is not None:
+            handles.append(Patch(facecolor=colour, alpha=0.4, label=f"{level:.0%} of each element"))
     legend(figure, *handles)
-    return figure
+    return np.array([[panels[output, input_] for input_ in range(2)] for output in range(2)])
 
 
-def _draw_bands(panels: Mapping[Element, tuple[Axes, Axes]], found: FrequencyResponse, level: float) -> None:
-    bands = found.bands(level)
+def _draw_bands(panels: Mapping[Element, tuple[Axes, Axes]], curve: Curve, shade: Mapping[str, Any]) -> None:
+    assert curve.bands is not None
+    gain_low, gain_high, phase_low, phase_high = curve.bands
     for element, (gain_ax, phase_ax) in panels.items():
         at = (slice(None), *element)
-        gain = np.abs(found.response[at])
         # A logarithmic axis has no zero.
-        gain_ax.fill_between(
-            found.frequency,
-            np.maximum(bands.gain_low[at], 1e-2 * gain),
-            bands.gain_high[at],
-            color=GREY,
-            alpha=0.4,
-            lw=0,
-        )
+        least = np.maximum(gain_low[at], 1e-2 * np.abs(curve.response[at]))
+        gain_ax.fill_between(curve.frequency, least, gain_high[at], **shade)
         # Bands go on where the line starts again at the other end of the axis.
-        angle = np.angle(found.response[at])
+        angle = np.angle(curve.response[at])
         whole = np.unwrap(angle)
-        low, high = (np.degrees(limit[at] + whole - angle) for limit in (bands.phase_low, bands.phase_high))
+        low, high = (np.degrees(limit[at] + whole - angle) for limit in (phase_low, phase_high))
         first, last = np.floor((PHASES[0] - high.max()) / 360.0), np.ceil((PHASES[1] - low.min()) / 360.0)
         limits = phase_ax.get_ylim()
         for turn in 360.0 * np.arange(first, last + 1):
-            phase_ax.fill_between(found.frequency, low + turn, high + turn, color=GREY, alpha=0.4, lw=0)
+            phase_ax.fill_between(curve.frequency, low + turn, high + turn, **shade)
         phase_ax.set_ylim(limits)
 
 
 @in_style()
-def distortion_levels(found: BestLinear) -> Figure:
-    """Root mean squares of linear response, distortion and noise at a line, of each displacement."""
-    figure = new_figure(3.2)
-    frequency = found.response.frequency
-    for output, ax in enumerate(figure.subplots(1, 2, sharey=True)):
+def plot_distortion(
+    frequency: Array, linear: Array, distortion: Array, noise: Array, limit: Array, figure: Figure | None = None
+) -> Any:
+    """Root mean squares of linear response, distortion and noise at a line, of each displacement.
+
+    Args:
+      frequency: [Hz], (frequency,).
+      linear: power of the linear response [m^2], (frequency, output).
+      distortion: of the distortion, likewise; what is not above zero is not drawn.
+      noise: of the noise, likewise.
+      limit: below which the distortion of a linear arm stays with a probability of 95 % [m^2], likewise.
+      figure: where to draw; its height is set. None makes a new one of pyplot.
+
+    Returns:
+      Axes, (output,).
+    """
+    figure = figure_for(figure, 3.2)
+    axes = figure.subplots(1, 2, sharey=True)
+    for output, ax in enumerate(axes):
         for power, colour, label in (
-            (found.linear, INK, "linear response"),
-            (found.distortion, COLOURS["RT"], "distortion"),
-            (found.noise, GREY, "noise"),
+            (linear, INK, "linear response"),
+            (distortion, COLOURS["RT"], "distortion"),
+            (noise, GREY, "noise"),
         ):
             shown = np.where(power[:, output] > 0.0, power[:, output], np.nan)
             ax.plot(frequency, 1e3 * np.sqrt(shown), color=colour, marker="o", markersize=3, label=label)
-        limit = 1e3 * np.sqrt(1.645 * found.distortion_error[:, output])  # one-sided, as `p_value`
-        ax.plot(frequency, limit, color=COLOURS["RT"], linestyle=":", label="distortion of a linear arm, 95 %")
+        ax.plot(
+            frequency,
+            1e3 * np.sqrt(limit[:, output]),
+            color=COLOURS["RT"],
+            linestyle=":",
+            label="distortion of a linear arm, 95 %",
+        )
         ax.set(xscale="log", yscale="log", title=f"displacement {AXES[output]}")
         label_frequency(ax)
-    axes = figure.axes
     axes[0].set_ylabel("RMS at a line [mm]")
-    legend(figure, *[handle for handle in axes[0].get_lines() if isinstance(handle, Line2D)], n_columns=4)
-    return figure
+    legend(figure, *axes[0].get_lines(), n_columns=4)
+    return axes

@@ -96,6 +96,17 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
+def figure_for(figure: Figure | None, height: float) -> Figure:
+    """A figure to draw on: the given one, which gets this height [inch], or a new one of pyplot, which windows show."""
+    if figure is None:
+        from matplotlib import pyplot
+
+        return pyplot.figure(figsize=(WIDTH, height), layout="constrained")
+    if isinstance(figure, Figure):
+        figure.set_figheight(height)
+    return figure
+
+
 @in_style()
 def save_svg(figure: Figure, path: Path) -> None:
     """Write a figure as SVG that needs nothing else, whole or not at all.

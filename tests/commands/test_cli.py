@@ -68,7 +68,7 @@ def test_simulate_then_identify(inputs, capsys):
     ]  # fmt: skip
     assert float(parameters["m_tot"]["value"]) == pytest.approx(3.38, rel=0.01)
     for row in parameters.values():
-        half = 1.96 * float(row["standard_error"])
+        half = 1.959964 * float(row["standard_error"])
         assert float(row["lower_95"]) == pytest.approx(float(row["value"]) - half)
         assert float(row["upper_95"]) == pytest.approx(float(row["value"]) + half)
     assert parameters["k_s"]["unit"] == "Nm/rad"

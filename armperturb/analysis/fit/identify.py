@@ -1,90 +1,263 @@
 """From a recording to the arm: admittance, environment, arm model and how well it predicts (thesis 2.6, 2.7)."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike
 
-from armperturb.analysis.arm.linear_arm import arm_admittance
+from armperturb.analysis.arm.linear_arm import LinearArm, arm_admittance
+from armperturb.analysis.arm.parameters import parameter_vector
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
-from armperturb.analysis.fit.maximum_likelihood import Estimate, Group, Interval, estimate
-from armperturb.analysis.fit.structures import STRUCTURES, Structure
+from armperturb.analysis.fit.maximum_likelihood import Estimate, Group, estimate
+from armperturb.analysis.fit.structures import STRUCTURES, Structure, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, Wanted, fit_wanted
 from armperturb.analysis.measures.vaf import prediction_vaf
+from armperturb.analysis.response.frequency_response import Bands
 from armperturb.analysis.response.spectra import SpectralEstimate, averaged_spectra
+from armperturb.analysis.results import Description, FitResult, Result, Table, normal_quantile, parameter_table, plain
 from armperturb.analysis.trials import ConditionTrials, Trials, prepared, trials_by_condition
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
 from armperturb.validation import require_one_of
 
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
 Estimator = Literal["thesis", "frequency", "record"]
-"""The thesis's (each trial alone, averaged), or greatest likelihood over mean periods, or over whole records."""
+"""The thesis's (each trial alone, averaged), or maximum likelihood of mean periods, or of whole records."""
 
-NORMAL_95 = 1.96
-"""Half a 95 % confidence interval over the standard error [-]."""
+ESTIMATOR_NAMES: Mapping[Estimator, str] = {
+    "thesis": "the thesis's estimator, trial by trial",
+    "frequency": "maximum likelihood of mean periods",
+    "record": "maximum likelihood of whole records",
+}
+"""What each estimator is called where people read it."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ArmFit:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ArmFit(FitResult):
     """The arm of one person in one condition, as an estimator gives it.
+
+    For the thesis's estimator, a standard error is the mean over trials of the SEM (eq. 2.22), intervals treat it as a
+    standard error, parameters at a bound are those that sit there in any trial, and correlations are unknown.
 
     Attributes:
       estimator: which.
       structure: name of the model structure.
+      condition: in which the arm was perturbed.
       arm: the estimated arm, fixed parameters included.
-      values: estimate of each free parameter, SI.
-      standard_error: of each, SI; infinite where the data say nothing. For "thesis", the mean over trials of the SEM
-        (eq. 2.22).
-      at_bound: free parameters that sit on a bound; for "thesis", in any trial.
-      status: how the search ended, in words.
-      converged: whether it ended at an optimum.
+      mixing: derivative of the arm's parameters (`arm.parameters.PARAMETERS`) by the free ones, (arm parameter,
+        parameter).
       stable: whether arm and environment are stable together.
       largest_real_pole: of arm and environment [1/s].
       criterion: V of eq. 2.19, without penalty, of the arm against the averaged spectra.
-      remarks: what a reader must know before trusting the values, a sentence each.
       detail: the estimator's own result.
     """
 
     estimator: Estimator
     structure: str
+    condition: str
     arm: Subject
-    values: Mapping[str, float]
-    standard_error: Mapping[str, float]
-    at_bound: tuple[str, ...]
-    status: str
-    converged: bool
+    mixing: Array
     stable: bool
     largest_real_pole: float
     criterion: float
-    remarks: tuple[str, ...]
     detail: Estimate | ThesisEstimate
 
-    def interval(self, name: str) -> Interval:
-        """95 % confidence interval of a free parameter, SI; for "thesis" as if its SEM were a standard error."""
-        half = NORMAL_95 * self.standard_error[name]
-        return Interval(self.values[name] - half, self.values[name] + half)
+    def unit_of(self, name: str) -> str:
+        """SI unit of a parameter."""
+        return unit(name)
+
+    def place_of(self, name: str) -> tuple[str, str]:
+        """Name of a parameter in tables, and the condition."""
+        return name, self.condition
+
+    def admittance_bands(self, frequency: ArrayLike, level: float = 0.95) -> Bands | None:
+        """Confidence bands of the arm's admittance that follow from the errors of its parameters, linearised.
+
+        Args:
+          frequency: [Hz], (frequency,).
+          level: probability with which a band holds the true gain or phase, each by itself [-].
+
+        Returns:
+          Limits of gain and phase; None where an error or a correlation is not known.
+        """
+        error = np.array(list(self.standard_error.values()))
+        covariance = self.correlation * np.outer(error, error)
+        if not np.isfinite(covariance).all():
+            return None
+        values, slope = LinearArm(self.arm, frequency).admittance_and_gradient(parameter_vector(self.arm))
+        relative = slope @ self.mixing / values[..., None]
+
+        def half(part: Array) -> Array:
+            variance = np.einsum("...p,pq,...q", part, covariance, part)
+            return np.asarray(normal_quantile(level) * np.sqrt(np.maximum(variance, 0.0)))
+
+        gain, phase = np.abs(values), np.angle(values)
+        factor, angle = np.exp(half(relative.real)), np.minimum(half(relative.imag), np.pi)
+        return Bands(gain / factor, gain * factor, phase - angle, phase + angle)
+
+    def describe(self) -> Description:
+        """Estimates and how the search ended."""
+        return Description(
+            title=f"Arm of {self.arm.name} in {self.condition}: model {self.structure}, estimator {self.estimator!r}",
+            facts=(self.message, f"largest pole of arm and environment {plain(self.largest_real_pole, 3)} 1/s"),
+            table=parameter_table(self.to_frame()),
+            remarks=self.remarks,
+        )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Identification:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Identification(Result):
     """What one condition of a recording yields.
 
     Attributes:
+      n_trials: how many trials it comes from.
       spectra: estimated admittances and coherence.
       environment: mass, spring and damper that the manipulator really showed.
       fit: the arm model.
       vaf: variance of the displacement that the fitted model accounts for, x and y, mean over trials [%], (axis,).
     """
 
+    n_trials: int
     spectra: SpectralEstimate
     environment: Environment
     fit: ArmFit
     vaf: Array
+
+    def describe(self) -> Description:
+        """Who and what was identified, how well the arm predicts, and its parameters."""
+        fit, held = self.fit, self.environment
+        trials = f"{self.n_trials} trial{'' if self.n_trials == 1 else 's'}"
+        return Description(
+            title=f"Arm of {fit.arm.name} in {fit.condition} ({fit.arm.task}), {trials}: model {fit.structure}, "
+            f"{ESTIMATOR_NAMES[fit.estimator]}",
+            facts=(
+                f"VAF x {self.vaf[0]:.1f} %, y {self.vaf[1]:.1f} %; {fit.message}",
+                f"environment {held.m_env:.4g} kg, {held.b_env:.3g} Ns/m, {held.k_env:.4g} N/m",
+            ),
+            table=parameter_table(self.to_frame()),
+            remarks=fit.remarks,
+            details=(
+                f"criterion (eq. 2.19) {plain(fit.criterion)}; largest pole of arm and environment "
+                f"{plain(fit.largest_real_pole, 3)} 1/s; least coherence {self.spectra.coherence.min():.3f}",
+            ),
+        )
+
+    def to_frame(self) -> "pd.DataFrame":
+        """One row per free parameter, with the columns of `results.PARAMETER_COLUMNS`."""
+        return self.fit.to_frame()
+
+    def to_xarray(self) -> xr.Dataset:
+        """The spectral estimate (see `SpectralEstimate.to_xarray`), and `model`: the fitted arm's admittance."""
+        model = arm_admittance(self.fit.arm, self.spectra.frequency)
+        return self.spectra.to_xarray().assign(
+            model=(("frequency", "output", "input"), model, {"units": "m/N", "long_name": "admittance of the model"})
+        )
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw the estimated admittance and that of the fitted arm with its 95 % bands.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (output, input, 2): gain and phase of each element.
+        """
+        return Identifications({self.fit.condition: self}).plot(figure)
+
+
+class Identifications(Result, Mapping[str, Identification]):
+    """Condition to what it yields, in the order of the recording; reads as a dictionary."""
+
+    def __init__(self, by_condition: Mapping[str, Identification]) -> None:
+        self._by_condition = dict(by_condition)
+
+    def __getitem__(self, condition: str) -> Identification:
+        return self._by_condition[condition]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._by_condition)
+
+    def __len__(self) -> int:
+        return len(self._by_condition)
+
+    def describe(self) -> Description:
+        """Who was identified, how well each arm predicts, and the estimates of all conditions side by side."""
+        first = next(iter(self.values())).fit
+        names = dict.fromkeys(name for result in self.values() for name in result.fit.values)
+        return Description(
+            title=f"Arm of {first.arm.name} in {len(self)} condition{'' if len(self) == 1 else 's'}: "
+            f"model {first.structure}, {ESTIMATOR_NAMES[first.estimator]}",
+            facts=tuple(
+                f"{condition}: {result.n_trials} trials, VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %; "
+                f"{result.fit.message}"
+                for condition, result in self.items()
+            ),
+            table=Table(
+                ("parameter", "unit", *self),
+                tuple((name, unit(name), *(_with_error(of.fit, name) for of in self.values())) for name in names),
+            ),
+            remarks=tuple(dict.fromkeys(remark for result in self.values() for remark in result.fit.remarks)),
+            details=("Estimates +/- standard errors; to_frame() has 95 % intervals.",),
+        )
+
+    def to_frame(self) -> "pd.DataFrame":
+        """One row per condition and free parameter, with the columns of `results.PARAMETER_COLUMNS`."""
+        import pandas as pd
+
+        return pd.concat([result.to_frame() for result in self.values()], ignore_index=True)
+
+    def to_xarray(self) -> xr.Dataset:
+        """`Identification.to_xarray` of all conditions, along a dimension of that name."""
+        parts = [result.to_xarray() for result in self.values()]
+        return xr.concat(parts, dim=xr.DataArray(list(self), dims="condition", name="condition"), join="outer")
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw the estimated admittance of each condition and that of the fitted arm with its 95 % bands.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (output, input, 2): gain and phase of each element.
+        """
+        from armperturb.plots.bands import Curve, plot_responses
+        from armperturb.plots.style import INK
+
+        curves = []
+        for i, (condition, result) in enumerate(self.items()):
+            colour, spectra = INK if len(self) == 1 else f"C{i}", result.spectra
+            dense = np.geomspace(spectra.frequency[0], spectra.frequency[-1], 200)
+            points = {"color": colour, "marker": "o", "linestyle": "", "markersize": 3.5}
+            curves += [
+                Curve(f"{condition}, estimated", spectra.frequency, spectra.arm, None, points),
+                Curve(
+                    f"{condition}, model {result.fit.structure}",
+                    dense,
+                    arm_admittance(result.fit.arm, dense),
+                    result.fit.admittance_bands(dense),
+                    {"color": colour},
+                ),
+            ]
+        return plot_responses(curves, figure=figure)
+
+
+def _with_error(fit: ArmFit, name: str) -> str:
+    if name not in fit.values:
+        return "-"
+    error = fit.standard_error[name]
+    mark = " (at bound)" if name in fit.at_bound else ""
+    if not np.isfinite(error):
+        return f"{plain(fit.values[name])} +/- inf{mark}"
+    return f"{plain(fit.values[name])} +/- {plain(error, 2)}{mark}"
 
 
 def identify(
@@ -130,7 +303,7 @@ def identify_conditions(
     window_start: float = WINDOW_START,
     period: float | None = None,
     lines_per_average: int = LINES_PER_AVERAGE,
-) -> dict[str, Identification]:
+) -> Identifications:
     """Admittance, environment, arm model and its VAF of one subject in every condition.
 
     Args:
@@ -171,31 +344,34 @@ def identify_conditions(
         wanted = [Wanted(part, model) for part in conditions.values()]
         fitted = fit_wanted(wanted, window_start=window_start, period=period)
         fits = {
-            label: _thesis_fit(estimate_of_trials, part.body, model, spectra[label])
-            for (label, part), estimate_of_trials in zip(conditions.items(), fitted, strict=True)
+            label: _thesis_fit(of_trials, part, model, spectra[label])
+            for (label, part), of_trials in zip(conditions.items(), fitted, strict=True)
         }
     else:
         groups = [Group.prepare(part, model, window_start=window_start, period=period) for part in conditions.values()]
         joint = estimate(groups, estimator, share=share)
         fits = {group.label: _likely_fit(joint, group, spectra[group.label]) for group in groups}
-    return {
-        label: Identification(
-            spectra=spectra[label],
-            environment=environment,
-            fit=fit,
-            vaf=prediction_vaf(conditions[label], fit.arm, environment).mean(axis=0),
-        )
-        for label, (fit, environment) in fits.items()
-    }
+    return Identifications(
+        {
+            label: Identification(
+                n_trials=conditions[label].n_trials,
+                spectra=spectra[label],
+                environment=environment,
+                fit=fit,
+                vaf=prediction_vaf(conditions[label], fit.arm, environment).mean(axis=0),
+            )
+            for label, (fit, environment) in fits.items()
+        }
+    )
 
 
 def _thesis_fit(
-    found: ThesisEstimate, body: Subject, structure: Structure, spectra: SpectralEstimate
+    found: ThesisEstimate, trials: ConditionTrials, structure: Structure, spectra: SpectralEstimate
 ) -> tuple[ArmFit, Environment]:
     """Means over trials, as published."""
     names, n_trials = found.parameters, len(found.fits)
     values, errors = found.values.mean(axis=0), found.sem.mean(axis=0)
-    arm = structure.arm(body, values)
+    arm = structure.arm(trials.body, values)
     pole = largest_real_pole(arm, found.environment)
     remarks = [f"{name} sits on a bound in {count} of {n_trials} trials" for name, count in found.at_bound.items()]
     if found.n_stable < n_trials:
@@ -203,11 +379,14 @@ def _thesis_fit(
     fit = ArmFit(
         estimator="thesis",
         structure=found.structure,
+        condition=trials.label,
         arm=arm,
+        mixing=structure.mixing,
         values=dict(zip(names, values.tolist(), strict=True)),
         standard_error=dict(zip(names, errors.tolist(), strict=True)),
         at_bound=tuple(found.at_bound),
-        status=", ".join(f"{count} of {n_trials} trials {word}" for word, count in found.status.items()),
+        correlation=np.where(np.eye(len(names), dtype=bool), 1.0, np.nan),
+        message=", ".join(f"{count} of {n_trials} trials {word}" for word, count in found.status.items()),
         converged=all(one.converged for one in found.fits),
         stable=pole < 0.0,
         largest_real_pole=pole,
@@ -221,21 +400,25 @@ def _thesis_fit(
 def _likely_fit(found: Estimate, group: Group, spectra: SpectralEstimate) -> tuple[ArmFit, Environment]:
     """One condition's part of an estimate over several."""
     label = {name: name if name in found.values else f"{name} [{group.label}]" for name in group.structure.free}
+    rows = [list(found.values).index(name) for name in label.values()]
     arm = found.arms[group.label]
     pole = largest_real_pole(arm, group.environment)
     fit = ArmFit(
         estimator=found.method,
         structure=group.structure.name,
+        condition=group.label,
         arm=arm,
+        mixing=group.structure.mixing,
         values={name: found.values[label[name]] for name in label},
         standard_error={name: found.standard_error[label[name]] for name in label},
         at_bound=tuple(name for name in label if label[name] in found.at_bound),
-        status=found.status,
+        correlation=found.correlation[np.ix_(rows, rows)],
+        message=found.message,
         converged=found.converged,
         stable=pole < 0.0,
         largest_real_pole=pole,
         criterion=_criterion(arm, spectra),
-        remarks=found.remarks(),
+        remarks=found.remarks,
         detail=found,
     )
     return fit, group.environment

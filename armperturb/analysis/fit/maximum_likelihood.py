@@ -7,12 +7,12 @@ be beaten.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import optimize, stats
+from scipy import optimize
 
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.defaults import WINDOW_START
@@ -28,6 +28,7 @@ from armperturb.analysis.fit.linear_start import linear_start
 from armperturb.analysis.fit.structures import Structure, unit
 from armperturb.analysis.force_balance import EDGE, Skew
 from armperturb.analysis.response.spectra import averaged_spectra, line_spectra
+from armperturb.analysis.results import Description, FitResult, parameter_table
 from armperturb.analysis.trials import ConditionTrials, Trials, per_trials, prepared
 from armperturb.arrays import Array
 from armperturb.environment import Environment
@@ -79,13 +80,6 @@ SHARES: Mapping[str, tuple[str, ...]] = {
     "grip": ("b_h", "k_h"),
 }
 """Names for parameters that are shared together; single ones are named as they are."""
-
-
-class Interval(NamedTuple):
-    """A confidence interval, SI."""
-
-    lower: float
-    upper: float
 
 
 @per_trials
@@ -174,37 +168,27 @@ class Group:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Estimate:
-    """Parameters of greatest likelihood.
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Estimate(FitResult):
+    """Maximum-likelihood estimate of the parameters of one person, of all conditions together.
+
+    With several conditions, a parameter that is not shared is called "k_s [RT7.5]". Standard errors are those of the
+    Fisher information, times the square root of `dispersion`.
 
     Attributes:
       method: "frequency" or "record".
-      values: name to estimate, SI. With several conditions a parameter that is not shared is "k_s [RT7.5]".
-      standard_error: the same of the estimates, from the Fisher information times `dispersion`; infinite where the
-        data say nothing.
-      correlation: of the estimates' errors, (parameter, parameter), in the order of `values`.
-      at_bound: parameters that sit on a bound; their errors are not normal.
       arms: condition to the arm, fixed parameters included.
-      status: how the search ended, in words.
-      converged: whether it ended at a maximum.
       stable: whether arm and environment are stable together in every condition.
       largest_real_pole: of arm and environment, over the conditions [1/s].
       chi2: of what the disturbance explains of the residual, see `likelihood.LackOfFit`.
       dof: its degrees of freedom.
-      objective: minus twice the logarithm of the likelihood, but for a constant that the trials and the method set.
+      objective: minus twice the log-likelihood, up to a constant that depends on the trials and the method.
       n_rounds: Gauss-Newton steps.
       skew: condition to the skew between the clocks of force and displacement.
     """
 
     method: Method
-    values: Mapping[str, float]
-    standard_error: Mapping[str, float]
-    correlation: Array
-    at_bound: tuple[str, ...]
     arms: Mapping[str, Subject]
-    status: str
-    converged: bool
     stable: bool
     largest_real_pole: float
     chi2: float
@@ -228,44 +212,59 @@ class Estimate:
         """How much more the residual varies along the disturbance than elsewhere, at least one [-]."""
         return max(1.0, self.chi2 / self.dof)
 
-    def interval(self, name: str, level: float = 0.95) -> Interval:
-        """Confidence interval of a parameter, from its standard error."""
-        half = float(stats.norm.ppf(0.5 + level / 2.0)) * self.standard_error[name]
-        return Interval(self.values[name] - half, self.values[name] + half)
+    def unit_of(self, name: str) -> str:
+        """SI unit of a parameter."""
+        return unit(name.partition(" ")[0])
 
-    def remarks(self) -> tuple[str, ...]:
-        """What a reader must know before trusting the values, a sentence each."""
-        said = []
-        if not self.converged:
-            said.append(f"the search did not end at a maximum ({self.status})")
-        if not self.stable:
+    def place_of(self, name: str) -> tuple[str, str]:
+        """Name of a parameter, and its condition; all of them, with + between, if it is shared."""
+        parameter, _, condition = name.partition(" [")
+        return parameter, condition.removesuffix("]") or "+".join(self.arms)
+
+    def describe(self) -> Description:
+        """Estimates and how the search ended."""
+        people = ", ".join(dict.fromkeys(arm.name for arm in self.arms.values()))
+        return Description(
+            title=f"Maximum-likelihood estimate ({self.method}) of {people} in {', '.join(self.arms)}",
+            facts=(self.message, f"chi2 / dof = {self.chi2:.1f} / {self.dof}, p = {self.p_value:.2g}"),
+            table=parameter_table(self.to_frame(), "condition"),
+            remarks=self.remarks,
+        )
+
+
+def _remarks(fit: Estimate) -> tuple[str, ...]:
+    """What a reader must know before trusting an estimate."""
+    said = []
+    if not fit.converged:
+        said.append(f"the search did not end at a maximum ({fit.message})")
+    if not fit.stable:
+        said.append(f"arm and environment are unstable: largest real part of a pole {fit.largest_real_pole:.2g} 1/s")
+    if fit.is_suspicious:
+        said.append(
+            "the disturbance explains more of the movement than the model does (chi2 / dof = "
+            f"{fit.chi2 / fit.dof:.2f}, p = {fit.p_value:.1g}): wrong structure, or a person who is not linear, "
+            "or who differs from trial to trial"
+        )
+    for label, (time, error) in fit.skew.items():
+        if abs(time) > max(SKEWED, 3.0 * error):
             said.append(
-                f"arm and environment are unstable: largest real part of a pole {self.largest_real_pole:.2g} 1/s"
+                f"{label}: force is recorded {1e3 * time:.2f} ms later than displacement (standard error "
+                f"{1e3 * error:.2f} ms); expected clocks that agree, as skew turns inertia into damping"
             )
-        if self.is_suspicious:
-            said.append(
-                "the disturbance explains more of the movement than the model does (chi2 / dof = "
-                f"{self.chi2 / self.dof:.2f}, p = {self.p_value:.1g}): wrong structure, or a person who is not linear, "
-                "or who differs from trial to trial"
-            )
-        for label, (time, error) in self.skew.items():
-            if abs(time) > max(SKEWED, 3.0 * error):
-                said.append(
-                    f"{label}: force is recorded {1e3 * time:.2f} ms later than displacement (standard error "
-                    f"{1e3 * error:.2f} ms); expected clocks that agree, as skew turns inertia into damping"
-                )
-        for name in self.at_bound:
-            said.append(f"{name} sits on a bound")
-        for name, error in self.standard_error.items():
-            if error > UNCERTAIN * abs(self.values[name]):
-                said.append(f"{name} is hardly known: {self.values[name]:.3g} with a standard error of {error:.2g}")
-        names = list(self.values)
-        for i, j in zip(*np.nonzero(np.triu(np.abs(self.correlation) > ALIKE, 1)), strict=True):
-            said.append(
-                f"{names[i]} and {names[j]} can hardly be told apart: their errors correlate, "
-                f"{self.correlation[i, j]:.2f}"
-            )
-        return tuple(said)
+    said += [f"{name} sits on a bound" for name in fit.at_bound]
+    for name, error in fit.standard_error.items():
+        value = fit.values[name]
+        if error == np.inf:
+            said.append(f"{name} is not identifiable from these trials")
+        elif error > UNCERTAIN * abs(value):
+            relative = f", relative s.e. {error / abs(value):.0%}" if value else ""
+            said.append(f"{name} is poorly determined ({value:.3g} +/- {error:.2g}{relative})")
+    names = list(fit.values)
+    said += [
+        f"{names[i]} and {names[j]} are not separately identifiable (error correlation r = {fit.correlation[i, j]:.2f})"
+        for i, j in zip(*np.nonzero(np.triu(np.abs(fit.correlation) > ALIKE, 1)), strict=True)
+    ]
+    return tuple(said)
 
 
 class _Problem:
@@ -579,14 +578,15 @@ def _judge(problem: _Problem, method: Method, search: _Search) -> Estimate:
     correlation[rest] = covariance[rest] / np.outer(spread, spread)
     near = np.minimum(values - problem.lower, problem.upper - values) <= AT_BOUND * (problem.upper - problem.lower)
     pole = problem.pole(values)
-    return Estimate(
+    result = Estimate(
         method=method,
         values=dict(zip(names, values.tolist(), strict=True)),
         standard_error=dict(zip(names, error.tolist(), strict=True)),
         correlation=correlation,
         at_bound=tuple(name for name, hit in zip(names, near, strict=True) if hit),
         arms={group.label: arm for group, arm in zip(problem.groups, problem.arms(values), strict=True)},
-        status=search.status,
+        message=search.status,
+        remarks=(),
         converged=search.converged,
         stable=pole < 0.0,
         largest_real_pole=pole,
@@ -596,6 +596,7 @@ def _judge(problem: _Problem, method: Method, search: _Search) -> Estimate:
         n_rounds=search.n_rounds,
         skew={group.label: group.trials.skew for group in problem.groups},
     )
+    return replace(result, remarks=_remarks(result))
 
 
 def _shared_names(groups: Sequence[Group], share: Sequence[str]) -> set[str]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import xarray as xr
@@ -26,6 +26,9 @@ from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import training_sets, trial_sets
 from armperturb.files import write_csv, written_whole
 from armperturb.subject import Subject
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 CHECKPOINTS = "checkpoint*.npz"
 """Files of fits that are under way."""
@@ -47,6 +50,36 @@ class NonlinearIdentification:
     choice: Choice | None
     arms: Mapping[str, Subject]
     pulses: Mapping[str, tuple[PulsePrediction, ...]]
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw the first left-out pulse of each condition and direction, as recorded and as the models predict it.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (pulse, axis).
+
+        Raises:
+          ValueError: no pulse was left out.
+        """
+        from armperturb.plots.pulses import PredictedPulse, plot_pulses
+
+        first: dict[tuple[str, float], int] = {}
+        for i, pulse in enumerate(self.pulses["nonlinear"]):
+            first.setdefault((pulse.condition, pulse.direction_deg), i)
+        if not first:
+            raise ValueError(
+                "plot: no pulse was left out of the fit; expected at least one (plot the estimate instead)"
+            )
+        shown = []
+        for (condition, direction), i in first.items():
+            of_models = {model: pulses[i] for model, pulses in self.pulses.items()}
+            recorded = of_models["nonlinear"]
+            predicted = {model: pulse.predicted for model, pulse in of_models.items()}
+            title = f"{condition}, pulse at {direction:g} deg"
+            shown.append(PredictedPulse(title, recorded.time, recorded.recorded, predicted))
+        return plot_pulses(shown, figure)
 
 
 def identify_nonlinear(

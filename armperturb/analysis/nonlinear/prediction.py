@@ -7,10 +7,10 @@ import numpy as np
 
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.measures.pulse import WINDOWS, peak_norm
-from armperturb.analysis.nonlinear.lanes import lane_table
-from armperturb.analysis.nonlinear.response import Disturbances
 from armperturb.analysis.nonlinear.trials import TrialSet
 from armperturb.arrays import Array, Indices
+from armperturb.planar_arm.lanes import lane_table
+from armperturb.planar_arm.simulation import Disturbances
 from armperturb.subject import Subject
 
 

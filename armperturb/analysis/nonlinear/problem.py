@@ -16,12 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from armperturb.analysis.fit.likelihood import LackOfFit
-from armperturb.analysis.nonlinear.lanes import lane_table
 from armperturb.analysis.nonlinear.model import EFFECTS, Parameters
 from armperturb.analysis.nonlinear.noise import Noise
-from armperturb.analysis.nonlinear.response import Disturbances
 from armperturb.analysis.nonlinear.trials import TrialSet
 from armperturb.arrays import Array
+from armperturb.planar_arm.lanes import lane_table
+from armperturb.planar_arm.simulation import Disturbances
 from armperturb.subject import Subject
 
 STEP = 1e-4

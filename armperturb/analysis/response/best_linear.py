@@ -30,10 +30,11 @@ linear response is taken for what interpolation and a start that is not quite fo
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 from scipy import interpolate, stats
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, SETTLED
@@ -49,8 +50,14 @@ from armperturb.analysis.response.local_polynomial import (
     linearised,
     without,
 )
-from armperturb.analysis.trials import SeveralTrials
+from armperturb.analysis.results import Description, Result, Table, plain
+from armperturb.analysis.trials import SeveralTrials, prepared_recordings
 from armperturb.arrays import Array
+from armperturb.recording import LABELS, named
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
 Impedance = Callable[[Array], ComplexArray]
 
@@ -79,8 +86,8 @@ RESOLUTION = 1e-3
 """Distortion over linear response, in amplitude, that cannot be told from what is left of leakage and interpolation."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class BestLinear:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class BestLinear(Result):
     """Best linear approximation, with the levels of noise and distortion.
 
     Powers are mean squares of the displacement's sine wave at one excited line of one period [m^2], means over the
@@ -104,6 +111,69 @@ class BestLinear:
     distortion_error: Array
     statistic: float
     n_periods: Array
+
+    def describe(self) -> Description:
+        """The share of the distortion, and the levels at each frequency."""
+        shares = zip(LABELS["axis"], self.share, self.share_error, strict=True)
+        each = " and ".join(f"{max(share, 0.0):.1%} (+/- {error:.1%}) in {axis}" for axis, share, error in shares)
+        kinds = ("linear", "noise", "distortion")
+        levels = [1e3 * np.sqrt(np.maximum(getattr(self, kind), 0.0)) for kind in kinds]
+        n = len(self.n_periods)
+        label = f" ({self.response.label})" if self.response.label else ""
+        return Description(
+            title=f"Best linear approximation of the arm{label}: "
+            f"{n} trial{'' if n == 1 else 's'} of {self.n_periods.min():.3g} to {self.n_periods.max():.3g} periods",
+            facts=(
+                f"nonlinear distortion: of the response's power {each}; p = {self.p_value:.2g} if the arm is linear",
+                "RMS displacement at a line, in mm",
+            ),
+            table=Table(
+                ("frequency [Hz]", *(f"{kind} {axis}" for axis in LABELS["axis"] for kind in kinds)),
+                tuple(
+                    (plain(f), *(plain(float(level[k, i]), 3) for i in range(2) for level in levels))
+                    for k, f in enumerate(self.response.frequency)
+                ),
+            ),
+        )
+
+    def to_frame(self) -> "pd.DataFrame":
+        """One row per frequency and output: mean squares of the sine wave at a line [m^2]."""
+        import pandas as pd
+
+        frequency = self.response.frequency
+        return pd.DataFrame(
+            {
+                "frequency_hz": np.repeat(frequency, 2),
+                "output": np.tile(LABELS["axis"], len(frequency)),
+                "linear_m2": self.linear.ravel(),
+                "noise_m2": self.noise.ravel(),
+                "distortion_m2": self.distortion.ravel(),
+                "distortion_standard_error_m2": self.distortion_error.ravel(),
+            }
+        )
+
+    def to_xarray(self) -> xr.Dataset:
+        """That of the response, and `linear`, `noise`, `distortion` and `distortion_error` (frequency, output)."""
+        return self.response.to_xarray().assign(
+            {
+                name: (("frequency", "output"), getattr(self, name), {"units": "m^2"})
+                for name in ("linear", "noise", "distortion", "distortion_error")
+            }
+        )
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw the levels of linear response, distortion and noise.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (output,).
+        """
+        from armperturb.plots.bands import plot_distortion
+
+        limit = 1.645 * self.distortion_error  # one-sided, as `p_value`
+        return plot_distortion(self.response.frequency, self.linear, self.distortion, self.noise, limit, figure)
 
     @property
     def p_value(self) -> float:
@@ -143,7 +213,8 @@ def best_linear(
     Raises:
       ValueError: as `estimate_multisine`; or lines of a cluster or periods are too few.
     """
-    trials = periodic_trials(recordings, period=period, window_start=window_start, lines_per_average=lines_per_average)
+    several = prepared_recordings(recordings)
+    trials = periodic_trials(several, period=period, window_start=window_start, lines_per_average=lines_per_average)
     shortest = min(map(len, trials.groups))
     if shortest < 3:
         raise ValueError(f"a group has {shortest} excited lines; expected at least 3 (more lines per average)")
@@ -202,7 +273,10 @@ def best_linear(
     speed = np.array([fit.frequency * np.sqrt(of_one.sum()) for fit, of_one in zip(fits, linear, strict=True)])
     weight = speed * precision
     return BestLinear(
-        response=frequency_response(fits, "arm", [(fit.excited_noise, fit.excited_dof) for fit in fits]),
+        response=replace(
+            frequency_response(fits, "arm", [(fit.excited_noise, fit.excited_dof) for fit in fits]),
+            label=named([part.recording for part in several]),
+        ),
         linear=np.array(linear),
         noise=np.array(noise),
         distortion=np.array(distortion),

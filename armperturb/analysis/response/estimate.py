@@ -32,7 +32,7 @@ from armperturb.analysis.response.subspace import PAST, fit_subspace
 from armperturb.analysis.response.tapers import estimate_multitaper, estimate_welch
 from armperturb.analysis.trials import SeveralTrials, prepared, prepared_recordings
 from armperturb.arrays import Array
-from armperturb.recording import join_recordings
+from armperturb.recording import join_recordings, named
 
 SAME_FREQUENCY = 1e-6
 """Difference of frequencies that are the same, over their size [-]."""
@@ -237,7 +237,9 @@ def response(
     if method not in METHODS:
         raise ValueError(f"method = {method!r}; expected one of {', '.join(METHODS)}")
     require_system(options.get("what", "arm"))
-    return METHODS[method](recording, frequency=frequency, **options)
+    several = prepared_recordings(recording)
+    label = f"{named([trials.recording for trials in several])}, {method}"
+    return replace(METHODS[method](several, frequency=frequency, **options), label=label)
 
 
 def _wanted(frequency: ArrayLike | None, records: JointRecords) -> Array:

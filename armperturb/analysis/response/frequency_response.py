@@ -1,19 +1,33 @@
 """A frequency response with the uncertainty of each of its elements, whichever method estimated it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
+import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
+from armperturb.analysis.results import Description, Result, Table, plain, response_coordinates, response_frame
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 from armperturb.recording import LABELS
 from armperturb.validation import require_number
 
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
 System = Literal["arm", "environment", "total"]
 """From f to x, from d - f to x, from d to x."""
+
+SYSTEMS: Mapping[str, str] = {
+    "arm": "of the arm, from f to x",
+    "environment": "of the environment, from d - f to x",
+    "total": "of arm and environment, from d to x",
+}
+"""What each system is called where people read it."""
 
 
 class Bands(NamedTuple):
@@ -32,8 +46,8 @@ class Bands(NamedTuple):
     phase_high: Array
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FrequencyResponse:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FrequencyResponse(Result):
     """An estimated frequency response.
 
     The error of an element is taken to be circular complex normal: its real and imaginary part are independent and
@@ -43,10 +57,11 @@ class FrequencyResponse:
       frequency: [Hz], (frequency,).
       response: [m/N], (frequency, output, input).
       covariance: variance of each element, the mean of |error|^2 [(m/N)^2], (frequency, output, input); None if the
-        method does not tell.
+        method gives none.
       what: of which system, e.g. "arm" (from f to x), "environment" (from d - f to x), "total" (from d to x).
       dof: complex degrees of freedom behind `covariance`, (frequency,); None if it is as good as exact.
       environment: mass, damping and stiffness whose force balance made the signals better; None if none did.
+      label: of whom, in which condition and by which method, for people to read.
 
     Raises:
       ValueError: shapes do not fit together.
@@ -58,6 +73,7 @@ class FrequencyResponse:
     what: str
     dof: Array | None = None
     environment: Environment | None = None
+    label: str = ""
 
     def __post_init__(self) -> None:
         n = len(self.frequency)
@@ -108,32 +124,72 @@ class FrequencyResponse:
         angle = np.where(radius < gain, np.arcsin(np.minimum(radius / gain, 1.0)), np.pi)
         return Bands(np.maximum(gain - radius, 0.0), gain + radius, phase - angle, phase + angle)
 
-    def rows(self) -> list[dict[str, Any]]:
-        """One row per frequency, output and input, ready for `export.write_csv`.
+    def describe(self) -> Description:
+        """What was estimated, and gain and phase at each frequency."""
+        n, known = len(self.frequency), self.covariance is not None
+        held = self.environment
+        title = f"Frequency response {SYSTEMS.get(self.what, self.what)}"
+        span = f"{n} frequencies, {self.frequency[0]:.3g} to {self.frequency[-1]:.3g} Hz"
+        facts = [f"{span}; gain in m/N with 95 % limits, phase in degrees" if known else f"{span}; no uncertainty"]
+        if held is not None:
+            facts.append(f"force balance used: {held.m_env:.4g} kg, {held.b_env:.3g} Ns/m, {held.k_env:.4g} N/m")
+        gain, phase = np.abs(self.response), np.degrees(np.angle(self.response))
+        limits = self.radius() if known else None
+        elements = [(i, j) for i in range(2) for j in range(2)]
+
+        def cell(k: int, i: int, j: int) -> str:
+            error = "" if limits is None else f" +/- {limits[k, i, j]:.1e}"
+            return f"{gain[k, i, j]:.2e}{error} {phase[k, i, j]:4.0f}"
+
+        return Description(
+            title=f"{title} ({self.label})" if self.label else title,
+            facts=tuple(facts),
+            table=Table(
+                ("frequency [Hz]", *(f"H_{LABELS['axis'][i]}{LABELS['axis'][j]}" for i, j in elements)),
+                tuple((plain(f), *(cell(k, i, j) for i, j in elements)) for k, f in enumerate(self.frequency)),
+            ),
+        )
+
+    def to_frame(self) -> "pd.DataFrame":
+        """One row per frequency, output and input.
 
         `standard_error` is that of the real and of the imaginary part, each; `radius_95` that of the circle in which
-        the element lies with 95 %. Both are empty without covariance.
+        the element lies with 95 %. Both are missing without covariance.
         """
-        known = self.covariance is not None
-        error = np.sqrt(self.covariance / 2) if self.covariance is not None else np.empty(0)
-        radius = self.radius() if known else error
-        return [
-            {
-                "frequency_hz": float(frequency),
-                "output": LABELS["axis"][output],
-                "input": LABELS["axis"][input_],
-                "real": float(value.real),
-                "imag": float(value.imag),
-                "gain_m_per_N": float(abs(value)),
-                "phase_deg": float(np.degrees(np.angle(value))),
-                "standard_error": float(error[k, output, input_]) if known else "",
-                "radius_95": float(radius[k, output, input_]) if known else "",
-            }
-            for k, frequency in enumerate(self.frequency)
-            for output in range(2)
-            for input_ in range(2)
-            for value in (self.response[k, output, input_],)
-        ]
+        frame = response_frame(self.frequency, self.response)
+        if self.covariance is None:
+            return frame.assign(standard_error=None, radius_95=None)
+        return frame.assign(standard_error=np.sqrt(self.covariance / 2).ravel(), radius_95=self.radius().ravel())
+
+    def to_xarray(self) -> xr.Dataset:
+        """Variables `response`, and where they are known `covariance` and `dof`, along frequency, output and input."""
+        element = ("frequency", "output", "input")
+        name = f"frequency response {SYSTEMS.get(self.what, self.what)}"
+        variables: dict[str, Any] = {"response": (element, self.response, {"units": "m/N", "long_name": name})}
+        if self.covariance is not None:
+            described = {"units": "(m/N)^2", "long_name": "variance of each element"}
+            variables["covariance"] = (element, self.covariance, described)
+        if self.dof is not None:
+            variables["dof"] = ("frequency", self.dof, {"long_name": "complex degrees of freedom of the covariance"})
+        return xr.Dataset(variables, coords=response_coordinates(self.frequency), attrs={"what": self.what})
+
+    def plot(self, level: float = 0.95, figure: "Figure | None" = None) -> Any:
+        """Draw gain and phase of each element, with the bands of `bands` where the covariance is known.
+
+        Args:
+          level: probability with which a band holds the true response [-].
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (output, input, 2): gain and phase.
+
+        Raises:
+          ValueError: the level is no probability.
+        """
+        from armperturb.plots.bands import Curve, plot_responses
+
+        bands = None if self.covariance is None else self.bands(level)
+        return plot_responses([Curve(f"estimate ({self.what})", self.frequency, self.response, bands)], level, figure)
 
 
 def require_frequencies(frequency: ArrayLike, rate: float) -> Array:

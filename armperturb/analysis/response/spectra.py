@@ -13,21 +13,28 @@ sign with its opposite, and loses transposes (A.12).
 
 import warnings
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
+from armperturb.analysis.results import Description, Result, Table, plain, response_coordinates, response_frame
 from armperturb.analysis.trials import ConditionTrials, per_trials
 from armperturb.arrays import Array, ComplexArray
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
 N_INPUTS = 2
 EXCITED = 1e-4
 """Share of the strongest line's power from which on a line counts as excited."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SpectralEstimate:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SpectralEstimate(Result):
     """Frequency responses and coherence at the averaged frequencies.
 
     Attributes:
@@ -45,6 +52,53 @@ class SpectralEstimate:
     total: ComplexArray
     coherence: Array
     n_averages: NDArray[np.int64]
+
+    def describe(self) -> Description:
+        """Gains of the arm's admittance and coherences at each frequency."""
+        return Description(
+            title=f"Spectral estimate of the arm's admittance at {len(self.frequency)} frequencies, "
+            f"{self.frequency[0]:.3g} to {self.frequency[-1]:.3g} Hz",
+            facts=(f"{self.n_averages.min()} to {self.n_averages.max()} averages; gains in m/N",),
+            table=Table(
+                ("frequency [Hz]", *(f"|H_{y}{x}|" for y in "xy" for x in "xy"), "coherence x", "coherence y"),
+                tuple(
+                    (plain(f), *(f"{gain:.2e}" for gain in np.abs(h).ravel()), *(f"{value:.3f}" for value in c))
+                    for f, h, c in zip(self.frequency, self.arm, self.coherence, strict=True)
+                ),
+            ),
+        )
+
+    def to_frame(self) -> "pd.DataFrame":
+        """One row per frequency, output and input of the arm's admittance, with the coherence of the output."""
+        frame = response_frame(self.frequency, self.arm)
+        return frame.assign(coherence=np.repeat(self.coherence.ravel(), N_INPUTS))
+
+    def to_xarray(self) -> xr.Dataset:
+        """Variables `arm`, `environment`, `total` (frequency, output, input), `coherence` and `n_averages`."""
+        element, metres = ("frequency", "output", "input"), {"units": "m/N"}
+        return xr.Dataset(
+            {
+                "arm": (element, self.arm, metres | {"long_name": "admittance from f to x"}),
+                "environment": (element, self.environment, metres | {"long_name": "admittance from d - f to x"}),
+                "total": (element, self.total, metres | {"long_name": "admittance from d to x"}),
+                "coherence": (element[:2], self.coherence, {"units": "1", "long_name": "multiple coherence"}),
+                "n_averages": (element[:1], self.n_averages, {"long_name": "lines times trials behind each point"}),
+            },
+            coords=response_coordinates(self.frequency),
+        )
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw the arm's admittance.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (output, input, 2): gain and phase of each element.
+        """
+        from armperturb.plots.bands import Curve, plot_responses
+
+        return plot_responses([Curve("estimate", self.frequency, self.arm)], figure=figure)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

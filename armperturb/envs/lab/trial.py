@@ -11,6 +11,7 @@ from armperturb.arrays import Array
 from armperturb.controllers.remnant import HumanNoise
 from armperturb.environment import Environment, Strap
 from armperturb.perturbations import Perturbation, Pulse
+from armperturb.perturbations.hold import held_over_steps
 from armperturb.subject import Subject
 from armperturb.validation import require_number
 
@@ -119,10 +120,5 @@ def require_integrable(subject: Subject, environment: Environment, strap: Strap 
 
 
 def held_force(perturbation: Perturbation, timestep: float, n_steps: int) -> Array:
-    """Force to hold over each step so that the handle feels the perturbation [N], (step, axis).
-
-    A held force acts on average at the middle of its step, and holding weakens it by sinc(f timestep); the second
-    difference restores that to fourth order.
-    """
-    middle = perturbation.sample(1.0 / timestep, n_steps + 2, -timestep / 2)
-    return middle[1:-1] - np.diff(middle, n=2, axis=0) / 24.0
+    """Force to hold over each step so that the handle feels the perturbation [N], (step, axis)."""
+    return held_over_steps(perturbation.sample(1.0 / timestep, n_steps + 2, -timestep / 2))

@@ -7,6 +7,8 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from armperturb.extras import naming_the_extra
+
 if TYPE_CHECKING:
     import numpy as np
     from dm_control import composer
@@ -77,6 +79,7 @@ def load_dm_env(
     """
     if name not in TASKS:
         raise ValueError(f"load_dm_env: name = {name!r}; expected one of {', '.join(TASKS)}")
-    from armperturb.envs.learning.dm_task import compose
+    with naming_the_extra("load_dm_env"):
+        from armperturb.envs.learning.dm_task import compose
 
     return compose({**TASKS[name], **settings}, random_state)

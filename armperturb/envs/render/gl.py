@@ -1,8 +1,8 @@
 """How pictures are drawn without a window: the one place that chooses between EGL, OSMesa and a window library.
 
-MuJoCo and dm_control read MUJOCO_GL once, when they are first imported, and unset take a window library, which draws
-nothing where there is no display. Who has set MUJOCO_GL has chosen; with a display MuJoCo's own choice stands;
-otherwise it is EGL, and OSMesa where EGL gives no context.
+MuJoCo reads MUJOCO_GL once, when it is first imported, and without it takes a window library, which draws nothing where
+there is no display. A value that the user has set stands, and so does MuJoCo's own choice where there is a display;
+otherwise this module chooses EGL, or OSMesa where EGL gives no context.
 """
 
 import atexit
@@ -13,6 +13,8 @@ import sys
 import warnings
 import weakref
 from typing import Any, Protocol
+
+from armperturb.extras import naming_the_extra
 
 PACKAGES = {"egl": "libegl1 libopengl0 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 """Libraries that draw without a window, the better one first, and their packages in Debian and Ubuntu."""
@@ -38,7 +40,7 @@ def has_display() -> bool:
 
 def gl_help() -> str:
     """What to do where this process cannot draw, given MUJOCO_GL."""
-    chosen = _asked()
+    chosen = _requested()
     if chosen in OFF:
         return "drawing is switched off; expected MUJOCO_GL unset or egl"
     if chosen in PACKAGES or not (chosen or has_display()):
@@ -53,13 +55,14 @@ def require_simulator() -> None:
       RuntimeError: it cannot be imported; the message says why, and what helps.
     """
     try:
-        importlib.import_module("mujoco")
+        with naming_the_extra("the simulation"):
+            importlib.import_module("mujoco")
     except Exception as error:  # of MuJoCo, PyOpenGL, or ctypes
         if "invalid value" in str(error) and "MUJOCO_GL" in str(error):
             given = os.environ["MUJOCO_GL"]
             raise RuntimeError(f"MUJOCO_GL = {given!r}; expected egl, osmesa, glfw or off, or unset") from error
-        with_gl = f" with MUJOCO_GL={_asked()}; {gl_help()}" if _asked() else ""
-        raise RuntimeError(f"MuJoCo does not load ({_said(error)}){with_gl}") from error
+        with_gl = f" with MUJOCO_GL={_requested()}; {gl_help()}" if _requested() else ""
+        raise RuntimeError(f"MuJoCo does not load ({_in_one_line(error)}){with_gl}") from error
 
 
 def choose_backend() -> str:
@@ -71,26 +74,9 @@ def choose_backend() -> str:
     Raises:
       RuntimeError: nothing draws here; the message names what to install, and MUJOCO_GL stays unset.
     """
-    if not _asked() and not has_display():
+    if not _requested() and not has_display():
         os.environ["MUJOCO_GL"] = _headless()
-    return _asked()
-
-
-def load_dm_control() -> None:
-    """Import dm_control with the library that draws here: by itself it tries a window library first, and warns.
-
-    Where nothing draws, MUJOCO_GL is set to "off": dm_control is imported all the same, and refuses to render.
-
-    Raises:
-      RuntimeError: with this MUJOCO_GL MuJoCo cannot be imported.
-    """
-    require_simulator()
-    try:
-        choose_backend()
-    except RuntimeError:
-        os.environ["MUJOCO_GL"] = "off"
-    importlib.import_module("dm_control.mujoco")
-    _stay_last()
+    return _requested()
 
 
 def close_at_exit(owner: Closeable) -> None:
@@ -99,7 +85,16 @@ def close_at_exit(owner: Closeable) -> None:
     Once the OpenGL library is gone, a context that is freed prints errors.
     """
     _OPEN.add(owner)
-    _stay_last()
+    stay_last()
+
+
+def stay_last() -> None:
+    """Close contexts first when the interpreter exits: before OpenGL libraries that were imported since end themselves.
+
+    What is registered last runs first.
+    """
+    atexit.unregister(_close_all)
+    atexit.register(_close_all)
 
 
 def new_context(width: int, height: int) -> Any:
@@ -126,7 +121,7 @@ def new_context(width: int, height: int) -> Any:
             warnings.filterwarnings("error", category=UserWarning)  # which is all that glfw makes of its errors
             return kind(width, height)
     except Exception as error:  # whatever a window library raises
-        raise RuntimeError(f"no OpenGL context with {tried}: {_said(error)}; {gl_help()}") from error
+        raise RuntimeError(f"no OpenGL context with {tried}: {_in_one_line(error)}; {gl_help()}") from error
 
 
 @functools.cache
@@ -145,7 +140,7 @@ def _headless() -> str:
             context.free()
             return name
         except Exception as error:  # PyOpenGL has errors of its own, and AttributeError for a missing library
-            reasons.append(f"{name}: {_said(error)}")
+            reasons.append(f"{name}: {_in_one_line(error)}")
         # The library that failed has claimed PyOpenGL for itself, which would refuse the next one.
         if before is None:
             os.environ.pop("PYOPENGL_PLATFORM", None)
@@ -155,24 +150,18 @@ def _headless() -> str:
     raise RuntimeError(f"no OpenGL context ({'; '.join(reasons)}); {gl_help()}")
 
 
-def _asked() -> str:
+def _requested() -> str:
     """MUJOCO_GL as MuJoCo reads it."""
     return os.environ.get("MUJOCO_GL", "").lower().strip()
 
 
-def _said(error: Exception) -> str:
+def _in_one_line(error: Exception) -> str:
     """An error in one line."""
     try:
         text = " ".join(str(error).split())
     except Exception:  # PyOpenGL's errors may fail to describe themselves
         text = ""
     return text or type(error).__name__
-
-
-def _stay_last() -> None:
-    """Register `_close_all` anew: what is registered last runs first, so before the ends of the OpenGL libraries."""
-    atexit.unregister(_close_all)
-    atexit.register(_close_all)
 
 
 def _close_all() -> None:

@@ -16,6 +16,7 @@ from armperturb.arrays import Array
 from armperturb.envs.render.camera import TRAIL, Camera, force_arrows
 from armperturb.envs.render.overlay import StripChart, draw_clock, label_layer, nice_force, text_size
 from armperturb.envs.render.replay import Replay
+from armperturb.extras import naming_the_extra
 from armperturb.files import written_whole
 from armperturb.validation import require_number
 
@@ -284,9 +285,9 @@ def require_ending(out: Path) -> str:
 
 
 def _encoder(path: Path, shape: tuple[int, int], frame_rate: float) -> Any:
-    # Here: mediapy takes long to import.
-    import imageio_ffmpeg
-    import mediapy
+    with naming_the_extra("writing a video"):  # here, as mediapy takes long to import
+        import imageio_ffmpeg
+        import mediapy
 
     mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
     if path.suffix == ".gif":

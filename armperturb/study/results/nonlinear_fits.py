@@ -17,7 +17,7 @@ from armperturb.analysis.nonlinear.model import stem
 from armperturb.analysis.nonlinear.trials import TrialSet, training_sets, trial_sets
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
-from armperturb.envs.lab.skeletal import Prediction, simulate_skeletal
+from armperturb.planar_arm.skeletal import simulate_skeletal
 from armperturb.study.results.cases import Case
 from armperturb.subject import Subject
 
@@ -192,8 +192,6 @@ def _left_out(
 
     fitted = list(fitted_deg)
     found: list[LeftOutPulse] = []
-    asked: list[Prediction] = []
-    of: list[tuple[int, PulsePrediction]] = []
     for label, one in sets.items():
         mine = recording.isel(trial=np.flatnonzero(recording["condition"].values == label))
         estimate = estimates.get(label)
@@ -208,13 +206,10 @@ def _left_out(
                     onset = int(one.onset[trial])
                     path = simulate_linear(arm, environment, driven, one.rate).displacement[onset:]
                     predicted["linear"] = pulse._replace(predicted=path)
-                    asked.append(Prediction(arm=arm, environment=environment, perturbation=driven, onset=onset))
-                    of.append((len(found), pulse))
+                    path = simulate_skeletal(arm, environment, driven, one.rate, onset)
+                    predicted["skeletal"] = pulse._replace(predicted=path)
                 level = abs(float(mine["pulse_level"].values[trial]))
                 found.append(_told(LeftOutPulse(label, level, float(direction), {}, {}, {}), predicted))
-    rate = float(recording.attrs["rate"])
-    for (place, pulse), path in zip(of, simulate_skeletal(asked, rate), strict=True):
-        found[place] = _told(found[place], {"skeletal": pulse._replace(predicted=path)})
     return found
 
 

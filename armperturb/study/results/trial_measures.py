@@ -15,7 +15,7 @@ from armperturb.analysis.measures.vaf import variance_accounted_for
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.environment import Environment
-from armperturb.envs.lab.skeletal import Prediction, simulate_skeletal
+from armperturb.planar_arm.skeletal import simulate_skeletal
 from armperturb.study.published import tables as published
 from armperturb.study.results.cases import Case
 from armperturb.study.results.quantities import LEVELS, Cell, measure
@@ -135,13 +135,11 @@ def measure_person(
       ValueError: the recording is refused, or holds several people.
     """
     cells, told = measure(recording)
-    name, rate = str(recording["subject"].values[0]), float(recording.attrs["rate"])
+    name = str(recording["subject"].values[0])
     left_out = [f"{name}: {line}" for line in told]
     by_condition = {case.condition.name: case for case in cases}
     low_gain: dict[str, Array] = {}
     trials: list[TrialMeasures] = []
-    multisines: list[_Asked] = []
-    pulses: list[_Asked] = []
     estimates: dict[str, ThesisEstimate] = {}
     for condition in published.conditions():
         if condition not in conditions:
@@ -169,11 +167,10 @@ def measure_person(
                 one = mine.isel(trial=[trial])
                 predicted = float(predicted_peaks(one, arm, environment)[0])
                 measures = measures._replace(predicted_linear=predicted, vaf_linear=(x, y))
-                multisines.append(_asked(len(trials), one, slice(0, multisine.n_samples), arm, environment))
-                if math.isfinite(predicted):
-                    pulses.append(_asked(len(trials), one, pulse_span(one, 0), arm, environment))
+                before = slice(0, multisine.n_samples)
+                measures, lost = _with_skeletal(measures, one, before, arm, environment)
+                left_out += [f"{name} in {line}" for line in lost]
             trials.append(measures)
-    left_out += [f"{name} in {line}" for line in _predict_skeletal(trials, multisines, pulses, rate)]
     return PersonMeasures(
         name=name,
         conditions=tuple(conditions),
@@ -236,51 +233,36 @@ def _recorded_trials(recording: xr.Dataset) -> list[TrialMeasures]:
     ]
 
 
-class _Asked(NamedTuple):
-    """What the skeletal model is to predict.
+def _with_skeletal(
+    measures: TrialMeasures, trial: xr.Dataset, multisine: slice, arm: Subject, environment: Environment
+) -> tuple[TrialMeasures, list[str]]:
+    """What the nonlinear skeletal model predicts of a trial added, and what it could not predict, one line each.
 
-    Attributes:
-      place: of the trial among the person's.
-      prediction: what to simulate.
-      recorded: displacement of the handle in its time [m], (time, axis).
+    Args:
+      measures: what else the trial tells; its pulse is predicted if the linear model's is.
+      trial: alone.
+      multisine: samples that the VAF is of.
+      arm: the trial's own fit.
+      environment: what the hand held.
     """
-
-    place: int
-    prediction: Prediction
-    recorded: Array
-
-
-def _asked(place: int, trial: xr.Dataset, span: slice, arm: Subject, environment: Environment) -> _Asked:
-    prediction = Prediction(
-        arm=arm,
-        environment=environment,
-        perturbation=trial["perturbation"].values[0, : span.stop],
-        onset=span.start,
-    )
-    return _Asked(place, prediction, trial["displacement"].values[0, span])
-
-
-def _predict_skeletal(
-    trials: list[TrialMeasures], multisines: list[_Asked], pulses: list[_Asked], rate: float
-) -> list[str]:
-    """Fill in what the nonlinear skeletal model predicts; returns what it could not, one line each."""
-    told = []
-    for what, asked in (("multisine", multisines), ("pulse", pulses)):
-        paths = simulate_skeletal([one.prediction for one in asked], rate)
-        for one, path in zip(asked, paths, strict=True):
-            trial = trials[one.place]
-            lost = np.flatnonzero(np.isnan(path[:, 0]))
-            if len(lost):
-                told.append(
-                    f"{trial.condition}, repetition {trial.repetition}: the skeletal model left the workspace "
-                    f"{lost[0] / rate:.3f} s after the {what} began; it predicts nothing of it"
-                )
-            elif what == "pulse":
-                trials[one.place] = trial._replace(predicted_skeletal=peak_norm(path))
-            else:
-                x, y = variance_accounted_for(one.recorded, path, rate).tolist()
-                trials[one.place] = trial._replace(vaf_skeletal=(x, y))
-    return told
+    rate, left_out = float(trial.attrs["rate"]), []
+    spans = {"multisine": multisine}
+    if math.isfinite(measures.predicted_linear):
+        spans["pulse"] = pulse_span(trial, 0)
+    for part, span in spans.items():
+        path = simulate_skeletal(arm, environment, trial["perturbation"].values[0, : span.stop], rate, span.start)
+        lost = np.flatnonzero(np.isnan(path[:, 0]))
+        if len(lost):
+            left_out.append(
+                f"{measures.condition}, repetition {measures.repetition}: the skeletal model left the workspace "
+                f"{lost[0] / rate:.3f} s after the {part} began; it predicts nothing of it"
+            )
+        elif part == "pulse":
+            measures = measures._replace(predicted_skeletal=peak_norm(path))
+        else:
+            x, y = variance_accounted_for(trial["displacement"].values[0, span], path, rate).tolist()
+            measures = measures._replace(vaf_skeletal=(x, y))
+    return measures, left_out
 
 
 def _pulse_means(trials: list[TrialMeasures]) -> PulseMeans:

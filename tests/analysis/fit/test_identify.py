@@ -43,7 +43,7 @@ def test_the_thesis_estimator_is_the_mean_over_trials(relax_recording):
         assert value == pytest.approx(np.mean([one.values[name] for one in trials]), rel=2e-3), name
         sem = np.mean([one.standard_error[name] for one in trials])
         assert result.fit.standard_error[name] == pytest.approx(sem, rel=2e-2), name
-    assert result.fit.status.startswith(("1 of 2 trials", "2 of 2 trials"))
+    assert result.fit.message.startswith(("1 of 2 trials", "2 of 2 trials"))
 
 
 def test_noise_widens_intervals_that_hold_the_truth(noisy_relax_recording, relax_recording):
@@ -54,7 +54,7 @@ def test_noise_widens_intervals_that_hold_the_truth(noisy_relax_recording, relax
         assert error > 5 * clean.standard_error[name], name
         lower, upper = noisy.interval(name)
         assert (lower + upper) / 2 == pytest.approx(noisy.values[name])
-        assert upper - lower == pytest.approx(2 * 1.96 * error)
+        assert upper - lower == pytest.approx(2 * 1.959964 * error)
         scores.append((noisy.values[name] - true_value(RELAX, name)) / error)
     assert np.abs(scores).max() < 4.0
     assert isinstance(noisy.detail, Estimate)

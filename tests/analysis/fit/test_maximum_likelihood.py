@@ -94,12 +94,12 @@ def test_intervals_hold_the_truth_as_often_as_they_say(subject, model):
 def test_a_right_structure_raises_no_doubt_and_a_wrong_one_does(position, position_group, method):
     right = estimate([position_group], method)
     assert not right.is_suspicious
-    assert not any("explains more" in remark for remark in right.remarks())
+    assert not any("explains more" in remark for remark in right.remarks)
     late = STRUCTURES["3b"].fixing(Td_s=0.060, Td_e=0.060, m_tot=2.5)
     for wrong in (estimate([group_of(position, "1")], method), estimate([group_of(position, late)], method)):
         assert wrong.is_suspicious
         assert wrong.dispersion > 1.2
-        assert any("differs from trial to trial" in remark for remark in wrong.remarks())
+        assert any("differs from trial to trial" in remark for remark in wrong.remarks)
 
 
 @pytest.mark.parametrize("n_trials", [1, 2])
@@ -159,14 +159,14 @@ def late_by(remarks):
 
 
 def test_skew_of_the_clocks_is_remarked_upon(relax, relax_group):
-    assert not any("later than" in remark for remark in estimate([relax_group], "frequency").remarks())
+    assert not any("later than" in remark for remark in estimate([relax_group], "frequency").remarks)
     late = relax.copy(deep=True)
     frequency = np.fft.rfftfreq(12000, 1 / 200.0)
     for name in ("force", "perturbation"):
         spectrum = np.fft.rfft(late[name].values, 12000, axis=1)
         spectrum *= np.exp(-2j * np.pi * frequency * 1e-3)[:, None]
         late[name].values[:] = np.fft.irfft(spectrum, 12000, axis=1)[:, : relax.sizes["time"]]
-    remarks = estimate([group_of(late, "1")], "frequency").remarks()
+    remarks = estimate([group_of(late, "1")], "frequency").remarks
     assert late_by(remarks) == pytest.approx(1.0, abs=0.05)
 
 
@@ -193,8 +193,8 @@ def loud(once):
 def test_whatever_is_fitted_to_one_loud_trial_ends_with_a_status(loud, task, model, method):
     group = group_of(loud[task], model)
     found = estimate([group], method)
-    assert found.status.startswith("converged: " if found.converged else "not converged: ")
-    assert found.converged or any(found.status in remark for remark in found.remarks())
+    assert found.message.startswith("converged: " if found.converged else "not converged: ")
+    assert found.converged or any(found.message in remark for remark in found.remarks)
     assert np.isfinite(list(found.values.values())).all()
     assert not np.isnan(list(found.standard_error.values())).any()
     assert np.isfinite(found.correlation).all()
@@ -209,7 +209,7 @@ def test_an_arm_that_cannot_be_stable_is_fitted_and_said_to_be_unstable(relax):
     found = estimate([group_of(relax, wild)], "frequency")
     assert not found.stable
     assert found.largest_real_pole > 0
-    assert any("unstable" in remark for remark in found.remarks())
+    assert any("unstable" in remark for remark in found.remarks)
 
 
 def test_an_unstable_start_is_made_stable(position_group):

@@ -6,8 +6,7 @@ from scipy import stats
 from test_frequency_response import CLUSTERS, N_PERIOD, PERIOD, RATE, TRUE, labels, multisine, recorded
 
 from armperturb.analysis.response.best_linear import best_linear
-from armperturb.plots.axes import admittance_panels
-from armperturb.plots.bands import distortion_levels, response_bands
+from armperturb.plots.style import new_figure
 from armperturb.recording import make_recording
 
 FREQUENCY = np.fft.rfftfreq(N_PERIOD, 1.0 / RATE)
@@ -110,14 +109,14 @@ def test_bad_input_is_refused():
 
 def test_figures_show_what_was_found():
     found = best_linear(known(1, 2, 1.5), window_start=0.0)
-    gain, phase = response_bands(found.response).axes[:2]
+    axes = found.response.plot(figure=new_figure(1.0))
+    gain, phase = axes[0, 0]
     bands = found.response.bands()
     shown = gain.collections[0].get_paths()[0].vertices
     assert shown[:, 1].max() == pytest.approx(bands.gain_high[:, 0, 0].max())
     turn = phase.collections[0].get_paths()[0].vertices[:, 1]
     assert np.ptp(turn) > 90.0  # from spring to mass
-    drawn = admittance_panels()
-    assert response_bands(found.response, panels=drawn) is drawn[0]
-    assert len(drawn[1][0, 0][0].collections) == len(gain.collections)
-    lines = {line.get_label(): line.get_ydata() for line in distortion_levels(found).axes[0].get_lines()}
+    assert axes.shape == (2, 2, 2)
+    np.testing.assert_array_equal(gain.get_lines()[0].get_ydata(), np.abs(found.response.response[:, 0, 0]))
+    lines = {line.get_label(): line.get_ydata() for line in found.plot(figure=new_figure(1.0))[0].get_lines()}
     np.testing.assert_allclose(lines["noise"], 1e3 * np.sqrt(found.noise[:, 0]))

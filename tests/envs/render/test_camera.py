@@ -2,7 +2,6 @@ import ctypes.util
 import gc
 import math
 import os
-import subprocess
 import sys
 from types import SimpleNamespace
 
@@ -162,20 +161,6 @@ def test_arrows_for_the_forces_of_one_instant():
     assert f.lift > d.lift
 
 
-@needs_gl
-def test_a_camera_that_is_left_open_says_nothing_at_exit(tmp_path):
-    # dm_control ends EGL at exit, as MuJoCo does; whichever was imported last would do so first.
-    code = (
-        "from armperturb.envs.render.camera import Camera\nfrom armperturb.envs.render.gl import load_dm_control\n"
-        "from armperturb.models import build_model\nfrom armperturb.subject import RELAX\n"
-        "camera = Camera(build_model(RELAX), width=16, height=16)\nload_dm_control()\n"
-        "camera.circle = camera\nprint(camera.draw().shape)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
-    assert (done.stdout, done.stderr) == ("(16, 16, 3)\n", "")
-    assert not list(tmp_path.iterdir()), "nor in MuJoCo's log"
-
-
 @pytest.fixture
 def headless(monkeypatch):
     """A Linux machine without a display on which nobody has chosen a library, nor tried one."""
@@ -252,20 +237,6 @@ def test_a_window_that_does_not_open_leaves_no_error_behind(headless):
         gl.new_context(8, 8)
     gc.collect()
     assert freed == [None]
-
-
-def test_dm_control_loads_without_gl():
-    code = (
-        "import os, warnings; warnings.simplefilter('error', UserWarning)\n"
-        "from armperturb.envs.render.gl import load_dm_control; load_dm_control()\n"
-        "import dm_control.mujoco; print(os.environ['MUJOCO_GL'])"
-    )
-    unset = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM")
-    clean = {name: value for name, value in os.environ.items() if name not in unset}
-    clean["MUJOCO_EGL_DEVICE_ID"] = "99"  # which is not there
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=clean, check=False)
-    assert done.stdout.strip() in ("osmesa", "off"), done.stderr
-    assert done.stderr == ""
 
 
 @pytest.mark.parametrize(

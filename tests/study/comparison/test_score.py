@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.fit.thesis import fit_trials, join_estimates
-from armperturb.analysis.measures.pulse import pulse_span
 from armperturb.analysis.trials import ConditionTrials, of_condition, trials_by_condition
 from armperturb.cli import main
 from armperturb.environment import Environment
@@ -318,15 +317,15 @@ def test_a_skeletal_model_that_leaves_the_workspace_predicts_nothing(study):
     recording = load_recording(study.of("PT7.5")[0].recording)[["perturbation", "force", "displacement"]]
     [first, _] = np.flatnonzero(recording["condition"].values == "PT7.5")
     of_pulse = recording.isel(trial=[first])
-    measured = [trial("PT7.5", 1.0, 0.05, 1e-3, 0.04)]
+    measured = trial("PT7.5", 1.0, 0.05, 1e-3, 0.04)
     wall = Environment(workspace=0.01)
-    asked = [measure._asked(0, of_pulse, pulse_span(of_pulse, 0), POSITION, wall)]
-    [line] = measure._predict_skeletal(measured, [], asked, 200.0)
-    assert "PT7.5, repetition 0: the skeletal model left the workspace 0.0" in line
-    assert math.isnan(measured[0].predicted_skeletal)
+    asked, lines = measure._with_skeletal(measured, of_pulse, slice(0, 2000), POSITION, wall)
+    assert [line.partition(" s after the ")[2].partition(" ")[0] for line in lines] == ["multisine", "pulse"]
+    assert "PT7.5, repetition 0: the skeletal model left the workspace 0.0" in lines[1]
+    assert math.isnan(asked.predicted_skeletal)
 
 
-def test_a_limit_harms_what_comes_after_it_alone(study, tmp_path, monkeypatch):
+def test_a_limit_harms_what_comes_after_it_alone(study, tmp_path):
     recording = load_recording(study.of("PT7.5")[0].recording)[["perturbation", "force", "displacement"]]
     limits = recording["limit_time"].values.copy()
     first, second = np.flatnonzero(recording["condition"].values == "RT7.5")
@@ -339,7 +338,6 @@ def test_a_limit_harms_what_comes_after_it_alone(study, tmp_path, monkeypatch):
     conditions = tuple(study.protocol.condition(name) for name in ("PT2.5", "RT7.5"))
     cases = identify_person(trials, tmp_path, replace(study.protocol, conditions=conditions))
     assert cases[1].left_out == ("trial 1 of S01 in RT7.5 reached the workspace limit at 20.000 s",)
-    monkeypatch.setattr(measure, "_predict_skeletal", lambda *_: [])  # takes long
     measured, whole = measure_person(changed, trials, cases), study.people[0]
     assert measured.low_gain.keys() == {"PT2.5", "RT7.5"}
     assert not np.allclose(measured.low_gain["RT7.5"], whole.low_gain["RT7.5"])

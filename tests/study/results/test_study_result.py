@@ -23,7 +23,6 @@ from armperturb.study.recording.record import StudySettings, record_study
 from armperturb.study.report.report import write_report
 from armperturb.study.results import appendix_fits as fits
 from armperturb.study.results import study_result as results
-from armperturb.study.results import trial_measures as measure
 from armperturb.study.results.quantities import Cell
 from armperturb.study.results.study_result import analyse_study
 
@@ -74,7 +73,6 @@ def quick(monkeypatch):
     """What takes long is left out: all but one structure of appendix C, and the skeletal model."""
     monkeypatch.setattr(fits, "STRUCTURES_C", ("1",))
     monkeypatch.setattr(fits, "STARTS_OF", "none")
-    monkeypatch.setattr(measure, "_predict_skeletal", lambda *_: [])
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from armperturb.plots.axes import (
+from armperturb.plots.panels import (
     AXES,
     FREQUENCY,
     Element,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.arrays import Array
-from armperturb.plots.axes import FREQUENCY, Element, plot_admittance
+from armperturb.plots.panels import FREQUENCY, Element, plot_admittance
 from armperturb.plots.style import COLOURS, INK, TRUE, shades
 from armperturb.study.protocol import Condition
 from armperturb.study.results.cases import Case

@@ -12,7 +12,7 @@ from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.fit.admittance_fit import penalty_factor
 from armperturb.analysis.measures.vaf import variance_accounted_for
 from armperturb.arrays import Array
-from armperturb.plots.axes import AXES, FREQUENCY, admittance_panels, legend, plot_admittance
+from armperturb.plots.panels import AXES, FREQUENCY, admittance_panels, legend, plot_admittance
 from armperturb.plots.style import COLOURS, FITTED, INK, PUBLISHED, RECORDED, in_style, new_figure
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures.axes import plot_truth

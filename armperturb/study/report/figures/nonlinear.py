@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from armperturb.analysis.measures.pulse import WINDOWS
-from armperturb.plots.axes import AXES, legend
+from armperturb.plots.panels import AXES, legend
 from armperturb.plots.style import GREY, INK, PUBLISHED, RECORDED, in_style, new_figure, shades
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures.bars import MODELS as LINEAR_MODELS

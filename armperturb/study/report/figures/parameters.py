@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.fit.thesis import ThesisEstimate
-from armperturb.plots.axes import legend, padded
+from armperturb.plots.panels import legend, padded
 from armperturb.plots.style import BESIDE, COLOURS, GREY, PALE, PUBLISHED, TRUE, in_style, new_figure, shades
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD

@@ -12,7 +12,7 @@ from armperturb.analysis.measures.kinematics import hand_position
 from armperturb.analysis.response.spectra import LineSpectra, line_spectra
 from armperturb.perturbations import MultisineThenPulse, Pulse
 from armperturb.perturbations.multisine import CLUSTERS, FULL_BAND, PERIOD
-from armperturb.plots.axes import AXES, label_frequency
+from armperturb.plots.panels import AXES, label_frequency
 from armperturb.plots.style import COLOURS, GREY, INK, PALE, in_style, new_figure
 from armperturb.study.results.cases import Case
 from armperturb.subject import Subject

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from armperturb.plots.axes import legend
+from armperturb.plots.panels import legend
 from armperturb.plots.style import COLOURS, PUBLISHED, in_style, new_figure, shades
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures.bars import (

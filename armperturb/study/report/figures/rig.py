@@ -15,7 +15,7 @@ from armperturb.cohort import Person
 from armperturb.environment import Environment
 from armperturb.envs.render.camera import render
 from armperturb.models import build_model
-from armperturb.plots.axes import AXES, FREQUENCY, label_frequency
+from armperturb.plots.panels import AXES, FREQUENCY, label_frequency
 from armperturb.plots.style import COLOURS, INK, in_style, new_figure
 from armperturb.study.results.study_result import StudyResult
 

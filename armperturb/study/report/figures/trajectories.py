@@ -16,9 +16,9 @@ from armperturb.analysis.measures import kinematics
 from armperturb.analysis.measures.pulse import WINDOWS, pulse_span
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
-from armperturb.envs.lab.skeletal import Prediction, simulate_skeletal
 from armperturb.perturbations import Pulse
-from armperturb.plots.axes import legend
+from armperturb.planar_arm.skeletal import simulate_skeletal
+from armperturb.plots.panels import legend
 from armperturb.plots.style import PALE, RECORDED, TRUE, in_style, new_figure
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures.bars import MODELS, PRINTED, printed_handle
@@ -112,8 +112,7 @@ def responses(recording: xr.Dataset, estimate: ThesisEstimate | None, level: flo
             arm, environment = fits[trial].arm, estimate.environment
             driven = recording["perturbation"].values[trial, : span.stop]
             paths["linear"] = simulate_linear(arm, environment, driven, rate).displacement[span]
-            asked = Prediction(arm=arm, environment=environment, perturbation=driven, onset=span.start)
-            paths["skeletal"] = simulate_skeletal([asked], rate)[0]
+            paths["skeletal"] = simulate_skeletal(arm, environment, driven, rate, span.start)
         found.append(Response(direction, paths))
     return found
 

@@ -1,5 +1,6 @@
 """Compiled arms against MuJoCo's, and against the linear model where arms are linear."""
 
+import sys
 from dataclasses import replace
 
 import nonlinear_trials as made
@@ -7,11 +8,11 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.arm.state_space import simulate_linear
-from armperturb.analysis.nonlinear.lanes import lane_table
-from armperturb.analysis.nonlinear.response import Disturbances
 from armperturb.cohort import draw_person
 from armperturb.environment import Environment
 from armperturb.muscle_law import MuscleLaw
+from armperturb.planar_arm.lanes import lane_table
+from armperturb.planar_arm.simulation import Disturbances
 from armperturb.subject import POSITION, RELAX
 
 
@@ -31,12 +32,12 @@ def answered(people, pushes, environment=None, rate=made.RATE, threads=1):
 def test_people_of_the_cohort_move_as_in_mujoco(task, rms):
     person = draw_person(0, 3).subjects[task]
     force = made.push(1, rms, duration=6.0)
-    (found,) = answered([person], [force])
+    (moved,) = answered([person], [force])
     for timestep, share in ((2.5e-3, 2e-4), (1e-3, 5e-3)):
         recorded = made.record(person, [force], timestep=timestep)["displacement"].values[0]
         # The elastic limits must have been passed for this to say anything of the law.
         assert np.abs(recorded).max() > 0.01
-        assert np.abs(found - recorded).max() < share * np.abs(recorded).max()
+        assert np.abs(moved - recorded).max() < share * np.abs(recorded).max()
 
 
 def test_every_mechanism_acts_as_in_mujoco():
@@ -55,8 +56,8 @@ def test_every_mechanism_acts_as_in_mujoco():
     environment = Environment(m_env=3.0, b_env=4.0, k_env=60.0)
     force = made.push(2, 3.0, duration=6.0)
     recorded = made.record(person, [force])["displacement"].values[0]
-    (found,) = answered([person], [force])
-    assert np.abs(found - recorded).max() < 2e-4 * np.abs(recorded).max()
+    (moved,) = answered([person], [force])
+    assert np.abs(moved - recorded).max() < 2e-4 * np.abs(recorded).max()
     # What the hand holds is not the default either.
     assert np.abs(answered([person], [force], environment)[0] - recorded).max() > 0.1 * np.abs(recorded).max()
 
@@ -66,8 +67,8 @@ def test_small_movements_are_those_of_the_linear_model(arm):
     force = made.push(3, 1e-4, duration=6.0, rate=400.0, top=6.0)
     environment = Environment(m_env=2.5, b_env=6.0, k_env=30.0)
     expected = simulate_linear(arm, environment, force, 400.0).displacement
-    (found,) = answered([arm], [force], environment, rate=400.0)
-    assert np.abs(found - expected).max() < 2e-3 * np.abs(expected).max()
+    (moved,) = answered([arm], [force], environment, rate=400.0)
+    assert np.abs(moved - expected).max() < 2e-3 * np.abs(expected).max()
 
 
 def test_a_lane_is_the_same_beside_any_others_and_on_any_number_of_threads():
@@ -79,10 +80,10 @@ def test_a_lane_is_the_same_beside_any_others_and_on_any_number_of_threads():
         np.testing.assert_array_equal(together[i], alone[0])
 
 
-def test_an_arm_that_blows_up_is_nan_from_there_on():
+def test_an_arm_that_diverges_is_nan_from_there_on():
     wild = replace(POSITION, kv_s=300.0, kv_e=300.0)
-    (found,) = answered([wild], [made.push(1, 5.0, duration=4.0)])
-    lost = np.isnan(found[:, 0])
+    (moved,) = answered([wild], [made.push(1, 5.0, duration=4.0)])
+    lost = np.isnan(moved[:, 0])
     assert 0 < np.argmax(lost) < len(lost) - 1
     assert lost[np.argmax(lost) :].all()
 
@@ -92,3 +93,10 @@ def test_what_the_compiled_arm_has_not_is_refused():
         lane_table([replace(RELAX, ka_s=0.1)], [Environment()], 2.5e-3)
     with pytest.raises(ValueError, match=r"delay = 0.001 s; expected at least the step of 0.0025 s"):
         lane_table([replace(RELAX, Td_s=0.001)], [Environment()], 2.5e-3)
+
+
+def test_without_numba_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.delitem(sys.modules, "armperturb.planar_arm.compiled", raising=False)
+    with pytest.raises(ModuleNotFoundError, match=r"the compiled arm needs numba, .*armperturb\[nonlinear\]"):
+        answered([RELAX], [np.zeros((4, 2))])

@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.environment import Environment
-from armperturb.envs.lab import skeletal
-from armperturb.envs.lab.skeletal import Prediction, simulate_skeletal
+from armperturb.muscle_law import MuscleLaw
+from armperturb.planar_arm.skeletal import STEP, simulate_skeletal
 from armperturb.subject import POSITION, RELAX
 
 RATE = 200.0
@@ -118,64 +118,60 @@ class Equations:
 @pytest.mark.parametrize("arm", [POSITION, RELAX], ids=["position", "relax"])
 def test_a_pulse_moves_the_arm_as_the_equations_of_motion_have_it(arm, peak):
     force = disturbance(arm.task, peak)
-    [ours] = simulate_skeletal([Prediction(arm=arm, environment=HUGE, perturbation=force, onset=ONSET)], RATE)
+    ours = simulate_skeletal(arm, HUGE, force, RATE, ONSET)
     theirs = Equations(arm, HUGE, force).displacement()
     furthest = np.linalg.norm(theirs, axis=1).max()
     assert np.abs(ours - theirs).max() < 1e-3 * furthest
 
 
+OTHER = replace(POSITION, Td_s=0.0455, Td_e=0.0253, fact_s=5.0, fact_e=2.2, zeta_act=1.0, l_h=0.30, theta_s_deg=40.0)
+QUICK = replace(POSITION, m_h=0.6, m_f=0.5, k_h=30e3, b_h=80.0)
+
+
 @pytest.mark.parametrize("onset", [0, ONSET])
-def test_under_small_forces_it_is_the_linear_model(onset):
-    other = replace(
-        POSITION, Td_s=0.0455, Td_e=0.0253, fact_s=5.0, fact_e=2.2, zeta_act=1.0, l_h=0.30, theta_s_deg=40.0
+@pytest.mark.parametrize("arm", [POSITION, RELAX, OTHER, QUICK], ids=["position", "relax", "other", "quick"])
+def test_under_small_forces_it_is_the_linear_model(arm, onset):
+    force = disturbance(arm.task, 100.0) / 1e3
+    ours = simulate_skeletal(arm, Environment(), force, RATE, onset)
+    linear = simulate_linear(arm, Environment(), force, RATE).displacement[onset:]
+    assert ours.shape == linear.shape
+    assert np.abs(ours - linear).max() < 2e-3 * np.linalg.norm(linear, axis=1).max()
+
+
+@pytest.mark.parametrize("onset", [0, ONSET])
+@pytest.mark.parametrize("arm", [POSITION, RELAX], ids=["position", "relax"])
+def test_halving_the_step_changes_next_to_nothing(arm, onset):
+    force = disturbance(arm.task, 100.0)
+    coarse, fine = (
+        simulate_skeletal(arm, Environment(), force, RATE, onset, longest_step=step) for step in (STEP, STEP / 2)
     )
-    quick = replace(POSITION, m_h=0.6, m_f=0.5, k_h=30e3, b_h=80.0)
-    asked = [
-        Prediction(arm=arm, environment=Environment(), perturbation=disturbance(arm.task, 100.0) / 1e3, onset=onset)
-        for arm in (POSITION, RELAX, other, quick)
-    ]
-    for one, ours in zip(asked, simulate_skeletal(asked, RATE), strict=True):
-        linear = simulate_linear(one.arm, one.environment, one.perturbation, RATE).displacement[onset:]
-        assert ours.shape == linear.shape
-        assert np.abs(ours - linear).max() < 2e-3 * np.linalg.norm(linear, axis=1).max()
+    assert 0.0 < np.abs(coarse - fine).max() < 2e-4 * np.linalg.norm(fine, axis=1).max()
 
 
-def test_halving_the_step_changes_next_to_nothing(monkeypatch):
-    asked = [
-        Prediction(arm=arm, environment=Environment(), perturbation=disturbance(arm.task, 100.0), onset=onset)
-        for arm in (POSITION, RELAX)
-        for onset in (0, ONSET)
-    ]
-    coarse = simulate_skeletal(asked, RATE)
-    monkeypatch.setattr(skeletal, "STEP", skeletal.STEP / 2)
-    for one, finer in zip(coarse, simulate_skeletal(asked, RATE), strict=True):
-        assert 0.0 < np.abs(one - finer).max() < 5e-4 * np.linalg.norm(finer, axis=1).max()
+def test_a_muscle_law_takes_no_part():
+    force = disturbance("RT", 10.0)
+    yielding = replace(RELAX, muscle=MuscleLaw(short_range_stiffness=5.0, elastic_limit_deg=1.0))
+    np.testing.assert_array_equal(
+        simulate_skeletal(yielding, HUGE, force, RATE, ONSET), simulate_skeletal(RELAX, HUGE, force, RATE, ONSET)
+    )
 
 
-def test_one_that_is_lost_harms_no_other():
+def test_from_the_workspace_limit_on_there_is_no_prediction():
     force = disturbance("RT", 100.0)
+    free = simulate_skeletal(RELAX, HUGE, force, RATE, ONSET)
+    assert np.isfinite(free).all()
     narrow = Environment(workspace=0.05)
-    endless = Environment(workspace=1e14)
-    asked = [
-        Prediction(arm=RELAX, environment=HUGE, perturbation=force, onset=ONSET),
-        Prediction(arm=RELAX, environment=narrow, perturbation=force, onset=ONSET),
-        Prediction(arm=RELAX, environment=endless, perturbation=1e13 * force),
-        Prediction(arm=POSITION, environment=HUGE, perturbation=disturbance("PT", 50.0), onset=ONSET),
-    ]
-    together = simulate_skeletal(asked, RATE)
-    for place in (0, 3):
-        np.testing.assert_array_equal(together[place], simulate_skeletal([asked[place]], RATE)[0])
-        assert np.isfinite(together[place]).all()
-    reached = np.argmax(np.abs(together[0]).max(axis=1) >= narrow.workspace)
+    limited = simulate_skeletal(RELAX, narrow, force, RATE, ONSET)
+    reached = np.argmax(np.abs(free).max(axis=1) >= narrow.workspace)
     assert reached > 0
-    np.testing.assert_array_equal(together[1][:reached], together[0][:reached])
-    assert np.isnan(together[1][reached:]).all()
-    assert np.isnan(together[2][-1]).all()
-    assert np.isfinite(together[2][0]).all()
+    np.testing.assert_array_equal(limited[:reached], free[:reached])
+    assert np.isnan(limited[reached:]).all()
 
 
-def test_nothing_asked():
-    assert simulate_skeletal([], RATE) == []
+def test_an_arm_that_diverges_is_nan_from_there_on():
+    path = simulate_skeletal(RELAX, Environment(workspace=1e14), 1e13 * disturbance("RT", 100.0), RATE)
+    assert np.isfinite(path[0]).all()
+    assert np.isnan(path[-1]).all()
 
 
 @pytest.mark.parametrize(
@@ -183,18 +179,15 @@ def test_nothing_asked():
     [
         ({"perturbation": np.zeros((9, 3))}, ValueError, r"perturbation of shape \(9, 3\); expected \(n, 2\)"),
         ({"perturbation": np.full((9, 2), np.nan)}, ValueError, "perturbation is not finite"),
-        ({"onset": 9}, ValueError, "onset = 9; expected"),
+        ({"onset": 8}, ValueError, "onset = 8; expected"),
         ({"onset": -1}, ValueError, "onset = -1; expected"),
-        ({"onset": 1.0}, TypeError, r"onset = 1\.0; expected a whole number"),
+        ({"onset": 1.5}, TypeError, r"onset = 1\.5; expected a whole number"),
+        ({"rate": 0.0}, ValueError, r"rate = 0\.0; expected"),
         ({"arm": replace(POSITION, kf_s=-0.1)}, ValueError, "has acceleration or force feedback"),
         ({"arm": replace(POSITION, kv_s=-500.0)}, ValueError, "are unstable"),
     ],
 )
 def test_refusals(changes, error, message):
+    asked = {"arm": POSITION, "environment": Environment(), "perturbation": np.zeros((9, 2)), "rate": RATE}
     with pytest.raises(error, match=message):
-        Prediction(**{"arm": POSITION, "environment": Environment(), "perturbation": np.zeros((9, 2)), **changes})
-
-
-def test_a_rate_that_is_none():
-    with pytest.raises(ValueError, match=r"simulate_skeletal: rate = 0\.0; expected"):
-        simulate_skeletal([], 0.0)
+        simulate_skeletal(**asked | changes)

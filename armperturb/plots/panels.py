@@ -21,13 +21,23 @@ Element = tuple[int, int]
 FREQUENCY = np.geomspace(0.15, 45.0, 400)
 """Where models are drawn [Hz]."""
 
+HEIGHT = 7.9
+"""Of a figure of an admittance's four elements [inch]."""
+
 PHASES = (-270.0, 90.0)
 """The turn in which phases are drawn [degree]: springs, dampers and masses lie well inside, and so do negated ones."""
 
 
-def admittance_panels() -> tuple[Figure, dict[Element, tuple[Axes, Axes]]]:
-    """Axes for gain and phase of each element, gain over phase, two rows by two columns of such pairs."""
-    figure = new_figure(7.9)
+def admittance_panels(figure: Figure | None = None) -> tuple[Figure, dict[Element, tuple[Axes, Axes]]]:
+    """Axes for gain and phase of each element, gain over phase, two rows by two columns of such pairs.
+
+    Args:
+      figure: where they go; None makes one of `HEIGHT`.
+
+    Returns:
+      The figure; element to its axes.
+    """
+    figure = new_figure(HEIGHT) if figure is None else figure
     grid = figure.add_gridspec(4, 2, height_ratios=(1.35, 1, 1.35, 1))
     panels: dict[Element, tuple[Axes, Axes]] = {}
     for output in range(2):

@@ -1,17 +1,21 @@
-"""The linear arm of the analysis as the one that is perturbed: an estimator is judged where its model is exactly right.
+"""Trials of the analysis's own linear arm, on which an estimator is judged where its model is exactly right.
 
 The response is exact for forces and torques without content above half the simulation's rate: frequency responses with
 pure delays, over a time long enough for everything to die away.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
-from scipy import fft
+from scipy import fft, signal
 
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.arm.linear_arm import arm_admittance, environment_admittance, joint_impedance
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.arrays import Array
 from armperturb.environment import Environment
+from armperturb.envs.lab.setup import Progress, Setup, Truth, in_threads
+from armperturb.envs.lab.trial import Trial, noise_torque
 from armperturb.subject import Subject
 
 DECAY = 12.0
@@ -53,3 +57,46 @@ def linear_signals(
     joints = np.einsum("fij,fj->fi", compliance @ jacobian.T, hand) + own
     signals = np.concatenate([handle, joints, hand], axis=1)
     return np.asarray(fft.irfft(signals, n_padded, axis=0)[: len(force)])
+
+
+def simulate_linear_arms(
+    trials: Sequence[Trial], subjects: Sequence[Subject], setup: Setup, n_threads: int, progress: Progress | None
+) -> Truth:
+    """What linear arms do.
+
+    Args:
+      trials: what happens to them.
+      subjects: the person as it is in each trial.
+      setup: what the trials share.
+      n_threads: in which trials are computed.
+      progress: see `Progress`.
+    """
+    environment, timestep, decimation, lowpass = setup.environment, setup.timestep, setup.decimation, setup.lowpass
+    n_steps = setup.n_samples(trials) * decimation
+
+    def run(i: int) -> tuple[Array, Array, float]:
+        force = trials[i].perturbation.sample(1.0 / timestep, n_steps, 0.0)
+        torque = noise_torque(trials[i], timestep, n_steps)
+        signals = linear_signals(subjects[i], environment, force, torque, timestep)
+        reached = np.flatnonzero(np.abs(signals[::decimation, :2]).max(axis=1) >= environment.workspace)
+        stretch = signals[:, 2:4]
+        velocity, position = (subjects[i].joint_matrix(quantity) for quantity in ("kv", "kp"))
+        excitation = np.gradient(stretch, timestep, axis=0) @ velocity + stretch @ position
+        every = np.concatenate([force, signals], axis=1)
+        if lowpass is not None:
+            every = signal.sosfilt(lowpass, every, axis=0)
+        if progress is not None:
+            progress(n_steps * timestep)
+        limit = reached[0] * decimation * timestep if len(reached) else np.nan
+        return every[::decimation], excitation[::decimation], limit
+
+    every, excitation, limit_time = zip(*in_threads(run, len(trials), n_threads), strict=True)
+    stacked = np.stack(every)
+    return Truth(
+        perturbation=stacked[..., 0:2],
+        displacement=stacked[..., 2:4],
+        joint_angle=stacked[..., 4:6] + np.array([subject.posture for subject in subjects])[:, None],
+        force=stacked[..., 6:8],
+        excitation=np.stack(excitation),
+        limit_time=np.array(limit_time),
+    )

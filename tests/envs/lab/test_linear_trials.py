@@ -9,7 +9,7 @@ from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
-from armperturb.envs.lab.linear_simulation import linear_signals
+from armperturb.envs.lab.linear_trials import linear_signals
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.subject import POSITION, RELAX

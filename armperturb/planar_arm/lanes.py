@@ -1,10 +1,12 @@
 """People as rows of a table that compiled code can read: one lane per person and trial."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armperturb.arrays import Array
 from armperturb.controllers.muscle import muscle_parameters
 from armperturb.controllers.reflex import reflex_gains
 from armperturb.environment import Environment
@@ -14,6 +16,30 @@ MATRICES = ("k", "b", "kv", "kp")
 ELEMENTS = 3
 
 _SCALARS = ("l_h", "l_f", "k_h", "b_h")
+
+
+class Start(NamedTuple):
+    """Where each lane is before the first step; a simulation goes on in these arrays.
+
+    Attributes:
+      state: (q_s, q_e, x, y) from rest [rad, m], and their velocities, (lane, 8).
+      filters: of the activation, (lane, 2, joint).
+      motor: torque commands of the steps before, oldest first [Nm], (lane, step, joint); for each lane two steps more
+        than its delays are long, at least.
+    """
+
+    state: Array
+    filters: Array
+    motor: Array
+
+    def part(self, lanes: slice) -> "Start":
+        """Some of the lanes."""
+        return Start(self.state[lanes], self.filters[lanes], self.motor[lanes])
+
+
+def at_rest(n_lanes: int, n_history: int) -> Start:
+    """Arms at rest in their postures, whose reflexes have sent nothing."""
+    return Start(np.zeros((n_lanes, 8)), np.zeros((n_lanes, 2, 2)), np.zeros((n_lanes, n_history, 2)))
 
 
 def lane_type(parts: int) -> np.dtype:
@@ -69,7 +95,7 @@ def lane_table(subjects: Sequence[Subject], environments: Sequence[Environment],
         table[name] = [subject.joint_triple(name) for subject in subjects]
     for name in ("m_env", "b_env", "k_env"):
         table[name] = [getattr(environment, name) for environment in environments]
-    table["posture"], table["delay"] = gains.posture, [(one.Td_s, one.Td_e) for one in subjects]
+    table["posture"], table["delay"] = gains.posture, [(subject.Td_s, subject.Td_e) for subject in subjects]
     m_h, m_f = (np.array([getattr(subject, name) for subject in subjects]) for name in ("m_h", "m_f"))
     l_h, l_f = table["l_h"], table["l_f"]
     # Of both segments about the shoulder, of the forearm about the elbow, and what couples them (point masses).

@@ -1,0 +1,291 @@
+"""What every result of an analysis can do: describe itself in a terminal and in a notebook, and become a table.
+
+A result derives from `Result` and says what it is in `describe`; from that come `repr` (at most 25 lines), `summary()`
+and the HTML of notebooks. Results of parametric fits derive from `FitResult`, which adds confidence intervals, one
+schema of parameter tables (`PARAMETER_COLUMNS`) and a plot.
+
+Numbers that do not exist are NaN in tables and "nan" in files. Where the data say nothing about a parameter, its
+standard error is infinite and its interval reaches from minus to plus infinity ("inf" and "-inf" in files).
+"""
+
+import math
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from armperturb.arrays import Array, ComplexArray
+from armperturb.recording import LABELS
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+LINES, WIDTH = 25, 110
+"""Most lines of a result's `repr`, and characters in a line."""
+
+PARAMETER_COLUMNS = (
+    "parameter", "value", "standard_error", "lower_95", "upper_95", "unit", "at_bound", "condition",
+)  # fmt: skip
+"""Columns of every table of estimated parameters."""
+
+
+class Interval(NamedTuple):
+    """A confidence interval, in the unit of the parameter."""
+
+    lower: float
+    upper: float
+
+
+class Table(NamedTuple):
+    """A table as text: the first column is aligned to the left, the others to the right."""
+
+    columns: tuple[str, ...] = ()
+    rows: tuple[tuple[str, ...], ...] = ()
+
+    def lines(self) -> list[str]:
+        """The table for a terminal, header first; none of a table without rows."""
+        if not self.rows:
+            return []
+        widths = [max(map(len, column)) for column in zip(self.columns, *self.rows, strict=True)]
+        return [
+            "  ".join(
+                cell.rjust(width) if i else cell.ljust(width)
+                for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+            )
+            for row in (self.columns, *self.rows)
+        ]
+
+
+NO_TABLE = Table()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """What there is to say of a result.
+
+    Attributes:
+      title: what it is, of whom, in which condition and from how many trials.
+      facts: further lines: how it was found, how well it fits.
+      table: its numbers.
+      remarks: what a reader must know before trusting them, a sentence each.
+      details: further lines that only `Result.summary` prints.
+    """
+
+    title: str
+    facts: tuple[str, ...] = ()
+    table: Table = NO_TABLE
+    remarks: tuple[str, ...] = ()
+    details: tuple[str, ...] = ()
+
+
+class Result:
+    """A result that a person can read: subclasses say what they are in `describe`.
+
+    Dataclasses must be declared with `repr=False`, or they would print all their fields.
+    """
+
+    def describe(self) -> Description:
+        """What there is to say of the result."""
+        raise NotImplementedError
+
+    def summary(self) -> str:
+        """The whole result as text for a terminal."""
+        said = self.describe()
+        blocks = (_wrapped([said.title, *said.facts]), said.table.lines(), _remarks(said.remarks), list(said.details))
+        return "\n\n".join("\n".join(block) for block in blocks if block)
+
+    def __repr__(self) -> str:
+        said = self.describe()
+        head, table, remarks = _wrapped([said.title, *said.facts]), said.table.lines(), _remarks(said.remarks)
+        table = _shortened(table, max(LINES - len(head) - min(len(remarks), 5), 3))
+        left = LINES - len(head) - len(table)
+        if len(remarks) > left:
+            remarks = [*remarks[: left - 1], "  ... summary() has the rest"]
+        return "\n".join([*head, *table, *remarks])
+
+    def _repr_html_(self) -> str:
+        said = self.describe()
+        parts = [f"<p><strong>{escape(said.title)}</strong>{''.join(f'<br>{escape(fact)}' for fact in said.facts)}</p>"]
+        if said.table.rows:
+            head = "".join(
+                f'<th style="text-align:{_side(i)}">{escape(c)}</th>' for i, c in enumerate(said.table.columns)
+            )
+            rows = "".join(
+                f"<tr>{''.join(f'<td style=text-align:{_side(i)}>{escape(c)}</td>' for i, c in enumerate(row))}</tr>"
+                for row in said.table.rows
+            )
+            parts.append(f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>")
+        if said.remarks:
+            parts.append(f"<ul>{''.join(f'<li>{escape(remark)}</li>' for remark in said.remarks)}</ul>")
+        return f"<div>{''.join(parts)}</div>"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class FitResult(Result):
+    """Parameters that were estimated from recordings.
+
+    Attributes:
+      values: name to the estimate of each free parameter, in its unit.
+      standard_error: of each estimate, in its unit; infinite where the data say nothing.
+      correlation: of the estimates' errors, (parameter, parameter), in the order of `values`; NaN where unknown.
+      at_bound: free parameters that sit on a bound; their errors are not normal.
+      converged: whether the search ended at an optimum.
+      message: how the search ended, in words.
+      remarks: what a reader must know before trusting the values, a sentence each.
+    """
+
+    values: Mapping[str, float]
+    standard_error: Mapping[str, float]
+    correlation: Array
+    at_bound: tuple[str, ...]
+    converged: bool
+    message: str
+    remarks: tuple[str, ...]
+
+    def interval(self, name: str, level: float = 0.95) -> Interval:
+        """Confidence interval of a free parameter, from its standard error.
+
+        Args:
+          name: of the parameter, as in `values`.
+          level: probability with which such intervals hold the true value [-].
+        """
+        half = normal_quantile(level) * self.standard_error[name]
+        return Interval(self.values[name] - half, self.values[name] + half)
+
+    def unit_of(self, name: str) -> str:
+        """Unit of a parameter; "-" if it has none."""
+        raise NotImplementedError
+
+    def place_of(self, name: str) -> tuple[str, str]:
+        """Name of a parameter in tables, and the condition in which it holds; "" where it is not known."""
+        return name, ""
+
+    def to_frame(self) -> "pd.DataFrame":
+        """One row per free parameter, with its 95 % confidence interval; the columns are `PARAMETER_COLUMNS`."""
+        import pandas as pd
+
+        rows = []
+        for name, value in self.values.items():
+            parameter, condition = self.place_of(name)
+            limits, is_at_bound = self.interval(name), name in self.at_bound
+            rows.append(
+                (parameter, value, self.standard_error[name], *limits, self.unit_of(name), is_at_bound, condition)
+            )
+        return pd.DataFrame(rows, columns=list(PARAMETER_COLUMNS))
+
+    def correlation_frame(self) -> "pd.DataFrame":
+        """Correlation of the estimates' errors, one row and one column per parameter."""
+        import pandas as pd
+
+        return pd.DataFrame(self.correlation, index=list(self.values), columns=list(self.values))
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw the estimates with their 95 % intervals, one panel per unit.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (unit,).
+        """
+        from armperturb.plots.parameters import plot_parameters
+
+        return plot_parameters({"": self.to_frame()}, figure)
+
+
+def normal_quantile(level: float) -> float:
+    """Half a confidence interval over the standard error of a normal variable [-].
+
+    Raises:
+      ValueError: the level is no probability.
+    """
+    if not 0.0 < level < 1.0:
+        raise ValueError(f"interval: level = {level!r}; expected a probability between 0 and 1, e.g. 0.95")
+    return float(stats.norm.ppf(0.5 + level / 2.0))
+
+
+def parameter_table(frame: "pd.DataFrame", *keys: str) -> Table:
+    """Table as text of parameters and their 95 % intervals.
+
+    Args:
+      frame: with the columns of `PARAMETER_COLUMNS`.
+      *keys: further columns to show, such as the condition.
+    """
+    rows = []
+    for row in frame.to_dict("records"):
+        limits = row["lower_95"], row["upper_95"]
+        interval = f"{plain(limits[0])} to {plain(limits[1])}" if np.isfinite(limits).all() else "not identifiable"
+        mark = " (at bound)" if row["at_bound"] else ""
+        keyed = tuple(str(row[key]) for key in keys)
+        rows.append((row["parameter"], plain(row["value"]), interval + mark, row["unit"], *keyed))
+    return Table(("parameter", "estimate", "95 % interval", "unit", *keys), tuple(rows))
+
+
+def response_frame(frequency: Array, response: ComplexArray) -> "pd.DataFrame":
+    """One row per frequency, output and input of a frequency response.
+
+    Args:
+      frequency: [Hz], (frequency,).
+      response: [m/N], (frequency, output, input).
+    """
+    import pandas as pd
+
+    axes = np.array(LABELS["axis"])
+    n, flat = len(frequency), np.asarray(response).ravel()
+    return pd.DataFrame(
+        {
+            "frequency_hz": np.repeat(frequency, 4),
+            "output": np.tile(np.repeat(axes, 2), n),
+            "input": np.tile(axes, 2 * n),
+            "real": flat.real,
+            "imag": flat.imag,
+            "gain_m_per_N": np.hypot(flat.real, flat.imag),
+            "phase_deg": np.degrees(np.angle(flat)),
+        }
+    )
+
+
+def response_coordinates(frequency: Array) -> dict[str, Any]:
+    """Coordinates of what lies along frequency, output and input."""
+    axes = list(LABELS["axis"])
+    return {"frequency": ("frequency", frequency, {"units": "Hz"}), "output": axes, "input": axes}
+
+
+def plain(value: float, digits: int = 4) -> str:
+    """A number with about so many significant digits, and without an exponent from a ten thousandth to a million."""
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    power = math.floor(math.log10(abs(value)))
+    return f"{value:.{max(0, digits - 1 - power)}f}" if -5 < power < 6 else f"{value:.{digits - 1}e}"
+
+
+def _wrapped(lines: Iterable[str]) -> list[str]:
+    return [part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  ") or [""]]
+
+
+def _remarks(remarks: Sequence[str]) -> list[str]:
+    said = [part for line in remarks for part in textwrap.wrap(f"- {line}", WIDTH, subsequent_indent="  ")]
+    return ["Remarks:", *said] if said else []
+
+
+def _shortened(lines: list[str], most: int) -> list[str]:
+    """A table in two columns of rows if it is too long, and without its last rows if that does not suffice."""
+    if len(lines) <= most:
+        return lines
+    half = len(lines) // 2  # of the rows, rounded up
+    if 2 * len(lines[0]) + 3 <= WIDTH:
+        header, rows = lines[0], lines[1:]
+        right = [*rows[half:], ""][:half]
+        lines = [f"{header} | {header}", *(f"{a} | {b}".rstrip() for a, b in zip(rows[:half], right, strict=True))]
+    if len(lines) <= most:
+        return lines
+    return [*lines[: most - 1], f"... {len(lines) - most + 1} more lines in summary()"]
+
+
+def _side(column: int) -> str:
+    return "right" if column else "left"

@@ -1,0 +1,101 @@
+"""What all trials of an experiment share, and what truly happens in them before any instrument reads it."""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from armperturb.arrays import Array
+from armperturb.environment import Environment, Strap
+from armperturb.envs.lab.emg import Emg
+from armperturb.envs.lab.instruments import Instruments
+from armperturb.envs.lab.trial import Trial
+from armperturb.validation import require_number
+
+T = TypeVar("T")
+
+Progress = Callable[[float], object]
+"""Called with the simulated seconds, of all trials together, since the last call."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """The laboratory of an experiment; fields as the arguments of `run_experiment`.
+
+    Raises:
+      TypeError: a value has the wrong type.
+      ValueError: a value is out of its range, or values do not go together.
+    """
+
+    environment: Environment = field(default_factory=Environment)
+    timestep: float = 1e-3
+    rate: float = 200.0
+    rope: str = "ideal"
+    strap: Strap | None = None
+    linear: bool = False
+    instruments: Instruments | None = None
+
+    def __post_init__(self) -> None:
+        owner = "run_experiment"
+        require_number(owner, "timestep", self.timestep, above=0.0)
+        require_number(owner, "rate", self.rate, above=0.0)
+        if self.decimation < 1 or abs(self.decimation * self.rate * self.timestep - 1.0) > 1e-9:
+            raise ValueError(
+                f"{owner}: rate = {self.rate!r} Hz; expected the simulation's {1 / self.timestep:g} Hz over a whole "
+                "number"
+            )
+        if self.linear and self.rope != "ideal":
+            raise ValueError(f"{owner}: rope = {self.rope!r}; expected 'ideal', the only one that the linear arm has")
+        if self.strap is not None and not isinstance(self.strap, Strap):
+            raise TypeError(f"{owner}: strap = {self.strap!r}; expected Strap or None")
+        if self.linear and self.strap is not None:
+            raise ValueError(f"{owner}: strap = {self.strap!r}; expected None, as the linear arm's shoulder is fixed")
+
+    @property
+    def decimation(self) -> int:
+        """Simulation steps in a sample of the recording."""
+        return round(1.0 / (self.rate * self.timestep))
+
+    @property
+    def lowpass(self) -> Array | None:
+        """The filter in front of the recorder as second-order sections at the simulation's rate; None for none."""
+        return self.instruments.lowpass(self.timestep, self.rate) if self.instruments else None
+
+    @property
+    def emg(self) -> Emg | None:
+        """Amplifier of the muscles' signals, if there is one."""
+        return self.instruments.emg if self.instruments else None
+
+    def n_samples(self, trials: Sequence[Trial]) -> int:
+        """Samples of the recording in the longest trial."""
+        return max(round(trial.perturbation.duration / (self.timestep * self.decimation)) for trial in trials)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Truth:
+    """Signals of trials at the recording's rate, behind the anti-alias filter but before the instruments' errors.
+
+    Attributes:
+      perturbation: disturbance d [N], (trial, time, axis).
+      force: f that the handle exerts on the hand [N], (trial, time, axis).
+      displacement: of the handle [m], (trial, time, axis).
+      joint_angle: [rad], (trial, time, joint).
+      shoulder: displacement of the shoulder [m], (trial, time, axis); None where it is held in place.
+      excitation: of the reflexes [Nm], unfiltered, as no recorder sees it, (trial, time, joint); of no samples where no
+        EMG is recorded.
+      limit_time: when the handle reached the limit of the workspace [s], nan where it never did, (trial,).
+    """
+
+    perturbation: Array
+    force: Array
+    displacement: Array
+    joint_angle: Array
+    shoulder: Array | None = None
+    excitation: Array
+    limit_time: Array
+
+
+def in_threads(function: Callable[[int], T], n_calls: int, n_threads: int) -> Iterator[T]:
+    """Results in order of `function(0)`, `function(1)` and so on, which spend their time in NumPy and SciPy."""
+    with ThreadPoolExecutor(n_threads) as pool:
+        yield from pool.map(function, range(n_calls))

@@ -1,0 +1,111 @@
+"""How people answer disturbances: many lanes of the compiled arm side by side."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import interpolate
+
+from armperturb.arrays import Array, Indices
+from armperturb.extras import naming_the_extra
+from armperturb.perturbations.hold import held_over_steps
+from armperturb.planar_arm.lanes import Start, at_rest
+
+STEP = 2.5e-3
+"""Longest step of the simulation [s]."""
+
+PARTS_PER_THREAD = 4
+"""Batches per thread, as lanes take unequally long: some diverge early, and trials differ in length."""
+
+
+class Disturbances:
+    """Recorded disturbances, ready to be answered by any number of people.
+
+    Attributes:
+      decimation: steps of the simulation per sample.
+      timestep: of the simulation [s].
+      n_samples: of each disturbance.
+
+    Args:
+      perturbation: d as recorded [N], (trial, time, axis).
+      rate: of the samples [Hz].
+      threads: how many simulate at a time; no effect on the result.
+      longest_step: of the simulation [s].
+      straight: whether d runs straight between its samples; by default it is smooth.
+    """
+
+    def __init__(
+        self,
+        perturbation: Array,
+        rate: float,
+        threads: int = 1,
+        *,
+        longest_step: float = STEP,
+        straight: bool = False,
+    ) -> None:
+        self._threads = threads
+        self.decimation = max(1, int(np.ceil(round(1.0 / (rate * longest_step), 9))))
+        self.timestep = 1.0 / (rate * self.decimation)
+        self.n_samples = perturbation.shape[1]
+        self.held = _held(perturbation, self.decimation, straight)
+
+    def responses(
+        self,
+        lanes: NDArray[np.void],
+        of_lane: Indices,
+        n_samples: Indices | None = None,
+        start: Start | None = None,
+    ) -> Array:
+        """Displacement of the handle from rest [m], (lane, time, axis); NaN from where an arm diverges.
+
+        Args:
+          lanes: who answers, from `lane_table` with this object's `timestep`.
+          of_lane: which disturbance each lane answers, (lane,).
+          n_samples: how many samples of each lane are wanted, (lane,); the others are zero. By default all.
+          start: of each lane, with `n_history(lanes)` motor commands; by default all are at rest.
+
+        Raises:
+          ModuleNotFoundError: numba is not installed.
+        """
+        with naming_the_extra("the compiled arm"):  # here, as few analyses need it, and it loads slowly
+            from armperturb.planar_arm.compiled import simulate_lanes
+        wanted = np.full(len(lanes), self.n_samples) if n_samples is None else np.asarray(n_samples)
+        of_lane, wanted = (np.asarray(values, dtype=np.intp) for values in (of_lane, wanted))
+        displacement = np.zeros((len(lanes), self.n_samples, 2))
+        first = at_rest(len(lanes), self.n_history(lanes)) if start is None else start
+
+        def simulate(part: slice) -> None:
+            simulate_lanes(
+                lanes[part],
+                first.part(part),
+                self.held,
+                of_lane[part],
+                wanted[part],
+                self.decimation,
+                self.timestep,
+                displacement[part],
+            )
+
+        if self._threads == 1:
+            simulate(slice(None))
+        else:
+            size = max(1, len(lanes) // (PARTS_PER_THREAD * self._threads))
+            with ThreadPoolExecutor(self._threads) as pool:
+                list(pool.map(simulate, (slice(lane, lane + size) for lane in range(0, len(lanes), size))))
+        return displacement
+
+    def n_history(self, lanes: NDArray[np.void]) -> int:
+        """How many past motor commands the delays of these lanes need."""
+        return int(np.ceil(lanes["delay"].max() / self.timestep)) + 3
+
+
+def _held(perturbation: Array, decimation: int, straight: bool) -> Array:
+    """The force to hold over each step, (trial, step, axis)."""
+    sample = np.arange(perturbation.shape[1])
+    middle = (np.arange(-1, sample[-1] * decimation + 1) + 0.5) / decimation
+    if straight:  # with no corner at either end
+        inside = interpolate.make_interp_spline(sample, perturbation, k=1, axis=1)(middle[1:-1])
+        force = np.pad(inside, ((0, 0), (1, 1), (0, 0)), mode="edge")
+    else:
+        force = interpolate.CubicSpline(sample, perturbation, axis=1)(middle)
+    return np.ascontiguousarray(held_over_steps(force, straight=straight))
