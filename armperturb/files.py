@@ -12,6 +12,16 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+def require_folder_of(path: Path) -> None:
+    """Refuse a file to write whose folder does not exist.
+
+    Raises:
+      FileNotFoundError: the folder does not exist.
+    """
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{path}: folder {path.parent} does not exist; expected an existing folder")
+
+
 @contextmanager
 def written_whole(path: str | Path) -> Iterator[Path]:
     """A temporary path beside `path` that takes its place when the block ends well, and vanishes when it does not.
@@ -23,8 +33,7 @@ def written_whole(path: str | Path) -> Iterator[Path]:
       OSError: the folder is missing or cannot be written to; the message names `path`.
     """
     path = Path(path)
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"{path}: folder {path.parent} does not exist; expected an existing folder")
+    require_folder_of(path)
     if path.is_dir():
         raise IsADirectoryError(f"{path}: is a folder; expected the name of a file to write")
     try:

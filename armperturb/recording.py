@@ -26,6 +26,7 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from armperturb.files import written_whole
+from armperturb.foreign import Refused, read_foreign
 
 MUSCLES = (
     "pectoralis_major_clavicular",
@@ -310,12 +311,23 @@ def save_recording(recording: xr.Dataset, path: str | Path) -> None:
         temporary.write_bytes(content)
 
 
-def load_recording(path: str | Path, optional: Iterable[str] = OPTIONAL_SIGNALS) -> xr.Dataset:
+def _guarded(path: Path) -> xr.Dataset:
+    content = read_foreign(path)
+    variables = {
+        name: (of_one["dims"], of_one["values"], of_one["attrs"]) for name, of_one in content["variables"].items()
+    }
+    return xr.decode_cf(xr.Dataset(variables, attrs=content["attrs"]))
+
+
+def load_recording(
+    path: str | Path, optional: Iterable[str] = OPTIONAL_SIGNALS, *, guarded: bool = False
+) -> xr.Dataset:
     """Read a recording and check what was read.
 
     Args:
       path: of the file.
       optional: what to read beside `REQUIRED_SIGNALS`, where there is any. EMG takes most of the memory.
+      guarded: whether to parse the file in a child process, which a file from elsewhere may crash.
 
     Raises:
       ValueError: the file is no netCDF4 file or no recording, or something else than `OPTIONAL_SIGNALS` is asked for.
@@ -328,10 +340,10 @@ def load_recording(path: str | Path, optional: Iterable[str] = OPTIONAL_SIGNALS)
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file, or a folder; expected a recording (netCDF4)")
     try:
-        with xr.open_dataset(path, engine="h5netcdf") as opened:
-            kept = [name for name in opened.data_vars if name in wanted or name not in OPTIONAL_SIGNALS]
-            recording = opened[kept].load()
-    except PermissionError:
+        with _guarded(path) if guarded else xr.open_dataset(path, engine="h5netcdf") as opened:
+            names = [name for name in opened.data_vars if name in wanted or name not in OPTIONAL_SIGNALS]
+            recording = opened[names].load()
+    except (PermissionError, Refused):
         raise
     except Exception as error:  # a damaged file makes HDF5 fail in any way
         raise ValueError(f"{path}: not a readable netCDF4 file ({' '.join(str(error).split())})") from None

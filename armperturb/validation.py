@@ -78,4 +78,4 @@ def require_one_of(owner: str, field: str, value: object, known: Sequence[str | 
     """
     # Not by `in` alone: an array has no single answer to that.
     if not (value is None or isinstance(value, str)) or value not in known:
-        raise ValueError(f"{owner}: {field} = {value!r}; expected one of {', '.join(map(str, known))}")
+        raise ValueError(f"{owner}: {field} = {value!r:.60}; expected one of {', '.join(map(str, known))}")

@@ -17,8 +17,8 @@ from contextlib import contextmanager
 from multiprocessing import resource_tracker
 from typing import Protocol, TypeVar
 
-import joblib
-from joblib.externals.loky import ProcessPoolExecutor
+from loky import ProcessPoolExecutor
+from loky import cpu_count as cpu_count
 
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
@@ -58,7 +58,7 @@ class Workers(Protocol):
 
 
 class LocalProcesses:
-    """Fresh Python processes on this machine, through joblib's loky; they end with this one, however it ends.
+    """Fresh Python processes on this machine, through loky; they end with this one, however it ends.
 
     Args:
       count: of processes.
@@ -93,7 +93,7 @@ class LocalProcesses:
         """The cores, shared out; among fewer in the last round if there is not enough work for every process."""
         last_round = n_units % self.count
         together = last_round if number >= n_units - last_round else self.count
-        return max(1, joblib.cpu_count() // together)
+        return max(1, cpu_count() // together)
 
     def stop(self) -> None:
         """Kill the processes."""

@@ -41,21 +41,23 @@ TOLERANCE = 0.15
 """How far the measured factor may be off the predicted one."""
 
 CASES = {
-    "PT7.5, reflexes": DesignSettings(subject=POSITION, goal="reflex", limits=(5.4, 7.5e-3, 32.0), trials=TRIALS),
+    "PT7.5, reflexes": DesignSettings(
+        subject=POSITION, goal="reflex", force=5.4, displacement=7.5e-3, duration=32.0, trials=TRIALS
+    ),
     "PT7.5, reflexes, noise follows": DesignSettings(
-        subject=POSITION, goal="reflex", limits=(5.4, 7.5e-3, 32.0), trials=TRIALS, noise="follows"
+        subject=POSITION, goal="reflex", force=5.4, displacement=7.5e-3, duration=32.0, trials=TRIALS, noise="follows"
     ),
     "a person of the PT cohort, reflexes": DesignSettings(
-        subject=draw_subject("position", 3), goal="reflex", limits=(5.4, 7.5e-3, 32.0), trials=TRIALS
+        subject=draw_subject("position", 3), goal="reflex", force=5.4, displacement=7.5e-3, duration=32.0, trials=TRIALS
     ),
     "PT7.5, stiffness, damping": DesignSettings(
-        subject=POSITION, goal="intrinsic", limits=(5.4, 7.5e-3, 32.0), trials=TRIALS
+        subject=POSITION, goal="intrinsic", force=5.4, displacement=7.5e-3, duration=32.0, trials=TRIALS
     ),
     "PT7.5, reflexes, 20 free": DesignSettings(
-        subject=POSITION, goal="reflex", limits=(5.4, 7.5e-3, 32.0), trials=TRIALS, model="3"
+        subject=POSITION, goal="reflex", force=5.4, displacement=7.5e-3, duration=32.0, trials=TRIALS, model="3"
     ),
     "RT7.5, stiffness, damping": DesignSettings(
-        subject=RELAX, goal="intrinsic", limits=(0.9, 10e-3, 32.0), trials=TRIALS
+        subject=RELAX, goal="intrinsic", force=0.9, displacement=10e-3, duration=32.0, trials=TRIALS
     ),
 }
 
@@ -63,7 +65,7 @@ CASES = {
 def perturbations(plan: Design) -> dict[str, list[Perturbation]]:
     """Signal to one realisation per trial."""
     rms = float(np.sqrt(plan.thesis.power[:, 0].sum()))
-    duration = plan.settings.limits[2]
+    duration = plan.settings.duration
     return {
         "thesis": [
             Multisine.draw(seed=trial_seed(0, "benchmark", number), rms=rms, duration=duration)
@@ -145,9 +147,9 @@ def factor_for(plan: Design, person: DesignSettings) -> float:
     columns = [plan.names.index(name) for name in plan.settings.wanted()]
     for signal in (plan.thesis, plan.optimised):
         experiment = experiment_at(person, signal.frequency)
-        moved = float(experiment.displacement(signal.power).max()) / plan.settings.limits[1] ** 2
+        moved = float(experiment.displacement(signal.power).max()) / plan.settings.displacement**2
         information = experiment.information(signal.power / max(1.0, moved))
-        found.append(experiment.standard_error(information, plan.settings.limits[2])[columns])
+        found.append(experiment.standard_error(information, plan.settings.duration)[columns])
     return float(np.exp(np.mean(np.log(found[1] / found[0]))))
 
 

@@ -1,7 +1,5 @@
 """What mkdocs puts into pages that it builds: the command reference, from the dataclasses that parse the commands."""
 
-import ast
-import functools
 import inspect
 import types
 from collections.abc import Iterator
@@ -11,7 +9,8 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 
 import tyro
 
-from armperturb import cli
+from armperturb.cli import COMMANDS, FILES
+from armperturb.commands.command import Command, field_texts
 
 PLACE = "<!-- commands -->"
 """Where the reference stands in `commands.md`."""
@@ -39,23 +38,25 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def reference() -> str:
-    """All commands as markdown, in the order in which `armperturb.cli` defines them."""
+    """All commands as markdown."""
     return "\n\n".join(_section(name, kind) for name, kind in commands().items())
 
 
-def commands() -> dict[str, type]:
-    """Name of each command, as typed, to the dataclass of its arguments."""
-    found = (one for one in vars(cli).values() if is_dataclass(one) and isinstance(one, type))
-    return {one.__name__.lower(): one for one in found if one.__module__ == cli.__name__}
+def commands() -> dict[str, type[Command]]:
+    """Name of each command, as typed, to the dataclass of its options."""
+    return {kind.__name__.lower(): kind for kind in COMMANDS}
 
 
 def arguments(kind: type) -> Iterator[Argument]:
-    """The arguments of a command."""
-    meanings, hints = _field_texts(kind), get_type_hints(kind, include_extras=True)
+    """The arguments of a command, those of settings that it holds among them."""
+    meanings, hints = field_texts(kind), get_type_hints(kind, include_extras=True)
     for field in fields(kind):
         hint = hints[field.name]
         positional = get_origin(hint) is Annotated and tyro.conf.Positional in hint.__metadata__
         hint = get_args(hint)[0] if get_origin(hint) is Annotated else hint
+        if is_dataclass(hint) and hint not in FILES:
+            yield from arguments(hint)
+            continue
         name = field.name.upper() if positional else "--" + field.name.replace("_", "-")
         yield Argument(name, _values(hint), _default(field), meanings[field.name])
 
@@ -90,9 +91,12 @@ def _values(hint: Any) -> str:
     if get_origin(hint) is Literal:
         return ", ".join(f"`{value}`" for value in get_args(hint))
     if get_origin(hint) in (Union, types.UnionType):
-        return _values(next(one for one in get_args(hint) if one is not type(None)))
+        return _values(next(kind for kind in get_args(hint) if kind is not type(None)))
     if get_origin(hint) is tuple:
-        return f"one or more: {_values(get_args(hint)[0])}"
+        each, *others = get_args(hint)
+        return f"{'one or more' if others == [...] else len(others) + 1}: {_values(each)}"
+    if hint in FILES:
+        return "path"
     return {int: "whole number", float: "number", str: "text", Path: "path"}[hint]
 
 
@@ -104,19 +108,3 @@ def _default(field: "Field[Any]") -> str:
     if isinstance(field.default, bool):
         return "off"
     return f"`{' '.join(map(str, field.default)) if isinstance(field.default, tuple) else field.default}`"
-
-
-def _field_texts(kind: type) -> dict[str, str]:
-    """Name of each field to the text below it, in one line."""
-    (definition,) = (one for one in _module().body if isinstance(one, ast.ClassDef) and one.name == kind.__name__)
-    texts = {}
-    for field, text in zip(definition.body, definition.body[1:], strict=False):
-        match field, text:
-            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
-                texts[name] = " ".join(words.split())
-    return texts
-
-
-@functools.cache
-def _module() -> ast.Module:
-    return ast.parse(inspect.getsource(cli))

@@ -21,7 +21,10 @@ DATA = Path(__file__).resolve().parent / "data"
 
 MODEL = {"PT": "3b", "RT": "1"}
 GOAL = {"PT": "reflex", "RT": "intrinsic"}
-LIMITS = {"PT": (5.4, 0.0075, 32.0), "RT": (0.9, 0.010, 32.0)}
+LIMITS = {
+    "PT": {"force": 5.4, "displacement": 0.0075, "duration": 32.0},
+    "RT": {"force": 0.9, "displacement": 0.010, "duration": 32.0},
+}
 """RMS force per axis [N], RMS displacement per axis [m] and duration [s] of a trial, as in the thesis's conditions."""
 
 GOOD = 0.10
@@ -38,10 +41,10 @@ def main(pilot: Path, sidecar: Path | None, folder: Path, trials: int) -> None:
     task = str(recording["task"].values[0])
     person = identify(recording, model=MODEL[task]).fit.arm
     plan = design(
-        DesignSettings(subject=person, goal=GOAL[task], limits=LIMITS[task], model=MODEL[task], trials=trials, seed=1)
+        DesignSettings(subject=person, goal=GOAL[task], **LIMITS[task], model=MODEL[task], trials=trials, seed=1)
     )
     print(design_text(plan))
-    print(f"\ntrials of {LIMITS[task][2]:g} s until the standard error is {GOOD:.0%} of the value:")
+    print(f"\ntrials of {LIMITS[task]['duration']:g} s until the standard error is {GOOD:.0%} of the value:")
     for row in plan.rows():
         if row["goal"] and row["value"]:
             usual, better = (trials_needed(trials, row[sem], row["value"]) for sem in ("sem_thesis", "sem_optimised"))

@@ -5,6 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from armperturb.recording import REQUIRED_SIGNALS, make_recording
+
 RATE, N_TIME, N_TRIALS = 200.0, 2000, 2
 MASS, DAMPING, STIFFNESS = 3.0, 2.0, 40.0
 
@@ -100,3 +102,11 @@ def write(folder, values=None, sidecar=None, name="lab", text=None):
     path.write_text(as_text(table() if values is None else values) if text is None else text, encoding="utf-8")
     path.with_suffix(".json").write_text(json.dumps(meaning() if sidecar is None else sidecar))
     return path
+
+
+def laboratory_recording(*trials, limit_time=np.nan):
+    """A recording of trials as `handle` gives them."""
+    signals = {name: np.stack(parts) for name, parts in zip(REQUIRED_SIGNALS, zip(*trials, strict=True), strict=True)}
+    labels = LABELS | {"repetition": 0, "pulse_level": 0.0, "pulse_direction": np.nan, "pulse_onset": np.nan}
+    labels["limit_time"] = limit_time
+    return make_recording(signals, {name: [value] * len(trials) for name, value in labels.items()}, RATE)

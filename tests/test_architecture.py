@@ -11,7 +11,8 @@ import armperturb
 
 ROOT = Path(armperturb.__file__).parent
 
-BASE = {"arrays", "validation", "extras", "seeds", "files", "muscle_law", "subject", "environment", "recording"}
+BASE = {"arrays", "validation", "extras", "seeds", "files", "foreign", "recording"}
+BASE |= {"muscle_law", "subject", "environment"}
 ARM = BASE | {
     "analysis.defaults", "analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics",
     "analysis.results", "plots",
@@ -28,7 +29,8 @@ ARROWS = {
     "muscle_law": {"validation"},
     "subject": {"validation", "muscle_law"},
     "environment": {"validation"},
-    "recording": {"files"},
+    "foreign": {"extras"},
+    "recording": {"files", "foreign"},
     "archive": {"files"},
     "workers": set(),
     "perturbations": BASE,

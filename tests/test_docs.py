@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armperturb import cli, load_recording
+from armperturb import POSITION, Multisine, Subject, cli, load_recording
+from armperturb.perturbations import Perturbation
 from armperturb.recording import MUSCLES, SIGNALS, TRIAL_COORDINATES
 
 ROOT = Path(__file__).parents[1]
@@ -75,7 +76,7 @@ def typed_help(capsys, *arguments):
     with pytest.raises(SystemExit) as end:
         cli.main([*arguments, "--help"])
     assert end.value.code == 0
-    return re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+    return re.sub(r"(\x1b\[[0-9;]*m|[\s│])+", " ", capsys.readouterr().out)
 
 
 def test_reference_has_the_commands_that_can_be_typed(capsys):
@@ -117,9 +118,11 @@ def test_commands_that_are_shown_can_be_typed(arguments, monkeypatch, capsys):
     def understood(*_):
         raise ValueError("understood")
 
-    for name in COMMANDS:
-        monkeypatch.setattr(cli, name, understood)
+    for kind in COMMANDS.values():
+        monkeypatch.setattr(kind, "run", understood)
     monkeypatch.setattr(cli, "require_simulator", lambda: None)
+    samples = {Subject: POSITION, Perturbation: Multisine.draw(seed=0, rms=1.0, crested=False)}
+    monkeypatch.setattr(cli, "FILES", {kind: lambda _, sample=sample: sample for kind, sample in samples.items()})
     assert cli.main(arguments) == 1
     assert capsys.readouterr().err == "armperturb: error: understood\n"
 

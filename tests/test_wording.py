@@ -22,7 +22,6 @@ PENDING = (
     "armperturb/cohort.py",
     "armperturb/commands/",
     "armperturb/controllers/",
-    "armperturb/convert/",
     "armperturb/envs/",
     "armperturb/muscle_law.py",
     "armperturb/plots/",

@@ -8,10 +8,9 @@ import sys
 import time
 from pathlib import Path
 
-import joblib
 import psutil
 import pytest
-from joblib.externals.loky import ProcessPoolExecutor
+from loky import ProcessPoolExecutor
 
 from armperturb import workers
 from armperturb.workers import DaskCluster, LocalProcesses, completed, workers_for
@@ -124,7 +123,7 @@ def test_ctrl_c_waits_until_the_processes_have_started(monkeypatch, ctrl_c_is_he
 
 
 def test_cores_are_shared_out(monkeypatch):
-    monkeypatch.setattr(joblib, "cpu_count", lambda: 8)
+    monkeypatch.setattr(workers, "cpu_count", lambda: 8)
     crew = LocalProcesses(4)
     assert [crew.threads(number, 10) for number in range(10)] == [2] * 8 + [4] * 2
     assert [crew.threads(number, 2) for number in range(2)] == [4] * 2

@@ -295,8 +295,8 @@ class ConditionTrials:
         for trial, end in enumerate(self.onset.tolist()):
             if end - first < 2:
                 raise ValueError(
-                    f"trial {trial} ends at {end / self.rate:g} s, by its pulse or its length; expected more than the "
-                    f"window_start of {window_start:g} s (leave this one out)"
+                    f"trial {trial} ends at {end / self.rate:g} s; expected more than {window_start:g} s (an earlier "
+                    "--window-start, or leave this trial out)"
                 )
             d, f, x = (
                 values[trial, first:end] for values in (self.perturbation, self.force, self.recorded_displacement)

@@ -1,12 +1,89 @@
-"""What the command `response` writes: table and figure of a frequency response, and of the arm's distortion."""
+"""`armperturb response`."""
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from armperturb.analysis.response.best_linear import BestLinear
+import tyro
+
+from armperturb.analysis.defaults import SETTLED
+from armperturb.analysis.response.best_linear import BestLinear, best_linear
+from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.frequency_response import FrequencyResponse
+from armperturb.analysis.trials import common_period, prepared_recordings
+from armperturb.commands.command import Command
+from armperturb.commands.selection import select_trials
+from armperturb.convert import import_recording
 from armperturb.files import write_csv
-from armperturb.plots.style import new_figure, save_svg
 from armperturb.recording import LABELS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Response(Command):
+    """Estimate a frequency response without a model of the arm, its uncertainty, and how nonlinear the arm is."""
+
+    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Recordings of one person in one condition: netCDF4, or CSV, MATLAB or C3D with a sidecar (see convert); their
+    lengths may differ."""
+    out: Path
+    """Folder for response.csv and response.svg; with multisines in two or more trials also distortion.csv and .svg."""
+    sidecar: Path | None = None
+    """Sidecar of all recordings that need one, see docs/recordings.md; by default FILE.json beside each."""
+    method: Literal["multisine", "noise", "welch", "multitaper", "spectral", "arx", "subspace"] = "multisine"
+    """For multisines of any lines and period, multisine, or spectral as in the thesis; for any disturbance with power
+    at all frequencies, noise, welch or multitaper; for either, the models arx and subspace."""
+    what: Literal["arm", "environment", "total"] = "arm"
+    """Of what: the arm (from force to displacement), the manipulator, or both (from perturbation to displacement)."""
+    subject: str | None = None
+    """Which subject, if the recordings hold several."""
+    condition: str | None = None
+    """Which condition, if they hold several."""
+    window_start: float | None = None
+    """Start of what is used [s]; by default 2 for multisine, 8 for spectral, and 0 for the other methods."""
+    period: float | None = None
+    """Period of a multisine [s]; by default it is found from the data."""
+
+    def run(self) -> list[str]:
+        """Estimate the response and write it."""
+        if self.period is not None and self.method not in ("multisine", "spectral"):
+            raise ValueError(f"response: period = {self.period:g}; expected none with the method {self.method}")
+        recordings = select_trials(
+            [import_recording([path], sidecar=self.sidecar).recording for path in self.recordings],
+            self.recordings,
+            subject=self.subject,
+            condition=self.condition,
+            single_condition=True,
+        )
+        options: dict[str, Any] = {
+            name: value
+            for name, value in (("window_start", self.window_start), ("period", self.period))
+            if value is not None
+        }
+        lines, distortion = [], None
+        try:
+            trials = prepared_recordings(recordings)
+            if self.method == "multisine":
+                if self.period is None:
+                    options["period"] = common_period(trials, options.get("window_start", SETTLED))
+                lines.append(f"period: {options['period']:g} s")
+            estimate = response(trials, self.method, what=self.what, **options)
+        except ValueError as error:
+            raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
+        if (used := estimate.environment) is not None:
+            lines.append(
+                f"force balance of the manipulator used: {used.m_env:.4g} kg, {used.b_env:.3g} Ns/m, "
+                f"{used.k_env:.4g} N/m"
+            )
+        if estimate.covariance is None:
+            lines.append(f"no uncertainty: {self.method} needs more trials for an estimate of it")
+        if self.method == "multisine" and self.what == "arm":
+            try:
+                distortion = best_linear(trials, **options)
+                lines.append(distortion_text(distortion))
+            except ValueError as error:
+                lines.append(f"nonlinear distortion: not estimated ({error})")
+        write_response(estimate, distortion, self.out, trials[0].label)
+        return [*lines, f"results: {self.out}"]
 
 
 def distortion_text(found: BestLinear) -> str:
@@ -49,6 +126,8 @@ def write_response(
 
 
 def _save(result: FrequencyResponse | BestLinear, path: Path) -> None:
+    from armperturb.plots.style import new_figure, save_svg
+
     figure = new_figure(1.0)
     result.plot(figure=figure)
     save_svg(figure, path)

@@ -154,8 +154,8 @@ def _before_limit(recording: xr.Dataset, rate: float) -> tuple[list[int], int]:
     return list(range(len(limit))), min(n_time, int(np.min(limit) * rate))
 
 
-def _in_numbers(found: _Explained) -> str:
-    return f"its mass comes out at {found.mass:.3g} kg, and {found.left:.2g} of the load is left unexplained"
+def _in_numbers(explained: _Explained) -> str:
+    return f"its mass comes out at {explained.mass:.3g} kg, and {explained.left:.2g} of the load is left unexplained"
 
 
 def _skews(d: Array, f: Array, x: Array, rate: float) -> list[str]:
@@ -227,17 +227,22 @@ def _explained(gram: Array, of_force: Array, of_displacement: Array) -> _Explain
 
 
 def _remedy(gram: Array, least: float) -> str | None:
-    """The least change of signs, axes or scale of the force that leaves at most so much, in words; None if none."""
-    found = []
+    """The smallest change of signs, axes or scale of the force that leaves at most so much, in words; None if none."""
+    changes = []
     for of_force, of_displacement in product(_SIGNED, repeat=2):
-        change, one = _in_words(of_force, of_displacement), _explained(gram, of_force, of_displacement)
-        if change and one.mass > 0.0 and one.left < least:
-            found.append((change, one.left))
-    gain, one = _rescaled(gram)
-    if gain > 0.0 and abs(np.log(gain)) > np.log(RESCALED) and one.mass > 0.0 and one.left < min(least, UNBALANCED):
-        found.append((f"force were multiplied by {gain:.4g} (the unit of one of the two forces)", one.left))
-    best = min((left for _, left in found), default=0.0)
-    good = [entry for entry in found if entry[1] <= 2.0 * best + 1e-3]
+        change, explained = _in_words(of_force, of_displacement), _explained(gram, of_force, of_displacement)
+        if change and explained.mass > 0.0 and explained.left < least:
+            changes.append((change, explained.left))
+    gain, explained = _rescaled(gram)
+    if (
+        gain > 0.0
+        and abs(np.log(gain)) > np.log(RESCALED)
+        and explained.mass > 0.0
+        and explained.left < min(least, UNBALANCED)
+    ):
+        changes.append((f"force were multiplied by {gain:.4g} (the unit of one of the two forces)", explained.left))
+    best = min((left for _, left in changes), default=0.0)
+    good = [entry for entry in changes if entry[1] <= 2.0 * best + 1e-3]
     return min(good, key=lambda entry: (entry[0].count(" and "), entry[1]))[0] if good else None
 
 

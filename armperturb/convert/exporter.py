@@ -14,6 +14,7 @@ from scipy.io import savemat
 
 from armperturb.files import written_whole
 from armperturb.recording import LABELS, SIGNALS, TRIAL_COORDINATES, check_recording, save_recording
+from armperturb.validation import require_one_of
 
 COLUMNS = {
     "perturbation": ("d_x_N", "d_y_N"),
@@ -58,9 +59,9 @@ def export_recording(recording: xr.Dataset, path: str | Path) -> list[Path]:
         meaning["signals"]["emg"]["file"] = beside.name
     files[sidecar] = (json.dumps(meaning, indent=2, allow_nan=False) + "\n").encode()
     with ExitStack() as stack:  # all take their places together, after all were written
-        parts = {one: stack.enter_context(written_whole(one)) for one in files}
-        for one, part in parts.items():
-            part.write_bytes(files[one])
+        parts = {file: stack.enter_context(written_whole(file)) for file in files}
+        for file, part in parts.items():
+            part.write_bytes(files[file])
     return list(files)
 
 
@@ -70,8 +71,7 @@ def require_ending(path: Path) -> None:
     Raises:
       ValueError: the ending is none of `ENDINGS`.
     """
-    if path.suffix not in ENDINGS:
-        raise ValueError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(ENDINGS)}")
+    require_one_of(str(path), "ending", path.suffix, ENDINGS)
 
 
 def _text(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
@@ -132,9 +132,9 @@ def _matlab(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
 
 def _sidecar(recording: xr.Dataset, channels: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
     signals: dict[str, Any] = {}
-    for name, of_one in channels.items():
+    for name, of_signal in channels.items():
         (_, dim), unit, _ = SIGNALS[name]
-        signals[name] = {"channels": dict(zip(LABELS[dim], of_one, strict=True)), "unit": unit}
+        signals[name] = {"channels": dict(zip(LABELS[dim], of_signal, strict=True)), "unit": unit}
     signals["force"]["exerted_by"] = "handle"
     if "emg" in signals:
         signals["emg"]["rate"] = float(recording.attrs["emg_rate"])

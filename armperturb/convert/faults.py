@@ -1,4 +1,4 @@
-"""What goes wrong between a laboratory's instruments and its files, found with its time, and repaired if asked.
+"""Faults of recordings: found with the time at which they occur, and repaired if asked.
 
 | fault | seen as | repaired as |
 |---|---|---|
@@ -124,10 +124,10 @@ def even_times(
     if off.max() > ROUNDED / rate:
         at = int(np.argmax(off > ROUNDED / rate))
         # Through the whole trial, so that single late samples do not count.
-        found = float(np.polyfit(time, index, 1)[0])
-        drifts = abs(found / rate - 1.0) * len(time) > ROUNDED
-        what = f"time runs at {found:.6g} Hz" if drifts else "time does not run evenly"
-        near = abs(found / rate - 1.0) < OFF
+        of_times = float(np.polyfit(time, index, 1)[0])
+        drifts = abs(of_times / rate - 1.0) * len(time) > ROUNDED
+        what = f"time runs at {of_times:.6g} Hz" if drifts else "time does not run evenly"
+        near = abs(of_times / rate - 1.0) < OFF
         unit = "" if near else " (a wrong unit of the times?)"
         faults.append(
             Fault(
@@ -214,19 +214,19 @@ def find_stuck(timed: Timed) -> list[Fault]:
     for name in REQUIRED_SIGNALS:
         values, rate = timed.signals[name], timed.rates[name]
         for column, channel in enumerate(timed.components[name]):
-            one = values[:, column]
-            if np.ptp(one) == 0.0:
+            samples = values[:, column]
+            if np.ptp(samples) == 0.0:
                 # A disturbance may leave an axis, or a trial, alone.
-                if name != "perturbation" or one[0] != 0.0:
-                    faults.append(Fault("trials", f"{channel} ({name}) is constant at {one[0]:.6g}"))
+                if name != "perturbation" or samples[0] != 0.0:
+                    faults.append(Fault("trials", f"{channel} ({name}) is constant at {samples[0]:.6g}"))
                 continue
-            plateaus = [*_plateaus(one), *(_plateaus(-one))]
+            plateaus = [*_plateaus(samples), *(_plateaus(-samples))]
             if plateaus:
                 first, last = min(plateaus)
                 faults.append(
                     Fault(
                         "trials",
-                        f"{channel} ({name}) is clipped at {one[first]:.6g} for {(last - first) / rate:.4g} s at "
+                        f"{channel} ({name}) is clipped at {samples[first]:.6g} for {(last - first) / rate:.4g} s at "
                         f"{first / rate:.6g} s, {len(plateaus)} times in all",
                     )
                 )
@@ -242,15 +242,15 @@ def _plateaus(values: Array) -> list[tuple[int, int]]:
     steps = np.abs(np.diff(values))
     moving = steps[steps > 0.0]
     resolution, usual = float(moving.min()), float(np.sqrt(np.mean(steps**2)))
-    found = []
+    plateaus = []
     for first, last in _runs(values == top):
         if last - first < LEAST_RUN or first < 2 or last > len(values) - 2:
             continue
         slope = min(top - values[first - 2], top - values[last + 1]) / 2.0
         # A peak that is rounded to the resolution rises by less than that within its plateau.
         if slope > STEEP * usual and 0.25 * slope * (last - first) > BEYOND * resolution:
-            found.append((first, last))
-    return found
+            plateaus.append((first, last))
+    return plateaus
 
 
 def _held(timed: Timed) -> list[Fault]:

@@ -8,19 +8,16 @@ import numpy as np
 
 from armperturb.arrays import Array
 
-LARGEST = 2**30
-"""Of what a file may hold or unpack to [byte]: an hour of eight channels at 2 kHz takes less than half of it."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RawTrial:
     """A trial as a file has it.
 
     Attributes:
-      name: what the file calls it: its number, or the name of the file if it holds no other.
+      name: the number that the file gives it, or the name of a file that holds no other trial.
       channels: name to values, (time,); NaN where there is none.
-      rates: name to sampling rate [Hz], of the channels of which the file tells it.
-      units: name to unit, of the channels of which the file tells it.
+      rates: channel to sampling rate [Hz], where the file states it.
+      units: channel to unit, where the file states it.
     """
 
     name: str
@@ -29,27 +26,17 @@ class RawTrial:
     units: Mapping[str, str] = field(default_factory=dict)
 
 
-def require_modest(path: Path, size: int, what: str) -> None:
-    """Refuse what would take too much memory, before it is read.
-
-    Raises:
-      ValueError: size [byte] is beyond `LARGEST`.
-    """
-    if size > LARGEST:
-        raise ValueError(f"{path}: {what} = {size} bytes; expected at most {LARGEST} (1 GiB)")
-
-
-def missing_channel(path: Path, name: str, found: Collection[str]) -> ValueError:
+def missing_channel(path: Path, name: str, channels: Collection[str]) -> ValueError:
     """The error of a channel that is not in the file."""
-    shown = [repr(one)[:40] for one in list(found)[:12]]
-    more = f" and {len(found) - 12} more" if len(found) > 12 else ""
+    shown = [repr(channel)[:40] for channel in list(channels)[:12]]
+    more = f" and {len(channels) - 12} more" if len(channels) > 12 else ""
     return ValueError(
         f"{path}: no channel {name!r:.60}; expected one of {', '.join(shown) or 'none, as there are none'}{more}"
     )
 
 
 def trial_name(number: float) -> str:
-    """How a trial with a number is called in the sidecar: 3, not 3.0."""
+    """What the sidecar calls a trial with a number: 3, not 3.0."""
     return f"{number:.12g}"
 
 
@@ -59,7 +46,7 @@ def split_trials(path: Path, channels: Mapping[str, Array], number: str | None) 
     Args:
       path: of the file.
       channels: of equal length.
-      number: channel that numbers the trials; None if there is one trial, which is then called as the file.
+      number: channel that numbers the trials; None for a single trial, which is then called as the file.
 
     Raises:
       ValueError: a trial has no number, or starts again after another.
@@ -79,6 +66,6 @@ def split_trials(path: Path, channels: Mapping[str, Array], number: str | None) 
             )
     bounds = [0, *cuts.tolist(), len(numbers)]
     return [
-        RawTrial(name=name, channels={one: values[first:last] for one, values in channels.items() if one != number})
+        RawTrial(name=name, channels={key: values[first:last] for key, values in channels.items() if key != number})
         for name, first, last in zip(names, bounds[:-1], bounds[1:], strict=True)
     ]

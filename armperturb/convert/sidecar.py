@@ -1,7 +1,7 @@
 """The sidecar: a JSON file that says what the columns of a laboratory's file mean (docs/recordings.md)."""
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, Self
@@ -12,13 +12,16 @@ from armperturb.arrays import Array
 from armperturb.convert.units import factor_to, quantity
 from armperturb.recording import LABELS, REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES
 from armperturb.subject import TASKS
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_one_of
 
 LARGEST = 2**20
-"""Of a sidecar [byte]."""
+"""Largest sidecar [byte]."""
 
 LONGEST_TEXT = 200
-"""Of a label or the name of a channel."""
+"""Characters of a label or of the name of a channel."""
+
+OPEN = "?"
+"""In the place of a value that a person has to fill in."""
 
 DIRECTIONS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "forward": (0.0, 1.0), "backward": (0.0, -1.0)}
 """Where an axis of the laboratory can point, in ours: x = right, y = forward."""
@@ -95,6 +98,7 @@ class Sidecar:
       trials: name of a trial to labels of its own; empty if all are alike.
       mass: that the manipulator was set to [kg]; None if unknown.
       dialect: of a text file.
+      notes: that fields are guesses which nobody has confirmed, if there are any.
     """
 
     path: Path
@@ -106,23 +110,37 @@ class Sidecar:
     trials: Mapping[str, Mapping[str, Any]]
     mass: float | None
     dialect: Dialect
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a sidecar.
+        """Read a sidecar; raises as `of`.
+
+        Raises:
+          OSError: it cannot be read.
+        """
+        return cls.of(_parsed(Path(path)), Path(path))
+
+    @classmethod
+    def of(cls, content: object, path: Path) -> Self:
+        """The sidecar that JSON stands for.
+
+        Args:
+          content: of the file.
+          path: of the file, for messages.
 
         Raises:
           TypeError: a field has the wrong type.
           ValueError: it is no JSON, a field is unknown, missing or out of its range; the message names file, field,
             value and what was expected.
-          OSError: it cannot be read.
         """
-        path = Path(path)
-        top = _Fields(_parsed(path), str(path), "")
+        top = _Fields(content, str(path), "")
         top.require_only(
-            ("rate", "time", "trial", "axes", "signals", "labels", "trials", "environment", "csv"),
+            ("rate", "time", "trial", "axes", "signals", "labels", "trials", "environment", "csv", "guessed"),
             ("axes", "signals", "labels"),
         )
+        guessed = top.fields("guessed") if "guessed" in top else _Fields({}, str(path), "")
+        _require_closed(top, {name: guessed.text(name) for name in guessed.content})
         rate, time = top.rate("rate"), None
         if "time" in top:
             of_time = top.fields("time")
@@ -164,6 +182,7 @@ class Sidecar:
             trials=trials,
             mass=mass,
             dialect=_dialect(top.fields("csv")) if "csv" in top else Dialect(),
+            notes=_unconfirmed(path, guessed.content),
         )
 
     def labels_of(self, trial: str) -> dict[str, Any]:
@@ -228,10 +247,8 @@ class _Fields:
         return value
 
     def choice(self, name: str, known: Collection[str]) -> str:
-        value = self.content[name]
-        if not isinstance(value, str) or value not in known:
-            raise ValueError(f"{self.where(name)} = {value!r:.60}; expected one of {', '.join(known)}")
-        return value
+        require_one_of(self.file, self.where(name).removeprefix(f"{self.file}: "), self.content[name], tuple(known))
+        return str(self.content[name])
 
     def rate(self, name: str) -> float | None:
         if name not in self.content:
@@ -249,12 +266,12 @@ def _parsed(path: Path) -> object:
         raise ValueError(f"{path}: {size} bytes; expected a sidecar of at most {LARGEST}")
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+        content: dict[str, Any] = {}
         for name, value in pairs:
-            if name in found:
+            if name in content:
                 raise ValueError(f"the field {name!r:.60} comes twice")
-            found[name] = value
-        return found
+            content[name] = value
+        return content
 
     def refuse(text: str) -> NoReturn:
         raise ValueError(f"{text} is no number of JSON")
@@ -263,6 +280,31 @@ def _parsed(path: Path) -> object:
         return json.loads(path.read_bytes().decode("utf-8-sig"), object_pairs_hook=once, parse_constant=refuse)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: no readable JSON ({error}); expected a sidecar") from None
+
+
+def _require_closed(fields: _Fields, checks: Mapping[str, str]) -> None:
+    """Refuse a template in which something is still to be filled in."""
+    left = [place for place, value in _leaves(fields.content) if value == OPEN]
+    if left:
+        more = f" (and {len(left) - 1} more fields are open: {', '.join(left[1:])})" if len(left) > 1 else ""
+        expected = checks.get(left[0], "a value in its place")
+        raise ValueError(f"{fields.file}: {left[0]} = {OPEN!r} is left open; expected {expected}{more:.200}")
+
+
+def _leaves(content: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in content.items():
+        if isinstance(value, dict) and name != "guessed":
+            yield from _leaves(value, f"{place}{name}.")
+        else:
+            yield f"{place}{name}", value
+
+
+def _unconfirmed(path: Path, guessed: Collection[str]) -> tuple[str, ...]:
+    if not guessed:
+        return ()
+    return (
+        f"{path}: guesses that nobody has confirmed: {', '.join(guessed)} (delete what you have checked from guessed)",
+    )
 
 
 def _axes(fields: _Fields) -> Array:
@@ -285,7 +327,7 @@ def _signal(fields: _Fields, name: str, axes: Array) -> Signal:
     known += ["start"] if on_axes and ours == "m" else []
     known += ["exerted_by"] if name == "force" else []
     known += ["rate", "file"] if name == "emg" else []
-    fields.require_only(known, [one for one in known if one in ("channels", "unit", "exerted_by")])
+    fields.require_only(known, [field for field in known if field in ("channels", "unit", "exerted_by")])
     of_channels = fields.fields("channels")
     of_channels.require_only(components, components)
     channels = {component: of_channels.text(component) for component in components}
@@ -322,9 +364,9 @@ def _start(fields: _Fields, components: tuple[str, ...]) -> tuple[float, ...] | 
         return FIRST
     if not isinstance(value, list) or len(value) != len(components):
         raise ValueError(f"{fields.where('start')} = {value!r:.60}; expected 'first', or [x, y] in the signal's unit")
-    for one in value:
+    for coordinate in value:
         require_number(
-            fields.file, fields.where("start").removeprefix(f"{fields.file}: "), one, at_least=-1e6, at_most=1e6
+            fields.file, fields.where("start").removeprefix(f"{fields.file}: "), coordinate, at_least=-1e6, at_most=1e6
         )
     return tuple(map(float, value))
 

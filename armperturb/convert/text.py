@@ -1,4 +1,4 @@
-"""Reads CSV and its kin: one line per sample, columns with names."""
+"""Reads text files of columns, such as CSV: one line per sample, below a line of names."""
 
 import csv
 import math
@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from armperturb.convert.raw import RawTrial, missing_channel, require_modest, split_trials
+from armperturb.convert.raw import RawTrial, missing_channel, split_trials
 from armperturb.convert.sidecar import Dialect
+from armperturb.foreign import require_modest
 
 MARKS = {b"PK\x03\x04": "a zip archive", b"\x89HDF": "an HDF5 file", b"MATLAB": "a MATLAB file", b"\x1f\x8b": "gzip"}
-"""How files begin that are no text."""
+"""First bytes of files that are not text."""
 
 
 def read_text(path: Path, names: Collection[str], number: str | None, dialect: Dialect) -> Sequence[RawTrial]:
@@ -28,7 +29,7 @@ def read_text(path: Path, names: Collection[str], number: str | None, dialect: D
       ValueError: the file is empty, no text, lacks a column, or holds what is no number; the message names the line.
       OSError: it cannot be read.
     """
-    require_modest(path, path.stat().st_size, "size")
+    require_modest(path)
     with path.open("rb") as file:
         start = file.read(8)
     for mark, what in MARKS.items():

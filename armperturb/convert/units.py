@@ -43,7 +43,7 @@ def quantity(value: object, ours: str, where: str) -> float:
     """A number in our unit, from a number or from text such as "31 cm".
 
     Args:
-      value: as found.
+      value: as the file has it.
       ours: unit of the result, and of a number without one.
       where: file and field, for the message.
 
@@ -61,11 +61,11 @@ def quantity(value: object, ours: str, where: str) -> float:
         raise ValueError(f"{where} = {value!r:.60}; expected a finite number, or one with its unit, e.g. '12 {ours}'")
     number, _, unit = value.strip().partition(" ")
     try:
-        found = float(number) if "_" not in number else math.nan
+        number_of_text = float(number) if "_" not in number else math.nan
     except ValueError:
-        found = math.nan
-    if not math.isfinite(found):
+        number_of_text = math.nan
+    if not math.isfinite(number_of_text):
         raise ValueError(f"{where} = {value!r}; expected a finite number, or one with its unit, e.g. '12 {ours}'")
     if unit.strip() not in UNITS[ours]:
         raise ValueError(f"{where} = {value!r}; expected a number with a unit: {', '.join(UNITS[ours])}")
-    return found * UNITS[ours][unit.strip()]
+    return number_of_text * UNITS[ours][unit.strip()]

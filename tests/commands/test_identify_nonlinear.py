@@ -8,7 +8,7 @@ import nonlinear_trials as made
 import numpy as np
 import pytest
 
-from armperturb import cli
+from armperturb import cli, workers
 from armperturb.analysis.nonlinear import estimate, identify
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.lab.experiment import run_experiment
@@ -29,7 +29,7 @@ def quick(monkeypatch):
     """Fits in the presence of little drawn noise."""
     monkeypatch.setattr(identify, "fit", partial(estimate.fit, n_pairs=1))
     monkeypatch.setattr(estimate, "N_PAIRS_OF_ERRORS", 2)
-    monkeypatch.setattr(cli.joblib, "cpu_count", lambda: 1)
+    monkeypatch.setattr(workers, "cpu_count", lambda: 1)
 
 
 def perturbed():
@@ -83,7 +83,7 @@ def test_a_search_that_is_interrupted_goes_on_and_writes_what_it_found(path, cap
         patch.setattr(estimate._Search, "_tell", tell)
         assert run(path, "--law", "linear") == 130
     said = capsys.readouterr().err.splitlines()
-    assert said[-1] == "armperturb: stopped; the same command goes on from here"
+    assert said[-1] == "armperturb: interrupted; the same command continues from here"
     assert said[-2].startswith("round 3: cost ")
     assert [one.name for one in out.iterdir()] == ["checkpoint.npz"]
 
@@ -123,15 +123,14 @@ def test_settings_that_do_not_go_together_are_refused(path, capsys):
         assert run(path, *options) == 1
         return capsys.readouterr().err.strip()
 
-    assert "identify: estimator = 'thesis'; expected 'record' with the nonlinear model" in refused(
+    assert "identify: estimator = 'thesis'; expected 'record' with --model nonlinear" in refused(
         "--estimator", "thesis"
     )
-    assert "identify: share = 'mass'; expected None with the nonlinear model" in refused("--share", "mass")
-    assert "identify: pulses = 'left'; expected directions with commas between" in refused("--pulses", "left")
+    assert "identify: share = ('mass',); expected () with --model nonlinear" in refused("--share", "mass")
     assert "pulses: no pulse in the direction 77 deg; expected some of 20, 200" in refused("--pulses", "77")
     assert "no subject 'S99'; expected one of" in refused("--subject", "S99")
-    assert "all pulses come before 65.48 s; expected a trial with a whole period" in refused("--start", "45")
+    assert "all pulses come before 45 s, or nothing perturbs the trials before them" in refused("--window-start", "45")
     assert not (path.parent / "out").exists()
     linear = ["identify", str(path), "--model", "1", "--out", str(path.parent / "o")]
     assert cli.main([*linear, "--law", "full"]) == 1
-    assert "identify: law = 'full'; expected none but of the nonlinear model" in capsys.readouterr().err
+    assert "identify: law = 'full'; expected None without --model nonlinear" in capsys.readouterr().err

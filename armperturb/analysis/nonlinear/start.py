@@ -79,7 +79,8 @@ def _period(conditions: Sequence[ConditionTrials], window_start: float) -> float
         if late.n_trials and late.is_perturbed(window_start):
             return late.period(window_start)
     raise ValueError(
-        f"{conditions[0].body.task}: nothing perturbs a trial from {window_start:g} s to its pulse; expected multisines"
+        f"{conditions[0].body.task}: all pulses come before {window_start:g} s, or nothing perturbs the trials before "
+        "them; expected a multisine (an earlier --window-start)"
     )
 
 

@@ -15,14 +15,11 @@ from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.linear_trials import simulate_linear_arms
 from armperturb.envs.lab.multibody_trials import simulate_multibody
 from armperturb.envs.lab.setup import Progress, Setup, Truth, in_threads
-from armperturb.envs.lab.trial import EMG, MARKER, Trial, pulse_of, require_integrable, subject_in
+from armperturb.envs.lab.trial import EMG, MARKER, MAX_DURATION, Trial, pulse_of, require_integrable, subject_in
 from armperturb.perturbations import check_bandwidth
 from armperturb.recording import make_recording
 from armperturb.subject import Subject
 from armperturb.validation import require_number
-
-MAX_DURATION = 3600.0
-"""Longest trial [s]: anything longer is a slip in a file, and would not fit into memory."""
 
 
 def run_experiment(

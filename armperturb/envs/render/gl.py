@@ -52,12 +52,15 @@ def require_simulator() -> None:
     """Import MuJoCo, which loads the library that MUJOCO_GL names.
 
     Raises:
+      ModuleNotFoundError: it is not installed.
       RuntimeError: it cannot be imported; the message says why, and what helps.
     """
     try:
         with naming_the_extra("the simulation"):
             importlib.import_module("mujoco")
     except Exception as error:  # of MuJoCo, PyOpenGL, or ctypes
+        if isinstance(error, ModuleNotFoundError) and error.name == "mujoco":
+            raise
         if "invalid value" in str(error) and "MUJOCO_GL" in str(error):
             given = os.environ["MUJOCO_GL"]
             raise RuntimeError(f"MUJOCO_GL = {given!r}; expected egl, osmesa, glfw or off, or unset") from error

@@ -2,7 +2,6 @@
 
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from shutil import copyfile
 from typing import Any
@@ -14,22 +13,18 @@ from PIL import Image
 
 from armperturb.arrays import Array
 from armperturb.envs.render.camera import TRAIL, Camera, force_arrows
+from armperturb.envs.render.clip import VIEWS, Clip
 from armperturb.envs.render.overlay import StripChart, draw_clock, label_layer, nice_force, text_size
 from armperturb.envs.render.replay import Replay
 from armperturb.extras import naming_the_extra
 from armperturb.files import written_whole
-from armperturb.validation import require_number
 
 Picture = NDArray[np.uint8]
 
-VIEWS = {"both": ("top", "oblique"), "top": ("top",), "oblique": ("oblique",)}
-"""What can be asked for, and the views that it shows, side by side."""
 
 FRAME_RATES = {".mp4": 30.0, ".gif": 20.0}
 """File ending to frames per second; those of a GIF stay whole hundredths of a second."""
 
-SMALLEST = (160, 120)
-"""Width and height of a view below which nothing can be read [pixel]."""
 
 LONGEST_ARROW = 0.3
 """Length of the arrow of the largest force [m], unless it would leave the picture."""
@@ -39,71 +34,6 @@ LONGEST_SCALE = 0.18
 
 SHORTEST_AXIS = 1.5
 """Length of the scale's axes in the picture, over the size of its text."""
-
-BEFORE_PULSE, AFTER_PULSE = 0.2, 1.0
-"""What a slow video shows before and after a pulse's onset [s]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Clip:
-    """What a video shows, and how.
-
-    Attributes:
-      view: "both", "top" or "oblique".
-      width: of each view [pixel], even.
-      height: of each view [pixel], a multiple of 4, so that the strip chart of half that height is even, too.
-      slow: how many times slower than life, > 0.
-      start: in the trial [s]; None for its start.
-      stop: in the trial [s]; None for its end, or for the limit of the workspace, where the handle met it. Where both
-        are None, a pulse that is slowed down is shown from `BEFORE_PULSE` before its onset to `AFTER_PULSE` after it.
-
-    Raises:
-      TypeError: a value has the wrong type.
-      ValueError: a value is out of its range.
-    """
-
-    view: str = "both"
-    width: int = 640
-    height: int = 480
-    slow: float = 1.0
-    start: float | None = None
-    stop: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.view not in VIEWS:
-            raise ValueError(f"video: view = {self.view!r}; expected one of {', '.join(VIEWS)}")
-        for name, least, most, multiple in (
-            ("width", SMALLEST[0], 1920, 2),
-            ("height", SMALLEST[1], 1440, 4),
-        ):
-            value = getattr(self, name)
-            require_number("video", name, value, at_least=least, at_most=most)
-            if value != int(value) or value % multiple:
-                raise ValueError(f"video: {name} = {value!r}; expected a multiple of {multiple} pixels")
-        require_number("video", "slow", self.slow, above=0.0, at_most=1000.0)
-        for name in ("start", "stop"):
-            if getattr(self, name) is not None:
-                require_number("video", name, getattr(self, name), at_least=0.0)
-
-    def window(self, replay: Replay) -> tuple[float, float]:
-        """Start and stop in a trial [s].
-
-        Raises:
-          ValueError: they are outside the trial, after the limit of the workspace, or in the wrong order.
-        """
-        end = replay.end
-        first = 0.0 if self.start is None else self.start
-        last = end if self.stop is None else self.stop
-        onset = replay.pulse_onset
-        if self.slow > 1.0 and onset is not None and onset < end and self.start is None and self.stop is None:
-            first, last = max(first, onset - BEFORE_PULSE), min(last, onset + AFTER_PULSE)
-        if not first < last <= end:
-            met = "" if replay.limit_time is None else f", before the limit of the workspace at {end:g} s"
-            raise ValueError(
-                f"video: from {first:g} s to {last:g} s; expected a start before the stop, and both in the trial of "
-                f"{replay.duration:g} s{met}"
-            )
-        return first, last
 
 
 def frame_times(replay: Replay, clip: Clip, frame_rate: float) -> Array:
@@ -135,7 +65,7 @@ def frames(replay: Replay, clip: Clip, times: Array) -> Iterator[Picture]:
       ValueError: the clip is outside the trial.
       RuntimeError: this machine cannot draw; the message names what to install.
     """
-    views, size = VIEWS[clip.view], (clip.width, clip.height)
+    views, (width, height) = VIEWS[clip.view], clip.size
     start, stop = clip.window(replay)
     shown = (replay.time >= start) & (replay.time <= stop)
     if shown.sum() < 2:  # between two samples
@@ -143,23 +73,23 @@ def frames(replay: Replay, clip: Clip, times: Array) -> Iterator[Picture]:
     qpos, d, f, displacement = (
         replay.at(values, times) for values in (replay.qpos, replay.disturbance, replay.reaction, replay.displacement)
     )
-    _simplify(replay.model, clip.height)
+    _simplify(replay.model, height)
     chart = StripChart(
         replay.time[shown],
         replay.disturbance[shown],
         replay.reaction[shown],
         replay.displacement[shown],
-        width=clip.width * len(views),
-        height=clip.height // 2,
-        unit=text_size(clip.height),
+        width=width * len(views),
+        height=height // 2,
+        unit=text_size(height),
         trail=TRAIL,
     )
-    with Camera(replay.model, width=clip.width, height=clip.height) as camera:
+    with Camera(replay.model, width=width, height=height) as camera:
         scale = arrow_scale(
             camera, views, replay.disturbance[shown], replay.reaction[shown], replay.displacement[shown]
         )
         layers = [
-            label_layer(size, replay.title if i == 0 else "", *scale_axes(camera, view, scale))
+            label_layer(clip.size, replay.title if i == 0 else "", *scale_axes(camera, view, scale))
             for i, view in enumerate(views)
         ]
         for i, now in enumerate(times):
@@ -229,7 +159,7 @@ def arrow_scale(
 def write_video(
     replay: Replay,
     out: str | Path,
-    clip: Clip = Clip(),
+    clip: Clip | None = None,
     *,
     progress: Callable[[int, int], object] | None = None,
 ) -> None:
@@ -238,7 +168,7 @@ def write_video(
     Args:
       replay: the trial.
       out: file to write, MP4 (H.264) or GIF by its ending.
-      clip: what is shown, and how.
+      clip: what is shown, and how; by default the whole trial, from both sides.
       progress: called with the number of frames that are done, and of all.
 
     Raises:
@@ -247,10 +177,11 @@ def write_video(
       OSError: the file cannot be written, or the encoder failed.
     """
     out = Path(out)
-    ending = require_ending(out)
+    ending, clip = require_ending(out), clip or Clip()
     frame_rate = FRAME_RATES[ending]
     times = frame_times(replay, clip, frame_rate)
-    shape = (clip.height + clip.height // 2, clip.width * len(VIEWS[clip.view]))
+    width, height = clip.size
+    shape = (height + height // 2, width * len(VIEWS[clip.view]))
     with written_whole(out) as temporary, tempfile.TemporaryDirectory() as folder:
         # Elsewhere, as the encoder goes by a file's ending.
         encoded = Path(folder) / f"video{ending}"

@@ -9,71 +9,34 @@ multisine, and no joint is loaded more than by that one; what quieter people wou
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, rfft
 
 from armperturb.analysis.arm.linear_arm import total_admittance
-from armperturb.analysis.arm.state_space import require_stable
-from armperturb.analysis.fit.structures import GRIP_UNITS, STRUCTURES, Structure, at_truth, true_values, unit
-from armperturb.analysis.force_balance import NoiseLevels
+from armperturb.analysis.fit.structures import GRIP_UNITS, true_values, unit
 from armperturb.arrays import Array
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
-from armperturb.envs.lab.experiment import MAX_DURATION
 from armperturb.envs.lab.instruments import Instruments
-from armperturb.perturbations import CLUSTERS, Multisine, Perturbation, Sampled
+from armperturb.perturbations import CLUSTERS, Multisine, Sampled
 from armperturb.perturbations.line_spectrum import draw_multisine
 from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD, PERIOD_SAMPLES
-from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
 from armperturb.seeds import trial_seed
 from armperturb.study.planning.information import Experiment, Limits, Noise, optimise
+from armperturb.study.planning.settings import DesignSettings, NoiseLaw, noise_levels
 from armperturb.subject import Subject
-from armperturb.validation import require_number
 
 Row = dict[str, Any]
 
-Goal = Literal["reflex", "intrinsic", "grip", "mass", "all"]
-"""Parameters whose standard errors are to be small."""
-
-NoiseLaw = Literal["held", "follows"]
-"""How noisy the person is: as under the thesis's multisine, and more only where a joint is loaded more; or as the
-synthetic people, whose noise rises and falls with the load."""
-
-_QUANTITIES: Mapping[str, tuple[str, ...]] = {
-    "reflex": ("kv", "kp", "ka", "kf", "Td", "fact"),
-    "intrinsic": ("b", "k"),
-    "mass": ("m",),
-}
-_GAINS = tuple(f"{quantity}_{joint}" for quantity in ("kv", "kp", "ka", "kf") for joint in ("s", "se", "e"))
-
-SPREAD = 0.2
-"""Share of each axis's power that is spread evenly over the band [-]. The optimum alone sits on a handful of
-frequencies: whether the structure is right could not be told from it, nor admittances between them, and a person who
-is not as assumed would be badly served. A fifth costs little (docs/design.md has the figures)."""
 
 GAP, RATIO = 7, 1.06
 """From a cluster to the next: at least so many lines (three empty ones between), and such a ratio of frequencies."""
 
 TIMESTEP = 1e-3
 """Of the simulation, whose noise is meant [s]."""
-
-
-SHORTEST_PERIOD = PERIOD / 4
-"""Of a multisine [s]; its clusters are 0.8 Hz wide."""
-
-SETTLING = 4.0
-"""Time that a record must leave before the window of a period, in which spectra are estimated [s]."""
-
-USUAL_START = 8.0
-"""Of that window where the record is long enough [s]."""
-
-MOST_TRIALS = 1000
-
-LEAST_FORCE, MOST_FORCE = 1e-3, 1e3
-"""Of a limit [N]: below gauges tell nothing, above no manipulator goes."""
 
 
 def cluster_starts(period: float = PERIOD) -> NDArray[np.int64]:
@@ -88,119 +51,6 @@ def cluster_starts(period: float = PERIOD) -> NDArray[np.int64]:
     while (following := max(starts[-1] + GAP, round(RATIO * starts[-1]))) <= highest:
         starts.append(following)
     return np.array(starts)
-
-
-@dataclass(frozen=True, kw_only=True)
-class DesignSettings:
-    """What is to be planned.
-
-    Attributes:
-      subject: who will be perturbed, as far as is known.
-      goal: whose standard errors are to be small, see `Goal`.
-      limits: RMS force per axis [N], RMS displacement of the handle per axis that the perturbation causes [m], and
-        duration of a trial [s].
-      model: structure that will be fitted, see `analysis.structures`; what it fixes is known. By default 3b, or 1 for a
-        person without reflexes.
-      trials: that will be identified together, each with phases of its own.
-      peak: largest force there may ever be on an axis [N]; None for no such limit.
-      spread: share of each axis's power that is spread evenly over the band, 0 to 1 [-].
-      noise: for which the lines are chosen, see `NoiseLaw`.
-      proposed: perturbation whose standard errors are to be told beside; it need not keep the limits.
-      seed: of the phases.
-
-    Raises:
-      TypeError: a value has the wrong type.
-      ValueError: a value is out of its range, the model has no such parameters, or the person is unstable.
-    """
-
-    subject: Subject
-    goal: Goal
-    limits: tuple[float, float, float]
-    model: str | None = None
-    trials: int = 8
-    peak: float | None = None
-    spread: float = SPREAD
-    noise: NoiseLaw = "held"
-    proposed: Perturbation | None = None
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for field, allowed in (("goal", get_args(Goal)), ("noise", get_args(NoiseLaw))):
-            if getattr(self, field) not in allowed:
-                raise ValueError(f"design: {field} = {getattr(self, field)!r}; expected one of {', '.join(allowed)}")
-        if len(self.limits) != 3:
-            raise ValueError(
-                f"design: limits = {self.limits!r}; expected three numbers: RMS force [N], RMS displacement [m], "
-                "duration [s]"
-            )
-        force, displacement, duration = self.limits
-        require_number("design", "limit of the force [N]", force, at_least=LEAST_FORCE, at_most=MOST_FORCE)
-        name = "limit of the displacement [m]"
-        require_number("design", name, displacement, above=0.0, at_most=LARGEST_RMS_DISPLACEMENT)
-        # What is less than the encoders' steps is lost in them.
-        least = noise_levels(Instruments()).displacement
-        if displacement < least:
-            raise ValueError(
-                f"design: {name} = {displacement:g}; expected at least the noise of the encoders, {least:.2g} m"
-            )
-        # A period that is not whole tells no lines apart.
-        shortest = SHORTEST_PERIOD + SETTLING
-        require_number("design", "duration [s]", duration, at_least=shortest, at_most=MAX_DURATION)
-        if self.model is not None and self.model not in STRUCTURES:
-            raise ValueError(f"design: model = {self.model!r}; expected one of {', '.join(STRUCTURES)}")
-        require_number("design", "trials", self.trials, at_least=1, at_most=MOST_TRIALS)
-        require_number("design", "seed", self.seed, at_least=0)
-        for field in ("trials", "seed"):
-            if not isinstance(getattr(self, field), int):
-                raise TypeError(f"design: {field} = {getattr(self, field)!r}; expected a whole number")
-        if self.peak is not None:
-            require_number("design", "peak [N]", self.peak, at_least=LEAST_FORCE)
-        require_number("design", "spread", self.spread, at_least=0.0, at_most=1.0)
-        if self.proposed is not None:
-            name = "duration of the proposed perturbation [s]"
-            require_number("design", name, self.proposed.duration, at_least=shortest, at_most=MAX_DURATION)
-        require_stable(self.subject, Environment())
-        if not self.wanted():
-            lacking = "" if any(self._gains()) else f", and {self.subject.name!r} no reflexes"
-            raise ValueError(
-                f"design: goal = {self.goal!r}; expected another, as model {self.model_name()} leaves none of these "
-                f"parameters free{lacking}"
-            )
-
-    def _gains(self) -> list[float]:
-        return [getattr(self.subject, name) for name in _GAINS]
-
-    @property
-    def period(self) -> float:
-        """Of the multisine [s]: the thesis's, or its half or quarter where the duration is too short for that."""
-        period = PERIOD
-        while period + SETTLING > self.limits[2]:
-            period /= 2.0
-        return period
-
-    @property
-    def start(self) -> float:
-        """Of the window of whole periods in which `identify` estimates spectra [s]."""
-        return min(USUAL_START, self.limits[2] - self.period)
-
-    def model_name(self) -> str:
-        """Name of the structure that will be fitted."""
-        return self.model or ("3b" if any(self._gains()) else "1")
-
-    def structure(self) -> Structure:
-        """What will be fitted, what it fixes being known."""
-        structure = STRUCTURES[self.model_name()]
-        return at_truth(structure, self.subject).named(structure.name)
-
-    def wanted(self) -> tuple[str, ...]:
-        """Free parameters that the goal names."""
-        free = self.structure().free
-        if self.goal == "all":
-            return free
-        if self.goal == "grip":
-            return tuple(name for name in free if name in GRIP_UNITS)
-        quantities = _QUANTITIES[self.goal]
-        return tuple(name for name in free if name not in GRIP_UNITS and name.partition("_")[0] in quantities)
 
 
 class Signal(NamedTuple):
@@ -335,7 +185,7 @@ def design(settings: DesignSettings) -> Design:
     Raises:
       ValueError: no multisine tells about some of the model's parameters; the message names them.
     """
-    force, displacement, duration = settings.limits
+    force, displacement, duration = settings.force, settings.displacement, settings.duration
     structure, starts = settings.structure(), cluster_starts(settings.period)
     n_period = round(settings.period * DESIGN_RATE)
     seeds = [trial_seed(settings.seed, "design", number) for number in range(settings.trials)]
@@ -380,7 +230,7 @@ def design(settings: DesignSettings) -> Design:
         truth=true_values(settings.subject, structure),
         thesis=signal(usual, thesis),
         optimised=signal(best, scale**2 * optimum.power),
-        proposed=None if settings.proposed is None else proposed_signal(settings, usual_demand),
+        proposed=None if settings.perturbation is None else proposed_signal(settings, usual_demand),
         perturbations=tuple(Sampled(force=scale * one.force, rate=one.rate) for one in drawn),
         excess=optimum.excess,
     )
@@ -404,10 +254,10 @@ def proposed_signal(settings: DesignSettings, usual_demand: Array) -> Signal:
     Raises:
       ValueError: it tells nothing about some of the model's parameters; the message names them.
     """
-    assert settings.proposed is not None
-    lasts = settings.proposed.duration
+    assert settings.perturbation is not None
+    lasts = settings.perturbation.duration
     n_samples = round(lasts * DESIGN_RATE)
-    spectrum = 2.0 * rfft(settings.proposed.sample(DESIGN_RATE, n_samples), axis=0) / n_samples
+    spectrum = 2.0 * rfft(settings.perturbation.sample(DESIGN_RATE, n_samples), axis=0) / n_samples
     frequency = np.arange(len(spectrum)) * DESIGN_RATE / n_samples
     kept = (frequency > 0.0) & (frequency < DESIGN_RATE / 2.0)  # a constant force tells nothing of what moves
     of, amplitudes = experiment_at(settings, frequency[kept]), spectrum[kept]
@@ -421,7 +271,7 @@ def proposed_signal(settings: DesignSettings, usual_demand: Array) -> Signal:
             settings.trials,
         )
     except ValueError as error:
-        raise ValueError(f"proposed perturbation: {error}") from None
+        raise ValueError(f"perturbation: {error}") from None
 
 
 def _signal(
@@ -472,11 +322,3 @@ def displacements(subject: Subject, perturbation: Sampled, n_period: int = PERIO
     spectrum = rfft(perturbation.force[:n_period], axis=0)[1:] / n_period
     total = total_admittance(subject, Environment(), np.arange(1, len(spectrum) + 1) * perturbation.rate / n_period)
     return np.asarray(np.sqrt(2.0 * np.sum(np.abs(np.einsum("fij,fj->fi", total, spectrum)) ** 2, axis=0)))
-
-
-def noise_levels(instruments: Instruments) -> NoiseLevels:
-    """Noise of gauge and encoders per sample, the latter from rounding to counts where the handle starts."""
-    step = 2.0 * np.pi / 2**instruments.encoder_bits
-    # Of the handle per rad of each joint: its distance from that joint.
-    levers = np.hypot(*instruments.base), instruments.link_lengths[1]
-    return NoiseLevels(instruments.force_noise, float(step / np.sqrt(12.0) * np.hypot(*levers) / np.sqrt(2.0)))

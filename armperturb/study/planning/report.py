@@ -16,7 +16,8 @@ from armperturb.perturbations import save_perturbation
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.plots.style import COLOURS, INK, PUBLISHED, in_style, new_figure, save_svg
 from armperturb.study.planning.information import effective_duration
-from armperturb.study.planning.plan import SETTLING, USUAL_START, Design, NoiseLaw, Signal
+from armperturb.study.planning.plan import Design, Signal
+from armperturb.study.planning.settings import SETTLING, USUAL_START, NoiseLaw
 
 LOOKS = {
     "thesis's multisine": {"color": PUBLISHED["color"]},
@@ -38,11 +39,10 @@ LONGEST = 8
 def design_text(design: Design) -> str:
     """The table for a terminal: standard errors in percent of the value, or in its unit where that is zero."""
     settings = design.settings
-    force, displacement, duration = settings.limits
     head = (
         f"{settings.subject.name!r} ({settings.subject.task}), model {settings.model_name()}, goal {settings.goal}: "
-        f"{settings.trials} trial{'' if settings.trials == 1 else 's'} of {duration:g} s, RMS of at most {force:g} N "
-        f"and {1e3 * displacement:g} mm per axis"
+        f"{settings.trials} trial{'' if settings.trials == 1 else 's'} of {settings.duration:g} s, RMS of at most "
+        f"{settings.force:g} N and {1e3 * settings.displacement:g} mm per axis"
     )
     columns = {"sem_thesis": "SEM thesis", "sem_optimised": "optimised"}
     if design.proposed is not None:
@@ -75,14 +75,14 @@ def design_text(design: Design) -> str:
     for name, signal in _signals(design):
         forces = ", ".join(f"{value:.2f}" for value in np.sqrt(signal.power.sum(axis=0)))
         moves = ", ".join(f"{1e3 * value:.1f}" for value in signal.displacement)
-        lasts = "" if signal.duration == duration else f"; {signal.duration:g} s"
+        lasts = "" if signal.duration == settings.duration else f"; {signal.duration:g} s"
         lines.append(f"{name}: RMS force x, y {forces} N; RMS displacement {moves} mm{lasts}")
     peaks = [row["peak_force_N"] for row in design.signal_rows()]
     lines.append(f"largest force of the realisations: {max(peaks):.1f} N")
     if settings.period < PERIOD or settings.start < USUAL_START:
         lines.append(
             f"period {settings.period:g} s, for which there is time: identify with --period {settings.period:g} "
-            f"--start {settings.start:g}"
+            f"--window-start {settings.start:g}"
         )
     return "\n".join(lines)
 
@@ -95,7 +95,7 @@ def _signals(design: Design) -> list[tuple[str, Signal]]:
 @in_style()
 def design_figure(design: Design) -> Figure:
     """Standard errors against duration and number of trials, and the spectra, of both signals."""
-    settings, duration = design.settings, design.settings.limits[2]
+    settings, duration = design.settings, design.settings.duration
     columns = [design.names.index(name) for name in settings.wanted()]
     known = bool(design.truth[columns].all())
     figure = new_figure(5.2)
@@ -191,9 +191,9 @@ def write_design(design: Design, folder: Path) -> None:
         save_perturbation(perturbation, perturbations / f"trial_{number:02d}.csv", perturbation.rate)
     save_svg(design_figure(design), figures / "design.svg")
     settings = design.settings
-    asked = {**asdict(replace(settings, proposed=None)), "model": settings.model_name()}
-    if settings.proposed is not None:
-        asked["proposed"] = {"duration": settings.proposed.duration}
+    asked = {**asdict(replace(settings, perturbation=None)), "model": settings.model_name()}
+    if settings.perturbation is not None:
+        asked["perturbation"] = {"duration": settings.perturbation.duration}
     made = {
         "versions": {name: importlib.metadata.version(name) for name in ("armperturb", "numpy", "scipy")},
         "settings": asked,

@@ -10,15 +10,14 @@ import math
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager, closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import joblib
 import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from armperturb.cohort import MUSCLES, Person, draw_cohort
+from armperturb.cohort import Person
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
@@ -26,70 +25,16 @@ from armperturb.envs.lab.trial import Trial
 from armperturb.files import write_durably
 from armperturb.perturbations import Multisine
 from armperturb.recording import encode_recording, stack_trials
-from armperturb.study.protocol import FORCES, THESIS, Protocol, load_protocol
+from armperturb.study.protocol import Protocol
 from armperturb.study.recording.folder import StudyFolder, cannot_write, open_study
 from armperturb.study.recording.manifest import Manifest
 from armperturb.study.recording.practice import practise
+from armperturb.study.recording.settings import BLOCK, StudySettings
 from armperturb.validation import require_number
-from armperturb.workers import LOG, Workers, completed, ctrl_c_held_back, workers_for
-
-BLOCK = 96
-"""How many trials are simulated side by side unless told otherwise: more hardly gains speed, but takes memory."""
+from armperturb.workers import LOG, Workers, completed, cpu_count, ctrl_c_held_back, workers_for
 
 PROGRESS_INTERVAL = 0.2
 """How often a worker tells how far it is [s]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class StudySettings:
-    """What determines a study.
-
-    Attributes:
-      subjects: number of people.
-      seed: of everything random.
-      protocol: file of what everyone goes through, see `armperturb.study.protocol`; the thesis's if None.
-      ideal: whether people and instruments are free of noise.
-      forces: "practice" or "published", whatever the protocol says; None for what it says.
-      muscles: "nonlinear" or "linear" people, see `armperturb.cohort.draw_person`.
-
-    Raises:
-      TypeError: a value is not a number.
-      ValueError: a value is out of its range.
-    """
-
-    subjects: int = 10
-    seed: int = 0
-    protocol: Path | None = None
-    ideal: bool = False
-    forces: str | None = None
-    muscles: str = "nonlinear"
-
-    def __post_init__(self) -> None:
-        require_number("study", "subjects", self.subjects, at_least=1)
-        require_number("study", "seed", self.seed, at_least=0)
-        if self.forces is not None and self.forces not in FORCES:
-            raise ValueError(f"study: forces = {self.forces!r}; expected one of {', '.join(FORCES)}")
-        if self.muscles not in MUSCLES:
-            raise ValueError(f"study: muscles = {self.muscles!r}; expected one of {', '.join(MUSCLES)}")
-
-    def load_protocol(self) -> Protocol:
-        """The protocol that they name, with their `forces`.
-
-        Raises:
-          TypeError: a value in the file has the wrong type.
-          ValueError: the file is refused.
-          OSError: the file cannot be read.
-        """
-        protocol = THESIS if self.protocol is None else load_protocol(self.protocol)
-        return protocol if self.forces is None else replace(protocol, forces=self.forces)
-
-    def draw_people(self, environment: Environment) -> tuple[Person, ...]:
-        """The people that they name, each stable on the environment.
-
-        Raises:
-          RuntimeError: no stable person was found, which only an odd environment can cause.
-        """
-        return draw_cohort(self.subjects, self.seed, environment, muscles=self.muscles)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,7 +131,7 @@ def record_study(
 def worker_count(workers: int | None, n_subjects: int) -> int:
     """Number of processes, None standing for about one per core: no more than there is work for."""
     if workers is None:
-        cores = joblib.cpu_count()
+        cores = cpu_count()
         # One process in four more than cores costs little, and is worth it if then none is idle in the last round.
         workers = next((count for count in range(cores, cores + cores // 4 + 1) if n_subjects % count == 0), cores)
     return min(workers, n_subjects)

@@ -7,10 +7,8 @@ error with the Cramer-Rao bound (of all that the trials hold), and its intervals
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
-import joblib
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -19,8 +17,8 @@ from tqdm import tqdm
 
 from armperturb.analysis.fit.identify import Estimator
 from armperturb.analysis.fit.maximum_likelihood import Group, Method, estimate
-from armperturb.analysis.fit.structures import STRUCTURES, Structure, at_truth, true_values, unit
-from armperturb.analysis.fit.thesis import MODEL_3_WIDE, fit_trials
+from armperturb.analysis.fit.structures import Structure, at_truth, true_values, unit
+from armperturb.analysis.fit.thesis import fit_trials
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
@@ -29,31 +27,18 @@ from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.seeds import trial_seed
-from armperturb.subject import POSITION, RELAX, TASKS, Subject
+from armperturb.study.validation.settings import ValidateSettings
+from armperturb.subject import Subject
 from armperturb.validation import require_number
-from armperturb.workers import completed, workers_for
+from armperturb.workers import completed, cpu_count, workers_for
 
 Row = dict[str, Any]
-
-Wrong = Literal["nothing", "delay", "force-feedback", "grip"]
-"""What is wrong on purpose with the structure that is fitted."""
-
-ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
 
 RMS_FORCE = {"PT": 5.4, "RT": 0.9}
 """Published RMS force per axis in PT7.5 and RT7.5 [N] (table 2.1)."""
 
 DURATION = 32.0
 """Of a trial [s], as the multisine of section 2.4."""
-
-WRONG_DELAY = 0.010
-"""By how much the fixed delay is off [s]."""
-
-WRONG_GRIP = 0.8
-"""Fixed over true grip stiffness [-]."""
-
-FORCE_FEEDBACK = -0.5
-"""Gain of the inhibition by tendon organs that the structure leaves out [-]; the published ones are near it (C.8)."""
 
 SAME_OPTIMUM = 0.5
 """Twice the log likelihood by which a fit may miss the one that starts at the truth [-]; a datum tells about one."""
@@ -63,108 +48,6 @@ SAME_CRITERION = 0.01
 
 BIASED = 2.0
 """From how many standard errors on the mean error of a parameter makes a run a biased one [-]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ValidateSettings:
-    """What a validation is made of.
-
-    Attributes:
-      task: "PT" or "RT": whose preset is perturbed, in the manner of PT7.5 or RT7.5.
-      subject: TOML file of who is perturbed instead; its task is used.
-      model: structure that is fitted, see `fit.structures`; what it fixes is fixed at the truth. Delay
-        and cut-off, where free, have the bounds of table D.2: the cut-off of 3.5 Hz is beyond those of table C.2.
-      groups: how often it all is repeated.
-      trials: that are identified together.
-      estimators: of `ESTIMATORS`, those that are judged.
-      noise: factor on the person's noise; 0 leaves the instruments' alone.
-      force: RMS force of the multisine, per axis [N]; the published one of the task if None.
-      wrong: what is wrong on purpose.
-      multibody: whether MuJoCo's arm is perturbed, which moves in a circle; the linear one if not, for which the
-        structure is exactly right.
-      seed: of everything random.
-
-    Raises:
-      TypeError: a value has the wrong type.
-      ValueError: a value is out of its range.
-    """
-
-    task: str = "PT"
-    subject: Path | None = None
-    model: str = "3b"
-    groups: int = 40
-    trials: int = 8
-    estimators: tuple[Estimator, ...] = ESTIMATORS
-    noise: float = 1.0
-    force: float | None = None
-    wrong: Wrong = "nothing"
-    multibody: bool = False
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.task not in TASKS:
-            raise ValueError(f"validate: task = {self.task!r}; expected one of {', '.join(TASKS)}")
-        if self.model not in STRUCTURES:
-            raise ValueError(f"validate: model = {self.model!r}; expected one of {', '.join(STRUCTURES)}")
-        for name, least in (("groups", 1), ("trials", 1), ("seed", 0)):
-            value = getattr(self, name)
-            require_number("validate", name, value, at_least=least)
-            if not isinstance(value, int):
-                raise TypeError(f"validate: {name} = {value!r}; expected a whole number")
-        if not self.estimators or len(set(self.estimators)) < len(self.estimators):
-            raise ValueError(f"validate: estimators = {self.estimators!r}; expected at least one, each once")
-        for name in self.estimators:
-            if name not in ESTIMATORS:
-                raise ValueError(f"validate: estimators = {name!r}; expected some of {', '.join(ESTIMATORS)}")
-        require_number("validate", "noise", self.noise, at_least=0.0)
-        if self.force is not None:
-            require_number("validate", "force", self.force, above=0.0)
-        if self.wrong not in get_args(Wrong):
-            raise ValueError(f"validate: wrong = {self.wrong!r}; expected one of {', '.join(get_args(Wrong))}")
-
-    def truth(self) -> Subject:
-        """Who is perturbed.
-
-        Raises:
-          ValueError: the file is refused.
-          OSError: the file cannot be read.
-        """
-        subject = Subject.load(self.subject) if self.subject else {"PT": POSITION, "RT": RELAX}[self.task]
-        if self.wrong == "force-feedback":
-            subject = replace(subject, kf_s=FORCE_FEEDBACK, kf_e=FORCE_FEEDBACK)
-        return subject
-
-    def structure(self) -> Structure:
-        """What is fitted: the model, with what it fixes at the truth but for what is wrong on purpose.
-
-        Raises:
-          ValueError: as `truth`; or the truth is outside the model's bounds, or what is to be wrong has no effect.
-        """
-        truth, structure = self.truth(), STRUCTURES[self.model]
-        wide = {
-            name: (MODEL_3_WIDE.bounds[name][0], structure.initial[name], MODEL_3_WIDE.bounds[name][1])
-            for name in structure.free
-            if name.startswith(("Td_", "fact_"))
-        }
-        structure = at_truth(structure.freeing(**wide), truth)
-        if self.wrong == "delay":
-            if not any(getattr(truth, f"{gain}_{joint}") for gain in ("kv", "kp", "ka") for joint in ("s", "se", "e")):
-                raise ValueError(
-                    f"validate: wrong = {self.wrong!r}; expected another for {truth.name!r}, in whom nothing is delayed"
-                )
-            structure = structure.fixing(**{name: getattr(truth, name) + WRONG_DELAY for name in ("Td_s", "Td_e")})
-        elif self.wrong == "force-feedback":
-            structure = structure.fixing(kf_s=0.0, kf_se=0.0, kf_e=0.0)
-        elif self.wrong == "grip":
-            structure = structure.fixing(k_h=WRONG_GRIP * truth.k_h)
-        for name, value in zip(structure.free, true_values(truth, structure), strict=True):
-            lower, upper = structure.bounds[name]
-            if not lower <= value <= upper:
-                raise ValueError(
-                    f"validate: {name} = {value:g} {unit(name)} in {truth.name!r}; expected {lower:g} to {upper:g}, "
-                    f"the bounds of model {self.model}"
-                )
-        return structure.named(self.model)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -285,7 +168,7 @@ def validate(settings: ValidateSettings, *, workers: int | None = None, show_pro
     """
     settings.structure()
     if workers is None:
-        workers = joblib.cpu_count()
+        workers = cpu_count()
     require_number("validate", "workers", workers, at_least=1)
     units, do, results = range(settings.groups), partial(run_group, settings), []
     with (

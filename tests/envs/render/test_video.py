@@ -67,7 +67,7 @@ def replay():
     return Replay.of_trial(recorded(), 0)
 
 
-SMALL = Clip(width=160, height=120, start=1.0, stop=1.2)
+SMALL = Clip(size=(160, 120), start=1.0, stop=1.2)
 
 
 def decoded(path):
@@ -212,7 +212,7 @@ def test_the_scale_can_be_read_and_is_true(replay, size, view):
 
 @needs_gl
 def test_a_frame_shows_forces_while_they_act(replay):
-    clip = replace(SMALL, width=320, height=240, view="top", start=0.5, stop=1.5)
+    clip = replace(SMALL, size=(320, 240), view="top", start=0.5, stop=1.5)
     during, after = frames(replay, clip, np.array([1.04, 1.3]))
 
     def vermillion(picture):
@@ -236,7 +236,7 @@ def test_clock(time, slow, text):
 
 @needs_gl
 def test_the_clock_is_in_the_frame(replay):
-    clip = replace(SMALL, width=320, height=240, view="top")
+    clip = replace(SMALL, size=(320, 240), view="top")
     hold = replace(replay, qpos=np.repeat(replay.qpos[:1], 200, axis=0), displacement=np.zeros((200, 2)))
     first, second = frames(hold, clip, np.array([1.15, 1.16]))
     rows, columns = np.nonzero((first[:240] != second[:240]).any(axis=2))
@@ -298,12 +298,10 @@ def refused(capsys, *arguments):
     [
         (("--trial", 2), "trial = 2; expected 0 to 1"),
         (("--trial", -1), "trial = -1; expected 0 to 1"),
-        (("--view", "front"), "view = 'front'; expected one of both, top, oblique"),
-        (("--size", "641x480"), "width = 641; expected a multiple of 2 pixels"),
-        (("--size", "640x482"), "height = 482; expected a multiple of 4 pixels"),
-        (("--size", "64x48"), "width = 64; expected a finite number at least 160 and at most 1920"),
-        (("--size", "640x4800"), "height = 4800; expected a finite number at least 120 and at most 1440"),
-        (("--size", "big"), "size = 'big'; expected width x height in pixels, e.g. 640x480"),
+        (("--size", 641, 480), "width = 641; expected a multiple of 2 pixels"),
+        (("--size", 640, 482), "height = 482; expected a multiple of 4 pixels"),
+        (("--size", 64, 48), "width = 64; expected a finite number at least 160 and at most 1920"),
+        (("--size", 640, 4800), "height = 4800; expected a finite number at least 120 and at most 1440"),
         (("--slow", 0), "slow = 0.0; expected a finite number above 0"),
         (("--slow", -3), "slow = -3.0; expected a finite number above 0"),
         (("--slow", "nan"), "slow = nan; expected a finite number above 0"),
@@ -318,8 +316,10 @@ def refused(capsys, *arguments):
 def test_refusals_of_video(file, capsys, monkeypatch, options, message):
     monkeypatch.chdir(file.parent)
     (file.parent / "folder.mp4").mkdir()
-    arguments = {"--trial": 0, "--out": "a.mp4", **{options[0]: options[1]}}
-    assert message in refused(capsys, "video", file, *(word for pair in arguments.items() for word in pair))
+    arguments = {"--trial": (0,), "--out": ("a.mp4",), **{options[0]: options[1:]}}
+    assert message in refused(
+        capsys, "video", file, *(word for name, values in arguments.items() for word in (name, *values))
+    )
     assert sorted(path.name for path in file.parent.iterdir()) == ["folder.mp4", "rec.nc"]
 
 
@@ -365,7 +365,7 @@ def test_a_failing_encoder_leaves_the_old_file(file, capsys, monkeypatch):
     out = file.parent / "a.mp4"
     out.write_bytes(b"old")
     monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: "/bin/false")
-    options = ("--trial", 0, "--out", out, "--size", "160x120", "--stop", 0.2)
+    options = ("--trial", 0, "--out", out, "--size", 160, 120, "--stop", 0.2)
     assert "a.mp4: the encoder failed" in refused(capsys, "video", file, *options)
     assert out.read_bytes() == b"old"
     assert sorted(os.listdir(file.parent)) == ["a.mp4", "rec.nc"]
@@ -374,7 +374,7 @@ def test_a_failing_encoder_leaves_the_old_file(file, capsys, monkeypatch):
 @needs_gl
 def test_command_writes_a_video(file, capsys):
     out = file.parent / "a.MP4"
-    options = ("--trial", 0, "--out", out, "--size", "160x120", "--stop", 0.2, "--view", "top")
+    options = ("--trial", 0, "--out", out, "--size", 160, 120, "--stop", 0.2, "--view", "top")
     assert cli.main([str(word) for word in ("video", file, *options)]) == 0
     assert capsys.readouterr().out == f"video: {out}\n"
     assert decoded(out)[1].shape == (6, 180, 160, 3)
@@ -434,7 +434,7 @@ def test_viewer_simulates_a_person_at_rest(window, tmp_path):
 
 
 def test_viewer_refuses_what_does_not_go_together(file, window, capsys):
-    assert "expected none beside a recording" in refused(capsys, "view", file, "--subject", "a.toml")
+    assert "expected none together with a recording" in refused(capsys, "view", file, "--subject", "a.toml")
     assert "slow = 0.0; expected a finite number above 0" in refused(capsys, "view", file, "--slow", 0)
     assert "trial = 5; expected 0 to 1" in refused(capsys, "view", file, "--trial", 5)
 

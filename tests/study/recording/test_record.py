@@ -236,7 +236,7 @@ def stop_by_ctrl_c(out, protocol, workers):
     _, errors = run.communicate(timeout=PATIENCE)
     took = time.monotonic() - start
     assert run.returncode == 130, errors
-    assert errors == "armperturb: stopped; the same command goes on from here\n"
+    assert errors == "armperturb: interrupted; the same command continues from here\n"
     psutil.wait_procs(workers_then, timeout=5.0)
     assert not [process for process in workers_then if process.is_running() and process.status() != "zombie"]
     return took

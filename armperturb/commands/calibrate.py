@@ -1,0 +1,52 @@
+"""`armperturb calibrate`."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from armperturb.commands.command import Command
+from armperturb.files import require_folder_of
+from armperturb.subject import TASKS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrate(Command):
+    """Find the average person around whom cohorts are drawn, from the published tables 2.1, F.2, F.3 and F.4."""
+
+    needs_simulator = True
+
+    out: Path
+    """TOML file to write; the package's own is armperturb/average_person.toml."""
+    laws: tuple[Literal["linear", "short-range", "full"], ...] = ("full",)
+    """Muscle laws to calibrate; the person that is written is that of the full law, the others are for comparison."""
+    seed: int = 0
+    """Seed of the multisines."""
+    iterations: int = 20
+    """Largest number of steps of the search."""
+
+    def run(self) -> list[str]:
+        """Calibrate, and write the average person."""
+        from armperturb.study.experiments.calibration import calibrate, save_calibrations, summary
+
+        if "full" not in self.laws:
+            raise ValueError(f"laws = {self.laws!r}; expected 'full' among them, as its person is written")
+        require_folder_of(self.out)
+        calibrations = []
+        for law in dict.fromkeys(self.laws):
+            for task in TASKS:
+
+                def report_progress(line: str, name: str = f"{law}, {task}") -> None:
+                    print(f"{name}: {line}", file=sys.stderr, flush=True)
+
+                calibrations.append(
+                    calibrate(task, law, seed=self.seed, max_iterations=self.iterations, progress=report_progress)
+                )
+        save_calibrations(self.out, calibrations)
+        lines = [
+            f"{row['law']}, {row['task']}, {row['n']} cells {row['cells']}: {row['within_0.5_sd']:.0%} within 0.5, "
+            f"{row['within_1_sd']:.0%} within 1, {row['within_2_sd']:.0%} within 2 SD; "
+            f"RMS {row['rms_deviation']:.2f} SD"
+            for row in summary(calibrations)
+        ]
+        return [*lines, f"average person: {self.out}"]

@@ -1,0 +1,39 @@
+"""`armperturb convert`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from armperturb.commands.command import Command
+from armperturb.convert import export_recording, import_recording
+from armperturb.convert.exporter import require_ending
+from armperturb.convert.faults import Repair
+from armperturb.files import require_folder_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class Convert(Command):
+    """Turn a laboratory's files into a recording, or a recording into files for other programs."""
+
+    files: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """CSV, MATLAB or C3D files with a JSON sidecar that describes them, or recordings (netCDF4); the output holds the
+    trials of all of them."""
+    out: Path
+    """Recording to write (.nc), or text (.csv) or MATLAB (.mat) with a sidecar beside it."""
+    sidecar: Path | None = None
+    """Sidecar of all files, see docs/recordings.md; by default FILE.json beside each."""
+    repair: tuple[Repair, ...] = ()
+    """Faults to repair instead of refusing them: gaps and dropped samples of up to 0.1 s, an uneven clock, unequal
+    lengths; trials leaves out those with other faults."""
+    rate: float | None = None
+    """Sampling rate of the recording [Hz]; by default that of the files."""
+
+    def run(self) -> list[str]:
+        """Read the files and write their trials in the other format."""
+        require_ending(self.out)  # before long recordings are read
+        require_folder_of(self.out)
+        imported = import_recording(self.files, sidecar=self.sidecar, repair=self.repair, rate=self.rate)
+        paths = export_recording(imported.recording, self.out)
+        return [*imported.notes, f"recording: {', '.join(map(str, paths))}"]

@@ -1,0 +1,154 @@
+"""`armperturb identify`."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+import xarray as xr
+
+from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
+from armperturb.analysis.fit.identify import Estimator
+from armperturb.commands.command import Command
+from armperturb.commands.selection import select_trials
+from armperturb.convert import import_recording
+from armperturb.extras import naming_the_extra
+
+OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average")
+OF_THE_NONLINEAR_MODEL = ("law", "pulses")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identify(Command):
+    """Estimate the admittance from a recording and fit an arm model to it."""
+
+    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Recordings of one person to read: netCDF4, or CSV, MATLAB or C3D with a sidecar (see convert); the trials of a
+    condition are identified together."""
+    model: Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear"]
+    """Model structure: 1 intrinsic and grip; 2 with velocity, 3 with velocity and position feedback; 4, 5 and 6 with
+    force, acceleration or both in addition; 3a and 3b total mass and reflexes, with grip, delay and cut-off fixed, 3b
+    without negative gains; nonlinear a muscle law, from all trials of one or both tasks together."""
+    out: Path
+    """Folder for admittance.csv, parameters.csv and fit.json; of the nonlinear model, for parameters.csv,
+    correlations.csv, predictions.csv, fit.json and pulses.svg, and for checkpoints from which an interrupted search
+    continues."""
+    sidecar: Path | None = None
+    """Sidecar of all recordings that need one, see docs/recordings.md; by default FILE.json beside each."""
+    law: Literal["full", "short-range", "linear", "choose"] | None = None
+    """Of the nonlinear model: the full muscle law (the default), short-range stiffness with yielding alone, the linear
+    law, or whichever predicts trials that were left out of the fits best (choose)."""
+    pulses: tuple[float, ...] = ()
+    """Directions of the pulses that the nonlinear model is fitted to [deg], e.g. 20 200; the others are predicted."""
+    estimator: Estimator = "record"
+    """Maximum likelihood on whole records (record) or on mean periods (frequency), or the thesis's trial by trial."""
+    share: tuple[str, ...] = ()
+    """Parameters that are the same in all conditions, e.g. mass grip k_s; with maximum likelihood only."""
+    subject: str | None = None
+    """Which subject, if the recordings hold several."""
+    condition: str | None = None
+    """The only condition to identify; by default all that have a multisine."""
+    window_start: float = WINDOW_START
+    """Start of the window of whole periods [s], when the transient has died away."""
+    period: float | None = None
+    """Period of the perturbation [s]; by default it is found from the data."""
+    lines_per_average: int = LINES_PER_AVERAGE
+    """Adjacent excited lines that are averaged in admittance.csv and by the thesis's estimator; 1 keeps every line and
+    needs several trials."""
+
+    @property
+    def resumes(self) -> bool:
+        """Only the search of the nonlinear model writes checkpoints."""
+        return self.model == "nonlinear"
+
+    def run(self) -> list[str]:
+        """Identify the arm and write the results."""
+        linear = self.model != "nonlinear"
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in (OF_THE_NONLINEAR_MODEL if linear else OF_LINEAR_MODELS) and value != field.default:
+                condition = "without" if linear else "with"
+                raise ValueError(
+                    f"identify: {field.name} = {value!r}; expected {field.default!r} {condition} --model nonlinear"
+                )
+        imported = import_recording(self.recordings, sidecar=self.sidecar)
+        (recording,) = select_trials(
+            [imported.recording],
+            self.recordings,
+            subject=self.subject,
+            condition=self.condition,
+            single_condition=False,
+        )
+        lines = self._identify(recording) if linear else self._identify_nonlinear(recording)
+        return [*lines, f"results: {self.out}"]
+
+    def _identify(self, recording: xr.Dataset) -> list[str]:
+        from armperturb.analysis.fit.export import write_identification
+        from armperturb.analysis.fit.identify import identify_conditions
+
+        with self._naming_the_files():
+            tasks = list(dict.fromkeys(recording["task"].values.tolist()))
+            if len(tasks) > 1:
+                raise ValueError(
+                    f"trials of the tasks {' and '.join(tasks)}; expected only one task (choose a --condition)"
+                )
+            results = identify_conditions(
+                recording,
+                self.model,
+                estimator=self.estimator,
+                share=self.share,
+                window_start=self.window_start,
+                period=self.period,
+                lines_per_average=self.lines_per_average,
+            )
+        write_identification(results, self.out)
+        lines = []
+        for condition, result in results.items():
+            lines.append(
+                f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %",
+            )
+            lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
+        return lines
+
+    def _identify_nonlinear(self, recording: xr.Dataset) -> list[str]:
+        with naming_the_extra("identify --model nonlinear"):
+            from armperturb.analysis.nonlinear.identify import identify_nonlinear, told, write_nonlinear
+            from armperturb.workers import cpu_count
+        from armperturb.plots.style import new_figure, save_svg
+
+        if self.out.exists() and not self.out.is_dir():
+            raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
+        is_new = not self.out.exists()
+        self.out.mkdir(parents=True, exist_ok=True)  # now, as checkpoints go there
+        try:
+            with self._naming_the_files():
+                result = identify_nonlinear(
+                    recording,
+                    self.law or "full",
+                    pulse_directions_deg=self.pulses,
+                    window_start=self.window_start,
+                    period=self.period,
+                    folder=self.out,
+                    progress=lambda line: print(line, file=sys.stderr, flush=True),
+                    threads=cpu_count(),
+                )
+        except ValueError:
+            if is_new and not any(self.out.iterdir()):
+                self.out.rmdir()
+            raise
+        if result.pulses["nonlinear"]:
+            figure = new_figure(1.0)
+            result.plot(figure)
+            save_svg(figure, self.out / "pulses.svg")
+        write_nonlinear(result, self.out)
+        return told(result)
+
+    @contextmanager
+    def _naming_the_files(self) -> Iterator[None]:
+        try:
+            yield
+        except ValueError as error:
+            raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None

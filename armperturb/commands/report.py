@@ -1,0 +1,33 @@
+"""`armperturb report`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from armperturb.commands.command import Command
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report(Command):
+    """Analyse the recordings of a study, complete or not, and write its report."""
+
+    needs_simulator = True
+    resumes = True
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """Folder of the study; its recordings are not changed."""
+    nonlinear: tuple[Literal["RT", "PT"], ...] = ()
+    """Tasks in which each person's muscle law is identified and the pulses left out of the fit are predicted; takes
+    minutes per person. Later reports include these fits without the option."""
+    workers: int | None = None
+    """Number of processes; by default about one per core. It changes the files by rounding only."""
+
+    def run(self) -> list[str]:
+        """Analyse the folder and write the report."""
+        from armperturb.study.report.report import write_report
+        from armperturb.study.results.study_result import analyse_study
+
+        result = analyse_study(self.folder, workers=self.workers, nonlinear=self.nonlinear)
+        return [f"report: {write_report(result, self.folder, workers=self.workers)}"]

@@ -1,0 +1,33 @@
+"""`armperturb score`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from armperturb.commands.command import Command
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score(Command):
+    """Compare a study with the published tables: shares of cells within 0.5, 1 and 2 SD, and the headline numbers."""
+
+    needs_simulator = True
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """Folder of the study, complete or not; its recordings are not changed."""
+    out: Path | None = None
+    """Folder for score.csv, headlines.csv and score.txt; by default FOLDER/score."""
+    workers: int | None = None
+    """Number of processes; by default about one per core. It changes the files by rounding only."""
+
+    def run(self) -> list[str]:
+        """Compare, and write the tables."""
+        from armperturb.study.comparison.score import score, score_text, write_score
+        from armperturb.study.results.study_result import analyse_study
+
+        out = self.out or self.folder / "score"
+        result = score(analyse_study(self.folder, workers=self.workers))
+        write_score(result, out)
+        return [score_text(result), f"results: {out}"]

@@ -1,0 +1,44 @@
+"""Which trials of the recordings that were given a command analyses."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+
+def select_trials(
+    recordings: Sequence[xr.Dataset],
+    files: Sequence[Path],
+    *,
+    subject: str | None,
+    condition: str | None,
+    single_condition: bool,
+) -> list[xr.Dataset]:
+    """The trials of one subject, in one condition or in all.
+
+    Args:
+      recordings: what the files hold.
+      files: for messages.
+      subject: name of the subject; None if there is only one.
+      condition: name of the condition; None for all, or if there is only one.
+      single_condition: whether all trials must be of one condition.
+
+    Returns:
+      The recordings that have such trials, without their others.
+
+    Raises:
+      ValueError: no trial has the name, or one of several has to be chosen.
+    """
+    source, selected = ", ".join(map(str, files)), list(recordings)
+    for label, wanted, single in (("subject", subject, True), ("condition", condition, single_condition)):
+        names = list(dict.fromkeys(name for recording in selected for name in recording[label].values.tolist()))
+        if wanted is None:
+            if single and len(names) > 1:
+                raise ValueError(f"{source}: {label}s {', '.join(names)}; expected only one (choose a --{label})")
+            continue
+        if wanted not in names:
+            raise ValueError(f"{source}: no {label} {wanted!r}; expected one of {', '.join(names)}")
+        selected = [recording.isel(trial=np.flatnonzero(recording[label].values == wanted)) for recording in selected]
+        selected = [recording for recording in selected if recording.sizes["trial"]]
+    return selected

@@ -1,0 +1,50 @@
+"""`armperturb study`."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from armperturb.commands.command import Command
+from armperturb.study.recording.settings import BLOCK, StudySettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study(Command):
+    """Run a study: draw people, perturb them, identify them, and report."""
+
+    needs_simulator = True
+    resumes = True
+
+    out: Path
+    """Folder for recordings, tables, figures and report.html; a study that was interrupted there continues."""
+    settings: StudySettings = field(default_factory=StudySettings)
+    workers: int | None = None
+    """Number of processes; by default about one per core. Like the next two options, it has no effect on the files."""
+    dask: str | None = None
+    """Address of a Dask scheduler whose workers simulate, e.g. tcp://127.0.0.1:8786; needs armperturb[dask]."""
+    block: int = BLOCK
+    """Number of trials that a worker simulates side by side; limits its memory."""
+    nonlinear: tuple[Literal["RT", "PT"], ...] = ()
+    """Tasks in which each person's muscle law is identified, which takes minutes per person; see `report`."""
+    record_only: bool = False
+    """Stop after the recordings: no identification, no report."""
+
+    def run(self) -> list[str]:
+        """Run or continue the study."""
+        from armperturb.study.recording.record import record_study
+
+        if self.record_only:
+            record_study(self.settings, self.out, workers=self.workers, dask=self.dask, block=self.block)
+            return [f"recordings: {self.out}"]
+        from armperturb.study.report.report import write_report
+        from armperturb.study.results.study_result import run_study
+
+        result = run_study(
+            self.settings,
+            self.out,
+            workers=self.workers,
+            dask=self.dask,
+            block=self.block,
+            nonlinear=self.nonlinear,
+        )
+        return [f"report: {write_report(result, self.out, workers=self.workers)}"]

@@ -1,0 +1,44 @@
+"""`armperturb video`."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from tqdm import tqdm
+
+from armperturb.commands.command import Command
+from armperturb.envs.render.clip import Clip
+from armperturb.recording import load_recording
+
+
+@dataclass(frozen=True, kw_only=True)
+class Video(Command):
+    """Replay a recorded trial as a video: the rig from above and from the side, forces as arrows, and a strip chart."""
+
+    needs_simulator = True
+
+    recording: Annotated[Path, tyro.conf.Positional]
+    """Recording to read (netCDF4), also of a real person, if it holds the lengths of the arm."""
+    out: Path
+    """Video to write: MP4 (H.264), or GIF."""
+    trial: int
+    """Which trial of the recording, from 0."""
+    clip: Clip = field(default_factory=Clip)
+
+    def run(self) -> list[str]:
+        """Draw the frames and write the video."""
+        from armperturb.envs.render.replay import SIGNALS, Replay
+        from armperturb.envs.render.video import require_ending, write_video
+
+        require_ending(self.out)
+        recording = load_recording(self.recording, optional=SIGNALS)
+        replay = Replay.of_trial(recording, self.trial, str(self.recording))
+        with tqdm(desc="video", unit="frame", disable=None) as bar:
+
+            def report_progress(done: int, total: int) -> None:
+                bar.total = total
+                bar.update(done - bar.n)
+
+            write_video(replay, self.out, self.clip, progress=report_progress)
+        return [f"video: {self.out}"]

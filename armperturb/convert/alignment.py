@@ -1,0 +1,206 @@
+"""From channels to signals on even times, in SI and our axes, and from trials of all files to one recording."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from scipy import signal
+
+from armperturb.arrays import Array
+from armperturb.convert.checks import require_consistent_unit, require_signal
+from armperturb.convert.faults import Fault, Repair, Timed, even_times
+from armperturb.convert.raw import RawTrial
+from armperturb.convert.sidecar import FIRST, Sidecar, Signal
+from armperturb.recording import TRIAL_COORDINATES, make_recording
+
+MOST_RESAMPLING = 20_000
+"""Largest number in the ratio of two sampling rates [-]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AlignedTrial:
+    """A trial in SI and our axes.
+
+    Attributes:
+      where: file and trial, for messages.
+      signals: variable of a recording to values, (time, component).
+      rates: variable to sampling rate [Hz], the same for all but EMG.
+      labels: coordinate along `trial` to value.
+    """
+
+    where: str
+    signals: Mapping[str, Array]
+    rates: Mapping[str, float]
+    labels: Mapping[str, Any]
+
+
+def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, list[Fault]]:
+    """Channels as signals on even times, still in the file's units and axes.
+
+    Args:
+      where: file and trial, for messages.
+      raw: the trial as the file has it.
+      meaning: its sidecar.
+
+    Returns:
+      The signals, and what was wrong with their times.
+
+    Raises:
+      ValueError: lengths, rates or units contradict one another, or values are no signal.
+    """
+    signals: dict[str, Array] = {}
+    rates: dict[str, float] = {}
+    components = {}
+    for name, of_signal in meaning.signals.items():
+        channels = [raw.channels[channel] for channel in of_signal.channels.values()]
+        sizes = {len(channel) for channel in channels}
+        if len(sizes) > 1:
+            raise ValueError(
+                f"{where}: {name} has {' and '.join(map(str, sorted(sizes)))} samples; expected one length"
+            )
+        if sizes.pop() < 2:
+            raise ValueError(f"{where}: {name} has {len(channels[0])} samples; expected at least 2")
+        signals[name], components[name] = np.stack(channels, axis=1), tuple(of_signal.channels.values())
+        require_signal(where, name, signals[name])
+        stated = {raw.rates[channel] for channel in of_signal.channels.values() if channel in raw.rates}
+        if of_signal.rate is not None:
+            stated.add(of_signal.rate)
+        if name == "displacement" and stated and meaning.rate is not None:
+            stated.add(meaning.rate)
+        if len(stated) > 1:
+            several = " and ".join(f"{rate:g}" for rate in sorted(stated))
+            raise ValueError(f"{where}: {name} at {several} Hz; expected one rate")
+        for channel in of_signal.channels.values():
+            require_consistent_unit(where, name, channel, of_signal.unit, raw.units.get(channel))
+        if stated:
+            rates[name] = stated.pop()
+    without_rate = [name for name in signals if name not in rates]
+    if meaning.time is None:
+        if without_rate and meaning.rate is None:
+            raise ValueError(
+                f"{meaning.path}: rate and time are missing; expected the sampling rate in Hz, a channel, or both"
+            )
+        rates |= {name: meaning.rate for name in without_rate if meaning.rate is not None}
+        return Timed(signals=signals, rates=rates, components=components), []
+    channel, factor = meaning.time
+    require_signal(where, channel, raw.channels[channel][:, None])
+    time = raw.channels[channel] * factor
+    finite = np.isfinite(time)
+    n_time = len(time) - int(np.argmax(finite[::-1])) if finite.any() else len(time)
+    if n_time < 2:
+        raise ValueError(f"{where}: {channel} has {n_time} samples; expected at least 2 times")
+    for name in without_rate:
+        if len(signals[name]) != len(time):
+            raise ValueError(
+                f"{where}: {name} has {len(signals[name])} samples and {channel} {len(time)}; expected as many"
+            )
+    try:
+        timed, faults = even_times(
+            {name: signals[name][:n_time] for name in without_rate}, components, time[:n_time], meaning.rate
+        )
+    except ValueError as error:
+        raise ValueError(f"{where}: {channel}: {error}") from None
+    return replace(timed, signals={**signals, **timed.signals}, rates={**rates, **timed.rates}), faults
+
+
+def in_si(values: Array, meaning: Signal) -> Array:
+    """Values of a signal in SI and our axes, from its start, (time, component)."""
+    start = values[0] if meaning.start == FIRST else np.array(meaning.start)
+    return np.asarray((values - start) @ meaning.matrix)
+
+
+def resampled(
+    where: str, signals: Mapping[str, Array], rates: Mapping[str, float], rate: float | None
+) -> tuple[dict[str, Array], dict[str, float]]:
+    """All signals but EMG at one rate.
+
+    Args:
+      where: file and trial, for messages.
+      signals: name to values, (time, component).
+      rates: name to sampling rate [Hz].
+      rate: that is wanted [Hz]; None for that of the file.
+
+    Returns:
+      The signals, and their rates.
+
+    Raises:
+      ValueError: rates differ and none is wanted, or the ratio is not one of whole numbers.
+    """
+    present = {rates[name] for name in signals if name != "emg"}
+    if rate is None and len(present) > 1:
+        several = ", ".join(f"{name} at {rates[name]:g} Hz" for name in signals if name != "emg")
+        raise ValueError(f"{where}: {several}; expected one rate (choose it with --rate)")
+    target = present.pop() if rate is None else rate
+    out, at = dict(signals), dict(rates)
+    for name in signals:
+        if name == "emg" or rates[name] == target:
+            continue
+        values, ratio = signals[name], Fraction(target / rates[name]).limit_denominator(MOST_RESAMPLING)
+        off = abs(float(ratio) / (target / rates[name]) - 1.0) * len(values)
+        if ratio.numerator > MOST_RESAMPLING or off > 0.01:
+            raise ValueError(
+                f"{where}: rate = {target:g} Hz from {rates[name]:g} Hz; expected a ratio of whole numbers"
+            )
+        out[name] = signal.resample_poly(values, ratio.numerator, ratio.denominator, axis=0, padtype="line")
+        at[name] = target
+    n_time = min(len(out[name]) for name in out if name != "emg")
+    return {name: values if name == "emg" else values[:n_time] for name, values in out.items()}, at
+
+
+def joined(trials: Sequence[AlignedTrial], repair: Collection[Repair], notes: list[str]) -> xr.Dataset:
+    """One recording of trials.
+
+    Args:
+      trials: at least one.
+      repair: "lengths" cuts trials of unequal length to the shortest.
+      notes: to which such a cut is added.
+
+    Raises:
+      ValueError: trials differ in signals, rates or length.
+    """
+    first = trials[0]
+    for trial in trials[1:]:
+        for name in {*first.signals, *trial.signals}:
+            if name not in first.signals or name not in trial.signals:
+                raise ValueError(f"{trial.where}: {name} is not in all trials; expected the same signals in all")
+            if trial.rates[name] != first.rates[name]:
+                raise ValueError(
+                    f"{trial.where}: {name} at {trial.rates[name]:g} Hz and in others at {first.rates[name]:g} Hz; "
+                    "expected one rate (choose it with --rate)"
+                )
+    signals = {}
+    for name in first.signals:
+        lengths = [len(trial.signals[name]) for trial in trials]
+        least, rate = min(lengths), first.rates[name]
+        if max(lengths) > least:
+            odd = trials[int(np.argmin(lengths))]
+            text = f"{odd.where}: {name} lasts {least / rate:.6g} s, in other trials {max(lengths) / rate:.6g} s"
+            if "lengths" not in repair:
+                raise ValueError(f"{text}; expected equal lengths (--repair lengths cuts all to the shortest)")
+            notes.append(f"{text}: all are cut to the shortest")
+        signals[name] = np.stack([trial.signals[name][:least] for trial in trials])
+    if signals["displacement"].shape[1] < 2:
+        raise ValueError(f"{first.where}: one sample is left; expected at least 2")
+    return make_recording(
+        signals,
+        _coordinates([trial.labels for trial in trials]),
+        first.rates["displacement"],
+        emg_rate=first.rates.get("emg"),
+    )
+
+
+def _coordinates(labels: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Labels of all trials, with defaults of those that were left out."""
+    counts: dict[tuple[Any, ...], int] = {}
+    rows = []
+    for given in labels:
+        row = {name: float("nan") for name in ("pulse_direction", "pulse_onset", "limit_time")}
+        row |= {"pulse_level": 0.0, "condition": given["task"], **given}
+        key = (row["subject"], row["condition"], row["pulse_level"], str(row["pulse_direction"]))
+        counts[key] = counts.get(key, -1) + 1
+        rows.append({"repetition": counts[key], **row})
+    names = [name for name in TRIAL_COORDINATES if all(name in row for row in rows)]
+    return {name: [row[name] for row in rows] for name in names}

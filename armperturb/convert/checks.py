@@ -1,0 +1,100 @@
+"""Refuses what no arm and manipulator do, as a wrong unit or start makes them do."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from armperturb.arrays import Array
+from armperturb.convert.units import UNITS
+from armperturb.recording import SIGNALS
+
+LARGEST_NUMBER = 1e16
+"""In a file, whatever its unit: microseconds since 1970 are less [-]."""
+
+LARGEST_FORCE = 2000.0
+"""That people and manipulators bear [N]; refuses millinewtons."""
+
+REACH = 1.0
+"""Largest distance of the handle from its start, in arm lengths [-]; refuses millimetres."""
+
+AWAY = 0.01
+"""Distance from its start at which no path stays throughout, unless it moves by more [m]; refuses places in a room."""
+
+
+def require_signal(where: str, name: str, values: Array) -> None:
+    """Refuse numbers that are beyond any unit, and would overflow.
+
+    Args:
+      where: file and trial, for the message.
+      name: of the signal or channel.
+      values: in the file's unit, (time, component).
+
+    Raises:
+      ValueError: there are such numbers.
+    """
+    beyond = (np.abs(values) > LARGEST_NUMBER).any(axis=1)
+    if beyond.any():
+        at = int(np.argmax(beyond))
+        raise ValueError(f"{where}: {name} is {values[at].max():.6g} at sample {at}; expected numbers of a signal")
+
+
+def require_consistent_unit(where: str, name: str, channel: str, unit: str, of_file: str | None) -> None:
+    """Refuse a unit that the file contradicts.
+
+    Args:
+      where: file and trial, for the message.
+      name: of the signal.
+      channel: of the file.
+      unit: that the sidecar states.
+      of_file: unit that the file states; None if it states none.
+
+    Raises:
+      ValueError: they differ.
+    """
+    known = UNITS[SIGNALS[name][1]]
+    if of_file is not None and known.get(of_file) != known[unit]:
+        raise ValueError(
+            f"{where}: {channel} is in {of_file!r}; expected {unit!r}, as signals.{name}.unit of the sidecar says"
+        )
+
+
+def require_plausible(
+    where: str, signals: Mapping[str, Array], rates: Mapping[str, float], labels: Mapping[str, Any]
+) -> None:
+    """Refuse forces, paths and instants that are out of range.
+
+    Args:
+      where: file and trial, for the message.
+      signals: variable to values in SI and our axes, (time, component).
+      rates: variable to sampling rate [Hz].
+      labels: of the trial.
+
+    Raises:
+      ValueError: a signal is too large, displacement is not from its start, or an instant lies outside the trial.
+    """
+    reach = REACH * (labels["l_h"] + labels["l_f"])
+    limits = {"perturbation": LARGEST_FORCE, "force": LARGEST_FORCE, "displacement": reach, "shoulder_marker": reach}
+    limits |= {"joint_angle": 2 * np.pi, "emg": 100.0}
+    for name, values in signals.items():
+        size = np.abs(values).max(axis=1)
+        if size.max() > limits[name]:
+            at = int(np.argmax(size > limits[name]))
+            raise ValueError(
+                f"{where}: {name} is {size[at]:.4g} {SIGNALS[name][1]} at {at / rates[name]:.6g} s; expected at most "
+                f"{limits[name]:.4g} (a wrong signals.{name}.unit, or displacement not from its start?)"
+            )
+    path = signals["displacement"]
+    for axis, low, high in zip("xy", path.min(axis=0), path.max(axis=0), strict=True):
+        away = max(low, -high)
+        if away > max(AWAY, high - low):
+            raise ValueError(
+                f"{where}: displacement {axis} is {low:.4g} to {high:.4g} m throughout; expected the path from the "
+                'start of the trial (for places in a room "start": "first" or the place of the start)'
+            )
+    duration = len(path) / rates["displacement"]
+    for name in ("pulse_onset", "limit_time"):
+        if labels.get(name, 0.0) > duration:
+            raise ValueError(
+                f"{where}: {name} = {labels[name]:g} s; expected within the trial, which lasts {duration:g} s"
+            )

@@ -1,0 +1,403 @@
+"""Child process that parses one MATLAB, C3D or HDF5 file and writes its arrays to standard output.
+
+It runs as a file and imports nothing of this package. Each parser counts what a file claims to hold, at 8 bytes per
+element or more, before it allocates any of it. Where the operating system can, the address space is limited as well.
+"""
+
+import json
+import math
+import mmap
+import struct
+import sys
+import zlib
+from collections.abc import Collection, Iterator
+from importlib.util import find_spec
+from itertools import islice
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+REFUSED = 3
+"""Exit status with which standard error holds the reason in one line."""
+
+DEEPEST = 32
+"""Largest number of structures and cell arrays within one another."""
+
+OVERHEAD = 256
+"""Counted for each item besides its elements [byte]."""
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+"""At byte 0 of an HDF5 file, or at byte 512, below MATLAB's own header."""
+
+
+class Refused(ValueError):
+    """A file is not read; the message says why."""
+
+
+class Budget:
+    """Memory that the content of a file may still take [byte]."""
+
+    def __init__(self, largest: int) -> None:
+        self.largest = self.left = largest
+
+    def require(self, size: int, what: str) -> None:
+        """Refuse an item that is larger than what is left.
+
+        Raises:
+          Refused: it is.
+        """
+        if size > self.left:
+            raise Refused(f"{what} unpacked = {size} bytes; expected at most {self.largest} in the whole file")
+
+    def take(self, n_elements: int, what: str, itemsize: int = 8) -> None:
+        """Count an item before it is allocated; raises as `require`."""
+        size = n_elements * max(itemsize, 8)
+        self.require(size, what)
+        self.left -= size + OVERHEAD
+
+
+def parse(path: str, names: Collection[str] | None, largest: int) -> dict[str, Any]:
+    """Content of a file, see `read_foreign`.
+
+    Args:
+      path: of the file.
+      names: variables or channels that are wanted, all others being None; None for all.
+      largest: size that the content may have [byte].
+
+    Raises:
+      Refused: the file is damaged, of another format, or its content too large.
+    """
+    suffix, budget = Path(path).suffix.lower(), Budget(largest)
+    with open(path, "rb") as file:
+        head = file.read(1024)
+        is_hdf5 = suffix != ".c3d" and SIGNATURE in (head[:8], head[512:520])
+        if not is_hdf5 and suffix not in (".mat", ".c3d"):
+            raise Refused(f"no HDF5 file ({_beginning(head)}); expected netCDF4")
+        try:
+            if is_hdf5:
+                return _hdf5(file, head, names, budget)
+            return (_mat5 if suffix == ".mat" else _c3d)(file, names, budget)
+        except Refused:
+            raise
+        except Exception as error:  # damage makes libraries fail in any way
+            kind = "C3D" if suffix == ".c3d" else "MATLAB" if suffix == ".mat" else "netCDF4"
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise Refused(f"not a readable {kind} file ({reason:.300}); expected an undamaged one") from None
+
+
+def _beginning(head: bytes) -> str:
+    if head.startswith(b"PK\x03\x04"):
+        return "a zip archive"
+    return f"it begins with {head[:8]!r}" if head else "the file is empty"
+
+
+# MATLAB v5 to v7: The MathWorks, "MAT-File Format", section 1.
+
+_MATRIX, _COMPRESSED = 14, 15
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+_CELL, _STRUCT, _CHAR, _OPAQUE = 1, 2, 4, 17
+_CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
+_CODECS = {1: "latin-1", 2: "latin-1", 16: "utf-8", 3: "utf-16", 4: "utf-16", 17: "utf-16", 18: "utf-32"}
+
+
+def _mat5(file: IO[bytes], names: Collection[str] | None, budget: Budget) -> dict[str, Any]:
+    file.seek(0)
+    content = memoryview(file.read())
+    order = {b"IM": "<", b"MI": ">"}.get(bytes(content[126:128]))
+    if order is None:
+        beginning = _beginning(bytes(content[:8]))
+        raise Refused(f"no MATLAB file of v5 or later ({beginning}); expected one, as `save` writes it")
+    variables, at = {}, 128
+    while at < len(content):
+        what = f"the variable at byte {at}"
+        kind, length = struct.unpack_from(f"{order}II", content, at) if at + 8 <= len(content) else (0, 0)
+        if kind not in (_MATRIX, _COMPRESSED):
+            raise Refused(f"no variable at byte {at}; expected one (the file is damaged or cut off)")
+        at += 8
+        if length > len(content) - at:
+            raise Refused(
+                f"{what} claims {length} bytes; expected at most {len(content) - at}, which is what is left (the file "
+                "is cut off or damaged)"
+            )
+        part, at = content[at : at + length], at + length
+        if kind == _COMPRESSED:
+            unpacker = zlib.decompressobj()
+            _, length = struct.unpack(f"{order}II", unpacker.decompress(part, 8))
+            budget.require(length, what)
+            part = memoryview(unpacker.decompress(unpacker.unconsumed_tail, length))
+        of_name = next(islice(_elements(part, order, what), 2, 3), (0, b""))[1]
+        name = bytes(of_name).decode("latin-1")
+        wanted = names is None or name in names
+        variables[name] = _matrix(part, order, budget, what, 0) if wanted else None
+    return variables
+
+
+def _elements(part: memoryview, order: str, what: str) -> Iterator[tuple[int, memoryview]]:
+    """Type and data of each element of a matrix."""
+    after = 0
+    while after < len(part):
+        kind, length = struct.unpack_from(f"{order}II", part, after)
+        if kind >> 16:  # up to four bytes within the tag
+            kind, length, at, after = kind & 0xFFFF, kind >> 16, after + 4, after + 8
+        else:
+            at = after + 8
+            after = at + length + -length % 8
+        if at + length > len(part):
+            raise Refused(f"{what} holds an element of {length} bytes; expected at most {len(part) - at} (damaged)")
+        yield kind, part[at : at + length]
+
+
+def _matrix(part: memoryview, order: str, budget: Budget, what: str, depth: int) -> Any:
+    if depth > DEEPEST:
+        raise Refused(f"{what} is nested more than {DEEPEST} deep; expected arrays, structures and cells of them")
+    elements = _elements(part, order, what)
+    if not len(part):
+        return np.empty(0)
+    flags = struct.unpack_from(f"{order}I", next(elements)[1])[0]
+    kind = flags & 0xFF
+    if kind == _OPAQUE:
+        return None
+    dims = np.frombuffer(next(elements)[1], f"{order}u4").tolist()
+    next(elements)
+    n_elements = math.prod(dims)
+    # Each element takes at least a byte: numbers are stored in the shortest type that holds them.
+    if n_elements > len(part):
+        raise Refused(f"{what} claims {n_elements} elements; expected at most {len(part)}, its bytes")
+    budget.take(n_elements, what)
+    if kind == _CELL:
+        return [_matrix(inner, order, budget, what, depth + 1) for _, inner in islice(elements, n_elements)]
+    if kind == _STRUCT:
+        width = struct.unpack_from(f"{order}i", next(elements)[1])[0]
+        text = bytes(next(elements)[1])
+        fields = [text[at : at + width].split(b"\0")[0].decode("latin-1") for at in range(0, len(text), width)]
+        inner = islice(elements, n_elements * len(fields))
+        members = [_matrix(of_field, order, budget, what, depth + 1) for _, of_field in inner]
+        columns = {name: members[at :: len(fields)] for at, name in enumerate(fields)}
+        return {name: column[0] for name, column in columns.items()} if n_elements == 1 else columns
+    if kind == _CHAR:
+        coded, data = next(elements)
+        codec = _CODECS[coded] + ({"<": "-le", ">": "-be"}[order] if coded in (3, 4, 17, 18) else "")
+        return bytes(data).decode(codec, "replace")
+    if kind not in _CLASSES:
+        return None
+    is_complex = flags >> 11 & 1
+    parts = [np.frombuffer(data, order + _TYPES[stored]) for stored, data in islice(elements, 1 + is_complex)]
+    values = parts[0].astype(_CLASSES[kind])
+    return (values + 1j * parts[1] if is_complex else values).reshape(dims, order="F").squeeze()
+
+
+# HDF5, as netCDF4 and MATLAB v7.3 use it.
+
+
+def _hdf5(file: IO[bytes], head: bytes, names: Collection[str] | None, budget: Budget) -> dict[str, Any]:
+    import h5py
+
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        again = content.find(SIGNATURE, head.index(SIGNATURE) + 8)
+    if again >= 0:
+        raise Refused(f"a second HDF5 file begins at byte {again}; expected one recording (two files in one?)")
+    with h5py.File(file.name, "r") as opened:
+        if file.name.lower().endswith(".mat"):
+            return {
+                name: _matlab_hdf5(item, name, budget, 0) if names is None or name in names else None
+                for name, item in _members(opened)
+                if name != "#refs#"
+            }
+        items = {name: item for name, item in _members(opened) if isinstance(item, h5py.Dataset)}
+        variables = {
+            name: {
+                "values": _array(item, name, budget) if names is None or name in names else None,
+                "dims": _dimensions(item, name),
+                "attrs": _attributes(item),
+            }
+            for name, item in items.items()
+            if not bytes(item.attrs.get("NAME", b"")).startswith(b"This is a netCDF dimension but not a netCDF var")
+        }
+        return {"attrs": _attributes(opened), "variables": variables}
+
+
+def _dimensions(item: Any, name: str) -> list[str]:
+    """Names of the dimensions of a variable of netCDF."""
+    if item.is_scale:
+        return [name]
+    paths = [(dim[0].name or "") if len(dim) else "" for dim in item.dims]
+    if not all(paths):
+        raise Refused(f"{name!r} has dimensions without a name; expected a recording, as `convert` writes it")
+    return [path.rpartition("/")[2] for path in paths]
+
+
+def _members(group: Any) -> Iterator[tuple[str, Any]]:
+    """Name and item of what a group itself holds."""
+    import h5py
+
+    for name in group:
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            raise Refused(f"{name!r} is a link; expected an array that the file itself holds")
+        yield name, group[name]
+
+
+def _array(item: Any, name: str, budget: Budget) -> Any:
+    import h5py
+
+    if item.is_virtual or item.external:
+        raise Refused(f"{name!r} refers to values elsewhere; expected an array that the file itself holds")
+    if item.shape is None:
+        return np.empty(0)
+    # A chunk is unpacked as a whole.
+    budget.take(max(item.size, math.prod(item.chunks or (0,))), f"{name!r}", item.dtype.itemsize)
+    if h5py.check_string_dtype(item.dtype) is None:
+        return item[()]
+    texts = item.asstr()[()]
+    if isinstance(texts, str):
+        return texts
+    budget.take(texts.size * max(map(len, texts.flat), default=0), f"{name!r}", 4)
+    return texts.astype(str)
+
+
+def _attributes(item: Any) -> dict[str, Any]:
+    """Attributes that netCDF shows, of texts and numbers."""
+    import h5py
+
+    hidden = ("CLASS", "NAME", "REFERENCE_LIST", "DIMENSION_LIST", "DIMENSION_LABELS")
+    attributes = {}
+    for name in item.attrs:
+        if name in hidden or name.startswith(("_Netcdf4", "_NC", "_nc3")):
+            continue
+        value = item.attrs[name]
+        if isinstance(value, bytes):
+            value = value.decode("utf-8", "replace")
+        if isinstance(value, np.ndarray) and value.dtype.kind in "OS":
+            value = np.array([part.decode() if isinstance(part, bytes) else str(part) for part in value.flat])
+        if isinstance(value, np.ndarray) and value.size == 1:
+            value = value.item() if value.dtype.kind == "U" else value.ravel()[0]
+        if not isinstance(value, h5py.Empty):
+            attributes[name] = value
+    return attributes
+
+
+def _matlab_hdf5(item: Any, name: str, budget: Budget, depth: int) -> Any:
+    import h5py
+
+    if depth > DEEPEST:
+        raise Refused(f"{name!r} is nested more than {DEEPEST} deep; expected arrays, structures and cells of them")
+    if isinstance(item, h5py.Group):
+        budget.take(0, f"{name!r}")
+        if "MATLAB_sparse" in item.attrs:
+            return None
+        return {field: _matlab_hdf5(inner, f"{name}.{field}", budget, depth + 1) for field, inner in _members(item)}
+    if "MATLAB_empty" in item.attrs:
+        return np.empty(0)
+    values = _array(item, name, budget)
+    if h5py.check_ref_dtype(item.dtype) is not None:
+        return [_matlab_hdf5(item.file[reference], name, budget, depth + 1) for reference in values.ravel()]
+    if item.attrs.get("MATLAB_class") == b"char":
+        return values.astype("<u2").tobytes().decode("utf-16-le", "replace")
+    if values.dtype.names == ("real", "imag"):
+        values = values["real"] + 1j * values["imag"]
+    return values.T.squeeze()
+
+
+# C3D: https://www.c3d.org, "The C3D file format user guide".
+
+_BLOCK = 512
+_PROCESSORS = {84: ("<", 15), 85: ("<", 13), 86: (">", 12)}
+"""Intel, DEC and MIPS: order of bytes, and which byte of the header holds the sign of the scale."""
+
+
+def _c3d(file: IO[bytes], names: Collection[str] | None, budget: Budget) -> dict[str, Any]:
+    _require_whole_c3d(file, budget)
+    import ezc3d
+
+    content = ezc3d.c3d(file.name)
+    points, analogs = np.asarray(content["data"]["points"][:3]), np.asarray(content["data"]["analogs"][0])
+    seen = np.asarray(content["data"]["meta_points"]["residuals"][0]) >= 0.0
+    coordinates = np.where(seen[None], points, np.nan)
+    channels: dict[str, Any] = {}
+    for group, letters, of_group in (("POINT", (".X", ".Y", ".Z"), coordinates), ("ANALOG", ("",), analogs[None])):
+        parameters = content["parameters"][group]
+        rate, labels, units = (
+            [*parameters[name]["value"]] if name in parameters else [] for name in ("RATE", "LABELS", "UNITS")
+        )
+        for i, label in enumerate(labels[: of_group.shape[1]]):
+            unit = units[:1] if group == "POINT" else units[i : i + 1]  # one for all coordinates
+            for letter, values in zip(letters, of_group[:, i], strict=True):
+                name = f"{label}{letter}"
+                of_file = {"values": values, "rate": float(rate[0]) if rate else 0.0, "unit": "".join(unit)}
+                channels[name] = of_file if names is None or name in names else None
+    return channels
+
+
+def _require_whole_c3d(file: IO[bytes], budget: Budget) -> None:
+    """Refuse a file that holds less, or more, than its header claims."""
+    file.seek(0)
+    content = file.read()
+    if len(content) < _BLOCK or content[1] != 0x50:
+        raise Refused(f"no C3D file ({_beginning(content)}); expected one")
+    at = max(content[0] - 1, 0) * _BLOCK
+    processor = content[at + 3] if at + 3 < len(content) else 0
+    if processor not in _PROCESSORS:
+        raise Refused(f"no parameters at byte {at}; expected them (the file is damaged)")
+    order, of_sign = _PROCESSORS[processor]
+    n_points, n_analogs, first, last = struct.unpack_from(f"{order}4H", content, 2)
+    n_frames = max(last - first + 1, 0)
+    if n_points + n_analogs == 0 or n_frames == 0:
+        raise Refused(f"{n_points + n_analogs} channels and {n_frames} frames; expected at least one of both")
+    start = (struct.unpack_from(f"{order}H", content, 16)[0] - 1) * _BLOCK
+    n_elements = n_frames * (4 * n_points + n_analogs)
+    claim = n_elements * (4 if content[of_sign] >> 7 else 2)  # a negative scale stands for floating numbers
+    left = max(len(content) - start, 0)
+    if claim > left:
+        raise Refused(
+            f"header claims {claim} bytes of data ({n_frames} frames); expected at most {left}, which is what the file "
+            "holds (it is cut off or damaged)"
+        )
+    budget.take(n_elements, "all of it")
+    if content.find(content[:6], start + claim) >= 0:
+        raise Refused("a second header follows the data; expected one recording (two files in one?)")
+
+
+# The program.
+
+
+def _described(item: Any, arrays: list[Any]) -> Any:
+    """The item as JSON, and its arrays in the order in which they stand there."""
+    if isinstance(item, np.ndarray | np.generic):
+        arrays.append(item)
+        return {"array": len(arrays)}
+    if isinstance(item, dict):
+        return {"fields": {name: _described(part, arrays) for name, part in item.items()}}
+    return [_described(part, arrays) for part in item] if isinstance(item, list) else item
+
+
+def _limit(largest: int, seconds: float) -> None:
+    """Limit memory and processor time, where the operating system can."""
+    if find_spec("resource") is None:
+        return
+    import resource
+
+    for what, limit in (
+        (resource.RLIMIT_AS, 4 * largest),
+        (resource.RLIMIT_CPU, math.ceil(seconds) + 1),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        hard = resource.getrlimit(what)[1]
+        resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
+
+
+def main(path: str, names: str, largest: str, seconds: str) -> None:
+    """Write JSON in one line, then the arrays in NumPy's format."""
+    _limit(int(largest), float(seconds))
+    arrays: list[Any] = []
+    try:
+        description = _described(parse(path, json.loads(names), int(largest)), arrays)
+    except Refused as error:
+        sys.stderr.write(f"{error}")
+        sys.exit(REFUSED)
+    sys.stdout.buffer.write(json.dumps(description).encode() + b"\n")
+    for array in arrays:
+        np.save(sys.stdout.buffer, array, allow_pickle=False)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

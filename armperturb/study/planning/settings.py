@@ -1,0 +1,167 @@
+"""What is to be planned: who is perturbed, what should be estimated well, and within which limits."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from armperturb.analysis.arm.state_space import require_stable
+from armperturb.analysis.fit.structures import GRIP_UNITS, STRUCTURES, Structure, at_truth
+from armperturb.analysis.force_balance import NoiseLevels
+from armperturb.environment import Environment
+from armperturb.envs.lab.instruments import Instruments
+from armperturb.envs.lab.trial import MAX_DURATION
+from armperturb.perturbations import Perturbation
+from armperturb.perturbations.multisine import PERIOD
+from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
+from armperturb.subject import Subject
+from armperturb.validation import require_number, require_one_of, require_whole
+
+Goal = Literal["reflex", "intrinsic", "grip", "mass", "all"]
+"""Parameters whose standard errors are to be small."""
+
+NoiseLaw = Literal["held", "follows"]
+"""How noisy the person is: as under the thesis's multisine, and more only where a joint is loaded more; or as the
+synthetic people, whose noise rises and falls with the load."""
+
+_QUANTITIES: Mapping[str, tuple[str, ...]] = {
+    "reflex": ("kv", "kp", "ka", "kf", "Td", "fact"),
+    "intrinsic": ("b", "k"),
+    "mass": ("m",),
+}
+_GAINS = tuple(f"{quantity}_{joint}" for quantity in ("kv", "kp", "ka", "kf") for joint in ("s", "se", "e"))
+
+SPREAD = 0.2
+"""Share of each axis's power that is spread evenly over the band [-]. The optimum alone has power at a handful of
+frequencies: it could neither show whether the structure is right nor give admittances between them, and it would suit
+a person who differs from the assumed one badly. A fifth costs little (docs/design.md has the figures)."""
+
+SHORTEST_PERIOD = PERIOD / 4
+"""Of a multisine [s]; its clusters are 0.8 Hz wide."""
+
+SETTLING = 4.0
+"""Time that a record must leave before the window of a period, in which spectra are estimated [s]."""
+
+USUAL_START = 8.0
+"""Of that window where the record is long enough [s]."""
+
+MOST_TRIALS = 1000
+
+LEAST_FORCE, MOST_FORCE = 1e-3, 1e3
+"""Of a limit [N]: gauges resolve no less, manipulators exert no more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DesignSettings:
+    """What is to be planned.
+
+    Raises:
+      TypeError: a value has the wrong type.
+      ValueError: a value is out of its range, the model has no such parameters, or the person is unstable.
+    """
+
+    subject: Subject
+    """TOML file of the person who will be perturbed, as far as known."""
+    goal: Goal
+    """Parameters whose standard errors are minimised."""
+    force: float
+    """Largest RMS force per axis [N]."""
+    displacement: float
+    """Largest RMS displacement of the handle per axis [m]."""
+    duration: float
+    """Duration of a trial [s]."""
+    model: Literal["1", "2", "3", "4", "5", "6", "3a", "3b"] | None = None
+    """Model structure that will be fitted; what it fixes is taken as known. By default 3b, or 1 for a person without
+    reflexes."""
+    trials: int = 8
+    """Number of trials that will be identified together, each with phases of its own."""
+    peak: float | None = None
+    """Largest force that may occur on an axis at any time [N]; by default any."""
+    spread: float = SPREAD
+    """Share of each axis's power that is spread evenly over the band, 0 to 1, so that structure and admittances can be
+    judged from the same trials."""
+    noise: NoiseLaw = "held"
+    """Noise of the person: held at its level under the thesis's multisine, also under less load; or following the load,
+    as the noise of the synthetic people does."""
+    perturbation: Perturbation | None = None
+    """CSV file (see simulate) of another perturbation, whose standard errors are given for comparison; it need not keep
+    the limits."""
+    seed: int = 0
+    """Seed of the phases."""
+
+    def __post_init__(self) -> None:
+        require_one_of("design", "goal", self.goal, get_args(Goal))
+        require_one_of("design", "noise", self.noise, get_args(NoiseLaw))
+        require_number("design", "force [N]", self.force, at_least=LEAST_FORCE, at_most=MOST_FORCE)
+        require_number("design", "displacement [m]", self.displacement, above=0.0, at_most=LARGEST_RMS_DISPLACEMENT)
+        # Displacements below the encoders' steps are lost in their noise.
+        least = noise_levels(Instruments()).displacement
+        if self.displacement < least:
+            raise ValueError(
+                f"design: displacement [m] = {self.displacement:g}; expected at least the noise of the encoders, "
+                f"{least:.2g} m"
+            )
+        # Lines are resolved only over whole periods.
+        shortest = SHORTEST_PERIOD + SETTLING
+        require_number("design", "duration [s]", self.duration, at_least=shortest, at_most=MAX_DURATION)
+        require_one_of("design", "model", self.model, (*STRUCTURES, None))
+        require_whole("design", "trials", self.trials, at_least=1)
+        require_number("design", "trials", self.trials, at_most=MOST_TRIALS)
+        require_whole("design", "seed", self.seed, at_least=0)
+        if self.peak is not None:
+            require_number("design", "peak [N]", self.peak, at_least=LEAST_FORCE)
+        require_number("design", "spread", self.spread, at_least=0.0, at_most=1.0)
+        if self.perturbation is not None:
+            name = "duration of the perturbation [s]"
+            require_number("design", name, self.perturbation.duration, at_least=shortest, at_most=MAX_DURATION)
+        require_stable(self.subject, Environment())
+        if not self.wanted():
+            lacking = "" if any(self._gains()) else f", and {self.subject.name!r} no reflexes"
+            raise ValueError(
+                f"design: goal = {self.goal!r}; expected another, as model {self.model_name()} leaves none of these "
+                f"parameters free{lacking}"
+            )
+
+    def _gains(self) -> list[float]:
+        return [getattr(self.subject, name) for name in _GAINS]
+
+    @property
+    def period(self) -> float:
+        """Of the multisine [s]: the thesis's, or its half or quarter where the duration is too short for that."""
+        period = PERIOD
+        while period + SETTLING > self.duration:
+            period /= 2.0
+        return period
+
+    @property
+    def start(self) -> float:
+        """Of the window of whole periods in which `identify` estimates spectra [s]."""
+        return min(USUAL_START, self.duration - self.period)
+
+    def model_name(self) -> str:
+        """Name of the structure that will be fitted."""
+        return self.model or ("3b" if any(self._gains()) else "1")
+
+    def structure(self) -> Structure:
+        """What will be fitted, what it fixes being known."""
+        structure = STRUCTURES[self.model_name()]
+        return at_truth(structure, self.subject).named(structure.name)
+
+    def wanted(self) -> tuple[str, ...]:
+        """Free parameters that the goal names."""
+        free = self.structure().free
+        if self.goal == "all":
+            return free
+        if self.goal == "grip":
+            return tuple(name for name in free if name in GRIP_UNITS)
+        quantities = _QUANTITIES[self.goal]
+        return tuple(name for name in free if name not in GRIP_UNITS and name.partition("_")[0] in quantities)
+
+
+def noise_levels(instruments: Instruments) -> NoiseLevels:
+    """Noise of gauge and encoders per sample, the latter from rounding to counts where the handle starts."""
+    step = 2.0 * np.pi / 2**instruments.encoder_bits
+    # Of the handle per rad of each joint: its distance from that joint.
+    levers = np.hypot(*instruments.base), instruments.link_lengths[1]
+    return NoiseLevels(instruments.force_noise, float(step / np.sqrt(12.0) * np.hypot(*levers) / np.sqrt(2.0)))

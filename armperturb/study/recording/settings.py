@@ -1,0 +1,63 @@
+"""What determines a study."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from armperturb.cohort import MUSCLES, Person, draw_cohort
+from armperturb.environment import Environment
+from armperturb.study.protocol import FORCES, THESIS, Protocol, load_protocol
+from armperturb.validation import require_number, require_one_of
+
+BLOCK = 96
+"""Default number of trials that are simulated side by side: more are hardly faster, but take more memory."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudySettings:
+    """What determines a study.
+
+    Raises:
+      TypeError: a value is not a number.
+      ValueError: a value is out of its range.
+    """
+
+    subjects: int = 10
+    """Number of synthetic people."""
+    seed: int = 0
+    """Seed of everything random."""
+    protocol: Path | None = None
+    """TOML file of the experiment that each person goes through; by default the thesis's protocol."""
+    ideal: bool = False
+    """People and instruments without noise."""
+    forces: Literal["practice", "published"] | None = None
+    """Where the forces come from, instead of what the protocol says: each person's practice session, or the protocol's
+    own, the same for everyone."""
+    muscles: Literal["nonlinear", "linear"] = "nonlinear"
+    """People around a calibrated average person with nonlinear muscles, or people with linear ones, whose true
+    parameters estimates can be compared with."""
+
+    def __post_init__(self) -> None:
+        require_number("study", "subjects", self.subjects, at_least=1)
+        require_number("study", "seed", self.seed, at_least=0)
+        require_one_of("study", "forces", self.forces, (*FORCES, None))
+        require_one_of("study", "muscles", self.muscles, MUSCLES)
+
+    def load_protocol(self) -> Protocol:
+        """The protocol, with the `forces` of the settings.
+
+        Raises:
+          TypeError: a value in the file has the wrong type.
+          ValueError: the file is refused.
+          OSError: the file cannot be read.
+        """
+        protocol = THESIS if self.protocol is None else load_protocol(self.protocol)
+        return protocol if self.forces is None else replace(protocol, forces=self.forces)
+
+    def draw_people(self, environment: Environment) -> tuple[Person, ...]:
+        """The people, each stable on the environment.
+
+        Raises:
+          RuntimeError: no stable person was found, which only an unusual environment can cause.
+        """
+        return draw_cohort(self.subjects, self.seed, environment, muscles=self.muscles)
