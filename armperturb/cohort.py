@@ -252,8 +252,8 @@ def draw_person(
             for condition, level in average.levels.items()
         }
         for task, rng in zip(TASKS, task_rngs, strict=True):
-            own = {name: level for name, level in levels.items() if name.startswith(task)}
-            subjects[task] = _draw_nonlinear(replace(average.subjects[task], **body), own, rng, environment)
+            of_task = {name: level for name, level in levels.items() if name.startswith(task)}
+            subjects[task] = _draw_nonlinear(replace(average.subjects[task], **body), of_task, rng, environment)
     return Person(name=body["name"], height=height, mass=mass, subjects=subjects, levels=levels)
 
 
@@ -293,7 +293,7 @@ def _draw_nonlinear(
         law = mean.muscle
         if law is not None:
             changed: dict[str, Any] = {
-                name: tuple(f * own for f, own in zip(factors(shared), law.of_elements(name), strict=True))
+                name: tuple(f * value for f, value in zip(factors(shared), law.of_elements(name), strict=True))
                 for name, shared in (("short_range_stiffness", alike), ("elastic_limit_deg", 0.0))
             }
             law = replace(law, **changed)

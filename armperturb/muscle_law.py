@@ -82,10 +82,10 @@ class MuscleLaw:
                 raise TypeError(
                     f"MuscleLaw: {field} = {value!r}; expected a number, or three for {', '.join(_ELEMENTS)}"
                 )
-            for own in values:
-                if not (field in _MAY_BE_INFINITE and own == math.inf):
-                    require_number("MuscleLaw", field, own, **bounds)
-            object.__setattr__(self, field, tuple(float(own) for own in values))
+            for element in values:
+                if not (field in _MAY_BE_INFINITE and element == math.inf):
+                    require_number("MuscleLaw", field, element, **bounds)
+            object.__setattr__(self, field, tuple(float(element) for element in values))
 
     def scaled(self, factor: float) -> Self:
         """The law with `factor` times the short-range stiffness; limits, times and speeds stay."""

@@ -136,11 +136,11 @@ class Subject:
         if min(self.muscle.of_elements("thinning_velocity")) == math.inf:
             return
         for field in ("b_s", "b_e"):
-            # Linear dampers with a negative one among them may be one passive matrix; dampers that thin apart may not.
+            # With a negative damper among them, linear dampers may be passive together; shear-thinning ones are not.
             if getattr(self, field) < self.b_se:
                 raise ValueError(
-                    f"Subject: {field} = {getattr(self, field)!r}; expected at least b_se = {self.b_se!r} with damping "
-                    "that thins: below it the single-joint group's own damping is negative and gives energy"
+                    f"Subject: {field} = {getattr(self, field)!r}; expected at least b_se = {self.b_se!r} with "
+                    "shear-thinning damping: below it the single-joint group's own damping is negative and gives energy"
                 )
 
     @property

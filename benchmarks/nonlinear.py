@@ -34,10 +34,10 @@ from pathlib import Path
 import numpy as np
 
 from armperturb.analysis.nonlinear.choice import compare_laws
-from armperturb.analysis.nonlinear.estimate import UNCERTAIN, NonlinearEstimate
 from armperturb.analysis.nonlinear.identify import identify_nonlinear
 from armperturb.analysis.nonlinear.model import coordinate, true_values
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
+from armperturb.analysis.nonlinear.result import UNCERTAIN, NonlinearEstimate
 from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import training_sets, trial_sets
 from armperturb.analysis.results import normal_quantile
@@ -137,7 +137,7 @@ def _ratio(estimate: NonlinearEstimate, known: Mapping[str, float]) -> tuple[flo
     """Error of the logarithm of `RATIO`, its standard error, and whether an interval of 95 % holds the truth."""
     names, (above, below) = list(estimate.values), RATIO.split(" / ")
     error = float(np.log(estimate.values[above] / known[above] / (estimate.values[below] / known[below])))
-    first, second = estimate.log_error[above], estimate.log_error[below]
+    first, second = estimate.coordinate_error[above], estimate.coordinate_error[below]
     shared = estimate.correlation[names.index(above), names.index(below)] * first * second
     claimed = float(np.sqrt(first**2 + second**2 - 2.0 * shared))
     return error, claimed, abs(error) < normal_quantile(0.95) * claimed
@@ -160,7 +160,7 @@ def fit_person(part: str, path: Path, truth: Person) -> tuple[str, Results]:
         results.errors[part, name].append(
             (
                 coordinate(name, value) - coordinate(name, known[name]),
-                estimate.log_error[name],
+                estimate.coordinate_error[name],
                 low <= known[name] <= high,
             )
         )
@@ -175,7 +175,7 @@ def fit_person(part: str, path: Path, truth: Person) -> tuple[str, Results]:
             results.pulses[part, pulse.condition, model].append(pulse)
     peaks = [f"{label} {median_peak(of):.0f}" for (label, model), of in own.items() if model == MODELS[0]]
     said = (
-        f"{truth.name} {part}: {estimate.status} after {estimate.n_rounds} steps, {clock:.0f} s by the clock, "
+        f"{truth.name} {part}: {estimate.message} after {estimate.n_steps} steps, {clock:.0f} s by the clock, "
         f"{processor:.0f} s of the processor; peaks [%] {', '.join(peaks)}"
     )
     return said, results

@@ -103,7 +103,8 @@ def test_muscles_change_no_body():
         assert not one.levels
 
 
-def test_people_whose_muscles_yield_are_stable_at_their_levels_with_and_without_short_range_stiffness():
+@pytest.mark.slow(reason="poles of twenty people at all their levels")
+def test_nonlinear_people_are_stable_at_their_levels_with_and_without_short_range_stiffness():
     for person in draw_cohort(20, 2):
         assert person.levels.keys() == average_person().levels.keys()
         assert min(person.levels.values()) > 0
@@ -116,7 +117,8 @@ def test_people_whose_muscles_yield_are_stable_at_their_levels_with_and_without_
                     assert largest_real_pole(arm, Environment()) < -NONLINEAR_MARGIN
 
 
-def test_people_whose_muscles_yield_differ_around_the_average():
+@pytest.mark.slow(reason="draws sixty nonlinear people")
+def test_nonlinear_people_differ_around_the_average():
     people, average = draw_cohort(60, 3), average_person()
     for condition, level in average.levels.items():
         own = np.array([person.levels[condition] for person in people])
@@ -141,6 +143,7 @@ def test_people_whose_muscles_yield_differ_around_the_average():
             assert {getattr(subject, name) for subject in subjects} == {getattr(mean, name)}
 
 
+@pytest.mark.slow(reason="draws three hundred people")
 def test_cohort_is_spread_as_published():
     people = draw_cohort(300, 1, muscles="linear")
     arms = [person.subjects["PT"] for person in people]

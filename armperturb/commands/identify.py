@@ -115,7 +115,8 @@ class Identify(Command):
 
     def _identify_nonlinear(self, recording: xr.Dataset) -> list[str]:
         with naming_the_extra("identify --model nonlinear"):
-            from armperturb.analysis.nonlinear.identify import identify_nonlinear, told, write_nonlinear
+            from armperturb.analysis.nonlinear.export import write_nonlinear
+            from armperturb.analysis.nonlinear.identify import identify_nonlinear
             from armperturb.workers import cpu_count
         from armperturb.plots.style import new_figure, save_svg
 
@@ -144,7 +145,7 @@ class Identify(Command):
             result.plot(figure)
             save_svg(figure, self.out / "pulses.svg")
         write_nonlinear(result, self.out)
-        return told(result)
+        return result.summary().splitlines()
 
     @contextmanager
     def _naming_the_files(self) -> Iterator[None]:

@@ -1,8 +1,8 @@
-"""The nonlinear part of intrinsic muscle: short-range stiffness that yields and wears off, damping that thins.
+"""The nonlinear part of intrinsic muscle: short-range stiffness with yielding and recovery, shear-thinning damping.
 
-What is linear stands in the MJCF model; the torque of this law comes on top of it. Equations, symbols and literature
-stand in docs/muscle.md. Only elementwise arithmetic is used, summed over parts in a fixed order: it gives the same bits
-for one trial as for many.
+The linear part is in the MJCF model, and the torque of this law is added to it. docs/muscle.md has the equations,
+symbols and literature. Only elementwise arithmetic is used, summed over parts in a fixed order, so that a trial has the
+same bits alone and beside others.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ class MuscleParameters:
       limit: elastic limits of the parts at rest, (part, trial, element) [rad].
       limit_slope: their growth with speed, (part, trial, element) [s]; None if nobody's grow.
       loss: inverse of the angle of loss, (trial, element) [1/rad].
-      kept: share of what was lost that is still lost a step later, (trial, element) [-].
+      persistence: share of the lost stiffness that is still lost a step later, (trial, element) [-].
       damping: linear damping of the element's muscle group, (trial, element) [Nms/rad].
       thinning: inverse of the thinning velocity, (trial, element) [s/rad].
     """
@@ -39,7 +39,7 @@ class MuscleParameters:
     limit: Array
     limit_slope: Array | None
     loss: Array
-    kept: Array
+    persistence: Array
     damping: Array
     thinning: Array
 
@@ -106,7 +106,7 @@ def muscle_parameters(subjects: Sequence[Subject], timestep: float) -> MusclePar
         limit=shape * np.minimum(np.radians(each("elastic_limit_deg")), NEVER),
         limit_slope=shape * slope if slope.any() else None,
         loss=1.0 / np.radians(each("loss_angle_deg")),
-        kept=np.exp(-timestep / each("recovery_time")),
+        persistence=np.exp(-timestep / each("recovery_time")),
         damping=trials_adjacent([subject.muscle_groups("b") for subject in subjects], 0),
         thinning=1.0 / each("thinning_velocity"),
     )
@@ -160,7 +160,7 @@ def muscle_torque(
     torque *= parameters.stiffness
     thinned = speed * parameters.thinning
     torque -= parameters.damping * velocity * (thinned / (1.0 + thinned))
-    return torque, MuscleState(bond, 1.0 - (1.0 - intact) * parameters.kept, stretch)
+    return torque, MuscleState(bond, 1.0 - (1.0 - intact) * parameters.persistence, stretch)
 
 
 class NonlinearMuscles:
@@ -218,11 +218,11 @@ class NonlinearMuscles:
           short_range: short-range stiffness [Nm/rad], (trial, element).
           damping: linear damping of the muscle groups [Nms/rad], (trial, element).
         """
-        own = self._parameters
+        before = self._parameters.stiffness
         stiffness = short_range / self._parts[trials]
-        share = np.divide(own.stiffness[trials], stiffness, out=np.ones_like(stiffness), where=stiffness > 0.0)
+        share = np.divide(before[trials], stiffness, out=np.ones_like(stiffness), where=stiffness > 0.0)
         self._state.bond[:, trials] *= np.minimum(share, 1.0)
-        own.stiffness[trials], own.damping[trials] = stiffness, damping
+        before[trials], self._parameters.damping[trials] = stiffness, damping
 
     def replace(self, trials: Indices, fresh: Self) -> None:
         """Put other people, at rest, in the place of some trials.
@@ -232,32 +232,34 @@ class NonlinearMuscles:
           fresh: as many trials.
         """
         self.needed |= fresh.needed
-        missing = len(fresh._state.bond) - len(self._state.bond)
-        if missing > 0:  # parts that a trial does not have yield at once
-            more = trials_adjacent(np.zeros((missing, *self._state.stretch.shape)), 1)
-            own = self._parameters
-            self._parameters = replace(own, limit=np.concatenate([own.limit, more]))
-            if own.limit_slope is not None:
-                self._parameters = replace(self._parameters, limit_slope=np.concatenate([own.limit_slope, more]))
-            self._state = self._state._replace(bond=np.concatenate([self._state.bond, more]))
-        if fresh._parameters.limit_slope is not None and self._parameters.limit_slope is None:
-            self._parameters = replace(self._parameters, limit_slope=np.zeros_like(self._parameters.limit))
+        self._make_room_for(fresh)
+        fresh._make_room_for(self)
         self._posture[trials], self._parts[trials] = fresh._posture, fresh._parts
         self._velocity[trials] = self._torque[trials] = 0.0
         for field in fields(MuscleParameters):
-            into, values = getattr(self._parameters, field.name), getattr(fresh._parameters, field.name)
+            into = getattr(self._parameters, field.name)
             if into is not None:
-                _put(into, trials, 0.0 if values is None else values)
+                into[..., trials, :] = getattr(fresh._parameters, field.name)
         for into, values in zip(self._state, fresh._state, strict=True):
-            _put(into, trials, values)
+            into[..., trials, :] = values
 
+    def _make_room_for(self, other: Self) -> None:
+        """Have as many parts as other trials, which yield at once where a law has fewer, and limits that may grow."""
+        parameters = self._parameters
+        missing = len(other._state.bond) - len(self._state.bond)
+        if parameters.limit_slope is None and other._parameters.limit_slope is not None:
+            parameters = replace(parameters, limit_slope=np.zeros_like(parameters.limit))
+        if missing > 0:
+            more = trials_adjacent(np.zeros((missing, *parameters.stiffness.shape)), 1)
 
-def _put(into: Array, trials: Indices, values: Array | float) -> None:
-    """Write (trial, element) or (part, trial, element); fewer parts are followed by zeros."""
-    if into.ndim == 2:
-        into[trials] = values
-    elif isinstance(values, float):
-        into[:, trials] = values
-    else:
-        into[: len(values), trials] = values
-        into[len(values) :, trials] = 0.0
+            def extended(values: Array) -> Array:
+                return np.concatenate([values, more])
+
+            self._state = self._state._replace(bond=extended(self._state.bond))
+            slope = parameters.limit_slope
+            parameters = replace(
+                parameters,
+                limit=extended(parameters.limit),
+                limit_slope=None if slope is None else extended(slope),
+            )
+        self._parameters = parameters

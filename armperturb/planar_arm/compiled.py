@@ -72,7 +72,7 @@ def _muscles(p: Lane, bond: Array, intact: Array, last: Array, stretch: Array, v
             strain = min(max(bond[element, part] * survival + whole * move, -limit), limit)
             bond[element, part] = strain
             total += strain
-        intact[element] = 1.0 - (1.0 - whole) * p.kept[element]
+        intact[element] = 1.0 - (1.0 - whole) * p.persistence[element]
         thinned = speed * p.thinning[element]
         torque = total * p.part_stiffness[element]
         torque -= p.damping_groups[element] * velocity[element] * (thinned / (1.0 + thinned))

@@ -55,7 +55,7 @@ def lane_type(parts: int) -> np.dtype:
             ("delay", np.float64, (2,)),
             ("numerator", np.float64, (3, 2)),
             ("denominator", np.float64, (3, 2)),
-            *((name, *triple) for name in ("part_stiffness", "loss", "kept", "damping_groups", "thinning")),
+            *((name, *triple) for name in ("part_stiffness", "loss", "persistence", "damping_groups", "thinning")),
             ("limit", np.float64, (3, parts)),
             ("limit_slope", np.float64, (3, parts)),
             ("saturation", *triple),
@@ -104,7 +104,7 @@ def lane_table(subjects: Sequence[Subject], environments: Sequence[Environment],
     )
     table["numerator"], table["denominator"] = gains.numerator.swapaxes(0, 1), gains.denominator.swapaxes(0, 1)
     table["kv_groups"] = [subject.muscle_groups("kv") for subject in subjects]
-    for name in ("loss", "kept", "thinning"):
+    for name in ("loss", "persistence", "thinning"):
         table[name] = getattr(muscles, name)
     table["part_stiffness"], table["damping_groups"] = muscles.stiffness, muscles.damping
     table["limit"] = muscles.limit.transpose(1, 2, 0)

@@ -1,4 +1,4 @@
-"""`identify --model nonlinear` as a stranger types it."""
+"""`identify --model nonlinear` from the command line."""
 
 import csv
 import json
@@ -10,6 +10,7 @@ import pytest
 
 from armperturb import cli, workers
 from armperturb.analysis.nonlinear import estimate, identify
+from armperturb.analysis.results import PARAMETER_COLUMNS
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
@@ -27,8 +28,8 @@ def compiled(once):
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """Fits in the presence of little drawn noise."""
-    monkeypatch.setattr(identify, "fit", partial(estimate.fit, n_pairs=1))
-    monkeypatch.setattr(estimate, "N_PAIRS_OF_ERRORS", 2)
+    few = partial(identify.identify_nonlinear, n_pairs=1, n_pairs_of_errors=2)
+    monkeypatch.setattr(identify, "identify_nonlinear", few)
     monkeypatch.setattr(workers, "cpu_count", lambda: 1)
 
 
@@ -70,45 +71,45 @@ def rows(path):
 
 
 def test_a_search_that_is_interrupted_goes_on_and_writes_what_it_found(path, capsys, monkeypatch):
-    out, told = path.parent / "out", estimate._Search._tell
+    out, save = path.parent / "out", estimate.save_position
     with monkeypatch.context() as patch:
-        done = []
 
-        def tell(self, cost, step):
-            told(self, cost, step)
-            done.append(step)
-            if len(done) == 3:
+        def interrupted(checkpoint, digest, position):
+            save(checkpoint, digest, position)
+            if position.n_steps == 2:
                 raise KeyboardInterrupt
 
-        patch.setattr(estimate._Search, "_tell", tell)
+        patch.setattr(estimate, "save_position", interrupted)
         assert run(path, "--law", "linear") == 130
     said = capsys.readouterr().err.splitlines()
     assert said[-1] == "armperturb: interrupted; the same command continues from here"
-    assert said[-2].startswith("round 3: cost ")
-    assert [one.name for one in out.iterdir()] == ["checkpoint.npz"]
+    assert said[-2].startswith("step 2: cost ")
+    assert [file.name for file in out.iterdir()] == ["checkpoint.npz"]
 
     assert run(path, "--law", "linear") == 0
     captured = capsys.readouterr()
-    assert captured.err.startswith("round 3: ")
-    assert captured.out.startswith("linear law: settled\n")
-    assert sorted(one.name for one in out.iterdir()) == [
+    assert captured.err.startswith("step 3: ")
+    assert captured.out.startswith("Muscles of relax in RT: linear law, maximum likelihood of raw trials in 2 ")
+    assert "\nconverged after " in captured.out
+    assert sorted(file.name for file in out.iterdir()) == [
         "correlations.csv", "fit.json", "parameters.csv", "predictions.csv", "pulses.svg",
     ]  # fmt: skip
-    parameters = {row["name"]: row for row in rows(out / "parameters.csv")}
-    assert list(next(iter(parameters.values()))) == ["name", "value", "unit", "lower", "upper", "log_error"]
+    parameters = {row["parameter"]: row for row in rows(out / "parameters.csv")}
+    assert tuple(next(iter(parameters.values()))) == PARAMETER_COLUMNS
     for name, true, unit in (("m_f", RELAX.m_f, "kg"), ("k.shoulder", RELAX.muscle_groups("k")[0], "Nm/rad")):
-        assert parameters[name]["unit"] == unit
-        assert float(parameters[name]["lower"]) < float(parameters[name]["value"]) < float(parameters[name]["upper"])
-        assert float(parameters[name]["value"]) == pytest.approx(true, rel=0.25)
+        row = parameters[name]
+        assert row["unit"] == unit
+        assert float(row["lower_95"]) < float(row["value"]) < float(row["upper_95"])
+        assert float(row["value"]) == pytest.approx(true, rel=0.25)
     correlations = rows(out / "correlations.csv")
-    assert [row["name"] for row in correlations] == list(parameters)
+    assert [row["parameter"] for row in correlations] == list(parameters)
     assert float(correlations[2]["k.elbow"]) == pytest.approx(
-        float(next(row for row in correlations if row["name"] == "k.elbow")[correlations[2]["name"]])
+        float(next(row for row in correlations if row["parameter"] == "k.elbow")[correlations[2]["parameter"]])
     )
     predictions = rows(out / "predictions.csv")
     assert {row["model"] for row in predictions} == {"nonlinear", "linear", "skeletal"}
     assert len(predictions) == 3 * 4
-    # The person is linear: everyone predicts the pulse well, the skeleton beside.
+    # The person is linear: all models predict the pulse well.
     assert float(np.median([float(r["vaf_percent"]) for r in predictions if r["model"] == "skeletal"])) > 90.0
     summary = json.loads((out / "fit.json").read_text())
     assert summary["law"] == "linear"

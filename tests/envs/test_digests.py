@@ -4,9 +4,11 @@ import json
 import os
 from pathlib import Path
 
+import pytest
 from digests import digests
 
 
+@pytest.mark.slow(reason="all laboratories and a vector environment, twice")
 def test_digests_are_those_of_the_other_installation_or_of_one_thread():
     # `make test-latest` writes the file with the package's usual installation, and runs this in the newest.
     other = os.environ.get("ARMPERTURB_DIGESTS")

@@ -32,8 +32,8 @@ def multisines() -> list[Multisine]:
 
 
 @pytest.fixture(scope="module")
-def multisine(multisines: list[Multisine]) -> Multisine:
-    return multisines[1]
+def multisine() -> Multisine:
+    return Multisine.draw(seed=1, rms=8.0)
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +81,7 @@ def test_spectrum_and_rms(reduced, power_ratio):
     assert np.delete(power, multisine.lines, axis=0).max() < 1e-20 * power.max()
 
 
+@pytest.mark.slow(reason="lowers the peaks of eight multisines")
 def test_axes_and_seeds_are_independent(multisines):
     force = [it.sample(200.0, 4096) for it in multisines]
     correlation = np.corrcoef(np.hstack(force).T)[np.triu_indices(16, 1)]
@@ -90,12 +91,13 @@ def test_axes_and_seeds_are_independent(multisines):
     assert alignment < 0.03
 
 
-def test_seed_decides(multisines):
-    again = Multisine.draw(seed=7, rms=1.0).phases
-    np.testing.assert_array_equal(multisines[7].phases, again)  # whatever the RMS force
-    assert not np.allclose(multisines[6].phases, again)
+def test_seed_decides(multisine):
+    again = Multisine.draw(seed=1, rms=1.0).phases
+    np.testing.assert_array_equal(multisine.phases, again)  # whatever the RMS force
+    assert not np.allclose(Multisine.draw(seed=2, rms=1.0, crested=False).phases, again)
 
 
+@pytest.mark.slow(reason="needs processes of its own")
 def test_threads_do_not_change_the_phases():
     code = (
         "import hashlib; from armperturb.perturbations import Multisine; "
@@ -121,6 +123,7 @@ def crest_factors(multisines: list[Multisine], samples_per_period: int) -> np.nd
     return np.abs(force).max(axis=1) / np.sqrt(np.mean(force**2, axis=1))
 
 
+@pytest.mark.slow(reason="lowers the peaks of eight multisines")
 def test_crest_factor_is_low(multisines):
     assert np.median(crest_factors(multisines, 4096)) < 1.70  # over 100 seeds: 1.685
     assert crest_factors(multisines, 4096).max() < 1.72
@@ -128,6 +131,7 @@ def test_crest_factor_is_low(multisines):
     assert crest_factors(multisines, 4 * 4096).max() < 1.77
 
 
+@pytest.mark.slow(reason="lowers the peaks of four multisines")
 def test_crest_factor_is_low_with_the_other_reduction_too():
     others = [Multisine.draw(seed=seed, rms=8.0, reduced="amplitude") for seed in range(4)]
     assert np.median(crest_factors(others, 4096)) < 1.55
@@ -140,9 +144,9 @@ def test_reported_crest_factor_is_that_of_the_samples(multisine):
     np.testing.assert_array_equal(multisine.crest_factor(), multisine.crest_factor(800.0))
 
 
-def test_without_cresting_phases_are_those_drawn():
-    crested, plain = (Multisine.draw(seed=2, rms=1.0, crested=crested) for crested in (True, False))
-    assert plain.crest_factor().min() > 2.4 > crested.crest_factor().max()
+def test_without_cresting_phases_are_those_drawn(multisine):
+    plain = Multisine.draw(seed=1, rms=8.0, crested=False)
+    assert plain.crest_factor().min() > 2.4 > multisine.crest_factor().max()
 
 
 def test_fast_path_agrees_with_the_sum(multisine):
@@ -219,8 +223,8 @@ def test_fade_is_half_a_cosine_from_the_onset(trial, multisine):
 
 
 def test_trial_is_continuous_around_the_pulse(trial):
-    force = trial.sample(100_000.0, 12_000, 31.99)
-    assert np.abs(np.diff(force, axis=0)).max() < 0.05  # 50 N and 80 ms: 0.02 N per 10 us
+    force = trial.sample(20_000.0, 2_400, 31.99)
+    assert np.abs(np.diff(force, axis=0)).max() < 0.25  # 50 N and 80 ms: 0.1 N per 50 us
 
 
 def test_trial_is_zero_outside(trial):

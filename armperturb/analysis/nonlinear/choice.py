@@ -1,8 +1,9 @@
-"""Which law trials show: structures judged by trials and pulses that they were not fitted to.
+"""Which law the trials support: structures judged by trials and pulses that they were not fitted to.
 
-A larger law fits better whether it is true or not; what it is not fitted to it predicts better only if it is. Trials of
-each condition are therefore shared out among folds; a structure is fitted to all folds but one, noise included, and
-asked how likely the trials of that one are. Their own factors (see `problem`) are integrated over, by Laplace's method.
+A larger law fits better whether it is true or not; it predicts other trials better only if it is. Trials of each
+condition are therefore shared out among folds. A structure is fitted to all folds but one, noise included, and the
+log-likelihood of the trials of that one is computed. Their own factors (see `problem`) are integrated over, by
+Laplace's method.
 """
 
 import math
@@ -14,11 +15,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from armperturb.analysis.nonlinear.estimate import N_PAIRS, NonlinearEstimate, fit, free_parameters, nearest_arms
+from armperturb.analysis.nonlinear.estimate import (
+    N_PAIRS,
+    N_PAIRS_OF_ERRORS,
+    fit,
+    free_parameters,
+    nearest_arms,
+)
 from armperturb.analysis.nonlinear.model import Law, Model, bounds, stem
-from armperturb.analysis.nonlinear.noise import Noise
-from armperturb.analysis.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
-from armperturb.analysis.nonlinear.problem import Problem, State
+from armperturb.analysis.nonlinear.prediction import PulsePrediction, median_peak, median_vaf, predict_pulses
+from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem, State
+from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.nonlinear.trials import TrialSet
 from armperturb.arrays import Array
 from armperturb.subject import Subject
@@ -28,27 +35,27 @@ LAWS: tuple[Law, ...] = ("linear", "short-range", "full")
 
 MECHANISMS: Mapping[str, Mapping[str, float]] = {
     "thixotropy": {"loss_angle_deg": math.inf, "recovery_time": 1.0},
-    "damping that thins": {"thinning_velocity": math.inf},
-    "spindles that saturate": {"spindle_saturation": math.inf},
+    "shear-thinning damping": {"thinning_velocity": math.inf},
+    "spindle saturation": {"spindle_saturation": math.inf},
 }
 """Mechanism of the full law to the values of its parameters that switch it off."""
 
 CHANCE = 0.025
-"""Of taking a larger law for better where it is not [-]."""
+"""Probability of preferring a larger law that is no better [-]."""
 
 N_FOLDS = 2
 N_PAIRS_OF_FOLDS = 2
-"""Pairs of draws of the noise in the folds' fits: laws differ by more than what so few draws leave."""
+"""Pairs of draws of the noise in the folds' fits: laws differ by more than the error that so few draws leave."""
 
 MAX_STEPS = 20
-"""Of the search for the factors of trials that were left out."""
+"""Of the search for the factors of left-out trials."""
 
 
 class Gain(NamedTuple):
-    """By how much one structure makes left-out trials likelier than another one.
+    """How much larger one structure's log-likelihood of left-out trials is than another one's.
 
     Attributes:
-      mean: sum over all trials of the difference between logarithms of the likelihood [-].
+      mean: difference between log-likelihoods, summed over all trials [-].
       standard_error: of that, from how it differs between trials of a condition; infinite if none has two [-].
       dof: degrees of freedom of the latter.
     """
@@ -59,13 +66,20 @@ class Gain(NamedTuple):
 
     @property
     def is_shown(self) -> bool:
-        """Whether so large a gain has at most a probability of `CHANCE` where there is none (one-sided t test)."""
+        """Whether so large a gain has at most a probability of `CHANCE` if the true one is zero (one-sided t test)."""
         return self.dof > 0 and self.mean > float(stats.t.isf(CHANCE, self.dof)) * self.standard_error
+
+    def __str__(self) -> str:
+        change = "raises" if self.mean > 0.0 else "lowers"
+        return (
+            f"{change} the log-likelihood of left-out trials by {abs(self.mean):.1f} (standard error "
+            f"{self.standard_error:.1f}{'' if self.is_shown else ', not significant'})"
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judged:
-    """A structure, and how it does on what it was not fitted to.
+    """A structure, and how well it predicts what it was not fitted to.
 
     Attributes:
       model: the structure.
@@ -86,10 +100,10 @@ class Judged:
         difference, labels = self.log_likelihood - over.log_likelihood, np.array(self.conditions)
         variance, dof = 0.0, 0
         for label in dict.fromkeys(self.conditions):
-            own = difference[labels == label]
-            if len(own) > 1:
-                variance += len(own) * float(own.var(ddof=1))
-                dof += len(own) - 1
+            of_condition = difference[labels == label]
+            if len(of_condition) > 1:
+                variance += len(of_condition) * float(of_condition.var(ddof=1))
+                dof += len(of_condition) - 1
         return Gain(float(difference.sum()), math.sqrt(variance) if dof else math.inf, dof)
 
 
@@ -98,9 +112,9 @@ class Choice:
     """Laws compared.
 
     Attributes:
-      judged: law to how it does, from the simplest to the largest.
-      chosen: the simplest law over which no larger one gains anything that is shown.
-      gains: each larger law's gain over the one that had been chosen before it was asked.
+      judged: law to how well it does, from the simplest to the largest.
+      chosen: the simplest law over which no larger one has a significant gain.
+      gains: each larger law's gain over the one that had been chosen before it was judged.
       mechanisms: mechanism to what the full law gains over that without it; empty unless they were asked for.
     """
 
@@ -112,45 +126,36 @@ class Choice:
     @property
     def estimate(self) -> NonlinearEstimate:
         """That of the chosen law, from all trials."""
-        found = self.judged[self.chosen].estimate
-        assert found is not None
-        return found
+        estimate = self.judged[self.chosen].estimate
+        assert estimate is not None
+        return estimate
 
     def verdict(self) -> tuple[str, ...]:
-        """What the trials say, a sentence each."""
-        said = []
+        """What the trials support, a sentence each."""
+        lines = []
         before: Law = next(iter(self.judged))
         for law, gain in self.gains.items():
-            said.append(f"the {law} law makes left-out trials {_in_words(gain)} than the {before} one")
+            lines.append(f"compared with the {before} law, the {law} law {gain}")
             before = law if gain.is_shown else before
-        if self.chosen == "linear":
-            said.append("your data do not show muscles that yield: the linear law does as well")
-        elif self.chosen == "short-range":
-            said.append(
-                "your data show short-range stiffness that yields; they do not show thixotropy, damping that thins or "
-                "spindles that saturate"
-            )
-        else:
-            said.append("your data show more than short-range stiffness that yields: the full law")
-        said += [
-            f"your data {'show' if gain.is_shown else 'do not show'} {name}: with it, left-out trials are "
-            f"{_in_words(gain)} than without"
+        lines.append(
+            {
+                "linear": "these trials do not show short-range stiffness: the linear law predicts them as well",
+                "short-range": "these trials show short-range stiffness and yielding; they do not show thixotropy, "
+                "shear-thinning damping or spindle saturation",
+                "full": "these trials show more than short-range stiffness and yielding: the full law",
+            }[self.chosen]
+        )
+        lines += [
+            f"these trials {'show' if gain.is_shown else 'do not show'} {name}: it {gain}"
             for name, gain in self.mechanisms.items()
         ]
-        for law, one in self.judged.items():
-            if one.pulses:
-                vaf = float(np.median([pulse.vaf for pulse in one.pulses]))
-                said.append(
-                    f"{len(one.pulses)} left-out pulses, {law} law: median peak {median_peak(one.pulses):.0f} %, "
-                    f"median VAF {vaf:.1f} %"
+        for law, judged in self.judged.items():
+            if judged.pulses:
+                lines.append(
+                    f"{len(judged.pulses)} left-out pulses, {law} law: median peak {median_peak(judged.pulses):.0f} %, "
+                    f"median VAF {median_vaf(judged.pulses):.1f} %"
                 )
-        return tuple(said)
-
-
-def _in_words(gain: Gain) -> str:
-    likelier = "likelier" if gain.mean > 0.0 else "less likely"
-    size = f"by {abs(gain.mean):.1f} (standard error {gain.standard_error:.1f}) in the logarithm"
-    return f"{likelier} {size}{'' if gain.is_shown else ', which may be chance,'}"
+        return tuple(lines)
 
 
 def compare_laws(
@@ -158,8 +163,11 @@ def compare_laws(
     arms: Mapping[str, Subject],
     left_out: Sequence[TrialSet] = (),
     *,
+    laws: Sequence[Law] = LAWS,
     mechanisms: bool = False,
     n_pairs: int = N_PAIRS,
+    n_pairs_of_folds: int = N_PAIRS_OF_FOLDS,
+    n_pairs_of_errors: int = N_PAIRS_OF_ERRORS,
     seed: int = 0,
     checkpoint: Path | None = None,
     progress: Callable[[str], object] | None = None,
@@ -167,20 +175,23 @@ def compare_laws(
 ) -> Choice:
     """Compare laws by trials and pulses that they were not fitted to, and choose one.
 
-    Starting with the linear law, a larger one takes the place of the one chosen so far if it makes left-out trials
-    likelier by more than chance, as told by how trials of a condition differ in that. Pulses are beside: they judge,
-    they do not choose.
+    Starting with the first law, a larger one replaces the one chosen so far if its log-likelihood of left-out trials is
+    significantly larger, judged by how the difference varies between trials of a condition. Pulses take no part in the
+    choice; how well each law predicts them is reported.
 
     Args:
       sets: trials of one person to fit, see `training_sets`. Conditions with a single trial are fitted only.
       arms: condition to a linear arm that fits it.
       left_out: whole trials whose pulses are predicted, see `training_sets`.
-      mechanisms: whether the mechanisms of the full law are judged one by one, if it is chosen.
-      n_pairs: as in `fit`, of the fits to all trials.
-      seed: as in `fit`.
+      laws: to compare, from the simplest to the largest.
+      mechanisms: whether the mechanisms of the full law are judged singly, if it is chosen.
+      n_pairs: pairs of draws of the noise in fits to all trials, see `fit`.
+      n_pairs_of_folds: pairs of draws in the folds' fits.
+      n_pairs_of_errors: pairs of draws from which errors are estimated.
+      seed: of the draws.
       checkpoint: folder for the checkpoints of all fits; a comparison that was stopped there goes on.
-      progress: as in `fit`.
-      threads: as in `fit`.
+      progress: called with a line after each step.
+      threads: how many simulate at a time; no effect on the result.
 
     Raises:
       ValueError: as `fit`, or no condition has two trials.
@@ -189,39 +200,93 @@ def compare_laws(
     folds = _folds(sets)
     if not folds:
         raise ValueError("each condition has one trial; expected two in one at least, to leave one out")
-    everywhere = nearest_arms(sets, arms)
+    fits = _Fits(
+        arms=nearest_arms(sets, arms),
+        n_pairs_of_errors=n_pairs_of_errors,
+        seed=seed,
+        checkpoint=checkpoint,
+        progress=progress,
+        threads=threads,
+    )
+    judged: dict[Law, Judged] = {}
+    in_folds: dict[Law, list[NonlinearEstimate]] = {}
+    gains: dict[Law, Gain] = {}
+    chosen: Law = laws[0]
+    for law in laws:
+        # A linear arm's stiffness is that of all bonds, so a yielding one starts from the arms of all amplitudes.
+        starts = in_folds["short-range"] if law == "full" else []
+        judged[law], in_folds[law] = fits.judge(folds, Model(law=law), law, starts, n_pairs_of_folds)
+        if law != laws[0]:
+            gains[law] = judged[law].gain(judged[chosen])
+            if gains[law].is_shown:
+                chosen = law
+    singly: dict[str, Gain] = {}
+    if mechanisms and chosen == "full":
+        free = {stem(name) for name in in_folds["full"][0].values}
+        for name, off in MECHANISMS.items():
+            if free & set(off):
+                without = Model(fixed=off)
+                reduced, _ = fits.judge(folds, without, f"full without {name}", in_folds["full"], n_pairs_of_folds)
+                singly[name] = judged["full"].gain(reduced)
+    for law in laws:
+        if left_out or law == chosen:
+            estimate = fits.fit(sets, Model(law=law), law, in_folds[law][0].values, n_pairs)
+            pulses = [
+                pulse
+                for trials in left_out
+                for pulse in predict_pulses(trials, estimate.subject(trials.body.task, trials.label))
+            ]
+            judged[law] = replace(judged[law], estimate=estimate, pulses=tuple(pulses))
+    return Choice(judged=judged, chosen=chosen, gains=gains, mechanisms=singly)
 
-    def fitted(
-        trials: Sequence[TrialSet], model: Model, name: str, start: Mapping[str, float], pairs: int
+
+Fold = tuple[list[TrialSet], list[TrialSet]]
+"""Trials to fit and trials to leave out, set by set; a set may leave out nothing."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Fits:
+    """What all fits of a comparison share; attributes as in `compare_laws`."""
+
+    arms: Mapping[str, Subject]
+    n_pairs_of_errors: int
+    seed: int
+    checkpoint: Path | None
+    progress: Callable[[str], object] | None
+    threads: int
+
+    def fit(
+        self, trials: Sequence[TrialSet], model: Model, name: str, start: Mapping[str, float], n_pairs: int
     ) -> NonlinearEstimate:
-        def tell(line: str) -> None:
-            if progress is not None:
-                progress(f"{name}: {line}")
-
-        limits = {name: bounds(name, model.law) for name in free_parameters(trials, model).names}
+        """A fit of that name, which starts from the values that its law has too."""
+        report = self.progress
+        limits = {parameter: bounds(parameter, model.law) for parameter in free_parameters(trials, model).names}
         return fit(
             trials,
-            everywhere,
+            self.arms,
             model,
-            start={name: float(np.clip(value, *limits[name])) for name, value in start.items() if name in limits},
-            n_pairs=pairs,
-            seed=seed,
-            checkpoint=checkpoint and checkpoint / f"checkpoint_{name.replace(' ', '_').replace(',', '')}.npz",
-            progress=tell,
-            threads=threads,
+            initial={name: float(np.clip(value, *limits[name])) for name, value in start.items() if name in limits},
+            n_pairs=n_pairs,
+            n_pairs_of_errors=self.n_pairs_of_errors,
+            seed=self.seed,
+            checkpoint=self.checkpoint
+            and self.checkpoint / f"checkpoint_{name.replace(' ', '_').replace(',', '')}.npz",
+            progress=report and (lambda line: report(f"{name}: {line}")),
+            threads=self.threads,
         )
 
-    def judge(model: Model, name: str, starts: Sequence[NonlinearEstimate]) -> tuple[Judged, list[NonlinearEstimate]]:
-        """A structure judged, and its estimates in the folds."""
+    def judge(
+        self, folds: Sequence[Fold], model: Model, name: str, starts: Sequence[NonlinearEstimate], n_pairs: int
+    ) -> tuple[Judged, list[NonlinearEstimate]]:
+        """A structure judged, and its estimates in the folds, each of which starts from one of `starts`."""
         estimates, log_likelihood, conditions = [], [], []
         for i, (train, test) in enumerate(folds):
-            start = starts[i].values if starts else {}
-            found = fitted(train, model, f"{name}, fold {i + 1}", start, N_PAIRS_OF_FOLDS)
-            estimates.append(found)
-            left = [one for one in test if one.n_trials]
-            noises = [noise for one, noise in zip(test, found.noises, strict=True) if one.n_trials]
-            log_likelihood.append(left_out_likelihood(found, left, noises, everywhere, seed=seed, threads=threads))
-            conditions += [one.label for one in left for _ in range(one.n_trials)]
+            estimate = self.fit(train, model, f"{name}, fold {i + 1}", starts[i].values if starts else {}, n_pairs)
+            estimates.append(estimate)
+            log_likelihood.append(
+                left_out_likelihood(estimate, test, self.arms, n_pairs=n_pairs, seed=self.seed, threads=self.threads)
+            )
+            conditions += [trials.label for trials in test for _ in range(trials.n_trials)]
         judged = Judged(
             model=model,
             estimate=None,
@@ -231,68 +296,45 @@ def compare_laws(
         )
         return judged, estimates
 
-    judged: dict[Law, Judged] = {}
-    in_folds: dict[Law, list[NonlinearEstimate]] = {}
-    gains: dict[Law, Gain] = {}
-    chosen: Law = LAWS[0]
-    for law in LAWS:
-        # A linear arm's stiffness is that of all bonds: a yielding one starts from the arms of all amplitudes instead.
-        judged[law], in_folds[law] = judge(Model(law=law), law, in_folds["short-range"] if law == "full" else [])
-        if law != LAWS[0]:
-            gains[law] = judged[law].gain(judged[chosen])
-            if gains[law].is_shown:
-                chosen = law
-    singly: dict[str, Gain] = {}
-    if mechanisms and chosen == "full":
-        for name, off in MECHANISMS.items():
-            if {stem(free) for free in in_folds["full"][0].values} & set(off):
-                without, _ = judge(Model(fixed=off), f"full without {name}", in_folds["full"])
-                singly[name] = judged["full"].gain(without)
-    for law in LAWS:
-        if left_out or law == chosen:
-            estimate = fitted(sets, Model(law=law), law, in_folds[law][0].values, n_pairs)
-            pulses = [
-                pulse for one in left_out for pulse in predict_pulses(one, estimate.subject(one.body.task, one.label))
-            ]
-            judged[law] = replace(judged[law], estimate=estimate, pulses=tuple(pulses))
-    return Choice(judged=judged, chosen=chosen, gains=gains, mechanisms=singly)
 
-
-def _folds(sets: Sequence[TrialSet]) -> list[tuple[list[TrialSet], list[TrialSet]]]:
-    """For each fold what is fitted and what is left out, set by set; a set may leave out nothing."""
-    found = []
+def _folds(sets: Sequence[TrialSet]) -> list[Fold]:
+    folds = []
     for fold in range(N_FOLDS):
         train, test = [], []
-        for one in sets:
-            out = [trial for trial in range(one.n_trials) if trial % N_FOLDS == fold and one.n_trials > 1]
-            train.append(one.take(trial for trial in range(one.n_trials) if trial not in out))
-            test.append(one.take(out))
-        if any(one.n_trials for one in test):
-            found.append((train, test))
-    return found
+        for trials in sets:
+            out = [trial for trial in range(trials.n_trials) if trial % N_FOLDS == fold and trials.n_trials > 1]
+            train.append(trials.take(trial for trial in range(trials.n_trials) if trial not in out))
+            test.append(trials.take(out))
+        if any(trials.n_trials for trials in test):
+            folds.append((train, test))
+    return folds
 
 
 def left_out_likelihood(
     estimate: NonlinearEstimate,
     sets: Sequence[TrialSet],
-    noises: Sequence[Noise],
     arms: Mapping[str, Subject],
+    *,
+    n_pairs: int = N_PAIRS_OF_FOLDS,
     seed: int = 0,
     threads: int = 1,
 ) -> Array:
-    """Logarithm of the likelihood of trials that an estimate has not seen, but for a constant, (trial,).
+    """Log-likelihood of trials that an estimate was not fitted to, but for a constant, (trial,).
 
     Args:
       estimate: person, noise and spread of trials.
-      sets: the trials, one set for each of `noises`.
-      noises: those of the estimate that belong to the conditions of the sets.
+      sets: for each set of the estimate, other trials of its condition; there may be none.
       arms: condition to a linear arm.
-      seed: of the draws of the noise in whose presence trials are predicted.
-      threads: how many simulate at a time.
+      n_pairs: draws of the noise in whose presence trials are predicted.
+      seed: of the draws.
+      threads: how many simulate at a time; no effect on the result.
     """
-    problem = Problem(estimate.parameters.fixed_at(estimate.state.point), sets, arms, threads)
-    problem.noises = list(noises)
-    problem.draw_again(N_PAIRS_OF_FOLDS, seed)
+    used = [place for place, trials in enumerate(sets) if trials.n_trials]
+    parameters = estimate.parameters.fixed_at(estimate.state.point)
+    problem = Problem(parameters, [sets[place] for place in used], arms, threads)
+    problem.noises = [estimate.noises[place] for place in used]
+    roots = tuple(noise.root for noise in problem.noises)
+    problem.predict_with(NoiseDraws(roots, tuple(estimate.strengths[place] for place in used), n_pairs, seed))
     spread = np.array([estimate.spread[kind] for kind in problem.kinds])
     state = State(np.empty(0), np.zeros(len(problem.kind_of)), spread)
     predicted = problem.predict([state])[0]

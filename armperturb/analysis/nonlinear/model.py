@@ -1,4 +1,4 @@
-"""Which parameters of a person with a muscle law are estimated, and the person that their values make."""
+"""Which parameters of a person with a muscle law are estimated, and the person that their values describe."""
 
 import copy
 import math
@@ -14,7 +14,7 @@ from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import Subject, at_level
 
 Law = Literal["linear", "short-range", "full"]
-"""No muscle law; short-range stiffness that yields; also thixotropy, damping that thins, spindles that saturate."""
+"""No muscle law; short-range stiffness with yielding; also thixotropy, shear-thinning damping, spindle saturation."""
 
 ELEMENTS = ("shoulder", "two-joint", "elbow")
 """Muscle groups of eq. 2.10, as in `MuscleLaw`."""
@@ -55,13 +55,13 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
 """Of each parameter, in its `unit`; a group's stands for its three elements."""
 
 LEAST_THINNING = 0.02
-"""Least damping of a group that thins [Nms/rad]."""
+"""Least damping of a group that is shear-thinning [Nms/rad]."""
 
 SIGNED: Mapping[str, float] = {"k": 0.2, "b": 0.1, "kv": 0.5, "kp": 2.0}
-"""What may be negative, to the size from which on its coordinate is about the logarithm, in its `unit`.
+"""Quantities that may be negative, to the size above which their coordinate is nearly the logarithm, in their `unit`.
 
-A group's own value is what a joint's has beyond the two-joint muscle's (eq. 2.10). In the position task, people of the
-thesis have less at the shoulder.
+A single-joint group has what the joint has beyond the two-joint group (eq. 2.10): it is negative at the shoulder of the
+thesis's people in the position task.
 """
 
 _UNITS: Mapping[str, str] = {
@@ -78,7 +78,7 @@ _UNITS: Mapping[str, str] = {
 
 
 def stem(name: str) -> str:
-    """What a parameter is of: "k.elbow [RT]" is of k."""
+    """Quantity that a parameter is of: "k.elbow [RT]" is of k."""
     return name.partition(" ")[0].partition(".")[0]
 
 
@@ -88,13 +88,13 @@ def unit(name: str) -> str:
 
 
 def bounds(name: str, law: Law) -> tuple[float, float]:
-    """Least and greatest value of a parameter; a damper that thins apart from others must be positive."""
+    """Least and greatest value of a parameter; shear-thinning damping must be positive."""
     low, high = BOUNDS[stem(name)]
     return (LEAST_THINNING, high) if law == "full" and stem(name) == "b" else (low, high)
 
 
 def coordinate(name: str, value: float) -> float:
-    """What is estimated of a parameter: its logarithm; asinh(value / size) + log(size / 2) of what may be negative."""
+    """What is estimated of a parameter: its logarithm, or asinh(value / size) + log(size / 2) if it may be negative."""
     size = SIGNED.get(stem(name))
     return math.log(value) if size is None else math.asinh(value / size) + math.log(size / 2.0)
 
@@ -106,18 +106,23 @@ def value_at(name: str, coordinate: float) -> float:
         return float(np.exp(coordinate) if size is None else size * np.sinh(coordinate - math.log(size / 2.0)))
 
 
+def value_per_coordinate(name: str, value: float) -> float:
+    """Derivative of a parameter with respect to its `coordinate`, in its `unit`."""
+    return math.hypot(value, SIGNED.get(stem(name), 0.0))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Model:
     """A structure: which law, and what is free in it.
 
-    Parameters are called as the fields of `Subject` and `MuscleLaw`. What muscle groups have is "k.shoulder",
-    "k.two-joint", "k.elbow": own values of the groups (eq. 2.10). "Td" and "fact" are those of both
-    joints. "level.PT22.5" multiplies all muscle torques in that condition; the first condition of a task has 1.
+    Parameters have the names of fields of `Subject` and `MuscleLaw`. Those of muscle groups are "k.shoulder",
+    "k.two-joint" and "k.elbow" (eq. 2.10). "Td" and "fact" hold for both joints. "level.PT22.5" multiplies all muscle
+    torques in that condition; the first condition of a task has 1.
 
     Attributes:
       law: of the muscles.
       fixed: parameter to the value that it has; "k" fixes that of all three groups.
-      free: what is free beside the default: "Td", "fact".
+      free: what is free besides the default: "Td", "fact".
       tied: parameter to the other one whose value it has, e.g. "elastic_limit_deg.elbow": "elastic_limit_deg.shoulder".
       shared: parameters that are the same in both tasks.
 
@@ -195,25 +200,25 @@ def person(
         changes |= {f"{quantity}_{entry}": 0.0 for entry in ("s", "se", "e")}
     changes["muscle"] = None
     if law != "linear":
-        own: dict[str, Any] = {
+        law_values: dict[str, Any] = {
             name: tuple(values[f"{name}.{element}"] for element in ELEMENTS) for name in SHORT_RANGE
         } | {name: values[name] for name in COMMON if name in values}
-        changes["muscle"] = MuscleLaw(**own).scaled(math.exp(effects.get("k", 0.0)))
+        changes["muscle"] = MuscleLaw(**law_values).scaled(math.exp(effects.get("k", 0.0)))
     subject = replace(body, **changes)
     level = values.get(f"level.{condition}", 1.0)
     return subject if level == 1.0 else at_level(subject, level)
 
 
 def true_values(subject: Subject, levels: Mapping[str, float]) -> dict[str, float]:
-    """What the parameters of a known person are, by the names of `Model`; elements' values of `COMMON` must agree."""
+    """Parameters of a known person, by the names of `Model`; those of `COMMON` must be the same in all elements."""
     values: dict[str, float] = {name: getattr(subject, name) for name in (*BODY, *GRIP)}
     values |= {"Td": subject.Td_s, "fact": subject.fact_s}
     for group in GROUPS:
         values |= {f"{group}.{e}": v for e, v in zip(ELEMENTS, subject.muscle_groups(group), strict=True)}
     if subject.muscle is not None:
         for name in SHORT_RANGE:
-            own = subject.muscle.of_elements(name)
-            values |= {f"{name}.{element}": value for element, value in zip(ELEMENTS, own, strict=True)}
+            elements = subject.muscle.of_elements(name)
+            values |= {f"{name}.{element}": value for element, value in zip(ELEMENTS, elements, strict=True)}
         values |= {name: subject.muscle.of_elements(name)[0] for name in COMMON}
     return values | {f"level.{condition}": level for condition, level in levels.items()}
 
@@ -222,9 +227,9 @@ class Parameters:
     """All free parameters of one person in one or both tasks, as one vector of coordinates (see `coordinate`).
 
     Attributes:
-      names: of the free parameters; one that both tasks have their own of is "k.elbow [RT]".
+      names: of the free parameters; one that differs between tasks is "k.elbow [RT]".
       lower: bounds, (parameter,).
-      upper: likewise.
+      upper: bounds, (parameter,).
     """
 
     def __init__(self, model: Model, bodies: Mapping[str, Subject], conditions: Mapping[str, Sequence[str]]) -> None:
@@ -272,7 +277,7 @@ class Parameters:
         self.lower, self.upper = np.array(limits).reshape(-1, 2).T
 
     def fixed_at(self, point: Array) -> "Parameters":
-        """The same with nothing free: all has the value that it has at a point."""
+        """These parameters with nothing free, fixed at the values of a point."""
         fixed = copy.copy(self)
         fixed.names, fixed.lower, fixed.upper = [], np.empty(0), np.empty(0)
         fixed._of_task = {task: list(self.values(task, point).items()) for task in self._of_task}
@@ -287,5 +292,5 @@ class Parameters:
 
     def person(self, task: str, point: Array, condition: str, effects: Sequence[float] | Array = ()) -> Subject:
         """The person in one trial, see `person`."""
-        own = dict(zip(EFFECTS[task], effects, strict=False))
-        return person(self.bodies[task], self.model.law, self.values(task, point), condition, own)
+        named = dict(zip(EFFECTS[task], effects, strict=False))
+        return person(self.bodies[task], self.model.law, self.values(task, point), condition, named)

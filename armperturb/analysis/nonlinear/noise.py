@@ -1,8 +1,8 @@
-"""What a person and the instruments add to a trial: its spectrum, white residuals, and other draws of it.
+"""The noise that a person and the instruments add to trials: its spectrum, white residuals, and new draws of it.
 
-As in `analysis.likelihood`, the spectrum of the hand force that would move the handle like the residual is smooth, and
-is averaged over trials and neighbouring frequencies; a linear arm near the person tells how a hand force moves the
-handle. Records begin at rest and fade out.
+The noise is described as the hand force that would move the handle like the residual, through a linear arm near the
+person. As in `fit.likelihood`, the spectrum of that force is smooth: it is averaged over trials and neighbouring
+frequencies. Records begin at rest and fade out.
 """
 
 import numpy as np
@@ -16,10 +16,10 @@ from armperturb.environment import Environment
 from armperturb.subject import Subject
 
 TOP = 20.0
-"""Highest frequency that counts [Hz]: the thesis's perturbations reach it."""
+"""Highest frequency that is fitted [Hz]: the thesis's perturbations reach it."""
 
 MOST_CHANGE = 3.0
-"""Of a noise's strength in one `match` [-]."""
+"""Largest factor by which `matched_strength` departs from 1 [-]."""
 
 
 class Noise:
@@ -27,13 +27,12 @@ class Noise:
 
     Attributes:
       root: of the spectrum of its hand force, as last estimated, (frequency, axis, axis).
-      strength: factor on the amplitude of draws, (frequency,); 1 until `match`.
 
     Args:
       arm: linear, near the person in this condition.
       environment: what the hand held.
-      n: samples that are judged.
-      n_trials: whose residuals tell the noise together.
+      n: samples that are fitted.
+      n_trials: over which the spectrum is averaged.
       rate: of the samples [Hz].
     """
 
@@ -50,7 +49,6 @@ class Noise:
         self._to_force = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
         self._smoother: sparse.csr_array = smoother(len(self._frequency), n_trials)
         self.root = np.zeros((len(self._frequency), 2, 2), dtype=complex)
-        self.strength = np.ones(len(self._frequency))
         self._white = self._to_force
 
     def _force(self, residual: Array) -> ComplexArray:
@@ -65,7 +63,7 @@ class Noise:
         return np.asarray(self._smoother @ power.reshape(-1, 4)).reshape(-1, 2, 2)
 
     def weigh(self, residual: Array) -> None:
-        """Estimate the noise from what is left, (trial, time, axis); it holds until the next call."""
+        """Estimate the spectrum from residuals [m], (trial, time, axis); it weights `white` until the next call."""
         smooth = self._power(residual)
         floor = ROUND_OFF * np.trace(smooth, axis1=1, axis2=2).real + np.finfo(float).tiny
         self.root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(2))
@@ -75,19 +73,19 @@ class Noise:
 
     @property
     def log_determinant(self) -> float:
-        """Twice the logarithm of the density's Jacobian in one trial: what goes with the sum of squares."""
+        """Twice the logarithm of the density's Jacobian in one trial: minus 2 log-likelihood less sum of squares."""
         (a, b), (c, d) = self._white
         return 4.0 * float(np.sum(np.log(np.abs(a * d - b * c))))
 
     def white(self, residual: Array) -> Array:
-        """Residuals (lane, time, axis) as numbers of unit variance, (lane, number)."""
+        """Residuals [m], (trial, time, axis), as numbers of unit variance if they are noise, (trial, number)."""
         white = self._white_spectrum(residual).reshape(len(residual), -1)
         return np.concatenate([white.real, white.imag], axis=1)
 
     def lack_of_fit(self, white: Array, perturbation: Array) -> tuple[Array, int]:
-        """Sum of squares of the linear response to the disturbance that white residuals hold in any band it excites.
+        """Sum of squares of the linear response to the disturbance that residuals hold in the bands that it excites.
 
-        As in `analysis.likelihood.Likelihood.lack_of_fit`, the noise being as last weighed.
+        As in `fit.likelihood.Likelihood.lack_of_fit`, with the spectrum as last estimated.
 
         Args:
           white: from `white`, of the trials; any number of such records, (..., trial, number).
@@ -103,8 +101,8 @@ class Noise:
         chi2, n_bands = np.zeros(white.shape[:-2]), 0
         for band in excited_bands(self._frequency, force):
             basis, _ = np.linalg.qr(changes[:, :, band].reshape(-1, 4))
-            own = np.moveaxis(spectrum[..., band], 0, -3).reshape(*chi2.shape, -1)
-            chi2 += np.sum(np.abs(own @ basis.conj()) ** 2, axis=-1)
+            in_band = np.moveaxis(spectrum[..., band], 0, -3).reshape(*chi2.shape, -1)
+            chi2 += np.sum(np.abs(in_band @ basis.conj()) ** 2, axis=-1)
             n_bands += 1
         return chi2, 8 * n_bands
 
@@ -113,16 +111,18 @@ class Noise:
         spectrum = fft.rfft(faded, axis=1)[:, self._used].transpose(0, 2, 1)
         return np.einsum("abf,tbf->taf", self._white, spectrum)
 
-    def draw(self, standard: Array) -> Array:
-        """Hand force with the spectrum of the noise times `strength` squared [N], (time, axis).
+    def force(self, root: ComplexArray, strength: Array, standard: Array) -> Array:
+        """A draw of the hand force [N], (time, axis).
 
         Args:
+          root: of its spectrum, (frequency, axis, axis), as `root` once was.
+          strength: factor on its amplitude, (frequency,).
           standard: independent standard normal numbers, (time, axis).
         """
         n = len(standard)
         frequency = fft.rfftfreq(n, 1.0 / self._rate)
-        shaped = (self.root * self.strength[:, None, None]).reshape(len(self.root), 4)
-        root = np.stack(
+        shaped = (root * strength[:, None, None]).reshape(len(root), 4)
+        fine = np.stack(
             [
                 np.interp(frequency, self._frequency, of.real, right=0.0)
                 + 1j * np.interp(frequency, self._frequency, of.imag, right=0.0)
@@ -130,20 +130,20 @@ class Noise:
             ],
             axis=1,
         ).reshape(-1, 2, 2)
-        root[0] = 0.0
-        spectrum = np.einsum("fab,fb->fa", root, fft.rfft(standard, axis=0) / np.sqrt(n))
+        fine[0] = 0.0
+        spectrum = np.einsum("fab,fb->fa", fine, fft.rfft(standard, axis=0) / np.sqrt(n))
         return np.asarray(fft.irfft(spectrum * np.sqrt(n / np.sum(self._taper**2)), n, axis=0))
 
-    def match(self, white: Array, simulated: Array) -> None:
-        """Set `strength` so that drawn noise leaves as strong residuals as there are.
+    def matched_strength(self, white: Array, simulated: Array) -> Array:
+        """Factor on the amplitude of draws with which they leave residuals as large as the trials', (frequency,).
 
         Args:
           white: residuals of the trials, from `white`, (trial, number).
-          simulated: what is left of noise that was drawn with the present strength, (draw and trial, number).
+          simulated: residuals of draws of strength 1, (draw and trial, number).
         """
-        wanted, found = (
+        wanted, drawn = (
             self._smoother @ np.mean(np.sum(values.reshape(len(values), 4, -1) ** 2, axis=1), axis=0)
             for values in (white, simulated)
         )
-        ratio = np.sqrt(wanted / np.maximum(found, np.finfo(float).tiny))
-        self.strength = self.strength * np.clip(ratio, 1.0 / MOST_CHANGE, MOST_CHANGE)
+        ratio = np.sqrt(wanted / np.maximum(drawn, np.finfo(float).tiny))
+        return np.clip(ratio, 1.0 / MOST_CHANGE, MOST_CHANGE)

@@ -1,4 +1,4 @@
-"""What a fitted person, linear or not, predicts of pulses that it has not seen (thesis 2.8)."""
+"""Pulses as a fitted person, linear or not, predicts them (thesis 2.8)."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -22,7 +22,7 @@ class PulsePrediction(NamedTuple):
       direction_deg: of the pulse [deg].
       time: from the onset [s], (time,).
       recorded: displacement of the handle [m], (time, axis).
-      predicted: likewise; not finite if the arm blows up.
+      predicted: displacement of the handle [m], (time, axis); not finite if the arm diverges.
     """
 
     condition: str
@@ -38,56 +38,57 @@ class PulsePrediction(NamedTuple):
 
     @property
     def vaf(self) -> float:
-        """Variance of the trajectory that is accounted for, x and y together, from the start of the trial [%]."""
+        """Share of the trajectory's variance that is accounted for, x and y together [%]."""
         return 100.0 * (1.0 - float(np.sum((self.recorded - self.predicted) ** 2) / np.sum(self.recorded**2)))
 
 
-def predict_pulses(one: TrialSet, person: Subject) -> list[PulsePrediction]:
-    """What a person without noise, whole disturbance simulated from rest, predicts of each pulse of a condition.
+def predict_pulses(recorded: TrialSet, person: Subject) -> list[PulsePrediction]:
+    """Predict each pulse of a condition by simulating the whole disturbance from rest, without noise.
 
-    Trials without a pulse, or of which the window after it is not recorded (thesis 2.8), are left out.
+    Trials without a pulse, or whose window after it is not recorded to its end (thesis 2.8), are left out.
 
     Args:
-      one: whole trials.
+      recorded: whole trials.
       person: of these trials' task, as in this condition; linear, or with a muscle law.
     """
-    trials, ends = _recorded(one)
+    trials, ends = _with_window(recorded)
     if not trials:
         return []
-    disturbances = Disturbances(one.perturbation[trials, : int(ends.max())], one.rate)
-    lanes = lane_table([person] * len(trials), [one.environment] * len(trials), disturbances.timestep)
-    return _compared(one, trials, ends, disturbances.responses(lanes, np.arange(len(trials)), ends))
+    disturbances = Disturbances(recorded.perturbation[trials, : int(ends.max())], recorded.rate)
+    lanes = lane_table([person] * len(trials), [recorded.environment] * len(trials), disturbances.timestep)
+    return _compared(recorded, trials, ends, disturbances.responses(lanes, np.arange(len(trials)), ends))
 
 
-def predict_pulses_linearly(one: TrialSet, arm: Subject) -> list[PulsePrediction]:
-    """What the linear model, with the geometry of the start throughout, predicts of the same pulses (thesis 2.8).
+def predict_pulses_linearly(recorded: TrialSet, arm: Subject) -> list[PulsePrediction]:
+    """Predict the pulses that `predict_pulses` predicts by the linear model, whose geometry stays (thesis 2.8).
 
     Args:
-      one: whole trials.
+      recorded: whole trials.
       arm: of these trials' task.
     """
-    trials, ends = _recorded(one)
+    trials, ends = _with_window(recorded)
     if not trials:
         return []
-    force = one.perturbation[trials, : int(ends.max())]
-    return _compared(one, trials, ends, simulate_linear(arm, one.environment, force, one.rate).displacement)
+    force = recorded.perturbation[trials, : int(ends.max())]
+    response = simulate_linear(arm, recorded.environment, force, recorded.rate).displacement
+    return _compared(recorded, trials, ends, response)
 
 
-def _recorded(one: TrialSet) -> tuple[list[int], Indices]:
-    """Trials whose window is recorded, and the sample after it."""
-    n_window = round(WINDOWS[one.body.task] * one.rate) + 1
-    trials = [trial for trial, onset in enumerate(one.onset) if onset + n_window <= one.end]
-    return trials, one.onset[trials] + n_window
+def _with_window(recorded: TrialSet) -> tuple[list[int], Indices]:
+    """Trials whose window after the pulse is recorded, and the sample after it."""
+    n_window = round(WINDOWS[recorded.body.task] * recorded.rate) + 1
+    trials = [trial for trial, onset in enumerate(recorded.onset) if onset + n_window <= recorded.end]
+    return trials, recorded.onset[trials] + n_window
 
 
-def _compared(one: TrialSet, trials: list[int], ends: Indices, responses: Array) -> list[PulsePrediction]:
+def _compared(recorded: TrialSet, trials: list[int], ends: Indices, responses: Array) -> list[PulsePrediction]:
     return [
         PulsePrediction(
-            one.label,
-            float(one.direction_deg[trial]),
-            np.arange(end - one.onset[trial]) / one.rate,
-            one.displacement[trial, one.onset[trial] : end],
-            response[one.onset[trial] : end],
+            recorded.label,
+            float(recorded.direction_deg[trial]),
+            np.arange(end - recorded.onset[trial]) / recorded.rate,
+            recorded.displacement[trial, recorded.onset[trial] : end],
+            response[recorded.onset[trial] : end],
         )
         for trial, end, response in zip(trials, ends, responses, strict=True)
     ]
@@ -95,4 +96,9 @@ def _compared(one: TrialSet, trials: list[int], ends: Indices, responses: Array)
 
 def median_peak(predictions: Sequence[PulsePrediction]) -> float:
     """Median of `PulsePrediction.peak` [%]; NaN of none."""
-    return float(np.median([one.peak for one in predictions])) if predictions else float("nan")
+    return float(np.median([pulse.peak for pulse in predictions])) if predictions else float("nan")
+
+
+def median_vaf(predictions: Sequence[PulsePrediction]) -> float:
+    """Median of `PulsePrediction.vaf` [%]; NaN of none."""
+    return float(np.median([pulse.vaf for pulse in predictions])) if predictions else float("nan")

@@ -1,4 +1,4 @@
-"""Where a nonlinear fit starts: linear arms of several amplitudes, and a coarse look at what they cannot tell."""
+"""Where a nonlinear fit starts: linear arms of several amplitudes, and a grid over what they do not determine."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -16,10 +16,10 @@ from armperturb.arrays import Array
 from armperturb.subject import Subject
 
 LEAST: Mapping[str, float] = {"k": 0.5, "b": 0.3, "kv": 1.0, "kp": 1.0}
-"""What a muscle group has at least in starts that are tried beside those with the linear arms' own values."""
+"""Least values of a muscle group in half of the starts that are tried; the others keep those of the linear arms."""
 
 LONG_RANGE = 0.6
-"""Share of the softest linear stiffness that is taken to be long-range [-]."""
+"""Share of the softest linear stiffness that starts as long-range stiffness [-]."""
 
 USUAL: Mapping[str, Mapping[str, float]] = {
     "PT": {"thinning_velocity": 1.5, "spindle_saturation": 1.5, "loss_angle_deg": 40.0, "recovery_time": 1.5},
@@ -30,10 +30,10 @@ TRIED: Mapping[str, tuple[float, ...]] = {
     "short_range_stiffness": (0.6, 1.0, 1.6),
     "thinning_velocity": (0.4, 1.0, 3.0),
 }
-"""Factors on the start of these parameters, all combinations of which are simulated."""
+"""Factors on the start of these parameters; all combinations are simulated."""
 
 LEVELS = (0.3, 0.45, 0.65, 1.0, 1.5)
-"""Levels of co-contraction that are tried in each condition: pulses alone cannot be answered by a far too stiff arm."""
+"""Levels of co-contraction that are tried in each condition; from one far too high, a search does not find back."""
 
 SPREAD = 0.08
 """SD of the logarithms of the trials' own factors [-]."""
@@ -89,7 +89,7 @@ def start_values(
 ) -> Array:
     """Coordinates of the free parameters from linear arms, (parameter,).
 
-    The softest arm tells the long-range stiffness, the stiffest one how much short-range stiffness comes on top.
+    The softest arm gives the long-range stiffness, the stiffest one the short-range stiffness that is added to it.
 
     Args:
       parameters: what is free.
@@ -102,42 +102,43 @@ def start_values(
     """
     values: dict[str, float] = {}
     for task in parameters.bodies:
-        own = [arms[label] for label in dict.fromkeys(one.label for one in sets if one.body.task == task)]
-        groups = {group: np.array([arm.muscle_groups(group) for arm in own]) for group in GROUPS}
+        labels = dict.fromkeys(trials.label for trials in sets if trials.body.task == task)
+        of_task = [arms[label] for label in labels]
+        groups = {group: np.array([arm.muscle_groups(group) for arm in of_task]) for group in GROUPS}
         softest = groups["k"].sum(axis=1).argmin()
-        found: dict[str, float] = {
-            name: float(np.mean([getattr(arm, name) for arm in own])) for name in ("m_h", "m_f", "k_h", "b_h")
+        initial: dict[str, float] = {
+            name: float(np.mean([getattr(arm, name) for arm in of_task])) for name in ("m_h", "m_f", "k_h", "b_h")
         }
         linear = parameters.model.law == "linear"
         for i, element in enumerate(ELEMENTS):
             k = groups["k"][softest, i] * (1.0 if linear else LONG_RANGE)
-            found[f"k.{element}"] = k
-            found[f"short_range_stiffness.{element}"] = max(groups["k"][:, i].max() - k, 2.0 * LEAST["k"])
-            found[f"b.{element}"] = groups["b"][:, i].max()
-            found[f"elastic_limit_deg.{element}"] = 1.0
+            initial[f"k.{element}"] = k
+            initial[f"short_range_stiffness.{element}"] = max(groups["k"][:, i].max() - k, 2.0 * LEAST["k"])
+            initial[f"b.{element}"] = groups["b"][:, i].max()
+            initial[f"elastic_limit_deg.{element}"] = 1.0
             for group in ("kv", "kp"):
-                found[f"{group}.{element}"] = groups[group][:, i].mean()
-        found |= {"Td": own[0].Td_s, "fact": own[0].fact_s, "elastic_limit_spread": 0.5, **USUAL[task]}
+                initial[f"{group}.{element}"] = groups[group][:, i].mean()
+        initial |= {"Td": of_task[0].Td_s, "fact": of_task[0].fact_s, "elastic_limit_spread": 0.5, **USUAL[task]}
         for name in parameters.names:
             bare = name.removesuffix(f" [{task}]")
-            values.setdefault(name, found.get(bare, 1.0 if stem(name) == "level" else np.nan))
-            if bare in found and np.isnan(values[name]):
-                values[name] = found[bare]
+            values.setdefault(name, initial.get(bare, 1.0 if stem(name) == "level" else np.nan))
+            if bare in initial and np.isnan(values[name]):
+                values[name] = initial[bare]
     for name, value in given.items():
         if name not in parameters.names:
-            raise ValueError(f"start: {name!r} is not free; expected {', '.join(parameters.names)}")
+            raise ValueError(f"initial: {name!r} is not free; expected {', '.join(parameters.names)}")
         low, high = bounds(name, parameters.model.law)
         if not low - 1e-3 * abs(low) <= value <= 1.001 * high:  # those that sat on a bound were rounded
-            raise ValueError(f"start: {name} = {value:g}; expected {low:g} to {high:g}")
+            raise ValueError(f"initial: {name} = {value:g}; expected {low:g} to {high:g}")
         values[name] = value
     point = [coordinate(name, values[name]) for name in parameters.names]
     return np.clip(point, parameters.lower + 1e-6, parameters.upper - 1e-6)
 
 
 def best_start(problem: Problem, point: Array, given: Mapping[str, float]) -> State:
-    """The likeliest of some starts that differ in what linear arms do not tell.
+    """The start of largest likelihood on a coarse grid over what linear arms do not determine.
 
-    Levels are looked for before all else and once more at the end: each is told by the trials of its own condition.
+    Levels are chosen first and once more at the end, each by the trials of its own condition.
 
     Raises:
       ValueError: no arm among them is stable.
@@ -157,15 +158,15 @@ def best_start(problem: Problem, point: Array, given: Mapping[str, float]) -> St
     objectives = [float(np.sum(_objectives(problem, state))) for state in unique]
     if not np.isfinite(objectives).any():
         raise ValueError(
-            "start: the arm is unstable, and so are all arms near it; expected a start that comes to rest (less "
-            "feedback, or more damping)"
+            "initial: the arm is unstable, and so are all arms near it; expected values of an arm that comes to rest "
+            "(less feedback, or more damping)"
         )
     best = unique[int(np.argmin(objectives))]
     return best._replace(point=_best_levels(problem, best, given))
 
 
 def _best_levels(problem: Problem, state: State, given: Mapping[str, float]) -> Array:
-    """The point with the level of each condition that makes its trials likeliest; stays where no level is stable."""
+    """The point with the level of each condition of largest likelihood; unchanged where no level is stable."""
     names, point = problem.parameters.names, state.point.copy()
     levels = [i for i, name in enumerate(names) if stem(name) == "level" and name not in given]
     if not levels:
@@ -176,15 +177,15 @@ def _best_levels(problem: Problem, state: State, given: Mapping[str, float]) -> 
         moved[levels] = np.log(level)
         tried.append(_objectives(problem, state._replace(point=moved)))
     for i in levels:
-        own = [f"level.{condition}" == names[i].partition(" ")[0] for condition in problem.conditions]
-        likeliest = int(np.argmin([objective[own].sum() for objective in tried]))
-        if np.isfinite(tried[likeliest][own].sum()):
-            point[i] = np.log(LEVELS[likeliest])
+        of_level = [f"level.{condition}" == names[i].partition(" ")[0] for condition in problem.conditions]
+        best = int(np.argmin([objective[of_level].sum() for objective in tried]))
+        if np.isfinite(tried[best][of_level].sum()):
+            point[i] = np.log(LEVELS[best])
     return point
 
 
 def _objectives(problem: Problem, state: State) -> Array:
-    """Minus twice the logarithm of the likelihood at the best weights, (trial,); infinite where an arm blows up."""
+    """Minus twice the log-likelihood with the spectrum of these residuals, (trial,); infinite where an arm diverges."""
     predicted = problem.predict([state])[0]
     problem.weigh(problem.residual(np.nan_to_num(predicted, nan=0.0, posinf=0.0, neginf=0.0)))
     return problem.costs(state, predicted) + problem.log_determinants(state)

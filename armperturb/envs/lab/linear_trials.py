@@ -48,13 +48,13 @@ def linear_signals(
     jacobian = hand_jacobian(subject)
     # f = (E + H)^-1 (E d - J Z^-1 torque), as x = H f + J Z^-1 torque = E (d - f).
     drive = np.einsum("fij,fj->fi", held, fft.rfft(force, n_padded, axis=0))
-    own = np.zeros_like(drive)
+    voluntary = np.zeros_like(drive)
     if torque is not None:
-        own = np.einsum("fij,fj->fi", compliance, fft.rfft(torque, n_padded, axis=0))
-    moved = own @ jacobian.T
+        voluntary = np.einsum("fij,fj->fi", compliance, fft.rfft(torque, n_padded, axis=0))
+    moved = voluntary @ jacobian.T
     hand = np.linalg.solve(arm + held, (drive - moved)[..., None])[..., 0]
     handle = np.einsum("fij,fj->fi", arm, hand) + moved
-    joints = np.einsum("fij,fj->fi", compliance @ jacobian.T, hand) + own
+    joints = np.einsum("fij,fj->fi", compliance @ jacobian.T, hand) + voluntary
     signals = np.concatenate([handle, joints, hand], axis=1)
     return np.asarray(fft.irfft(signals, n_padded, axis=0)[: len(force)])
 

@@ -76,7 +76,7 @@ class ArmPerturbTask(composer.Task):
         self.trial: Trial | None = None
         self._options: dict[str, Any] = {}
         self._people = Participants(settings, 1)
-        self._rig = Rig(settings.own, settings.environment, timestep=settings.timestep)
+        self._rig = Rig(settings.subject, settings.environment, timestep=settings.timestep)
         self.set_timesteps(1.0 / settings.control_rate, settings.timestep)
         self._task_observables = self._make_observables()
         self._tolerant = ExitStack()
@@ -124,7 +124,7 @@ class ArmPerturbTask(composer.Task):
           ValueError: an option is unknown or out of its range, or the trial's subject has another body.
         """
         trial = self.settings.drawing(options)(np.random.default_rng(0))
-        needed, given = body_of(self.settings.own), body_of(trial.subject)
+        needed, given = body_of(self.settings.subject), body_of(trial.subject)
         for field in fields(needed):
             value, expected = getattr(given, field.name), getattr(needed, field.name)
             if value != expected:

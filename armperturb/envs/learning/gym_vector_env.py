@@ -94,7 +94,7 @@ class ArmPerturbVectorEnv(VectorEnv):
         self.own_action = own_action(self.settings).astype(np.float32)
         self._session = Session(self.settings, num_envs, n_threads)
         self._onlooker = onlooker(self.settings)
-        self._subjects = [self.settings.own] * num_envs
+        self._subjects = [self.settings.subject] * num_envs
         self._picture = checked_picture(view, width, height)
         self._streams: list[np.random.Generator | None] = [None] * num_envs
         self._over = np.ones(num_envs, dtype=bool)  # nobody has a trial yet
@@ -206,12 +206,12 @@ class ArmPerturbVectorEnv(VectorEnv):
         if isinstance(seed, np.ndarray):
             seed = seed.tolist()
         if not isinstance(seed, list | tuple) or not all(
-            one is None or (isinstance(one, Integral) and not isinstance(one, bool)) for one in seed
+            number is None or (isinstance(number, Integral) and not isinstance(number, bool)) for number in seed
         ):
             raise TypeError(f"reset: seed = {seed!r}; expected a whole number, or one (or None) for each environment")
         if len(seed) != self.num_envs:
             raise ValueError(f"reset: {len(seed)} seeds; expected {self.num_envs}, one for each environment")
-        return [None if one is None else int(one) for one in seed]
+        return [None if number is None else int(number) for number in seed]
 
     def _start_next(self, people: Indices) -> None:
         draw, streams = self.settings.drawing(), [self._streams[i] for i in people.tolist()]

@@ -46,11 +46,11 @@ def subject_at(settings: TaskSettings, levels: ArrayLike) -> Subject:
         for quantity in ("b", "k", "kv", "kp")
         for joint, entry in zip(("s", "se", "e"), getattr(strength, quantity)[0], strict=True)
     }
-    own = settings.own
-    if own.muscle is not None:
+    subject = settings.subject
+    if subject.muscle is not None:
         short_range = tuple(strength.short_range_groups[0].tolist())
-        changes["muscle"] = replace(own.muscle, short_range_stiffness=short_range)
-    return replace(own, **changes)
+        changes["muscle"] = replace(subject.muscle, short_range_stiffness=short_range)
+    return replace(subject, **changes)
 
 
 def strength_of(subjects: Sequence[Subject]) -> Strength:

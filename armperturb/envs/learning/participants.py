@@ -85,7 +85,7 @@ class Participants:
           n_history: steps that force feedback remembers, if more than the task's person needs.
         """
         self.settings = settings
-        self.control = ArmControl([settings.own] * n, settings.timestep, n_history)
+        self.control = ArmControl([settings.subject] * n, settings.timestep, n_history)
         self.levels, self.reached = np.zeros((n, 3, 3)), np.zeros((n, 3))
         self.step, self.n_steps = np.zeros(n, dtype=int), np.zeros(n, dtype=int)
         self._n, self._every = np.arange(n), settings.steps_per_decision
@@ -153,14 +153,14 @@ class Participants:
         Returns:
           As many times the person.
         """
-        subjects = [self.settings.own] * len(people)
+        subjects = [self.settings.subject] * len(people)
         self._put(people, subjects)
         return subjects
 
     def _put(self, people: Indices, subjects: Sequence[Subject]) -> None:
-        own = self._position if self.settings.task == "PT" else self._relaxed
+        strength = self._position if self.settings.task == "PT" else self._relaxed
         for name, values in vars(strength_of(subjects)).items():
-            getattr(own, name)[people] = values
+            getattr(strength, name)[people] = values
         self.control.replace(people, subjects)
         self.levels[people] = self.reached[people] = 1.0 if self.settings.task == "PT" else 0.0
         self._posture[people] = [subject.posture for subject in subjects]
@@ -222,8 +222,9 @@ class Participants:
             raise TypeError(f"action of type {values.dtype}; expected numbers")
         shape = len(self._n), len(self._names)
         if values.shape != shape:
-            own = int(len(shape) == values.ndim and len(values) == len(self._n) == 1)  # one person's has no first axis
-            raise ValueError(f"action of shape {values.shape[own:]}; expected {shape[own:]}: {', '.join(self._names)}")
+            first = int(len(shape) == values.ndim and len(values) == len(self._n) == 1)  # that of a single person
+            given, expected = values.shape[first:], shape[first:]
+            raise ValueError(f"action of shape {given}; expected {expected}: {', '.join(self._names)}")
         values = values.astype(float)
         good = (values >= self._low) & (values <= self._high)
         if not good.all():

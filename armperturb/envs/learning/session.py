@@ -27,7 +27,7 @@ class Session:
         n_history = max(history_length(subject, settings.timestep) for subject in settings.people)
         self.people = Participants(settings, n, n_history)
         self.simulation = Simulation(
-            [settings.own] * n,
+            [settings.subject] * n,
             settings.environment,
             timestep=settings.timestep,
             n_history=n_history,

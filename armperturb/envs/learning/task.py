@@ -135,7 +135,7 @@ class TaskSettings:
         require_number(owner, "timestep", self.timestep, at_least=SHORTEST_STEP)
         for name in (
             *("activation_time", "proprioceptive_delay", "visual_delay", "visual_gain"),
-            *(own.name for own in fields(self) if own.name.endswith("_weight")),
+            *(weight.name for weight in fields(self) if weight.name.endswith("_weight")),
         ):
             require_number(owner, name, getattr(self, name), at_least=0.0, at_most=LARGEST)
         for name in ("proprioceptive_delay", "visual_delay"):
@@ -156,7 +156,7 @@ class TaskSettings:
         if self.perturbation == "multisine-pulse":
             require_number(owner, "earliest onset of onset_window", window[0], above=0.0)
         if self.task == "PT" and self.sets_levels:
-            # Otherwise the person's own level were out of the agent's reach.
+            # Otherwise the agent could not reach the person's own level.
             require_number(owner, "highest_level", self.highest_level, at_least=1.0)
         for subject in self.people:
             self._require_sound(subject)
@@ -188,7 +188,7 @@ class TaskSettings:
         return person.subjects["RT"], person.subjects["PT"]
 
     @property
-    def own(self) -> Subject:
+    def subject(self) -> Subject:
         """The person in this task."""
         return self.people[1 if self.task == "PT" else 0]
 
@@ -251,7 +251,7 @@ class TaskSettings:
             self, number, start, onset, choose(self.rms), choose(self.peak), choose(self.directions_deg)
         )
         return Trial(
-            subject=self.own,
+            subject=self.subject,
             perturbation=perturbation,
             condition=self.task,
             seed=int(rng.integers(2**63)),

@@ -14,8 +14,6 @@ import warnings
 import weakref
 from typing import Any, Protocol
 
-from armperturb.extras import naming_the_extra
-
 PACKAGES = {"egl": "libegl1 libopengl0 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 """Libraries that draw without a window, the better one first, and their packages in Debian and Ubuntu."""
 
@@ -56,8 +54,7 @@ def require_simulator() -> None:
       RuntimeError: it cannot be imported; the message says why, and what helps.
     """
     try:
-        with naming_the_extra("the simulation"):
-            importlib.import_module("mujoco")
+        importlib.import_module("mujoco")
     except Exception as error:  # of MuJoCo, PyOpenGL, or ctypes
         if isinstance(error, ModuleNotFoundError) and error.name == "mujoco":
             raise

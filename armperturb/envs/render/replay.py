@@ -73,42 +73,42 @@ class Replay:
             raise TypeError(f"{source}: trial = {trial!r}; expected a whole number")
         if not 0 <= trial < n_trials:
             raise ValueError(f"{source}: trial = {trial}; expected 0 to {n_trials - 1}")
-        one = recording.isel(trial=[int(trial)])
-        label = {name: one[name].values[0] for name in ("subject", "condition", "pulse_level", "pulse_direction")}
-        body = [float(one[name].values[0]) for name in BODY]
+        chosen = recording.isel(trial=[int(trial)])
+        label = {name: chosen[name].values[0] for name in ("subject", "condition", "pulse_level", "pulse_direction")}
+        body = [float(chosen[name].values[0]) for name in BODY]
         for name, value in zip(BODY, body, strict=True):
             if not np.isfinite(value):
                 raise ValueError(f"{source}: {name} of trial {trial} is {value}; expected the subject's, to draw it")
         shoulder = None
-        if "shoulder_marker" in one:
-            sections = signal.butter(2, min(MARKER_CUTOFF / (float(one.attrs["rate"]) / 2), 0.9), output="sos")
-            marker = one["shoulder_marker"].values
+        if "shoulder_marker" in chosen:
+            sections = signal.butter(2, min(MARKER_CUTOFF / (float(chosen.attrs["rate"]) / 2), 0.9), output="sos")
+            marker = chosen["shoulder_marker"].values
             shoulder = signal.sosfiltfilt(sections, marker, axis=1, padlen=min(15, marker.shape[1] - 1))
         try:
             l_h, l_f, theta_s_deg, theta_e_deg = body
             subject = replace(RELAX, l_h=l_h, l_f=l_f, theta_s_deg=theta_s_deg, theta_e_deg=theta_e_deg)
-            if "joint_angle" in one:
-                angle = one["joint_angle"].values[0]
+            if "joint_angle" in chosen:
+                angle = chosen["joint_angle"].values[0]
             else:
-                angle = (start_posture(one)[:, None] + joint_rotations(one, shoulder=shoulder))[0]
+                angle = (start_posture(chosen)[:, None] + joint_rotations(chosen, shoulder=shoulder))[0]
         except ValueError as error:
             raise ValueError(f"{source}: trial {trial}: {error}") from None
-        displacement = one["displacement"].values[0]
+        displacement = chosen["displacement"].values[0]
         title = [str(label["subject"]), str(label["condition"])]
-        onset = float(one["pulse_onset"].values[0])
+        onset = float(chosen["pulse_onset"].values[0])
         if np.isfinite(onset):
             level = f" level {label['pulse_level']:g}" if label["pulse_level"] > 0 else ""  # 0 and NaN: not said
             title.append(f"pulse{level} at {label['pulse_direction']:g}°")
-        limit = float(one["limit_time"].values[0])
+        limit = float(chosen["limit_time"].values[0])
         if np.isfinite(limit):
             title.append(f"limit at {limit:.2f} s")
         return cls(
             model=build_model(subject, strap=None if shoulder is None else Strap()),
-            time=one["time"].values,
+            time=chosen["time"].values,
             qpos=np.hstack([*([] if shoulder is None else [shoulder[0]]), angle, displacement]),
             displacement=displacement,
-            disturbance=one["perturbation"].values[0],
-            reaction=one["force"].values[0],
+            disturbance=chosen["perturbation"].values[0],
+            reaction=chosen["force"].values[0],
             title=", ".join(part for part in title if part),
             pulse_onset=onset if np.isfinite(onset) else None,
             limit_time=limit if np.isfinite(limit) else None,

@@ -145,7 +145,7 @@ def fit_nonlinear(
         sets = trial_sets(mine)
         fitted, _ = training_sets(sets, fitted_deg)
         arms = {label: case.identified.fit.arm for label, case in own.items()}
-        estimate = fit(fitted, arms, start=start, checkpoint=checkpoint)
+        estimate = fit(fitted, arms, initial=start, checkpoint=checkpoint)
         subjects = {label: estimate.subject(task, label) for label in sets}
         pulses = _left_out(
             mine, sets, subjects, {label: case.thesis_estimate for label, case in own.items()}, fitted_deg
@@ -162,8 +162,8 @@ def fit_nonlinear(
         upper={parameter: upper for parameter, (_, upper) in intervals.items()},
         at_bound=estimate.at_bound,
         converged=estimate.converged,
-        status=estimate.status,
-        remarks=estimate.remarks(),
+        status=estimate.message,
+        remarks=estimate.remarks,
         pulses=tuple(pulses),
     )
 

@@ -7,14 +7,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from armperturb.analysis.nonlinear import choice, estimate
 from armperturb.analysis.nonlinear.choice import Choice, Gain, Judged, compare_laws
+from armperturb.analysis.nonlinear.draws import lack_of_fit, predict_with_noise, simulate_deviations
 from armperturb.analysis.nonlinear.estimate import fit, free_parameters, nearest_arms
 from armperturb.analysis.nonlinear.model import ELEMENTS, Model, true_values
 from armperturb.analysis.nonlinear.prediction import predict_pulses, predict_pulses_linearly
-from armperturb.analysis.nonlinear.problem import Problem, State
+from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem, State
+from armperturb.analysis.nonlinear.result import remarks_on
 from armperturb.analysis.nonlinear.start import best_start
 from armperturb.analysis.nonlinear.trials import trial_sets
+from armperturb.analysis.results import PARAMETER_COLUMNS
 from armperturb.cohort import average_person, draw_person
 from armperturb.subject import RELAX, at_level
 
@@ -90,61 +92,56 @@ def test_with_noise_the_intervals_hold_the_truth_and_are_no_wider_than_they_must
     for name in FREE:
         low, high = noisy_fit.interval(name, 0.997)
         assert low < TRUE[name] < high
-        assert noisy_fit.log_error[name] < 0.4
+        assert noisy_fit.coordinate_error[name] < 0.4
+    # The logarithm's error as a share of the value, but of what may be negative.
+    relative = noisy_fit.standard_error[FREE[1]] / noisy_fit.values[FREE[1]]
+    assert relative == pytest.approx(noisy_fit.coordinate_error[FREE[1]])
     narrow, wide = noisy_fit.interval(FREE[1], 0.5), noisy_fit.interval(FREE[1], 0.95)
     assert wide[0] < narrow[0] < noisy_fit.values[FREE[1]] < narrow[1] < wide[1]
     np.testing.assert_allclose(np.diag(noisy_fit.correlation), 1.0)
-    assert all(one.p_value > 1e-3 for one in noisy_fit.lack_of_fit.values())
-    assert not any("amplitude" in remark for remark in noisy_fit.remarks())
+    assert all(test.p_value > 1e-3 for test in noisy_fit.lack_of_fit.values())
+    assert not any("amplitude" in remark for remark in noisy_fit.remarks)
 
 
 def test_a_wrong_law_leaves_a_lack_of_fit(noisy):
     fixed = {name: value for name, value in FEW.fixed.items() if name in ("m_h", "m_f", "k_h", "b_h")}
     found = fit(noisy, ARMS, Model(law="linear", fixed=fixed), n_pairs=0)
-    assert min(one.p_value for one in found.lack_of_fit.values()) < 1e-3
+    assert min(test.p_value for test in found.lack_of_fit.values()) < 1e-3
 
 
 class Stopped(Exception):
     pass
 
 
-@pytest.mark.parametrize("after", [2, -1])  # without noise in the prediction, and with it: before the last round
-def test_a_search_that_was_stopped_goes_on_to_the_same_result(noisy, noisy_fit, tmp_path, after):
+def test_a_search_that_was_stopped_goes_on_to_the_same_result(noisy, tmp_path):
+    few = [trials.take(range(2)) for trials in noisy]
+    options = {"n_pairs": 1, "n_pairs_of_errors": 2}
+    whole = []
+    expected = fit(few, ARMS, FEW, **options, progress=whole.append)
     lines = []
-    after = after if after > 0 else noisy_fit.n_rounds + after
 
     def stop(line):
         lines.append(line)
-        if len(lines) == after:
+        if len(lines) in stops:
             raise Stopped
 
-    with pytest.raises(Stopped):
-        fit(noisy, ARMS, FEW, n_pairs=2, checkpoint=tmp_path / "c.npz", progress=stop)
-    went_on = []
-    found = fit(noisy, ARMS, FEW, n_pairs=2, checkpoint=tmp_path / "c.npz", progress=went_on.append)
-    assert after <= found.n_rounds <= noisy_fit.n_rounds
-    assert len(went_on) < noisy_fit.n_rounds
-    assert found.values == pytest.approx(noisy_fit.values, rel=1e-9)
-    assert found.log_error == pytest.approx(noisy_fit.log_error, rel=1e-6)
-
-
-def test_the_checkpoint_of_another_fit_is_left_alone(ideal, noisy_fit, tmp_path):
-    (tmp_path / "c.npz").write_bytes(b"no such thing")
-    found = fit(ideal, ARMS, FEW, n_pairs=0, checkpoint=tmp_path / "c.npz")
-    again = []
-    other = replace(FEW, fixed={**FEW.fixed, "k.shoulder": TRUE["k.shoulder"]})
-    fit(ideal, ARMS, other, n_pairs=0, checkpoint=tmp_path / "c.npz", progress=again.append)
-    assert len(again) > 1
-    assert found.values.keys() != other.fixed.keys()
-    # Half a file is none: the search begins anew.
-    whole = (tmp_path / "c.npz").read_bytes()
-    (tmp_path / "c.npz").write_bytes(whole[: len(whole) // 2])
-    assert fit(ideal, ARMS, other, n_pairs=0, checkpoint=tmp_path / "c.npz").n_rounds == len(again)
+    # Without noise in the prediction, and with it, before the last step.
+    stops = (2, len(whole))
+    for _ in stops:
+        with pytest.raises(Stopped):
+            fit(few, ARMS, FEW, **options, checkpoint=tmp_path / "c.npz", progress=stop)
+    found = fit(few, ARMS, FEW, **options, checkpoint=tmp_path / "c.npz", progress=lines.append)
+    # Steps during which it was stopped are taken again.
+    assert lines[:2] == whole[:2]
+    assert lines[2] == whole[1]
+    assert len(lines) <= len(whole) + 2
+    assert found.values == pytest.approx(expected.values, rel=1e-9)
+    assert found.coordinate_error == pytest.approx(expected.coordinate_error, rel=1e-6)
 
 
 def test_one_amplitude_is_said_to_tell_little(noisy):
-    found = fit(noisy[1:], ARMS, FEW, n_pairs=0)
-    assert any("all trials have one amplitude" in remark for remark in found.remarks())
+    found = fit([noisy[1].take([0])], ARMS, FEW, n_pairs=0)
+    assert any("all trials have one amplitude" in remark for remark in found.remarks)
 
 
 @pytest.mark.parametrize(
@@ -163,7 +160,7 @@ def test_trials_of_two_people_are_refused(ideal, change, message):
 
 def test_a_recording_of_two_people_is_refused():
     people = PERSON, replace(PERSON, name="S02")
-    recordings = [made.record(person, [made.push(0, 0.5)]) for person in people]
+    recordings = [made.record(person, [made.push(0, 0.5, duration=1.0)]) for person in people]
     with pytest.raises(ValueError, match=r"the recording holds trials of .* and S02; expected one person"):
         trial_sets(xr.concat(recordings, "trial", data_vars="all", coords="different", compat="equals", join="exact"))
 
@@ -173,10 +170,10 @@ def test_what_cannot_be_fitted_is_refused(ideal):
         fit([], ARMS, FEW)
     with pytest.raises(ValueError, match="arms: none of the task RT; expected at least one"):
         fit(ideal, {}, FEW)
-    with pytest.raises(ValueError, match=r"start: 'm_h' is not free; expected k.shoulder"):
-        fit(ideal, ARMS, FEW, start={"m_h": 2.0})
-    with pytest.raises(ValueError, match=r"start: thinning_velocity = -1; expected 0.01 to 50"):
-        fit(ideal, ARMS, FEW, start={"thinning_velocity": -1.0})
+    with pytest.raises(ValueError, match=r"initial: 'm_h' is not free; expected k.shoulder"):
+        fit(ideal, ARMS, FEW, initial={"m_h": 2.0})
+    with pytest.raises(ValueError, match=r"initial: thinning_velocity = -1; expected 0.01 to 50"):
+        fit(ideal, ARMS, FEW, initial={"thinning_velocity": -1.0})
     with pytest.raises(ValueError, match="sampling rates 100, 200 Hz; expected one"):
         fit([ideal[0], replace(ideal[1], rate=200.0)], ARMS, FEW)
 
@@ -184,8 +181,8 @@ def test_what_cannot_be_fitted_is_refused(ideal):
 def test_an_unstable_start_is_refused():
     arm = replace(average_person().subjects["PT"], muscle=None)
     trials = made.trial_set(made.record(arm, [made.push(0, 3.0, duration=6.0)], condition="PT7.5"), arm)
-    with pytest.raises(ValueError, match="start: the arm is unstable, and so are all arms near it; expected a start"):
-        fit([trials], {"PT7.5": arm}, Model(law="linear"), start=dict.fromkeys(
+    with pytest.raises(ValueError, match="initial: the arm is unstable, and so are all arms near it; expected values"):
+        fit([trials], {"PT7.5": arm}, Model(law="linear"), initial=dict.fromkeys(
             ("kv.shoulder", "kv.two-joint", "kv.elbow"), 150.0))  # fmt: skip
 
 
@@ -195,7 +192,7 @@ def test_negative_groups_of_linear_people_are_found():
     assert min(true["kp.shoulder"], true["kv.shoulder"]) < -4.0
     pushes = [made.push(seed, 3.0, duration=12.0) for seed in range(2)]
     trials = made.trial_set(made.record(arm, pushes, condition="PT7.5"), arm)
-    found = fit([trials], {"PT7.5": arm}, Model(law="linear"), start={"kp.shoulder": 10.0}, n_pairs=0)
+    found = fit([trials], {"PT7.5": arm}, Model(law="linear"), initial={"kp.shoulder": 10.0}, n_pairs=0)
     for name, value in found.values.items():
         assert value == pytest.approx(true[name], rel=0.1), name
     low, high = found.interval("kp.shoulder")
@@ -229,15 +226,20 @@ def test_pulses_of_the_true_person_are_predicted_and_those_of_a_linear_arm_are_n
 
 
 @pytest.mark.parametrize("truth", ["linear", "short-range"])
-def test_laws_are_told_apart_by_trials_left_out(noisy, once, monkeypatch, truth):
-    monkeypatch.setattr(choice, "LAWS", ("linear", "short-range"))
-    monkeypatch.setattr(choice, "N_PAIRS_OF_FOLDS", 1)
-    monkeypatch.setattr(estimate, "N_PAIRS_OF_ERRORS", 2)
+def test_left_out_trials_choose_the_law(noisy, once, truth):
     sets = sets_of(once, "linear", RELAX, 4, True) if truth == "linear" else noisy
     arms = dict.fromkeys(ARMS, RELAX) if truth == "linear" else ARMS
-    found = compare_laws([one.take(range(3)) for one in sets], arms, n_pairs=0)
+    end = 800 if truth == "linear" else 1400  # nothing is shown by less, and something only by more
+    found = compare_laws(
+        [replace(trials.take(range(3)), end=end) for trials in sets],
+        arms,
+        laws=("linear", "short-range"),
+        n_pairs=0,
+        n_pairs_of_folds=1,
+        n_pairs_of_errors=2,
+    )
     assert found.chosen == truth
-    assert ("your data do not show muscles that yield" in " ".join(found.verdict())) == (truth == "linear")
+    assert ("these trials do not show short-range stiffness" in " ".join(found.verdict())) == (truth == "linear")
     assert found.estimate.model.law == truth
 
 
@@ -264,16 +266,21 @@ def test_verdicts_say_what_is_not_shown():
     nothing = judged([0.0] * 8)
     gains = {"short-range": Gain(90.0, 9.0, 6), "full": Gain(3.0, 4.0, 6)}
     laws = dict.fromkeys(("linear", "short-range", "full"), nothing)
-    said = Choice(judged=laws, chosen="short-range", gains=gains, mechanisms={}).verdict()
-    assert said[0].endswith("likelier by 90.0 (standard error 9.0) in the logarithm than the linear one")
-    assert said[1] == (
-        "the full law makes left-out trials likelier by 3.0 (standard error 4.0) in the logarithm, which may be "
-        "chance, than the short-range one"
+    verdict = Choice(judged=laws, chosen="short-range", gains=gains, mechanisms={}).verdict()
+    assert verdict[0] == (
+        "compared with the linear law, the short-range law raises the log-likelihood of left-out trials by 90.0 "
+        "(standard error 9.0)"
     )
-    assert "do not show thixotropy" in said[2]
+    assert verdict[1] == (
+        "compared with the short-range law, the full law raises the log-likelihood of left-out trials by 3.0 (standard "
+        "error 4.0, not significant)"
+    )
+    assert "do not show thixotropy" in verdict[2]
     shown = {"thixotropy": Gain(-1.0, 4.0, 6)}
-    said = Choice(judged=laws, chosen="full", gains=gains, mechanisms=shown).verdict()
-    assert said[-1].startswith("your data do not show thixotropy: with it, left-out trials are less likely by 1.0")
+    verdict = Choice(judged=laws, chosen="full", gains=gains, mechanisms=shown).verdict()
+    assert verdict[-1].startswith(
+        "these trials do not show thixotropy: it lowers the log-likelihood of left-out trials by 1.0"
+    )
 
 
 def test_conditions_of_one_trial_cannot_be_left_out(ideal):
@@ -281,31 +288,30 @@ def test_conditions_of_one_trial_cannot_be_left_out(ideal):
         compare_laws(ideal, ARMS)
 
 
-def told(noisy_fit, correlation, errors=(0.39, 0.33)):
-    """Remarks of a fit to two parameters with the values 43 deg and 2 s."""
+def remarks(correlation, errors=(0.39, 0.33)):
+    """Remarks on two parameters with the values 43 deg and 2 s."""
     names = ("loss_angle_deg", "recovery_time")
-    return replace(
-        noisy_fit,
-        values=dict(zip(names, (43.0, 2.0), strict=True)),
-        log_error=dict(zip(names, errors, strict=True)),
-        correlation=np.array([[1.0, correlation], [correlation, 1.0]]),
-    ).remarks()
+    values, error = (dict(zip(names, numbers, strict=True)) for numbers in ((43.0, 2.0), errors))
+    return remarks_on(values, error, np.array([[1.0, correlation], [correlation, 1.0]]), ())
 
 
-def test_what_is_not_told_alone_is_named_with_what_is_told_together(noisy_fit):
+def test_remarks_name_poorly_determined_parameters_and_what_is_determined_of_them():
     # SD of a difference: sqrt(0.39^2 + 0.33^2 - 2 * 0.86 * 0.39 * 0.33) = 0.199, exp(1.96 * 0.199) = 1.478
-    first, second, both = told(noisy_fit, 0.86)
-    assert first.startswith("loss_angle_deg is not told by these trials: 43 (20 to 92)")
-    assert second.startswith("recovery_time is not told by these trials")
+    first, second, both = remarks(0.86)
+    assert first == "loss_angle_deg is poorly determined: 43 (20 to 92)"
+    assert second.startswith("recovery_time is poorly determined")
     assert both == (
-        "loss_angle_deg / recovery_time is told: 21.5 (15 to 32), standard error of the logarithm 0.20, of each alone "
-        "0.39 and 0.33"
+        "loss_angle_deg / recovery_time is well determined: 21.5 (15 to 32), standard error of the logarithm 0.20, of "
+        "each alone 0.39 and 0.33"
     )
-    (of_product,) = (remark for remark in told(noisy_fit, -0.86) if "is told" in remark)
-    assert of_product.startswith("loss_angle_deg * recovery_time is told: 86 (58 to 1.3e+02)")
-    assert not any("is told" in remark for remark in told(noisy_fit, 0.7))  # too weak
-    assert not any("is told" in remark for remark in told(noisy_fit, 0.86, (0.9, 0.1)))  # the ratio is not told either
-    assert told(noisy_fit, 0.86, (0.2, 0.2)) == ()
+    (of_product,) = (remark for remark in remarks(-0.86) if "well determined" in remark)
+    assert of_product.startswith("loss_angle_deg * recovery_time is well determined: 86 (58 to 1.3e+02)")
+    assert not any("well determined" in remark for remark in remarks(0.7))  # too weak
+    assert not any("well determined" in remark for remark in remarks(0.86, (0.9, 0.1)))  # nor is the ratio
+    assert remarks(0.86, (0.2, 0.2)) == []
+    assert remarks(0.96, (0.2, 0.2)) == [
+        "loss_angle_deg and recovery_time are not separately identifiable (error correlation r = 0.96)"
+    ]
 
 
 POSITION = average_person().subjects["PT"]
@@ -332,23 +338,36 @@ def test_pulses_alone_start_from_the_level_that_answers_them(level):
     assert best_start(problem, np.log([0.8]), {"level.PT0": 0.8}).point == pytest.approx(np.log([0.8]))
 
 
-def test_arms_whose_reflexes_sustain_an_oscillation_are_found(noisy, monkeypatch):
+def test_a_limit_cycle_is_found_and_invalidates_a_fit(noisy, monkeypatch):
     push = made.push(1, 1.5, 6.0)
     trials = made.trial_set(made.record(POSITION, [push], condition="PT7.5"), POSITION)
     true, problem = true_values(POSITION, {}), position_problem([trials])
     names = problem.parameters.names
     state = State(np.log([true[name] for name in names]), np.zeros(4), np.full(4, 0.1))
-    assert problem.restless(state) == ()
+    assert problem.limit_cycles(state) == ()
     reflexes = np.array([2.5 if name.startswith("kv") else 1.0 for name in names])
-    assert problem.restless(state._replace(point=state.point + np.log(reflexes))) == ("PT7.5",)
-    monkeypatch.setattr(Problem, "restless", lambda *_: ("RT7.5",))
-    monkeypatch.setattr(estimate, "MAX_ROUNDS", 1)
-    found = fit(noisy[:1], ARMS, FEW, n_pairs=0)
+    assert problem.limit_cycles(state._replace(point=state.point + np.log(reflexes))) == ("PT7.5",)
+    monkeypatch.setattr(Problem, "limit_cycles", lambda *_: ("RT7.5",))
+    found = fit(noisy[:1], ARMS, FEW, n_pairs=0, max_steps=1)
     assert not found.converged
-    assert "the arm sustains oscillations in RT7.5" in found.remarks()[0]
+    assert "the arm has a limit cycle (self-sustained oscillation) in RT7.5" in found.remarks[0]
 
 
-@pytest.fixture(scope="module")
+def test_a_result_reads_as_a_table(noisy_fit):
+    frame = noisy_fit.to_frame()
+    assert tuple(frame.columns) == PARAMETER_COLUMNS
+    assert frame["parameter"].tolist() == list(FREE)
+    row = frame.iloc[2]
+    assert (row["unit"], row["condition"], row["at_bound"]) == ("deg", "", False)
+    assert (row["lower_95"], row["upper_95"]) == noisy_fit.interval(FREE[2])
+    assert noisy_fit.place_of("level.PT22.5") == ("level", "PT22.5")
+    lines = repr(noisy_fit).splitlines()
+    assert lines[0].startswith(f"Muscles of {PERSON.name} in RT: full law, maximum likelihood of raw trials in 2 ")
+    assert len(lines) <= 25
+    assert "SD over trials: k [RT] " in noisy_fit.summary()
+
+
+@pytest.fixture
 def at_truth(noisy):
     """A problem at the truth, and derivatives there."""
     problem = Problem(free_parameters(noisy, FEW), noisy, ARMS)
@@ -361,38 +380,42 @@ def at_truth(noisy):
 def test_what_a_fit_leaves_of_a_record_moves_it_no_more(at_truth):
     problem, state, slopes = at_truth
     white = problem.white(problem.residual(problem.predict([state])[0]))
-    (left,) = problem._unexplained(state, slopes, [white])
+    (left,) = problem.unexplained(state, slopes, [white])
     before, after = (
         problem.gathered(state, [a @ b for a, b in zip(slopes, record, strict=True)]) for record in (white, left)
     )
     n = len(state.point)
     assert np.abs(after[:n]).max() < 1e-6 * np.abs(before[:n]).max()
-    assert sum(np.sum(one**2) for one in left) < sum(np.sum(one**2) for one in white)
+    assert sum(np.sum(record**2) for record in left) < sum(np.sum(record**2) for record in white)
 
 
-def test_draws_are_strong_enough_for_what_a_fit_takes_of_them(at_truth, monkeypatch):
-    problem, state, _ = at_truth
-    residual, plain = problem.residual(problem.predict([state])[0]), problem._draws
-    assert not problem.is_noisy
-
-    def strength():
-        problem.draw(state, residual, 1, 0)
+def test_draws_are_strong_enough_for_what_a_fit_takes_of_them(noisy, at_truth, monkeypatch):
+    def strength(problem, state):
+        residual = problem.residual(problem.predict([state])[0])
+        assert not problem.is_noisy
+        draws = predict_with_noise(problem, state, residual, 1, 0)
         assert problem.is_noisy
-        problem._draws = plain
-        return np.mean([noise.strength for noise in problem.noises])
+        return np.mean([strength.mean() for strength in draws.strengths])
 
-    fitted = strength()
-    monkeypatch.setattr(problem, "_unexplained", lambda state, slopes, records: records)
-    assert fitted > 1.001 * strength()
+    problem, state, _ = at_truth
+    fitted = strength(problem, state)
+    other = Problem(problem.parameters, noisy, ARMS)
+    other.weigh(other.residual(other.predict([state])[0]))
+    monkeypatch.setattr(other, "unexplained", lambda state, slopes, records: records)
+    assert fitted > 1.001 * strength(other, state)
 
 
 def test_lack_of_fit_is_judged_by_draws(at_truth):
     problem, state, slopes = at_truth
     predicted = problem.predict([state])[0]
-    none = problem.drawn(state, 0, 1, 0)
-    drawn = problem.drawn(state, 3, 2, 0)
-    stronger = type(drawn)(*([2.0 * one for one in half] for half in drawn))
-    stationary, as_drawn, less = (problem.lack_of_fit(state, predicted, slopes, one) for one in (none, drawn, stronger))
+    roots = tuple(noise.root for noise in problem.noises)
+    draws = NoiseDraws(roots, tuple(np.ones(len(root)) for root in roots), 3, 0)
+    none = simulate_deviations(problem, state, draws._replace(n_pairs=0), 1)
+    drawn = simulate_deviations(problem, state, draws, 2)
+    stronger = type(drawn)(*([2.0 * part for part in half] for half in drawn))
+    stationary, as_drawn, less = (
+        lack_of_fit(problem, state, predicted, slopes, deviations) for deviations in (none, drawn, stronger)
+    )
     for label in ("RT2.5", "RT7.5"):
         assert stationary[label].dof % 8 == 0
         assert less[label].dof == as_drawn[label].dof

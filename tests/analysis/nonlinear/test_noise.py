@@ -53,13 +53,14 @@ def test_other_draws_of_the_same_noise_are_as_white(noise):
 
 def test_draws_have_the_spectrum_of_the_noise(noise, forces):
     rng = np.random.default_rng(2)
-    draws = np.array([noise.draw(rng.standard_normal((N, 2))) for _ in range(20)])
+    strength = np.ones(len(noise.root))
+    draws = np.array([noise.force(noise.root, strength, rng.standard_normal((N, 2))) for _ in range(20)])
 
     def spectra(signals):
         options = {"fs": RATE, "nperseg": 500, "axis": 1}
-        frequency, own = signal.welch(signals, **options)
+        frequency, auto = signal.welch(signals, **options)
         _, cross = signal.csd(signals[:, :, 0], signals[:, :, 1], **options)
-        return frequency, np.column_stack([own.mean(axis=0), cross.mean(axis=0).real])
+        return frequency, np.column_stack([auto.mean(axis=0), cross.mean(axis=0).real])
 
     (frequency, found), (_, expected) = spectra(draws), spectra(forces)
     for low, high in ((0.4, 1.5), (1.5, 4.0), (4.0, 10.0)):
@@ -69,16 +70,14 @@ def test_draws_have_the_spectrum_of_the_noise(noise, forces):
 
 def test_strength_makes_up_for_draws_that_are_too_weak(noise, residual):
     white = noise.white(residual)
-    noise.match(white, white / 1.5)
-    np.testing.assert_allclose(noise.strength, 1.5)
-    noise.match(white, white * 1.5)
-    np.testing.assert_allclose(noise.strength, 1.0)
+    np.testing.assert_allclose(noise.matched_strength(white, white / 1.5), 1.5)
+    np.testing.assert_allclose(noise.matched_strength(white, white * 1.5), 1.0 / 1.5)
     # Of each frequency for itself, on average over some.
     n = white.shape[1] // 4
     weaker = np.tile(np.where(np.arange(n) < n // 2, 0.5, 1.0), 4) * white
-    noise.match(white, weaker)
-    np.testing.assert_allclose(noise.strength[: n // 4], 2.0)
-    np.testing.assert_allclose(noise.strength[-n // 4 :], 1.0)
+    strength = noise.matched_strength(white, weaker)
+    np.testing.assert_allclose(strength[: n // 4], 2.0)
+    np.testing.assert_allclose(strength[-n // 4 :], 1.0)
 
 
 def test_log_determinant_is_what_scaling_the_noise_changes(residual):

@@ -31,6 +31,7 @@ def off(found, expected):
     return np.sqrt(np.mean((found - expected) ** 2) / np.mean(expected**2))
 
 
+@pytest.mark.slow(reason="long trials in small steps")
 @pytest.mark.parametrize("subject", [POSITION, RELAX], ids=lambda subject: subject.task)
 def test_a_tiny_perturbation_moves_the_linear_arm_as_the_simulator_moves_its_own(subject):
     linear = run_experiment(trials(subject), linear=True)

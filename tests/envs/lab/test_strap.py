@@ -219,6 +219,7 @@ def test_the_marker_is_the_shoulder_and_the_cameras_noise():
     assert "shoulder_marker" not in run_experiment([trial], ENVIRONMENT, strap=STRAP, instruments=blind)
 
 
+@pytest.mark.slow(reason="the same trials several times")
 def test_a_trial_is_the_same_alone_and_together_at_any_number_of_threads():
     trials = [
         Trial(subject=subject, perturbation=pulse(30.0, 20.0), seed=number, noise=HUMAN_NOISE[subject.task])

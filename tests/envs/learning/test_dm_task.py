@@ -24,6 +24,8 @@ from armperturb.envs.learning.task import TaskSettings
 from armperturb.perturbations import Multisine, Pulse, Sampled
 from armperturb.subject import POSITION, RELAX
 
+pytestmark = pytest.mark.slow(reason="imports dm_control and compiles its models")
+
 POSITION_TASK, RELAX_TASK, PULSE_TASK = TASKS
 EACH_TASK = pytest.mark.parametrize("name", TASKS)
 SHORT = {"duration": 0.4, "onset_window": (0.1, 0.2)}

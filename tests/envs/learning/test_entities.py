@@ -13,6 +13,8 @@ from armperturb.envs.learning.entities import Rig
 from armperturb.models import build_model
 from armperturb.subject import POSITION, RELAX
 
+pytestmark = pytest.mark.slow(reason="imports dm_control and compiles its models")
+
 STEPS = 2000
 PER_CONTROL = 10
 AVERAGE = average_person().subjects

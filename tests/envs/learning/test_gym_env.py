@@ -60,11 +60,13 @@ def same(one, other):
     return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
+@pytest.mark.slow(reason="draws pictures")
 @pytest.mark.parametrize("name", NAMES)
 def test_gymnasiums_checker_has_nothing_to_say(name):
     check_env(made(name, width=64, height=48))
 
 
+@pytest.mark.slow(reason="three trials of a second")
 @pytest.mark.parametrize("name", NAMES)
 def test_observations_are_as_specified_and_live(name):
     env = made(name, duration=6.0, onset_window=(0.2, 0.4))
@@ -80,6 +82,7 @@ def test_observations_are_as_specified_and_live(name):
     assert np.array_equal(env.reset(seed=1)[0], kept)
 
 
+@pytest.mark.slow(reason="six trials of each task")
 @pytest.mark.parametrize("name", NAMES)
 def test_a_seed_gives_a_path_and_the_next_trial_is_another(name):
     env, other = made(name, **SHORT), made(name, **SHORT)
@@ -97,6 +100,7 @@ def digest():
     return hashlib.sha256(b"".join(np.ascontiguousarray(column).tobytes() for column in rows)).hexdigest()
 
 
+@pytest.mark.slow(reason="needs another process")
 def test_the_path_is_the_same_in_another_process():
     code = "import sys; sys.path.insert(0, 'tests/envs/learning'); import test_gym_env; print(test_gym_env.digest())"
     shown = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
@@ -120,6 +124,7 @@ def study_trials(task):
     ]
 
 
+@pytest.mark.slow(reason="whole trials of the study")
 @pytest.mark.parametrize("task", ["PT", "RT"])
 def test_own_parameters_reproduce_the_studys_trial_to_the_last_bit(task):
     trials = study_trials(task)
@@ -172,6 +177,7 @@ BREAKING = {
 }
 
 
+@pytest.mark.slow(reason="eighty decisions of four people, twice")
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_vector_environment_is_gymnasiums_own_to_the_last_bit(mode):
     n = 4
@@ -245,7 +251,7 @@ def test_each_part_of_the_action_can_be_switched_off(settings, size):
 def test_senses_are_late_by_their_delays_and_vision_has_its_gain():
     env = made("ArmPerturb/Pulse-v0", proprioceptive_delay=0.04, visual_delay=0.1, visual_gain=3.0, **SHORT)
     observation, info = env.reset(seed=3)
-    posture = env.settings.own.posture
+    posture = env.settings.subject.posture
     infos, observations = [info], [observation]
     for _ in range(25):
         observation, _, _, _, info = env.step(env.own_action)
@@ -301,7 +307,12 @@ def test_who_reaches_the_limit_pays_and_the_trial_ends():
     assert ends[-1][1] == pytest.approx(-worst * (51 - len(ends)), rel=1e-12)
     assert min(end[1] for end in ends[:-1]) > -worst
     recording = run_experiment(
-        [Trial(subject=env.settings.own, perturbation=Pulse(peak=900.0, direction_deg=20.0, onset=0.1, duration=1.0))],
+        [
+            Trial(
+                subject=env.settings.subject,
+                perturbation=Pulse(peak=900.0, direction_deg=20.0, onset=0.1, duration=1.0),
+            )
+        ],
         rate=1000.0,
     )
     assert 0.0 <= 0.02 * len(ends) - recording["limit_time"].item() <= 0.02
@@ -313,7 +324,7 @@ def test_what_cannot_be_integrated_ends_its_own_trial_only():
     lone = vectorised(1, "ArmPerturb/Relax-v0", perturbation="pulse", noise=False, **SHORT)
     expected = lone.reset(seed=1)
     huge = Pulse(peak=1e30, direction_deg=20.0, onset=0.1, duration=0.6)
-    envs.reset(options={"trial": Trial(subject=envs.settings.own, perturbation=huge)})
+    envs.reset(options={"trial": Trial(subject=envs.settings.subject, perturbation=huge)})
     envs.reset(seed=[0, 1], options={"reset_mask": np.array([False, True])})
     still = np.zeros((2, *lone.single_action_space.shape), dtype=np.float32)
     ended = False
@@ -368,6 +379,7 @@ def test_constant_levels_make_the_person_of_those_levels():
         np.testing.assert_allclose(env.step(action)[4]["displacement"], sample, rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.slow(reason="waits until the arm is at rest")
 def test_torque_moves_the_hand_as_statics_say():
     env = made(**LINEAR, task="RT", reflexes=False, duration=20.0, highest_torque=0.2, **CALM)
     env.reset(seed=0)
@@ -398,6 +410,7 @@ def test_options_change_one_trial():
     assert np.flatnonzero(pushes[:, 1])[0] == 25
 
 
+@pytest.mark.slow(reason="lowers the peaks of eight multisines")
 def test_several_forces_are_drawn_from():
     settings = TaskSettings(rms=(1.0, 4.0), duration=1.0, onset_window=(0.1, 0.2))
     rng = np.random.default_rng(0)
@@ -608,6 +621,7 @@ def test_nothing_to_see_before_reset():
             envs.render()
 
 
+@pytest.mark.slow(reason="draws pictures")
 def test_pictures_show_the_handle_moving():
     env = made("ArmPerturb/Pulse-v0", render_mode="rgb_array", view="top", width=160, height=120, **SHORT)
     env.reset(seed=0)

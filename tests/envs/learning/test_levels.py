@@ -13,6 +13,7 @@ LEVELS = np.array([[0.6, 1.3, 0.9], [1.5, 0.4, 0.0], [0.2, 1.1, 2.0]])
 """Of co-contraction, velocity and position feedback of the muscle groups."""
 
 
+@pytest.mark.slow(reason="whole trials in both tasks")
 @pytest.mark.parametrize("task", ["PT", "RT"])
 def test_an_agent_that_keeps_to_its_levels_is_this_subject(task):
     settings = {"task": task, "noise": False, "torque": False, "highest_level": 2.0, "activation_time": 0.0}
@@ -20,7 +21,7 @@ def test_an_agent_that_keeps_to_its_levels_is_this_subject(task):
     trial = Trial(subject=subject, perturbation=Multisine.draw(seed=3, rms=2.0, duration=1.5))
     recorded = run_experiment([trial], rate=50.0)["displacement"].values[0]
     env = gym.make_vec("ArmPerturb/Position-v0", num_envs=1, autoreset_mode="Disabled", **settings)
-    env.reset(options={"trial": Trial(subject=TaskSettings(**settings).own, perturbation=trial.perturbation)})
+    env.reset(options={"trial": Trial(subject=TaskSettings(**settings).subject, perturbation=trial.perturbation)})
     for sample in recorded[1:]:
         *_, infos = env.step(LEVELS.reshape(1, 9) / 2.0)
         np.testing.assert_allclose(infos["displacement"][0], sample, rtol=0.0, atol=1e-12)
@@ -38,7 +39,7 @@ def test_levels_of_zero_and_one_are_the_person_s_own():
 
 
 def test_beyond_one_all_torques_are_in_proportion_to_the_level():
-    person = TaskSettings().own
+    person = TaskSettings().subject
     found, expected = subject_at(TaskSettings(), np.full((3, 3), 1.7)), at_level(person, 1.7)
     for quantity in ("b", "k", "kv", "kp"):
         assert found.joint_triple(quantity) == pytest.approx(expected.joint_triple(quantity), rel=1e-12)

@@ -36,6 +36,7 @@ def test_draws_a_picture(model, camera):
     assert picture.std() > 10.0
 
 
+@pytest.mark.slow(reason="draws many pictures")
 @needs_gl
 def test_top_view_has_x_right_and_y_up(model):
     start = render(model, camera="top", width=320, height=240).astype(int)
@@ -50,6 +51,7 @@ def test_top_view_has_x_right_and_y_up(model):
     assert changed(0.0, 0.3)[0] < changed(0.0, -0.3)[0] - 20
 
 
+@pytest.mark.slow(reason="draws many pictures")
 @needs_gl
 def test_qpos_moves_the_arm(model):
     start = render(model, width=64, height=48)
@@ -57,6 +59,7 @@ def test_qpos_moves_the_arm(model):
     assert (start != bent).any()
 
 
+@pytest.mark.slow(reason="draws many pictures")
 @needs_gl
 def test_poses_drawn_together_look_as_drawn_alone(model):
     poses = np.array([[[*RELAX.posture, x, y] for x in (-0.2, 0.0, 0.2)] for y in (0.0, 0.1)])
@@ -67,6 +70,7 @@ def test_poses_drawn_together_look_as_drawn_alone(model):
     assert (pictures[0, 0] != pictures[1, 2]).any()
 
 
+@pytest.mark.slow(reason="draws many pictures")
 @needs_gl
 def test_closing_one_camera_leaves_another_as_it_was(model):
     with Camera(model, width=64, height=48) as stays:
@@ -85,6 +89,7 @@ def pinhole(point, width, height):
     return width / 2 + per_metre * (point[0] - 0.06), height / 2 - per_metre * (point[1] - 0.22)
 
 
+@pytest.mark.slow(reason="draws many pictures")
 @needs_gl
 @pytest.mark.parametrize("force", [(40.0, 10.0), (-20.0, 35.0), (-15.0, -40.0)])
 @pytest.mark.parametrize("which", ["d", "f"])
@@ -131,6 +136,7 @@ def test_projection_is_a_pinhole_camera(model):
     assert oblique.shape == (2, 2)
 
 
+@pytest.mark.slow(reason="draws many pictures")
 @needs_gl
 def test_trail_ends_at_the_handle_and_fades(model):
     with Camera(model, width=640, height=480) as camera:

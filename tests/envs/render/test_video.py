@@ -23,6 +23,8 @@ from armperturb.plots import style
 from armperturb.recording import make_recording, save_recording
 from armperturb.subject import RELAX
 
+pytestmark = pytest.mark.slow(reason="draws pictures and encodes them")
+
 needs_gl = pytest.mark.skipif(
     sys.platform == "linux" and not (ctypes.util.find_library("EGL") or ctypes.util.find_library("GL")),
     reason="no GL library on this machine",

@@ -76,8 +76,8 @@ def invented_fit(name="S01", task="RT", fitted_deg=(), factor=1.0, **changes):
         lower={parameter: value / 1.1 for parameter, value in values.items()},
         upper={parameter: value * 1.1 for parameter, value in values.items()},
         converged=True,
-        status="settled",
-        remarks=("recovery_time is not told by these trials",),
+        status="converged",
+        remarks=("recovery_time is poorly determined",),
         pulses=tuple(pulses),
     )
     return fit._replace(**changes)
@@ -92,9 +92,6 @@ class Ours(SimpleNamespace):
 
     def interval(self, name):
         return 0.5 * self.values[name], 2.0 * self.values[name]
-
-    def remarks(self):
-        return ("a remark",)
 
 
 PERSON = replace(RELAX, muscle=MuscleLaw(short_range_stiffness=10.0, elastic_limit_deg=0.7))
@@ -143,10 +140,17 @@ def fit_is_truth(monkeypatch):
     """Fits give the person who was simulated; holds what they were given."""
     asked = []
 
-    def fit(sets, arms, *, start, checkpoint):
+    def fit(sets, arms, *, initial, checkpoint):
         assert checkpoint is None
-        asked.append((sets, arms, start))
-        return Ours(person=PERSON, values={"m_h": 2.0, "level.RT0": 1.0}, at_bound=(), converged=True, status="settled")
+        asked.append((sets, arms, initial))
+        return Ours(
+            person=PERSON,
+            values={"m_h": 2.0, "level.RT0": 1.0},
+            at_bound=(),
+            converged=True,
+            message="converged",
+            remarks=("a remark",),
+        )
 
     monkeypatch.setattr(nonlinear_estimate, "fit", fit)
     return asked
@@ -203,11 +207,11 @@ def test_what_cannot_be_fitted_is_told(yielding, monkeypatch):
     )
 
     def fit(*_, **__):
-        raise ValueError("start: the arm is unstable")
+        raise ValueError("initial: the arm is unstable")
 
     monkeypatch.setattr(nonlinear_estimate, "fit", fit)
     found = fit_nonlinear(yielding, "RT", [case_of(True, True)], (20.0,))
-    assert found == NonlinearFit("relax", "RT", (20.0,), failed="start: the arm is unstable")
+    assert found == NonlinearFit("relax", "RT", (20.0,), failed="initial: the arm is unstable")
     assert found.told == "RT, pulses at 20\u00b0 fitted too"
     assert found.others_deg == ()
 
@@ -364,10 +368,10 @@ def test_fits_are_kept_and_shown_later_without_being_asked_for(folder, asked, sk
     assert again.remarks[-1] == told
     page = written(again, tmp_path / "after")
     assert "S02 (RT, pulses at 200\u00b0 fitted too): the arm is &lt;unstable&gt;." in section(page)
-    assert "recovery_time is not told by these trials" in section(page)
+    assert "recovery_time is poorly determined" in section(page)
     with (tmp_path / "after" / "tables" / "nonlinear_fits.csv").open(encoding="utf-8", newline="") as file:
         statuses = [row["status"] for row in csv.DictReader(file)]
-    assert statuses.count("settled") == 5
+    assert statuses.count("converged") == 5
     assert statuses.count("the arm is <unstable>") == 1
 
     # Nothing is known of these people; were they, the report would set them beside the truth.

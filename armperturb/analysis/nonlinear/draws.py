@@ -1,0 +1,152 @@
+"""The person's noise, drawn and simulated: as strong as it must be, and what it says of the errors of a fit.
+
+Were the noise stationary, as its spectrum has it, white residuals would be white. But noise moves a muscle that yields
+the more, the more the disturbance does: it comes in bursts. So the noise is drawn as a hand force, and simulated.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from armperturb.analysis.fit.likelihood import LackOfFit
+from armperturb.analysis.nonlinear.problem import PAIRS_OF_SLOPES, NoiseDraws, Problem, State
+from armperturb.arrays import Array
+
+PAIRS_OF_STRENGTH = 4
+"""Pairs of draws from which the strength of draws is estimated."""
+
+MOST_WEAKENED = 6
+"""How often draws with which an arm diverges are made weaker: a person near instability was merely lucky."""
+
+WEAKER = 0.7
+"""Factor on the strength of such draws [-]."""
+
+
+class Deviations(NamedTuple):
+    """White deviations of simulated trials from the mean response, of each trial (draw, number).
+
+    Attributes:
+      odd: parts that change sign with the noise.
+      even: parts that do not.
+    """
+
+    odd: list[Array]
+    even: list[Array]
+
+    def signed(self) -> Iterator[list[Array]]:
+        """The deviations of all trials with noise of either sign, draw by draw."""
+        for draw in range(len(self.odd[0]) if self.odd else 0):
+            for sign in (1.0, -1.0):
+                yield [sign * odd[draw] + even[draw] for odd, even in zip(*self, strict=True)]
+
+
+def predict_with_noise(problem: Problem, state: State, residual: Array, n_pairs: int, seed: int) -> NoiseDraws:
+    """Let a problem predict in the presence of noise as last estimated, and return the draws.
+
+    Draws are made twice. A fit explains part of the noise, most of all in the bursts that come when the arm has been
+    moved, as unknowns act then as well: residuals of a first set of draws, after such a fit, tell how strong the second
+    set must be for its residuals to be as large as those of the trials.
+
+    Args:
+      problem: what is fitted; predicts with the draws from now on.
+      state: where the fit is.
+      residual: of the trials there [m], (trial, time, axis).
+      n_pairs: of draws.
+      seed: of the draws.
+    """
+    slopes = problem.slopes(state, n_draws=2 * PAIRS_OF_SLOPES)
+    roots = tuple(noise.root for noise in problem.noises)
+    strengths = tuple(np.ones(len(root)) for root in roots)
+    first = problem.odd_and_even(state, NoiseDraws(roots, strengths, PAIRS_OF_STRENGTH, seed))
+    odd = [problem.white(part) for part, _ in first if np.isfinite(part).all()]
+    if odd:  # otherwise every noise draw makes the simulation diverge
+        left, white = problem.unexplained(state, slopes, odd), problem.white(residual)
+        strengths = tuple(
+            noise.matched_strength(
+                np.array(white[rows]), np.array([trial for record in left for trial in record[rows]])
+            )
+            for rows, noise in zip(problem.rows, problem.noises, strict=True)
+        )
+    draws = NoiseDraws(roots, strengths, n_pairs, seed)
+    problem.predict_with(draws)
+    for _ in range(MOST_WEAKENED):
+        if np.isfinite(problem.predict([state])).all():
+            break
+        draws = draws._replace(strengths=tuple(WEAKER * strength for strength in draws.strengths))
+        problem.predict_with(draws)
+    return draws
+
+
+def simulate_deviations(problem: Problem, state: State, draws: NoiseDraws, n_averaged: int) -> Deviations:
+    """Deviations from the mean response that other noise of the person would cause.
+
+    Draws with which an arm diverges are left out; all are if fewer than two remain.
+
+    Args:
+      problem: what was fitted.
+      state: where the fit is.
+      draws: of the noise; other ones than predictions are averaged over.
+      n_averaged: pairs over which predictions were averaged, which leaves some noise in them.
+    """
+    halves = [
+        (problem.white(odd), problem.white(even))
+        for odd, even in problem.odd_and_even(state, draws)
+        if np.isfinite(odd).all() and np.isfinite(even).all()
+    ]
+    if len(halves) < 2:
+        return Deviations([], [])
+    odd = [np.array([half[trial] for half, _ in halves]) for trial in range(problem.n_trials)]
+    even = [np.array([half[trial] for _, half in halves]) for trial in range(problem.n_trials)]
+    # With the variance that such deviations have from a mean over other draws.
+    scale = np.sqrt((1.0 + 1.0 / n_averaged) * len(halves) / (len(halves) - 1.0))
+    return Deviations(odd, [scale * (part - part.mean(axis=0)) for part in even])
+
+
+def score_variance(problem: Problem, state: State, slopes: Sequence[Array], deviations: Deviations) -> Array:
+    """Variance of `Normal.slope` over other noise of the person, (unknown, unknown).
+
+    Args:
+      problem: what was fitted.
+      state: where the fit is.
+      slopes: from `Problem.slopes`.
+      deviations: from `simulate_deviations`.
+    """
+    parts = []
+    for columns, odd, even in zip(slopes, *deviations, strict=True):
+        scores = np.concatenate([odd, even]) @ columns.T
+        parts.append(scores.T @ scores / len(odd))
+    return problem.gathered(state, parts) + np.diag(problem.prior(state))
+
+
+def lack_of_fit(
+    problem: Problem, state: State, predicted: Array, slopes: Sequence[Array], deviations: Deviations
+) -> dict[str, LackOfFit]:
+    """Condition to what is left in its residual that the disturbance explains, with the noise as last estimated.
+
+    Were the noise stationary, the sum of squares would have a chi-squared distribution. Draws, as a fit leaves them,
+    tell its distribution: it is approximated by a scaled chi-squared one of the same mean and variance.
+
+    Args:
+      problem: what was fitted.
+      state: where the fit is.
+      predicted: there.
+      slopes: from `Problem.slopes`.
+      deviations: from `simulate_deviations`; none if predictions are without noise.
+    """
+    left = [problem.white(problem.residual(predicted))]
+    left += problem.unexplained(state, slopes, deviations.signed())
+    sums: dict[str, Array] = {}
+    dof: dict[str, int] = {}
+    for trials, rows, noise in zip(problem.sets, problem.rows, problem.noises, strict=True):
+        chi2, numbers = noise.lack_of_fit(np.array([record[rows] for record in left]), problem.perturbation[rows])
+        sums[trials.label] = sums.get(trials.label, 0.0) + chi2
+        dof[trials.label] = dof.get(trials.label, 0) + numbers
+    result = {}
+    for label, (of_trials, *of_draws) in sums.items():
+        if of_draws:
+            mean, variance = float(np.mean(of_draws)), float(np.var(of_draws, ddof=1))
+            dof[label] = max(1, round(2.0 * mean**2 / variance))
+            of_trials *= dof[label] / mean
+        result[label] = LackOfFit(float(of_trials), dof[label])
+    return result

@@ -1,0 +1,73 @@
+"""Results of a nonlinear identification as files that any other program reads."""
+
+import json
+import math
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from armperturb.analysis.nonlinear.choice import Gain
+from armperturb.analysis.nonlinear.identify import NonlinearIdentification
+from armperturb.analysis.nonlinear.prediction import median_peak
+from armperturb.files import write_csv, written_whole
+
+CHECKPOINTS = "checkpoint*.npz"
+"""Files of searches that have not ended."""
+
+
+def fit_summary(result: NonlinearIdentification) -> dict[str, Any]:
+    """How the fit went, ready for JSON; a number that does not exist is None."""
+    estimate, choice = result.estimate, result.choice
+
+    def of_gain(gain: Gain) -> dict[str, Any]:
+        error = gain.standard_error if math.isfinite(gain.standard_error) else None
+        return {"log_likelihood": gain.mean, "standard_error": error, "dof": gain.dof, "shown": gain.is_shown}
+
+    return {
+        "model": "nonlinear",
+        "law": estimate.model.law,
+        "status": estimate.message,
+        "converged": estimate.converged,
+        "n_steps": estimate.n_steps,
+        "objective": estimate.objective,
+        "at_bound": list(estimate.at_bound),
+        "remarks": list(estimate.remarks),
+        "coordinate_standard_error": dict(estimate.coordinate_error),
+        "spread_of_trials": {f"{quantity} [{task}]": sd for (task, quantity), sd in estimate.spread.items()},
+        "lack_of_fit": {
+            label: {"chi2": test.chi2, "dof": test.dof, "p_value": test.p_value}
+            for label, test in estimate.lack_of_fit.items()
+        },
+        "choice": choice
+        and {
+            "chosen": choice.chosen,
+            "verdict": list(choice.verdict()),
+            "laws": {law: of_gain(gain) for law, gain in choice.gains.items()},
+            "mechanisms": {name: of_gain(gain) for name, gain in choice.mechanisms.items()},
+        },
+        "left_out_pulses": {
+            model: {"n": len(pulses), "median_peak_percent": median_peak(pulses)}
+            for model, pulses in result.pulses.items()
+            if pulses
+        },
+    }
+
+
+def write_nonlinear(result: NonlinearIdentification, folder: Path) -> None:
+    """Write `parameters.csv`, `correlations.csv`, `predictions.csv` and `fit.json`, and delete checkpoints there.
+
+    Raises:
+      OSError: the folder cannot be made or written to.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    names = ("parameters.csv", "correlations.csv", "predictions.csv", "fit.json")
+    with ExitStack() as stack:  # all take their places together, after all were written
+        parameters, correlations, predictions, fitted = (
+            stack.enter_context(written_whole(folder / name)) for name in names
+        )
+        write_csv(result.to_frame(), parameters)
+        write_csv(result.estimate.correlation_frame().reset_index(names="parameter"), correlations)
+        write_csv(result.pulse_frame(), predictions)
+        fitted.write_text(json.dumps(fit_summary(result), indent=2) + "\n", encoding="utf-8")
+    for checkpoint in folder.glob(CHECKPOINTS):
+        checkpoint.unlink()

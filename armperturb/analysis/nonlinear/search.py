@@ -1,0 +1,301 @@
+"""The search for the maximum of the likelihood, in three stages, each of which goes on where the one before ended.
+
+The first two take Levenberg-Marquardt steps in the coordinates of the parameters, first without noise in the
+prediction, then in its presence (`draws`); the noise spectrum is re-estimated before each step (iteratively
+reweighted). Steps after which an arm is unstable, or the likelihood lower, are shortened. In the third, Gauss-Newton
+steps hold spectrum and derivatives, the latter averaged over all draws: derivatives from few draws would add noise of
+their own to the estimate. Its steps estimate the spread of the trials as well.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from armperturb.analysis.nonlinear.draws import predict_with_noise
+from armperturb.analysis.nonlinear.problem import NoiseDraws, Normal, Problem, State
+from armperturb.arrays import Array
+
+MAX_STEPS = 40
+"""Most steps of each of the first two stages."""
+
+SEARCH_STEP, STALLED_STEP, FINAL_STEP = 1.0, 0.3, 0.05
+"""Convergence thresholds: largest parameter change / standard error, for the first two stages, for a final stage that
+cannot lower the cost any more, and for the final stage [-]."""
+
+MAX_REFERENCES, MAX_EXPECTATIONS = 16, 200
+"""Most times that the final stage takes spectrum and derivatives anew, and steps of expectation maximisation in each of
+its steps."""
+
+FAR = 0.3
+"""Change of a coordinate from which on the final stage takes spectrum and derivatives anew [-]."""
+
+ENOUGH = 1e-3
+"""Relative decrease of the cost below which the noise-free stage stops: further steps only fit bias in poorly
+determined parameters [-]."""
+
+DAMPINGS = (0.03, 0.3, 3.0, 30.0)
+"""Factors on the last damping, tried side by side."""
+
+MOST_DAMPING = 1e6
+LONGEST = 1.0
+"""Longest step of a coordinate [-]."""
+
+LEAST_SPREAD, MOST_SPREAD = 0.01, 0.5
+"""Bounds on the spread of trials [-]."""
+
+SHORTER = (1.0, 0.5, 0.25, 0.1, 0.03)
+"""Parts of a final step that are tried in turn [-]."""
+
+CONVERGED = "converged"
+"""How a search ends that has found a maximum."""
+
+
+class Stage(Enum):
+    """Part of the search."""
+
+    NOISE_FREE = "noise-free"
+    NOISY = "noisy"
+    FINAL = "final"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Position:
+    """Where a search is, and all that it needs to go on from there.
+
+    Attributes:
+      stage: that it is in.
+      state: of the unknowns.
+      reference: state at which the final stage has its spectrum and derivatives.
+      damping: of the last step.
+      n_steps: that were taken in all stages.
+      draws: of the noise in whose presence trials are predicted; None for none.
+    """
+
+    stage: Stage
+    state: State
+    reference: State
+    damping: float = 1.0
+    n_steps: int = 0
+    draws: NoiseDraws | None = None
+
+    @classmethod
+    def at_start(cls, state: State) -> "Position":
+        """Before the first step."""
+        return cls(stage=Stage.NOISE_FREE, state=state, reference=state)
+
+
+class Solution(NamedTuple):
+    """The end of a search.
+
+    Attributes:
+      position: where it ended.
+      message: how, in words; `CONVERGED` at a maximum.
+      slopes: the derivatives of the last step, see `Problem.slopes`.
+    """
+
+    position: Position
+    message: str
+    slopes: list[Array]
+
+
+class Search:
+    """One search."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        begin: Position,
+        *,
+        n_pairs: int,
+        seed: int,
+        max_steps: int = MAX_STEPS,
+        save: Callable[[Position], object] | None = None,
+        progress: Callable[[str], object] | None = None,
+    ) -> None:
+        """Go to where the search begins.
+
+        Args:
+          problem: what is fitted.
+          begin: position to start from, or one that an earlier search had saved.
+          n_pairs: draws of the noise, pairs of opposite sign, in whose presence trials are predicted; 0 for none.
+          seed: of the draws.
+          max_steps: most steps of each of the first two stages.
+          save: called with the position after each step.
+          progress: called with a line after each step.
+        """
+        self._problem, self._at = problem, begin
+        self._n_pairs, self._seed, self._max_steps = n_pairs, seed, max_steps
+        self._save, self._progress = save, progress
+        if begin.draws is not None:
+            problem.predict_with(begin.draws)
+
+    def run(self) -> Solution:
+        """Search on to the end."""
+        if self._at.stage is Stage.NOISE_FREE:
+            self._approach()
+            self._enter(Stage.NOISY if self._n_pairs else Stage.FINAL, self._drawn() if self._n_pairs else None)
+        if self._at.stage is Stage.NOISY:
+            self._approach()
+            self._enter(Stage.FINAL, self._at.draws)
+        message, slopes = self._finish()
+        return Solution(self._at, message, slopes)
+
+    def _enter(self, stage: Stage, draws: NoiseDraws | None) -> None:
+        self._at = replace(self._at, stage=stage, damping=1.0, reference=self._at.state, draws=draws)
+        self._keep()
+
+    def _drawn(self) -> NoiseDraws:
+        """Draws of the noise that is left at this state."""
+        problem, state = self._problem, self._at.state
+        residual = problem.residual(problem.predict([state])[0])
+        problem.weigh(residual)
+        return predict_with_noise(problem, state, residual, self._n_pairs, self._seed)
+
+    def _approach(self) -> None:
+        """Levenberg-Marquardt steps until they are short."""
+        problem, n = self._problem, len(self._at.state.point)
+        predicted = problem.predict([self._at.state])[0]
+        for _ in range(self._max_steps):
+            problem.weigh(problem.residual(predicted))
+            state, damping = self._at.state, self._at.damping
+            before = problem.cost(state, predicted)
+            normal = problem.normal(state, predicted)
+            error = np.sqrt(np.diag(inverse(normal.matrix)))
+            candidates = [self._stepped(normal, damping * factor) for factor in DAMPINGS]
+            answers = problem.predict(candidates)
+            costs = [problem.cost(moved, answer) for moved, answer in zip(candidates, answers, strict=True)]
+            best = int(np.argmin(costs))
+            step = float(np.max(np.abs(candidates[best].point - state.point) / error[:n], initial=0.0))
+            self._count(min(costs[best], before), step)
+            if costs[best] < before:
+                damping = float(np.clip(damping * DAMPINGS[best], 1e-4, MOST_DAMPING))
+                self._at = replace(self._at, state=self._with_spread(candidates[best], error[n:]), damping=damping)
+                predicted = answers[best]
+                self._keep()
+            elif damping > MOST_DAMPING:
+                return
+            else:
+                self._at = replace(self._at, damping=damping * DAMPINGS[-1])
+            if step < SEARCH_STEP or (not problem.is_noisy and 0.0 < before - costs[best] < ENOUGH * before):
+                return
+
+    def _finish(self) -> tuple[str, list[Array]]:
+        """The final stage; returns how it ended, and with which derivatives."""
+        problem = self._problem
+        for _ in range(MAX_REFERENCES):
+            predicted = problem.predict([self._at.reference])[0]
+            problem.weigh(problem.residual(predicted))
+            slopes = problem.slopes(self._at.reference)
+            if self._distance():
+                predicted = problem.predict([self._at.state])[0]
+            message = self._descend(slopes, predicted)
+            if message:
+                return message, slopes
+            self._at = replace(self._at, reference=self._at.state)
+            self._keep()
+        return f"not converged after {MAX_REFERENCES} new sets of weights and derivatives", slopes
+
+    def _distance(self) -> float:
+        """How far the point has come since spectrum and derivatives were taken."""
+        return float(np.max(np.abs(self._at.state.point - self._at.reference.point), initial=0.0))
+
+    def _descend(self, slopes: list[Array], predicted: Array) -> str:
+        """Gauss-Newton steps with one spectrum and one set of derivatives; returns how they ended, "" if far away."""
+        problem = self._problem
+        while True:
+            state = self._at.state
+            maximum, step = self._linearised_maximum(problem.normal(state, predicted, slopes))
+            before = problem.cost(state._replace(spread=maximum.spread), predicted)
+            for part in SHORTER:
+                moved = State(
+                    state.point + part * (maximum.point - state.point),
+                    state.effects + part * (maximum.effects - state.effects),
+                    maximum.spread,
+                )
+                answer = problem.predict([moved])[0]
+                cost = problem.cost(moved, answer)
+                if cost < before:
+                    break
+            else:  # no part of the step lowers the cost
+                if step < STALLED_STEP:
+                    return CONVERGED
+                return "" if self._distance() else "no step raises the likelihood"
+            self._count(cost, part * step)
+            self._at, predicted = replace(self._at, state=moved), answer
+            self._keep()
+            if step < FINAL_STEP:
+                return CONVERGED
+            if part < 1.0 or self._distance() > FAR:
+                return ""
+
+    def _linearised_maximum(self, normal: Normal) -> tuple[State, float]:
+        """Maximum of the linearised problem, spread included, and the largest step there in standard errors."""
+        problem, parameters = self._problem, self._problem.parameters
+        state, n = self._at.state, len(self._at.state.point)
+        old = np.concatenate([np.zeros(n), 1.0 / state.spread[problem.kind_of] ** 2])
+        matrix, slope = normal.matrix - np.diag(old), normal.slope.copy()
+        slope[n:] += old[n:] * state.effects
+        free = np.ones(len(slope), dtype=bool)
+        spread = state.spread
+        for _ in range(MAX_EXPECTATIONS):
+            prior = np.concatenate([np.zeros(n), 1.0 / spread[problem.kind_of] ** 2])
+            covariance = np.zeros_like(matrix)
+            covariance[np.ix_(free, free)] = inverse((matrix + np.diag(prior))[np.ix_(free, free)])
+            step = np.zeros(len(slope))
+            step[free] = (
+                covariance[np.ix_(free, free)] @ (slope - prior * np.concatenate([np.zeros(n), state.effects]))[free]
+            )
+            step[:n] = np.clip(step[:n], -LONGEST, LONGEST)
+            point = np.clip(state.point + step[:n], parameters.lower, parameters.upper)
+            # The others make up for a parameter that stops at its bound.
+            stopped = free[:n] & (point != state.point + step[:n])
+            step[:n] = point - state.point
+            free[:n] &= ~stopped
+            effects = state.effects + step[n:]
+            newer = self._spread(effects**2 + np.diag(covariance)[n:])
+            done = not stopped.any() and np.allclose(newer, spread, rtol=1e-3)
+            spread = newer
+            if done:
+                break
+        error = np.sqrt(np.maximum(np.diag(covariance)[:n], np.finfo(float).tiny))
+        largest = float(np.max(np.abs(step[:n]) / error, initial=0.0, where=free[:n]))
+        return State(point, effects, spread), largest
+
+    def _spread(self, square: Array) -> Array:
+        """Spread of the effects with these expected squares, (kind,)."""
+        kind_of = self._problem.kind_of
+        spread = [np.sqrt(square[kind_of == kind].mean()) for kind in range(len(self._problem.kinds))]
+        return np.clip(spread, LEAST_SPREAD, MOST_SPREAD)
+
+    def _with_spread(self, state: State, error: Array) -> State:
+        """The state with the spread of its effects after a step of expectation maximisation."""
+        return state._replace(spread=self._spread(state.effects**2 + error**2))
+
+    def _stepped(self, normal: Normal, damping: float) -> State:
+        parameters, state, n = self._problem.parameters, self._at.state, len(self._at.state.point)
+        scale = np.diag(normal.matrix)
+        step = np.linalg.solve(normal.matrix + np.diag((0.01 * damping + 1e-9) * scale + 1e-9), normal.slope)
+        moved = state.point + np.clip(step[:n], -LONGEST, LONGEST)
+        return state._replace(
+            point=np.clip(moved, parameters.lower, parameters.upper), effects=state.effects + step[n:]
+        )
+
+    def _count(self, cost: float, step: float) -> None:
+        self._at = replace(self._at, n_steps=self._at.n_steps + 1)
+        if self._progress is not None:
+            self._progress(f"step {self._at.n_steps}: cost {cost:.1f}, largest change {step:.2f} SE")
+
+    def _keep(self) -> None:
+        if self._save is not None:
+            self._save(self._at)
+
+
+def inverse(matrix: Array) -> Array:
+    """Inverse of an information matrix, also of one with nearly dependent columns."""
+    scale = np.sqrt(np.diag(matrix))
+    scaled = linalg.pinvh(matrix / np.outer(scale, scale) + 1e-12 * np.eye(len(scale)))
+    return np.asarray(scaled / np.outer(scale, scale))
