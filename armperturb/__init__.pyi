@@ -16,6 +16,7 @@ from .controllers.remnant import HUMAN_NOISE as HUMAN_NOISE
 from .controllers.remnant import HumanNoise as HumanNoise
 from .convert import export_recording as export_recording
 from .convert import import_recording as import_recording
+from .convert import write_sidecar as write_sidecar
 from .environment import Environment as Environment
 from .environment import Strap as Strap
 from .envs.lab.experiment import run_experiment as run_experiment
@@ -31,6 +32,7 @@ from .perturbations import Pulse as Pulse
 from .perturbations import Sampled as Sampled
 from .perturbations import load_perturbation as load_perturbation
 from .perturbations import save_perturbation as save_perturbation
+from .plots import plot as plot
 from .recording import load_recording as load_recording
 from .recording import make_recording as make_recording
 from .recording import save_recording as save_recording
@@ -42,10 +44,10 @@ from .study.planning.plan import design as design
 from .study.protocol import Condition as Condition
 from .study.protocol import Protocol as Protocol
 from .study.protocol import load_protocol as load_protocol
-from .study.recording.record import StudySettings as StudySettings
+from .study.recording.settings import StudySettings as StudySettings
 from .study.report.report import write_report as write_report
-from .study.results.study_result import analyse_study as analyse_study
-from .study.results.study_result import run_study as run_study
+from .study.results.analyse import analyse_study as analyse_study
+from .study.results.analyse import run_study as run_study
 from .study.validation.validate import ValidateSettings as ValidateSettings
 from .study.validation.validate import validate as validate
 from .subject import POSITION as POSITION

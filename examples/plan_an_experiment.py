@@ -15,7 +15,7 @@ from armperturb import identify
 from armperturb.convert import import_recording
 from armperturb.plots.style import save_png
 from armperturb.study.planning.plan import DesignSettings, design
-from armperturb.study.planning.report import design_figure, design_text, write_design
+from armperturb.study.planning.report import write_design
 
 DATA = Path(__file__).resolve().parent / "data"
 
@@ -43,16 +43,16 @@ def main(pilot: Path, sidecar: Path | None, folder: Path, trials: int) -> None:
     plan = design(
         DesignSettings(subject=person, goal=GOAL[task], **LIMITS[task], model=MODEL[task], trials=trials, seed=1)
     )
-    print(design_text(plan))
+    print(plan.summary())
     print(f"\ntrials of {LIMITS[task]['duration']:g} s until the standard error is {GOOD:.0%} of the value:")
-    for row in plan.rows():
+    for row in plan.to_frame().to_dict("records"):
         if row["goal"] and row["value"]:
             usual, better = (trials_needed(trials, row[sem], row["value"]) for sem in ("sem_thesis", "sem_optimised"))
             print(f"  {row['parameter']:6} {usual:4d} of the thesis's, {better:4d} optimised")
     print("That is of one who is the same in every trial, and as the pilot says: what it does not know, no plan does.")
 
     write_design(plan, folder / "plan")
-    save_png(design_figure(plan), folder / "plan_an_experiment.png", 110)
+    save_png(plan.plot().flat[0].figure, folder / "plan_an_experiment.png", 110)
     print(f"wrote {folder / 'plan_an_experiment.png'}, and tables and {trials} perturbations to {folder / 'plan'}")
 
 

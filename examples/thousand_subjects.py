@@ -12,7 +12,8 @@ from pathlib import Path
 
 from distributed import LocalCluster
 
-from armperturb.study.recording.record import StudySettings, record_study
+from armperturb.study.recording.record import record_study
+from armperturb.study.recording.settings import StudySettings
 
 
 def main(arguments: list[str] | None = None) -> list[Path]:

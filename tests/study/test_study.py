@@ -2,7 +2,7 @@
 
 import csv
 import math
-from functools import partial
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,8 +16,7 @@ from armperturb.recording import load_recording, save_recording
 from armperturb.study.comparison.headlines import headlines
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.published import tables as published
-from armperturb.study.recording import record as runner
-from armperturb.study.recording.record import StudySettings
+from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.tables import (
     condition_rows,
     correlation_rows,
@@ -27,12 +26,11 @@ from armperturb.study.report.tables import (
     summary_rows,
     write_tables,
 )
-from armperturb.study.results import appendix_fits as fits
 from armperturb.study.results import cases
 from armperturb.study.results.cases import identify_person
 from armperturb.study.results.mean_admittance import by_task, main_conditions
-from armperturb.study.results.study_result import run_study
 from armperturb.subject import RELAX
+from tests.conftest import FEW_FITS, coarse_study
 
 RT = Condition(name="RT7.5", task="RT", rms_displacement=0.0075, published_force=0.9)
 
@@ -40,15 +38,7 @@ RT = Condition(name="RT7.5", task="RT", rms_displacement=0.0075, published_force
 @pytest.fixture(scope="module")
 def ideal(short_protocol, once):
     settings = StudySettings(subjects=1, seed=3, protocol=short_protocol, ideal=True, muscles="linear")
-
-    def make(folder):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(fits, "STRUCTURES_C", ())  # nothing here is about appendices C to E
-            patch.setattr(fits, "STARTS_OF", "none")
-            patch.setattr(runner, "run_experiment", partial(run_experiment, timestep=2.5e-3))
-            return run_study(settings, folder, show_progress=False)
-
-    return once("ideal study", make)
+    return once("ideal study", lambda folder: coarse_study(settings, folder, replace(FEW_FITS, structures=())))
 
 
 def test_ideal_study_recovers_its_people(ideal):

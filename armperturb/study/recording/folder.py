@@ -206,17 +206,24 @@ def _agree(root: Path, manifest: Mapping[str, Any]) -> None:
     except ValueError as error:
         raise ValueError(f"{path}: not readable as JSON ({error}); expected what an earlier run wrote") from None
     wanted = json.loads(json.dumps(manifest))
-    differences = list(_differences("", before, wanted))
-    if differences:
-        more = f", and {len(differences) - 3} more" if len(differences) > 3 else ""
+    different = list(differences(before, wanted))
+    if different:
+        more = f", and {len(different) - 3} more" if len(different) > 3 else ""
         raise ValueError(
-            f"{root}: was made with other settings: {'; '.join(differences[:3])}{more}; expected the same settings, or "
+            f"{root}: was made with other settings: {'; '.join(different[:3])}{more}; expected the same settings, or "
             "another folder"
         )
 
 
-def _differences(name: str, before: Any, wanted: Any) -> Iterator[str]:
-    """One text per value that differs; entries of a list that have a name, such as conditions, go by it."""
+def differences(before: Any, wanted: Any, name: str = "") -> Iterator[str]:
+    """One text per value in which two settings differ, as JSON has them.
+
+    Args:
+      before: settings that were read.
+      wanted: settings of now.
+      name: of the settings, with which the texts begin. Entries of a list that have a name, such as conditions, go by
+        it.
+    """
     if isinstance(before, dict) and isinstance(wanted, dict):
         for key in dict.fromkeys([*before, *wanted]):
             inner = key if not name else f"{name}{key}" if key.startswith("[") else f"{name}.{key}"
@@ -225,12 +232,12 @@ def _differences(name: str, before: Any, wanted: Any) -> Iterator[str]:
             elif key not in wanted:
                 yield f"{inner} is {_shown(before[key])} there and missing now"
             else:
-                yield from _differences(inner, before[key], wanted[key])
+                yield from differences(before[key], wanted[key], inner)
     elif before != wanted:
-        entries = [_by_label(value) for value in (before, wanted)]
+        then, now = _by_label(before), _by_label(wanted)
         # Else they are no lists, lists of numbers that differ in length, or the same entries in another order.
-        if all(entries) and entries[0] != entries[1] and (len(before) == len(wanted) or "[0]" not in entries[0]):
-            yield from _differences(name, *entries)
+        if then and now and then != now and (len(before) == len(wanted) or "[0]" not in then):
+            yield from differences(then, now, name)
         else:
             yield f"{name} is {_shown(before)} there and {_shown(wanted)} now"
 

@@ -187,7 +187,7 @@ def _nonlinear(study: StudyResult) -> dict[str, Any]:
         "summaries": summaries,
         "people": people,
         "remarks": {
-            (task, name): {fit.told: fit.remarks for fit in study.nonlinear if (fit.task, fit.name) == (task, name)}
+            (task, name): {fit.label: fit.remarks for fit in study.nonlinear if (fit.task, fit.name) == (task, name)}
             for task, name in people
         },
         "words_of": words_of,

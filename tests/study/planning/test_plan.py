@@ -34,7 +34,6 @@ from armperturb.study.planning.plan import (
     noise_levels,
     proposed_signal,
 )
-from armperturb.study.planning.report import design_text
 from armperturb.study.validation.validate import ValidateSettings
 from armperturb.subject import POSITION, RELAX
 
@@ -227,14 +226,14 @@ def test_the_plan_banks_on_no_quieter_person(plan):
     assert banking.factor < plan.factors["follows"] <= plan.factors["held"] < banking.factors["held"]
     assert plan.factor == plan.factors["held"]
     assert banking.factor == banking.factors["follows"]
-    assert "beware" not in design_text(plan)
+    assert "Remarks" not in plan.summary()
     # The thesis's multisine in the place of the optimised one is worse than that.
-    worse = design_text(replace(plan, thesis=plan.optimised, optimised=plan.thesis))
-    assert "beware: the optimised multisine is worse than the thesis's if the noise follows" in worse
+    worse = replace(plan, thesis=plan.optimised, optimised=plan.thesis).summary()
+    assert "- the optimised multisine is worse than the thesis's if the noise follows" in worse
 
 
 def test_realisations_keep_the_limits_and_the_spectrum(plan):
-    for row in plan.signal_rows():
+    for row in plan.signal_frame().to_dict("records"):
         expected = plan.optimised.displacement["xy".index(row["axis"])]
         assert row["rms_force_N"] <= LIMITS["force"] * (1 + 1e-9)
         assert row["rms_displacement_m"] <= LIMITS["displacement"] * (1 + 1e-9)
@@ -261,7 +260,7 @@ def test_displacements_are_those_of_the_simulated_arm(plan):
 
 def test_a_limit_of_the_peak_binds_both_signals(plan):
     weak = design(replace(REFLEX, peak=5.0, trials=1))
-    assert max(row["peak_force_N"] for row in weak.signal_rows()) == pytest.approx(5.0)
+    assert weak.signal_frame()["peak_force_N"].max() == pytest.approx(5.0)
     for name in ("thesis", "optimised"):
         assert (getattr(weak, name).power.sum(axis=0) < getattr(plan, name).power.sum(axis=0)).all()
 

@@ -22,8 +22,9 @@ import pytest
 from armperturb.cli import main
 from armperturb.recording import load_recording
 from armperturb.study.recording import record as runner
-from armperturb.study.recording.record import StudySettings, record_study
-from armperturb.study.results.study_result import run_study
+from armperturb.study.recording.record import record_study
+from armperturb.study.recording.settings import StudySettings
+from armperturb.study.results.analyse import run_study
 
 PROTOCOL = """
 forces = "published"
@@ -363,7 +364,7 @@ def test_progress_shows_trials_speed_and_time_left(settings, tmp_path, monkeypat
 
 
 def test_by_default_the_last_round_is_full_if_it_can_be(monkeypatch):
-    monkeypatch.setattr(runner.joblib, "cpu_count", lambda: 4)
+    monkeypatch.setattr(runner, "cpu_count", lambda: 4)
     assert [runner.worker_count(None, n) for n in (1, 3, 4, 9, 10, 12, 1000)] == [1, 3, 4, 4, 5, 4, 4]
     assert runner.worker_count(8, 3) == 3
 
