@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.arm.linear_arm import arm_admittance
+from armperturb.analysis.results import LINES, PARAMETER_COLUMNS
 from armperturb.analysis.trials import trials_by_condition
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Pulse
+from armperturb.plots.style import new_figure
 from armperturb.recording import load_recording, save_recording
 from armperturb.study.comparison.headlines import headlines
 from armperturb.study.protocol import THESIS, Condition, Protocol
@@ -28,7 +30,7 @@ from armperturb.study.report.tables import (
 )
 from armperturb.study.results import cases
 from armperturb.study.results.cases import identify_person
-from armperturb.study.results.mean_admittance import by_task, main_conditions
+from armperturb.study.results.mean_admittance import by_task, main_conditions, mean_admittance
 from armperturb.subject import RELAX
 from tests.conftest import FEW_FITS, coarse_study
 
@@ -232,3 +234,19 @@ def test_multisines_too_short_to_identify_from_are_named(relax_recording, tmp_pa
         "relax in RT7.5 was not identified: the multisine lasts 20 s, and the analysis needs 28.48 s",
     )
     assert math.isnan(case.force)
+
+
+def test_a_study_reads_as_a_table_and_plots(study, tmp_path):
+    assert len(repr(study).splitlines()) <= LINES
+    assert f"Study of {len(study.names)} people" in repr(study)
+    assert all(remark in study.summary() for remark in (*study.missing, *study.remarks))
+    assert all(len(repr(case).splitlines()) <= LINES for case in study.cases)
+    frame = study.to_frame()
+    assert tuple(frame.columns) == ("subject", *PARAMETER_COLUMNS)
+    assert not frame.duplicated(["subject", "condition", "parameter"]).any()
+    case = study.of("PT7.5")[0]
+    mine = frame[(frame["subject"] == case.name) & (frame["condition"] == "PT7.5")]
+    assert mine.set_index("parameter")["value"].to_dict() == dict(case.identified.fit.values)
+    axes = study.plot(figure=new_figure(1.0))
+    mean = mean_admittance(study, study.conditions[0].name)
+    np.testing.assert_allclose(axes[0, 1, 0].get_lines()[0].get_ydata(), mean.gain[:, 0, 1])

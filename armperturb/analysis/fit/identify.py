@@ -254,7 +254,7 @@ def _with_error(fit: ArmFit, name: str) -> str:
     if name not in fit.values:
         return "-"
     error = fit.standard_error[name]
-    mark = " (at bound)" if name in fit.at_bound else ""
+    mark = " (bound)" if name in fit.at_bound else ""
     if not np.isfinite(error):
         return f"{plain(fit.values[name])} +/- inf{mark}"
     return f"{plain(fit.values[name])} +/- {plain(error, 2)}{mark}"

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.fit.thesis import fit_trials, join_estimates
+from armperturb.analysis.results import LINES
 from armperturb.analysis.trials import ConditionTrials, of_condition, trials_by_condition
 from armperturb.cli import main
 from armperturb.environment import Environment
+from armperturb.plots.style import new_figure
 from armperturb.recording import load_recording
 from armperturb.study.comparison.headlines import PULSED, headlines
 from armperturb.study.comparison.score import (
@@ -373,3 +375,15 @@ def test_command_refuses(tmp_path, capsys, arguments, message):
     assert main(["score", str(tmp_path), *arguments]) == 1
     assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_a_score_reads_as_a_table_and_plots(result):
+    assert len(repr(result).splitlines()) <= LINES
+    assert repr(result).splitlines()[3].startswith("total ")
+    assert "<table>" in result._repr_html_()
+    frame = result.to_frame()
+    assert ",".join(frame.columns) == HEADER
+    ax = result.plot(figure=new_figure(1.0))
+    drawn = sum(len(line.get_xdata()) for line in ax.get_lines() if line.get_marker() in ("o", "<", ">"))
+    assert drawn == np.isfinite(frame["z"]).sum()
+    assert [label.get_text() for label in ax.get_yticklabels()] == frame["table"].drop_duplicates().tolist()
