@@ -353,5 +353,5 @@ def left_out_likelihood(
         if np.all(np.abs(step) < 0.05 / np.sqrt(np.diag(normal.matrix))):
             break
     matrix = problem.normal(state, predicted).matrix
-    curvature = np.array([np.linalg.slogdet(matrix[own, own])[1] for own in problem.own_effects])
+    curvature = np.array([np.linalg.slogdet(matrix[places, places])[1] for places in problem.effects_of])
     return -0.5 * (problem.costs(state, predicted) + problem.log_determinants(state) + curvature)
