@@ -17,7 +17,7 @@ import numpy as np
 
 from armperturb.analysis.nonlinear.model import EFFECTS, Parameters
 from armperturb.analysis.nonlinear.noise import Noise
-from armperturb.analysis.nonlinear.trials import TrialSet
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, ComplexArray
 from armperturb.planar_arm.lanes import lane_table
 from armperturb.planar_arm.simulation import Disturbances
@@ -99,7 +99,7 @@ class Problem:
     """
 
     def __init__(
-        self, parameters: Parameters, sets: Sequence[TrialSet], arms: Mapping[str, Subject], threads: int = 1
+        self, parameters: Parameters, sets: Sequence[ConditionTrials], arms: Mapping[str, Subject], threads: int = 1
     ) -> None:
         """Take the trials.
 
@@ -134,8 +134,7 @@ class Problem:
         self._rate = rates.pop()
         n = int(self._ends.max())
         self.perturbation, self._observed = (
-            np.concatenate([_padded(getattr(trials, name), n) for trials in sets])
-            for name in ("perturbation", "displacement")
+            np.concatenate([_padded(getattr(trials, name), n) for trials in sets]) for name in ("drive", "displacement")
         )
         self.noises = [
             Noise(arms[trials.label], trials.environment, trials.end, trials.n_trials, trials.rate)

@@ -18,17 +18,14 @@ half the sampling rate (but for traces at the onset), so that a model in discret
 continuous system: nothing is held between samples, and x answers d within the sample.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import xarray as xr
 from scipy import signal
 
 from armperturb.analysis.response.frequency_response import System, require_system
+from armperturb.analysis.trials import SeveralTrials, prepared_recordings, records_of
 from armperturb.arrays import Array, ComplexArray
-from armperturb.recording import check_recording
-from armperturb.validation import require_number
 
 MODEL_RATE = 200.0
 """Records that are sampled more than 1.5 times as fast are resampled to about this rate [Hz]: more samples of the same
@@ -83,53 +80,28 @@ class JointRecords:
         return np.asarray(frequency[power > EXCITED * power.max()])
 
 
-def joint_records(recording: xr.Dataset | Sequence[xr.Dataset], start: float = 0.0) -> JointRecords:
+def joint_records(recording: SeveralTrials, window_start: float = 0.0) -> JointRecords:
     """The signals of trials up to their pulses.
 
     Args:
       recording: trials of one person in one condition, or several such recordings of the same rate, of any lengths.
-      start: of what is used [s].
+      window_start: start of what is used [s].
 
     Raises:
-      ValueError: a recording is refused (see `check_recording`), a trial met the workspace limit, begins with its
-        pulse, ends before `start` or is too short to be resampled, rates differ, a channel is constant, or the
-        disturbances along x and y are one.
+      ValueError: as `ConditionTrials.records`; or a trial is too short to be resampled, rates differ, a channel is
+        constant, or the disturbances along x and y are one.
     """
-    require_number("joint_records", "start", start, at_least=0.0)
-    recordings = [recording] if isinstance(recording, xr.Dataset) else list(recording)
-    if not recordings:
-        raise ValueError("recording is empty; expected at least one recording")
-    perturbation: list[Array] = []
-    response: list[Array] = []
-    for one in recordings:
-        check_recording(one)
-    rates = sorted({float(one.attrs["rate"]) for one in recordings})
-    if len(rates) > 1:
-        raise ValueError(f"recordings at {', '.join(f'{rate:g}' for rate in rates)} Hz; expected one rate")
-    factor, first = max(1, round(rates[0] / MODEL_RATE)), round(start * rates[0])
-    for one in recordings:
-        d, f, x = (np.asarray(one[name].values, dtype=float) for name in ("perturbation", "force", "displacement"))
-        onsets, hits = one["pulse_onset"].values, one["limit_time"].values
-        for trial in range(len(d)):
-            if np.isfinite(hits[trial]):
-                raise ValueError(
-                    f"trial {trial} reached the workspace limit at {hits[trial]:.3f} s; expected trials that stay "
-                    "inside (leave this one out)"
-                )
-            end = round(onsets[trial] * rates[0]) if np.isfinite(onsets[trial]) else d.shape[1]
-            if end < 2:
-                raise ValueError(
-                    f"trial {trial} has its pulse at {onsets[trial]:g} s; expected a perturbation before it (leave "
-                    "this one out)"
-                )
-            used = slice(first, min(end, d.shape[1]))
-            if used.stop - used.start < 2:
-                raise ValueError(f"trial {trial} ends at {used.stop / rates[0]:g} s; expected more than {start:g} s")
-            signals = np.concatenate([d[trial, used], f[trial, used], x[trial, used]], axis=1)
-            signals = _resampled(signals, factor)
-            perturbation.append(signals[:, :2])
-            response.append(signals[:, 2:])
-    records = JointRecords(perturbation=tuple(perturbation), response=tuple(response), rate=rates[0] / factor)
+    originals = records_of(prepared_recordings(recording), window_start)
+    rate = originals[0].rate
+    factor = max(1, round(rate / MODEL_RATE))
+    signals = [
+        _resampled(np.concatenate([original.perturbation, original.response], axis=1), factor) for original in originals
+    ]
+    records = JointRecords(
+        perturbation=tuple(values[:, :2] for values in signals),
+        response=tuple(values[:, 2:] for values in signals),
+        rate=rate / factor,
+    )
     _require_moving(records)
     return records
 

@@ -82,7 +82,7 @@ def design_text(design: Design) -> str:
     if settings.period < PERIOD or settings.start < USUAL_START:
         lines.append(
             f"period {settings.period:g} s, for which there is time: identify with --period {settings.period:g} "
-            f"--start {settings.start:g}"
+            f"--window-start {settings.start:g}"
         )
     return "\n".join(lines)
 

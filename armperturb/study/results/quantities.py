@@ -31,6 +31,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.measures.kinematics import (
     hand_path,
     joint_rotations,
@@ -44,7 +45,6 @@ from armperturb.perturbations.multisine import PERIOD
 from armperturb.recording import REQUIRED_SIGNALS, check_recording
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
-from armperturb.study.results.cases import WINDOW_START
 
 JOINTS = ("s", "e")
 """Shoulder and elbow, in the order of a recording."""

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, Self, TypeVar
 
 from tqdm import tqdm
 
+from armperturb.analysis.trials import trials_by_condition
 from armperturb.archive import code_digest, keep, read_archive
 from armperturb.cohort import Person
 from armperturb.environment import Environment
@@ -368,11 +369,12 @@ def _fit_nonlinear(unit: _NonlinearUnit) -> NonlinearFit:
 def _analyse(unit: _Unit) -> PersonResults:
     recording = load_recording(unit.path, ["joint_angle"])
     try:
-        cases = identify_person(recording, Path(RECORDINGS, unit.path.name), unit.protocol)
+        conditions = trials_by_condition(recording, is_checked=True)
+        cases = identify_person(conditions, Path(RECORDINGS, unit.path.name), unit.protocol)
         return PersonResults(
             cases=cases,
-            measures=measure_person(recording, cases),
-            fits=fit_person(recording),
+            measures=measure_person(recording, conditions, cases),
+            fits=fit_person(conditions),
             missing=tuple(_missing(recording, unit.protocol)),
         )
     except ValueError as error:
@@ -380,7 +382,7 @@ def _analyse(unit: _Unit) -> PersonResults:
 
 
 def _analyse_later(unit: _LaterUnit) -> SecondStep:
-    return fit_second_step(load_recording(unit.path, ["joint_angle"]), unit.means)
+    return fit_second_step(trials_by_condition(load_recording(unit.path, []), is_checked=True), unit.means)
 
 
 def _missing(recording: Any, protocol: Protocol) -> list[str]:

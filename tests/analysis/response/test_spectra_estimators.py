@@ -214,7 +214,7 @@ def test_what_is_before_the_start_is_left_out(load, method):
     later = load.isel(time=slice(1000, None)).assign_coords(time=load["time"].values[:-1000])
     frequency = response(load, "spectral").frequency[3:8]
     found, expected = (
-        response(recording, method, frequency, start=start, **({"balance": False} if method == "noise" else {}))
+        response(recording, method, frequency, window_start=start, **({"balance": False} if method == "noise" else {}))
         for recording, start in ((load, 5.0), (later, 0.0))
     )
     np.testing.assert_allclose(found.response, expected.response, rtol=1e-9)

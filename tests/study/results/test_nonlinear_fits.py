@@ -318,7 +318,7 @@ def folder(yielding, tmp_path, monkeypatch):
         save_recording(named, tmp_path / "recordings" / f"{name}.nc")
     of = {person.name: person for person in people_of(("S01", "S02"))}
     monkeypatch.setattr(results, "identify_person", lambda *_: ())
-    monkeypatch.setattr(results, "measure_person", lambda recording, _: of[str(recording["subject"].values[0])])
+    monkeypatch.setattr(results, "measure_person", lambda recording, *_: of[str(recording["subject"].values[0])])
     monkeypatch.setattr(results, "fit_person", lambda _: Fits("", {}, {}, ()))
     monkeypatch.setattr(results, "fit_second_step", lambda *_: SecondStep({}, ()))
     return tmp_path

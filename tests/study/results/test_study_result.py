@@ -261,7 +261,7 @@ def test_folders_that_cannot_be_written_to_are_analysed(study, copied, monkeypat
     of = {person.name: person for person in study.people}
     nothing = fits.Fits("", {}, {}, ())
     monkeypatch.setattr(results, "identify_person", lambda recording, *_: ())
-    monkeypatch.setattr(results, "measure_person", lambda recording, _: of[str(recording["subject"].values[0])])
+    monkeypatch.setattr(results, "measure_person", lambda recording, *_: of[str(recording["subject"].values[0])])
     monkeypatch.setattr(results, "fit_person", lambda recording: nothing)
     monkeypatch.setattr(results, "fit_second_step", lambda *_: fits.SecondStep({}, ()))
     found = analysed(copied)
