@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
-from armperturb.analysis.response.joint_records import JointRecords
+from armperturb.analysis.response.joint_records import excited_frequencies
 from armperturb.analysis.response.line_balance import find_balance, holds
 from armperturb.analysis.response.local_polynomial import (
     N_INPUTS,
@@ -30,7 +30,7 @@ from armperturb.analysis.response.local_polynomial import (
     frequency_response,
     n_unknowns,
 )
-from armperturb.analysis.response.spectra import EXCITED
+from armperturb.analysis.response.spectra import EXCITED_LINE
 from armperturb.analysis.trials import (
     APERIODIC,
     SeveralTrials,
@@ -232,7 +232,7 @@ def periodic_trials(
         trials.append(_mean_period(record, n))
     power = np.sum([np.abs(trial.perturbation) ** 2 for trial in trials], axis=(0, 2))
     power[[0, -1]] = 0.0
-    excited = np.flatnonzero(power > EXCITED * power.max())
+    excited = np.flatnonzero(power > EXCITED_LINE * power.max())
     return Periodic(tuple(trials), excited, _groups(excited, len(trials), lines_per_average), period, rate)
 
 
@@ -405,12 +405,7 @@ def excited_band(records: Sequence[TrialRecord]) -> Array:
 
     They share out the band that holds all but 1 % of its power evenly on a logarithmic scale, as far as there is power.
     """
-    joint = JointRecords(
-        perturbation=tuple(record.perturbation for record in records),
-        response=tuple(record.response for record in records),
-        rate=records[0].rate,
-    )
-    excited = joint.excited_frequencies()
+    excited = excited_frequencies(records)
     longest = _whole(max(records, key=lambda record: len(record.perturbation)))
     power = np.cumsum(np.sum(np.abs(longest.perturbation) ** 2, axis=1))
     low, high = np.interp([0.005, 0.995], power / power[-1], longest.frequency)

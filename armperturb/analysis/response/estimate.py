@@ -21,8 +21,8 @@ from armperturb.analysis.response.frequency_response import (
     require_system,
 )
 from armperturb.analysis.response.joint_records import (
-    JointRecords,
     admittance_of,
+    excited_frequencies,
     joint_records,
     variance_of,
 )
@@ -30,7 +30,7 @@ from armperturb.analysis.response.local_polynomial import N_INPUTS, Window, fit_
 from armperturb.analysis.response.spectra import LineSpectra, SpectralEstimate, averaged_spectra, line_spectra
 from armperturb.analysis.response.subspace import PAST, fit_subspace
 from armperturb.analysis.response.tapers import estimate_multitaper, estimate_welch
-from armperturb.analysis.trials import SeveralTrials, prepared, prepared_recordings
+from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.recording import join_recordings, named
 
@@ -176,13 +176,13 @@ def subspace_response(
     records = joint_records(recording, window_start)
     wanted = _wanted(frequency, records)
     model = fit_subspace(records, wanted, what=what, order=order, past=past)
-    n_trials = len(records.perturbation)
+    n_trials = len(records)
     covariance = dof = None
     if n_trials >= FEWEST_TRIALS:
         without = []
         for left_out in range(n_trials):
-            others = [trial for trial in range(n_trials) if trial != left_out]
-            fewer = fit_subspace(_some(records, others), wanted, what=what, order=model.order, past=past)
+            others = [record for number, record in enumerate(records) if number != left_out]
+            fewer = fit_subspace(others, wanted, what=what, order=model.order, past=past)
             without.append(admittance_of(what, fewer.response(wanted)))
         covariance = (n_trials - 1) * np.var(without, axis=0)
         dof = np.full(len(wanted), n_trials - 1.0)
@@ -192,14 +192,6 @@ def subspace_response(
         covariance=covariance,
         what=what,
         dof=dof,
-    )
-
-
-def _some(records: JointRecords, trials: Sequence[int]) -> JointRecords:
-    return replace(
-        records,
-        perturbation=tuple(records.perturbation[trial] for trial in trials),
-        response=tuple(records.response[trial] for trial in trials),
     )
 
 
@@ -242,8 +234,9 @@ def response(
     return replace(METHODS[method](several, frequency=frequency, **options), label=label)
 
 
-def _wanted(frequency: ArrayLike | None, records: JointRecords) -> Array:
-    return records.excited_frequencies() if frequency is None else require_frequencies(frequency, records.rate)
+def _wanted(frequency: ArrayLike | None, records: Sequence[TrialRecord]) -> Array:
+    rate = records[0].rate
+    return excited_frequencies(records) if frequency is None else require_frequencies(frequency, rate)
 
 
 def _at(found: FrequencyResponse, frequency: ArrayLike | None) -> FrequencyResponse:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 N_INPUTS = 2
-EXCITED = 1e-4
+EXCITED_LINE = 1e-4
 """Share of the strongest line's power from which on a line counts as excited."""
 
 
@@ -165,7 +165,7 @@ def line_spectra(
         raise ValueError(
             f"the perturbation is zero from {window_start:g} s on; expected a disturbance with a period of {period:g} s"
         )
-    line = np.flatnonzero(power > EXCITED * power.max())
+    line = np.flatnonzero(power > EXCITED_LINE * power.max())
     return LineSpectra(
         line=line, frequency=line / period, perturbation=d[:, line], force=f[:, line], displacement=x[:, line]
     )

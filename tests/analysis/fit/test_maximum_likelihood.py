@@ -241,9 +241,9 @@ def test_bad_input_is_refused_in_one_sentence(position, position_group, relax, r
     for arguments, options, message in (
         (([],), {}, r"groups is empty; expected the trials of at least one condition"),
         (([position_group], "best"), {}, r"method = 'best'; expected one of frequency, record"),
-        (([position_group],), {"start": {"k": 1.0}}, r"start: unknown parameter 'k'; expected m_tot, b_s"),
-        (([position_group],), {"start": {"k_s": -1.0}}, r"start: k_s = -1.0; expected 0 to 1000 Nm/rad"),
-        (([position_group],), {"start": {"k_s": np.nan}}, r"start: k_s = nan; expected 0 to 1000 Nm/rad"),
+        (([position_group],), {"initial": {"k": 1.0}}, r"initial: unknown parameter 'k'; expected m_tot, b_s"),
+        (([position_group],), {"initial": {"k_s": -1.0}}, r"initial: k_s = -1.0; expected 0 to 1000 Nm/rad"),
+        (([position_group],), {"initial": {"k_s": np.nan}}, r"initial: k_s = nan; expected 0 to 1000 Nm/rad"),
         (([position_group],), {"share": ["masses"]}, r"share: 'masses' is no free parameter; expected mass, damping"),
         (([position_group, position_group],), {}, r"condition 'PT7.5' comes twice"),
         (([position_group, relax_group],), {}, r"differ in name \(position, relax\); expected one person"),

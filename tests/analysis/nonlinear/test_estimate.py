@@ -17,7 +17,6 @@ from armperturb.analysis.nonlinear.start import best_start
 from armperturb.analysis.nonlinear.trials import fitted_conditions
 from armperturb.analysis.results import PARAMETER_COLUMNS
 from armperturb.cohort import average_person, draw_person
-from armperturb.recording import stack_trials
 from armperturb.subject import RELAX, at_level
 
 PERSON = average_person().subjects["RT"]
