@@ -17,6 +17,7 @@ from armperturb.analysis.nonlinear.start import best_start
 from armperturb.analysis.nonlinear.trials import fitted_conditions
 from armperturb.analysis.results import PARAMETER_COLUMNS
 from armperturb.cohort import average_person, draw_person
+from armperturb.recording import stack_trials
 from armperturb.subject import RELAX, at_level
 
 PERSON = average_person().subjects["RT"]
@@ -161,9 +162,7 @@ def test_a_recording_of_two_people_is_refused():
     people = PERSON, replace(PERSON, name="S02")
     recordings = [made.record(person, [made.push(0, 0.5, duration=1.0)]) for person in people]
     with pytest.raises(ValueError, match=r"recording: subject = .*, S02; expected one person"):
-        fitted_conditions(
-            xr.concat(recordings, "trial", data_vars="all", coords="different", compat="equals", join="exact")
-        )
+        fitted_conditions(stack_trials(recordings))
 
 
 def test_what_cannot_be_fitted_is_refused(ideal):
