@@ -50,7 +50,10 @@ def sets_of(once, name, person, n_trials, noisy):
         return [
             made.trial_set(
                 made.record(
-                    person, [made.push(10 * i + k, rms) for k in range(n_trials)], noisy=noisy, condition=condition
+                    person,
+                    [made.push(10 * i + k, rms) for k in range(n_trials)],
+                    noisy=noisy,
+                    condition=condition,
                 )
             )
             for i, (condition, rms) in enumerate((("RT2.5", 0.5), ("RT7.5", 1.5)))
@@ -76,6 +79,7 @@ def noisy_fit(noisy, once):
     return once("nonlinear fit", lambda _: fit(noisy, ARMS, FEW, n_pairs=2))
 
 
+@pytest.mark.slow(reason="compiles, simulates and fits")
 def test_without_noise_the_truth_is_found(ideal):
     found = fit(ideal, ARMS, FEW, n_pairs=0)
     assert set(found.values) == set(FREE)
@@ -86,6 +90,7 @@ def test_without_noise_the_truth_is_found(ideal):
     )
 
 
+@pytest.mark.slow(reason="simulates eight trials and fits them")
 def test_with_noise_the_intervals_hold_the_truth_and_are_no_wider_than_they_must_be(noisy_fit):
     assert noisy_fit.converged
     for name in FREE:
@@ -102,6 +107,7 @@ def test_with_noise_the_intervals_hold_the_truth_and_are_no_wider_than_they_must
     assert not any("amplitude" in remark for remark in noisy_fit.remarks)
 
 
+@pytest.mark.slow(reason="fits eight trials")
 def test_a_wrong_law_leaves_a_lack_of_fit(noisy):
     fixed = {name: value for name, value in FEW.fixed.items() if name in ("m_h", "m_f", "k_h", "b_h")}
     found = fit(noisy, ARMS, Model(law="linear", fixed=fixed), n_pairs=0)
@@ -112,6 +118,7 @@ class Stopped(Exception):
     pass
 
 
+@pytest.mark.slow(reason="fits twice")
 def test_a_search_that_was_stopped_goes_on_to_the_same_result(noisy, tmp_path):
     few = [trials.take(range(2)) for trials in noisy]
     options = {"n_pairs": 1, "n_pairs_of_errors": 2}
@@ -138,6 +145,7 @@ def test_a_search_that_was_stopped_goes_on_to_the_same_result(noisy, tmp_path):
     assert found.coordinate_error == pytest.approx(expected.coordinate_error, rel=1e-6)
 
 
+@pytest.mark.slow(reason="fits eight simulated trials")
 def test_one_amplitude_is_said_to_tell_little(noisy):
     found = fit([noisy[1].take([0])], ARMS, FEW, n_pairs=0)
     assert any("all trials have one amplitude" in remark for remark in found.remarks)
@@ -186,6 +194,7 @@ def test_an_unstable_start_is_refused():
             ("kv.shoulder", "kv.two-joint", "kv.elbow"), 150.0))  # fmt: skip
 
 
+@pytest.mark.slow(reason="simulates and fits")
 def test_negative_groups_of_linear_people_are_found():
     arm = draw_person(1, 0, muscles="linear").subjects["PT"]
     true = true_values(arm, {})
@@ -199,6 +208,7 @@ def test_negative_groups_of_linear_people_are_found():
     assert low < found.values["kp.shoulder"] < high < 0.0
 
 
+@pytest.mark.slow(reason="fits")
 def test_dampers_that_linear_arms_have_negative_start_from_small_positive_ones(ideal):
     # b_se > b_s: the shoulder's own damping is negative, which a law whose damping thins must not have.
     odd = {label: replace(arm, b_s=1.0, b_se=1.4, b_e=1.6) for label, arm in ARMS.items()}
@@ -225,11 +235,12 @@ def test_pulses_of_the_true_person_are_predicted_and_those_of_a_linear_arm_are_n
     assert predict_pulses(recorded.before(600), PERSON) == []  # the window is not recorded
 
 
+@pytest.mark.slow(reason="five fits")
 @pytest.mark.parametrize("truth", ["linear", "short-range"])
 def test_left_out_trials_choose_the_law(noisy, once, truth):
-    sets = sets_of(once, "linear", RELAX, 4, True) if truth == "linear" else noisy
+    sets = sets_of(once, "linear", RELAX, 3, True) if truth == "linear" else noisy
     arms = dict.fromkeys(ARMS, RELAX) if truth == "linear" else ARMS
-    end = 800 if truth == "linear" else 1400  # nothing is shown by less, and something only by more
+    end = 800 if truth == "linear" else 1400  # the shorter, the less is shown
     found = compare_laws(
         [trials.before(end).take(range(3)) for trials in sets],
         arms,
@@ -323,6 +334,7 @@ def position_problem(sets, **fixed):
     return Problem(parameters, sets, nearest_arms(sets, arms))
 
 
+@pytest.mark.slow(reason="simulates trials of two people")
 @pytest.mark.parametrize("level", [0.4, 1.4])
 def test_pulses_alone_start_from_the_level_that_answers_them(level):
     true = true_values(POSITION, {})
@@ -338,6 +350,7 @@ def test_pulses_alone_start_from_the_level_that_answers_them(level):
     assert best_start(problem, np.log([0.8]), {"level.PT0": 0.8}).point == pytest.approx(np.log([0.8]))
 
 
+@pytest.mark.slow(reason="fits")
 def test_a_limit_cycle_is_found_and_invalidates_a_fit(noisy, monkeypatch):
     push = made.push(1, 1.5, 6.0)
     trials = made.trial_set(made.record(POSITION, [push], condition="PT7.5"))
@@ -353,6 +366,7 @@ def test_a_limit_cycle_is_found_and_invalidates_a_fit(noisy, monkeypatch):
     assert "the arm has a limit cycle (self-sustained oscillation) in RT7.5" in found.remarks[0]
 
 
+@pytest.mark.slow(reason="fits eight trials")
 def test_a_result_reads_as_a_table(noisy_fit):
     frame = noisy_fit.to_frame()
     assert tuple(frame.columns) == PARAMETER_COLUMNS
@@ -377,6 +391,7 @@ def at_truth(noisy):
     return problem, state, problem.slopes(state)
 
 
+@pytest.mark.slow(reason="simulates eight trials")
 def test_what_a_fit_leaves_of_a_record_moves_it_no_more(at_truth):
     problem, state, slopes = at_truth
     white = problem.white(problem.residual(problem.predict([state])[0]))
@@ -389,6 +404,7 @@ def test_what_a_fit_leaves_of_a_record_moves_it_no_more(at_truth):
     assert sum(np.sum(record**2) for record in left) < sum(np.sum(record**2) for record in white)
 
 
+@pytest.mark.slow(reason="simulates eight trials")
 def test_draws_are_strong_enough_for_what_a_fit_takes_of_them(noisy, at_truth, monkeypatch):
     def strength(problem, state):
         residual = problem.residual(problem.predict([state])[0])
@@ -405,6 +421,7 @@ def test_draws_are_strong_enough_for_what_a_fit_takes_of_them(noisy, at_truth, m
     assert fitted > 1.001 * strength(other, state)
 
 
+@pytest.mark.slow(reason="simulates eight trials")
 def test_lack_of_fit_is_judged_by_draws(at_truth):
     problem, state, slopes = at_truth
     predicted = problem.predict([state])[0]
