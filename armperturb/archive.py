@@ -1,4 +1,4 @@
-"""Results of an analysis as plain files: what is read back can hold numbers, texts and classes of ours, but no code.
+"""Results of an analysis as plain files, which can hold numbers, texts and classes of this package, but no code.
 
 Arrays are kept to the last bit, in base64 of NumPy's own format; classes are dataclasses and named tuples of this
 package, by name and field.
@@ -6,28 +6,19 @@ package, by name and field.
 
 import base64
 import dataclasses
-import functools
 import gzip
-import hashlib
 import importlib
 import io
 import json
-import logging
 import math
 import zlib
-from collections.abc import Callable, Mapping
-from importlib import resources
-from importlib.resources.abc import Traversable
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from armperturb.files import written_whole
-
-LOG = logging.getLogger(__name__)
-
-Value = TypeVar("Value")
 
 PACKAGE = "armperturb"
 
@@ -37,15 +28,27 @@ _DAMAGED = (
     *(OSError, EOFError, zlib.error, ValueError, KeyError, TypeError, AttributeError, ImportError),
     RecursionError,
 )
-"""What reading raises of a file that is not there, not whole, or not ours."""
+"""What reading raises if a file is damaged, or was not written by `write_archive`."""
 
 
-def write_archive(path: Path, key: str, value: Any) -> None:
+class Archive(NamedTuple):
+    """A value that was read, and what it was made from.
+
+    Attributes:
+      source: as `write_archive` was given it, as JSON has it.
+      value: likewise.
+    """
+
+    source: Any
+    value: Any
+
+
+def write_archive(path: Path, source: Any, value: Any) -> None:
     """Write a value, whole or not at all.
 
     Args:
       path: of the file; its folder is there.
-      key: what the value was made from; see `read_archive`.
+      source: what the value was made from, as JSON has it.
       value: None, truth values, numbers, texts, paths, tuples, lists, mappings, arrays, and dataclasses and named
         tuples of this package that hold such.
 
@@ -53,62 +56,25 @@ def write_archive(path: Path, key: str, value: Any) -> None:
       TypeError: it holds anything else.
       OSError: the file cannot be written.
     """
-    content = json.dumps({"key": key, "value": _plain(value)}, separators=(",", ":")).encode()
+    content = json.dumps({"source": source, "value": _plain(value)}, separators=(",", ":")).encode()
     with written_whole(path) as temporary:
         temporary.write_bytes(gzip.compress(content, compresslevel=1, mtime=0))
 
 
-def read_archive(path: Path, key: str, kind: type[Value]) -> Value | None:
-    """The value that was written with that key; None if there is none of that kind, or the file is damaged."""
-    try:
-        found = json.loads(gzip.decompress(path.read_bytes()))
-        value = _restored(found["value"]) if found["key"] == key else None
-    except _DAMAGED:
-        return None
-    return value if isinstance(value, kind) else None
+def read_archive(path: Path) -> Archive:
+    """What `write_archive` wrote.
 
-
-def recalled(path: Path, key: str, kind: type[Value], compute: Callable[[], Value]) -> Value:
-    """What was computed earlier with that key; else it is computed now, and kept.
-
-    Args:
-      path: of the file; its folder is made if needed.
-      key: what the value is made from.
-      kind: of the value.
-      compute: gives the value.
+    Raises:
+      FileNotFoundError: there is no file.
+      ValueError: the file cannot be read, is damaged, or holds classes that this version of the package lacks.
     """
-    kept = read_archive(path, key, kind)
-    if kept is not None:
-        return kept
-    value = compute()
-    keep(path, key, value)
-    return value
-
-
-def keep(path: Path, key: str, value: Any) -> None:
-    """As `write_archive`, into a folder that is made if needed; a folder that cannot be written to is only told of."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_archive(path, key, value)
-    except OSError as error:
-        LOG.warning("%s cannot be written (%s): it will be computed again next time", path, error.strerror or error)
-
-
-@functools.cache
-def code_digest() -> str:
-    """SHA-256 of the package's own source and data, which every result depends on."""
-    total = hashlib.sha256()
-
-    def add(folder: Traversable, name: str) -> None:
-        for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
-            if entry.is_dir():
-                add(entry, f"{name}/{entry.name}")
-            elif entry.name.endswith((".py", ".csv", ".toml", ".xml")):
-                total.update(f"{name}/{entry.name}\n".encode())
-                total.update(entry.read_bytes())
-
-    add(resources.files(PACKAGE), PACKAGE)
-    return total.hexdigest()
+        content = json.loads(gzip.decompress(path.read_bytes()))
+        return Archive(content["source"], _restored(content["value"]))
+    except FileNotFoundError:
+        raise
+    except _DAMAGED as error:
+        raise ValueError(f"{path}: {type(error).__name__}: {error}; expected what this version writes") from None
 
 
 def _plain(value: Any) -> Any:
@@ -172,10 +138,10 @@ def _class(name: str) -> Any:
     module, _, qualified = name.partition(":")
     if module.partition(".")[0] != PACKAGE:
         raise ValueError(f"class {name!r}; expected one of {PACKAGE}")
-    found: Any = importlib.import_module(module)
+    kind: Any = importlib.import_module(module)
     for part in qualified.split("."):
-        found = getattr(found, part)
-    is_tuple = isinstance(found, type) and issubclass(found, tuple) and hasattr(found, "_fields")
-    if not (is_tuple or (isinstance(found, type) and dataclasses.is_dataclass(found))):
+        kind = getattr(kind, part)
+    is_tuple = isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
+    if not (is_tuple or (isinstance(kind, type) and dataclasses.is_dataclass(kind))):
         raise ValueError(f"{name!r}; expected a dataclass or a named tuple")
-    return found
+    return kind

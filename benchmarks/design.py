@@ -115,7 +115,7 @@ def check(case: str, settings: DesignSettings, groups: int) -> bool:
     print(f"{'parameter':10} {'predicted':>22} {'measured':>22} {'ratio':>13}")
     print(f"{'':10} {'thesis':>11}{'optimised':>11} {'thesis':>11}{'optimised':>11} {'pred.':>6} {'meas.':>6}")
     rms = {name: np.sqrt(np.mean(error**2, axis=0)) for name, error in of.items()}
-    for column, row in enumerate(plan.rows()):
+    for column, row in enumerate(plan.to_frame().to_dict("records")):
         thesis, optimised = rms["thesis"][column], rms["optimised"][column]
         print(
             f"{row['parameter']:10} {row['sem_thesis']:11.4g}{row['sem_optimised']:11.4g} {thesis:11.4g}"

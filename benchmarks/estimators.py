@@ -22,7 +22,6 @@ from armperturb.analysis.fit.linear_start import linear_start
 from armperturb.analysis.fit.maximum_likelihood import Group, estimate
 from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.trials import ConditionTrials
-from armperturb.study.validation.report import summary_text
 from armperturb.study.validation.validate import ESTIMATORS, ValidateSettings, Validation, simulate_group, validate
 
 GROUPS = 40
@@ -109,7 +108,7 @@ def report(case: str, what: str, limit: str, values: dict[str, float], bound: fl
 
 
 def report_errors(case: str, validation: Validation) -> None:
-    rows = validation.rows()
+    rows = validation.to_frame().to_dict("records")
     for target in TARGETS[case]:
         mine = [row for row in rows if row["parameter"] in target.parameters]
         values = {
@@ -126,8 +125,8 @@ def report_errors(case: str, validation: Validation) -> None:
 def report_trust(found: dict[str, Validation]) -> None:
     """Intervals and convergence, over all cases in which the structure is right."""
     for case, validation in found.items():
-        rows = validation.rows()
-        pooled = {row["estimator"]: row["coverage_percent"] for row in validation.summary()}
+        rows = validation.to_frame().to_dict("records")
+        pooled = {row["estimator"]: row["coverage_percent"] for row in validation.estimators_frame().to_dict("records")}
         least = {
             name: min(row["coverage_percent"] for row in rows if row["estimator"] == name) for name in validation.judged
         }
@@ -140,7 +139,7 @@ def report_trust(found: dict[str, Validation]) -> None:
                     [
                         row[f"{name}_percent"]
                         for validation in found.values()
-                        for row in validation.summary()
+                        for row in validation.estimators_frame().to_dict("records")
                         if row["estimator"] == estimator
                     ]
                 )
@@ -151,7 +150,9 @@ def report_trust(found: dict[str, Validation]) -> None:
 
 
 def report_suspicion(case: str, validation: Validation, *, is_wrong: bool) -> None:
-    summary = {row["estimator"]: row for row in validation.summary() if row["estimator"] in LIKELY}
+    summary = {
+        row["estimator"]: row for row in validation.estimators_frame().to_dict("records") if row["estimator"] in LIKELY
+    }
     if is_wrong:
         biased = {name: row["biased_percent"] for name, row in summary.items()}
         flagged = {name: row["flagged_of_biased_percent"] for name, row in summary.items()}
@@ -199,7 +200,7 @@ def main() -> None:
     right = {}
     for case, settings in RIGHT.items():
         right[case] = validate(settings)
-        print(f"\n{summary_text(right[case])}\n")
+        print(f"\n{right[case].summary()}\n")
         report_head()
         report_errors(case, right[case])
         report_suspicion(case, right[case], is_wrong=False)

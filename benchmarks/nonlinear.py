@@ -46,7 +46,8 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.recording import load_recording
 from armperturb.study.protocol import THESIS
-from armperturb.study.recording.record import StudySettings, record_study
+from armperturb.study.recording.record import record_study
+from armperturb.study.recording.settings import StudySettings
 
 PARTS = ("RT", "RT+", "PT", "PT+", "linear RT", "linear PT")
 MODELS = ("nonlinear", "linear", "skeletal", "truth")

@@ -10,9 +10,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from armperturb.study.recording.record import StudySettings, record_study
+from armperturb.study.recording.record import record_study
+from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.report import write_report
-from armperturb.study.results.study_result import analyse_study
+from armperturb.study.results.analyse import analyse_study
 
 
 def main() -> None:

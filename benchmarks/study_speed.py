@@ -29,7 +29,8 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.models import JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, build_model
 from armperturb.study.protocol import THESIS
-from armperturb.study.recording.record import StudySettings, record_study
+from armperturb.study.recording.record import record_study
+from armperturb.study.recording.settings import StudySettings
 
 N_SUBJECTS, TIMESTEP, DECIMATION = 10, 1e-3, 5
 LOOP_TRIALS, LOOP_SECONDS = 6, 4.0
@@ -133,7 +134,7 @@ def main(arguments: list[str] | None = None) -> None:
     memory.stop()
     usage = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     busy = sum(each.ru_utime + each.ru_stime for each in usage)
-    simulated = N_SUBJECTS * len(THESIS.cells()) * THESIS.trial_duration
+    simulated = N_SUBJECTS * len(THESIS.planned_trials()) * THESIS.trial_duration
     print(
         f"study: {took:.1f} s wall on {joblib.cpu_count()} cores ({busy:.0f} s of processor time, "
         f"{simulated / took:.0f} x real time), forces {forces}; target 60 s on 4 cores, 120 s on 2"

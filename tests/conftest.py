@@ -4,7 +4,6 @@ import fcntl
 import os
 import pickle
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -16,14 +15,12 @@ from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse
-from armperturb.study.experiments import mechanisms as why
-from armperturb.study.recording import record as runner
-from armperturb.study.recording.record import StudySettings
-from armperturb.study.report import report
+from armperturb.study.experiments.mechanisms import why_people_yield
+from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.figures import rig as rig_figures
-from armperturb.study.report.report import Picture, write_report
-from armperturb.study.results import appendix_fits as fits
-from armperturb.study.results.study_result import run_study
+from armperturb.study.report.report import write_report
+from armperturb.study.results.analyse import run_study
+from armperturb.study.results.settings import AnalysisSettings
 from armperturb.subject import POSITION, RELAX
 
 
@@ -146,16 +143,13 @@ def short_protocol(tmp_path_factory):
     return path
 
 
-def coarse_study(settings, folder, *, starts_of="none"):
-    """A study simulated at steps at which that takes seconds.
+FEW_FITS = AnalysisSettings(structures=("1",), starts_of=None)
+"""One structure of appendix C, nothing of D and E."""
 
-    Appendix C has its first structure alone, and D and E are of that condition, if it is one.
-    """
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "run_experiment", partial(run_experiment, timestep=2.5e-3))
-        patch.setattr(fits, "STRUCTURES_C", ("1",))
-        patch.setattr(fits, "STARTS_OF", starts_of)
-        return run_study(settings, folder, show_progress=False)
+
+def coarse_study(settings, folder, analysis=FEW_FITS):
+    """A study simulated at a step at which that takes seconds, and analysed."""
+    return run_study(replace(settings, timestep=2.5e-3), folder, analysis=analysis, show_progress=False)
 
 
 @pytest.fixture(scope="session")
@@ -199,7 +193,7 @@ def thesis_study(once):
     def make(folder):
         (folder / "protocol.toml").write_text(THESIS_LIKE)
         settings = StudySettings(subjects=3, seed=3, protocol=folder / "protocol.toml", muscles="linear")
-        return coarse_study(settings, folder, starts_of="PT7.5")
+        return coarse_study(settings, folder, replace(FEW_FITS, starts_of="PT7.5"))
 
     return once("thesis study", make)
 
@@ -222,24 +216,9 @@ def thesis_report(thesis_study, once):
     return once("thesis report", make)
 
 
-@pytest.fixture
-def sketched(monkeypatch):
-    """Reports are written without drawing anything but what this holds, and without simulating anybody once more.
-
-    Pictures of the rig fail.
-    """
-    drawn = {"rig", "stills"}
-    draw = report._draw
-    monkeypatch.setattr(rig_figures, "render", without_pictures)
-    monkeypatch.setattr(report, "_simulated", lambda *_: (None, None))
-    monkeypatch.setattr(
-        report, "_draw", lambda unit: draw(unit) if unit.name in drawn else (unit.name, Picture("data:,", 4, 3), "")
-    )
-    return drawn
-
-
-def without_pictures(*args, **options):
-    raise RuntimeError("render: no OpenGL context; install <libegl1>")
+def sketch(study, out, figures=()):
+    """The text of a report without figures but these, and without further simulations."""
+    return write_report(study, out, figures=figures, simulate=False, show_progress=False).read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")
@@ -252,9 +231,5 @@ def explained(once):
         "RT": replace(average.subjects["RT"], muscle=law),
     }
 
-    def make(_):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(why, "STEP", 5e-3)  # for speed
-            return why.why_people_yield(replace(average, subjects=subjects, levels={}))
-
-    return once("explained", make)
+    person = replace(average, subjects=subjects, levels={})
+    return once("explained", lambda _: why_people_yield(person, timestep=5e-3))

@@ -1,4 +1,4 @@
-"""Results as plain files: nothing is lost, nothing foreign is run, and what is stale is not used."""
+"""Results as plain files: nothing is lost, nothing foreign is run, and damage is an error."""
 
 import gzip
 import json
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from armperturb.archive import code_digest, keep, read_archive, recalled, write_archive
+from armperturb.archive import read_archive, write_archive
 from armperturb.environment import Environment
 from armperturb.study.published.tables import MeanSD
 from armperturb.subject import POSITION
@@ -36,8 +36,8 @@ VALUES = [
 
 @pytest.mark.parametrize("value", VALUES, ids=[type(value).__name__ for value in VALUES])
 def test_values_come_back_as_they_were(value, tmp_path):
-    write_archive(tmp_path / "a", "key", value)
-    found = read_archive(tmp_path / "a", "key", object)
+    write_archive(tmp_path / "a", {"x": 1}, value)
+    found = read_archive(tmp_path / "a").value
     assert found == value
     assert type(found) is type(value)
 
@@ -55,15 +55,15 @@ def test_values_come_back_as_they_were(value, tmp_path):
     ids=("table", "complex", "empty", "truth", "text", "scalar"),
 )
 def test_arrays_come_back_to_the_last_bit(array, tmp_path):
-    write_archive(tmp_path / "a", "key", {"x": array})
-    found = read_archive(tmp_path / "a", "key", object)["x"]
+    write_archive(tmp_path / "a", {"x": 1}, {"x": array})
+    found = read_archive(tmp_path / "a").value["x"]
     np.testing.assert_array_equal(found, array)
     assert np.asarray(found).dtype == array.dtype
 
 
 def test_nan_and_mappings_that_cannot_change(tmp_path):
-    write_archive(tmp_path / "a", "key", MappingProxyType({"x": math.nan}))
-    found = read_archive(tmp_path / "a", "key", object)
+    write_archive(tmp_path / "a", {"x": 1}, MappingProxyType({"x": math.nan}))
+    found = read_archive(tmp_path / "a").value
     assert math.isnan(found["x"])
 
 
@@ -78,18 +78,19 @@ class Foreign(NamedTuple):
 )
 def test_what_is_not_plain_is_refused(value, tmp_path):
     with pytest.raises((TypeError, ValueError)):
-        write_archive(tmp_path / "a", "key", value)
+        write_archive(tmp_path / "a", {"x": 1}, value)
     assert not (tmp_path / "a").exists()
 
 
 @pytest.mark.parametrize(
     "kind",
-    ["os:system", "armperturb.archive:code_digest", "armperturb.archive:gzip", "armperturb.nothing:X", "x"],
+    ["os:system", "armperturb.archive:read_archive", "armperturb.archive:gzip", "armperturb.nothing:X", "x"],
 )
 def test_a_file_cannot_make_anything_run(kind, tmp_path):
-    content = {"key": "key", "value": {"kind": kind, "content": {"command": "touch ran"}}}
+    content = {"source": "", "value": {"kind": kind, "content": {"command": "touch ran"}}}
     (tmp_path / "a").write_bytes(gzip.compress(json.dumps(content).encode()))
-    assert read_archive(tmp_path / "a", "key", object) is None
+    with pytest.raises(ValueError, match="expected what this version writes"):
+        read_archive(tmp_path / "a")
 
 
 @pytest.mark.parametrize(
@@ -99,40 +100,20 @@ def test_a_file_cannot_make_anything_run(kind, tmp_path):
         b"no gzip",
         gzip.compress(b"no json"),
         gzip.compress(b"[]"),
-        gzip.compress(b'{"key":"key"}'),
+        gzip.compress(b'{"source":1}'),
         gzip.compress(b"x" * 100)[:10] + b"\xff" * 50,
         gzip.compress(b"[" * 100_000),
     ],
     ids=("empty", "no gzip", "no json", "a list", "no value", "bits turned", "deep"),
 )
-def test_damaged_files_count_as_none(content, tmp_path):
+def test_damaged_files_are_refused(content, tmp_path):
     (tmp_path / "a").write_bytes(content)
-    assert read_archive(tmp_path / "a", "key", object) is None
-    assert read_archive(tmp_path / "b", "key", object) is None
+    with pytest.raises(ValueError, match="expected what this version writes"):
+        read_archive(tmp_path / "a")
 
 
-def test_another_kind_counts_as_none(tmp_path):
-    write_archive(tmp_path / "a", "key", MeanSD(1.0, 2.0))
-    assert read_archive(tmp_path / "a", "key", Environment) is None
-    assert read_archive(tmp_path / "a", "key", MeanSD) == (1.0, 2.0)
-
-
-def test_another_key_is_computed_again_and_kept(tmp_path):
-    asked = []
-
-    def compute():
-        asked.append(1)
-        return len(asked)
-
-    path = tmp_path / "folder" / "a"
-    assert [recalled(path, key, int, compute) for key in ("one", "one", "two", "two", "one")] == [1, 1, 2, 2, 3]
-
-
-def test_a_folder_that_cannot_be_written_to_is_told_of(tmp_path, caplog):
-    (tmp_path / "file").write_text("")
-    keep(tmp_path / "file" / "a", "key", 1)
-    assert "cannot be written" in caplog.text
-
-
-def test_the_code_has_one_digest():
-    assert len(code_digest()) == 64
+def test_a_file_says_what_it_was_made_from(tmp_path):
+    write_archive(tmp_path / "a", {"x": [1, "y"]}, 2)
+    assert read_archive(tmp_path / "a") == ({"x": [1, "y"]}, 2)
+    with pytest.raises(FileNotFoundError):
+        read_archive(tmp_path / "b")

@@ -96,7 +96,8 @@ class Result:
     def summary(self) -> str:
         """The whole result as text for a terminal."""
         said = self.describe()
-        blocks = (_wrapped([said.title, *said.facts]), said.table.lines(), _remarks(said.remarks), list(said.details))
+        remarks = ["Remarks:", *(f"- {remark}" for remark in said.remarks)] if said.remarks else []
+        blocks = ([said.title, *said.facts], said.table.lines(), remarks, list(said.details))
         return "\n\n".join("\n".join(block) for block in blocks if block)
 
     def __repr__(self) -> str:
@@ -185,7 +186,7 @@ class FitResult(Result):
         return pd.DataFrame(self.correlation, index=list(self.values), columns=list(self.values))
 
     def plot(self, figure: "Figure | None" = None) -> Any:
-        """Draw the estimates with their 95 % intervals, one panel per unit.
+        """Draw the estimates with their 95 % intervals, one panel per unit, conditions side by side.
 
         Args:
           figure: where to draw; its height is set. None makes a new one of pyplot.
@@ -195,7 +196,8 @@ class FitResult(Result):
         """
         from armperturb.plots.parameters import plot_parameters
 
-        return plot_parameters({"": self.to_frame()}, figure)
+        by_condition = self.to_frame().groupby("condition", sort=False)
+        return plot_parameters({str(label) or "all conditions": frame for label, frame in by_condition}, figure)
 
 
 def normal_quantile(level: float) -> float:
@@ -220,7 +222,7 @@ def parameter_table(frame: "pd.DataFrame", *keys: str) -> Table:
     for row in frame.to_dict("records"):
         limits = row["lower_95"], row["upper_95"]
         interval = f"{plain(limits[0])} to {plain(limits[1])}" if np.isfinite(limits).all() else "not identifiable"
-        mark = " (at bound)" if row["at_bound"] else ""
+        mark = " (bound)" if row["at_bound"] else ""
         keyed = tuple(str(row[key]) for key in keys)
         rows.append((row["parameter"], plain(row["value"]), interval + mark, row["unit"], *keyed))
     return Table(("parameter", "estimate", "95 % interval", "unit", *keys), tuple(rows))

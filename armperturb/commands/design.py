@@ -19,8 +19,8 @@ class Design(Command):
     def run(self) -> list[str]:
         """Plan, and write the plan."""
         from armperturb.study.planning.plan import design
-        from armperturb.study.planning.report import design_text, write_design
+        from armperturb.study.planning.report import write_design
 
         result = design(self.settings)
         write_design(result, self.out)
-        return [design_text(result), f"results: {self.out}"]
+        return [result.summary(), f"results: {self.out}"]

@@ -83,7 +83,7 @@ class Identify(Command):
             single_condition=False,
         )
         lines = self._identify(recording) if linear else self._identify_nonlinear(recording)
-        return [*lines, f"results: {self.out}"]
+        return [*imported.notes, *lines, f"results: {self.out}"]
 
     def _identify(self, recording: xr.Dataset) -> list[str]:
         from armperturb.analysis.fit.export import write_identification
@@ -118,7 +118,7 @@ class Identify(Command):
             from armperturb.analysis.nonlinear.export import write_nonlinear
             from armperturb.analysis.nonlinear.identify import identify_nonlinear
             from armperturb.workers import cpu_count
-        from armperturb.plots.style import new_figure, save_svg
+        from armperturb.plots.style import save_plot
 
         if self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
@@ -141,9 +141,7 @@ class Identify(Command):
                 self.out.rmdir()
             raise
         if result.pulses["nonlinear"]:
-            figure = new_figure(1.0)
-            result.plot(figure)
-            save_svg(figure, self.out / "pulses.svg")
+            save_plot(result, self.out / "pulses.svg")
         write_nonlinear(result, self.out)
         return result.summary().splitlines()
 

@@ -27,7 +27,7 @@ class Report(Command):
     def run(self) -> list[str]:
         """Analyse the folder and write the report."""
         from armperturb.study.report.report import write_report
-        from armperturb.study.results.study_result import analyse_study
+        from armperturb.study.results.analyse import analyse_study
 
         result = analyse_study(self.folder, workers=self.workers, nonlinear=self.nonlinear)
         return [f"report: {write_report(result, self.folder, workers=self.workers)}"]

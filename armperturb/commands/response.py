@@ -15,7 +15,6 @@ from armperturb.commands.command import Command
 from armperturb.commands.selection import select_trials
 from armperturb.convert import import_recording
 from armperturb.files import write_csv
-from armperturb.recording import LABELS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +46,9 @@ class Response(Command):
         """Estimate the response and write it."""
         if self.period is not None and self.method not in ("multisine", "spectral"):
             raise ValueError(f"response: period = {self.period:g}; expected none with the method {self.method}")
+        imported = [import_recording([path], sidecar=self.sidecar) for path in self.recordings]
         recordings = select_trials(
-            [import_recording([path], sidecar=self.sidecar).recording for path in self.recordings],
+            [recording for recording, _ in imported],
             self.recordings,
             subject=self.subject,
             condition=self.condition,
@@ -59,7 +59,7 @@ class Response(Command):
             for name, value in (("window_start", self.window_start), ("period", self.period))
             if value is not None
         }
-        lines, distortion = [], None
+        lines, distortion = [note for _, notes in imported for note in notes], None
         try:
             trials = prepared_recordings(recordings)
             if self.method == "multisine":
@@ -79,19 +79,11 @@ class Response(Command):
         if self.method == "multisine" and self.what == "arm":
             try:
                 distortion = best_linear(trials, **options)
-                lines.append(distortion_text(distortion))
+                lines.append(distortion.describe().facts[0])
             except ValueError as error:
                 lines.append(f"nonlinear distortion: not estimated ({error})")
         write_response(estimate, distortion, self.out, trials[0].label)
         return [*lines, f"results: {self.out}"]
-
-
-def distortion_text(found: BestLinear) -> str:
-    """The share of the distortion in one line; negative shares, which chance makes, are none."""
-    both = zip(found.share, found.share_error, strict=True)
-    shares = (f"{max(share, 0.0):.1%} (+- {error:.1%})" for share, error in both)
-    in_each = " and ".join(f"{share} in {axis}" for share, axis in zip(shares, LABELS["axis"], strict=True))
-    return f"nonlinear distortion: of the response's power {in_each}; p = {found.p_value:.2g} if the arm is linear"
 
 
 def write_response(
@@ -111,23 +103,17 @@ def write_response(
     Raises:
       OSError: the folder cannot be made or written to.
     """
+    from armperturb.plots.style import save_plot
+
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / name for name in ("response.csv", "response.svg", "distortion.csv", "distortion.svg")]
     write_csv(found.to_frame().assign(condition=condition), paths[0])
-    _save(found, paths[1])
+    save_plot(found, paths[1])
     if distortion is None:
         for path in paths[2:]:
             path.unlink(missing_ok=True)
         return paths[:2]
     write_csv(distortion.to_frame().assign(condition=condition), paths[2])
-    _save(distortion, paths[3])
+    save_plot(distortion, paths[3])
     return paths
-
-
-def _save(result: FrequencyResponse | BestLinear, path: Path) -> None:
-    from armperturb.plots.style import new_figure, save_svg
-
-    figure = new_figure(1.0)
-    result.plot(figure=figure)
-    save_svg(figure, path)

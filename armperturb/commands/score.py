@@ -24,10 +24,10 @@ class Score(Command):
 
     def run(self) -> list[str]:
         """Compare, and write the tables."""
-        from armperturb.study.comparison.score import score, score_text, write_score
-        from armperturb.study.results.study_result import analyse_study
+        from armperturb.study.comparison.score import score, write_score
+        from armperturb.study.results.analyse import analyse_study
 
         out = self.out or self.folder / "score"
         result = score(analyse_study(self.folder, workers=self.workers))
         write_score(result, out)
-        return [score_text(result), f"results: {out}"]
+        return [result.summary(), f"results: {out}"]

@@ -37,7 +37,7 @@ class Study(Command):
             record_study(self.settings, self.out, workers=self.workers, dask=self.dask, block=self.block)
             return [f"recordings: {self.out}"]
         from armperturb.study.report.report import write_report
-        from armperturb.study.results.study_result import run_study
+        from armperturb.study.results.analyse import run_study
 
         result = run_study(
             self.settings,

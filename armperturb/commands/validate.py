@@ -21,9 +21,9 @@ class Validate(Command):
 
     def run(self) -> list[str]:
         """Simulate, identify, and write tables and figure."""
-        from armperturb.study.validation.report import summary_text, write_validation
+        from armperturb.study.validation.report import write_validation
         from armperturb.study.validation.validate import validate
 
         result = validate(self.settings, workers=self.workers)
         write_validation(result, self.out)
-        return [summary_text(result), f"results: {self.out}"]
+        return [result.summary(), f"results: {self.out}"]

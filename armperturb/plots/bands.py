@@ -46,12 +46,12 @@ class Curve(NamedTuple):
 
 
 @in_style()
-def plot_responses(curves: Sequence[Curve], level: float = 0.95, figure: Figure | None = None) -> Any:
+def plot_responses(curves: Sequence[Curve], meaning: str = "95% of each element", figure: Figure | None = None) -> Any:
     """Gain and phase of each element of frequency responses, with their bands.
 
     Args:
       curves: what to draw.
-      level: probability with which a band holds the true response, for the legend [-].
+      meaning: of the bands, for the legend.
       figure: where to draw; its height is set. None makes a new one of pyplot.
 
     Returns:
@@ -61,15 +61,21 @@ def plot_responses(curves: Sequence[Curve], level: float = 0.95, figure: Figure 
     handles: list[Line2D | Patch] = []
     for curve in curves:
         look = dict(curve.look)
-        colour = GREY if look["color"] == INK else look["color"]
         if curve.bands is not None:
-            _draw_bands(panels, curve, {"color": colour, "alpha": 0.4, "lw": 0})
+            _draw_bands(panels, curve, {"color": _shade(look["color"]), "alpha": 0.4, "lw": 0})
         plot_admittance(panels, curve.frequency, curve.response, **look)
         handles.append(Line2D([], [], label=curve.label, **look))
-        if curve.bands is not None:
-            handles.append(Patch(facecolor=colour, alpha=0.4, label=f"{level:.0%} of each element"))
-    legend(figure, *handles)
+    colours = {curve.look["color"] for curve in curves if curve.bands is not None}
+    if colours:
+        colour = colours.pop() if len(colours) == 1 else GREY
+        handles.append(Patch(facecolor=_shade(colour), alpha=0.4, label=meaning))
+    legend(figure, *handles, n_columns=3 if len(handles) > 4 else 4)
     return np.array([[panels[output, input_] for input_ in range(2)] for output in range(2)])
+
+
+def _shade(colour: str) -> str:
+    """Colour of the band of a line."""
+    return GREY if colour == INK else colour
 
 
 def _draw_bands(panels: Mapping[Element, tuple[Axes, Axes]], curve: Curve, shade: Mapping[str, Any]) -> None:

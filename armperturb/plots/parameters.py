@@ -7,12 +7,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from armperturb.plots.panels import legend
-from armperturb.plots.style import GREY, INK, figure_for, in_style, shades
+from armperturb.plots.style import GREY, colours_for, figure_for, in_style
 
 if TYPE_CHECKING:
     import pandas as pd
 
-ROW, PANEL = 0.24, 0.5
+ROW, PANEL = 0.24, 0.55
 """Height of a parameter, and of what a panel needs besides [inch]."""
 
 APART = 0.6
@@ -41,7 +41,7 @@ def plot_parameters(fits: "Mapping[str, pd.DataFrame]", figure: Figure | None = 
     rows = [len(names) for names in units.values()]
     figure = figure_for(figure, 0.4 + sum(ROW * n + PANEL for n in rows))
     axes = figure.subplots(len(units), 1, squeeze=False, height_ratios=[ROW * n + 0.1 for n in rows])[:, 0]
-    colours = shades(INK, len(fits)) if len(fits) <= 1 else [f"C{i}" for i in range(len(fits))]
+    colours = colours_for(len(fits))
     places = np.linspace(-0.5, 0.5, len(fits) + 2)[1:-1] * APART
     for ax, (unit, names) in zip(axes, units.items(), strict=True):
         for (label, frame), colour, place in zip(fits.items(), colours, places, strict=True):
@@ -57,7 +57,7 @@ def plot_parameters(fits: "Mapping[str, pd.DataFrame]", figure: Figure | None = 
         ax.set_yticks(range(len(names)), names)
         ax.tick_params(axis="y", length=0)
         ax.grid(False, axis="y")
-        ax.set_xlabel(f"[{unit}]" if unit != "-" else "[-]", labelpad=1.0)
+        ax.set_xlabel(f"[{unit}]", labelpad=1.0)
     if len(fits) > 1:
         handles = {handle.get_label(): handle for ax in axes for handle in ax.get_lines() if handle.get_label() in fits}
         legend(figure, *(handles[label] for label in fits if label in handles))

@@ -20,6 +20,9 @@ WIDTH = 7.6
 COLOURS = {"PT": "#0072B2", "RT": "#D55E00"}
 """Colour of each task, from Okabe and Ito's colour-blind-safe palette (blue, vermillion)."""
 
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Colours of things side by side, from the same palette."""
+
 INK, GREY, PALE = "#262a30", "#8b929c", "#c9cdd3"
 
 FITTED: dict[str, Any] = {"color": INK, "linewidth": 1.3}
@@ -91,6 +94,11 @@ def shades(colour: str, n: int) -> list[str]:
     return [to_hex(base * (1 - abs(share)) + (abs(share) if share < 0 else 0.0)) for share in towards]
 
 
+def colours_for(n: int) -> list[str]:
+    """Colours of n things in one figure: ink for a single one, else `PALETTE` over and over."""
+    return [INK] if n == 1 else [PALETTE[i % len(PALETTE)] for i in range(n)]
+
+
 def new_figure(height: float, width: float = WIDTH) -> Figure:
     """An empty figure [inch] that belongs to no window and to no list of open figures."""
     return Figure(figsize=(width, height), layout="constrained")
@@ -105,6 +113,17 @@ def figure_for(figure: Figure | None, height: float) -> Figure:
     if isinstance(figure, Figure):
         figure.set_figheight(height)
     return figure
+
+
+def save_plot(result: Any, path: Path) -> None:
+    """Write the plot of a result as SVG.
+
+    Raises:
+      OSError: the folder cannot be written to.
+    """
+    figure = new_figure(1.0)
+    result.plot(figure=figure)
+    save_svg(figure, path)
 
 
 @in_style()

@@ -19,7 +19,7 @@ from armperturb.study.protocol import PULSE_UNIT, THESIS, Condition, Protocol, l
 from armperturb.study.published import tables as published
 from armperturb.subject import POSITION, RELAX, at_level
 
-THESIS_FILE = Path(armperturb.study.__file__).parent / "thesis.toml"
+THESIS_FILE = Path(armperturb.study.protocol.__file__).parent / "thesis.toml"
 FORCES = THESIS.given_forces()
 MULTISINE_CONDITIONS = ("PT2.5", "PT7.5", "PT22.5", "RT2.5", "RT7.5", "RT22.5")
 
@@ -34,7 +34,7 @@ def multisines():
     """Realisations that need no time for their crest factor."""
     return {
         number: Multisine.draw(seed=number, rms=1.0, crested=False)
-        for number, cell in enumerate(THESIS.cells())
+        for number, cell in enumerate(THESIS.planned_trials())
         if cell.condition.has_multisine
     }
 
@@ -52,7 +52,7 @@ def test_thesis_is_table_2_1():
         "RT22.5": ((1,), 1, 2),
     }
     assert [condition.name for condition in THESIS.conditions] == list(expected)
-    trials = Counter(cell.condition.name for cell in THESIS.cells())
+    trials = Counter(cell.condition.name for cell in THESIS.planned_trials())
     for condition in THESIS.conditions:
         levels, repetitions, count = expected[condition.name]
         assert (condition.pulse_levels, condition.repetitions, trials[condition.name]) == (levels, repetitions, count)
@@ -69,7 +69,7 @@ def test_session_is_32_trials_of_36_seconds_in_an_order_of_its_own(people, multi
     trials = THESIS.trials(people[0], FORCES, 5, 0, multisines=multisines)
     assert [trial.order for trial in trials] == list(range(32))
     cells = [(t.condition, t.repetition, t.pulse_level, _pulse(t).direction_deg) for t in trials]
-    wanted = [(cell.condition.name, cell.repetition, cell.level, cell.direction_deg) for cell in THESIS.cells()]
+    wanted = [(t.condition.name, t.repetition, t.level, t.direction_deg) for t in THESIS.planned_trials()]
     assert sorted(cells) == sorted(wanted)
     assert cells != wanted
     assert {trial.perturbation.duration for trial in trials} == {36.0}
@@ -180,7 +180,7 @@ def test_users_protocol_from_a_file(tmp_path):
         "pulse_levels = [0.5, 1]\nrepetitions = 3\n"
     )
     protocol = load_protocol(path)
-    assert len(protocol.cells()) == 12
+    assert len(protocol.planned_trials()) == 12
     trials = protocol.trials(draw_cohort(1, 0)[0], protocol.given_forces(), 0, 0)
     assert {trial.perturbation.peak for trial in trials} == {15.0, 30.0}
     assert all(2.0 <= trial.perturbation.onset <= 8.0 for trial in trials)

@@ -2,22 +2,23 @@
 
 import csv
 import math
-from functools import partial
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from armperturb.analysis.arm.linear_arm import arm_admittance
+from armperturb.analysis.results import LINES, PARAMETER_COLUMNS
 from armperturb.analysis.trials import trials_by_condition
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Pulse
+from armperturb.plots.style import new_figure
 from armperturb.recording import load_recording, save_recording
 from armperturb.study.comparison.headlines import headlines
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.published import tables as published
-from armperturb.study.recording import record as runner
-from armperturb.study.recording.record import StudySettings
+from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.tables import (
     condition_rows,
     correlation_rows,
@@ -27,12 +28,11 @@ from armperturb.study.report.tables import (
     summary_rows,
     write_tables,
 )
-from armperturb.study.results import appendix_fits as fits
 from armperturb.study.results import cases
 from armperturb.study.results.cases import identify_person
-from armperturb.study.results.mean_admittance import by_task, main_conditions
-from armperturb.study.results.study_result import run_study
+from armperturb.study.results.mean_admittance import by_task, main_conditions, mean_admittance
 from armperturb.subject import RELAX
+from tests.conftest import FEW_FITS, coarse_study
 
 RT = Condition(name="RT7.5", task="RT", rms_displacement=0.0075, published_force=0.9)
 
@@ -40,15 +40,7 @@ RT = Condition(name="RT7.5", task="RT", rms_displacement=0.0075, published_force
 @pytest.fixture(scope="module")
 def ideal(short_protocol, once):
     settings = StudySettings(subjects=1, seed=3, protocol=short_protocol, ideal=True, muscles="linear")
-
-    def make(folder):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(fits, "STRUCTURES_C", ())  # nothing here is about appendices C to E
-            patch.setattr(fits, "STARTS_OF", "none")
-            patch.setattr(runner, "run_experiment", partial(run_experiment, timestep=2.5e-3))
-            return run_study(settings, folder, show_progress=False)
-
-    return once("ideal study", make)
+    return once("ideal study", lambda folder: coarse_study(settings, folder, replace(FEW_FITS, structures=())))
 
 
 def test_ideal_study_recovers_its_people(ideal):
@@ -242,3 +234,19 @@ def test_multisines_too_short_to_identify_from_are_named(relax_recording, tmp_pa
         "relax in RT7.5 was not identified: the multisine lasts 20 s, and the analysis needs 28.48 s",
     )
     assert math.isnan(case.force)
+
+
+def test_a_study_reads_as_a_table_and_plots(study, tmp_path):
+    assert len(repr(study).splitlines()) <= LINES
+    assert f"Study of {len(study.names)} people" in repr(study)
+    assert all(remark in study.summary() for remark in (*study.missing, *study.remarks))
+    assert all(len(repr(case).splitlines()) <= LINES for case in study.cases)
+    frame = study.to_frame()
+    assert tuple(frame.columns) == ("subject", *PARAMETER_COLUMNS)
+    assert not frame.duplicated(["subject", "condition", "parameter"]).any()
+    case = study.of("PT7.5")[0]
+    mine = frame[(frame["subject"] == case.name) & (frame["condition"] == "PT7.5")]
+    assert mine.set_index("parameter")["value"].to_dict() == dict(case.identified.fit.values)
+    axes = study.plot(figure=new_figure(1.0))
+    mean = mean_admittance(study, study.conditions[0].name)
+    np.testing.assert_allclose(axes[0, 1, 0].get_lines()[0].get_ydata(), mean.gain[:, 0, 1])

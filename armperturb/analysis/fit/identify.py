@@ -230,11 +230,11 @@ class Identifications(Result, Mapping[str, Identification]):
           Matplotlib axes, (output, input, 2): gain and phase of each element.
         """
         from armperturb.plots.bands import Curve, plot_responses
-        from armperturb.plots.style import INK
+        from armperturb.plots.style import colours_for
 
         curves = []
-        for i, (condition, result) in enumerate(self.items()):
-            colour, spectra = INK if len(self) == 1 else f"C{i}", result.spectra
+        for (condition, result), colour in zip(self.items(), colours_for(len(self)), strict=True):
+            spectra = result.spectra
             dense = np.geomspace(spectra.frequency[0], spectra.frequency[-1], 200)
             points = {"color": colour, "marker": "o", "linestyle": "", "markersize": 3.5}
             curves += [
@@ -254,7 +254,7 @@ def _with_error(fit: ArmFit, name: str) -> str:
     if name not in fit.values:
         return "-"
     error = fit.standard_error[name]
-    mark = " (at bound)" if name in fit.at_bound else ""
+    mark = " (bound)" if name in fit.at_bound else ""
     if not np.isfinite(error):
         return f"{plain(fit.values[name])} +/- inf{mark}"
     return f"{plain(fit.values[name])} +/- {plain(error, 2)}{mark}"

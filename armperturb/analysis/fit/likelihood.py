@@ -39,8 +39,8 @@ TAPER = 2.0
 """Length over which a record fades out before it is transformed [s]; one that begins at rest needs no fading in."""
 
 EXCITED_POWER = 1e-3
-"""Share of the largest power above which a frequency counts as excited. It is larger than that of the lines of a multisine
-(`spectra.EXCITED_LINE`), as whole records are tapered and leak power into neighbouring frequencies."""
+"""Share of the largest power above which a frequency counts as excited. It is larger than that of the lines of a
+multisine (`spectra.EXCITED_LINE`), as whole records are tapered and leak power into neighbouring frequencies."""
 
 ROUND_OFF = 1e-12
 """Noise cannot be less: amplitude over that of the strongest disturbance, power in one direction over all [-]."""

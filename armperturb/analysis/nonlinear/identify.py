@@ -77,14 +77,13 @@ class NonlinearIdentification(Result):
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw the first left-out pulse of each condition and direction, as recorded and as the models predict it.
 
+        Without left-out pulses, the estimates are drawn, see `FitResult.plot`.
+
         Args:
           figure: where to draw; its height is set. None makes a new one of pyplot.
 
         Returns:
-          Matplotlib axes, (pulse, axis).
-
-        Raises:
-          ValueError: no pulse was left out.
+          Matplotlib axes, (pulse, axis); of estimates (unit,).
         """
         from armperturb.plots.pulses import PredictedPulse, plot_pulses
 
@@ -92,9 +91,7 @@ class NonlinearIdentification(Result):
         for i, pulse in enumerate(self.pulses["nonlinear"]):
             first.setdefault((pulse.condition, pulse.direction_deg), i)
         if not first:
-            raise ValueError(
-                "plot: no pulse was left out of the fit; expected at least one (plot the estimate instead)"
-            )
+            return self.estimate.plot(figure)
         shown = []
         for (condition, direction), i in first.items():
             of_models = {model: pulses[i] for model, pulses in self.pulses.items()}

@@ -118,14 +118,13 @@ class BestLinear(Result):
         each = " and ".join(f"{max(share, 0.0):.1%} (+/- {error:.1%}) in {axis}" for axis, share, error in shares)
         kinds = ("linear", "noise", "distortion")
         levels = [1e3 * np.sqrt(np.maximum(getattr(self, kind), 0.0)) for kind in kinds]
-        n = len(self.n_periods)
+        least, most = f"{self.n_periods.min():.3g}", f"{self.n_periods.max():.3g}"
         label = f" ({self.response.label})" if self.response.label else ""
         return Description(
-            title=f"Best linear approximation of the arm{label}: "
-            f"{n} trial{'' if n == 1 else 's'} of {self.n_periods.min():.3g} to {self.n_periods.max():.3g} periods",
+            title=f"Best linear approximation of the arm{label}",
             facts=(
                 f"nonlinear distortion: of the response's power {each}; p = {self.p_value:.2g} if the arm is linear",
-                "RMS displacement at a line, in mm",
+                f"{least if least == most else f'{least} to {most}'} periods per trial; RMS at a line [mm]",
             ),
             table=Table(
                 ("frequency [Hz]", *(f"{kind} {axis}" for axis in LABELS["axis"] for kind in kinds)),

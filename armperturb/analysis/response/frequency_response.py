@@ -130,16 +130,20 @@ class FrequencyResponse(Result):
         held = self.environment
         title = f"Frequency response {SYSTEMS.get(self.what, self.what)}"
         span = f"{n} frequencies, {self.frequency[0]:.3g} to {self.frequency[-1]:.3g} Hz"
-        facts = [f"{span}; gain in m/N with 95 % limits, phase in degrees" if known else f"{span}; no uncertainty"]
+        facts = [
+            f"{span}; gain in mm/N +/- 95 % limit, phase in degrees"
+            if known
+            else f"{span}; gain in mm/N, no uncertainty"
+        ]
         if held is not None:
             facts.append(f"force balance used: {held.m_env:.4g} kg, {held.b_env:.3g} Ns/m, {held.k_env:.4g} N/m")
-        gain, phase = np.abs(self.response), np.degrees(np.angle(self.response))
-        limits = self.radius() if known else None
+        gain, phase = 1e3 * np.abs(self.response), np.degrees(np.angle(self.response))
+        limits = 1e3 * self.radius() if known else None
         elements = [(i, j) for i in range(2) for j in range(2)]
 
         def cell(k: int, i: int, j: int) -> str:
-            error = "" if limits is None else f" +/- {limits[k, i, j]:.1e}"
-            return f"{gain[k, i, j]:.2e}{error} {phase[k, i, j]:4.0f}"
+            error = "" if limits is None else f" +/- {plain(limits[k, i, j], 2)}"
+            return f"{plain(gain[k, i, j], 3)}{error} {phase[k, i, j]:4.0f}"
 
         return Description(
             title=f"{title} ({self.label})" if self.label else title,
@@ -189,7 +193,8 @@ class FrequencyResponse(Result):
         from armperturb.plots.bands import Curve, plot_responses
 
         bands = None if self.covariance is None else self.bands(level)
-        return plot_responses([Curve(f"estimate ({self.what})", self.frequency, self.response, bands)], level, figure)
+        curve = Curve(f"estimate ({self.what})", self.frequency, self.response, bands)
+        return plot_responses([curve], f"{level:.0%} of each element", figure)
 
 
 def require_frequencies(frequency: ArrayLike, rate: float) -> Array:

@@ -13,19 +13,25 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from armperturb.analysis.fit.thesis import ThesisEstimate
+from armperturb.analysis.results import Description, Result, Table
 from armperturb.files import write_csv, written_whole
 from armperturb.study.comparison.headlines import Headline, headlines
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import FitEntry, MeanSD
-from armperturb.study.results.appendix_fits import FIRST_STEP, STARTS_OF, Appendices
+from armperturb.study.results.appendix_fits import FIRST_STEP, Appendices
 from armperturb.study.results.quantities import Cell, published_cells
+from armperturb.study.results.settings import STARTS_OF
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import PersonMeasures
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
 LIMITS = (0.5, 1.0, 2.0)
 """Within how many published SDs cells are counted."""
@@ -61,8 +67,8 @@ class ScoredCell:
         return self.ours.sd / self.published.sd
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Score:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Score(Result):
     """All cells and headline numbers.
 
     Attributes:
@@ -76,6 +82,74 @@ class Score:
     cells: tuple[ScoredCell, ...]
     headlines: tuple[Headline, ...]
     remarks: tuple[str, ...]
+
+    def describe(self) -> Description:
+        """How many cells of each table are near, the numbers of the running text, and what is missing."""
+        rows = []
+        each = shares(self)
+        groups = [name for name in reversed(each) if name not in {scored.cell.table for scored in self.cells}]
+        for name, near in ((name, each[name]) for name in dict.fromkeys([*groups, *each])):
+            counts = [f"{n} ({100.0 * part:.0f} %)" for n, part in zip(near.within, near.parts, strict=True)]
+            rows.append((name, f"{near.computed}/{near.published}", *counts, f"{near.sd_ratio:.2f}"))
+        quoted = Table(
+            ("number of the text", "published", "ours", "unit", "remark"),
+            tuple((line.name, line.published, f"{line.ours:.3g}", line.unit, line.remark) for line in self.headlines),
+        )
+        details = [line.rstrip() for line in quoted.lines()]
+        if missing := missing_cells(self):
+            details += ["", "cells that could not be computed:"]
+            details += [f"  {where}: {n} cells: {reason}" for (reason, where), n in missing.items()]
+        return Description(
+            title=f"{self.people} {'person' if self.people == 1 else 'people'} compared with the published tables",
+            facts=(
+                "cells whose mean is within 0.5, 1 and 2 published SDs; SD ratio: between people, ours / published",
+            ),
+            table=Table(("table", "cells", "0.5 SD", "1 SD", "2 SD", "SD ratio"), tuple(rows)),
+            remarks=self.remarks,
+            details=tuple(details),
+        )
+
+    def to_frame(self) -> "pd.DataFrame":
+        """One row per published cell, beside ours."""
+        import pandas as pd
+
+        return pd.DataFrame(
+            [
+                {
+                    "table": scored.cell.table,
+                    "condition": scored.cell.condition,
+                    "quantity": scored.cell.quantity,
+                    "published_mean": scored.published.mean,
+                    "published_sd": scored.published.sd,
+                    "ours": scored.ours.mean,
+                    "z": scored.z,
+                    "ours_sd": scored.ours.sd,
+                    "reason": scored.reason,
+                }
+                for scored in self.cells
+            ]
+        )
+
+    def headlines_frame(self) -> "pd.DataFrame":
+        """One row per number of the running text, beside ours."""
+        import pandas as pd
+
+        return pd.DataFrame([vars(line) for line in self.headlines])
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw how far each cell is from the published one, in published SDs, one row per table.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, a single one.
+        """
+        from armperturb.plots.scores import plot_scores
+
+        frame = self.to_frame()
+        tables = {str(table): cells["z"].to_numpy(float) for table, cells in frame.groupby("table", sort=False)}
+        return plot_scores(tables, LIMITS, figure)
 
 
 class Share(NamedTuple):
@@ -221,28 +295,8 @@ def missing_cells(result: Score) -> dict[tuple[str, str], int]:
     return Counter((one.reason, f"{one.cell.table}, {one.cell.condition}") for one in result.cells if one.reason)
 
 
-def score_text(result: Score) -> str:
-    """Shares, headline numbers and what is missing, for a terminal."""
-    lines = [f"{result.people} people beside the published tables; SDs are the published ones", ""]
-    lines.append(f"{'table':14} {'cells':>9} {'0.5 SD':>12} {'1 SD':>12} {'2 SD':>12} {'SD ratio':>9}")
-    for name, one in shares(result).items():
-        counts = [f"{n} ({100.0 * part:.0f} %)" for n, part in zip(one.within, one.parts, strict=True)]
-        of = f"{one.computed}/{one.published}"
-        lines.append(f"{name:14} {of:>9} " + " ".join(f"{count:>12}" for count in counts) + f" {one.sd_ratio:9.2f}")
-    lines += ["", f"{'number of the text':46} {'published':>14} {'ours':>9}  unit"]
-    for line in result.headlines:
-        remark = f"  ({line.remark})" if line.remark else ""
-        lines.append(f"{line.name:46} {line.published:>14} {line.ours:9.3g}  {line.unit}{remark}")
-    if missing := missing_cells(result):
-        lines += ["", "cells that could not be computed:"]
-        lines += [f"  {where}: {n} cells: {reason}" for (reason, where), n in missing.items()]
-    if result.remarks:
-        lines += ["", "left out:", *(f"  {remark}" for remark in result.remarks)]
-    return "\n".join(lines)
-
-
 def write_score(result: Score, folder: Path) -> Path:
-    """Write `score.csv`, `headlines.csv` and `score.txt`, which tells what is missing and why.
+    """Write `score.csv`, `headlines.csv` and `score.txt`: the summary, with what is missing and why.
 
     Args:
       result: of `score`.
@@ -255,22 +309,8 @@ def write_score(result: Score, folder: Path) -> Path:
       OSError: a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    rows = [
-        {
-            "table": one.cell.table,
-            "condition": one.cell.condition,
-            "quantity": one.cell.quantity,
-            "published_mean": one.published.mean,
-            "published_sd": one.published.sd,
-            "ours": one.ours.mean,
-            "z": one.z,
-            "ours_sd": one.ours.sd,
-            "reason": one.reason,
-        }
-        for one in result.cells
-    ]
-    write_csv(rows, folder / "score.csv")
-    write_csv([vars(one) for one in result.headlines], folder / "headlines.csv")
+    write_csv(result.to_frame(), folder / "score.csv")
+    write_csv(result.headlines_frame(), folder / "headlines.csv")
     with written_whole(folder / "score.txt") as temporary:
-        temporary.write_text(score_text(result) + "\n", encoding="utf-8")
+        temporary.write_text(result.summary() + "\n", encoding="utf-8")
     return folder / "score.csv"

@@ -222,6 +222,7 @@ def why_people_yield(
     *,
     seed: int = 0,
     n_multisines: int = 2,
+    timestep: float = STEP,
     n_threads: int = 0,
     progress: Callable[[float], object] | None = None,
 ) -> Yielding:
@@ -232,6 +233,7 @@ def why_people_yield(
       environment: what the hand holds; the thesis's manipulator if not given.
       seed: of the multisines.
       n_multisines: realisations behind each admittance.
+      timestep: of the simulation [s].
       n_threads: 0 takes all cores; no effect on the result.
       progress: called with the simulated seconds (all trials together) since the last call.
 
@@ -257,7 +259,7 @@ def why_people_yield(
         if not trials:
             return
         everything = [trial for own in trials.values() for trial in own]
-        recording = run_experiment(everything, environment, timestep=STEP, n_threads=n_threads, progress=progress)
+        recording = run_experiment(everything, environment, timestep=timestep, n_threads=n_threads, progress=progress)
         first = 0
         for (condition, subject), own in trials.items():
             yield condition, subject, recording.isel(trial=slice(first, first + len(own)))
@@ -323,7 +325,7 @@ def _trials(protocol: Protocol, condition: str, subject: Subject, seed: int) -> 
     """The trials of one condition, whose multisines are those of all conditions, and of both directions."""
     own = replace(protocol, conditions=(protocol.condition(condition),))
     drawn = own.draw_multisines(seed, range(own.conditions[0].repetitions))
-    multisines = {number: drawn[cell.repetition] for number, cell in enumerate(own.cells()) if drawn}
+    multisines = {number: drawn[cell.repetition] for number, cell in enumerate(own.planned_trials()) if drawn}
     person = Person(name=subject.name, height=1.0, mass=1.0, subjects={subject.task: subject})
     return own.trials(person, own.given_forces(), seed, 0, noisy=False, multisines=multisines)
 

@@ -9,7 +9,7 @@ multisine, and no joint is loaded more than by that one; what quieter people wou
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from scipy.fft import irfft, rfft
 
 from armperturb.analysis.arm.linear_arm import total_admittance
 from armperturb.analysis.fit.structures import GRIP_UNITS, true_values, unit
+from armperturb.analysis.results import Description, Result
 from armperturb.arrays import Array
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
@@ -29,7 +30,9 @@ from armperturb.study.planning.information import Experiment, Limits, Noise, opt
 from armperturb.study.planning.settings import DesignSettings, NoiseLaw, noise_levels
 from armperturb.subject import Subject
 
-Row = dict[str, Any]
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
 
 GAP, RATIO = 7, 1.06
@@ -72,8 +75,8 @@ class Signal(NamedTuple):
     duration: float
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Design:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Design(Result):
     """What came out.
 
     Attributes:
@@ -125,58 +128,85 @@ class Design:
         ]
         return np.abs(self.truth) * np.array(shares) / np.sqrt(self.settings.trials)
 
-    def rows(self) -> list[Row]:
+    def describe(self) -> Description:
+        """Predicted standard errors, and what the signals demand."""
+        from armperturb.study.planning.report import describe
+
+        return describe(self)
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw standard errors against duration and number of trials, and the spectra of the signals.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (2, 2).
+        """
+        from armperturb.study.planning.report import plot_design
+
+        return plot_design(self, figure)
+
+    def to_frame(self) -> "pd.DataFrame":
         """Predicted standard errors per parameter, SI."""
+        import pandas as pd
+
         wanted, law = self.settings.wanted(), self.settings.noise
-        rows: list[Row] = []
-        for column, name in enumerate(self.names):
-            thesis = float(self.thesis.standard_error[law][column])
-            optimised = {key: float(error[column]) for key, error in self.optimised.standard_error.items()}
-            row = {
-                "parameter": name,
-                "unit": unit(name),
-                "value": float(self.truth[column]),
-                "goal": int(name in wanted),
+        thesis, optimised = self.thesis.standard_error[law], self.optimised.standard_error
+        frame = pd.DataFrame(
+            {
+                "parameter": self.names,
+                "unit": [unit(name) for name in self.names],
+                "value": self.truth,
+                "goal": [int(name in wanted) for name in self.names],
                 "sem_thesis": thesis,
                 "sem_optimised": optimised[law],
                 "ratio": optimised[law] / thesis,
                 "sem_noise_held": optimised["held"],
                 "sem_noise_follows": optimised["follows"],
-                "between_trials": float(self.between_trials[column]),
+                "between_trials": self.between_trials,
             }
-            if self.proposed is not None:
-                row["sem_proposed"] = float(self.proposed.standard_error[law][column])
-            rows.append(row)
-        return rows
+        )
+        return frame if self.proposed is None else frame.assign(sem_proposed=self.proposed.standard_error[law])
 
-    def spectrum_rows(self) -> list[Row]:
+    def spectrum_frame(self) -> "pd.DataFrame":
         """RMS force of each line."""
-        return [
-            {
-                "signal": name,
-                "frequency_hz": float(frequency),
-                "force_x_N": float(np.sqrt(x)),
-                "force_y_N": float(np.sqrt(y)),
-            }
-            for name, signal in (("thesis", self.thesis), ("optimised", self.optimised))
-            for frequency, (x, y) in zip(signal.frequency, signal.power, strict=True)
-        ]
+        import pandas as pd
 
-    def signal_rows(self) -> list[Row]:
-        """RMS and largest force, and RMS displacement of the handle, of each realisation."""
+        signals = (("thesis", self.thesis), ("optimised", self.optimised))
+        return pd.concat(
+            [
+                pd.DataFrame(
+                    {
+                        "signal": name,
+                        "frequency_hz": signal.frequency,
+                        "force_x_N": np.sqrt(signal.power[:, 0]),
+                        "force_y_N": np.sqrt(signal.power[:, 1]),
+                    }
+                )
+                for name, signal in signals
+            ]
+        )
+
+    def signal_frame(self) -> "pd.DataFrame":
+        """RMS and largest force, and RMS displacement of the handle, of each realisation and axis."""
+        import pandas as pd
+
         n_period = round(self.settings.period * DESIGN_RATE)
-        moved = [displacements(self.settings.subject, signal, n_period) for signal in self.perturbations]
-        return [
-            {
-                "trial": number,
-                "axis": axis,
-                "rms_force_N": float(np.sqrt(np.mean(signal.force[:n_period, column] ** 2))),
-                "peak_force_N": float(np.abs(signal.force[:, column]).max()),
-                "rms_displacement_m": float(moved[number - 1][column]),
-            }
-            for number, signal in enumerate(self.perturbations, start=1)
-            for column, axis in enumerate(("x", "y"))
-        ]
+        return pd.DataFrame(
+            [
+                {
+                    "trial": number,
+                    "axis": axis,
+                    "rms_force_N": float(np.sqrt(np.mean(signal.force[:n_period, column] ** 2))),
+                    "peak_force_N": float(np.abs(signal.force[:, column]).max()),
+                    "rms_displacement_m": float(moved[column]),
+                }
+                for number, signal in enumerate(self.perturbations, start=1)
+                for moved in (displacements(self.settings.subject, signal, n_period),)
+                for column, axis in enumerate(("x", "y"))
+            ]
+        )
 
 
 def design(settings: DesignSettings) -> Design:

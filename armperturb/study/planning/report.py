@@ -4,17 +4,19 @@ import importlib.metadata
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from armperturb.analysis.results import Description, Table
 from armperturb.arrays import Array
 from armperturb.files import write_csv, write_durably
 from armperturb.perturbations import save_perturbation
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.plots.style import COLOURS, INK, PUBLISHED, in_style, new_figure, save_svg
+from armperturb.plots.style import COLOURS, INK, PUBLISHED, figure_for, in_style, save_plot
 from armperturb.study.planning.information import effective_duration
 from armperturb.study.planning.plan import Design, Signal
 from armperturb.study.planning.settings import SETTLING, USUAL_START, NoiseLaw
@@ -36,55 +38,60 @@ LONGEST = 8
 """Longest duration, and most trials, of the figure, over those that are planned [-]."""
 
 
-def design_text(design: Design) -> str:
-    """The table for a terminal: standard errors in percent of the value, or in its unit where that is zero."""
+LAWS: dict[NoiseLaw, str] = {
+    "held": "with the noise held at what it is under the thesis's",
+    "follows": "if the noise follows the load, as that of the synthetic people does",
+}
+"""What a factor assumes of the noise."""
+
+
+def describe(design: Design) -> Description:
+    """Standard errors in percent of the value, or in its unit where that is zero, and what the signals demand."""
     settings = design.settings
-    head = (
-        f"{settings.subject.name!r} ({settings.subject.task}), model {settings.model_name()}, goal {settings.goal}: "
-        f"{settings.trials} trial{'' if settings.trials == 1 else 's'} of {settings.duration:g} s, RMS of at most "
-        f"{settings.force:g} N and {1e3 * settings.displacement:g} mm per axis"
-    )
-    columns = {"sem_thesis": "SEM thesis", "sem_optimised": "optimised"}
+    errors = {"sem_thesis": "SEM thesis", "sem_optimised": "optimised"}
     if design.proposed is not None:
-        columns["sem_proposed"] = "proposed"
-    titles = " ".join(f"{title:>11}" for title in columns.values())
-    lines = [head, "", f"{'parameter':9}{'value':>16}   {titles} {'ratio':>6} {'trials':>11}"]
-    for row in design.rows():
-        scale, percent = (100.0 / abs(row["value"]), " %") if row["value"] else (1.0, "  ")
-        errors = " ".join(f"{scale * row[name]:>9.3g}{percent}" for name in columns)
-        vary = f"{scale * row['between_trials']:>9.2g}{percent}" if row["between_trials"] else ""
-        mark = " *" if row["goal"] else ""
-        lines.append(
-            f"{row['parameter']:9}{row['value']:8.4g} {row['unit']:7}   {errors} {row['ratio']:>6.2f} {vary:>11}{mark}"
-        )
-    laws: dict[NoiseLaw, str] = {
-        "held": "with the noise held at what it is under the thesis's",
-        "follows": "if the noise follows the load, as that of the synthetic people does",
-    }
+        errors["sem_proposed"] = "proposed"
+    rows = []
+    for row in design.to_frame().to_dict("records"):
+        scale, percent = (100.0 / abs(row["value"]), " %") if row["value"] else (1.0, "")
+        cells = [f"{scale * row[name]:.3g}{percent}" for name in errors]
+        vary = f"{scale * row['between_trials']:.2g}{percent}" if row["between_trials"] else ""
+        mark = "*" if row["goal"] else ""
+        value = f"{row['value']:.4g}"
+        rows.append((row["parameter"] + mark, value, row["unit"], *cells, f"{row['ratio']:.2f}", vary))
     other: NoiseLaw = "follows" if settings.noise == "held" else "held"
-    lines += [
-        "SEM: least standard error of any unbiased estimator (Cramer-Rao) of the parameters in these trials; ratio: "
-        "optimised over thesis's; * counts;",
-        "trials: what adds, as squares, because parameters of synthetic people differ from trial to trial",
-        "",
-        f"geometric mean of the SEM of *: {design.factor:.2f} of the thesis's {laws[settings.noise]},",
-        f"as from {design.factor**-2:.1f} times as many trials; {design.factors[other]:.2f} {laws[other]}",
-    ]
-    if design.factors[other] > 1.0:
-        lines.append(f"beware: the optimised multisine is worse than the thesis's {laws[other]}")
+    signals = []
     for name, signal in _signals(design):
         forces = ", ".join(f"{value:.2f}" for value in np.sqrt(signal.power.sum(axis=0)))
         moves = ", ".join(f"{1e3 * value:.1f}" for value in signal.displacement)
         lasts = "" if signal.duration == settings.duration else f"; {signal.duration:g} s"
-        lines.append(f"{name}: RMS force x, y {forces} N; RMS displacement {moves} mm{lasts}")
-    peaks = [row["peak_force_N"] for row in design.signal_rows()]
-    lines.append(f"largest force of the realisations: {max(peaks):.1f} N")
+        signals.append(f"{name}: RMS force x, y {forces} N; RMS displacement {moves} mm{lasts}")
+    details = [
+        "SEM: least standard error of any unbiased estimator (Cramer-Rao) of the parameters in these trials; ratio: "
+        "optimised over",
+        "thesis's; *: the goal; between trials: what adds, as squares, because parameters of synthetic people differ "
+        "from trial to trial",
+        *signals,
+        f"largest force of the realisations: {design.signal_frame()['peak_force_N'].max():.1f} N",
+    ]
     if settings.period < PERIOD or settings.start < USUAL_START:
-        lines.append(
+        details.append(
             f"period {settings.period:g} s, for which there is time: identify with --period {settings.period:g} "
             f"--window-start {settings.start:g}"
         )
-    return "\n".join(lines)
+    worse = design.factors[other] > 1.0
+    return Description(
+        title=f"Design for {settings.subject.name!r} ({settings.subject.task}), model {settings.model_name()}, goal "
+        f"{settings.goal}: {settings.trials} trial{'' if settings.trials == 1 else 's'} of {settings.duration:g} s, "
+        f"RMS of at most {settings.force:g} N and {1e3 * settings.displacement:g} mm per axis",
+        facts=(
+            f"geometric mean of the SEM of *: {design.factor:.2f} of the thesis's {LAWS[settings.noise]}, as from "
+            f"{design.factor**-2:.1f} times as many trials; {design.factors[other]:.2f} {LAWS[other]}",
+        ),
+        table=Table(("parameter", "value", "unit", *errors.values(), "ratio", "between trials"), tuple(rows)),
+        remarks=(f"the optimised multisine is worse than the thesis's {LAWS[other]}",) if worse else (),
+        details=tuple(details),
+    )
 
 
 def _signals(design: Design) -> list[tuple[str, Signal]]:
@@ -93,13 +100,14 @@ def _signals(design: Design) -> list[tuple[str, Signal]]:
 
 
 @in_style()
-def design_figure(design: Design) -> Figure:
-    """Standard errors against duration and number of trials, and the spectra, of both signals."""
+def plot_design(design: Design, figure: Figure | None = None) -> Any:
+    """Standard errors against duration and number of trials, and the spectra, of both signals; see `Design.plot`."""
     settings, duration = design.settings, design.settings.duration
     columns = [design.names.index(name) for name in settings.wanted()]
     known = bool(design.truth[columns].all())
-    figure = new_figure(5.2)
-    (against_duration, against_trials), (on_x, on_y) = figure.subplots(2, 2, sharey="row")
+    figure = figure_for(figure, 5.2)
+    axes = figure.subplots(2, 2, sharey="row")
+    (against_duration, against_trials), (on_x, on_y) = axes
     durations = np.geomspace(min(duration, PERIOD + SETTLING), LONGEST * duration, 100)
     trials = np.arange(1.0, LONGEST * settings.trials + 1.0)
     lengths = np.array([effective_duration(one) for one in durations])
@@ -146,7 +154,7 @@ def design_figure(design: Design) -> Figure:
         fontsize=9,
     )
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
-    return figure
+    return axes
 
 
 def _ticks(values: Array) -> tuple[list[float], list[str]]:
@@ -184,12 +192,12 @@ def write_design(design: Design, folder: Path) -> None:
         one.mkdir(parents=True, exist_ok=True)
     for old in perturbations.glob("trial_*.csv"):  # of a plan with more trials
         old.unlink()
-    write_csv(design.rows(), tables / "design.csv")
-    write_csv(design.spectrum_rows(), tables / "spectrum.csv")
-    write_csv(design.signal_rows(), tables / "signals.csv")
+    write_csv(design.to_frame(), tables / "design.csv")
+    write_csv(design.spectrum_frame(), tables / "spectrum.csv")
+    write_csv(design.signal_frame(), tables / "signals.csv")
     for number, perturbation in enumerate(design.perturbations, start=1):
         save_perturbation(perturbation, perturbations / f"trial_{number:02d}.csv", perturbation.rate)
-    save_svg(design_figure(design), figures / "design.svg")
+    save_plot(design, figures / "design.svg")
     settings = design.settings
     asked = {**asdict(replace(settings, perturbation=None)), "model": settings.model_name()}
     if settings.perturbation is not None:

@@ -12,7 +12,6 @@ A checksum is on disk before its file takes its name. So whenever a run is kille
 a checksum: one that does not match is damaged, and one that is missing was never finished.
 """
 
-import fcntl
 import hashlib
 import json
 import os
@@ -24,6 +23,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
+
 from armperturb.files import sync_folder, write_durably
 
 MANIFEST = "manifest.json"
@@ -31,6 +32,8 @@ RECORDINGS = "recordings"
 SUMS = "SHA256SUMS"
 LOCK = ".lock"
 STAGING = ".staging"
+HOLDER = "run"
+"""File in the staging folder that names the run at work."""
 
 MAX_SHOWN = 60
 """How long a value may be in a message [characters]."""
@@ -110,7 +113,7 @@ class StudyFolder:
 def open_study(root: Path, manifest: Mapping[str, Any]) -> Iterator[StudyFolder]:
     """Take a study folder for this process alone, a new one or one that the same study has begun.
 
-    The lock is the kernel's (flock): it goes when the process ends, however it ends.
+    The lock is the operating system's: it goes when the process ends, however it ends.
 
     Args:
       root: the folder; made if it is not there.
@@ -124,20 +127,18 @@ def open_study(root: Path, manifest: Mapping[str, Any]) -> Iterator[StudyFolder]
     """
     with _told(root):
         root.mkdir(parents=True, exist_ok=True)
-        lock = os.open(root / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
-    try:
-        _take(lock, root)
+        lock = FileLock(root / LOCK, timeout=0)
+    with _locked(lock, root):
         _agree(root, manifest)
         with _told(root):
             (root / RECORDINGS).mkdir(exist_ok=True)
             _sweep(root)
             (root / STAGING).mkdir()
+            (root / STAGING / HOLDER).write_text(f"process {os.getpid()} on {socket.gethostname()}", encoding="utf-8")
         try:
             yield StudyFolder(root)
         finally:
             shutil.rmtree(root / STAGING, ignore_errors=True)
-    finally:
-        os.close(lock)
 
 
 def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
@@ -175,17 +176,21 @@ def digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _take(lock: int, root: Path) -> None:
+@contextmanager
+def _locked(lock: FileLock, root: Path) -> Iterator[None]:
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        holder = os.read(lock, 200).decode(errors="replace").strip() or "unknown"
+        with _told(root):
+            lock.acquire()
+    except Timeout:
+        holder = root / STAGING / HOLDER
+        process = holder.read_text(encoding="utf-8") if holder.is_file() else "unknown"
         raise RuntimeError(
-            f"{root}: another run is at work in this folder ({holder}); expected it to have ended, or another folder"
+            f"{root}: another run is at work in this folder ({process}); expected it to have ended, or another folder"
         ) from None
-    with _told(root):
-        os.ftruncate(lock, 0)
-        os.pwrite(lock, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0)
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def _agree(root: Path, manifest: Mapping[str, Any]) -> None:
@@ -206,17 +211,24 @@ def _agree(root: Path, manifest: Mapping[str, Any]) -> None:
     except ValueError as error:
         raise ValueError(f"{path}: not readable as JSON ({error}); expected what an earlier run wrote") from None
     wanted = json.loads(json.dumps(manifest))
-    differences = list(_differences("", before, wanted))
-    if differences:
-        more = f", and {len(differences) - 3} more" if len(differences) > 3 else ""
+    different = list(differences(before, wanted))
+    if different:
+        more = f", and {len(different) - 3} more" if len(different) > 3 else ""
         raise ValueError(
-            f"{root}: was made with other settings: {'; '.join(differences[:3])}{more}; expected the same settings, or "
+            f"{root}: was made with other settings: {'; '.join(different[:3])}{more}; expected the same settings, or "
             "another folder"
         )
 
 
-def _differences(name: str, before: Any, wanted: Any) -> Iterator[str]:
-    """One text per value that differs; entries of a list that have a name, such as conditions, go by it."""
+def differences(before: Any, wanted: Any, name: str = "") -> Iterator[str]:
+    """One text per value in which two settings differ, as JSON has them.
+
+    Args:
+      before: settings that were read.
+      wanted: settings of now.
+      name: of the settings, with which the texts begin. Entries of a list that have a name, such as conditions, go by
+        it.
+    """
     if isinstance(before, dict) and isinstance(wanted, dict):
         for key in dict.fromkeys([*before, *wanted]):
             inner = key if not name else f"{name}{key}" if key.startswith("[") else f"{name}.{key}"
@@ -225,12 +237,12 @@ def _differences(name: str, before: Any, wanted: Any) -> Iterator[str]:
             elif key not in wanted:
                 yield f"{inner} is {_shown(before[key])} there and missing now"
             else:
-                yield from _differences(inner, before[key], wanted[key])
+                yield from differences(before[key], wanted[key], inner)
     elif before != wanted:
-        entries = [_by_label(value) for value in (before, wanted)]
+        then, now = _by_label(before), _by_label(wanted)
         # Else they are no lists, lists of numbers that differ in length, or the same entries in another order.
-        if all(entries) and entries[0] != entries[1] and (len(before) == len(wanted) or "[0]" not in entries[0]):
-            yield from _differences(name, *entries)
+        if then and now and then != now and (len(before) == len(wanted) or "[0]" not in then):
+            yield from differences(then, now, name)
         else:
             yield f"{name} is {_shown(before)} there and {_shown(wanted)} now"
 

@@ -13,6 +13,7 @@ from armperturb.cohort import MUSCLES, Person, draw_cohort
 from armperturb.environment import Environment
 from armperturb.study.protocol import Protocol
 from armperturb.study.recording.folder import MANIFEST
+from armperturb.study.recording.settings import TIMESTEP
 from armperturb.validation import require_number
 
 MOST_SUBJECTS = 100_000
@@ -28,6 +29,7 @@ class Manifest:
       seed: of everything random.
       ideal: whether people and instruments are free of noise.
       muscles: "nonlinear" or "linear" people.
+      timestep: of the simulation [s].
       protocol: what everyone went through.
       people: digest of the people: another calibration, or other spreads, make other people of the same seed.
       versions: of this package and the libraries that the recordings depend on.
@@ -37,18 +39,29 @@ class Manifest:
     seed: int
     ideal: bool
     muscles: str
+    timestep: float
     protocol: Protocol
     people: str
     versions: Mapping[str, str]
 
     @classmethod
-    def of(cls, people: Sequence[Person], protocol: Protocol, *, seed: int, ideal: bool, muscles: str) -> Self:
+    def of(
+        cls,
+        people: Sequence[Person],
+        protocol: Protocol,
+        *,
+        seed: int,
+        ideal: bool,
+        muscles: str,
+        timestep: float = TIMESTEP,
+    ) -> Self:
         """That of a study which begins now."""
         return cls(
             subjects=len(people),
             seed=seed,
             ideal=ideal,
             muscles=muscles,
+            timestep=timestep,
             protocol=protocol,
             people=_digest(people),
             versions=current_versions(),
@@ -68,6 +81,7 @@ class Manifest:
         try:
             for name, least, most in (("subjects", 1, MOST_SUBJECTS), ("seed", 0, math.inf)):
                 require_number(source, name, values[name], at_least=least, at_most=most)
+            require_number(source, "timestep", values.get("timestep", TIMESTEP), above=0.0)
             if values["muscles"] not in MUSCLES:
                 raise ValueError(f"{source}: muscles = {values['muscles']!r}; expected one of {', '.join(MUSCLES)}")
             if not isinstance(values["protocol"], Mapping) or not isinstance(values["versions"], Mapping):
@@ -77,6 +91,7 @@ class Manifest:
                 seed=int(values["seed"]),
                 ideal=bool(values["ideal"]),
                 muscles=values["muscles"],
+                timestep=float(values.get("timestep", TIMESTEP)),
                 protocol=Protocol.from_dict(values["protocol"], source=f"{source}, protocol"),
                 people=str(values["people"]),
                 versions=dict(values["versions"]),
@@ -94,6 +109,8 @@ class Manifest:
             "seed": self.seed,
             "ideal": self.ideal,
             "muscles": self.muscles,
+            # Left out if it is the usual one, so that folders without it can be continued.
+            **({} if self.timestep == TIMESTEP else {"timestep": self.timestep}),
             "people": self.people,
             "protocol": self.protocol.to_dict(),
         }

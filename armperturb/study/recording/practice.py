@@ -24,13 +24,13 @@ from armperturb.study.protocol import PULSE_UNIT, Condition, Protocol
 from armperturb.subject import Subject
 
 Measure = Callable[[NDArray[np.int_], Array], Array]
-"""Numbers of cells and the RMS force to try in each [N], to the RMS displacement [m] that each answers with."""
+"""Numbers of goals and the RMS force to try for each [N], to the RMS displacement [m] that each results in."""
 
 TOLERANCE = 0.02
-"""An RMS displacement this close to the intended one is a hit [-]."""
+"""Largest accepted relative error of an RMS displacement [-]."""
 
 AIM = 0.01
-"""Rounds go on until every cell is this close [-]: a hit with something to spare."""
+"""Rounds continue until every displacement is this close to the intended one [-], with a margin to `TOLERANCE`."""
 
 MAX_ROUNDS = 6
 """Rounds that a practice session may take."""
@@ -48,24 +48,24 @@ TRIALS_PER_BATCH = 240
 N_CANDIDATES = 500
 """How many sets of phases the practice multisine is picked from; its crest factor on y is some 2.8."""
 
-_YIELDING = 1.3
-"""Exponent of the response [-] in the first correction of people whose muscles yield: theirs is 1.0 to 1.8."""
+_NONLINEAR_EXPONENT = 1.3
+"""Exponent of displacement over force [-] in the first correction for nonlinear muscles: it is 1.0 to 1.8."""
 
 _LARGEST_STEP = math.log(4.0)
 """Of the logarithm of the force from one round to the next."""
 
 _EXPONENTS = (0.1, 8.0)
-"""Between which the exponent of the response is looked for [-]: 1 is a linear arm."""
+"""Bounds of the exponent of displacement over force [-]: 1 is a linear arm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Adjustment:
-    """What `adjust` found, one entry per cell.
+    """Result of `adjust`, one entry per goal.
 
     Attributes:
-      force: RMS force [N], (cell,).
-      displacement: RMS displacement that it gave [m], (cell,).
-      rounds: how many rounds the cell took, (cell,).
+      force: RMS force [N], (goal,).
+      displacement: RMS displacement that resulted [m], (goal,).
+      rounds: number of rounds that it took, (goal,).
     """
 
     force: Array
@@ -83,11 +83,11 @@ def practise(
     noisy: bool = False,
     progress: Callable[[float], object] | None = None,
 ) -> tuple[dict[str, float], ...]:
-    """Forces for every person, each condition's adjusted until the handle moves as far as it shall.
+    """Forces for every person: each condition's force is adjusted until the handle moves as far as intended.
 
-    That is as far as intended, times what people reach of it (`Condition.reached`). All people and conditions are
-    measured together, round after round; a cell that is settled leaves. With
-    `forces = "published"` nobody practises. A person's forces depend on the person, the protocol and the seed, not on
+    That is the protocol's displacement times what people reach of it (`Condition.reached`). All people and conditions
+    are simulated together, round after round, each until its displacement is reached. With `forces = "published"`
+    nobody practises. A person's forces depend on the person, the protocol and the seed, not on
     who else is there.
 
     Args:
@@ -110,19 +110,19 @@ def practise(
     if protocol.forces == "published":
         return tuple(protocol.given_forces() for _ in people)
     environment = environment or Environment()
-    # Who is alike and shall move as far needs the same force.
-    cells: dict[_Cell, None] = {}
-    needs: list[dict[str, _Cell]] = []
+    # The same subject who is to move as far needs the same force: such goals are measured once.
+    goals: dict[_Goal, None] = {}
+    goals_of: list[dict[str, _Goal]] = []
     for person in people:
-        needs.append({c.name: _Cell.of(person, c, seed) for c in protocol.conditions if c.has_multisine})
-        cells.update(dict.fromkeys(needs[-1].values()))
-    found = []
-    if cells:
-        found = _adjust_cells(list(cells), seed, environment, protocol.strap, n_threads, noisy, progress).force.tolist()
-    force_of = dict(zip(cells, found, strict=True))
+        goals_of.append({c.name: _Goal.of(person, c, seed) for c in protocol.conditions if c.has_multisine})
+        goals.update(dict.fromkeys(goals_of[-1].values()))
+    force_of: dict[_Goal, float] = {}
+    if goals:
+        adjusted = _reach(list(goals), seed, environment, protocol.strap, n_threads, noisy, progress)
+        force_of = dict(zip(goals, adjusted.force.tolist(), strict=True))
     forces = []
-    for need in needs:
-        of_person = {name: force_of[cell] for name, cell in need.items()}
+    for goal_of in goals_of:
+        of_person = {name: force_of[goal] for name, goal in goal_of.items()}
         unit = protocol.pulse_unit
         if protocol.pulse_unit_condition:
             unit = protocol.pulse_unit_factor * of_person[protocol.pulse_unit_condition]
@@ -131,8 +131,8 @@ def practise(
 
 
 @dataclass(frozen=True)
-class _Cell:
-    """Who shall move the handle how far; `condition` names one in which that is so, and makes no difference."""
+class _Goal:
+    """How far a person is to move the handle; `condition` names one in which that is so, and makes no difference."""
 
     subject: Subject
     displacement: float
@@ -147,8 +147,8 @@ class _Cell:
         return cls(condition.subject_of(person), share * condition.rms_displacement, condition.name)
 
 
-def _adjust_cells(
-    cells: Sequence[_Cell],
+def _reach(
+    goals: Sequence[_Goal],
     seed: int,
     environment: Environment,
     strap: Strap | None,
@@ -156,26 +156,26 @@ def _adjust_cells(
     noisy: bool,
     progress: Callable[[float], object] | None,
 ) -> Adjustment:
-    """The force of each cell.
+    """The force of each goal.
 
     Raises:
-      RuntimeError: a cell was not settled.
+      RuntimeError: a goal was not reached.
     """
     multisine = practice_multisine(seed)
-    per_newton = [linear_displacement(cell.subject, environment, multisine) for cell in cells]
-    targets = np.array([cell.displacement for cell in cells])
+    per_newton = [linear_displacement(goal.subject, environment, multisine) for goal in goals]
+    targets = np.array([goal.displacement for goal in goals])
 
     def measure(numbers: NDArray[np.int_], force: Array) -> Array:
         trials = [
             Trial(
-                subject=cell.subject,
+                subject=goal.subject,
                 perturbation=replace(multisine, rms=newton),
-                condition=cell.condition,
+                condition=goal.condition,
                 # The same noise in every round, or the session would chase it.
-                seed=trial_seed(seed, f"practice {cell.subject.name} {cell.condition}"),
-                noise=HUMAN_NOISE[cell.subject.task] if noisy else None,
+                seed=trial_seed(seed, f"practice {goal.subject.name} {goal.condition}"),
+                noise=HUMAN_NOISE[goal.subject.task] if noisy else None,
             )
-            for cell, newton in zip([cells[number] for number in numbers.tolist()], force.tolist(), strict=True)
+            for goal, newton in zip([goals[number] for number in numbers.tolist()], force.tolist(), strict=True)
         ]
         return np.concatenate(
             [
@@ -184,17 +184,17 @@ def _adjust_cells(
             ]
         )
 
-    exponents = np.array([1.0 if cell.subject.muscle is None else _YIELDING for cell in cells])
-    found = adjust(targets, targets / np.array(per_newton), measure, exponents)
-    off = np.abs(found.displacement / targets - 1.0)
+    exponents = np.array([1.0 if goal.subject.muscle is None else _NONLINEAR_EXPONENT for goal in goals])
+    adjusted = adjust(targets, targets / np.array(per_newton), measure, exponents)
+    off = np.abs(adjusted.displacement / targets - 1.0)
     worst = int(np.argmax(np.where(np.isnan(off), np.inf, off)))
     if not off[worst] <= TOLERANCE:
         raise RuntimeError(
-            f"practice of {cells[worst].subject.name!r} in {cells[worst].condition}: RMS displacement = "
-            f"{1e3 * found.displacement[worst]:.4g} mm at an RMS force of {found.force[worst]:.4g} N after "
-            f"{found.rounds[worst]} rounds; expected {1e3 * targets[worst]:g} mm within {TOLERANCE:.0%}"
+            f"practice of {goals[worst].subject.name!r} in {goals[worst].condition}: RMS displacement = "
+            f"{1e3 * adjusted.displacement[worst]:.4g} mm at an RMS force of {adjusted.force[worst]:.4g} N after "
+            f"{adjusted.rounds[worst]} rounds; expected {1e3 * targets[worst]:g} mm within {TOLERANCE:.0%}"
         )
-    return found
+    return adjusted
 
 
 @functools.lru_cache(maxsize=64)
@@ -255,43 +255,46 @@ def adjust(
     aim: float = AIM,
     max_rounds: int = MAX_ROUNDS,
 ) -> Adjustment:
-    """Find the force at which each cell's displacement is as intended.
+    """Find the force that moves the handle as far as intended, for several goals at once.
 
-    Assumes that more force moves the handle further. The first correction is that of an arm that answers with a power
-    of the force; then such a law, from three rounds on above a noise, runs through the last rounds (`_model_solution`),
-    as far as it agrees with what is known to be too much and too little; otherwise the middle of these is tried.
+    Assumes that more force moves the handle further. The first correction takes the displacement to be a power of the
+    force. Later ones fit such a power law, from three rounds on with a noise floor, to the last rounds
+    (`_model_solution`). If its solution lies outside the bracket of forces known to be too small and too large, the
+    bracket is halved.
 
     Args:
-      target: intended RMS displacement [m], > 0, (cell,).
-      guess: RMS force of the first round [N], > 0, (cell,).
-      measure: numbers of cells and their forces to displacements; infinite where it was far too much.
-      exponent: of the first correction [-], > 0, (cell,); that of linear arms, 1, if not given.
-      aim: relative error at which a cell is settled [-].
-      max_rounds: when to give up.
+      target: intended RMS displacement [m], > 0, (goal,).
+      guess: RMS force of the first round [N], > 0, (goal,).
+      measure: numbers of goals and their forces to displacements; infinite where the force was far too large.
+      exponent: of the first correction [-], > 0, (goal,); that of linear arms, 1, if not given.
+      aim: relative error at which a goal is reached [-].
+      max_rounds: most rounds.
 
     Returns:
-      For each cell the best of its rounds, settled or not.
+      For each goal the best of its rounds, reached or not.
     """
-    n_cells = len(target)
-    tried: list[list[tuple[float, float]]] = [[] for _ in range(n_cells)]
+    n_goals = len(target)
+    tried: list[list[tuple[float, float]]] = [[] for _ in range(n_goals)]
     force = np.array(guess, dtype=float)
-    exponents = np.ones(n_cells) if exponent is None else exponent
-    unsettled = np.arange(n_cells)
+    exponents = np.ones(n_goals) if exponent is None else exponent
+    open_goals = np.arange(n_goals)
     for _ in range(max_rounds):
-        answer = measure(unsettled, force[unsettled])
-        for cell, displacement in zip(unsettled.tolist(), answer.tolist(), strict=True):
-            error = math.log(displacement / target[cell]) if displacement > 0.0 else -math.inf
-            tried[cell].append((math.log(force[cell]), error))
-        unsettled = np.array([i for i in unsettled.tolist() if not abs(math.expm1(tried[i][-1][1])) <= aim], dtype=int)
-        if not len(unsettled):
+        answer = measure(open_goals, force[open_goals])
+        for goal, displacement in zip(open_goals.tolist(), answer.tolist(), strict=True):
+            error = math.log(displacement / target[goal]) if displacement > 0.0 else -math.inf
+            tried[goal].append((math.log(force[goal]), error))
+        open_goals = np.array(
+            [i for i in open_goals.tolist() if not abs(math.expm1(tried[i][-1][1])) <= aim], dtype=int
+        )
+        if not len(open_goals):
             break
-        for cell in unsettled.tolist():
-            force[cell] = math.exp(_next_try(tried[cell], exponents[cell]))
-    best = [min(of_cell, key=lambda point: abs(point[1])) for of_cell in tried]
+        for goal in open_goals.tolist():
+            force[goal] = math.exp(_next_try(tried[goal], exponents[goal]))
+    best = [min(of_goal, key=lambda point: abs(point[1])) for of_goal in tried]
     return Adjustment(
         force=np.exp([point[0] for point in best]),
         displacement=np.exp([point[1] for point in best]) * target,
-        rounds=np.array([len(of_cell) for of_cell in tried]),
+        rounds=np.array([len(of_goal) for of_goal in tried]),
     )
 
 

@@ -34,7 +34,7 @@ from armperturb.validation import require_number
 from armperturb.workers import LOG, Workers, completed, cpu_count, ctrl_c_held_back, workers_for
 
 PROGRESS_INTERVAL = 0.2
-"""How often a worker tells how far it is [s]."""
+"""Time between two reports of a worker's progress [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,15 +48,16 @@ class _Unit:
     environment: Environment
     seed: int
     ideal: bool
+    timestep: float
     block: int
     n_threads: int
     staging: Path | None  # where to leave the files; None to send them back
-    progress: Path | None  # where to tell the simulated seconds, as the double at place `number`
+    progress: Path | None  # file of the simulated seconds, those of this unit being the double at place `number`
 
     @property
     def seconds(self) -> float:
         """Simulated time of all trials [s]."""
-        return len(self.people) * len(self.protocol.cells()) * self.protocol.trial_duration
+        return len(self.people) * len(self.protocol.planned_trials()) * self.protocol.trial_duration
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,20 +108,27 @@ def record_study(
     protocol, environment = settings.load_protocol(), Environment()
     people = settings.draw_people(environment)
     names = [person.name for person in people]
-    made = Manifest.of(people, protocol, seed=settings.seed, ideal=settings.ideal, muscles=settings.muscles)
+    made = Manifest.of(
+        people,
+        protocol,
+        seed=settings.seed,
+        ideal=settings.ideal,
+        muscles=settings.muscles,
+        timestep=settings.timestep,
+    )
     with open_study(out, made.to_dict()) as folder:
         done, damaged = folder.check(names)
         for path in damaged:
             LOG.warning("%s does not match its checksum: set aside, and its subject is done again", path)
         missing = [(number, person) for number, person in enumerate(people) if person.name not in set(done)]
         if missing:
-            n_trials = len(protocol.cells())
+            n_trials = len(protocol.planned_trials())
             with (
-                workers_for(worker_count(workers, len(missing)), dask) as crew,
+                workers_for(worker_count(workers, len(missing)), dask) as pool,
                 _Progress(len(people) * n_trials, len(done) * n_trials, protocol.trial_duration, show_progress) as bar,
             ):
-                units = _units(missing, settings, protocol, environment, folder, crew, block)
-                with closing(_work(units, crew, bar)) as finished:
+                units = _units(missing, settings, protocol, environment, folder, pool, block)
+                with closing(_work(units, pool, bar)) as finished:
                     for file in finished:
                         content = file.content
                         staged = content if isinstance(content, Path) else _stage(content, folder.staging, file.name)
@@ -143,22 +151,21 @@ def _units(
     protocol: Protocol,
     environment: Environment,
     folder: StudyFolder,
-    crew: Workers | None,
+    pool: Workers | None,
     block: int,
 ) -> list[_Unit]:
     """Share the people out."""
-    n_groups = math.ceil(len(missing) / max(1, block // len(protocol.cells())))
-    if crew is not None:
-        # People side by side gain some speed, but every worker has at least two turns, and all have as many: the last
-        # ones would be waited for.
-        count = crew.at_once() // 2
+    n_groups = math.ceil(len(missing) / max(1, block // len(protocol.planned_trials())))
+    if pool is not None:
+        # Balance the load: at least two batches per worker, equal counts, so that no worker idles at the end.
+        count = pool.at_once() // 2
         n_groups = min(max(2, math.ceil(n_groups / count)) * count, len(missing))
     size, n_larger = divmod(len(missing), n_groups)
     starts = [size * number + min(number, n_larger) for number in range(n_groups + 1)]
     groups = [tuple(missing[first:last]) for first, last in itertools.pairwise(starts)]
-    multisines = _draw_multisines(protocol, settings.seed, crew)
+    multisines = _draw_multisines(protocol, settings.seed, pool)
     progress = None
-    if crew is not None and not crew.remote:
+    if pool is not None and not pool.remote:
         progress = folder.staging / "progress"
         progress.write_bytes(bytes(8 * len(groups)))
     return [
@@ -170,22 +177,23 @@ def _units(
             environment=environment,
             seed=settings.seed,
             ideal=settings.ideal,
+            timestep=settings.timestep,
             block=block,
-            n_threads=0 if crew is None else crew.threads(number, len(groups)),
-            staging=None if crew is not None and crew.remote else folder.staging.resolve(),
+            n_threads=0 if pool is None else pool.threads(number, len(groups)),
+            staging=None if pool is not None and pool.remote else folder.staging.resolve(),
             progress=progress,
         )
         for number, group in enumerate(groups)
     ]
 
 
-def _draw_multisines(protocol: Protocol, seed: int, crew: Workers | None) -> dict[int, Multisine]:
+def _draw_multisines(protocol: Protocol, seed: int, pool: Workers | None) -> dict[int, Multisine]:
     """`Protocol.draw_multisines`, shared out: some seconds' work that everybody's trials wait for."""
-    if crew is None:
+    if pool is None:
         return protocol.draw_multisines(seed)
-    numbers = [number for number, cell in enumerate(protocol.cells()) if cell.condition.has_multisine]
+    numbers = [number for number, planned in enumerate(protocol.planned_trials()) if planned.condition.has_multisine]
     drawn: dict[int, Multisine] = {}
-    for some in completed(_draw_multisine, [(protocol, seed, number) for number in numbers], crew):
+    for some in completed(_draw_multisine, [(protocol, seed, number) for number in numbers], pool):
         drawn.update(some)
     return drawn
 
@@ -195,24 +203,24 @@ def _draw_multisine(unit: tuple[Protocol, int, int]) -> dict[int, Multisine]:
     return protocol.draw_multisines(seed, [number])
 
 
-def _work(units: Sequence[_Unit], crew: Workers | None, bar: "_Progress") -> Generator[_Finished]:
+def _work(units: Sequence[_Unit], pool: Workers | None, bar: "_Progress") -> Generator[_Finished]:
     """Do the units and give each subject's file as it comes."""
-    if crew is None:
+    if pool is None:
         for unit in units:
             yield from _do(unit, bar.add)
         return
     seconds = np.array([unit.seconds for unit in units])
     finished = np.zeros(len(units), bool)
-    told = units[0].progress
+    progress_file = units[0].progress
 
-    def look() -> None:
-        running = np.zeros(len(units)) if told is None else np.fromfile(told)
+    def poll() -> None:
+        running = np.zeros(len(units)) if progress_file is None else np.fromfile(progress_file)
         bar.reach(float(np.where(finished, seconds, running).sum()))
 
-    with closing(completed(_do_numbered, units, crew, look)) as results:
+    with closing(completed(_do_numbered, units, pool, poll)) as results:
         for number, files in results:
             finished[number] = True
-            look()
+            poll()
             yield from files
 
 
@@ -220,18 +228,18 @@ def _do_numbered(unit: _Unit) -> tuple[int, list[_Finished]]:
     """What a worker process does."""
     if unit.progress is None:
         return unit.number, _do(unit, None)
-    with unit.progress.open("r+b", buffering=0) as told:
+    with unit.progress.open("r+b", buffering=0) as progress_file:
         done, next_time = 0.0, 0.0
 
-        def tell(seconds: float) -> None:
+        def report_progress(seconds: float) -> None:
             nonlocal done, next_time
             done += seconds
             if (now := time.monotonic()) >= next_time:
-                told.seek(8 * unit.number)
-                told.write(np.float64(done).tobytes())
+                progress_file.seek(8 * unit.number)
+                progress_file.write(np.float64(done).tobytes())
                 next_time = now + PROGRESS_INTERVAL
 
-        return unit.number, _do(unit, tell)
+        return unit.number, _do(unit, report_progress)
 
 
 def _do(unit: _Unit, progress: Callable[[float], object] | None) -> list[_Finished]:
@@ -240,9 +248,9 @@ def _do(unit: _Unit, progress: Callable[[float], object] | None) -> list[_Finish
     forces = practise(people, unit.protocol, unit.seed, unit.environment, unit.n_threads)
     trials = [
         trial
-        for (number, person), own in zip(unit.people, forces, strict=True)
+        for (number, person), of_person in zip(unit.people, forces, strict=True)
         for trial in unit.protocol.trials(
-            person, own, unit.seed, number, noisy=not unit.ideal, multisines=unit.multisines
+            person, of_person, unit.seed, number, noisy=not unit.ideal, multisines=unit.multisines
         )
     ]
     recording = _simulate(trials, unit, progress)
@@ -260,6 +268,7 @@ def _simulate(trials: Sequence[Trial], unit: _Unit, progress: Callable[[float], 
         run_experiment(
             trials[first : first + unit.block],
             unit.environment,
+            timestep=unit.timestep,
             strap=unit.protocol.strap,
             instruments=None if unit.ideal else Instruments(),
             n_threads=unit.n_threads,

@@ -12,6 +12,9 @@ from armperturb.validation import require_number, require_one_of
 BLOCK = 96
 """Default number of trials that are simulated side by side: more are hardly faster, but take more memory."""
 
+TIMESTEP = 1e-3
+"""Default step of the simulation [s]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class StudySettings:
@@ -36,10 +39,13 @@ class StudySettings:
     muscles: Literal["nonlinear", "linear"] = "nonlinear"
     """People around a calibrated average person with nonlinear muscles, or people with linear ones, whose true
     parameters estimates can be compared with."""
+    timestep: float = TIMESTEP
+    """Step of the simulation [s]; a sample of a recording must be a whole number of steps."""
 
     def __post_init__(self) -> None:
         require_number("study", "subjects", self.subjects, at_least=1)
         require_number("study", "seed", self.seed, at_least=0)
+        require_number("study", "timestep", self.timestep, above=0.0)
         require_one_of("study", "forces", self.forces, (*FORCES, None))
         require_one_of("study", "muscles", self.muscles, MUSCLES)
 

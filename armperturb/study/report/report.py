@@ -1,8 +1,7 @@
 """The report of a study: tables, figures, and one HTML file that holds everything and opens offline."""
 
 import base64
-import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
@@ -13,7 +12,6 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from armperturb.archive import code_digest, recalled
 from armperturb.cohort import Person
 from armperturb.environment import Environment
 from armperturb.files import write_csv, written_whole
@@ -30,8 +28,9 @@ from armperturb.study.report.nonlinear_tables import nonlinear_tables
 from armperturb.study.report.sections import Section, joint_rows, sections
 from armperturb.study.report.tables import write_tables
 from armperturb.study.results.appendix_fits import Appendices
+from armperturb.study.results.cache import ANALYSIS, CachedResult
 from armperturb.study.results.mean_admittance import by_task, main_conditions
-from armperturb.study.results.study_result import ANALYSIS, StudyResult
+from armperturb.study.results.study_result import StudyResult
 from armperturb.workers import Workers, completed, workers_for
 
 Unit = TypeVar("Unit")
@@ -57,16 +56,25 @@ class Picture(NamedTuple):
     height: float
 
 
-def write_report(study: StudyResult, out: Path, *, workers: int | None = 1, show_progress: bool = True) -> Path:
+def write_report(
+    study: StudyResult,
+    out: Path,
+    *,
+    figures: Collection[str] | None = None,
+    simulate: bool = True,
+    workers: int | None = 1,
+    show_progress: bool = True,
+) -> Path:
     """Write `tables/*.csv`, `score/`, `figures/*.svg` and `report.html`, which needs none of them nor a network.
 
-    Some more trials of the first person are simulated, to show what the muscle law does, and what a shoulder that
-    moves; they are kept in the folder, as results are. Without a GL library, pictures of the rig are left out and the
-    report says so.
+    Without a GL library, pictures of the rig are left out and the report says so.
 
     Args:
       study: the analysed study; its recordings must still be there.
       out: folder, which is made if needed.
+      figures: names of those that are drawn, see `figures.catalogue`; None for all that the study allows.
+      simulate: whether some more trials of the first person are simulated, to show the effects of the muscle law and
+        of a moving shoulder; they are kept in the folder, as results are.
       workers: number of processes; None for about one per core. No effect on the files but for rounding.
       show_progress: whether to draw progress bars on the terminal.
 
@@ -81,12 +89,16 @@ def write_report(study: StudyResult, out: Path, *, workers: int | None = 1, show
     tested, scored = effects(study), _score(study, out)
     # Figures need none of the fits, which are many.
     drawn = replace(study, appendices=Appendices())
-    with workers_for(worker_count(workers, MOST_WORKERS), None) as crew:
-        yielding, shoulder = _simulated(study, out, crew, show_progress)
+    with workers_for(worker_count(workers, MOST_WORKERS), None) as pool:
+        yielding, shoulder = _simulated(study, out, pool, show_progress) if simulate else (None, None)
         (out / "figures").mkdir(exist_ok=True)
-        figures = [_Figure(name, draw, out / "figures") for name, draw in drawings(drawn, tested, yielding).items()]
+        units = [
+            _Figure(name, draw, out / "figures")
+            for name, draw in drawings(drawn, tested, yielding).items()
+            if figures is None or name in figures
+        ]
         pictures, not_drawn = {}, {}
-        for name, picture, reason in _each(_draw, figures, crew, "draw", show_progress):
+        for name, picture, reason in _each(_draw, units, pool, "draw", show_progress):
             if picture is None:
                 not_drawn[name] = reason
             else:
@@ -120,50 +132,53 @@ def _score(study: StudyResult, out: Path) -> Score | None:
 
 
 class _Simulation(NamedTuple):
-    """A simulation of the first person, and where what it gives is kept.
+    """A simulation of the first person, whose result is kept.
 
     Attributes:
       function: takes the person, the environment and the seed.
-      kind: what it gives.
-      path: of the file.
+      cached: where the result is kept.
       person: who.
       environment: what the hand holds.
       seed: of the multisines.
     """
 
     function: Callable[..., Any]
-    kind: type
-    path: Path
+    cached: CachedResult[Any]
     person: Person
     environment: Environment
     seed: int
 
 
 def _simulated(
-    study: StudyResult, out: Path, crew: Workers | None, show_progress: bool
+    study: StudyResult, out: Path, pool: Workers | None, show_progress: bool
 ) -> tuple[Yielding | None, MovingShoulder | None]:
     """What the muscle law of the first person does, and what a moving shoulder; None where there is nothing to show."""
     if not study.cohort:
         return None, None
-    person, found = study.cohort[0], dict[str, Any]()
-    wanted: dict[str, tuple[Callable[..., Any], type]] = {"moving-shoulder": (moving_shoulder, MovingShoulder)}
+    person = study.cohort[0]
+    functions: dict[str, tuple[Callable[..., Any], type]] = {"moving-shoulder": (moving_shoulder, MovingShoulder)}
     if has_law(person):
-        wanted = {"yielding": (why_people_yield, Yielding), **wanted}
+        functions = {"mechanisms": (why_people_yield, Yielding), **functions}
+    source = {"person": repr(person), "environment": repr(study.environment), "seed": study.seed}
     units = [
-        _Simulation(*function, out / ANALYSIS / f"{name}.json.gz", person, study.environment, study.seed)
-        for name, function in wanted.items()
+        _Simulation(
+            function,
+            CachedResult(path=out / ANALYSIS / f"{kind}.json.gz", kind=kind, result=result, settings=source),
+            person,
+            study.environment,
+            study.seed,
+        )
+        for kind, (function, result) in functions.items()
     ]
-    for path, result in _each(_simulate, units, crew, "simulate", show_progress):
-        found[path.name.partition(".")[0]] = result
-    return found.get("yielding"), found["moving-shoulder"]
+    results = dict(_each(_simulate, units, pool, "simulate", show_progress))
+    return results.get("mechanisms"), results["moving-shoulder"]
 
 
-def _simulate(unit: _Simulation) -> tuple[Path, Any]:
-    what = f"{unit.function.__name__} {unit.person!r} {unit.environment!r} {unit.seed} {code_digest()}"
-    key = hashlib.sha256(what.encode()).hexdigest()
-    return unit.path, recalled(
-        unit.path, key, unit.kind, lambda: unit.function(unit.person, environment=unit.environment, seed=unit.seed)
-    )
+def _simulate(unit: _Simulation) -> tuple[str, Any]:
+    def simulate() -> Any:
+        return unit.function(unit.person, environment=unit.environment, seed=unit.seed)
+
+    return unit.cached.kind, unit.cached.get(simulate)
 
 
 class _Figure(NamedTuple):
@@ -191,11 +206,11 @@ def _embed(figure: Figure, path: Path) -> Picture:
 
 
 def _each(
-    function: Callable[[Unit], Result], units: Sequence[Unit], crew: Workers | None, label: str, show_progress: bool
+    function: Callable[[Unit], Result], units: Sequence[Unit], pool: Workers | None, label: str, show_progress: bool
 ) -> Iterator[Result]:
     """What a function gives of each unit, as it comes."""
     with tqdm(total=len(units), desc=label, disable=None if show_progress else True) as bar:
-        for result in map(function, units) if crew is None else completed(function, units, crew, bar.refresh):
+        for result in map(function, units) if pool is None else completed(function, units, pool, bar.refresh):
             bar.update()
             yield result
 

@@ -18,15 +18,10 @@ from armperturb.analysis.fit.thesis import (
 from armperturb.analysis.response.spectra import single_trial_spectra
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.study.published import tables as published
+from armperturb.study.results.settings import AnalysisSettings
 
 FIRST_STEP = {"PT": "PT7.5", "RT": "RT7.5"}
 """Task to the condition of the first step of appendix C."""
-
-STRUCTURES_C = tuple("123456")
-"""Structures of appendix C."""
-
-STARTS_OF = "PT7.5"
-"""Condition of appendices D and E, which try several starts."""
 
 Key = tuple[str, str]
 """Condition and structure."""
@@ -75,11 +70,12 @@ class Appendices:
     starts: Mapping[str, ThesisEstimate] = field(default_factory=dict)
 
 
-def fit_person(conditions: Mapping[str, ConditionTrials]) -> Fits:
+def fit_person(conditions: Mapping[str, ConditionTrials], settings: AnalysisSettings) -> Fits:
     """Step 1 of appendix C, and appendices D and E, for one person.
 
     Args:
       conditions: condition to the person's trials.
+      settings: which fits are made.
     """
     name = next(iter(conditions.values())).name
     left_out: list[str] = []
@@ -88,11 +84,12 @@ def fit_person(conditions: Mapping[str, ConditionTrials]) -> Fits:
     starts: dict[str, ThesisEstimate] = {}
     try:
         first = _fitted(
-            {(c, model): Wanted(trials, model) for c, trials in prepared.items() for model in STRUCTURES_C},
+            {(c, model): Wanted(trials, model) for c, trials in prepared.items() for model in settings.structures},
             use_penalty=False,
         )
-        if STARTS_OF in prepared:
-            starts = appendix_d(prepared[STARTS_OF]) | appendix_e(prepared[STARTS_OF])
+        if settings.starts_of in prepared:
+            trials = prepared[settings.starts_of]
+            starts = appendix_d(trials) | appendix_e(trials)
     except ValueError as error:
         left_out.append(f"{name} was not fitted as in appendices C to E: {error}")
     return Fits(name, first, starts, tuple(left_out))

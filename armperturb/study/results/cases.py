@@ -13,6 +13,7 @@ from armperturb.analysis.fit.identify import Identification, identify, identify_
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.response.spectra import SpectralEstimate, single_trial_spectra
+from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials, of_condition
 from armperturb.arrays import Array
 from armperturb.perturbations.multisine import PERIOD
@@ -21,8 +22,8 @@ from armperturb.study.protocol import Condition, Protocol
 from armperturb.subject import Subject
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Case:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Case(Result):
     """One person in one condition.
 
     Attributes:
@@ -50,6 +51,13 @@ class Case:
     force: float = math.nan
     displacement: float = math.nan
     truth: Subject | None = None
+
+    def describe(self) -> Description:
+        """The identification, and why parts are missing."""
+        if self.identification is None:
+            return Description(title=f"{self.name} in {self.condition.name}: not identified", remarks=self.left_out)
+        said = self.identification.describe()
+        return replace(said, remarks=(*said.remarks, *self.left_out))
 
     @property
     def model(self) -> str:

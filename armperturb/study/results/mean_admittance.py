@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from armperturb.arrays import Array
+from armperturb.plots.bands import Curve
+from armperturb.plots.style import colours_for
 from armperturb.study.protocol import Condition
 from armperturb.study.results.study_result import StudyResult
 from armperturb.subject import TASKS
@@ -63,3 +65,21 @@ def mean_admittance(study: StudyResult, condition: str) -> MeanAdmittance:
     return MeanAdmittance(
         spectra[0].frequency, np.exp(log_gain.mean(axis=0)), gain_ratio, np.angle(direction), phase_sd
     )
+
+
+def mean_curves(study: StudyResult) -> list[Curve]:
+    """Mean admittance of each condition, with one SD over subjects to either side where there are several."""
+    curves = []
+    for condition, colour in zip(study.conditions, colours_for(len(study.conditions)), strict=True):
+        mean = mean_admittance(study, condition.name)
+        n = len(study.of(condition.name))
+        bands = (
+            mean.gain / mean.gain_ratio,
+            mean.gain * mean.gain_ratio,
+            mean.phase - mean.phase_sd,
+            mean.phase + mean.phase_sd,
+        )
+        look = {"color": colour, "marker": "o", "markersize": 2.5}
+        response = mean.gain * np.exp(1j * mean.phase)
+        curves.append(Curve(f"{condition.name} ({n})", mean.frequency, response, bands if n > 1 else None, look))
+    return curves

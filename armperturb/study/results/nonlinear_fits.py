@@ -89,7 +89,7 @@ class NonlinearFit(NamedTuple):
     failed: str = ""
 
     @property
-    def told(self) -> str:
+    def label(self) -> str:
         """Which fit it is, in words."""
         pulses = " and ".join(f"{deg:g}\u00b0" for deg in self.fitted_deg)
         return f"{self.task}, pulses at {pulses} fitted too" if pulses else f"{self.task}, no pulses fitted"

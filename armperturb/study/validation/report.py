@@ -5,13 +5,15 @@ import json
 import math
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
+from armperturb.analysis.results import Description, Table, plain
 from armperturb.files import write_csv, write_durably
-from armperturb.plots.style import GREY, INK, PUBLISHED, in_style, new_figure, save_svg
-from armperturb.study.validation.validate import Row, Validation
+from armperturb.plots.style import GREY, INK, PUBLISHED, figure_for, in_style, save_plot
+from armperturb.study.validation.validate import Validation
 
 LOOKS = {
     "thesis": {"color": PUBLISHED["color"], "marker": "s"},
@@ -53,53 +55,55 @@ def _counted(number: int, thing: str) -> str:
     return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
-def summary_text(validation: Validation) -> str:
-    """The tables for a terminal: errors in percent of the true value, or in its unit where that is zero."""
-    estimators = list(validation.judged)
-    rows = validation.rows()
-    blocks = {name: [row for row in rows if row["estimator"] == name] for name in estimators}
-    lines = [title(validation), "", f"{'':9}{'':16}{'':>9}" + "".join(f"  | {name:^26}" for name in estimators)]
-    head = f"{'bias':>7} {'RMS':>6} {'/bound':>6} {'held':>4}"
-    lines.append(f"{'parameter':9}{'true':>16}{'bound':>9}" + f"  | {head}" * len(estimators))
-    for of_parameter in zip(*blocks.values(), strict=True):
-        first = of_parameter[0]
-        scale = 100.0 / abs(first["true"]) if first["true"] else 1.0
-        percent = " %" if first["true"] else ""
-        line = (
-            f"{first['parameter']:9}{first['true']:8.4g} {first['unit']:7}{_three(scale * first['bound']) + percent:>9}"
-        )
-        for row in of_parameter:
-            bias, rms = (_three(scale * row[name]) for name in ("bias", "rms_error"))
-            ratio, held = _three(row["rms_error_over_bound"]), row["coverage_percent"]
-            line += f"  | {bias:>7} {rms:>6} {ratio:>6} {held:4.0f}"
-        lines.append(line)
-    lines += [
-        "bias, RMS error in % of the true value; bound: Cramer-Rao, of all that the trials hold;",
-        "held: share of the 95 % intervals that hold the true value [%]",
-        "",
-        f"{'estimator':9} {'converged':>9} {'stable':>8} {'global':>8} {'held':>8} {'flagged':>8}",
-    ]
-    for row in validation.summary():
-        shares = [row[f"{name}_percent"] for name in ("converged", "stable", "global", "coverage", "flagged")]
-        cells = [f"{'-' if math.isnan(share) else format(share, '.1f') + ' %':>8}" for share in shares]
-        lines.append(f"{row['estimator']:9} {cells[0]:>9} {' '.join(cells[1:])}")
-    lines.append("flagged: the estimator itself says that the structure is wrong")
-    return "\n".join(lines)
-
-
-def _three(value: float) -> str:
-    """A number with about three digits that count, never in powers of ten below a million."""
-    if value == 0.0 or not math.isfinite(value):
-        return f"{value:.0f}"
-    return f"{value:.{min(2, max(0, 2 - math.floor(math.log10(abs(value)))))}f}"
+def describe(validation: Validation) -> Description:
+    """Errors in percent of the true value, or in its unit where that is zero, and how the fits went."""
+    estimators, frame = list(validation.judged), validation.to_frame()
+    columns = ["parameter", "true", "bound"]
+    for name in estimators:
+        columns += [f"{name}: bias", "RMS", "held"]
+    rows = []
+    for _, of_parameter in frame.groupby("parameter", sort=False):
+        blocks = {row["estimator"]: row for row in of_parameter.to_dict("records")}
+        first = blocks[estimators[0]]
+        scale, percent = (100.0 / abs(first["true"]), " %") if first["true"] else (1.0, "")
+        true = f"{first['true']:.4g} {first['unit']}"
+        cells = [first["parameter"], true, plain(scale * first["bound"], 3) + percent]
+        for name in estimators:
+            row = blocks[name]
+            numbers = plain(scale * row["bias"], 3), plain(row["rms_error_over_bound"], 3)
+            cells += [*numbers, f"{row['coverage_percent']:.0f}"]
+        rows.append(tuple(cells))
+    shares = ("converged", "stable", "global", "coverage", "flagged")
+    summary = Table(
+        ("estimator", "converged", "stable", "global", "held", "flagged"),
+        tuple(
+            (
+                row["estimator"],
+                *(f"{share:.1f} %" if math.isfinite(share) else "-" for share in (row[f"{s}_percent"] for s in shares)),
+            )
+            for row in validation.estimators_frame().to_dict("records")
+        ),
+    )
+    return Description(
+        title=f"Validation: {title(validation)}",
+        facts=(
+            "bias in % of the true value; bound: Cramer-Rao, from the whole records; RMS error over the bound; held: "
+            "share of the 95 % intervals that hold the true value [%]",
+        ),
+        table=Table(tuple(columns), tuple(rows)),
+        details=(
+            *summary.lines(),
+            "flagged: the estimator itself reports a lack of fit",
+        ),
+    )
 
 
 @in_style()
-def error_figure(validation: Validation) -> Figure:
-    """RMS error over the Cramer-Rao bound per parameter, estimators side by side, with 95 % intervals."""
+def plot_validation(validation: Validation, figure: Figure | None = None) -> Any:
+    """RMS error over the Cramer-Rao bound per parameter, with 95 % intervals; see `Validation.plot`."""
     names, estimators = validation.names, list(validation.judged)
-    rows = validation.rows()
-    figure = new_figure(1.35 + ROW * len(names))
+    rows = validation.to_frame().to_dict("records")
+    figure = figure_for(figure, 1.35 + ROW * len(names))
     ax = figure.subplots()
     ax.axvline(1.0, color=INK, linewidth=1.0, zorder=1.5)
     for number, estimator in enumerate(estimators):
@@ -128,14 +132,16 @@ def error_figure(validation: Validation) -> Figure:
     figure.suptitle(title(validation), fontsize=9)
     figure.legend(loc="outside lower center", ncols=len(estimators))
     ax.text(1.0, 1.005, "bound", transform=ax.get_xaxis_transform(), ha="center", va="bottom", fontsize=8, color=GREY)
-    return figure
+    return ax
 
 
-def _label(row: Row) -> str:
+def _label(row: dict[str, Any]) -> str:
     """Parameter, true value, and the bound beside it."""
     if not row["true"]:
         return f"{row['parameter']} = 0 ± {row['bound']:.2g} {row['unit']}"
-    return f"{row['parameter']} = {row['true']:.4g} {row['unit']} ± {_three(100.0 * row['bound'] / abs(row['true']))} %"
+    return (
+        f"{row['parameter']} = {row['true']:.4g} {row['unit']} ± {plain(100.0 * row['bound'] / abs(row['true']), 3)} %"
+    )
 
 
 def write_validation(validation: Validation, folder: Path) -> None:
@@ -152,9 +158,9 @@ def write_validation(validation: Validation, folder: Path) -> None:
     for one in (tables, figures):
         one.mkdir(parents=True, exist_ok=True)
     settings = validation.settings
-    write_csv(validation.rows(), tables / "validation.csv")
-    write_csv(validation.summary(), tables / "validation_summary.csv")
-    save_svg(error_figure(validation), figures / "validation.svg")
+    write_csv(validation.to_frame(), tables / "validation.csv")
+    write_csv(validation.estimators_frame(), tables / "validation_summary.csv")
+    save_plot(validation, figures / "validation.svg")
     made = {
         "versions": {name: importlib.metadata.version(name) for name in ("armperturb", "mujoco", "numpy", "scipy")},
         "settings": {**asdict(settings), "subject": settings.subject and str(settings.subject)},

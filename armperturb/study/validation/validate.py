@@ -7,7 +7,7 @@ error with the Cramer-Rao bound (of all that the trials hold), and its intervals
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -19,6 +19,7 @@ from armperturb.analysis.fit.identify import Estimator
 from armperturb.analysis.fit.maximum_likelihood import Group, Method, estimate
 from armperturb.analysis.fit.structures import Structure, at_truth, true_values, unit
 from armperturb.analysis.fit.thesis import fit_trials
+from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
@@ -32,7 +33,9 @@ from armperturb.subject import Subject
 from armperturb.validation import require_number
 from armperturb.workers import completed, cpu_count, workers_for
 
-Row = dict[str, Any]
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
 RMS_FORCE = {"PT": 5.4, "RT": 0.9}
 """Published RMS force per axis in PT7.5 and RT7.5 [N] (table 2.1)."""
@@ -74,8 +77,8 @@ class Judged:
     suspicious: bool | None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Validation:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Validation(Result):
     """What came out.
 
     Attributes:
@@ -92,11 +95,32 @@ class Validation:
     bound: Array
     judged: dict[Estimator, tuple[Judged, ...]]
 
-    def rows(self) -> list[Row]:
+    def describe(self) -> Description:
+        """Errors of each estimator beside the Cramer-Rao bound, and how the fits went."""
+        from armperturb.study.validation.report import describe
+
+        return describe(self)
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw the RMS error over the Cramer-Rao bound per parameter, estimators side by side.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, a single one.
+        """
+        from armperturb.study.validation.report import plot_validation
+
+        return plot_validation(self, figure)
+
+    def to_frame(self) -> "pd.DataFrame":
         """Bias, error, bound and coverage per estimator and parameter.
 
         Low and high are a 95 % interval of the RMS error over its bound, from the number of groups (chi2 distribution).
         """
+        import pandas as pd
+
         rows = []
         n = self.settings.groups
         spread = np.sqrt(n / stats.chi2.ppf([0.975, 0.025], n))
@@ -122,14 +146,16 @@ class Validation:
                         "coverage_percent": 100.0 * float(np.mean([one.covered[column] for one in judged])),
                     }
                 )
-        return rows
+        return pd.DataFrame(rows)
 
-    def summary(self) -> list[Row]:
+    def estimators_frame(self) -> "pd.DataFrame":
         """How the fits went, per estimator.
 
         A run counts as biased if the mean error of some parameter, over all groups, is above `BIASED` of the standard
         errors that the run itself gives.
         """
+        import pandas as pd
+
         rows = []
         for estimator, judged in self.judged.items():
             deviation = np.array([one.values for one in judged]) - self.truth
@@ -150,7 +176,7 @@ class Validation:
                     "flagged_of_biased_percent": 100.0 * float(flagged[biased].mean()) if biased.any() else np.nan,
                 }
             )
-        return rows
+        return pd.DataFrame(rows)
 
 
 def validate(settings: ValidateSettings, *, workers: int | None = None, show_progress: bool = True) -> Validation:

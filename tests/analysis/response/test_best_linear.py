@@ -6,6 +6,7 @@ from scipy import stats
 from test_frequency_response import CLUSTERS, N_PERIOD, PERIOD, RATE, TRUE, labels, multisine, recorded
 
 from armperturb.analysis.response.best_linear import best_linear
+from armperturb.analysis.results import LINES
 from armperturb.plots.style import new_figure
 from armperturb.recording import make_recording
 
@@ -120,3 +121,26 @@ def test_figures_show_what_was_found():
     np.testing.assert_array_equal(gain.get_lines()[0].get_ydata(), np.abs(found.response.response[:, 0, 0]))
     lines = {line.get_label(): line.get_ydata() for line in found.plot(figure=new_figure(1.0))[0].get_lines()}
     np.testing.assert_allclose(lines["noise"], 1e3 * np.sqrt(found.noise[:, 0]))
+
+
+def test_results_read_as_tables():
+    found = best_linear(known(1, 2, 1.5), start=0.0)
+    for result in (found, found.response):
+        assert len(repr(result).splitlines()) <= LINES
+        assert result.describe().title in result.summary()
+        assert result._repr_html_().count("<tr>") == len(found.response.frequency) + 1
+    assert f"p = {found.p_value:.2g} if the arm is linear" in found.summary()
+    assert "2 trials" in repr(found)
+    data, response = found.to_xarray(), found.response
+    assert data["response"].dims == ("frequency", "output", "input")
+    assert data["linear"].attrs == {"units": "m^2"}
+    np.testing.assert_array_equal(data["response"], response.response)
+    np.testing.assert_array_equal(data["covariance"].sel(output="y", input="x"), response.covariance[:, 1, 0])
+    np.testing.assert_array_equal(data["distortion"], found.distortion)
+    table = response.to_frame().set_index(["frequency_hz", "output", "input"])
+    at = (response.frequency[3], "y", "x")
+    assert complex(table.loc[at, "real"], table.loc[at, "imag"]) == response.response[3, 1, 0]
+    assert table.loc[at, "radius_95"] == response.radius()[3, 1, 0]
+    levels = found.to_frame()
+    assert levels["noise_m2"].tolist() == found.noise.ravel().tolist()
+    assert levels["output"].tolist()[:2] == ["x", "y"]

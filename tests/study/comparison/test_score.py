@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.fit.thesis import fit_trials, join_estimates
+from armperturb.analysis.results import LINES
 from armperturb.analysis.trials import ConditionTrials, of_condition, trials_by_condition
 from armperturb.cli import main
 from armperturb.environment import Environment
+from armperturb.plots.style import new_figure
 from armperturb.recording import load_recording
 from armperturb.study.comparison.headlines import PULSED, headlines
 from armperturb.study.comparison.score import (
@@ -19,7 +21,6 @@ from armperturb.study.comparison.score import (
     ScoredCell,
     missing_cells,
     score,
-    score_text,
     share,
     shares,
     write_score,
@@ -76,7 +77,7 @@ def test_what_is_missing_has_a_reason(result):
     assert reasons[Cell("2.1", "PT0", "peak_displacement_max")] == "nobody's trials give it"
     assert reasons[Cell("C.8", "PT7.5", "k_s model 3")] == "nobody's trials could be fitted"
     assert reasons[Cell("C.16", "RT2.5", "k_s model 1")] == "RT2.5 was not recorded"
-    text = score_text(result)
+    text = result.summary()
     assert "2.1, RT2.5: 3 cells: RT2.5 was not recorded" in text
     of_c_16 = [one.cell for one in result.cells if (one.cell.table, one.cell.condition) == ("C.16", "RT2.5")]
     assert f"C.16, RT2.5: {len(of_c_16)} cells: RT2.5 was not recorded" in text
@@ -96,7 +97,7 @@ def test_files(result, tmp_path):
         assert float(row["z"]) == pytest.approx(one.z, nan_ok=True)
         assert row["reason"] == one.reason
     assert (path.parent / "headlines.csv").read_text().startswith("name,published,ours,unit,remark\n")
-    assert (path.parent / "score.txt").read_text() == score_text(result) + "\n"
+    assert (path.parent / "score.txt").read_text() == result.summary() + "\n"
 
 
 def test_appendix_c_is_what_the_estimator_gives(study, result):
@@ -361,7 +362,7 @@ def test_recordings_that_are_not_whole_are_told(folder, tmp_path):
 def test_command(folder, result, tmp_path, capsys):
     before = sorted(folder.rglob("*"))
     assert main(["score", str(folder), "--out", str(tmp_path / "out"), "--workers", "1"]) == 0
-    assert capsys.readouterr().out == f"{score_text(result)}\nresults: {tmp_path / 'out'}\n"
+    assert capsys.readouterr().out == f"{result.summary()}\nresults: {tmp_path / 'out'}\n"
     assert (tmp_path / "out" / "score.csv").is_file()
     assert sorted(folder.rglob("*")) == before
 
@@ -374,3 +375,15 @@ def test_command_refuses(tmp_path, capsys, arguments, message):
     assert main(["score", str(tmp_path), *arguments]) == 1
     assert message in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_a_score_reads_as_a_table_and_plots(result):
+    assert len(repr(result).splitlines()) <= LINES
+    assert repr(result).splitlines()[3].startswith("total ")
+    assert "<table>" in result._repr_html_()
+    frame = result.to_frame()
+    assert ",".join(frame.columns) == HEADER
+    ax = result.plot(figure=new_figure(1.0))
+    drawn = sum(len(line.get_xdata()) for line in ax.get_lines() if line.get_marker() in ("o", "<", ">"))
+    assert drawn == np.isfinite(frame["z"]).sum()
+    assert [label.get_text() for label in ax.get_yticklabels()] == frame["table"].drop_duplicates().tolist()

@@ -16,6 +16,7 @@ from armperturb.analysis.fit.likelihood import TAPER
 from armperturb.analysis.fit.maximum_likelihood import Group, estimate
 from armperturb.analysis.fit.structures import STRUCTURES, at_truth
 from armperturb.analysis.force_balance import EDGE, NoiseLevels
+from armperturb.analysis.results import LINES
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
@@ -24,6 +25,7 @@ from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import CLUSTERS, Multisine, Sampled, line_spectrum, load_perturbation, save_perturbation
 from armperturb.perturbations.line_spectrum import draw_multisine
 from armperturb.perturbations.multisine import PERIOD, PERIOD_SAMPLES
+from armperturb.plots.style import new_figure
 from armperturb.study.planning.information import Experiment, Limits, Noise, effective_duration, optimise
 from armperturb.study.planning.plan import (
     DesignSettings,
@@ -34,7 +36,6 @@ from armperturb.study.planning.plan import (
     noise_levels,
     proposed_signal,
 )
-from armperturb.study.planning.report import design_text
 from armperturb.study.validation.validate import ValidateSettings
 from armperturb.subject import POSITION, RELAX
 
@@ -227,14 +228,14 @@ def test_the_plan_banks_on_no_quieter_person(plan):
     assert banking.factor < plan.factors["follows"] <= plan.factors["held"] < banking.factors["held"]
     assert plan.factor == plan.factors["held"]
     assert banking.factor == banking.factors["follows"]
-    assert "beware" not in design_text(plan)
+    assert "Remarks" not in plan.summary()
     # The thesis's multisine in the place of the optimised one is worse than that.
-    worse = design_text(replace(plan, thesis=plan.optimised, optimised=plan.thesis))
-    assert "beware: the optimised multisine is worse than the thesis's if the noise follows" in worse
+    worse = replace(plan, thesis=plan.optimised, optimised=plan.thesis).summary()
+    assert "- the optimised multisine is worse than the thesis's if the noise follows" in worse
 
 
 def test_realisations_keep_the_limits_and_the_spectrum(plan):
-    for row in plan.signal_rows():
+    for row in plan.signal_frame().to_dict("records"):
         expected = plan.optimised.displacement["xy".index(row["axis"])]
         assert row["rms_force_N"] <= LIMITS["force"] * (1 + 1e-9)
         assert row["rms_displacement_m"] <= LIMITS["displacement"] * (1 + 1e-9)
@@ -261,7 +262,7 @@ def test_displacements_are_those_of_the_simulated_arm(plan):
 
 def test_a_limit_of_the_peak_binds_both_signals(plan):
     weak = design(replace(REFLEX, peak=5.0, trials=1))
-    assert max(row["peak_force_N"] for row in weak.signal_rows()) == pytest.approx(5.0)
+    assert weak.signal_frame()["peak_force_N"].max() == pytest.approx(5.0)
     for name in ("thesis", "optimised"):
         assert (getattr(weak, name).power.sum(axis=0) < getattr(plan, name).power.sum(axis=0)).all()
 
@@ -443,3 +444,18 @@ def test_the_command_writes_what_simulate_plays(tmp_path, capsys):
     assert sorted(path.name for path in (out / "perturbations").iterdir()) == ["trial_01.csv", "trial_02.csv"]
     played = load_perturbation(out / "perturbations" / "trial_01.csv")
     assert np.sqrt(np.mean(played.force[:PERIOD_SAMPLES] ** 2, axis=0)).max() <= 5.4 * (1 + 1e-9)
+
+
+def test_a_plan_reads_as_a_table_and_plots(plan):
+    assert len(repr(plan).splitlines()) <= LINES
+    frame = plan.to_frame()
+    lines = {line.split()[0].rstrip("*"): line for line in plan.summary().splitlines() if line}
+    for row in frame.to_dict("records"):
+        assert f"{100.0 * row['sem_optimised'] / abs(row['value']):.3g} %" in lines[row["parameter"]]
+    assert "<table>" in plan._repr_html_()
+    axes = plan.plot(figure=new_figure(1.0))
+    assert axes.shape == (2, 2)
+    spectrum = axes[1, 0].get_lines()[1]
+    shown = plan.optimised.power[:, 0] > 1e-5 * plan.optimised.power[:, 0].max()
+    np.testing.assert_allclose(spectrum.get_ydata(), np.sqrt(plan.optimised.power[shown, 0]))
+    assert len(plan.spectrum_frame()) == len(plan.thesis.frequency) + len(plan.optimised.frequency)

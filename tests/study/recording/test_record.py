@@ -5,7 +5,6 @@ import io
 import logging
 import os
 import resource
-import runpy
 import shutil
 import signal
 import subprocess
@@ -13,7 +12,6 @@ import sys
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import psutil
@@ -22,8 +20,9 @@ import pytest
 from armperturb.cli import main
 from armperturb.recording import load_recording
 from armperturb.study.recording import record as runner
-from armperturb.study.recording.record import StudySettings, record_study
-from armperturb.study.results.study_result import run_study
+from armperturb.study.recording.record import record_study
+from armperturb.study.recording.settings import StudySettings
+from armperturb.study.results.analyse import run_study
 
 PROTOCOL = """
 forces = "published"
@@ -363,7 +362,7 @@ def test_progress_shows_trials_speed_and_time_left(settings, tmp_path, monkeypat
 
 
 def test_by_default_the_last_round_is_full_if_it_can_be(monkeypatch):
-    monkeypatch.setattr(runner.joblib, "cpu_count", lambda: 4)
+    monkeypatch.setattr(runner, "cpu_count", lambda: 4)
     assert [runner.worker_count(None, n) for n in (1, 3, 4, 9, 10, 12, 1000)] == [1, 3, 4, 4, 5, 4, 4]
     assert runner.worker_count(8, 3) == 3
 
@@ -405,11 +404,3 @@ def test_a_short_multisine_is_left_out_with_its_reason(settings, copied):
 
 def test_digest_file_is_that_of_the_files(undisturbed):
     assert_checksums_fit(undisturbed)
-
-
-def test_the_example_of_a_thousand_subjects_runs_with_three(protocol, tmp_path):
-    example = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "thousand_subjects.py"))
-    options = ["--subjects", "3", "--workers", "1", "--protocol", str(protocol)]
-    files = example["main"]([str(tmp_path), *options])
-    assert [path.name for path in files] == ["S01.nc", "S02.nc", "S03.nc"]
-    assert all(path.is_file() for path in files)

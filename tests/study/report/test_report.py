@@ -12,22 +12,23 @@ import pytest
 from markupsafe import escape
 
 from armperturb.plots.style import COLOURS, TRUE, save_svg, shades
+from armperturb.study.comparison.effects import effects
 from armperturb.study.protocol import THESIS, Condition, Protocol
-from armperturb.study.recording.record import StudySettings
-from armperturb.study.report import report
+from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.figures import fit as fit_figures
 from armperturb.study.report.figures import parameters as parameter_figures
 from armperturb.study.report.figures import perturbation as perturbation_figures
 from armperturb.study.report.figures import rig as rig_figures
+from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.formats import MISSING, chance, digits, mean_sd, signed, symbol, words
-from armperturb.study.report.report import write_report
 from armperturb.study.report.sections import left_out, remarks
 from armperturb.study.report.tables import fit_rows
-from tests.conftest import coarse_study
+from tests.conftest import coarse_study, sketch
 
 HEADERS = {
     "summary": "condition,subjects,identified,trials,trials_used,model,median_abs_error_percent",
-    "parameters": "condition,subject,parameter,unit,true,estimated,standard_error,lower_95,upper_95,error_percent,"
+    "parameters": "subject,parameter,value,standard_error,lower_95,upper_95,unit,at_bound,condition",
+    "estimates": "condition,subject,parameter,unit,true,estimated,standard_error,lower_95,upper_95,error_percent,"
     "at_bound,thesis_estimated,thesis_sem,thesis_error_percent",
     "parameters_summary": "condition,parameter,unit,published_mean,published_sd,true_mean,true_sd,estimated_mean",
     "correlations": "condition,subject,parameter,other,correlation",
@@ -109,6 +110,10 @@ def written(out):
 @pytest.fixture(scope="module")
 def page(written):
     return Page(written.read_text(encoding="utf-8"))
+
+
+def possible_figures(study):
+    return set(drawings(study, effects(study), None)) - {"rig", "stills"}
 
 
 def shown_figures(page):
@@ -377,7 +382,7 @@ def test_leaves_no_open_figures(written):
         assert sys.modules["matplotlib.pyplot"].get_fignums() == []
 
 
-def test_reports_what_went_badly(study, tmp_path, sketched):
+def test_reports_what_went_badly(study, tmp_path):
     position = study.of("PT7.5")[0]
     fit = replace(
         position.identified.fit,
@@ -404,9 +409,9 @@ def test_reports_what_went_badly(study, tmp_path, sketched):
     assert [
         line.split(":")[0] for line in lists["Fits of greatest likelihood that are unstable on the manipulator"]
     ] == ["S01 in PT7.5"]
-    text = write_report(badly, tmp_path).read_text(encoding="utf-8")
+    text = sketch(badly, tmp_path)
     # One task and one amplitude are left.
-    assert shown_figures(Page(text)) == {
+    assert possible_figures(badly) == {
         *("pulse_directions", "perturbation", "admittance_by_task", "gain_linear_scale", "coherence"),
         *(f"{name}_PT" for name in ("admittance", "fit", "prediction", "parameters")),
         *("pulse_signal", "joint_rotations", "trajectories_PT"),  # of the recording alone
@@ -446,31 +451,31 @@ def yielding(tmp_path_factory):
     return coarse_study(StudySettings(subjects=1, protocol=out / "p.toml"), out / "s")
 
 
-def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path, sketched):
-    sketched |= {"admittance_PT", "fit_PT"}
+def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path):
     assert all(case.identification is not None and case.truth.muscle is not None for case in yielding.cases)
-    written = write_report(yielding, tmp_path)
-    text = re.sub(r'"data:[^"]*"', "", written.read_text(encoding="utf-8"))
+    page = sketch(yielding, tmp_path, figures=("admittance_PT", "fit_PT"))
+    text = re.sub(r'"data:[^"]*"', "", page)
     assert not re.search(
         r"\b(nan|truth|true|error of a parameter)\b", re.sub(r"<(style|script)>.*?</\1>", "", text, flags=re.S), re.I
     )
     assert "of arms that are linear around each\ncondition's movement" in text
     assert "figure-parameters_PT" not in text
-    names = shown_figures(Page(text))
+    assert shown_figures(Page(text)) == {"admittance_PT", "fit_PT"}
+    names = possible_figures(yielding)
     assert {"admittance_PT", "fit_PT", "prediction_PT", "admittance_by_amplitude_PT"} <= names
     assert not {name for name in names if "RT" in name} - {"joint_parameters_RT"}
     assert "parameters_PT" not in names
     for name in ("admittance_PT", "fit_PT"):
         assert TRUE["color"].lower() not in (tmp_path / "figures" / f"{name}.svg").read_text(encoding="utf-8")
 
-    tables = Page(written.read_text(encoding="utf-8")).tables
+    tables = Page(page).tables
     for name, n_columns in (("summary", 8), ("parameters_summary", 6)):
         assert {len(row) for row in tables[name][-2:]} == {n_columns}
     for shown, row in zip(tables["parameters_summary"][2:], rows(tmp_path, "parameters_summary"), strict=True):
         assert number(shown[4]) == pytest.approx(float(row["estimated_mean"]), rel=0.006, abs=1e-6)
         assert number(shown[5]) == pytest.approx(float(row["thesis_mean"]), rel=0.006, abs=1e-6)
-    of_parameters = rows(tmp_path, "parameters")
-    assert list(of_parameters[0]) == HEADERS["parameters"].split(",")
+    of_parameters = rows(tmp_path, "estimates")
+    assert list(of_parameters[0]) == HEADERS["estimates"].split(",")
     for row in of_parameters:
         for name in ("true", "error_percent", "thesis_error_percent"):
             assert math.isnan(float(row[name]))
@@ -478,45 +483,49 @@ def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path, sket
     assert all(math.isnan(float(row["coverage_95_percent"])) for row in rows(tmp_path, "summary"))
 
 
-def test_tells_how_far_people_change_after_practice(study, tmp_path, sketched):
+def test_tells_how_far_people_change_after_practice(study, tmp_path):
     steady, changing = (
         replace(THESIS, conditions=tuple(replace(c, reached=reached, reached_spread=0.0) for c in THESIS.conditions))
         for reached in (1.0, 1.25)
     )
     for protocol, told in ((steady, False), (changing, True)):
-        text = write_report(replace(study, protocol=protocol, cases=()), tmp_path).read_text(encoding="utf-8")
+        text = sketch(replace(study, protocol=protocol, cases=()), tmp_path)
         assert "until the displacement is as intended" in text
         assert ("as people change before the experiment" in text) == told
         assert ("1.2 in PT2.5" in text) == told
     assert not re.search(r"\d in PT0,", text)
 
 
-def test_reports_a_study_without_anybody_and_without_a_rig(study, tmp_path, sketched):
+def test_reports_a_study_without_anybody_and_without_a_rig(study, tmp_path, monkeypatch):
+    def without_pictures(*args, **options):
+        raise RuntimeError("render: no OpenGL context; install <libegl1>")
+
+    monkeypatch.setattr(rig_figures, "render", without_pictures)
     nobody = replace(study, cases=tuple(replace(case, identification=None) for case in study.cases), people=())
-    text = write_report(nobody, tmp_path).read_text(encoding="utf-8")
+    text = sketch(nobody, tmp_path, figures=("rig", "stills"))
     assert "Nobody was identified: the reasons are below" in text
     assert "render: no OpenGL context; install &lt;libegl1&gt;" in text
     assert "<libegl1>" not in text
-    assert shown_figures(Page(text)) == {"pulse_signal", "joint_rotations", "trajectories_PT"}
+    assert possible_figures(nobody) == {"pulse_signal", "joint_rotations", "trajectories_PT"}
 
 
-def test_reports_a_protocol_of_pulses_alone(study, tmp_path, sketched):
+def test_reports_a_protocol_of_pulses_alone(study, tmp_path):
     pulses = Protocol(conditions=(Condition(name="only <pulses>/1", task="RT", pulse_levels=(1,)),))
-    text = write_report(replace(study, protocol=pulses, cases=()), tmp_path).read_text(encoding="utf-8")
+    text = sketch(replace(study, protocol=pulses, cases=()), tmp_path)
     assert "as no condition\nhas a multisine" in text
     assert [row[:3] for row in Page(text).tables["conditions"][2:]] == [["only <pulses>/1", "4", "1"]]
 
 
-def test_reports_conditions_of_any_name_and_pulses_or_none(study, tmp_path, sketched, monkeypatch):
-    sketched |= {"perturbation", "prediction_PT"}
+def test_reports_conditions_of_any_name_and_pulses_or_none(study, tmp_path, monkeypatch):
     odd = replace(study.protocol.condition("PT2.5"), name="a/b <odd> one")
     cases = tuple(replace(case, condition=odd) for case in study.of("PT2.5"))
     # The recordings say PT2.5; what is drawn from them is the trial without a pulse.
     recording = study.of("PT2.5")[0].trials()
     monkeypatch.setattr(type(cases[0]), "trials", lambda _: recording)
     renamed = replace(study, protocol=replace(study.protocol, conditions=(odd,)), cases=cases, people=())
-    text = write_report(renamed, tmp_path).read_text(encoding="utf-8")
-    assert shown_figures(Page(text)) == {
+    text = sketch(renamed, tmp_path, figures=("perturbation", "prediction_PT"))
+    assert shown_figures(Page(text)) == {"perturbation", "prediction_PT"}
+    assert possible_figures(renamed) == {
         *("perturbation", "pulse_directions", "admittance_by_task", "gain_linear_scale", "coherence"),
         *(f"{name}_PT" for name in ("admittance", "fit", "prediction", "parameters", "trajectories")),
     }
@@ -533,10 +542,13 @@ def test_amplitudes_are_shades_of_the_tasks_colour():
         assert brightness == sorted(brightness, reverse=True)
 
 
-def test_a_failure_leaves_no_report(study, tmp_path, sketched, monkeypatch):
-    monkeypatch.setattr(report, "_page", lambda *_: 1 / 0)
+def test_a_failure_leaves_no_report(study, tmp_path):
+    class Unprintable:
+        def __html__(self):
+            raise ZeroDivisionError
+
     with pytest.raises(ZeroDivisionError):
-        write_report(study, tmp_path)
+        sketch(replace(study, missing=(Unprintable(),)), tmp_path)
     assert not (tmp_path / "report.html").exists()
 
 

@@ -1,6 +1,7 @@
 """Nonlinear fits in a study: kept, told in tables and the report, and judged by pulses that they have not seen."""
 
 import csv
+import gzip
 import math
 import re
 from dataclasses import replace
@@ -8,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from markupsafe import escape
 
 from armperturb import cli
 from armperturb.analysis.measures.pulse import predicted_peaks, pulse_peaks
@@ -18,7 +20,7 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse, Pulse
-from armperturb.recording import save_recording, stack_trials
+from armperturb.recording import load_recording, save_recording, stack_trials
 from armperturb.study.comparison.effects import Effects
 from armperturb.study.protocol import THESIS
 from armperturb.study.report import sections
@@ -31,12 +33,13 @@ from armperturb.study.report.nonlinear_tables import (
     nonlinear_summary_rows,
     true_parameters,
 )
-from armperturb.study.report.report import write_report
-from armperturb.study.results import study_result as results
+from armperturb.study.results import analyse, cache
+from armperturb.study.results.analyse import analyse_study
 from armperturb.study.results.appendix_fits import Fits, SecondStep
 from armperturb.study.results.nonlinear_fits import LeftOutPulse, NonlinearFit, fit_nonlinear
-from armperturb.study.results.study_result import analyse_study
+from armperturb.study.results.person import PersonResults
 from armperturb.subject import RELAX
+from tests.conftest import sketch
 from tests.invented import SPRINGS, fitted, people_of, study_of
 
 PATH = np.outer(np.linspace(0.0, 1.0, 6), [0.03, 0.04])
@@ -212,7 +215,7 @@ def test_what_cannot_be_fitted_is_told(yielding, monkeypatch):
     monkeypatch.setattr(nonlinear_estimate, "fit", fit)
     found = fit_nonlinear(yielding, "RT", [case_of(True, True)], (20.0,))
     assert found == NonlinearFit("relax", "RT", (20.0,), failed="initial: the arm is unstable")
-    assert found.told == "RT, pulses at 20\u00b0 fitted too"
+    assert found.label == "RT, pulses at 20\u00b0 fitted too"
     assert found.others_deg == ()
 
 
@@ -316,11 +319,14 @@ def folder(yielding, tmp_path, monkeypatch):
     for name in ("S01", "S02"):
         named = yielding.assign_coords(subject=("trial", [name] * yielding.sizes["trial"]))
         save_recording(named, tmp_path / "recordings" / f"{name}.nc")
-    of = {person.name: person for person in people_of(("S01", "S02"))}
-    monkeypatch.setattr(results, "identify_person", lambda *_: ())
-    monkeypatch.setattr(results, "measure_person", lambda recording, *_: of[str(recording["subject"].values[0])])
-    monkeypatch.setattr(results, "fit_person", lambda _: Fits("", {}, {}, ()))
-    monkeypatch.setattr(results, "fit_second_step", lambda *_: SecondStep({}, ()))
+    measures = {person.name: person for person in people_of(("S01", "S02"))}
+
+    def analyse_person(recording, *_):
+        name = str(recording["subject"].values[0])
+        return PersonResults(cases=(), measures=measures[name], fits=Fits(name, {}, {}, ()), missing=())
+
+    monkeypatch.setattr(analyse, "analyse_person", analyse_person)
+    monkeypatch.setattr(analyse, "fit_second_step", lambda *_: SecondStep({}, ()))
     return tmp_path
 
 
@@ -338,12 +344,8 @@ def asked(monkeypatch):
             return NonlinearFit(name, task, fitted_deg, failed="the arm is <unstable>")
         return invented_fit(name, task, fitted_deg)
 
-    monkeypatch.setattr(results, "fit_nonlinear", fit)
+    monkeypatch.setattr(analyse, "fit_nonlinear", fit)
     return calls
-
-
-def written(study, folder):
-    return write_report(study, folder, show_progress=False).read_text(encoding="utf-8")
 
 
 def section(page):
@@ -351,8 +353,8 @@ def section(page):
     return found
 
 
-def test_fits_are_kept_and_shown_later_without_being_asked_for(folder, asked, sketched, tmp_path):
-    page = written(analyse_study(folder, workers=1, show_progress=False), tmp_path / "before")
+def test_fits_are_kept_and_shown_later_without_being_asked_for(folder, asked, tmp_path):
+    page = sketch(analyse_study(folder, workers=1, show_progress=False), tmp_path / "before", ("peak_displacement",))
     assert asked == []
     assert "armperturb report DIR --nonlinear RT PT" in page
     assert 'id="nonlinear"' not in page
@@ -363,10 +365,10 @@ def test_fits_are_kept_and_shown_later_without_being_asked_for(folder, asked, sk
     ]
     again = analyse_study(folder, workers=1, show_progress=False)
     assert len(asked) == 6
-    assert [one.told for one in again.nonlinear] == [one.told for one in study.nonlinear]
+    assert [one.label for one in again.nonlinear] == [one.label for one in study.nonlinear]
     told = "S02 was not identified nonlinearly in RT, pulses at 200\u00b0 fitted too: the arm is <unstable>"
     assert again.remarks[-1] == told
-    page = written(again, tmp_path / "after")
+    page = sketch(again, tmp_path / "after", figures=("nonlinear_parameters_RT", "nonlinear_prediction"))
     assert "S02 (RT, pulses at 200\u00b0 fitted too): the arm is &lt;unstable&gt;." in section(page)
     assert "recovery_time is poorly determined" in section(page)
     with (tmp_path / "after" / "tables" / "nonlinear_fits.csv").open(encoding="utf-8", newline="") as file:
@@ -382,13 +384,13 @@ def test_fits_are_kept_and_shown_later_without_being_asked_for(folder, asked, sk
     assert len(rows) == 17
     assert all(math.isnan(row["true"]) and math.isnan(row["ratio"]) for row in rows)
     known = replace(again, cohort=(draw_person(0, 0), draw_person(0, 1)))
-    page = written(known, tmp_path / "known")
+    page = sketch(known, tmp_path / "known", figures=("nonlinear_parameters_RT",))
     assert "median error" in section(page)
     assert "figure-nonlinear_parameters_RT" in page
 
 
 def test_a_search_that_was_interrupted_goes_on(folder, asked, monkeypatch):
-    fit, found = results.fit_nonlinear, []
+    fit, found = analyse.fit_nonlinear, []
 
     def interrupted(recording, task, cases, fitted_deg, start, checkpoint):
         found.append((checkpoint.name, checkpoint.exists()))
@@ -397,7 +399,7 @@ def test_a_search_that_was_interrupted_goes_on(folder, asked, monkeypatch):
             raise KeyboardInterrupt
         return invented_fit("S01", task, fitted_deg)
 
-    monkeypatch.setattr(results, "fit_nonlinear", interrupted)
+    monkeypatch.setattr(analyse, "fit_nonlinear", interrupted)
     with pytest.raises(KeyboardInterrupt):
         analyse_study(folder, workers=1, nonlinear=["RT"], show_progress=False)
     analyse_study(folder, workers=1, nonlinear=["RT"], show_progress=False)
@@ -409,6 +411,87 @@ def test_a_search_that_was_interrupted_goes_on(folder, asked, monkeypatch):
     assert not list(folder.rglob("*.npz"))
 
 
+def analysed(folder, nonlinear=()):
+    return analyse_study(folder, workers=1, nonlinear=nonlinear, show_progress=False)
+
+
+def unused(folder, name, reason):
+    return (
+        f"the nonlinear fit analysis/{name}.json.gz is not used: {reason}; "
+        f"to make it anew: armperturb report {folder} --nonlinear RT"
+    )
+
+
+@pytest.fixture
+def fitted_folder(folder, asked):
+    """A folder in which everybody is identified nonlinearly in RT."""
+    analysed(folder, ["RT"])
+    asked.clear()
+    return folder
+
+
+FOLLOWS = "it follows from a fit that is not used"
+
+
+def test_fits_outlive_changes_of_the_code_and_of_libraries(fitted_folder, asked, monkeypatch):
+    monkeypatch.setattr(analyse, "current_versions", lambda: {"armperturb": "99", "scipy": "99"})
+    again = analysed(fitted_folder)
+    assert asked == []
+    assert len(again.nonlinear) == 6
+    assert not [line for line in again.missing if "nonlinear" in line]
+
+
+def test_fits_of_an_earlier_version_are_named_and_made_anew_only_if_asked_for(fitted_folder, asked, monkeypatch):
+    path = fitted_folder / "analysis" / "S01-nonlinear-RT.json.gz"
+    before = path.read_bytes()
+    monkeypatch.setitem(cache.VERSIONS, "nonlinear", cache.VERSIONS["nonlinear"] + 1)
+    found = analysed(fitted_folder)
+    assert (found.nonlinear, asked) == ((), [])
+    then, now = cache.VERSIONS["nonlinear"] - 1, cache.VERSIONS["nonlinear"]
+    for name in ("S01-nonlinear-RT", "S02-nonlinear-RT"):
+        reason = f"it was made by version {then} of the algorithm, which is now at {now}"
+        assert unused(fitted_folder, name, reason) in found.missing
+        assert unused(fitted_folder, f"{name}-20", FOLLOWS) in found.missing
+    assert len([line for line in found.missing if "nonlinear" in line]) == 6
+    assert escape(unused(fitted_folder, "S01-nonlinear-RT-200", FOLLOWS)) in sketch(found, fitted_folder)
+    assert path.read_bytes() == before
+    assert analysed(fitted_folder, ["PT"]).missing[-6:] == found.missing[-6:]
+    asked.clear()
+    again = analysed(fitted_folder, ["RT"])
+    assert len(asked) == len([fit for fit in again.nonlinear if fit.task == "RT"]) == 6
+    assert not [line for line in again.missing if "nonlinear" in line]
+
+
+@pytest.mark.parametrize("content", [b"no archive", gzip.compress(b'{"key": "as written long ago", "value": 1}')])
+def test_a_fit_that_cannot_be_read_is_named(fitted_folder, asked, content):
+    (fitted_folder / "analysis" / "S02-nonlinear-RT-20.json.gz").write_bytes(content)
+    found = analysed(fitted_folder)
+    assert len(found.nonlinear) == 5
+    [line] = [line for line in found.missing if "nonlinear" in line]
+    assert line.startswith("the nonlinear fit analysis/S02-nonlinear-RT-20.json.gz is not used: it cannot be read (")
+    assert line.endswith(f"to make it anew: armperturb report {fitted_folder} --nonlinear RT")
+    assert (fitted_folder / "analysis" / "S02-nonlinear-RT-20.json.gz").read_bytes() == content
+    analysed(fitted_folder, ["RT"])
+    assert [(name, pulses) for name, _, pulses, _ in asked] == [("S02", (20.0,))]
+
+
+def test_fits_to_a_recording_that_has_changed_or_gone_are_named(fitted_folder, asked):
+    path = fitted_folder / "recordings" / "S01.nc"
+    save_recording(load_recording(path).isel(trial=[0, 1]), path)
+    found = analysed(fitted_folder)
+    assert {fit.name for fit in found.nonlinear} == {"S02"}
+    lines = [line for line in found.missing if "nonlinear" in line]
+    assert lines == [
+        unused(fitted_folder, "S01-nonlinear-RT-20", FOLLOWS),
+        unused(fitted_folder, "S01-nonlinear-RT-200", FOLLOWS),
+        unused(fitted_folder, "S01-nonlinear-RT", "the recording has changed since (S01.nc)"),
+    ]
+    path.unlink()
+    lines = [line for line in analysed(fitted_folder).missing if "nonlinear" in line]
+    assert unused(fitted_folder, "S01-nonlinear-RT", "S01 has no whole recording") in lines
+    assert len(lines) == 3
+
+
 def test_tasks_that_nobody_was_fitted_in_are_named():
     assert sections._nonlinear(invented(invented_fit()))["unasked"] == ["PT"]
     assert sections._nonlinear(invented(invented_fit(), invented_fit(task="PT")))["unasked"] == []
@@ -416,7 +499,7 @@ def test_tasks_that_nobody_was_fitted_in_are_named():
 
 def test_the_command_asks_for_tasks(monkeypatch, tmp_path):
     given = {}
-    monkeypatch.setattr(results, "analyse_study", lambda folder, **options: given.update(options))
+    monkeypatch.setattr(analyse, "analyse_study", lambda folder, **options: given.update(options))
     monkeypatch.setattr("armperturb.study.report.report.write_report", lambda *_, **__: tmp_path)
     cli.main(["report", str(tmp_path), "--nonlinear", "RT", "PT"])
     assert given["nonlinear"] == ("RT", "PT")

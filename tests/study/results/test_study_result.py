@@ -7,6 +7,7 @@ import math
 import os
 import shutil
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,19 +15,20 @@ import pytest
 
 from armperturb import archive
 from armperturb.cli import main
-from armperturb.envs.lab.experiment import run_experiment
 from armperturb.recording import load_recording, save_recording
 from armperturb.study.comparison.score import score, share
 from armperturb.study.protocol import THESIS
-from armperturb.study.recording import record as runner
-from armperturb.study.recording.record import StudySettings, record_study
-from armperturb.study.report.report import write_report
-from armperturb.study.results import appendix_fits as fits
-from armperturb.study.results import study_result as results
+from armperturb.study.recording.record import record_study
+from armperturb.study.recording.settings import StudySettings
+from armperturb.study.report import report
+from armperturb.study.results import analyse, person
+from armperturb.study.results.analyse import analyse_study
+from armperturb.study.results.appendix_fits import Fits, SecondStep
+from armperturb.study.results.person import PersonResults, missing_trials
 from armperturb.study.results.quantities import Cell
-from armperturb.study.results.study_result import analyse_study
+from tests.conftest import FEW_FITS, sketch
 
-COMPUTING = ("identify_person", "measure_person", "fit_person", "fit_second_step")
+COMPUTING = ("analyse_person", "fit_second_step")
 
 
 def differences(a, b, where="result", rel=0.0):
@@ -69,13 +71,6 @@ def copied(folder, tmp_path):
 
 
 @pytest.fixture
-def quick(monkeypatch):
-    """What takes long is left out: all but one structure of appendix C, and the skeletal model."""
-    monkeypatch.setattr(fits, "STRUCTURES_C", ("1",))
-    monkeypatch.setattr(fits, "STARTS_OF", "none")
-
-
-@pytest.fixture
 def asked(monkeypatch):
     """What is computed, as (function, person); the rest was kept."""
     calls = []
@@ -88,16 +83,12 @@ def asked(monkeypatch):
         return call
 
     for name in COMPUTING:
-        monkeypatch.setattr(results, name, watched(name, getattr(results, name)))
+        monkeypatch.setattr(analyse, name, watched(name, getattr(analyse, name)))
     return calls
 
 
-def refuse(*_):
-    raise ValueError("asked to identify")
-
-
-def analysed(root):
-    return analyse_study(root, workers=1, show_progress=False)
+def analysed(root, settings=FEW_FITS):
+    return analyse_study(root, workers=1, settings=settings, show_progress=False)
 
 
 def replaced(path, recording):
@@ -119,13 +110,8 @@ def cells_of(study):
     return {one.cell: one for one in score(study).cells}
 
 
-def told(study, tmp_path):
-    """The text of the report."""
-    return write_report(study, tmp_path / "report").read_text(encoding="utf-8")
-
-
 def test_what_is_kept_is_what_was_computed(thesis_study, asked):
-    again = analysed(thesis_study.cases[0].recording.parents[1])
+    again = analysed(thesis_study.cases[0].recording.parents[1], replace(FEW_FITS, starts_of="PT7.5"))
     assert asked == []
     assert differences(again, thesis_study) == []
     assert (len(again.people), len(again.cases)) == (3, 3 * 6)
@@ -133,7 +119,7 @@ def test_what_is_kept_is_what_was_computed(thesis_study, asked):
     assert len(again.appendices.starts) > 6
 
 
-def test_other_recordings_and_other_code_are_analysed_anew(copied, asked, quick, monkeypatch):
+def test_other_recordings_and_settings_are_analysed_anew(copied, asked):
     path = copied / "recordings" / "S02.nc"
     recording = load_recording(path)
     gone = recording["condition"].values == "RT22.5"
@@ -151,15 +137,11 @@ def test_other_recordings_and_other_code_are_analysed_anew(copied, asked, quick,
     asked.clear()
     analysed(copied)
     assert asked == []
-    monkeypatch.setattr(results, "identify_person", refuse)
-    for name, value in (("code_digest", "other"), ("current_versions", {"scipy": "0.1"})):
-        with monkeypatch.context() as patch:
-            patch.setattr(results, name, lambda value=value: value)
-            with pytest.raises(ValueError, match=r"S01\.nc: asked to identify"):
-                analysed(copied)
+    analysed(copied, replace(FEW_FITS, structures=()))
+    assert len(asked) == 2 * len(COMPUTING)
 
 
-def test_people_without_a_whole_recording_are_told(study, copied, quick, sketched, tmp_path):
+def test_people_without_a_whole_recording_are_told(study, copied, tmp_path):
     path = copied / "recordings" / "S02.nc"
     content = path.read_bytes()
     path.unlink()
@@ -177,11 +159,11 @@ def test_people_without_a_whole_recording_are_told(study, copied, quick, sketche
         result = score(found)
         assert result.people == 1
         assert incomplete in result.remarks
-    text = told(found, tmp_path)
+    text = sketch(found, tmp_path / "report")
     assert 0 < text.index("S02.nc does not match its checksum") < text.index(incomplete) < text.index("<section")
 
 
-def test_nobody_in_a_condition_is_not_reproduced(study, copied, quick, sketched, tmp_path):
+def test_nobody_in_a_condition_is_not_reproduced(study, copied, tmp_path):
     (copied / "recordings" / "S02.nc").unlink()
     path = copied / "recordings" / "S01.nc"
     recording = load_recording(path)
@@ -194,13 +176,13 @@ def test_nobody_in_a_condition_is_not_reproduced(study, copied, quick, sketched,
     whole, partial = (share(score(one).cells) for one in (study, found))
     assert partial.published == whole.published
     assert partial.computed < whole.computed
-    text = told(found, tmp_path)
+    text = sketch(found, tmp_path / "report")
     assert "<li>S01 has 0 of 1 trials in RT22.5</li>" in text
     assert "1 of 2 people have no whole recording (S02)</li>" in text
     assert "RT22.5 was not recorded" in text
 
 
-def test_manifests_of_other_versions_are_told(study, copied, asked, sketched, tmp_path):
+def test_manifests_of_other_versions_are_told(study, copied, asked, tmp_path):
     versions = json.loads((copied / "manifest.json").read_text())["versions"]
     changed_manifest(copied, versions={**versions, "mujoco": "1.2.3"})
     found = analysed(copied)
@@ -208,7 +190,7 @@ def test_manifests_of_other_versions_are_told(study, copied, asked, sketched, tm
     assert found.missing == (line,)
     assert differences(found.people, study.people) == []
     assert found.has_truth
-    assert line in told(found, tmp_path)
+    assert line in sketch(found, tmp_path / "report")
 
     changed_manifest(copied, people="others")
     found = analysed(copied)
@@ -219,7 +201,7 @@ def test_manifests_of_other_versions_are_told(study, copied, asked, sketched, tm
     assert differences(score(found).cells, score(study).cells) == []
 
 
-def test_without_a_manifest_the_protocol_is_the_thesiss(study, copied, asked, quick, sketched, tmp_path):
+def test_without_a_manifest_the_protocol_is_the_thesiss(study, copied, asked, tmp_path):
     for path in ("manifest.json", "recordings/S02.nc", "recordings/SHA256SUMS"):
         (copied / path).unlink()
     found = analysed(copied)
@@ -233,7 +215,7 @@ def test_without_a_manifest_the_protocol_is_the_thesiss(study, copied, asked, qu
     assert mine.identified.fit.values == known.identified.fit.values
     assert mine.truth is None
     assert cells_of(found)[Cell("2.1", "PT7.5", "rms_force")].ours.mean == pytest.approx(mine.force)
-    assert of_pt22[0] in told(found, tmp_path)
+    assert of_pt22[0] in sketch(found, tmp_path / "report")
 
     for content, message in (("{", "not readable as JSON"), ("[]", "holds a list"), ("{}", "no 'subjects'")):
         (copied / "manifest.json").write_text(content)
@@ -244,10 +226,10 @@ def test_without_a_manifest_the_protocol_is_the_thesiss(study, copied, asked, qu
     assert len(asked) == len(COMPUTING)
 
 
-def test_conditions_that_the_protocol_lacks_are_told(copied):
+def test_conditions_that_the_protocol_lacks_are_told(study, copied):
     recording = load_recording(copied / "recordings" / "S01.nc")
     labels = ["elsewhere" if name == "RT22.5" else name for name in recording["condition"].values]
-    lines = results._missing(recording.assign_coords(condition=("trial", labels)), analysed(copied).protocol)
+    lines = missing_trials(recording.assign_coords(condition=("trial", labels)), study.protocol)
     assert lines == ["S01 has 0 of 1 trials in RT22.5", "S01 was recorded in elsewhere, which the protocol lacks"]
 
 
@@ -259,11 +241,13 @@ def test_folders_that_cannot_be_written_to_are_analysed(study, copied, monkeypat
     shutil.rmtree(copied / "analysis")
     monkeypatch.setattr(archive, "written_whole", read_only)
     of = {person.name: person for person in study.people}
-    nothing = fits.Fits("", {}, {}, ())
-    monkeypatch.setattr(results, "identify_person", lambda recording, *_: ())
-    monkeypatch.setattr(results, "measure_person", lambda recording, *_: of[str(recording["subject"].values[0])])
-    monkeypatch.setattr(results, "fit_person", lambda recording: nothing)
-    monkeypatch.setattr(results, "fit_second_step", lambda *_: fits.SecondStep({}, ()))
+
+    def analyse_person(recording, *_):
+        name = str(recording["subject"].values[0])
+        return PersonResults(cases=(), measures=of[name], fits=Fits(name, {}, {}, ()), missing=())
+
+    monkeypatch.setattr(analyse, "analyse_person", analyse_person)
+    monkeypatch.setattr(analyse, "fit_second_step", lambda *_: SecondStep({}, ()))
     found = analysed(copied)
     assert differences(found.people, study.people) == []
     assert "S01.json.gz cannot be written (Read-only file system): it will be computed again next time" in caplog.text
@@ -275,7 +259,7 @@ def test_a_recording_of_two_people_is_named(copied, monkeypatch):
     recording = load_recording(path)
     names = ["S01"] * (recording.sizes["trial"] - 1) + ["S09"]
     replaced(path, recording.assign_coords(subject=("trial", names)))
-    monkeypatch.setattr(results, "identify_person", lambda *_: ())  # takes seconds
+    monkeypatch.setattr(person, "identify_person", lambda *_: ())  # takes seconds
     with pytest.raises(ValueError, match=r"S01\.nc: recordings of S01, S09; expected those of one person"):
         analysed(copied)
 
@@ -294,27 +278,28 @@ published_force = 1.8
 """
 
 
-def test_worker_processes_change_nothing_but_roundings(tmp_path, monkeypatch):
+def test_worker_processes_change_nothing_but_roundings(tmp_path):
     (tmp_path / "p.toml").write_text(LONG_ENOUGH)
-    settings = StudySettings(subjects=2, protocol=tmp_path / "p.toml", muscles="linear")
     # A step at which this takes seconds; nothing here depends on it.
-    monkeypatch.setattr(runner, "run_experiment", partial(run_experiment, timestep=5e-3))
+    settings = StudySettings(subjects=2, protocol=tmp_path / "p.toml", muscles="linear", timestep=5e-3)
     record_study(settings, tmp_path / "s", show_progress=False)
     here = analysed(tmp_path / "s")
     shutil.rmtree(tmp_path / "s" / "analysis")  # else it would only be read again
-    there = analyse_study(tmp_path / "s", workers=2, show_progress=False)
+    there = analyse_study(tmp_path / "s", workers=2, settings=FEW_FITS, show_progress=False)
     assert [case.name for case in there.of("RT22.5")] == ["S01", "S02"]
     assert len(here.people[0].trials) == 1  # appendix C, which takes long, starts from RT7.5, which is not there
     # With another number of threads, BLAS adds in another order.
     assert differences(here, there, rel=1e-10) == []
 
 
-def test_the_command_reports_on_what_is_there(copied, asked, sketched, capsys):
+def test_the_command_reports_on_what_is_there(copied, capsys, monkeypatch):
+    whole = report.write_report
+    monkeypatch.setattr(report, "write_report", partial(whole, figures=(), simulate=False))
+    monkeypatch.setattr(analyse, "analyse_study", lambda folder, **_: analysed(folder))
     assert main(["report", str(copied), "--workers", "1"]) == 0
     assert capsys.readouterr().out == f"report: {copied / 'report.html'}\n"
     assert (copied / "report.html").is_file()
     assert (copied / "score" / "score.csv").is_file()
-    assert asked == []
 
 
 @pytest.mark.parametrize("command", ["report", "score"])

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.fit.structures import true_values
+from armperturb.analysis.results import LINES
 from armperturb.cli import main
-from armperturb.study.validation.report import summary_text, title
+from armperturb.plots.style import new_figure
+from armperturb.study.validation.report import title
 from armperturb.study.validation.validate import Judged, ValidateSettings, Validation, simulate_group, validate
 from armperturb.subject import POSITION
 
@@ -43,10 +45,10 @@ def hand_made(*groups: Judged) -> Validation:
 
 
 def test_whole_records_come_near_the_bound_and_their_intervals_hold_the_truth(right):
-    ratio = [row["rms_error_over_bound"] for row in right.rows()]
+    ratio = right.to_frame()["rms_error_over_bound"]
     assert 0.6 < np.median(ratio) < 1.4
     assert max(ratio) < 2.5
-    (summary,) = right.summary()
+    (summary,) = right.estimators_frame().to_dict("records")
     assert summary["coverage_percent"] > 80.0
     assert summary["converged_percent"] == summary["stable_percent"] == summary["global_percent"] == 100.0
 
@@ -55,12 +57,14 @@ def test_the_thesis_is_judged_beside_and_is_far_from_the_bound():
     found = validate(
         replace(RECORD, groups=1, trials=1, estimators=("thesis", "record")), workers=1, show_progress=False
     )
-    thesis, record = ([r for r in found.rows() if r["estimator"] == name] for name in ("thesis", "record"))
+    thesis, record = (
+        [r for r in found.to_frame().to_dict("records") if r["estimator"] == name] for name in ("thesis", "record")
+    )
     assert [r["parameter"] for r in thesis] == [r["parameter"] for r in record]
     assert [r["bound"] for r in thesis] == [r["bound"] for r in record]
     median = [np.median([r["rms_error_over_bound"] for r in rows]) for rows in (thesis, record)]
     assert median[0] > 3.0 * median[1]
-    assert np.isnan(found.summary()[0]["flagged_percent"])
+    assert np.isnan(found.estimators_frame()["flagged_percent"][0])
 
 
 def test_half_the_noise_halves_the_bound(right):
@@ -72,21 +76,21 @@ def test_half_the_noise_halves_the_bound(right):
 @pytest.mark.parametrize("wrong", ["delay", "force-feedback"])
 def test_a_wrong_structure_is_biased_and_flagged_and_has_the_bound_of_the_right_one(wrong, right):
     found = validate(replace(RECORD, groups=1, trials=8, wrong=wrong), workers=1, show_progress=False)
-    (summary,) = found.summary()
+    (summary,) = found.estimators_frame().to_dict("records")
     assert summary["biased_percent"] == summary["flagged_percent"] == summary["flagged_of_biased_percent"] == 100.0
     # Four times the trials have half the bound, whatever is wrong; the force feedback is part of the truth.
     assert np.median(found.bound / right.bound) == pytest.approx(0.5, rel=0.1)
 
 
 def test_the_right_structure_is_not_flagged(right):
-    (summary,) = right.summary()
+    (summary,) = right.estimators_frame().to_dict("records")
     assert summary["flagged_percent"] == summary["biased_percent"] == 0.0
 
 
 def test_the_number_of_workers_has_no_effect():
     settings = replace(RECORD, groups=2, trials=1, estimators=("frequency", "record"))
     one, two = (validate(settings, workers=count, show_progress=False) for count in (1, 2))
-    assert one.rows() == two.rows()
+    assert one.to_frame().equals(two.to_frame())
     assert one.names == two.names == settings.structure().free
 
 
@@ -100,7 +104,7 @@ def test_groups_differ_and_the_seed_sets_them(right):
 
 def test_bias_error_coverage_and_their_interval_are_those_of_the_definition():
     found = hand_made(judged([11.0, 0.0]), judged([13.0, -4.0]))
-    k, kp = found.rows()
+    k, kp = found.to_frame().to_dict("records")
     assert (k["bias"], k["rms_error"]) == (2.0, pytest.approx(np.sqrt(5.0)))
     assert k["rms_error_percent"] == pytest.approx(10.0 * np.sqrt(5.0))
     assert np.isnan(kp["rms_error_percent"])
@@ -119,17 +123,17 @@ def test_the_flagged_are_counted_among_the_biased_alone():
         judged([12.0, 0.0], blunt, suspicious=True),
         judged([12.0, 0.0], blunt, suspicious=False),
     )
-    (summary,) = found.summary()
+    (summary,) = found.estimators_frame().to_dict("records")
     assert summary["biased_percent"] == summary["flagged_percent"] == summary["flagged_of_biased_percent"] == 50.0
     assert summary["converged_percent"] == 75.0
 
 
 def test_the_text_has_a_line_for_each_parameter_and_estimator():
-    text = summary_text(hand_made(judged([11.0, 0.0]), judged([13.0, -4.0])))
+    text = hand_made(judged([11.0, 0.0]), judged([13.0, -4.0])).summary()
     k, kp = (line for line in text.splitlines() if line.startswith(("k_s", "kp_s")))
-    assert k.split() == ["k_s", "10", "Nm/rad", "10.0", "%", "|", "20.0", "22.4", "2.24", "50"]
+    assert k.split() == ["k_s", "10", "Nm/rad", "10.0", "%", "20.0", "2.24", "50"]
     # Where the truth is zero there is no percentage.
-    assert kp.split() == ["kp_s", "0", "Nm/rad", "2.00", "|", "-2.00", "2.83", "1.41", "50"]
+    assert kp.split() == ["kp_s", "0", "Nm/rad", "2.00", "-2.00", "1.41", "50"]
     assert title(hand_made(judged([11.0, 0.0]))).startswith("'position' (PT), model 3b, 1 group of 8 trials, linear")
 
 
@@ -208,3 +212,17 @@ def test_the_command_refuses_in_one_line(tmp_path, capsys):
     assert main(["validate", "--out", str(tmp_path / "new"), "--groups", "0"]) == 1
     assert capsys.readouterr().err == ("armperturb: error: validate: groups = 0; expected a finite number at least 1\n")
     assert not (tmp_path / "new").exists()
+
+
+def test_a_validation_reads_as_a_table_and_plots(tmp_path):
+    found = hand_made(judged([11.0, 0.0]), judged([13.0, -4.0]))
+    assert len(repr(found).splitlines()) <= LINES
+    assert "model 3b, 2 groups of 8 trials" in repr(found)
+    assert "flagged" in found.summary()
+    assert "<table>" in found._repr_html_()
+    frame = found.to_frame()
+    ax = found.plot(figure=new_figure(1.0))
+    ratios = next(line for line in ax.get_lines() if line.get_marker() == "D")
+    np.testing.assert_array_equal(ratios.get_xdata(), frame["rms_error_over_bound"])
+    bars = ax.collections[0].get_segments()
+    np.testing.assert_allclose([bar[1, 0] for bar in bars], frame["rms_error_over_bound_high"])

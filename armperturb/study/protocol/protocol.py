@@ -1,4 +1,4 @@
-"""What is run: conditions, pulses and trials of an experiment, as data (thesis 2.5, table 2.1)."""
+"""All trials of an experiment, as data that a file can hold (thesis 2.5, table 2.1)."""
 
 import functools
 import math
@@ -6,9 +6,8 @@ import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from importlib import resources
-from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -17,118 +16,15 @@ from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Strap
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, draw_onset
-from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
 from armperturb.seeds import random_stream, trial_seed
-from armperturb.subject import TASKS, Subject, at_level
+from armperturb.study.protocol.condition import PULSE_UNIT, Condition, PlannedTrial, numbers, require_different
 from armperturb.validation import require_number
 
 FORCES = ("practice", "published")
 """Where the forces come from: each person's practice session, or the protocol's own, the same for everyone."""
 
-PULSE_UNIT = "pulse_unit"
-"""Key of the peak force of pulse level 1 [N] in a mapping of forces, beside the conditions' names."""
-
 PULSE_WIDTH = 0.08
 """Duration of a pulse [s] (thesis 2.4)."""
-
-MOST_CO_CONTRACTION = 10.0
-"""Highest level of co-contraction [-]: anything more is a slip in a file."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Condition:
-    """A row of table 2.1: a task under a multisine, pulses, or both.
-
-    Attributes:
-      name: what it is called in recordings and tables; not empty.
-      task: "PT" (position task) or "RT" (relax task).
-      rms_displacement: intended RMS displacement under the multisine, per axis [m], 0 to 0.1; 0 for no multisine.
-      published_force: RMS force of the multisine per axis [N], >= 0, for those who do not practise.
-      pulse_levels: peak forces of the pulses, in pulse units, > 0 [-]; each is applied in every direction.
-      repetitions: of each pulse level and direction; of the multisine if there are no pulses.
-      co_contraction: level of everyone's muscles and reflexes, as a multiple of their own in this condition (see
-        `Person.levels` and `subject.at_level`) [-], above 0 to 10; 1 in RT, as relaxed people do not adapt.
-      reached: how many times as far as intended people move the handle in the experiment [-], 0.1 to 10: between the
-        practice session and the experiment, people change.
-      reached_spread: SD over people of the logarithm of that [-], 0 to 1.
-
-    Raises:
-      TypeError: a value has the wrong type.
-      ValueError: a value is not finite or out of its range, or there is neither a multisine nor a pulse.
-    """
-
-    name: str
-    task: str
-    rms_displacement: float = 0.0
-    published_force: float = 0.0
-    pulse_levels: tuple[float, ...] = ()
-    repetitions: int = 1
-    co_contraction: float = 1.0
-    reached: float = 1.0
-    reached_spread: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name.strip():
-            raise TypeError(f"name = {self.name!r}; expected a text that is not empty")
-        owner = f"condition {self.name!r}"
-        if self.name == PULSE_UNIT:
-            raise ValueError(f"{owner}: name = {self.name!r}; expected another, this one means the unit of the pulses")
-        if self.task not in TASKS:
-            raise ValueError(f"{owner}: task = {self.task!r}; expected one of {', '.join(TASKS)}")
-        require_number(owner, "rms_displacement", self.rms_displacement, at_least=0.0, at_most=LARGEST_RMS_DISPLACEMENT)
-        require_number(owner, "published_force", self.published_force, at_least=0.0)
-        require_number(owner, "repetitions", self.repetitions, at_least=1)
-        if not isinstance(self.repetitions, Integral):
-            raise TypeError(f"{owner}: repetitions = {self.repetitions!r}; expected a whole number")
-        require_number(owner, "co_contraction", self.co_contraction, above=0.0, at_most=MOST_CO_CONTRACTION)
-        require_number(owner, "reached", self.reached, at_least=0.1, at_most=10.0)
-        require_number(owner, "reached_spread", self.reached_spread, at_least=0.0, at_most=1.0)
-        if self.task == "RT" and self.co_contraction != 1.0:
-            raise ValueError(
-                f"{owner}: co_contraction = {self.co_contraction!r}; expected 1 in RT, as relaxed people do not adapt"
-            )
-        levels = _numbers(owner, "pulse_levels", self.pulse_levels)
-        for level in levels:
-            require_number(owner, "pulse_levels", level, above=0.0)
-        _require_different(owner, "pulse_levels", levels)
-        object.__setattr__(self, "pulse_levels", levels)
-        if not levels and not self.has_multisine:
-            raise ValueError(
-                f"{owner}: rms_displacement = 0 and pulse_levels = []; expected a multisine, a pulse or both"
-            )
-        if self.published_force > 0.0 and not self.has_multisine:
-            raise ValueError(
-                f"{owner}: published_force = {self.published_force!r}; expected 0, as rms_displacement = 0"
-            )
-
-    @property
-    def has_multisine(self) -> bool:
-        """Whether the handle is perturbed all the time, not by a pulse alone."""
-        return self.rms_displacement > 0.0
-
-    def subject_of(self, person: Person) -> Subject:
-        """The person in this condition's task, at its level of co-contraction.
-
-        Raises:
-          KeyError: the person lacks the task.
-        """
-        return at_level(person.subjects[self.task], self.co_contraction * person.levels.get(self.name, 1.0))
-
-
-class Cell(NamedTuple):
-    """What one trial of a protocol is made of.
-
-    Attributes:
-      condition: which row of the table.
-      repetition: from 0.
-      level: of the pulse [-]; 0 for none.
-      direction_deg: of the pulse, from the fronto-parallel axis [deg]; NaN for none.
-    """
-
-    condition: Condition
-    repetition: int
-    level: float
-    direction_deg: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,7 +65,7 @@ class Protocol:
         object.__setattr__(self, "conditions", tuple(self.conditions))
         if not self.conditions:
             raise ValueError(f"{owner}: conditions = []; expected at least one")
-        _require_different(owner, "conditions", [condition.name for condition in self.conditions])
+        require_different(owner, "conditions", [condition.name for condition in self.conditions])
         if self.forces not in FORCES:
             raise ValueError(f"{owner}: forces = {self.forces!r}; expected one of {', '.join(FORCES)}")
         if self.strap is not None and not isinstance(self.strap, Strap):
@@ -186,8 +82,8 @@ class Protocol:
                     )
 
     def _check_pulses(self, owner: str) -> None:
-        directions = _numbers(owner, "pulse_directions_deg", self.pulse_directions_deg)
-        _require_different(owner, "pulse_directions_deg", directions)
+        directions = numbers(owner, "pulse_directions_deg", self.pulse_directions_deg)
+        require_different(owner, "pulse_directions_deg", directions)
         object.__setattr__(self, "pulse_directions_deg", directions)
         if not directions and any(condition.pulse_levels for condition in self.conditions):
             raise ValueError(f"{owner}: pulse_directions_deg = []; expected at least one, as there are pulses")
@@ -200,7 +96,7 @@ class Protocol:
                     f"{owner}: multisine_duration = {self.multisine_duration!r}; expected {longest} "
                     f"(condition {condition.name!r})"
                 )
-        window = _numbers(owner, "onset_window", self.onset_window)
+        window = numbers(owner, "onset_window", self.onset_window)
         if len(window) != 2 or not 0.0 <= window[0] <= window[1]:
             raise ValueError(
                 f"{owner}: onset_window = {list(window)!r}; expected the earliest and the latest onset [s], from 0 on"
@@ -276,10 +172,10 @@ class Protocol:
                 return condition
         raise KeyError(f"no condition {name!r}; there are {', '.join(c.name for c in self.conditions)}")
 
-    def cells(self) -> tuple[Cell, ...]:
-        """What the trials of a person are made of, in the order of the table."""
+    def planned_trials(self) -> tuple[PlannedTrial, ...]:
+        """The trials of a person, in the order of the table."""
         return tuple(
-            Cell(condition, repetition, level, direction)
+            PlannedTrial(condition, repetition, level, direction)
             for condition in self.conditions
             for repetition in range(condition.repetitions)
             for level in condition.pulse_levels or (0.0,)
@@ -291,19 +187,19 @@ class Protocol:
         forces = {c.name: float(c.published_force) for c in self.conditions if c.has_multisine}
         return {**forces, PULSE_UNIT: float(self.pulse_unit)}
 
-    def draw_multisines(self, seed: int, numbers: Collection[int] | None = None) -> dict[int, Multisine]:
-        """Number of the cell to its multisine of 1 N RMS: a different realisation in each, the same for everyone.
+    def draw_multisines(self, seed: int, only: Collection[int] | None = None) -> dict[int, Multisine]:
+        """Number of each planned trial with a multisine to that multisine, of 1 N RMS, which is the same for everyone.
 
-        Lowering the peaks takes some 0.25 s per realisation; they are kept, so that later calls cost nothing.
+        Lowering the peaks takes some 0.25 s per multisine; they are cached, so that later calls cost nothing.
 
         Args:
           seed: of the study.
-          numbers: of the cells that are wanted, to share out the work; all if None.
+          only: numbers of the trials that are wanted, to share out the work; all if None.
         """
         return {
             number: _realisation(seed, number)
-            for number, cell in enumerate(self.cells())
-            if cell.condition.has_multisine and (numbers is None or number in numbers)
+            for number, planned in enumerate(self.planned_trials())
+            if planned.condition.has_multisine and (only is None or number in only)
         }
 
     def trials(
@@ -318,7 +214,7 @@ class Protocol:
     ) -> list[Trial]:
         """All trials of one person in random order.
 
-        Multisines depend on the seed and the cell; order, onsets and everything that is noise also on the person.
+        Multisines depend on the seed and the planned trial; order, onsets and all noise depend on the person as well.
 
         Args:
           person: who is perturbed.
@@ -334,40 +230,39 @@ class Protocol:
         Raises:
           KeyError: a force or a task of the person is missing.
         """
-        cells = self.cells()
+        planned = self.planned_trials()
         multisines = self.draw_multisines(seed) if multisines is None else multisines
-        order = _generator(seed, "order", number).permutation(len(cells)).tolist()
-        return [
-            Trial(
-                subject=cell.condition.subject_of(person),
-                perturbation=self._perturbation(
-                    cell,
-                    forces,
-                    multisines.get(key),
-                    draw_onset(_generator(seed, "onset", number, key), *self.onset_window),
-                ),
-                condition=cell.condition.name,
-                repetition=cell.repetition,
-                pulse_level=cell.level,
-                order=place,
-                seed=trial_seed(seed, "trial", number, key),
-                noise=HUMAN_NOISE[cell.condition.task] if noisy else None,
+        order = _generator(seed, "order", number).permutation(len(planned)).tolist()
+        trials = []
+        for place, key in enumerate(order):
+            condition, repetition, level, _ = planned[key]
+            onset = draw_onset(_generator(seed, "onset", number, key), *self.onset_window)
+            trials.append(
+                Trial(
+                    subject=condition.subject_of(person),
+                    perturbation=self._perturbation(planned[key], forces, multisines.get(key), onset),
+                    condition=condition.name,
+                    repetition=repetition,
+                    pulse_level=level,
+                    order=place,
+                    seed=trial_seed(seed, "trial", number, key),
+                    noise=HUMAN_NOISE[condition.task] if noisy else None,
+                )
             )
-            for place, (key, cell) in enumerate((key, cells[key]) for key in order)
-        ]
+        return trials
 
     def _perturbation(
-        self, cell: Cell, forces: Mapping[str, float], unit: Multisine | None, onset: float
+        self, planned: PlannedTrial, forces: Mapping[str, float], unit: Multisine | None, onset: float
     ) -> Perturbation:
-        """What is applied in a cell, from a multisine of 1 N and the onset of a pulse alone [s]."""
+        """What is applied in a trial, from a multisine of 1 N and the onset of a pulse without a multisine [s]."""
         if unit is not None:
-            onset = self.multisine_duration if cell.level else self.trial_duration
-            multisine = replace(unit, rms=forces[cell.condition.name], duration=onset)
-            if not cell.level:
+            onset = self.multisine_duration if planned.level else self.trial_duration
+            multisine = replace(unit, rms=forces[planned.condition.name], duration=onset)
+            if not planned.level:
                 return multisine
         pulse = Pulse(
-            peak=cell.level * forces[PULSE_UNIT],
-            direction_deg=cell.direction_deg,
+            peak=planned.level * forces[PULSE_UNIT],
+            direction_deg=planned.direction_deg,
             onset=onset,
             duration=self.trial_duration,
             width=PULSE_WIDTH,
@@ -396,9 +291,9 @@ def _generator(seed: int, purpose: str, *numbers: int) -> np.random.Generator:
 
 
 @functools.lru_cache(maxsize=4096)
-def _realisation(seed: int, cell: int) -> Multisine:
-    """The multisine of a cell with an RMS force of 1 N."""
-    return Multisine.draw(seed=_generator(seed, "multisine", cell), rms=1.0)
+def _realisation(seed: int, number: int) -> Multisine:
+    """The multisine of a planned trial with an RMS force of 1 N."""
+    return Multisine.draw(seed=_generator(seed, "multisine", number), rms=1.0)
 
 
 def _check_keys(cls: type, source: str, values: Mapping[str, Any]) -> None:
@@ -412,25 +307,8 @@ def _check_keys(cls: type, source: str, values: Mapping[str, Any]) -> None:
             raise ValueError(f"{source}: missing key {key!r}; expected keys are {', '.join(known)}")
 
 
-def _numbers(owner: str, field: str, values: object) -> tuple[float, ...]:
-    """The values as finite floats; a bare number is no list."""
-    if not isinstance(values, list | tuple) or not all(
-        isinstance(value, Real) and not isinstance(value, bool) for value in values
-    ):
-        raise TypeError(f"{owner}: {field} = {values!r}; expected a list of numbers")
-    for value in values:
-        require_number(owner, field, value)
-    return tuple(float(value) for value in values)
-
-
-def _require_different(owner: str, field: str, values: Sequence[object]) -> None:
-    for value in values:
-        if values.count(value) > 1:
-            raise ValueError(f"{owner}: {field} holds {value!r} twice; expected each once")
-
-
 def _thesis() -> Protocol:
-    with resources.as_file(resources.files("armperturb.study").joinpath("thesis.toml")) as path:
+    with resources.as_file(resources.files("armperturb.study.protocol").joinpath("thesis.toml")) as path:
         return load_protocol(path)
 
 

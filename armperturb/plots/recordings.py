@@ -1,0 +1,81 @@
+"""Figure of a recording: what was measured over time."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from armperturb.plots.style import GREY, colours_for, figure_for, in_style
+from armperturb.recording import SIGNALS, check_recording
+
+SHOWN = {
+    "perturbation": ("perturbation", 1.0, "N"),
+    "force": ("hand force", 1.0, "N"),
+    "displacement": ("displacement", 1e3, "mm"),
+    "joint_angle": ("joint angle", np.degrees(1.0), "deg"),
+}
+"""Signal to its name in the figure, and the factor to the unit in which it is drawn."""
+
+ROW = 1.35
+"""Height of a signal's panels [inch]."""
+
+
+@in_style()
+def plot_recording(
+    recording: xr.Dataset, *, trial: int | Sequence[int] | None = None, figure: Figure | None = None
+) -> Any:
+    """Perturbation, force and displacement over time, and joint angles if there are any; conditions by colour.
+
+    Args:
+      recording: the trials.
+      trial: number of the trial to draw, or several; None draws all over each other.
+      figure: where to draw; its height is set. None makes a new one of pyplot.
+
+    Returns:
+      Axes, (signal, 2): along x and y, and of joint angles shoulder and elbow. A dotted line is the onset of a pulse.
+
+    Raises:
+      ValueError: the recording is refused, or has no such trial.
+    """
+    check_recording(recording)
+    n = recording.sizes["trial"]
+    chosen = list(range(n)) if trial is None else [int(k) for k in np.atleast_1d(trial)]
+    for k in chosen:
+        if not -n <= k < n:
+            raise ValueError(f"plot: trial = {k}; expected 0 to {n - 1}")
+    shown = recording.isel(trial=chosen)
+    names = [name for name in SHOWN if name in shown.data_vars]
+    conditions = list(dict.fromkeys(shown["condition"].values.tolist()))
+    colours = dict(zip(conditions, colours_for(len(conditions)), strict=True))
+    alpha = max(0.25, 1.0 / np.sqrt(len(chosen)))
+    figure = figure_for(figure, 0.7 + ROW * len(names))
+    axes = figure.subplots(len(names), 2, squeeze=False, sharex=True)
+    for row, name in zip(axes, names, strict=True):
+        label, factor, unit = SHOWN[name]
+        components = shown[SIGNALS[name][0][-1]].values
+        for column, (ax, component) in enumerate(zip(row, components, strict=True)):
+            for values, condition in zip(shown[name].values, shown["condition"].values.tolist(), strict=True):
+                time, look = shown["time"].values, {"linewidth": 0.8, "alpha": alpha}
+                ax.plot(time, factor * values[:, column], color=colours[condition], **look)
+            for onset in np.unique(shown["pulse_onset"].values[np.isfinite(shown["pulse_onset"].values)]):
+                ax.axvline(onset, color=GREY, linewidth=0.8, linestyle=":", zorder=0.5)
+            ax.set_title(f"{label}, {component}", loc="left")
+        if name != "joint_angle":
+            row[1].sharey(row[0])
+            row[0].autoscale()
+        row[0].set_ylabel(f"[{unit}]")
+    for ax in axes[-1]:
+        ax.set_xlabel("time [s]")
+    who = ", ".join(dict.fromkeys(shown["subject"].values.tolist()))
+    which = f"trial {chosen[0]}" if len(chosen) == 1 else f"{len(chosen)} trials"
+    figure.suptitle(f"{who}, {which}" + (f", {conditions[0]}" if len(conditions) == 1 else ""), fontsize=9)
+    if len(conditions) > 1:
+        figure.legend(
+            handles=[Line2D([], [], color=colours[condition], label=condition) for condition in conditions],
+            loc="outside lower center",
+            ncols=min(len(conditions), 6),
+        )
+    return axes

@@ -1,0 +1,415 @@
+"""Analyses the recordings in a study folder; results that were kept there by an earlier call are used again."""
+
+import os
+import shlex
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Generic, NamedTuple, Self, TypeVar
+
+from tqdm import tqdm
+
+from armperturb.analysis.trials import trials_by_condition
+from armperturb.cohort import Person
+from armperturb.environment import Environment
+from armperturb.recording import load_recording
+from armperturb.study.protocol import THESIS, Protocol
+from armperturb.study.recording.folder import RECORDINGS, digest, find_recordings
+from armperturb.study.recording.manifest import Manifest, current_versions, read_manifest
+from armperturb.study.recording.record import record_study, worker_count
+from armperturb.study.recording.settings import BLOCK, StudySettings
+from armperturb.study.results.appendix_fits import Appendices, Key, SecondStep, fit_second_step, joined, means_of
+from armperturb.study.results.cache import ANALYSIS, CachedResult, StaleResult
+from armperturb.study.results.cases import Case
+from armperturb.study.results.nonlinear_fits import NonlinearFit, fit_nonlinear
+from armperturb.study.results.person import PersonResults, analyse_person
+from armperturb.study.results.settings import AnalysisSettings
+from armperturb.study.results.study_result import StudyResult
+from armperturb.subject import TASKS
+from armperturb.validation import require_number
+from armperturb.workers import Workers, completed, workers_for
+
+Result = TypeVar("Result")
+
+
+def run_study(
+    settings: StudySettings,
+    out: Path,
+    *,
+    workers: int | None = 1,
+    dask: str | None = None,
+    block: int = BLOCK,
+    nonlinear: Collection[str] = (),
+    analysis: AnalysisSettings | None = None,
+    show_progress: bool = True,
+) -> StudyResult:
+    """Record a study as `record_study` does, and analyse it.
+
+    Args:
+      settings: what determines the study.
+      out: the study folder, see `armperturb.study.recording.folder`.
+      workers: number of processes, also for the analysis; None for about one per core.
+      dask: address of a Dask scheduler whose workers simulate.
+      block: number of trials that a worker simulates side by side.
+      nonlinear: tasks ("RT", "PT") in which everybody is identified nonlinearly, see `analyse_study`.
+      analysis: which fits are made; all of the thesis's if None.
+      show_progress: whether to draw progress bars on the terminal.
+
+    Raises:
+      Exception: as `record_study`.
+    """
+    record_study(settings, out, workers=workers, dask=dask, block=block, show_progress=show_progress)
+    return analyse_study(out, workers=workers, nonlinear=nonlinear, settings=analysis, show_progress=show_progress)
+
+
+def analyse_study(
+    root: Path,
+    *,
+    workers: int | None = None,
+    nonlinear: Collection[str] = (),
+    settings: AnalysisSettings | None = None,
+    show_progress: bool = True,
+) -> StudyResult:
+    """Analyse the recordings in a study folder; results of an earlier call are used again, see `results.cache`.
+
+    A folder that is incomplete, or was made by another version, is analysed as far as it goes. Without a manifest, the
+    protocol is taken to be the thesis's, and nothing is known of the people.
+
+    Args:
+      root: the folder.
+      workers: number of processes; None for about one per core. No effect on the result but for rounding.
+      nonlinear: tasks ("RT", "PT") in which everybody is identified nonlinearly, which takes minutes per person. In
+        the other tasks, fits of earlier calls are used as long as they are valid; those that are not are named in
+        `StudyResult.missing`, and their files stay as they are.
+      settings: which fits are made; all of the thesis's if None.
+      show_progress: whether to draw progress bars on the terminal.
+
+    Raises:
+      TypeError: workers is no number.
+      ValueError: workers is below 1, no recording is whole, or one is refused or not of one person.
+      RuntimeError: workers die again and again.
+      OSError: the folder holds no recording, or a file cannot be read.
+    """
+    if workers is not None:
+        require_number("analysis", "workers", workers, at_least=1)
+    study, missing = _Study.find(root, settings or AnalysisSettings())
+    with workers_for(worker_count(workers, len(study.paths)), None) as pool:
+        with tqdm(total=2 * len(study.paths), desc="analyse", unit="step", disable=_hidden(show_progress)) as bar:
+            people = study.people(pool, bar)
+            appendices, second = study.appendices(people, pool, bar)
+        fits, stale = _nonlinear(study.nonlinear_units(people), nonlinear, pool, show_progress)
+    missing += [line for person in people.values() for line in person.missing]
+    missing += study.unused_fits(fits, stale)
+    remarks = [line for person in people.values() for line in (*person.measures.left_out, *person.fits.left_out)]
+    remarks += [line for step in second for line in step.left_out]
+    remarks += [
+        f"{fit.name} was not identified nonlinearly in {fit.label}: {fit.failed}" for fit in fits.values() if fit.failed
+    ]
+    return StudyResult(
+        made=study.made,
+        protocol=study.protocol,
+        environment=study.environment,
+        cohort=study.cohort,
+        cases=tuple(study.with_truth(case) for person in people.values() for case in person.cases),
+        recordings={person.measures.name: path for path, person in people.items()},
+        people=tuple(person.measures for person in people.values()),
+        appendices=appendices,
+        nonlinear=tuple(fits.values()),
+        missing=tuple(missing),
+        remarks=tuple(remarks),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Unit(Generic[Result]):
+    """A result to be computed by a worker, and where it is kept."""
+
+    cached: CachedResult[Result]
+    compute: Callable[..., Result]
+    arguments: tuple[Any, ...]
+
+    def run(self) -> Result:
+        return self.compute(*self.arguments)
+
+
+class _NonlinearUnit(NamedTuple):
+    """A recording to be identified nonlinearly in a task."""
+
+    cached: CachedResult[NonlinearFit]
+    recording: Path
+    task: str
+    cases: tuple[Case, ...]
+    fitted_deg: tuple[float, ...] = ()
+    start: Mapping[str, float] | None = None
+
+    @property
+    def checkpoint(self) -> Path:
+        """Where a search is kept that is under way."""
+        path = self.cached.path
+        return path.with_name(path.name.removesuffix(".json.gz") + ".npz")
+
+    def with_pulses(self, first: NonlinearFit) -> list[Self]:
+        """The same with pulses of all directions but one, starting from the fit without pulses."""
+        units = []
+        for others in first.others_deg:
+            name = "-".join([self.recording.stem, "nonlinear", self.task, *(f"{deg:g}" for deg in others)])
+            cached = replace(
+                self.cached,
+                path=self.cached.path.with_name(f"{name}.json.gz"),
+                settings={**self.cached.settings, "fitted_deg": list(others)},
+            )
+            units.append(self._replace(cached=cached, fitted_deg=others, start=first.start))
+        return units
+
+    def run(self) -> NonlinearFit:
+        recording = load_recording(self.recording, ["joint_angle"])
+        # As results, a search is not kept in a folder that cannot be written to.
+        checkpoint = self.checkpoint if os.access(self.checkpoint.parent, os.W_OK) else None
+        return fit_nonlinear(recording, self.task, self.cases, self.fitted_deg, self.start, checkpoint)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Study:
+    """A study folder: its recordings, and how they were made.
+
+    Attributes:
+      root: the folder.
+      settings: which fits are made.
+      paths: whole recordings, in the order of their names, to their checksums.
+      made: how they were made; None if nobody says.
+      protocol: what everyone went through.
+      environment: what the hands held.
+      cohort: the people who were simulated; empty if nobody knows.
+    """
+
+    root: Path
+    settings: AnalysisSettings
+    paths: Mapping[Path, str]
+    made: Manifest | None
+    protocol: Protocol
+    environment: Environment
+    cohort: tuple[Person, ...]
+
+    @classmethod
+    def find(cls, root: Path, settings: AnalysisSettings) -> tuple[Self, list[str]]:
+        """The study in a folder, and what the folder lacks or has otherwise, one line each."""
+        paths, missing = find_recordings(root)
+        made = _manifest(root, missing)
+        environment = Environment()
+        cohort = _cohort(made, environment, missing)
+        if made and len(paths) < made.subjects:
+            absent = sorted({person.name for person in cohort} - {path.stem for path in paths})
+            named = f" ({', '.join(absent)})" if absent else ""
+            lacking = made.subjects - len(paths)
+            missing.append(
+                f"the study is incomplete: {lacking} of {made.subjects} people have no whole recording{named}"
+            )
+        study = cls(
+            root=root,
+            settings=settings,
+            paths={path: digest(path) for path in paths},
+            made=made,
+            protocol=made.protocol if made else THESIS,
+            environment=environment,
+            cohort=cohort,
+        )
+        return study, missing
+
+    def people(self, pool: Workers | None, bar: tqdm) -> dict[Path, PersonResults]:
+        """Each recording to what it tells, people in the order of their names.
+
+        Raises:
+          ValueError: a recording is refused, or two are of one person, who would count twice.
+        """
+        units = [
+            _Unit(
+                cached=self._cached(path, "person", PersonResults, protocol=self.protocol.to_dict()),
+                compute=_analyse,
+                arguments=(path, self.protocol, self.settings),
+            )
+            for path in self.paths
+        ]
+        results = zip(self.paths, _each(units, pool, bar), strict=True)
+        people = dict(sorted(results, key=lambda item: item[1].measures.name))
+        names = [person.measures.name for person in people.values()]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"{names.count(name)} recordings are of subject {name!r}; expected one per person")
+        return people
+
+    def appendices(
+        self, people: Mapping[Path, PersonResults], pool: Workers | None, bar: tqdm
+    ) -> tuple[Appendices, list[SecondStep]]:
+        """Everybody's fits of appendices C to E; step 2 of appendix C starts from everybody's step 1."""
+        first, starts = (
+            joined(getattr(person.fits, name) for person in people.values()) for name in ("first", "starts")
+        )
+        means = means_of(first)
+        units = []
+        for path in self.paths:
+            own = self._cached(path, "step-2", SecondStep)
+            everybody = replace(own, recordings={path.name: sha256 for path, sha256 in self.paths.items()})
+            units.append(_Unit(cached=everybody, compute=_second_step, arguments=(path, means)))
+        second = _each(units, pool, bar)
+        return Appendices(first=first, second=joined(step.estimates for step in second), starts=starts), second
+
+    def nonlinear_units(self, people: Mapping[Path, PersonResults]) -> list[_NonlinearUnit]:
+        """Every person in either task, without pulses."""
+        units = []
+        for task in TASKS[::-1]:
+            for path, person in people.items():
+                identified = [case for case in person.cases if case.condition.task == task and case.identification]
+                cached = CachedResult(
+                    path=self._file(path, f"-nonlinear-{task}"),
+                    kind="nonlinear",
+                    result=NonlinearFit,
+                    recordings={path.name: self.paths[path]},
+                    settings={
+                        "task": task,
+                        "fitted_deg": [],
+                        "starts_from": {case.condition.name: case.model for case in identified},
+                    },
+                )
+                units.append(_NonlinearUnit(cached, path, task, person.cases))
+        return units
+
+    def unused_fits(self, fits: Mapping[Path, NonlinearFit], stale: Mapping[Path, str]) -> list[str]:
+        """One line for each nonlinear fit in the folder that is not used, with how to make it anew."""
+        lines = []
+        for path in sorted({*(self.root / ANALYSIS).glob("*-nonlinear-*.json.gz")} - fits.keys()):
+            name, _, rest = path.name.removesuffix(".json.gz").partition("-nonlinear-")
+            reason = stale.get(path, "it follows from a fit that is not used")
+            if name not in {recording.stem for recording in self.paths}:
+                reason = f"{name} has no whole recording"
+            command = f"armperturb report {shlex.quote(str(self.root))} --nonlinear {rest.partition('-')[0]}"
+            lines.append(f"the nonlinear fit {ANALYSIS}/{path.name} is not used: {reason}; to make it anew: {command}")
+        return lines
+
+    def with_truth(self, case: Case) -> Case:
+        """A case with the path of its recording and, where it is known, the subject who was simulated."""
+        truth = next((case.condition.subject_of(person) for person in self.cohort if person.name == case.name), None)
+        return replace(case, recording=self.root / case.recording, truth=truth)
+
+    def _cached(self, path: Path, kind: str, result: type[Result], **settings: Any) -> CachedResult[Result]:
+        return CachedResult(
+            path=self._file(path, "" if kind == "person" else f"-{kind}"),
+            kind=kind,
+            result=result,
+            recordings={path.name: self.paths[path]},
+            settings={**asdict(self.settings), **settings},
+        )
+
+    def _file(self, recording: Path, suffix: str) -> Path:
+        return self.root / ANALYSIS / f"{recording.stem}{suffix}.json.gz"
+
+
+def _manifest(root: Path, missing: list[str]) -> Manifest | None:
+    try:
+        made = read_manifest(root)
+    except ValueError as error:
+        missing.append(f"how the recordings were made is not known, so the thesis's protocol is assumed: {error}")
+        return None
+    if made is not None:
+        now = current_versions()
+        others = [
+            f"{name} {made.versions.get(name, '?')}, now {version}"
+            for name, version in now.items()
+            if made.versions.get(name) != version
+        ]
+        if others:
+            missing.append(f"the recordings were made with other versions: {'; '.join(others)}")
+    return made
+
+
+def _cohort(made: Manifest | None, environment: Environment, missing: list[str]) -> tuple[Person, ...]:
+    """The people who were simulated, where that is known."""
+    people = made.draw_people(environment) if made else ()
+    if people is None:
+        missing.append("this version draws other people than those who were recorded: their truth is unknown")
+    return people or ()
+
+
+def _analyse(path: Path, protocol: Protocol, settings: AnalysisSettings) -> PersonResults:
+    recording = load_recording(path, ["joint_angle"])
+    try:
+        return analyse_person(recording, Path(RECORDINGS, path.name), protocol, settings)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _second_step(path: Path, means: Mapping[Key, Mapping[str, float]]) -> SecondStep:
+    return fit_second_step(trials_by_condition(load_recording(path, []), is_checked=True), means)
+
+
+def _nonlinear(
+    units: Sequence[_NonlinearUnit], tasks: Collection[str], pool: Workers | None, show_progress: bool
+) -> tuple[dict[Path, NonlinearFit], dict[Path, str]]:
+    """Fits without pulses, then those with some.
+
+    Args:
+      units: those without pulses.
+      tasks: in which fits that are missing or stale are made; of the others, only kept ones that are valid are used.
+      pool: who computes.
+      show_progress: whether to draw a progress bar.
+
+    Returns:
+      File to fit, and file to why it is stale.
+    """
+    fits, stale = dict[Path, NonlinearFit](), dict[Path, str]()
+
+    def add(units: Sequence[_NonlinearUnit]) -> None:
+        kept = dict[Path, NonlinearFit]()
+        for unit in units:
+            try:
+                fit = unit.cached.read()
+            except StaleResult as error:
+                stale[unit.cached.path], fit = str(error), None
+            if fit is not None:
+                kept[unit.cached.path] = fit
+        new = [unit for unit in units if unit.cached.path not in kept and unit.task in tasks]
+        if new:
+            with tqdm(total=len(new), desc="nonlinear", unit="fit", disable=_hidden(show_progress)) as bar:
+                for number, fit in _computed(new, pool, bar):
+                    new[number].checkpoint.unlink(missing_ok=True)
+                    kept[new[number].cached.path] = fit
+        fits.update({unit.cached.path: kept[unit.cached.path] for unit in units if unit.cached.path in kept})
+
+    add(units)
+    add([more for unit in units if unit.cached.path in fits for more in unit.with_pulses(fits[unit.cached.path])])
+    return fits, stale
+
+
+def _each(units: Sequence[_Unit[Result]], pool: Workers | None, bar: tqdm) -> list[Result]:
+    """The result of each unit, in their order: as it was kept, or computed now."""
+    results: dict[int, Result] = {}
+    for number, unit in enumerate(units):
+        try:
+            value = unit.cached.read()
+        except StaleResult:
+            continue
+        if value is not None:
+            results[number] = value
+            bar.update()
+    missing = [number for number in range(len(units)) if number not in results]
+    for place, result in _computed([units[number] for number in missing], pool, bar):
+        results[missing[place]] = result
+    return [results[number] for number in range(len(units))]
+
+
+def _computed(units: Sequence[Any], pool: Workers | None, bar: tqdm) -> Iterator[tuple[int, Any]]:
+    """Number and result of each unit, as they are finished and kept."""
+    work = list(enumerate(units))
+    for number, result in map(_run, work) if pool is None else completed(_run, work, pool, bar.refresh):
+        units[number].cached.write(result)
+        bar.update()
+        yield number, result
+
+
+def _run(work: tuple[int, Any]) -> tuple[int, Any]:
+    number, unit = work
+    return number, unit.run()
+
+
+def _hidden(show_progress: bool) -> bool | None:
+    """What tqdm calls `disable`: None draws a bar if there is a terminal."""
+    return None if show_progress else True

@@ -1,0 +1,123 @@
+"""Results that are kept in the study folder, each with the recordings, settings and algorithm that it was made from.
+
+| file | |
+|---|---|
+| `analysis/NAME.json.gz` | what a person's recording tells |
+| `analysis/NAME-step-2.json.gz` | step 2 of appendix C, which depends on everybody's recordings |
+| `analysis/NAME-nonlinear-TASK.json.gz` | a nonlinear fit, if one was asked for; `-20`: also to pulses at 20° |
+| `analysis/NAME-nonlinear-TASK.npz` | a nonlinear fit under way, from which an interrupted search continues |
+| `analysis/mechanisms.json.gz`, `analysis/moving-shoulder.json.gz` | further simulations of the first person |
+
+A result is used again as long as its source agrees: the checksums of the recordings, the settings, and the version of
+the algorithm. Other changes of the code have no effect on it.
+"""
+
+import json
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from armperturb.archive import read_archive, write_archive
+from armperturb.study.recording.folder import differences
+
+LOG = logging.getLogger(__name__)
+
+Result = TypeVar("Result")
+
+ANALYSIS = "analysis"
+"""Folder of the files, inside the study folder."""
+
+VERSIONS = {"person": 1, "step-2": 1, "nonlinear": 1, "mechanisms": 1, "moving-shoulder": 1}
+"""Kind of result to the version of its algorithm.
+
+Raise a number in the commit that makes earlier results of that kind wrong or unreadable: when their values change by
+more than rounding, when a field changes its meaning, or when a class that they hold gains, loses or renames a field or
+moves to another module. "step-2" follows from "person": raise both. Do not raise a number for faster code, texts or
+figures: everybody's results would be computed anew, which takes minutes per person for "nonlinear".
+"""
+
+
+class StaleResult(Exception):
+    """A kept result that must not be used; the message says why."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CachedResult(Generic[Result]):
+    """A result in the study folder, which may be there or not.
+
+    Attributes:
+      path: of the file.
+      kind: key of `VERSIONS`.
+      result: class of the value.
+      recordings: name of each recording that it depends on to its checksum.
+      settings: everything else that it depends on, as JSON has it.
+    """
+
+    path: Path
+    kind: str
+    result: type[Result]
+    recordings: Mapping[str, str] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def source(self) -> dict[str, Any]:
+        """What the result is made from, as JSON has it."""
+        source = {
+            "kind": self.kind,
+            "version": VERSIONS[self.kind],
+            "recordings": dict(self.recordings),
+            "settings": dict(self.settings),
+        }
+        return json.loads(json.dumps(source))
+
+    def read(self) -> Result | None:
+        """The value; None if the file is not there.
+
+        Raises:
+          StaleResult: it was made from something else, or cannot be read.
+        """
+        try:
+            archive = read_archive(self.path)
+        except FileNotFoundError:
+            return None
+        except ValueError as error:
+            raise StaleResult(f"it cannot be read ({str(error).removeprefix(f'{self.path}: ')})") from None
+        if archive.source != self.source:
+            raise StaleResult(self._difference(archive.source))
+        if not isinstance(archive.value, self.result):
+            raise StaleResult(f"it holds a {type(archive.value).__name__}, not a {self.result.__name__}")
+        return archive.value
+
+    def write(self, value: Result) -> None:
+        """Keep a value; a folder that cannot be written to is only warned of."""
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            write_archive(self.path, self.source, value)
+        except OSError as error:
+            reason = error.strerror or error
+            LOG.warning("%s cannot be written (%s): it will be computed again next time", self.path, reason)
+
+    def get(self, compute: Callable[[], Result]) -> Result:
+        """The value that was kept; if there is none that may be used, it is computed and kept."""
+        try:
+            value = self.read()
+        except StaleResult:
+            value = None
+        if value is None:
+            value = compute()
+            self.write(value)
+        return value
+
+    def _difference(self, source: Any) -> str:
+        now = self.source
+        if not isinstance(source, dict) or source.keys() != now.keys() or source["kind"] != now["kind"]:
+            return "it does not say what it was made from"
+        if source["version"] != now["version"]:
+            return f"it was made by version {source['version']} of the algorithm, which is now at {now['version']}"
+        if source["recordings"] != now["recordings"]:
+            then = source["recordings"] if isinstance(source["recordings"], dict) else {}
+            names = [name for name in now["recordings"] if then.get(name) != now["recordings"][name]]
+            return f"the recording has changed since ({', '.join(names or then)})"
+        return f"it was made with other settings: {'; '.join(differences(source['settings'], now['settings']))}"

@@ -1,0 +1,79 @@
+"""Results that are kept: what they depend on, and why one is not used."""
+
+import pytest
+
+from armperturb.archive import write_archive
+from armperturb.study.published.tables import MeanSD
+from armperturb.study.results.cache import VERSIONS, CachedResult, StaleResult
+
+
+def cached(path, **changes):
+    settings = {"fitted_deg": (20.0,), "models": {"RT7.5": "1"}}
+    options = {"kind": "person", "recordings": {"S01.nc": "12ab"}, "settings": settings, **changes}
+    return CachedResult(path=path / "folder" / "a.json.gz", result=MeanSD, **options)
+
+
+def test_a_result_depends_on_recordings_settings_and_version_alone(tmp_path):
+    assert cached(tmp_path).source == {
+        "kind": "person",
+        "version": VERSIONS["person"],
+        "recordings": {"S01.nc": "12ab"},
+        "settings": {"fitted_deg": [20.0], "models": {"RT7.5": "1"}},
+    }
+    assert cached(tmp_path).read() is None
+    cached(tmp_path).write(MeanSD(1.0, 2.0))
+    assert cached(tmp_path).read() == (1.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"recordings": {"S01.nc": "34cd"}}, r"the recording has changed since \(S01.nc\)"),
+        ({"recordings": {"S01.nc": "12ab", "S02.nc": "56ef"}}, r"the recording has changed since \(S02.nc\)"),
+        ({"recordings": {}}, r"the recording has changed since \(S01.nc\)"),
+        (
+            {"settings": {"fitted_deg": (200.0,), "models": {"RT7.5": "1"}}},
+            r"it was made with other settings: fitted_deg\[0\] is 20.0 there and 200.0 now",
+        ),
+        (
+            {"settings": {"fitted_deg": (20.0,), "models": {}}},
+            r'it was made with other settings: models.RT7.5 is "1" there and missing now',
+        ),
+        ({"kind": "nonlinear"}, "it does not say what it was made from"),
+    ],
+)
+def test_a_stale_result_says_what_has_changed(tmp_path, changes, reason):
+    cached(tmp_path).write(MeanSD(1.0, 2.0))
+    with pytest.raises(StaleResult, match=f"^{reason}$"):
+        cached(tmp_path, **changes).read()
+    assert cached(tmp_path, **changes).get(lambda: MeanSD(3.0, 4.0)) == (3.0, 4.0)
+    assert cached(tmp_path, **changes).read() == (3.0, 4.0)
+
+
+def test_a_raised_version_makes_results_stale(tmp_path, monkeypatch):
+    cached(tmp_path).write(MeanSD(1.0, 2.0))
+    monkeypatch.setitem(VERSIONS, "nonlinear", 99)
+    assert cached(tmp_path).read() == (1.0, 2.0)
+    monkeypatch.setitem(VERSIONS, "person", 99)
+    with pytest.raises(StaleResult, match=r"^it was made by version 1 of the algorithm, which is now at 99$"):
+        cached(tmp_path).read()
+
+
+def test_what_is_no_such_result_is_stale(tmp_path):
+    (tmp_path / "folder").mkdir()
+    for source, reason in (
+        (None, "it does not say what it was made from"),
+        (cached(tmp_path).source, "it holds a float"),
+    ):
+        write_archive(cached(tmp_path).path, source, 1.0)
+        with pytest.raises(StaleResult, match=reason):
+            cached(tmp_path).read()
+    cached(tmp_path).path.write_bytes(b"no archive")
+    with pytest.raises(StaleResult, match=r"^it cannot be read \(BadGzipFile: "):
+        cached(tmp_path).read()
+
+
+def test_a_folder_that_cannot_be_written_to_is_warned_of(tmp_path, caplog):
+    (tmp_path / "folder").write_text("")
+    assert cached(tmp_path).get(lambda: MeanSD(1.0, 2.0)) == (1.0, 2.0)
+    assert "cannot be written" in caplog.text
