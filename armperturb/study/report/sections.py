@@ -148,11 +148,11 @@ def sections(
         found.append(Section(title="Videos, as stills", template="stills"))
     if yielding is not None:
         context = {"person": yielding.person, "rows": yielding.rows(), "pulses": PULSES, "unstable": yielding.unstable}
-        found.append(Section(title="Why people yield", template="yielding", context=context))
+        found.append(Section(title="Mechanisms of the muscle law", template="yielding", context=context))
     if score is not None:
         found.append(
             Section(
-                title="Beside the thesis",
+                title="Comparison with the thesis",
                 template="published",
                 context={"tables": published_tables(score), "score": score, "missing": missing_cells(score)},
             )
