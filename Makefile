@@ -2,19 +2,33 @@
 PYTHON ?= python3
 OUT ?= results
 BIN := .venv/bin
+LATEST := .venv-latest/bin
+PYTEST := -m pytest -n auto --dist worksteal
+export OMP_NUM_THREADS ?= 1
 
-.PHONY: run quick test check docs bench clean
+.PHONY: run quick test test-core test-latest check docs bench clean
 .DELETE_ON_ERROR:
 
 run: .venv/installed
 	$(BIN)/armperturb study --out $(OUT)
 
-test: .venv/installed-test
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
-
 # The tests that are not marked slow.
 quick: .venv/installed-test
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
+	$(BIN)/python $(PYTEST) -m "not slow"
+
+test: .venv/installed-test
+	$(BIN)/python $(PYTEST)
+
+# The core alone, as `pip install armperturb` gives it: no simulator, no compiler.
+test-core: .venv-core/installed
+	mkdir -p .venv-core/results
+	.venv-core/bin/python tests/core.py .venv-core/results
+
+# The newest MuJoCo, which dm_control does not allow: its recordings and environments are those of the usual one.
+test-latest: .venv/installed-test .venv-latest/installed
+	$(BIN)/python tests/digests.py > .venv-latest/digests.json
+	ARMPERTURB_DIGESTS=.venv-latest/digests.json $(LATEST)/python $(PYTEST) tests/envs/test_digests.py tests/models \
+	  tests/controllers tests/planar_arm tests/envs/lab tests/envs/learning
 
 check: .venv/installed-test .venv/installed-check docs
 	$(BIN)/ruff check .
@@ -29,19 +43,19 @@ bench: .venv/installed-test
 	$(BIN)/python -m benchmarks
 
 clean:
-	rm -rf .venv site $(OUT)
+	rm -rf .venv .venv-core .venv-latest site $(OUT)
 
-.venv/bin/python:
+%/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "armperturb needs Python 3.11 or newer, this is " + sys.version)'
-	$(PYTHON) -m venv .venv
+	$(PYTHON) -m venv $*
 
 # One stamp per set of packages, so that a second call installs nothing.
 .venv/installed: .venv/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e .
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[sim]'
 	touch $@
 
 .venv/installed-test: .venv/bin/python pyproject.toml constraints.txt
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test]'
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[test,dm]'
 	touch $@ .venv/installed
 
 .venv/installed-check: .venv/bin/python pyproject.toml constraints.txt
@@ -50,4 +64,13 @@ clean:
 
 .venv/installed-docs: .venv/bin/python pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[docs]'
+	touch $@
+
+.venv-core/installed: .venv-core/bin/python pyproject.toml constraints.txt
+	.venv-core/bin/python -m pip install --quiet -c constraints.txt -e .
+	touch $@
+
+.venv-latest/installed: .venv-latest/bin/python pyproject.toml constraints.txt constraints-latest.txt
+	sed '/^mujoco==/d' constraints.txt > .venv-latest/constraints.txt
+	$(LATEST)/python -m pip install --quiet -c .venv-latest/constraints.txt -c constraints-latest.txt -e '.[test]'
 	touch $@

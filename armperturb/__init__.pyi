@@ -16,6 +16,7 @@ from .controllers.remnant import HUMAN_NOISE as HUMAN_NOISE
 from .controllers.remnant import HumanNoise as HumanNoise
 from .convert import export_recording as export_recording
 from .convert import import_recording as import_recording
+from .convert import write_sidecar as write_sidecar
 from .environment import Environment as Environment
 from .environment import Strap as Strap
 from .envs.lab.experiment import run_experiment as run_experiment
@@ -38,8 +39,8 @@ from .recording import save_recording as save_recording
 from .recording import stack_trials as stack_trials
 from .study.comparison.score import score as score
 from .study.experiments.calibration import calibrate as calibrate
-from .study.planning.plan import DesignSettings as DesignSettings
 from .study.planning.plan import design as design
+from .study.planning.settings import DesignSettings as DesignSettings
 from .study.protocol import Condition as Condition
 from .study.protocol import Protocol as Protocol
 from .study.protocol import load_protocol as load_protocol
@@ -47,7 +48,7 @@ from .study.recording.settings import StudySettings as StudySettings
 from .study.report.report import write_report as write_report
 from .study.results.analyse import analyse_study as analyse_study
 from .study.results.analyse import run_study as run_study
-from .study.validation.validate import ValidateSettings as ValidateSettings
+from .study.validation.settings import ValidateSettings as ValidateSettings
 from .study.validation.validate import validate as validate
 from .subject import POSITION as POSITION
 from .subject import RELAX as RELAX

@@ -24,6 +24,7 @@ from armperturb.commands.identify import Identify
 from armperturb.commands.report import Report
 from armperturb.commands.response import Response
 from armperturb.commands.score import Score
+from armperturb.commands.sidecar import Sidecar
 from armperturb.commands.simulate import Simulate
 from armperturb.commands.study import Study
 from armperturb.commands.validate import Validate
@@ -39,6 +40,7 @@ COMMANDS: tuple[type[Command], ...] = (
     Report,
     Score,
     Simulate,
+    Sidecar,
     Convert,
     Identify,
     Response,

@@ -54,8 +54,8 @@ STABILITY_MARGIN = 0.5
 the published parameters were estimated because arms closer to instability rang on."""
 
 NONLINEAR_MARGIN = 0.4
-"""The same for nonlinear people [1/s]. Their average lies near the other margin; were that asked of all, most would be
-redrawn, and those who stay would be weaker and less reflexive than the average."""
+"""The same for nonlinear people [1/s]. Their average lies near the other margin, which would reject most draws
+and leave a cohort that is weaker and less reflexive than the average."""
 
 MAX_REDRAWS = 1000
 
@@ -125,7 +125,7 @@ class Person:
 
     Raises:
       TypeError: a value is not a number.
-      ValueError: a value is out of its range, or a subject belongs to another task than said.
+      ValueError: a value is out of its range, or a subject belongs to another task than its key.
     """
 
     name: str
@@ -219,7 +219,7 @@ def draw_person(
       muscles: "nonlinear" or "linear".
 
     Returns:
-      The person, who depends on these arguments only.
+      The person; it depends on these arguments only.
 
     Raises:
       TypeError: an argument is no number.

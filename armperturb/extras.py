@@ -5,18 +5,23 @@ from contextlib import contextmanager
 
 EXTRAS = {
     "mujoco": "sim",
-    "loky": "sim",
+    "filelock": "sim",
+    "jinja2": "sim",
     "gymnasium": "learn",
     "dm_control": "dm",
     "dm_env": "dm",
     "mediapy": "video",
     "imageio_ffmpeg": "video",
-    "PIL": "video",
     "numba": "nonlinear",
+    "loky": "nonlinear",
     "ezc3d": "c3d",
     "distributed": "dask",
 }
 """Library, as imported, to the extra that installs it."""
+
+
+class MissingExtraError(ModuleNotFoundError):
+    """A library of an optional part is missing; the message says how to install it."""
 
 
 @contextmanager
@@ -27,15 +32,15 @@ def naming_the_extra(wanted: str) -> Iterator[None]:
       wanted: what needs the library, for the message.
 
     Raises:
-      ModuleNotFoundError: the library is missing; the message says how to install it.
+      MissingExtraError: the library is missing; the message says how to install it.
     """
     try:
         yield
     except ModuleNotFoundError as error:
         library = (error.name or "").partition(".")[0]
-        if library not in EXTRAS:
+        if isinstance(error, MissingExtraError) or library not in EXTRAS:
             raise
-        raise ModuleNotFoundError(
+        raise MissingExtraError(
             f"{wanted} needs {library}, which is not installed; expected `pip install 'armperturb[{EXTRAS[library]}]'`",
             name=library,
         ) from error

@@ -1,4 +1,4 @@
-"""Who is perturbed: one person in one task, as the parameters of the linear arm model (thesis 2.7, appendix B)."""
+"""A person in one task: the parameters of the linear arm model (thesis 2.7, appendix B)."""
 
 import math
 import tomllib

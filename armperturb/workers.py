@@ -20,6 +20,8 @@ from typing import Protocol, TypeVar
 from loky import ProcessPoolExecutor
 from loky import cpu_count as cpu_count
 
+from armperturb.extras import naming_the_extra
+
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
 
@@ -114,17 +116,15 @@ class DaskCluster:
       address: of the scheduler, e.g. "tcp://127.0.0.1:8786".
 
     Raises:
-      RuntimeError: the library is not installed.
+      MissingExtraError: the library is not installed.
       OSError: no scheduler answers at the address.
     """
 
     remote = True
 
     def __init__(self, address: str) -> None:
-        try:
+        with naming_the_extra("--dask"):
             from distributed import Client
-        except ModuleNotFoundError as error:
-            raise RuntimeError(f"--dask needs {error.name}; expected `pip install 'armperturb[dask]'`") from None
         try:
             self._client = Client(address, timeout=DASK_TIMEOUT, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
@@ -167,7 +167,7 @@ def workers_for(count: int, dask: str | None) -> Iterator[Workers | None]:
       dask: address of a Dask scheduler, which takes the place of local processes.
 
     Raises:
-      RuntimeError: Dask is not installed.
+      MissingExtraError: Dask is not installed.
       OSError: no scheduler answers.
     """
     if dask is not None:
@@ -254,11 +254,13 @@ def ctrl_c_held_back() -> Iterator[None]:
     in_main = threading.current_thread() is threading.main_thread()
     # Blocking alone is passed on to processes, but here another thread (BLAS) may take the signal in.
     before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number)) if in_main else None
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    can_block = hasattr(signal, "pthread_sigmask")
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if can_block else ()
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if can_block:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         if in_main:
             signal.signal(signal.SIGINT, before)
         if pressed:

@@ -31,7 +31,7 @@ ARROWS = {
     "foreign": {"extras"},
     "recording": {"files", "foreign"},
     "archive": {"files"},
-    "workers": set(),
+    "workers": {"extras"},
     "perturbations": BASE,
     "controllers": BASE,
     "planar_arm": ARM | {"controllers", "perturbations"},

@@ -13,6 +13,7 @@ import pytest
 from loky import ProcessPoolExecutor
 
 from armperturb import workers
+from armperturb.extras import MissingExtraError
 from armperturb.workers import DaskCluster, LocalProcesses, completed, workers_for
 
 ROOT = Path(__file__).parents[1]
@@ -137,7 +138,7 @@ def test_one_worker_is_this_process():
 
 def test_dask_is_told_to_be_missing(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with pytest.raises(RuntimeError, match=r"--dask needs distributed; expected `pip install 'armperturb\[dask\]'`"):
+    with pytest.raises(MissingExtraError, match=r"--dask needs distributed, .* `pip install 'armperturb\[dask\]'`"):
         DaskCluster("tcp://127.0.0.1:1")
 
 

@@ -82,7 +82,7 @@ class Identify(Command):
             single_condition=False,
         )
         lines = self._identify(recording) if linear else self._identify_nonlinear(recording)
-        return [*lines, f"results: {self.out}"]
+        return [*imported.notes, *lines, f"results: {self.out}"]
 
     def _identify(self, recording: xr.Dataset) -> list[str]:
         from armperturb.analysis.fit.export import write_identification

@@ -45,8 +45,9 @@ class Response(Command):
         """Estimate the response and write it."""
         if self.period is not None and self.method not in ("multisine", "spectral"):
             raise ValueError(f"response: period = {self.period:g}; expected none with the method {self.method}")
+        imported = [import_recording([path], sidecar=self.sidecar) for path in self.recordings]
         recordings = select_trials(
-            [import_recording([path], sidecar=self.sidecar).recording for path in self.recordings],
+            [recording for recording, _ in imported],
             self.recordings,
             subject=self.subject,
             condition=self.condition,
@@ -55,7 +56,7 @@ class Response(Command):
         options: dict[str, Any] = {
             name: value for name, value in (("start", self.start), ("period", self.period)) if value is not None
         }
-        lines, distortion = [], None
+        lines, distortion = [note for _, notes in imported for note in notes], None
         try:
             if self.method == "multisine":
                 if self.period is None:

@@ -66,7 +66,7 @@ class ArmControl:
         """Begin at rest.
 
         Args:
-          subjects: who is perturbed, one per trial.
+          subjects: the person in each trial.
           timestep: of the simulation [s].
           n_history: steps that force feedback remembers, if more than these people need.
         """
@@ -87,7 +87,7 @@ class ArmControl:
           noise: torque beside that of muscles and reflexes [Nm], (trial, joint), or the same for all.
 
         Returns:
-          The torque to apply [Nm], shaped as `noise` where nobody has a muscle law, and the controls of the reflex
+          The torque to apply [Nm], shaped as `noise` where no subject has a muscle law, and the controls of the reflex
           motors [Nm], (trial, joint), which the model delays.
         """
         excitation = self.excitation = spindle_excitation(self._gains, angle, velocity)

@@ -28,7 +28,7 @@ class MuscleParameters:
     Attributes:
       stiffness: short-range stiffness of one part, (trial, element) [Nm/rad].
       limit: elastic limits of the parts at rest, (part, trial, element) [rad].
-      limit_slope: their growth with speed, (part, trial, element) [s]; None if nobody's grow.
+      limit_slope: their growth with speed, (part, trial, element) [s]; None if no limit grows.
       loss: inverse of the angle of loss, (trial, element) [1/rad].
       persistence: share of the lost stiffness that is still lost a step later, (trial, element) [-].
       damping: linear damping of the element's muscle group, (trial, element) [Nms/rad].
@@ -87,7 +87,7 @@ def muscle_parameters(subjects: Sequence[Subject], timestep: float) -> MusclePar
     """Parameters of one subject per trial; a subject without a law gets one that adds nothing.
 
     Args:
-      subjects: who is perturbed, one per trial.
+      subjects: the person in each trial.
       timestep: of the simulation [s].
     """
     laws = [subject.muscle or MuscleLaw() for subject in subjects]
@@ -170,7 +170,7 @@ class NonlinearMuscles:
         """Begin at rest.
 
         Args:
-          subjects: who is perturbed, one per trial.
+          subjects: the person in each trial.
           timestep: of the simulation [s].
         """
         self.needed = any(subject.muscle is not None for subject in subjects)

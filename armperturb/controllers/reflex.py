@@ -45,7 +45,7 @@ def reflex_gains(subjects: Sequence[Subject], timestep: float) -> ReflexGains:
     output at a step is then second-order accurate without the half step of delay that a held input would add.
 
     Args:
-      subjects: who is perturbed, one per trial.
+      subjects: the person in each trial.
       timestep: of the simulation [s].
     """
     filters: dict[tuple[float, float], tuple[Array, Array]] = {}
@@ -98,10 +98,10 @@ class NonlinearSpindles:
     """
 
     def __init__(self, subjects: Sequence[Subject]) -> None:
-        """Take the people.
+        """Begin with the subjects' own gains.
 
         Args:
-          subjects: who is perturbed, one per trial.
+          subjects: the person in each trial.
         """
         laws = [subject.muscle or MuscleLaw() for subject in subjects]
         self._gains = trials_adjacent([subject.muscle_groups("kv") for subject in subjects], 0)
@@ -153,7 +153,7 @@ def velocity_response(velocity: Array, saturation: Array, direction: Array | Non
 
 
 class MemoryReflexes:
-    """Acceleration and force feedback: what needs to know of past steps (the law of `analysis.arm_model`).
+    """Acceleration and force feedback: what needs to know of past steps (the law of `analysis.arm.linear_arm`).
 
     Each step, `add_excitation` comes first and `remember` with that step's active torque last. The acceleration is the
     backward difference of the velocities, drawn on over the half step that it lags. The torque that acts now left the
@@ -164,7 +164,7 @@ class MemoryReflexes:
         """Begin at rest.
 
         Args:
-          subjects: who is perturbed, one per trial.
+          subjects: the person in each trial.
           timestep: of the simulation [s]; no delay is shorter.
           n_history: steps to remember, if more than these people need.
         """

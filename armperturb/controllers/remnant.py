@@ -171,6 +171,8 @@ def _unit_lowpass(order: int, cutoff: float, timestep: float) -> Array:
     return sections
 
 
+_SPREADS = {f"spread_{quantity}": 0.08 for quantity in _VARIED}
+
 HUMAN_NOISE = {
     "PT": HumanNoise(
         remnant_share=0.40,
@@ -178,20 +180,9 @@ HUMAN_NOISE = {
         remnant_cutoff=1.5,
         voluntary_share=0.16,
         voluntary_floor=0.08,
-        spread_b=0.08,
-        spread_k=0.08,
-        spread_kv=0.08,
-        spread_kp=0.08,
+        **_SPREADS,
     ),
-    "RT": HumanNoise(
-        remnant_share=0.30,
-        remnant_floor=0.05,
-        remnant_cutoff=8.0,
-        spread_b=0.08,
-        spread_k=0.08,
-        spread_kv=0.08,
-        spread_kp=0.08,
-    ),
+    "RT": HumanNoise(remnant_share=0.30, remnant_floor=0.05, remnant_cutoff=8.0, **_SPREADS),
 }
 """Task to how noisy people are in it; relaxed people make no slow corrections.
 

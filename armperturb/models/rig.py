@@ -118,15 +118,15 @@ def build_model(
 
 def build_spec(
     subject: Subject,
-    environment: Environment = Environment(),  # noqa: B008
+    environment: Environment,
     *,
-    timestep: float = 0.001,
-    rope: str = "ideal",
-    strap: Strap | None = None,
+    timestep: float,
+    rope: str,
+    strap: Strap | None,
     n_history: int | None = None,
     visual: bool = True,
 ) -> mujoco.MjSpec:
-    """The rig before it is compiled, for who needs to read or change it; arguments and errors as in `build_model`."""
+    """The rig before it is compiled, to read or change it; arguments and errors as in `build_model`."""
     needed = history_length(subject, timestep)
     if rope not in ROPES:
         raise ValueError(f"build_model: rope = {rope!r}; expected one of {', '.join(ROPES)}")

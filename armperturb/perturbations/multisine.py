@@ -27,7 +27,7 @@ REDUCED_BAND = (1.8, 40.0)
 """Band of reduced power [Hz]; its four extra clusters stay below 7 Hz."""
 
 REDUCED_RATIO = {"amplitude": 0.15, "power": math.sqrt(0.15)}
-"""Amplitude of the reduced band over that of the full band [-]: "15 %" is said of the amplitude in the text of
+"""Amplitude of the reduced band over that of the full band [-]: "15 %" refers to the amplitude in the text of
 thesis 2.4 and of the power in the caption of its fig. 2.5. Power is the default: only 15 % of power, an amplitude
 ratio of 0.387, gives the published ratios of joint velocity to joint rotation."""
 
@@ -163,7 +163,7 @@ class Multisine:
         period_samples = rate * PERIOD_SAMPLES / DESIGN_RATE
         if period_samples.is_integer() and period_samples > 2 * self.lines[-1]:
             return self._tile(int(period_samples), n_samples, start)
-        return self._sum(times)
+        return self.sum_at(times)
 
     def _tile(self, period_samples: int, n_samples: int, start: float) -> np.ndarray:
         """`periodic` by one inverse Fourier transform, for rates with a whole number of samples per period."""
@@ -173,7 +173,7 @@ class Multisine:
         period = irfft(spectrum, period_samples, norm="forward").T / 2.0
         return np.resize(period, (n_samples, 2))
 
-    def _sum(self, times: np.ndarray) -> np.ndarray:
+    def sum_at(self, times: np.ndarray) -> np.ndarray:
         """`periodic` by adding the sinusoids, for any times (time,)."""
         phasors = self.amplitudes * np.exp(1j * self.phases)
         force = np.empty((len(times), 2))

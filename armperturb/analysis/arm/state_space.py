@@ -60,7 +60,7 @@ def state_space(subject: Subject, environment: Environment) -> StateSpace:
     return StateSpace(a, b, np.vstack([select[X], force, select[Q]]), np.zeros((6, 2)))
 
 
-def _strapped_dynamics(subject: Subject, environment: Environment, strap: Strap) -> Array:
+def strapped_dynamics(subject: Subject, environment: Environment, strap: Strap) -> Array:
     """Matrix A of arm and environment, with a shoulder that its strap lets move.
 
     Returns:
@@ -114,7 +114,7 @@ def largest_real_pole(subject: Subject, environment: Environment, strap: Strap |
     """
     if strap is not None:
         return max(
-            float(np.linalg.eigvals(_strapped_dynamics(arm, environment, strap)).real.max())
+            float(np.linalg.eigvals(strapped_dynamics(arm, environment, strap)).real.max())
             for arm in subject.linear_arms
         )
     return max(
@@ -145,9 +145,7 @@ def fastest_pole(subject: Subject, environment: Environment, strap: Strap | None
     if strap is not None:
         passive = np.r_[:8, N_STATES : N_STATES + 4]
         return max(
-            float(
-                np.abs(np.linalg.eigvals(_strapped_dynamics(arm, environment, strap)[np.ix_(passive, passive)])).max()
-            )
+            float(np.abs(np.linalg.eigvals(strapped_dynamics(arm, environment, strap)[np.ix_(passive, passive)])).max())
             for arm in subject.linear_arms
         )
     return max(

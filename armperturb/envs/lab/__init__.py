@@ -1,1 +1,1 @@
-"""The laboratory: people who are perturbed, and what is recorded of them."""
+"""The laboratory: perturbed people, and what is recorded of them."""

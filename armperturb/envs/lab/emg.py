@@ -109,7 +109,7 @@ class Emg:
         """Share of its full activation at which each muscle is driven [-], (muscle, time).
 
         Args:
-          subject: whose stiffness tells the co-contraction, and whose delays hold.
+          subject: its stiffness sets the co-contraction, and its delays apply.
           excitation: of the reflexes, undelayed [Nm], (time, joint).
           rate: of the excitation [Hz].
         """

@@ -38,12 +38,12 @@ def run_experiment(
     """Run trials side by side and return what was recorded.
 
     All trials last as long as the longest; a perturbation is zero after its end. A trial whose handle reaches the
-    workspace limit goes on like the others, and its `limit_time` tells when: its signals mean nothing from then on.
+    workspace limit continues, and its `limit_time` says when it did: its signals are meaningless from then on.
     Whatever is random in a trial comes from its own seed, and a trial is the same to the last bit alone and beside any
     others, at any number of threads.
 
     Args:
-      trials: who is perturbed by what.
+      trials: people, each with a perturbation.
       environment: what the hand holds; by default the thesis's manipulator.
       timestep: of the simulation [s].
       rate: of the recording [Hz]; a whole number of simulation steps must fit into a sample.

@@ -62,15 +62,7 @@ def linear_signals(
 def simulate_linear_arms(
     trials: Sequence[Trial], subjects: Sequence[Subject], setup: Setup, n_threads: int, progress: Progress | None
 ) -> Truth:
-    """What linear arms do.
-
-    Args:
-      trials: what happens to them.
-      subjects: the person as it is in each trial.
-      setup: what the trials share.
-      n_threads: in which trials are computed.
-      progress: see `Progress`.
-    """
+    """What linear arms do; arguments as in `simulate_multibody`."""
     environment, timestep, decimation, lowpass = setup.environment, setup.timestep, setup.decimation, setup.lowpass
     n_steps = setup.n_samples(trials) * decimation
 

@@ -59,7 +59,7 @@ def simulate_multibody(
     """What MuJoCo's arms do.
 
     Args:
-      trials: what happens to them.
+      trials: perturbation, noise and seed of each.
       subjects: the person as it is in each trial.
       setup: what the trials share.
       n_threads: of the simulation.
@@ -136,7 +136,7 @@ def _prepared(trials: Sequence[Trial], setup: Setup, n_threads: int) -> tuple[Ar
 
     Returns:
       Force to hold over each step [N], (step, trial, axis); the disturbance as the recorder has it [N], (trial, time,
-      axis); and the torque of the people's noise [Nm], (step, trial, joint), None if nobody is noisy.
+      axis); and the torque of the people's noise [Nm], (step, trial, joint), None without noise.
     """
     timestep, lowpass, decimation = setup.timestep, setup.lowpass, setup.decimation
     n_samples = setup.n_samples(trials)

@@ -21,57 +21,69 @@ from armperturb.environment import Environment, Strap
 from armperturb.models import BIARTICULAR, JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, STRAP, build_model, history_length
 from armperturb.subject import RELAX, Subject
 
-_SILENCE = threading.Lock()
-_SILENT: list[int | None] = []
-"""The handler that was there before, and one more for everybody who wants silence."""
-
 DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")]
 
 
 @functools.cache
-def _warning_handler() -> tuple[ctypes.c_void_p, int | None]:
+def warning_handler() -> tuple[ctypes.c_void_p, int | None]:
     """Where MuJoCo keeps its handler, and the address of one that does nothing."""
     library = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
     handler = ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mju_user_warning")
     return handler, ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p).value
 
 
+class _Silence:
+    """Takes MuJoCo's warning handler out as long as any thread asks for it."""
+
+    def __init__(self) -> None:
+        self._lock, self._depth = threading.Lock(), 0
+        self._before: int | None = None
+
+    def begin(self) -> None:
+        handler, nothing = warning_handler()
+        with self._lock:
+            if not self._depth:
+                self._before, handler.value = handler.value, nothing
+            self._depth += 1
+
+    def end(self) -> None:
+        handler, _ = warning_handler()
+        with self._lock:
+            self._depth -= 1
+            if not self._depth:
+                handler.value = self._before
+
+
+_SILENCE = _Silence()
+
+
 @contextmanager
 def silent_simulator() -> Iterator[None]:
     """Keep MuJoCo from writing its warnings to the terminal and to MUJOCO_LOG.TXT; `Batch.warning` counts them anyway.
 
-    The batch calls its threads' handler without Python, so it must be a C function: any that takes a text and does
-    nothing with it.
+    The batch calls the handler from its own threads, without Python. Until the end it is therefore a C function that
+    takes a text and does nothing with it.
     """
-    handler, nothing = _warning_handler()
-    with _SILENCE:
-        if not _SILENT:
-            _SILENT.append(handler.value)
-            handler.value = nothing
-        _SILENT.append(None)
+    _SILENCE.begin()
     try:
         yield
     finally:
-        with _SILENCE:
-            _SILENT.pop()
-            if len(_SILENT) == 1:  # the last of several threads
-                handler.value = _SILENT.pop()
+        _SILENCE.end()
 
 
-_ANYBODY: dict[str, Any] = {
-    **{name: getattr(RELAX, name) for name in ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e")},
-    **{f"{quantity}_{entry}": 0.0 for quantity in ("kv", "kp", "ka", "kf") for entry in ("s", "se", "e")},
-    **{name: getattr(RELAX, name) for name in ("task", "name", "fact_s", "fact_e", "zeta_act", "muscle")},
-}
-"""What is replaced in a subject to tell whose compiled models differ in their muscles alone."""
+COMPILED = ("m_h", "m_f", "l_h", "l_f", "theta_s_deg", "theta_e_deg", "b_h", "k_h", "Td_s", "Td_e")
+"""Fields of a subject that only a new compilation changes in a model."""
 
 MUSCLE_FIELDS = ("jnt_stiffness", "dof_damping", "tendon_stiffness", "tendon_damping")
 """Fields of a model that the springs and dampers of the muscles are in."""
 
 
 def body_of(subject: Subject) -> Subject:
-    """The person but for what a compiled model takes without being compiled again, or knows nothing of."""
-    return replace(subject, **_ANYBODY)
+    """The preset RELAX with this body: equal for people who can share a compiled model.
+
+    Their muscles' springs and dampers are written into it, and it knows nothing of their reflexes.
+    """
+    return replace(RELAX, **{name: getattr(subject, name) for name in COMPILED})
 
 
 def columns(model: mujoco.MjModel, names: Sequence[str]) -> slice:
@@ -252,7 +264,7 @@ class Simulation:
             self.set_muscles(np.arange(len(self._bodies)), *self._strength)
         self._set_muscles_of(trials, subjects)
         self._reset(trials)
-        if len(self._compiled) > 2 * len(self._bodies) + 8:  # of people who come and go
+        if len(self._compiled) > 2 * len(self._bodies) + 8:  # of people who have been replaced
             self._compiled = {body: self._compiled[body] for body in set(self._bodies)}
 
     def _set_muscles_of(self, trials: Indices, subjects: Sequence[Subject]) -> None:

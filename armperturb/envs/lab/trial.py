@@ -34,14 +34,14 @@ class Trial:
     """One person under one perturbation, with the labels that the recording carries.
 
     Attributes:
-      subject: who is perturbed.
+      subject: the person.
       perturbation: what is applied.
       condition: name in the protocol, e.g. "PT7.5"; the subject's task if empty.
       repetition: of the condition, from 0.
       pulse_level: multiple of the unit pulse; 0 without pulse.
       order: place in the session, from 0.
       seed: of the person's and the instruments' noise; a whole number of at least 0.
-      noise: how noisy the person is; None is a person who does the same in every trial.
+      noise: how noisy the person is; None for a person without noise, the same in every trial.
 
     Raises:
       TypeError: seed or order is not a whole number, or noise is something else.
@@ -100,7 +100,7 @@ def pulse_of(perturbation: Perturbation) -> Pulse | None:
 
 
 def require_integrable(subject: Subject, environment: Environment, strap: Strap | None, timestep: float) -> None:
-    """Refuse a person who is too fast for the simulation's step.
+    """Refuse an arm that is too fast for the simulation's step.
 
     Args:
       subject: as it is in the trial.

@@ -52,7 +52,7 @@ class Sense(observable.Generic):
 
 
 class ArmPerturbTask(composer.Task):
-    """A person holds a handle that is perturbed; docs/environments.md tells what is sensed, set and rewarded.
+    """A person holds a handle that is perturbed; docs/environments.md says what is sensed, set and rewarded.
 
     What the person senses is enabled: `joint_stretch` [rad], `joint_velocity` [rad/s] and `hand_force` [N] after the
     proprioceptive delay, `handle_seen` [m] after the visual delay. What no person knows can be enabled: `time` of the

@@ -39,8 +39,10 @@ NUMBERS = {
 """What `build_spec` may set, by kind of element; of bodies it has other names than MJCF."""
 
 
-class ArmEntity(composer.Entity):
-    """A seated person: the arm with its muscles, the motors of its reflexes and the sensors of its joint angles."""
+class _Part(composer.Entity):
+    """What one of the package's MJCF files describes."""
+
+    FILE: Path
 
     def _build(self, spec: mujoco.MjSpec) -> None:
         """Build the entity.
@@ -48,15 +50,21 @@ class ArmEntity(composer.Entity):
         Args:
           spec: the rig that it is part of, from `build_spec`.
         """
-        self._mjcf_model = _model(ARM_XML, spec)
-
-    def _build_observables(self) -> "ArmObservables":
-        return ArmObservables(self)
+        self._mjcf_model = _model(self.FILE, spec)
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
         """The model."""
         return self._mjcf_model
+
+
+class ArmEntity(_Part):
+    """A seated person: the arm with its muscles, the motors of its reflexes and the sensors of its joint angles."""
+
+    FILE = ARM_XML
+
+    def _build_observables(self) -> "ArmObservables":
+        return ArmObservables(self)
 
     @property
     def joints(self) -> list[mjcf.Element]:
@@ -113,24 +121,13 @@ class ArmObservables(composer.Observables):
         return _observable(lambda physics: physics.bind(self._entity.joints).qvel)
 
 
-class ManipulatorEntity(composer.Entity):
+class ManipulatorEntity(_Part):
     """The manipulator with its table, the sensors of its displacement and the strain gauge."""
 
-    def _build(self, spec: mujoco.MjSpec) -> None:
-        """Build the entity.
-
-        Args:
-          spec: the rig that it is part of, from `build_spec`.
-        """
-        self._mjcf_model = _model(MANIPULATOR_XML, spec)
+    FILE = MANIPULATOR_XML
 
     def _build_observables(self) -> "ManipulatorObservables":
         return ManipulatorObservables(self)
-
-    @property
-    def mjcf_model(self) -> mjcf.RootElement:
-        """The model."""
-        return self._mjcf_model
 
     @property
     def slides(self) -> list[mjcf.Element]:

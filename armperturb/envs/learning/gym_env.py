@@ -11,7 +11,7 @@ from armperturb.envs.learning.participants import action_bounds, observation_bou
 from armperturb.envs.learning.session import Session
 from armperturb.envs.learning.task import TaskSettings
 from armperturb.envs.render.gl import has_display
-from armperturb.envs.render.onlooker import Onlooker
+from armperturb.envs.render.live_view import LiveView
 from armperturb.envs.render.viewer import require_display
 from armperturb.validation import require_one_of, require_whole
 
@@ -38,7 +38,7 @@ def spaces(settings: TaskSettings) -> tuple[Box, Box]:
 
 
 class ArmPerturbEnv(gym.Env):
-    """A person holds a handle that is perturbed; docs/environments.md tells what is sensed, set and rewarded.
+    """A person holds a handle that is perturbed; docs/environments.md says what is sensed, set and rewarded.
 
     `ArmPerturb/Position-v0`, `ArmPerturb/Relax-v0` and `ArmPerturb/Pulse-v0` are this with different `TaskSettings`.
 
@@ -57,7 +57,7 @@ class ArmPerturbEnv(gym.Env):
         height: int = 480,
         **settings: Any,
     ) -> None:
-        """Get ready.
+        """Make the environment; `reset` begins a trial.
 
         Args:
           render_mode: "rgb_array" for pictures, "human" for a window, None for neither.
@@ -76,10 +76,10 @@ class ArmPerturbEnv(gym.Env):
         if render_mode == "human":
             require_display()
         self.render_mode = render_mode
-        # What can be done here, so that those who try all of them can.
+        # Only modes that work on this machine, as some tools try all of them.
         modes = [mode for mode in ArmPerturbEnv.metadata["render_modes"] if mode != "human" or has_display()]
         self.metadata = {"render_modes": modes, "render_fps": self.settings.control_rate}
-        self._onlooker = onlooker(self.settings)
+        self._live_view = live_view(self.settings)
         self._picture = checked_picture(view, width, height)
         self.observation_space, self.action_space = spaces(self.settings)
         self.own_action = own_action(self.settings).astype(np.float32)
@@ -102,12 +102,12 @@ class ArmPerturbEnv(gym.Env):
           TypeError: an option has the wrong type.
           ValueError: an option is unknown or out of its range.
         """
-        draw = self.settings.drawing(options)  # first: who is refused has lost nothing
+        draw = self.settings.drawing(options)  # first, so that refused options change nothing
         super().reset(seed=seed)
         trial = draw(self.np_random)
         self._session.start(ONLY, [trial])
         self._running = True
-        self._onlooker.begin(trial.subject)
+        self._live_view.begin(trial.subject)
         return self._session.people.observe()[0], self._watched_info()
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
@@ -139,27 +139,27 @@ class ArmPerturbEnv(gym.Env):
         """
         if self.render_mode != "rgb_array":
             return None
-        if not self._onlooker.sees:
+        if not self._live_view.has_picture:
             raise RuntimeError("render: no trial has begun; expected reset first")
-        return self._onlooker.picture(*self._picture)
+        return self._live_view.picture(*self._picture)
 
     def close(self) -> None:
         """Close what rendering opened; a second time does nothing."""
-        self._onlooker.close()
+        self._live_view.close()
 
     def _watched_info(self) -> dict[str, Any]:
         info: dict[str, Any] = {name: values[0] for name, values in self._session.truth().items()}
         if self.render_mode is not None:
-            self._onlooker.notice(*(info[name].copy() for name in WATCHED))
+            self._live_view.update(*(info[name].copy() for name in WATCHED))
             if self.render_mode == "human":
-                self._onlooker.show()
+                self._live_view.show()
         return {**info, "time": float(info["time"]), "diverged": bool(info["diverged"])}
 
 
-def onlooker(settings: TaskSettings) -> Onlooker:
-    """Somebody to watch a person do a task."""
+def live_view(settings: TaskSettings) -> LiveView:
+    """Pictures of a task, with arrows to the scale of its forces."""
     highest = max(np.max(settings.peak) if "pulse" in settings.perturbation else 0.0, 3.0 * np.max(settings.rms))
-    return Onlooker(settings.environment, 1.0 / settings.control_rate, LONGEST_ARROW / highest)
+    return LiveView(settings.environment, 1.0 / settings.control_rate, LONGEST_ARROW / highest)
 
 
 def checked_picture(view: str, width: int, height: int) -> tuple[str, int, int]:

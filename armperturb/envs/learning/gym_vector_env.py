@@ -16,7 +16,7 @@ from armperturb.envs.learning.gym_env import (
     WATCHED,
     ArmPerturbEnv,
     checked_picture,
-    onlooker,
+    live_view,
     spaces,
     task_settings,
 )
@@ -51,7 +51,7 @@ class ArmPerturbVectorEnv(VectorEnv):
         n_threads: int = 0,
         **settings: Any,
     ) -> None:
-        """Get ready.
+        """Make the environment; `reset` begins trials.
 
         Args:
           num_envs: number of people.
@@ -93,11 +93,11 @@ class ArmPerturbVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.own_action = own_action(self.settings).astype(np.float32)
         self._session = Session(self.settings, num_envs, n_threads)
-        self._onlooker = onlooker(self.settings)
+        self._live_view = live_view(self.settings)
         self._subjects = [self.settings.subject] * num_envs
         self._picture = checked_picture(view, width, height)
         self._streams: list[np.random.Generator | None] = [None] * num_envs
-        self._over = np.ones(num_envs, dtype=bool)  # nobody has a trial yet
+        self._over = np.ones(num_envs, dtype=bool)  # no trial has begun
         self._decisions = np.zeros(num_envs, dtype=int)
 
     def reset(
@@ -108,7 +108,8 @@ class ArmPerturbVectorEnv(VectorEnv):
         Args:
           seed: of the first person, the others have the following ones; or one for each; None goes on with what there
             is.
-          options: as of `ArmPerturbEnv.reset`, for all; `reset_mask` (num_envs,) says who begins, by default everybody.
+          options: as of `ArmPerturbEnv.reset`, for all; `reset_mask` (num_envs,) selects the people to reset, by
+            default all.
 
         Returns:
           Observations, (num_envs, sense), and infos: names of `Session.truth` to arrays, and each with an underscore to
@@ -129,7 +130,7 @@ class ArmPerturbVectorEnv(VectorEnv):
                 f"{self.num_envs} environments, at least one True"
             )
         beginning = np.flatnonzero(mask)
-        # First all that may be refused: who is refused has lost nothing.
+        # All checks come first, so that refused arguments change nothing.
         draw = self.settings.drawing(options)
         streams = {
             i: stream if stream is not None and seeds[i] is None else seeding.np_random(seeds[i])[0]
@@ -152,7 +153,7 @@ class ArmPerturbVectorEnv(VectorEnv):
           step, in the mode NEXT_STEP, gets its first observation and no reward.
 
         Raises:
-          RuntimeError: somebody has no trial, or one that is over in the mode DISABLED.
+          RuntimeError: a person has no trial, or one that is over in the mode DISABLED.
           TypeError: actions are no numbers.
           ValueError: they have the wrong shape, or one of them is not finite or out of its bounds.
         """
@@ -163,7 +164,7 @@ class ArmPerturbVectorEnv(VectorEnv):
         self._decisions += 1
         if self.max_episode_steps is not None:
             truncated |= self._decisions >= self.max_episode_steps
-        # The arms of those who wait went on with the others', where nobody looked.
+        # The arms of people who wait for a new trial were simulated too; their results are discarded.
         rewards[waiting], terminated[waiting], truncated[waiting] = 0.0, False, False
         over = terminated | truncated
         infos: dict[str, Any] = {}
@@ -188,14 +189,14 @@ class ArmPerturbVectorEnv(VectorEnv):
             raise RuntimeError("render: no trial has begun; expected reset first")
         truth, pictures = self._session.truth(), []
         for i, subject in enumerate(self._subjects):
-            self._onlooker.begin(subject)
-            self._onlooker.notice(*(truth[name][i] for name in WATCHED))
-            pictures.append(self._onlooker.picture(*self._picture))
+            self._live_view.begin(subject)
+            self._live_view.update(*(truth[name][i] for name in WATCHED))
+            pictures.append(self._live_view.picture(*self._picture))
         return tuple(pictures)
 
     def close_extras(self, **_: Any) -> None:
         """Close what rendering opened."""
-        self._onlooker.close()
+        self._live_view.close()
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         """One seed for each person; None goes on with what there is."""

@@ -1,7 +1,7 @@
-"""People whose nervous system is played by an agent: from its actions to what drives their arms, and what they sense.
+"""People whose nervous system is an agent: from its actions to what drives their arms, and to what they sense.
 
-Whoever moves the arms (the batch, dm_control) asks, in this order: `start` for a trial; `decide` for a decision;
-`drive` before and `sense` after each step; then `judge` and `observe`.
+The simulation (the batch, or dm_control) calls, in this order: `start` at the begin of a trial; `decide` for each
+decision; `drive` before and `sense` after each step; then `judge` and `observe`.
 """
 
 from collections.abc import Sequence
@@ -77,7 +77,7 @@ class Participants:
     """
 
     def __init__(self, settings: TaskSettings, n: int, n_history: int = 0) -> None:
-        """Get ready; nobody has a trial yet.
+        """Begin without trials.
 
         Args:
           settings: the task.
@@ -115,7 +115,7 @@ class Participants:
         """Begin trials at rest, with the person's own levels.
 
         Args:
-          people: indices of those who begin, rising.
+          people: indices of those whose trials begin, in rising order.
           trials: one for each of them.
 
         Returns:
@@ -145,7 +145,7 @@ class Participants:
         return subjects
 
     def rest(self, people: Indices) -> list[Subject]:
-        """Put the task's person, at rest, in the place of some, who go on with their trials.
+        """Put the task's person, at rest, in the place of some people; their trials continue.
 
         Args:
           people: indices of those, rising.
@@ -208,7 +208,7 @@ class Participants:
         strength = strength_between(self._relaxed.take(changed), self._position.take(changed), self.levels[changed])
         if len(changed):
             self.control.set_strength(changed, strength)
-        # What is over for some, who wait for their next trial, is zero.
+        # Where a trial is over, signals are zero until the next one begins.
         rows = np.minimum(self.step[:, None] + np.arange(self._every), self._push.shape[1] - 1)
         self._push_now, self._noise_now = (
             trials_adjacent(signal[self._n[:, None], rows].swapaxes(0, 1), 1) for signal in (self._push, self._noise)
@@ -283,7 +283,7 @@ class Participants:
 
         Args:
           handle: its displacement [m], (person, axis).
-          diverged: who could not be integrated, (person,).
+          diverged: whether the arm could not be integrated, (person,).
 
         Returns:
           Rewards, terminations and truncations, (person,) each: minus displacement_weight |x|^2, minus the weighted

@@ -14,10 +14,10 @@ from armperturb.models import history_length
 
 
 class Session:
-    """n people who do trials of a task side by side; each is the same to the last bit alone and beside others."""
+    """n people in trials of a task, simulated side by side; each has the same bits alone and beside others."""
 
     def __init__(self, settings: TaskSettings, n: int, n_threads: int = 0) -> None:
-        """Get ready; `start` everybody before the first `step`.
+        """Compile the arms; `start` everybody's trial before the first `step`.
 
         Args:
           settings: the task.
@@ -39,7 +39,7 @@ class Session:
         """Begin trials at rest; nothing is left of those before.
 
         Args:
-          people: indices of those who begin, rising.
+          people: indices of those whose trials begin, in rising order.
           trials: one for each of them.
         """
         self.simulation.replace(people, self.people.start(people, trials))

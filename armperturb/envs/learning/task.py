@@ -1,4 +1,4 @@
-"""What somebody who plays the nervous system of a person is asked to do: settings, and the trials that follow."""
+"""The task of an agent that acts as a person's nervous system: settings, and the trials drawn from them."""
 
 import functools
 import math

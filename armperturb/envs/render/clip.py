@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from armperturb.envs.render.replay import Replay
 
 VIEWS = {"both": ("top", "oblique"), "top": ("top",), "oblique": ("oblique",)}
-"""What can be asked for, and the views that it shows, side by side."""
+"""Value of `Clip.view` to the views that a video then shows side by side."""
 
 SMALLEST, LARGEST = (160, 120), (1920, 1440)
 """Width and height of a view [pixel]: smaller ones cannot be read."""

@@ -66,7 +66,7 @@ def require_simulator() -> None:
 
 
 def choose_backend() -> str:
-    """Settle MUJOCO_GL for this process and those that it starts, where nobody has and there is no display.
+    """Set MUJOCO_GL for this process and its children, where the user has not and there is no display.
 
     Returns:
       MUJOCO_GL as it is then, in small letters; empty where a window library draws.
@@ -75,12 +75,12 @@ def choose_backend() -> str:
       RuntimeError: nothing draws here; the message names what to install, and MUJOCO_GL stays unset.
     """
     if not _requested() and not has_display():
-        os.environ["MUJOCO_GL"] = _headless()
+        os.environ["MUJOCO_GL"] = headless_backend()
     return _requested()
 
 
 def close_at_exit(owner: Closeable) -> None:
-    """Close what holds a context before the interpreter exits, if nobody does earlier.
+    """Close what holds a context before the interpreter exits, unless it is closed earlier.
 
     Once the OpenGL library is gone, a context that is freed prints errors.
     """
@@ -125,7 +125,7 @@ def new_context(width: int, height: int) -> Any:
 
 
 @functools.cache
-def _headless() -> str:
+def headless_backend() -> str:
     """The first of `PACKAGES` that gives a context.
 
     Raises:

@@ -36,7 +36,7 @@ class Replay:
       displacement: of the handle [m], (time, axis).
       disturbance: d on the manipulator [N], (time, axis).
       reaction: f that the handle exerts on the hand [N], (time, axis).
-      title: who and what.
+      title: subject, condition and pulse.
       pulse_onset: [s]; None without a pulse.
       limit_time: when the handle met the limit of the workspace, after which the signals mean nothing [s]; None if it
         never did.
@@ -97,7 +97,7 @@ class Replay:
         title = [str(label["subject"]), str(label["condition"])]
         onset = float(chosen["pulse_onset"].values[0])
         if np.isfinite(onset):
-            level = f" level {label['pulse_level']:g}" if label["pulse_level"] > 0 else ""  # 0 and NaN: not said
+            level = f" level {label['pulse_level']:g}" if label["pulse_level"] > 0 else ""  # 0 and NaN: no level
             title.append(f"pulse{level} at {label['pulse_direction']:g}°")
         limit = float(chosen["limit_time"].values[0])
         if np.isfinite(limit):

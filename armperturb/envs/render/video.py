@@ -230,7 +230,7 @@ def _encoder(path: Path, shape: tuple[int, int], frame_rate: float) -> Any:
 
 
 def _simplify(model: mujoco.MjModel, height: int) -> None:
-    """Leave out what costs much time and hardly shows: fine shadows, fine facets and the floor's reflection.
+    """Leave out what takes long and shows little: fine shadows, fine facets and the floor's reflection.
 
     Nor are edges smoothed: several samples per pixel take twice the time where the processor draws.
     """

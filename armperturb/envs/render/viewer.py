@@ -77,7 +77,7 @@ def require_display() -> None:
         )
     import glfw
 
-    with warnings.catch_warnings(record=True) as heard:  # glfw tells its errors as warnings
+    with warnings.catch_warnings(record=True) as heard:  # glfw reports its errors as warnings
         warnings.simplefilter("always")
         opened = glfw.init()
     if not opened:

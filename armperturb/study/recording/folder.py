@@ -12,7 +12,6 @@ A checksum is on disk before its file takes its name. So whenever a run is kille
 a checksum: one that does not match is damaged, and one that is missing was never finished.
 """
 
-import fcntl
 import hashlib
 import json
 import os
@@ -24,6 +23,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
+
 from armperturb.files import sync_folder, write_durably
 
 MANIFEST = "manifest.json"
@@ -31,6 +32,8 @@ RECORDINGS = "recordings"
 SUMS = "SHA256SUMS"
 LOCK = ".lock"
 STAGING = ".staging"
+HOLDER = "run"
+"""File in the staging folder that names the run at work."""
 
 MAX_SHOWN = 60
 """How long a value may be in a message [characters]."""
@@ -110,7 +113,7 @@ class StudyFolder:
 def open_study(root: Path, manifest: Mapping[str, Any]) -> Iterator[StudyFolder]:
     """Take a study folder for this process alone, a new one or one that the same study has begun.
 
-    The lock is the kernel's (flock): it goes when the process ends, however it ends.
+    The lock is the operating system's: it goes when the process ends, however it ends.
 
     Args:
       root: the folder; made if it is not there.
@@ -124,20 +127,18 @@ def open_study(root: Path, manifest: Mapping[str, Any]) -> Iterator[StudyFolder]
     """
     with _naming(root):
         root.mkdir(parents=True, exist_ok=True)
-        lock = os.open(root / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
-    try:
-        _take(lock, root)
+        lock = FileLock(root / LOCK, timeout=0)
+    with _locked(lock, root):
         _agree(root, manifest)
         with _naming(root):
             (root / RECORDINGS).mkdir(exist_ok=True)
             _sweep(root)
             (root / STAGING).mkdir()
+            (root / STAGING / HOLDER).write_text(f"process {os.getpid()} on {socket.gethostname()}", encoding="utf-8")
         try:
             yield StudyFolder(root)
         finally:
             shutil.rmtree(root / STAGING, ignore_errors=True)
-    finally:
-        os.close(lock)
 
 
 def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
@@ -175,17 +176,21 @@ def digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _take(lock: int, root: Path) -> None:
+@contextmanager
+def _locked(lock: FileLock, root: Path) -> Iterator[None]:
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        holder = os.read(lock, 200).decode(errors="replace").strip() or "unknown"
+        with _naming(root):
+            lock.acquire()
+    except Timeout:
+        holder = root / STAGING / HOLDER
+        process = holder.read_text(encoding="utf-8") if holder.is_file() else "unknown"
         raise RuntimeError(
-            f"{root}: another run is at work in this folder ({holder}); expected it to have ended, or another folder"
+            f"{root}: another run is at work in this folder ({process}); expected it to have ended, or another folder"
         ) from None
-    with _naming(root):
-        os.ftruncate(lock, 0)
-        os.pwrite(lock, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0)
+    try:
+        yield
+    finally:
+        lock.release()
 
 
 def _agree(root: Path, manifest: Mapping[str, Any]) -> None:

@@ -10,7 +10,7 @@ import xarray as xr
 from scipy import linalg
 
 from armperturb import models
-from armperturb.analysis.arm.state_space import _strapped_dynamics, fastest_pole, largest_real_pole, state_space
+from armperturb.analysis.arm.state_space import fastest_pole, largest_real_pole, state_space, strapped_dynamics
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment, Strap
 from armperturb.envs.lab.experiment import run_experiment
@@ -145,7 +145,7 @@ def test_poles_without_reflexes_are_those_of_the_compiled_model():
 def test_small_movements_are_those_of_the_linear_dynamics_with_reflexes(subject):
     trial = Trial(subject=subject, perturbation=pulse(0.1, 50.0, duration=1.5))
     recording = run_experiment([trial], ENVIRONMENT, strap=STRAP, rate=1000.0).isel(trial=0)
-    a = _strapped_dynamics(subject, ENVIRONMENT, STRAP)
+    a = strapped_dynamics(subject, ENVIRONMENT, STRAP)
     b = np.vstack([state_space(subject, ENVIRONMENT).b, np.zeros((4, 2))])
     n = len(a)
     step = linalg.expm(np.block([[a, b], [np.zeros((2, n + 2))]]) * 1e-3)[:n]
@@ -176,6 +176,7 @@ def test_stability_is_asked_of_the_arm_on_its_strap():
     assert farthest(late) < 1e-3 * farthest(recording["displacement"])
 
 
+@pytest.mark.slow(reason="pulses on four straps for each of six cases")
 @pytest.mark.parametrize("subject", [POSITION, RELAX, YIELDING], ids=lambda subject: subject.name)
 @pytest.mark.parametrize("rope", models.ROPES)
 def test_a_very_stiff_strap_is_a_fixed_shoulder(subject, rope):

@@ -17,7 +17,7 @@ from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.cohort import draw_person
 from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
 from armperturb.environment import Environment
-from armperturb.envs.lab.simulation import _warning_handler
+from armperturb.envs.lab.simulation import warning_handler
 from armperturb.envs.learning.gym_vector_env import ArmPerturbVectorEnv
 from armperturb.envs.learning.levels import subject_at
 from armperturb.envs.learning.participants import SENSES, action_names
@@ -381,7 +381,7 @@ def test_constant_levels_make_the_person_of_those_levels():
 
 @pytest.mark.slow(reason="waits until the arm is at rest")
 def test_torque_moves_the_hand_as_statics_say():
-    env = made(**LINEAR, task="RT", reflexes=False, duration=20.0, highest_torque=0.2, **CALM)
+    env = made(**LINEAR, task="RT", reflexes=False, duration=20.0, highest_torque=0.2, timestep=2.5e-3, **CALM)
     env.reset(seed=0)
     torque = np.array([0.1, -0.05])
     action = np.concatenate([[0.0], torque / 0.2]).astype(np.float32)
@@ -559,7 +559,7 @@ def test_infos_are_of_those_who_were_reset():
 
 
 def test_warnings_of_the_simulator_come_back_after_threads():
-    handler, _ = _warning_handler()
+    handler, _ = warning_handler()
     before = handler.value
     envs = [made(**SHORT) for _ in range(3)]
     with ThreadPoolExecutor(3) as pool:

@@ -174,7 +174,7 @@ def headless(monkeypatch):
         monkeypatch.setenv(name, "")  # so that it is put back afterwards
         monkeypatch.delenv(name)
     monkeypatch.setattr("sys.platform", "linux")
-    choose = gl._headless
+    choose = gl.headless_backend
     choose.cache_clear()
     yield monkeypatch
     choose.cache_clear()
@@ -209,7 +209,7 @@ def test_egl_is_preferred_and_osmesa_stands_in(headless, egl, osmesa, chosen):
 
 @pytest.mark.parametrize(("name", "value"), [("MUJOCO_GL", "osmesa"), ("DISPLAY", ":0"), ("WAYLAND_DISPLAY", "wl")])
 def test_what_the_user_has_stands(headless, name, value):
-    headless.setattr(gl, "_headless", lambda: pytest.fail("nothing is to be chosen"))
+    headless.setattr(gl, "headless_backend", lambda: pytest.fail("nothing is to be chosen"))
     headless.setenv(name, value)
     assert gl.choose_backend() == ("osmesa" if name == "MUJOCO_GL" else "")
 

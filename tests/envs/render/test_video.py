@@ -354,7 +354,7 @@ def test_without_gl_names_the_package_and_leaves_nothing(file, capsys, monkeypat
     monkeypatch.setitem(sys.modules, "mujoco.egl", None)
     monkeypatch.setitem(sys.modules, "mujoco.osmesa", None)
     monkeypatch.setattr("sys.platform", "linux")
-    gl._headless.cache_clear()
+    gl.headless_backend.cache_clear()
     found = refused(capsys, "video", file, "--trial", 0, "--out", file.parent / "a.mp4")
     assert "apt-get install libegl1" in found
     assert os.listdir(file.parent) == ["rec.nc"]

@@ -130,8 +130,8 @@ SWINGS = "self-sustained oscillation: still moves 8 s after a pulse"
 @pytest.mark.parametrize(
     ("rate_of_decay", "told"),
     [
-        (0.0, "self-sustained oscillation: still moves 8 s after a pulse"),
-        (-0.5, "self-sustained oscillation: still moves 8 s after a pulse"),
+        (0.0, SWINGS),
+        (-0.5, SWINGS),
         (0.4, ""),
         (5.0, ""),
     ],

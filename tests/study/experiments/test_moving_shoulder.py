@@ -5,7 +5,7 @@ import pytest
 from scipy import linalg
 
 from armperturb.analysis.arm.geometry import hand_jacobian
-from armperturb.analysis.arm.state_space import _strapped_dynamics, state_space
+from armperturb.analysis.arm.state_space import state_space, strapped_dynamics
 from armperturb.cohort import Person
 from armperturb.environment import Environment, Strap
 from armperturb.envs.lab.experiment import run_experiment
@@ -99,7 +99,7 @@ def test_small_movements_are_those_of_the_linear_arm_on_its_strap():
     forces = {"PT22.5": 0.5, PULSE_UNIT: 1.0}
     result = moving_shoulder(PERSON, conditions=("PT22.5",), forces=forces, seed=3, n_threads=1)
     trials = _shortened(THESIS, [THESIS.condition("PT22.5")]).trials(PERSON, forces, 3, 0, noisy=False)
-    a = _strapped_dynamics(POSITION, Environment(), Strap())
+    a = strapped_dynamics(POSITION, Environment(), Strap())
     b = np.vstack([state_space(POSITION, Environment()).b, np.zeros((4, 2))])
     n, rate, last = len(a), 400.0, SETTLE + STRETCH
     step = linalg.expm(np.block([[a, b], [np.zeros((2, n + 2))]]) / rate)[:n]

@@ -102,7 +102,7 @@ def test_people_whose_muscles_yield_move_as_far_as_they_change_before_the_experi
 
 
 def test_how_far_people_change_is_each_ones_and_each_conditions_own(monkeypatch):
-    def measure(trials, **_):
+    def measure(trials, environment, **_):
         return np.array([linear_displacement(trial.subject, environment, trial.perturbation) for trial in trials])
 
     monkeypatch.setattr(practice, "measured_displacement", measure)
@@ -171,7 +171,7 @@ def test_ten_nonlinear_people_in_six_rounds(monkeypatch, arm):
     """All conditions of all people, one batch a round, on arms that a linear guess does not know."""
     batches = []
 
-    def measure(trials, **_):
+    def measure(trials, environment, **_):
         batches.append(len(trials))
         linear = [linear_displacement(trial.subject, environment, trial.perturbation) for trial in trials]
         return arm(np.array(linear))

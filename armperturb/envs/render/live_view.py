@@ -1,4 +1,4 @@
-"""Pictures of somebody who does a task, and a window to watch."""
+"""Pictures of a running trial, and a window that shows it."""
 
 import time
 from collections import deque
@@ -16,14 +16,14 @@ from armperturb.models import build_model
 from armperturb.subject import Subject
 
 
-class Onlooker:
-    """Watches one person: disturbance and reaction force as arrows, and where the handle was.
+class LiveView:
+    """One person in a running trial: disturbance and reaction force as arrows, and the handle's path.
 
-    Nothing is opened before the first picture; `close` closes it.
+    The first picture opens an OpenGL context or a window, and `close` closes it.
     """
 
     def __init__(self, environment: Environment, period: float, scale: float) -> None:
-        """Get ready.
+        """Begin with nothing to show.
 
         Args:
           environment: what the hand holds.
@@ -40,26 +40,26 @@ class Onlooker:
         self._next = 0.0
 
     @property
-    def sees(self) -> bool:
-        """Whether there is anything to see."""
+    def has_picture(self) -> bool:
+        """Whether a trial has begun."""
         return bool(self._trail)
 
     def begin(self, subject: Subject) -> None:
-        """Somebody begins a trial."""
+        """Begin a trial, of this subject."""
         self._trail.clear()
         if self._subject is None or _size(subject) != _size(self._subject):
             self.close()
             self._model = None
         self._subject = subject
 
-    def notice(self, angle: Array, handle: Array, disturbance: Array, reaction: Array) -> None:
-        """Take in the next moment: joint angles [rad], displacement [m], and forces [N], two numbers each."""
+    def update(self, angle: Array, handle: Array, disturbance: Array, reaction: Array) -> None:
+        """Set the next instant: joint angles [rad], displacement [m], and forces [N], two numbers each."""
         self._pose = np.concatenate([angle, handle])
         self._forces = np.array([disturbance, reaction])
         self._trail.append(self._pose[2:])
 
     def picture(self, view: str, width: int, height: int) -> NDArray[np.uint8]:
-        """The moment as a picture, (height, width, 3); arguments, errors and the rest as `Camera` has them."""
+        """The instant as a picture, (height, width, 3); arguments and errors as in `Camera`."""
         if self._camera is None:
             self._camera = Camera(self._drawn_model(), width=width, height=height)
         disturbance, reaction = self._forces
@@ -67,7 +67,7 @@ class Onlooker:
         return self._camera.draw(self._pose, view, arrows=arrows, trail=np.array(self._trail))
 
     def show(self) -> None:
-        """Show the moment in a window, no earlier than it is due.
+        """Show the instant in a window, in real time: wait until it is due.
 
         Raises:
           RuntimeError: no window can be opened.
@@ -101,5 +101,5 @@ class Onlooker:
 
 
 def _size(subject: Subject) -> tuple[float, ...]:
-    """What shows of a person."""
+    """What a picture shows of a person."""
     return subject.l_h, subject.l_f, subject.theta_s_deg, subject.theta_e_deg

@@ -1,0 +1,130 @@
+"""The columns of a file, under the names that a sidecar gives them, with what their names say."""
+
+import re
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from armperturb.convert.reading import C3D, TEXT
+from armperturb.convert.sidecar import Dialect
+from armperturb.convert.units import UNITS
+from armperturb.foreign import read_foreign, require_modest
+
+WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+_UNITS = "|".join(sorted({unit for known in UNITS.values() for unit in known} - {""}))
+_UNIT = re.compile(rf"\s*[\[(]\s*([^\])]*?)\s*[\])]\s*$|[\s_.-]+({_UNITS})$")
+
+
+class Column(NamedTuple):
+    """A channel: what the sidecar calls it, what it is named after, its values, and what the file states of it."""
+
+    channel: str
+    label: str
+    values: NDArray[Any]
+    unit: str = ""
+    rate: float = 0.0
+
+    def words(self) -> tuple[list[str], str]:
+        """Words of the name in lower case, and the unit, which may stand in brackets or as the last word."""
+        match = _UNIT.search(self.label)
+        words = WORD.findall(self.label[: match.start()] if match else self.label)
+        unit = "" if match is None else match[1] or match[2] or ""
+        return [word.lower() for word in words], self.unit or unit
+
+
+def axis_of(words: Sequence[str]) -> tuple[tuple[str, ...], str | None]:
+    """Words without that for the axis, and the axis: force x, x force, Fx, force 1."""
+    axes = {"x": "x", "y": "y", "1": "x", "2": "y"}
+    for at in (-1, 0):
+        if words and words[at] in axes:
+            return tuple(words[:-1] if at else words[1:]), axes[words[at]]
+    if words and words[-1][-1] in "xy":
+        return (*words[:-1], words[-1][:-1]), words[-1][-1]
+    return tuple(words), None
+
+
+def dialect_of(path: Path) -> Dialect:
+    """Dialect of a text file: that of the longest table among its first lines.
+
+    Raises:
+      ValueError: the file is no text, or too large.
+      OSError: it cannot be read.
+    """
+    require_modest(path)
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            lines = "".join(islice(file, 50)).rstrip("\r\n").splitlines()
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: no readable text ({error}); expected columns in UTF-8") from None
+    best, length, width = Dialect(), 0, 1
+    for delimiter in (";", "\t", ",", " "):
+        counts = [line.count(delimiter) for line in lines]
+        start = next((at for at in range(len(lines)) if len(set(counts[at:])) == 1), len(lines))
+        if counts[-1:] > [0] and (len(lines) - start, counts[-1]) > (length, width):
+            length, width = len(lines) - start, counts[-1]
+            comma = delimiter != "," and bool(re.search(r"\d,\d", lines[-1]))
+            best = Dialect(delimiter, "," if comma else ".", start)
+    return best
+
+
+def columns_of(path: Path, dialect: Dialect) -> list[Column]:
+    """Columns of a file, whatever the format.
+
+    Args:
+      path: of the file.
+      dialect: of a text file.
+
+    Raises:
+      ValueError: the file is damaged, too large, or holds no columns.
+      ModuleNotFoundError: C3D is to be read, and ezc3d is not installed.
+      OSError: it cannot be read.
+    """
+    if path.suffix.lower() in TEXT:
+        try:
+            table = pd.read_csv(
+                path,
+                sep=dialect.delimiter,
+                decimal=dialect.decimal,
+                skiprows=dialect.skip_lines,
+                encoding="utf-8-sig",
+                index_col=False,
+                low_memory=False,
+            )
+        except (ValueError, OverflowError) as error:
+            raise ValueError(f"{path}: no readable table ({' '.join(str(error).split())}); expected columns") from None
+        return [Column(str(name).strip(), str(name).strip(), table[name].to_numpy()) for name in table]
+    content = read_foreign(path)
+    if path.suffix.lower() in C3D:
+        return [Column(name, name, part["values"], part["unit"], part["rate"]) for name, part in content.items()]
+    return [column for name, value in content.items() for column in _matlab_columns(name, value)]
+
+
+def _matlab_columns(name: str, value: Any) -> Iterator[Column]:
+    """Numbers, vectors over time, matrices of components or trials, and arrays of both."""
+    if isinstance(value, dict):
+        for field, inner in value.items():
+            yield from _matlab_columns(f"{name}.{field}", inner)
+    if isinstance(value, list) and value:
+        yield from _matlab_columns(name, value[0])
+    if isinstance(value, np.generic):
+        yield Column(name, name, np.array([value]))
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or not 0 < value.ndim < 4:
+        return
+    if value.ndim == 1:
+        yield Column(name, name, value)
+        return
+    time = int(np.argmax(value.shape))
+    dims = ["time" if axis == time else "trial" for axis in range(value.ndim)]
+    last = value.ndim - 1 if time != value.ndim - 1 else 0
+    leaf = Column(name, name.rpartition(".")[2], value).words()[0]
+    if value.ndim == 2 and len("".join(leaf)) > 1 and axis_of(leaf)[1] is not None:
+        yield Column(f"{name}({','.join(dims)})", name, value.ravel())
+    elif value.shape[last] in (2, 3):
+        for component, axis in enumerate("xy"):
+            index = [f"{component + 1}" if at == last else dim for at, dim in enumerate(dims)]
+            yield Column(f"{name}({','.join(index)})", f"{name}.{axis}", value.take(component, last).ravel())

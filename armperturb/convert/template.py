@@ -1,0 +1,277 @@
+"""Writes the sidecar of a file as far as names and numbers allow, with every guess marked for a person to check."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armperturb.analysis.force_balance import Balance
+from armperturb.convert.checks import AWAY, LARGEST_FORCE
+from armperturb.convert.columns import WORD, Column, axis_of, columns_of, dialect_of
+from armperturb.convert.faults import Repair
+from armperturb.convert.importer import import_trials
+from armperturb.convert.raw import trial_name
+from armperturb.convert.reading import C3D, MATLAB, TEXT, read_trials
+from armperturb.convert.sidecar import BODIES, FIRST, OPEN, REQUIRED_LABELS, Dialect, Sidecar
+from armperturb.convert.units import UNITS
+from armperturb.environment import Environment
+from armperturb.files import written_whole
+from armperturb.recording import REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES
+from armperturb.subject import POSITION
+from armperturb.validation import require_one_of
+
+ROLES = {
+    "perturbation": "perturbation perturb pert disturbance disturb dist d motor mot m drive command cmd input",
+    "force": "force f gauge sensor loadcell load cell reaction interaction ft",
+    "displacement": "displacement disp x position pos p handle hand encoder path cursor endpoint",
+}
+"""Signal to words of names that stand for it, in the order in which they decide; a bare x or y is displacement."""
+
+ALIASES = {"participant": "subject", "person": "subject", "subj": "subject", "sub": "subject", "id": "subject"}
+TIMES = ("t", "time", "times", "timestamp", "seconds")
+TRIALS = ("trial", "trial number", "trial no", "trial nr", "trial id", "run", "sweep")
+RATES = ("rate", "fs", "sampling rate", "sample rate")
+RELAXED = {"rt", "relax", "relaxed"}
+
+MOVEMENT = (0.003, 0.5)
+"""Between which the handle's path usually extends [m]."""
+
+CHECKS = {
+    "axes": "where x and y point, seen by the seated person: right, left, forward or backward; no data can show it",
+    "labels.subject": "a name or number of the person",
+    "labels.task": "PT if the person kept the position, RT if relaxed",
+    "labels.l_h": "length of the person's humerus; the average person's is filled in",
+    "labels.l_f": "length of the person's forearm to the middle of the grip; the average person's is filled in",
+    "labels.theta_s_deg": "shoulder angle of the start posture, from the x axis; that of the thesis is filled in",
+    "labels.theta_e_deg": "elbow angle of the start posture; that of the thesis is filled in",
+    "signals.force.exerted_by": "handle for the force of the handle on the hand, hand for the opposite sign",
+    "rate": "the sampling rate in Hz, or instead the field time with the channel of the times",
+}
+"""Field to what a person should know to check it."""
+
+
+class SidecarTemplate(NamedTuple):
+    """A sidecar that was written.
+
+    Attributes:
+      path: of the sidecar.
+      notes: what was guessed, what is left open and what was checked, a line each.
+    """
+
+    path: Path
+    notes: tuple[str, ...]
+
+
+def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: float | None = None) -> SidecarTemplate:
+    """Write a sidecar for a file: names, units, axes and labels as far as they can be guessed.
+
+    What no name and number shows is marked in the sidecar's field `guessed`, or left open as "?". Unit of displacement
+    and sign of force are those with which perturbation, force and displacement obey physics, if there are such.
+
+    Args:
+      file: CSV (.csv, .tsv, .txt), MATLAB (.mat) or C3D.
+      out: path of the sidecar; by default beside the file, of the same name with the ending .json.
+      rate: sampling rate [Hz], of a file without times.
+
+    Returns:
+      The path of the sidecar, and what is to be checked in it.
+
+    Raises:
+      FileExistsError: the sidecar exists already.
+      ValueError: the file is damaged, too large, or has an unknown ending.
+      ModuleNotFoundError: C3D is to be read, and ezc3d is not installed.
+      OSError: a file cannot be read or written.
+    """
+    path = Path(file)
+    target = path.with_suffix(".json") if out is None else Path(out)
+    require_one_of(str(path), "ending", path.suffix.lower(), (*TEXT, *MATLAB, *C3D))
+    if target.exists():
+        raise FileExistsError(f"{target} exists; expected a new file (sidecars are never overwritten; choose --out)")
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file, or a folder; expected a recording")
+    dialect = dialect_of(path) if path.suffix.lower() in TEXT else Dialect()
+    columns = columns_of(path, dialect)
+    content, guessed = _guess(path, columns, dialect, rate)
+    notes = _settled(path, target, content, guessed, columns)
+    content["guessed"] = guessed
+    with written_whole(target) as part:
+        part.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    marked = [f"{field} = {_value(content, field)}: {text}" for field, text in guessed.items()]
+    return SidecarTemplate(target, (*marked, *notes))
+
+
+def _value(content: Mapping[str, Any], field: str) -> str:
+    value: Any = content
+    for name in field.split("."):
+        value = value[name]
+    return json.dumps(value, ensure_ascii=False)
+
+
+# What it means.
+
+
+def _guess(
+    path: Path, columns: Sequence[Column], dialect: Dialect, rate: float | None
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """The sidecar, and what to check in it: field to text."""
+    content: dict[str, Any] = {} if rate is None else {"rate": rate}
+    guessed: dict[str, str] = {}
+    pairs: dict[str, dict[tuple[str, ...], dict[str, Column]]] = {name: {} for name in REQUIRED_SIGNALS}
+    labels: dict[str, NDArray[Any]] = {}
+    trial = None
+    for column in columns:
+        words, unit = column.words()
+        name = " ".join(words)
+        label = ALIASES.get(name, name.replace(" ", "_"))
+        label = f"{label}_{unit}" if f"{label}_{unit}" in TRIAL_COORDINATES else label
+        if column.channel.lower() in TRIAL_COORDINATES or label in TRIAL_COORDINATES:
+            labels[label if label in TRIAL_COORDINATES else column.channel.lower()] = column.values
+        elif column.values.dtype.kind not in "fiu":
+            continue
+        elif name in RATES and len(column.values) == 1 and "rate" not in content:
+            content["rate"] = float(column.values[0])
+        elif words and words[-1] in TIMES and "time" not in content:
+            content["time"] = {"channel": column.channel, "unit": unit}
+            if unit not in UNITS["s"]:
+                content["time"]["unit"] = _unit_of_times(column.values)
+                guessed["time.unit"] = "from the steps of the times"
+        elif name in TRIALS and trial is None:
+            trial, content["trial"] = column, column.channel
+        else:
+            stem, axis = axis_of(words)
+            role = next(
+                (r for r, known in ROLES.items() if {*stem} & {*known.split()}), None if stem else "displacement"
+            )
+            if axis is not None and role is not None:
+                pairs[role].setdefault(stem, {}).setdefault(axis, column)
+    if "time" not in content and "rate" not in content and not any(column.rate for column in columns):
+        content, guessed = {"rate": OPEN, **content}, {"rate": CHECKS["rate"], **guessed}
+    content["axes"], guessed["axes"] = {"x": "right", "y": "forward"}, CHECKS["axes"]
+    others = ", ".join(column.channel for column in columns)
+    content["signals"] = {
+        name: _signal(name, [pair for pair in stems.values() if len(pair) == 2], others, guessed)
+        for name, stems in pairs.items()
+    }
+    numbers = None if trial is None else trial.values
+    _add_labels(path, labels, numbers, content, guessed)
+    if dialect != Dialect():
+        content["csv"] = dialect._asdict()
+    return content, guessed
+
+
+def _unit_of_times(times: NDArray[Any]) -> str:
+    """Unit in which steps make 10 Hz to 100 kHz; s before ms before us."""
+    step = float(np.median(np.abs(np.diff(times)))) if len(times) > 1 else 0.0
+    return next((unit for unit in ("s", "ms", "us") if 1e-5 <= step * UNITS["s"][unit] <= 0.1), "s")
+
+
+def _signal(name: str, pairs: Sequence[Mapping[str, Column]], others: str, guessed: dict[str, str]) -> dict[str, Any]:
+    field, ours = f"signals.{name}", SIGNALS[name][1]
+    signal: dict[str, Any] = {"channels": dict.fromkeys("xy", OPEN), "unit": ours}
+    if name == "force":
+        signal["exerted_by"] = "handle"
+    if not pairs:
+        for axis in "xy":
+            guessed[f"{field}.channels.{axis}"] = f"the channel of {SIGNALS[name][2]}, one of: {others}"[:190]
+        return signal
+    pair = pairs[0]
+    signal["channels"] = {axis: pair[axis].channel for axis in "xy"}
+    if len(pairs) > 1:
+        guessed[f"{field}.channels"] = f"or {', '.join(p[axis].channel for p in pairs[1:] for axis in 'xy')}"[:190]
+    values = np.stack([pair[axis].values for axis in "xy"])
+    low, high = np.nanmin(values, axis=1), np.nanmax(values, axis=1)
+    unit = pair["x"].words()[1]
+    if unit in UNITS[ours]:
+        signal["unit"] = unit
+    else:
+        signal["unit"] = _movement_units(low, high)[0] if ours == "m" else "N" if high.max() < LARGEST_FORCE else "mN"
+        guessed[f"{field}.unit"] = "from the size of its values"
+    if ours == "m" and (np.maximum(low, -high) > np.maximum(AWAY / UNITS["m"][signal["unit"]], high - low)).any():
+        signal["start"] = FIRST
+        guessed[f"{field}.start"] = "the values are places, so that the path begins at the first sample of each trial"
+    return signal
+
+
+def _movement_units(low: NDArray[Any], high: NDArray[Any]) -> list[str]:
+    """Units in which a path is as long as paths are; metres if there is none."""
+    size = float((high - low).max())
+    return [u for u in ("m", "mm", "cm") if MOVEMENT[0] <= size * UNITS["m"][u] <= MOVEMENT[1]] or ["m"]
+
+
+def _add_labels(
+    path: Path,
+    labels: Mapping[str, NDArray[Any]],
+    numbers: NDArray[Any] | None,
+    content: dict[str, Any],
+    guessed: dict[str, str],
+) -> None:
+    """Labels that columns hold, of all trials or of each, and guesses of those that are needed besides."""
+
+    def plain(name: str, value: Any) -> Any:
+        if name in TEXT_COORDINATES:
+            return f"{value:g}" if isinstance(value, float) else str(value)
+        return None if value != value else value  # NaN
+
+    lists = {name: values.tolist() for name, values in labels.items()}
+    constant = {name: plain(name, values[0]) for name, values in lists.items() if len(set(values)) == 1}
+    varying = {name: values for name, values in lists.items() if name not in constant}
+    is_relaxed = {word.lower() for word in WORD.findall(path.stem)} & RELAXED
+    defaults: dict[str, Any] = {"subject": "S01", "task": "RT" if is_relaxed else "PT"}
+    defaults |= {name: getattr(POSITION, name) for name in REQUIRED_LABELS if name not in defaults}
+    for name in REQUIRED_LABELS:
+        if name not in labels:
+            guessed[f"labels.{name}"] = CHECKS[f"labels.{name}"]
+    content["labels"] = {name: constant.get(name, value) for name, value in defaults.items() if name not in varying}
+    content["labels"] |= constant
+    if varying and numbers is not None:
+        firsts = {number: int(np.argmax(numbers == number)) for number in dict.fromkeys(numbers.tolist())}
+        content["trials"] = {
+            trial_name(number): {name: plain(name, values[at]) for name, values in varying.items()}
+            for number, at in firsts.items()
+        }
+
+
+# What physics says.
+
+
+def _settled(
+    path: Path, target: Path, content: dict[str, Any], guessed: dict[str, str], columns: Sequence[Column]
+) -> list[str]:
+    """Unit of displacement and sign of force with which the file obeys physics, put into the sidecar; notes on it."""
+    force, displacement = content["signals"]["force"], content["signals"]["displacement"]
+    try:
+        raw = read_trials(path, Sidecar.of(content, target))
+    except ValueError as error:
+        guessed["signals.force.exerted_by"] = CHECKS["signals.force.exerted_by"]
+        return [f"units and signs are unchecked: {error}"]
+    units = [displacement["unit"]]
+    if "signals.displacement.unit" in guessed:
+        of_path = [column.values for column in columns if column.channel in displacement["channels"].values()]
+        units = _movement_units(*(np.array([f(values) for values in of_path]) for f in (np.nanmin, np.nanmax)))
+    rates = {column.rate for column in columns if column.rate}
+    refused, passed = [], []
+    for unit, body in product(units, BODIES):
+        displacement["unit"], force["exerted_by"] = unit, body
+        try:
+            recording, notes = import_trials(
+                [(path, Sidecar.of(content, target), raw)], get_args(Repair), min(rates) if len(rates) > 1 else None
+            )
+        except ValueError as error:
+            refused.append(f"{error}")
+            continue
+        if not any("unchecked" in note for note in notes):
+            d, f, x = (recording[name].values for name in REQUIRED_SIGNALS)
+            mass = Balance(d, f, x, recording.attrs["rate"]).fit()[0].m_env
+            note = f"physics agrees: the force of the {body} and displacement in {unit} move a mass of {mass:.3g} kg"
+            passed.append((abs(math.log(mass / Environment().m_env)), unit, body, note))
+    if passed:
+        _, displacement["unit"], force["exerted_by"], note = min(passed)
+        return [note]
+    displacement["unit"], force["exerted_by"] = units[0], "handle"
+    guessed["signals.force.exerted_by"] = CHECKS["signals.force.exerted_by"]
+    return [f"units and signs are unchecked{f': as guessed, {refused[0]}' if refused else ''}"]

@@ -1,0 +1,202 @@
+"""Sidecars that are written from names and numbers: what they guess, what they leave open, and that they work."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from laboratory import MASS, N_TRIALS, RATE, as_text, handle, table
+from scipy.io import savemat
+from test_convert import in_matlab, truth, v73, write_c3d
+
+from armperturb import cli
+from armperturb.analysis.fit.identify import identify
+from armperturb.convert import import_recording, write_sidecar
+from armperturb.recording import REQUIRED_SIGNALS
+from armperturb.subject import POSITION
+
+DATA = Path(__file__).parents[2] / "examples" / "data"
+D, F, X = slice(2, 4), slice(4, 6), slice(6, 8)
+
+HEADERS = {
+    "trial,t,Dx,Dy,Fx,Fy,X,Y": ("s", "N", "m"),
+    "trial_number,time_ms,motor_x_mN,motor_y_mN,gauge_x,gauge_y,pos_x,pos_y": ("ms", "mN", "mm"),
+    "run,time [s],x_perturbation [N],y_perturbation [N],F_x (N),F_y (N),HandleX (cm),HandleY (cm)": ("s", "N", "cm"),
+    "Trial,timestamp,dist1,dist2,force1,force2,disp1,disp2": ("us", "N", "m"),
+    "trial,time_s,d_x_N,d_y_N,f_x_N,f_y_N,x_x_m,x_y_m": ("s", "N", "m"),
+}
+SCALE = {"N": 1.0, "mN": 1e3, "m": 1.0, "mm": 1e3, "cm": 1e2, "s": 1.0, "ms": 1e3, "us": 1e6}
+
+
+def as_laboratory(units, by_hand=False):
+    values, (time, of_perturbation, length) = table(duration=6.0), units
+    values[:, 1] *= SCALE[time]
+    values[:, D] *= SCALE[of_perturbation]
+    values[:, F] *= -1.0 if by_hand else 1.0
+    values[:, X] *= SCALE[length]
+    return values
+
+
+def assert_is_the_laboratory(recording, duration=6.0):
+    assert recording.attrs["rate"] == RATE
+    for name in REQUIRED_SIGNALS:
+        np.testing.assert_allclose(recording[name].values, truth(name, duration=duration), atol=1e-9)
+
+
+@pytest.mark.parametrize(("header", "by_hand"), list(zip(HEADERS, [False, True, False, True, True], strict=True)))
+def test_a_table_with_ordinary_names_works_as_it_is(tmp_path, header, by_hand):
+    path = tmp_path / "S07_position.csv"
+    path.write_text(as_text(as_laboratory(HEADERS[header], by_hand), header.split(",")))
+    written = write_sidecar(path)
+    assert written.path == tmp_path / "S07_position.json"
+    recording, notes = import_recording([path])
+    assert_is_the_laboratory(recording)
+    assert recording["l_h"].values.tolist() == [POSITION.l_h] * N_TRIALS
+    sidecar = json.loads(written.path.read_text())
+    assert sidecar["signals"]["force"]["exerted_by"] == ("hand" if by_hand else "handle")
+    assert f"move a mass of {MASS:g} kg" in written.notes[-1]
+    # Every guess stands in the sidecar, in the notes, and in the note of whoever reads the file.
+    guessed = sidecar["guessed"]
+    assert {"axes", "labels.l_h", "labels.subject"} <= set(guessed)
+    assert ("signals.displacement.unit" in guessed) == header.endswith(("pos_y", ",Y", "disp2"))
+    for field, text in guessed.items():
+        assert any(note.startswith(f"{field} = ") and note.endswith(text) for note in written.notes)
+    assert f"guesses that nobody has confirmed: {', '.join(guessed)} (" in notes[-1]
+    del sidecar["guessed"]
+    written.path.write_text(json.dumps(sidecar))
+    assert import_recording([path]).notes == ()
+
+
+def test_labels_in_columns_other_dialects_and_places_in_a_room(tmp_path):
+    values = as_laboratory(("s", "N", "m")) + np.array([0, 0, 0, 0, 0, 0, 0.1, 0.4])
+    lines = as_text(values, ["trial", "t", "Dx", "Dy", "Fx", "Fy", "X", "Y"], ";", ",").splitlines()
+    lines[0] += ";participant;task;condition;pulse_onset_s"
+    lines[1:] = [f"{line};P3;RT;{'A' if line[0] == '1' else 'B'};" for line in lines[1:]]
+    path = tmp_path / "a.csv"
+    path.write_text("A laboratory of arms\n\n" + "\n".join(lines) + "\n")
+    written = write_sidecar(path, tmp_path / "side.json")
+    sidecar = json.loads(written.path.read_text())
+    assert sidecar["csv"] == {"delimiter": ";", "decimal": ",", "skip_lines": 2}
+    assert sidecar["signals"]["displacement"]["start"] == "first"
+    assert sidecar["labels"]["subject"] == "P3"
+    assert sidecar["trials"] == {
+        "1": {"condition": "A", "pulse_onset": None},
+        "2": {"condition": "B", "pulse_onset": None},
+    }
+    assert not {"labels.subject", "labels.task"} & set(sidecar["guessed"])
+    recording = import_recording([path], sidecar=written.path).recording
+    assert recording["task"].values.tolist() == ["RT", "RT"]
+    assert recording["condition"].values.tolist() == ["A", "B"]
+
+
+def test_what_cannot_be_guessed_is_left_open_and_named_when_the_file_is_read(tmp_path):
+    path = tmp_path / "lab.csv"
+    path.write_text(as_text(table(duration=6.0), ["trial", "c1", "c2", "c3", "Fx", "Fy", "X", "Y"]))
+    written = write_sidecar(path)
+    assert "units and signs are unchecked" in written.notes[-1]
+    with pytest.raises(
+        ValueError, match=r"lab.json: rate = '\?' is left open; expected the sampling rate in Hz, .* 2 more"
+    ):
+        import_recording([path])
+    sidecar = json.loads(written.path.read_text())
+    sidecar["rate"] = RATE
+    written.path.write_text(json.dumps(sidecar))
+    message = (
+        r"signals.perturbation.channels.x = '\?' is left open; expected the channel of disturbance force d .* c1, c2"
+    )
+    with pytest.raises(ValueError, match=message):
+        import_recording([path])
+    sidecar["signals"]["perturbation"]["channels"] = {"x": "c2", "y": "c3"}
+    written.path.write_text(json.dumps(sidecar))
+    assert_is_the_laboratory(import_recording([path]).recording)
+
+
+def test_a_rate_that_is_given_closes_the_only_open_field(tmp_path):
+    path = tmp_path / "lab.csv"
+    path.write_text(as_text(table(duration=6.0)[:, [0, 2, 3, 4, 5, 6, 7]], ["trial", "Dx", "Dy", "Fx", "Fy", "X", "Y"]))
+    write_sidecar(path, rate=RATE)
+    assert_is_the_laboratory(import_recording([path]).recording)
+
+
+def test_a_file_that_no_guess_explains_says_so(tmp_path):
+    values = table(duration=6.0)
+    values[:, 4] = values[::-1, 4]
+    path = tmp_path / "lab.csv"
+    path.write_text(as_text(values))
+    written = write_sidecar(path)
+    assert "as guessed, " in written.notes[-1]
+    assert "d - f does not move a mass" in written.notes[-1]
+    assert "signals.force.exerted_by" in json.loads(written.path.read_text())["guessed"]
+
+
+def test_existing_sidecars_are_never_overwritten_and_other_files_refused(tmp_path):
+    path = tmp_path / "lab.csv"
+    path.write_text(as_text(table(duration=6.0)))
+    path.with_suffix(".json").write_text("{}")
+    with pytest.raises(FileExistsError, match=r"lab.json exists; expected a new file"):
+        write_sidecar(path)
+    assert path.with_suffix(".json").read_text() == "{}"
+    for name, content, message in (
+        ("a.xls", b"", "ending = '.xls'; expected one of .csv"),
+        ("a.csv", b"", "no readable table"),
+        ("b.csv", b"\xff\xfe\x00", "no readable text"),
+        ("a.mat", b"", "no MATLAB file of v5 or later"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(ValueError, match=message):
+            write_sidecar(tmp_path / name)
+    with pytest.raises(FileNotFoundError, match="no such file"):
+        write_sidecar(tmp_path / "absent.csv")
+    assert [file.name for file in tmp_path.glob("*.json")] == ["lab.json"]
+
+
+@pytest.mark.parametrize("form", ["structures", "time by trial", "v7.3"])
+def test_matlab_files(tmp_path, form):
+    path = tmp_path / "lab.mat"
+    if form == "structures":
+        content, _ = in_matlab(form)
+        savemat(path, {**content, "fs": RATE})
+    else:
+        parts = np.stack(
+            [np.concatenate(handle(trial), axis=1) for trial in range(2)], axis=1
+        )  # (time, trial, channel)
+        content = dict(zip(("Dx", "Dy", "Fx", "Fy", "Xx", "Xy"), np.moveaxis(parts, -1, 0), strict=True))
+        if form == "v7.3":
+            v73(path, content)
+        else:
+            savemat(path, {**content, "rate": RATE})
+    write_sidecar(path, rate=RATE if form == "v7.3" else None)
+    assert_is_the_laboratory(import_recording([path]).recording, duration=10.0)
+
+
+def test_c3d_files(tmp_path):
+    write_c3d(tmp_path / "lab.c3d")
+    (tmp_path / "lab.json").unlink()
+    written = write_sidecar(tmp_path / "lab.c3d")
+    assert "displacement in mm move a mass of 3 kg" in written.notes[-1]
+    recording = import_recording([tmp_path / "lab.c3d"], rate=200.0).recording
+    assert np.abs(recording["displacement"].values[:, 100:-100] - truth("displacement", 1)[:, 100:-100]).max() < 1e-4
+
+
+def test_the_command_prints_the_guesses_and_the_sidecar(tmp_path, capsys):
+    path = tmp_path / "lab.csv"
+    path.write_text(as_text(table(duration=6.0)))
+    assert cli.main(["sidecar", str(path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == 'time.unit = "s": from the steps of the times'
+    assert lines[1].startswith('axes = {"x": "right", "y": "forward"}: where x and y point')
+    assert lines[-1] == f"sidecar: {tmp_path / 'lab.json'}"
+    assert cli.main(["sidecar", str(path)]) == 1
+    assert capsys.readouterr().err.startswith(f"armperturb: error: {tmp_path / 'lab.json'} exists; expected a new file")
+
+
+@pytest.mark.slow(reason="identifies a recording")
+def test_a_table_becomes_an_identification_without_an_edit(tmp_path):
+    shutil.copy(DATA / "position.csv", tmp_path)
+    write_sidecar(tmp_path / "position.csv")
+    with_guesses = identify(import_recording([tmp_path / "position.csv"]).recording, "3b", estimator="frequency")
+    right = identify(import_recording([DATA / "position.csv"]).recording, "3b", estimator="frequency")
+    # x points to the left there, which no data can show: all that a wrong guess of it turns is the sign of xy and yx.
+    turn = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    np.testing.assert_allclose(with_guesses.spectra.arm, right.spectra.arm * turn, rtol=1e-6, atol=1e-12)

@@ -1,0 +1,65 @@
+"""What the core does without any extra: `python tests/core.py FOLDER`, which `make test-core` runs in a core install.
+
+With `--hide` the optional libraries are hidden, and with them what only POSIX systems have.
+"""
+
+import signal
+import sys
+from importlib.abc import MetaPathFinder
+from pathlib import Path
+
+DATA = Path(__file__).parents[1] / "examples" / "data"
+LIBRARIES = {"mujoco", "numba", "loky", "filelock", "jinja2", "gymnasium", "dm_control", "mediapy", "ezc3d", "joblib"}
+POSIX = {"fcntl", "resource"}
+
+
+class Hidden(MetaPathFinder):
+    """Refuses to import libraries as if they were not installed."""
+
+    def find_spec(self, fullname, path=None, target=None):
+        if fullname.partition(".")[0] in LIBRARIES | POSIX:
+            raise ModuleNotFoundError(f"No module named {fullname!r}", name=fullname)
+
+
+def hide():
+    for name in (LIBRARIES | POSIX) & set(sys.modules):
+        del sys.modules[name]
+    sys.meta_path.insert(0, Hidden())
+    del signal.pthread_sigmask
+
+
+def check(folder):
+    """Run the commands of the core on the examples' recordings, and see that the others name their extra."""
+    import armperturb
+    from armperturb.cli import main
+    from armperturb.extras import MissingExtraError
+
+    assert not LIBRARIES & set(sys.modules)
+    recording = str(folder / "recording.nc")
+    for command in (
+        ("convert", str(DATA / "position.csv"), "--out", recording),
+        ("identify", recording, "--model", "3b", "--out", str(folder / "fit")),
+        ("response", recording, "--out", str(folder / "response")),
+        ("--version",),
+    ):
+        assert main(command) == 0, command
+    assert (folder / "fit" / "parameters.csv").is_file()
+    assert (folder / "response" / "response.svg").is_file()
+    for command in (("study", "--out", "none"), ("identify", recording, "--model", "nonlinear", "--out", "none")):
+        assert main(command) == 1, command
+    missing = set()
+    for name in dir(armperturb):
+        try:
+            getattr(armperturb, name)
+        except MissingExtraError:
+            missing.add(name)
+    assert {"run_experiment", "run_study", "write_video"} <= missing
+    assert not {"identify", "response", "import_recording", "StudySettings", "design", "draw_cohort"} & missing
+    assert not LIBRARIES & set(sys.modules)
+    print(f"the core is whole without {', '.join(sorted(missing))}")
+
+
+if __name__ == "__main__":
+    if "--hide" in sys.argv:
+        hide()
+    check(Path(sys.argv[1]))
