@@ -199,7 +199,7 @@ def test_figures_do_without_arms_that_are_unstable(explained):
 
 def test_example_draws_and_tells(explained, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(why, "why_people_yield", lambda person: explained)
-    runpy.run_path(str(ROOT / "examples" / "why_people_yield.py"))["main"](tmp_path / "folder")
+    runpy.run_path(str(ROOT / "docs" / "figures" / "muscle_mechanisms.py"))["main"](tmp_path / "folder")
     assert {path.name for path in (tmp_path / "folder").iterdir()} == {
         f"yielding_{name}.png" for name in ("loops", "admittance", "pulses")
     }

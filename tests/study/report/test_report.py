@@ -27,7 +27,8 @@ from tests.conftest import coarse_study, sketch
 
 HEADERS = {
     "summary": "condition,subjects,identified,trials,trials_used,model,median_abs_error_percent",
-    "parameters": "condition,subject,parameter,unit,true,estimated,standard_error,lower_95,upper_95,error_percent,"
+    "parameters": "subject,parameter,value,standard_error,lower_95,upper_95,unit,at_bound,condition",
+    "estimates": "condition,subject,parameter,unit,true,estimated,standard_error,lower_95,upper_95,error_percent,"
     "at_bound,thesis_estimated,thesis_sem,thesis_error_percent",
     "parameters_summary": "condition,parameter,unit,published_mean,published_sd,true_mean,true_sd,estimated_mean",
     "correlations": "condition,subject,parameter,other,correlation",
@@ -473,8 +474,8 @@ def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path):
     for shown, row in zip(tables["parameters_summary"][2:], rows(tmp_path, "parameters_summary"), strict=True):
         assert number(shown[4]) == pytest.approx(float(row["estimated_mean"]), rel=0.006, abs=1e-6)
         assert number(shown[5]) == pytest.approx(float(row["thesis_mean"]), rel=0.006, abs=1e-6)
-    of_parameters = rows(tmp_path, "parameters")
-    assert list(of_parameters[0]) == HEADERS["parameters"].split(",")
+    of_parameters = rows(tmp_path, "estimates")
+    assert list(of_parameters[0]) == HEADERS["estimates"].split(",")
     for row in of_parameters:
         for name in ("true", "error_percent", "thesis_error_percent"):
             assert math.isnan(float(row[name]))
