@@ -389,7 +389,7 @@ def test_reports_what_went_badly(study, tmp_path):
         stable=False,
         at_bound=("k_s",),
         converged=False,
-        status="gave up",
+        message="gave up",
         remarks=("k_s <sits>",),
         detail=replace(position.estimate, chi2=3.0 * position.estimate.dof),
     )
