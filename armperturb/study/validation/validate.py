@@ -13,7 +13,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
-from tqdm import tqdm
 
 from armperturb.analysis.fit.identify import Estimator
 from armperturb.analysis.fit.maximum_likelihood import Group, Method, estimate
@@ -27,6 +26,7 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
+from armperturb.progress import Progress
 from armperturb.seeds import trial_seed
 from armperturb.study.validation.settings import ValidateSettings
 from armperturb.subject import Subject
@@ -201,7 +201,7 @@ def validate(settings: ValidateSettings, *, workers: int | None = None, show_pro
     units, do, results = range(settings.groups), partial(run_group, settings), []
     with (
         workers_for(min(workers, settings.groups), None) as pool,
-        tqdm(total=len(units), desc="validate", unit="group", disable=None if show_progress else True) as bar,
+        Progress("validation", total=len(units), unit="groups", show=show_progress) as bar,
     ):
         for result in map(do, units) if pool is None else completed(do, units, pool, bar.refresh):
             results.append(result)
