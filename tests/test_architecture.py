@@ -14,11 +14,12 @@ ROOT = Path(armperturb.__file__).parent
 BASE = {"arrays", "validation", "extras", "seeds", "files", "foreign", "recording"}
 BASE |= {"muscle_law", "subject", "environment"}
 ARM = BASE | {
-    "analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics", "analysis.results", "plots",
+    "analysis.defaults", "analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics",
+    "analysis.results", "plots",
 }  # fmt: skip
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear"}
 LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
-STUDY = LAB | ANALYSIS | {"envs.lab", "archive", "workers", "study.protocol", "study.published"}
+STUDY = LAB | ANALYSIS | {"envs.lab", "archive", "workers", "progress", "study.protocol", "study.published"}
 ARROWS = {
     "arrays": set(),
     "validation": set(),
@@ -32,10 +33,12 @@ ARROWS = {
     "recording": {"files", "foreign"},
     "archive": {"files"},
     "workers": {"extras"},
+    "progress": set(),
     "perturbations": BASE,
     "controllers": BASE,
     "planar_arm": ARM | {"controllers", "perturbations"},
     "models": BASE,
+    "analysis.defaults": BASE,
     "analysis.numerics": BASE,
     "analysis.arm": BASE,
     "analysis.force_balance": BASE,
@@ -53,7 +56,7 @@ ARROWS = {
     "envs.learning": LAB | {"envs.lab", "envs.render"},
     "study.published": BASE,
     "study.protocol": LAB | {"envs.lab"},
-    "study.recording": LAB | {"envs.lab", "workers", "study.protocol"},
+    "study.recording": LAB | {"envs.lab", "workers", "progress", "study.protocol"},
     "study.results": STUDY | {"study.recording"},
     "study.comparison": STUDY | {"study.results"},
     "study.experiments": STUDY | {"study.recording", "study.results"},

@@ -197,7 +197,7 @@ class FitResult(Result):
         from armperturb.plots.parameters import plot_parameters
 
         by_condition = self.to_frame().groupby("condition", sort=False)
-        return plot_parameters({str(label): frame for label, frame in by_condition}, figure)
+        return plot_parameters({str(label) or "all conditions": frame for label, frame in by_condition}, figure)
 
 
 def normal_quantile(level: float) -> float:
@@ -222,7 +222,7 @@ def parameter_table(frame: "pd.DataFrame", *keys: str) -> Table:
     for row in frame.to_dict("records"):
         limits = row["lower_95"], row["upper_95"]
         interval = f"{plain(limits[0])} to {plain(limits[1])}" if np.isfinite(limits).all() else "not identifiable"
-        mark = " (at bound)" if row["at_bound"] else ""
+        mark = " (bound)" if row["at_bound"] else ""
         keyed = tuple(str(row[key]) for key in keys)
         rows.append((row["parameter"], plain(row["value"]), interval + mark, row["unit"], *keyed))
     return Table(("parameter", "estimate", "95 % interval", "unit", *keys), tuple(rows))

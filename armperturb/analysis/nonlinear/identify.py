@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.nonlinear.choice import Choice, compare_laws
 from armperturb.analysis.nonlinear.estimate import N_PAIRS, N_PAIRS_OF_ERRORS, fit, nearest_arms
 from armperturb.analysis.nonlinear.model import Law, Model
@@ -21,7 +22,7 @@ from armperturb.analysis.nonlinear.prediction import (
 )
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.nonlinear.start import linear_arms
-from armperturb.analysis.nonlinear.trials import training_sets, trial_sets
+from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
 from armperturb.analysis.results import Description, Result
 from armperturb.subject import Subject
 
@@ -76,14 +77,13 @@ class NonlinearIdentification(Result):
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw the first left-out pulse of each condition and direction, as recorded and as the models predict it.
 
+        Without left-out pulses, the estimates are drawn, see `FitResult.plot`.
+
         Args:
           figure: where to draw; its height is set. None makes a new one of pyplot.
 
         Returns:
-          Matplotlib axes, (pulse, axis).
-
-        Raises:
-          ValueError: no pulse was left out.
+          Matplotlib axes, (pulse, axis); of estimates (unit,).
         """
         from armperturb.plots.pulses import PredictedPulse, plot_pulses
 
@@ -91,9 +91,7 @@ class NonlinearIdentification(Result):
         for i, pulse in enumerate(self.pulses["nonlinear"]):
             first.setdefault((pulse.condition, pulse.direction_deg), i)
         if not first:
-            raise ValueError(
-                "plot: no pulse was left out of the fit; expected at least one (plot the estimate instead)"
-            )
+            return self.estimate.plot(figure)
         shown = []
         for (condition, direction), i in first.items():
             of_models = {model: pulses[i] for model, pulses in self.pulses.items()}
@@ -109,8 +107,8 @@ def identify_nonlinear(
     law: Law | Literal["choose"] = "full",
     *,
     pulse_directions_deg: Iterable[float] = (),
-    start: float = 8.0,
-    period: float = 20.48,
+    window_start: float = WINDOW_START,
+    period: float | None = None,
     folder: Path | None = None,
     progress: Callable[[str], object] | None = None,
     threads: int = 1,
@@ -123,8 +121,8 @@ def identify_nonlinear(
       recording: trials of one person, of one or both tasks.
       law: which, or "choose": see `compare_laws`.
       pulse_directions_deg: pulses in these directions are fitted too.
-      start: of the window that linear arms are identified from, see `identify_conditions` [s].
-      period: of the disturbance [s].
+      window_start: start of the window that linear arms are identified from, see `identify_conditions` [s].
+      period: of the disturbance [s]; None to find it.
       folder: for checkpoints; fits that were stopped there go on.
       progress: called with a line after each step.
       threads: how many simulate at a time; no effect on the result.
@@ -137,14 +135,14 @@ def identify_nonlinear(
       ModuleNotFoundError: numba is not installed.
     """
     directions = list(pulse_directions_deg)
-    sets = trial_sets(recording)
+    sets = fitted_conditions(recording)
     recorded = {float(deg) for trials in sets.values() for deg in trials.direction_deg if not np.isnan(deg)}
     for wanted in directions:
         if not any(math.isclose(wanted, deg) for deg in recorded):
             known = ", ".join(f"{deg:g}" for deg in sorted(recorded)) or "none, as there are no pulses"
             raise ValueError(f"pulses: no pulse in the direction {wanted:g} deg; expected some of {known}")
     fitted, left_out = training_sets(sets, directions)
-    arms = linear_arms(recording, start=start, period=period)
+    arms = linear_arms(sets, window_start=window_start, period=period)
     options: dict[str, Any] = dict(
         n_pairs=n_pairs, n_pairs_of_errors=n_pairs_of_errors, progress=progress, threads=threads
     )

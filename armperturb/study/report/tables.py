@@ -191,15 +191,17 @@ def summary_rows(study: StudyResult, of_parameters: list[Row], of_fits: list[Row
 
 
 def write_tables(study: StudyResult, folder: Path) -> dict[str, list[Row]]:
-    """Write every table that has rows as CSV, and return all by name.
+    """Write every table that has rows as CSV, and `parameters.csv`; return the tables by name.
 
     Raises:
       OSError: the folder cannot be written to.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    if study.conditions:
+        write_csv(study.to_frame(), folder / "parameters.csv")
     of_parameters, of_fits = parameter_rows(study), fit_rows(study)
     tables = {
-        "parameters": of_parameters,
+        "estimates": of_parameters,
         "parameters_summary": parameter_summary_rows(of_parameters),
         "correlations": correlation_rows(study),
         "fits": of_fits,

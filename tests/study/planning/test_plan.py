@@ -14,8 +14,9 @@ from armperturb.analysis.arm.parameters import PARAMETERS
 from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.likelihood import TAPER
 from armperturb.analysis.fit.maximum_likelihood import Group, estimate
-from armperturb.analysis.fit.structures import STRUCTURES, at_truth, body_of
+from armperturb.analysis.fit.structures import STRUCTURES, at_truth
 from armperturb.analysis.force_balance import EDGE, NoiseLevels
+from armperturb.analysis.results import LINES
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
@@ -24,6 +25,7 @@ from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import CLUSTERS, Multisine, Sampled, line_spectrum, load_perturbation, save_perturbation
 from armperturb.perturbations.line_spectrum import draw_multisine
 from armperturb.perturbations.multisine import PERIOD, PERIOD_SAMPLES
+from armperturb.plots.style import new_figure
 from armperturb.study.planning.information import Experiment, Limits, Noise, effective_duration, optimise
 from armperturb.study.planning.plan import (
     DesignSettings,
@@ -283,7 +285,7 @@ def test_simulated_records_hold_the_predicted_information_and_estimates_scatter_
             recording = run_experiment(
                 trials, linear=True, instruments=Instruments(marker_noise=None, emg=None), n_threads=1
             )
-            prepared = Group.prepare(recording, body_of(recording), structure)
+            prepared = Group.prepare(recording, structure)
             values = structure.parameters("PT", plan.truth)
             prepared.record.weigh(values)
             information = prepared.record.normal(values, structure.mixing).information
@@ -378,7 +380,7 @@ def test_a_short_plan_can_be_identified():
     n_period = round(5.12 * 200.0)
     np.testing.assert_allclose(played.force[n_period:], played.force[: len(played.force) - n_period], atol=1e-12)
     recording = run_experiment([Trial(subject=POSITION, perturbation=played)], linear=True, n_threads=1)
-    found = identify(recording, "3b", start=plan.settings.start, period=plan.settings.period)
+    found = identify(recording, "3b", window_start=plan.settings.start, period=plan.settings.period)
     for name in ("k_e", "kv_e"):
         assert found.fit.values[name] == pytest.approx(getattr(POSITION, name), rel=0.02)
 
@@ -442,3 +444,18 @@ def test_the_command_writes_what_simulate_plays(tmp_path, capsys):
     assert sorted(path.name for path in (out / "perturbations").iterdir()) == ["trial_01.csv", "trial_02.csv"]
     played = load_perturbation(out / "perturbations" / "trial_01.csv")
     assert np.sqrt(np.mean(played.force[:PERIOD_SAMPLES] ** 2, axis=0)).max() <= 5.4 * (1 + 1e-9)
+
+
+def test_a_plan_reads_as_a_table_and_plots(plan):
+    assert len(repr(plan).splitlines()) <= LINES
+    frame = plan.to_frame()
+    lines = {line.split()[0].rstrip("*"): line for line in plan.summary().splitlines() if line}
+    for row in frame.to_dict("records"):
+        assert f"{100.0 * row['sem_optimised'] / abs(row['value']):.3g} %" in lines[row["parameter"]]
+    assert "<table>" in plan._repr_html_()
+    axes = plan.plot(figure=new_figure(1.0))
+    assert axes.shape == (2, 2)
+    spectrum = axes[1, 0].get_lines()[1]
+    shown = plan.optimised.power[:, 0] > 1e-5 * plan.optimised.power[:, 0].max()
+    np.testing.assert_allclose(spectrum.get_ydata(), np.sqrt(plan.optimised.power[shown, 0]))
+    assert len(plan.spectrum_frame()) == len(plan.thesis.frequency) + len(plan.optimised.frequency)

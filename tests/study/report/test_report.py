@@ -27,7 +27,8 @@ from tests.conftest import coarse_study, sketch
 
 HEADERS = {
     "summary": "condition,subjects,identified,trials,trials_used,model,median_abs_error_percent",
-    "parameters": "condition,subject,parameter,unit,true,estimated,standard_error,lower_95,upper_95,error_percent,"
+    "parameters": "subject,parameter,value,standard_error,lower_95,upper_95,unit,at_bound,condition",
+    "estimates": "condition,subject,parameter,unit,true,estimated,standard_error,lower_95,upper_95,error_percent,"
     "at_bound,thesis_estimated,thesis_sem,thesis_error_percent",
     "parameters_summary": "condition,parameter,unit,published_mean,published_sd,true_mean,true_sd,estimated_mean",
     "correlations": "condition,subject,parameter,other,correlation",
@@ -388,7 +389,7 @@ def test_reports_what_went_badly(study, tmp_path):
         stable=False,
         at_bound=("k_s",),
         converged=False,
-        status="gave up",
+        message="gave up",
         remarks=("k_s <sits>",),
         detail=replace(position.estimate, chi2=3.0 * position.estimate.dof),
     )
@@ -399,15 +400,15 @@ def test_reports_what_went_badly(study, tmp_path):
     gone = replace(relax, identification=None, left_out=(reason,), single_trials=())
     badly = replace(study, made=replace(study.made, subjects=1), cases=(bad, gone), people=())
     lists = left_out(badly, fit_rows(badly), ["a <remark>"])
-    assert lists["Fits of greatest likelihood with a parameter at its bound"] == ["S01 in PT7.5: k_s"]
-    assert [
-        line.split(",")[0] for line in lists["Fits whose trials say that the model is wrong, or the person not linear"]
-    ] == ["S01 in PT7.5: chi2 / dof 3.00"]
-    assert lists["Fits of greatest likelihood that did not converge"] == ["S01 in PT7.5: gave up"]
-    assert lists["Trials and people that were left out"] == [reason]
-    assert [
-        line.split(":")[0] for line in lists["Fits of greatest likelihood that are unstable on the manipulator"]
-    ] == ["S01 in PT7.5"]
+    assert lists["Maximum likelihood fits with a parameter at its bound"] == ["S01 in PT7.5: k_s"]
+    assert [line.split(",")[0] for line in lists["Fits with residuals larger than the noise explains"]] == [
+        "S01 in PT7.5: chi2 / dof 3.00"
+    ]
+    assert lists["Maximum likelihood fits that did not converge"] == ["S01 in PT7.5: gave up"]
+    assert lists["Trials and people left out"] == [reason]
+    assert [line.split(":")[0] for line in lists["Maximum likelihood fits that are unstable on the manipulator"]] == [
+        "S01 in PT7.5"
+    ]
     text = sketch(badly, tmp_path)
     # One task and one amplitude are left.
     assert possible_figures(badly) == {
@@ -473,8 +474,8 @@ def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path):
     for shown, row in zip(tables["parameters_summary"][2:], rows(tmp_path, "parameters_summary"), strict=True):
         assert number(shown[4]) == pytest.approx(float(row["estimated_mean"]), rel=0.006, abs=1e-6)
         assert number(shown[5]) == pytest.approx(float(row["thesis_mean"]), rel=0.006, abs=1e-6)
-    of_parameters = rows(tmp_path, "parameters")
-    assert list(of_parameters[0]) == HEADERS["parameters"].split(",")
+    of_parameters = rows(tmp_path, "estimates")
+    assert list(of_parameters[0]) == HEADERS["estimates"].split(",")
     for row in of_parameters:
         for name in ("true", "error_percent", "thesis_error_percent"):
             assert math.isnan(float(row[name]))
@@ -502,7 +503,7 @@ def test_reports_a_study_without_anybody_and_without_a_rig(study, tmp_path, monk
     monkeypatch.setattr(rig_figures, "render", without_pictures)
     nobody = replace(study, cases=tuple(replace(case, identification=None) for case in study.cases), people=())
     text = sketch(nobody, tmp_path, figures=("rig", "stills"))
-    assert "Nobody was identified: the reasons are below" in text
+    assert "Nobody was identified: the last section gives the reasons" in text
     assert "render: no OpenGL context; install &lt;libegl1&gt;" in text
     assert "<libegl1>" not in text
     assert possible_figures(nobody) == {"pulse_signal", "joint_rotations", "trajectories_PT"}

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.fit.structures import true_values
+from armperturb.analysis.results import LINES
 from armperturb.cli import main
+from armperturb.plots.style import new_figure
 from armperturb.study.validation.report import title
 from armperturb.study.validation.validate import Judged, ValidateSettings, Validation, simulate_group, validate
 from armperturb.subject import POSITION
@@ -210,3 +212,17 @@ def test_the_command_refuses_in_one_line(tmp_path, capsys):
     assert main(["validate", "--out", str(tmp_path / "new"), "--groups", "0"]) == 1
     assert capsys.readouterr().err == ("armperturb: error: validate: groups = 0; expected a finite number at least 1\n")
     assert not (tmp_path / "new").exists()
+
+
+def test_a_validation_reads_as_a_table_and_plots(tmp_path):
+    found = hand_made(judged([11.0, 0.0]), judged([13.0, -4.0]))
+    assert len(repr(found).splitlines()) <= LINES
+    assert "model 3b, 2 groups of 8 trials" in repr(found)
+    assert "flagged" in found.summary()
+    assert "<table>" in found._repr_html_()
+    frame = found.to_frame()
+    ax = found.plot(figure=new_figure(1.0))
+    ratios = next(line for line in ax.get_lines() if line.get_marker() == "D")
+    np.testing.assert_array_equal(ratios.get_xdata(), frame["rms_error_over_bound"])
+    bars = ax.collections[0].get_segments()
+    np.testing.assert_allclose([bar[1, 0] for bar in bars], frame["rms_error_over_bound_high"])

@@ -1,6 +1,6 @@
 """Does a trade-off between effort and accuracy predict that people who keep position stiffen in larger movements?
 
-Run `python examples/effort_and_accuracy.py FOLDER [--fast]`. The position task's own reward chooses levels of
+Run `python docs/figures/effort_and_accuracy.py FOLDER [--fast]`. The position task's own reward chooses levels of
 co-contraction and reflexes, from candidates that try side by side in the vector environment, and the arms that result
 are identified. It writes the picture of docs/effort.md and prints its numbers; --fast only shows that it runs.
 """
@@ -189,7 +189,7 @@ def identified(arms: dict[str, dict[str, np.ndarray]], size: Size) -> dict[tuple
     found = {}
     for number, (key, own) in enumerate(trials.items()):
         part = recording.isel(trial=slice(number * len(own), (number + 1) * len(own)))
-        spectra = estimate_spectra(line_spectra(part, start=size.settle))
+        spectra = estimate_spectra(line_spectra(part, window_start=size.settle))
         moved = part["displacement"].values[:, round(size.settle * part.attrs["rate"]) :]
         gain = np.abs(np.diagonal(spectra.arm, axis1=1, axis2=2))
         found[key] = Arm(spectra.frequency, gain, float(np.sqrt(np.mean(moved**2))))

@@ -1,0 +1,209 @@
+"""Results that describe themselves: text of few lines, HTML, tables of one schema, and axes that hold the data."""
+
+from dataclasses import dataclass
+
+import matplotlib
+import numpy as np
+import pandas as pd
+import pytest
+
+from armperturb.analysis.arm.linear_arm import LinearArm, arm_admittance
+from armperturb.analysis.arm.parameters import parameter_vector
+from armperturb.analysis.fit.export import write_identification
+from armperturb.analysis.fit.identify import Identifications, identify_conditions
+from armperturb.analysis.results import (
+    LINES,
+    PARAMETER_COLUMNS,
+    WIDTH,
+    Description,
+    FitResult,
+    normal_quantile,
+    parameter_table,
+    plain,
+)
+from armperturb.files import write_csv
+from armperturb.plots.style import new_figure
+
+matplotlib.use("agg")
+
+ESTIMATORS = ("record", "frequency", "thesis")
+
+
+def require_readable(result):
+    """What a person reads: `repr` fits a terminal, and summary and HTML hold all of the title and the table."""
+    said = result.describe()
+    lines = repr(result).splitlines()
+    assert len(lines) <= LINES
+    assert max(map(len, lines)) <= max(WIDTH, max(map(len, said.table.lines()), default=0))
+    assert "array(" not in repr(result)
+    summary, html = result.summary(), result._repr_html_()
+    for text in (said.title, *said.facts, *said.remarks):
+        assert text in summary
+    for row in said.table.rows:
+        assert all(cell.strip() in summary for cell in row)
+    assert html.count("<tr>") == len(said.table.rows) + bool(said.table.rows)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MadeUp(FitResult):
+    def unit_of(self, name):
+        return "Nm/rad"
+
+    def describe(self):
+        return Description(title="Made <up>", table=parameter_table(self.to_frame()), remarks=self.remarks)
+
+
+def made_up(n, n_remarks=0):
+    names = [f"k_{i}" for i in range(n)]
+    error = dict.fromkeys(names, 2.0) | {"k_1": np.inf}
+    return MadeUp(
+        values={name: 10.0 * i for i, name in enumerate(names)},
+        standard_error=error,
+        correlation=np.eye(n),
+        at_bound=("k_0",),
+        converged=True,
+        message="settled",
+        remarks=tuple(
+            f"remark {i} is a sentence of some length, which may need more than a line " * 2 for i in range(n_remarks)
+        ),
+    )
+
+
+@pytest.mark.parametrize(("n", "n_remarks"), [(2, 0), (13, 2), (26, 0), (26, 30), (90, 3)])
+def test_any_number_of_parameters_and_remarks_fits_a_terminal(n, n_remarks):
+    result = made_up(n, n_remarks)
+    require_readable(result)
+    if n <= 26 and not n_remarks:
+        assert all(name in repr(result).split() for name in result.values)
+    elif n_remarks > 20:
+        assert "summary() has the rest" in repr(result)
+    assert "Made &lt;up&gt;" in result._repr_html_()
+
+
+def test_intervals_and_their_table():
+    result = made_up(3)
+    assert result.interval("k_2") == pytest.approx((20.0 - 1.959964 * 2.0, 20.0 + 1.959964 * 2.0))
+    assert result.interval("k_2", 0.5) == pytest.approx((20.0 - 0.67449 * 2.0, 20.0 + 0.67449 * 2.0), rel=1e-5)
+    frame = result.to_frame()
+    assert tuple(frame.columns) == PARAMETER_COLUMNS
+    assert frame["at_bound"].tolist() == [True, False, False]
+    assert frame["lower_95"].tolist()[1] == -np.inf
+    assert frame["upper_95"].tolist()[1] == np.inf
+    assert "not identifiable" in result.summary()
+    assert list(result.correlation_frame().columns) == ["k_0", "k_1", "k_2"]
+    for level in (0.0, 1.0, 95):
+        with pytest.raises(ValueError, match=r"level = .*; expected a probability"):
+            normal_quantile(level)
+
+
+def test_numbers_that_do_not_exist_are_written_by_name(tmp_path):
+    frame = made_up(2).to_frame().assign(extra=[np.nan, 1.0])
+    write_csv(frame, tmp_path / "parameters.csv")
+    lines = (tmp_path / "parameters.csv").read_text().splitlines()
+    assert lines[0] == ",".join((*PARAMETER_COLUMNS, "extra"))
+    assert lines[2] == "k_1,10.0,inf,-inf,inf,Nm/rad,false,,1.0"
+    assert lines[1].endswith(",true,,nan")
+    write_csv(frame.iloc[:0], tmp_path / "empty.csv")
+    assert (tmp_path / "empty.csv").read_text() == lines[0] + "\n"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.0, "0"), (161.4159, "161.4"), (22412.3, "22412"), (1e-5, "1.000e-05"), (np.inf, "inf")]
+)
+def test_numbers_are_plain(value, text):
+    assert plain(value) == text
+
+
+@pytest.fixture(scope="module", params=ESTIMATORS)
+def identified(request, noisy_relax_recording):
+    return identify_conditions(noisy_relax_recording, "1", estimator=request.param)
+
+
+def test_an_identification_reads_as_a_table(identified):
+    assert isinstance(identified, Identifications)
+    assert list(identified) == ["RT7.5", "RT22.5"]
+    require_readable(identified)
+    for condition, result in identified.items():
+        require_readable(result)
+        require_readable(result.fit)
+        require_readable(result.spectra)
+        text = result.summary()
+        assert f"relax in {condition} (RT), 3 trials: model 1" in text
+        assert f"VAF x {result.vaf[0]:.1f} %" in text
+        for name, value in result.fit.values.items():
+            assert [name, plain(value)] in [line.split()[:2] for line in text.splitlines()]
+    if identified["RT7.5"].fit.estimator != "thesis":
+        require_readable(identified["RT7.5"].fit.detail)
+
+
+def test_every_estimator_has_the_same_table(identified, tmp_path):
+    paths = write_identification(identified, tmp_path)
+    written = pd.read_csv(paths[1])
+    frame = identified.to_frame()
+    assert tuple(written.columns) == tuple(frame.columns) == PARAMETER_COLUMNS
+    pd.testing.assert_frame_equal(written, frame)
+    for condition, result in identified.items():
+        part = frame[frame["condition"] == condition].set_index("parameter")
+        assert part["value"].to_dict() == dict(result.fit.values)
+        assert part["standard_error"].to_dict() == dict(result.fit.standard_error)
+        for name in result.fit.values:
+            assert tuple(part.loc[name, ["lower_95", "upper_95"]]) == result.fit.interval(name)
+        assert part.loc["m_h", "unit"] == "kg"
+
+
+def test_axes_are_labelled(identified):
+    data = identified.to_xarray()
+    assert data["arm"].dims == ("condition", "frequency", "output", "input")
+    assert data["frequency"].attrs == {"units": "Hz"}
+    assert data["model"].attrs["units"] == "m/N"
+    result = identified["RT22.5"]
+    part = data.sel(condition="RT22.5")
+    np.testing.assert_array_equal(part["arm"], result.spectra.arm)
+    np.testing.assert_array_equal(part["arm"].sel(output="x", input="y"), result.spectra.arm[:, 0, 1])
+    np.testing.assert_array_equal(part["model"], arm_admittance(result.fit.arm, result.spectra.frequency))
+
+
+def test_the_plot_draws_estimate_model_and_bands(identified):
+    result = identified["RT7.5"]
+    axes = result.plot(figure=new_figure(1.0))
+    assert axes.shape == (2, 2, 2)
+    gain, phase = axes[1, 0]
+    points, model = gain.get_lines()
+    np.testing.assert_array_equal(points.get_xdata(), result.spectra.frequency)
+    np.testing.assert_allclose(points.get_ydata(), np.abs(result.spectra.arm[:, 1, 0]))
+    np.testing.assert_allclose(model.get_ydata(), np.abs(arm_admittance(result.fit.arm, model.get_xdata())[:, 1, 0]))
+    assert len(phase.get_lines()) == 2
+    # The thesis's estimator gives no correlations, and so no band.
+    assert len(gain.collections) == (result.fit.estimator != "thesis")
+    both = identified.plot(figure=new_figure(1.0))
+    assert len(both[0, 0, 0].get_lines()) == 4
+
+
+def test_bands_are_those_of_the_parameters(noisy_relax_recording):
+    fit = identify_conditions(noisy_relax_recording, "1", estimator="frequency")["RT7.5"].fit
+    frequency = np.array([0.5, 2.0, 8.0])
+    bands = fit.admittance_bands(frequency)
+    rng = np.random.default_rng(0)
+    error = np.array(list(fit.standard_error.values()))
+    drawn = rng.multivariate_normal(np.zeros(len(error)), fit.correlation * np.outer(error, error), 800)
+    # Far smaller errors, so that what is drawn is as linear as the bands.
+    shift = 1e-3 * drawn @ fit.mixing.T
+    arm, middle = LinearArm(fit.arm, frequency), parameter_vector(fit.arm)
+    log = np.log([arm.admittance(middle + step) for step in shift]) - np.log(arm.admittance(middle))
+    spread = 1.96e3 * log.real.std(axis=0, ddof=1)
+    np.testing.assert_allclose(np.log(bands.gain_high / bands.gain_low) / 2, spread, rtol=0.1)
+    np.testing.assert_allclose(
+        (bands.phase_high - bands.phase_low) / 2, 1.96e3 * log.imag.std(axis=0, ddof=1), rtol=0.1
+    )
+
+
+def test_the_forest_draws_estimates_and_intervals(identified):
+    fit = identified["RT7.5"].fit
+    axes = fit.plot(figure=new_figure(1.0))
+    assert [ax.get_xlabel() for ax in axes] == [f"[{unit}]" for unit in dict.fromkeys(fit.to_frame()["unit"])]
+    masses = axes[0]
+    assert [label.get_text() for label in masses.get_yticklabels()] == ["m_h", "m_f"]
+    drawn = {float(line.get_xdata()[0]) for line in masses.get_lines() if len(line.get_xdata()) == 1}
+    assert drawn >= {fit.values["m_h"], fit.values["m_f"]}
+    for name, bar in zip(("m_h", "m_f"), masses.collections, strict=True):
+        assert tuple(bar.get_segments()[0][:, 0]) == pytest.approx(fit.interval(name))
