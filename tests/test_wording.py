@@ -17,10 +17,7 @@ PENDING = (
     "CHANGELOG.md",
     "README.md",
     "armperturb/analysis/",
-    "armperturb/cli.py",
-    "armperturb/commands/",
     "armperturb/plots/",
-    "armperturb/recording.py",
     "docs/",
     "examples/",
 )
