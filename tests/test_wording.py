@@ -14,17 +14,11 @@ NAMES = frozenset({"one", "found", "own", "told", "kept", "crew"})
 
 # Paths that still have some of them; to be emptied.
 PENDING = (
-    "CHANGELOG.md",
-    "README.md",
     "armperturb/analysis/",
-    "armperturb/archive.py",
-    "armperturb/cli.py",
     "armperturb/commands/",
     "armperturb/plots/",
     "armperturb/recording.py",
     "armperturb/study/",
-    "docs/",
-    "examples/",
 )
 
 
