@@ -8,7 +8,8 @@ from scipy import optimize
 
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
-from armperturb.analysis.fit.admittance_fit import Target, _checked, fit_admittance, fit_admittances, penalty_factor
+from armperturb.analysis.fit.admittance_fit import fit_admittance, fit_admittances
+from armperturb.analysis.fit.admittance_problem import Target, _checked, penalty_factor
 from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.cohort import draw_subject
 from armperturb.environment import Environment

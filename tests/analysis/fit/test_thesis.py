@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from armperturb.analysis.fit.admittance_fit import penalty_factor
+from armperturb.analysis.fit.admittance_problem import penalty_factor
 from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.analysis.fit.thesis import (
     MODEL_3_WIDE,
