@@ -121,15 +121,15 @@ def _section(name: str, kind: type) -> str:
         "| argument | value | default | meaning |",
         "|---|---|---|---|",
     ]
-    for one in arguments(kind):
-        cells = (f"`{one.name}`", one.values, one.default or "must be given", one.meaning)
+    for argument in arguments(kind):
+        cells = (f"`{argument.name}`", argument.values, argument.default or "required", argument.meaning)
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines)
 
 
 def _usage(name: str, kind: type) -> str:
-    needed = [one for one in arguments(kind) if not one.default]
-    parts = [one.name if not one.name.startswith("-") else f"{one.name} {one.name[2:].upper()}" for one in needed]
+    names = [argument.name for argument in arguments(kind) if not argument.default]
+    parts = [name if not name.startswith("-") else f"{name} {name[2:].upper()}" for name in names]
     return " ".join(["armperturb", name, *parts, "[options]"])
 
 

@@ -17,12 +17,7 @@ PENDING = (
     "CHANGELOG.md",
     "README.md",
     "armperturb/analysis/",
-    "armperturb/archive.py",
-    "armperturb/cli.py",
-    "armperturb/commands/",
     "armperturb/plots/",
-    "armperturb/recording.py",
-    "armperturb/study/",
     "docs/",
     "examples/",
 )
