@@ -18,7 +18,6 @@ PENDING = (
     "README.md",
     "armperturb/analysis/",
     "armperturb/plots/",
-    "armperturb/study/",
     "docs/",
     "examples/",
 )
