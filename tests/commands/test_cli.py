@@ -224,9 +224,9 @@ def test_several_recordings_are_identified_together(two_recordings, tmp_path, ca
 
 @pytest.mark.slow(reason="fits each trial")
 def test_the_thesis_estimator_can_be_asked_for(two_recordings, tmp_path, capsys):
-    assert run(
-        "identify", two_recordings[0], "--model", "1", "--estimator", "thesis", *("--subject", "S01", "--condition", "RT7.5"), "--out", tmp_path / "r"
-    ) == 0  # fmt: skip
+    whose = ("--subject", "S01", "--condition", "RT7.5")
+    arguments = ("identify", two_recordings[0], "--model", "1", "--estimator", "thesis", *whose)
+    assert run(*arguments, "--out", tmp_path / "r") == 0
     assert "of 2 trials" in capsys.readouterr().out
     fit = json.loads((tmp_path / "r" / "fit.json").read_text())
     assert (fit["estimator"], fit["n_trials"]) == ("thesis", 2)
