@@ -20,7 +20,6 @@ PENDING = (
     "armperturb/archive.py",
     "armperturb/cli.py",
     "armperturb/commands/",
-    "armperturb/plots/",
     "armperturb/recording.py",
     "armperturb/study/",
     "docs/",

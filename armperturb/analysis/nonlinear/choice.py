@@ -27,6 +27,7 @@ from armperturb.analysis.nonlinear.prediction import PulsePrediction, median_pea
 from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem, State
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.nonlinear.trials import TrialSet
+from armperturb.analysis.results import Description, Result, Table
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -107,8 +108,8 @@ class Judged:
         return Gain(float(difference.sum()), math.sqrt(variance) if dof else math.inf, dof)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Choice:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Choice(Result):
     """Laws compared.
 
     Attributes:
@@ -122,6 +123,21 @@ class Choice:
     chosen: Law
     gains: Mapping[Law, Gain]
     mechanisms: Mapping[str, Gain]
+
+    def describe(self) -> Description:
+        """Which law was chosen, and what each larger law and each mechanism gains."""
+        gains = {**{f"{law} law": gain for law, gain in self.gains.items()}, **self.mechanisms}
+        return Description(
+            title=f"Choice of the muscle law by left-out trials: {self.chosen}",
+            table=Table(
+                ("structure", "gain in log-likelihood", "standard error", "significant"),
+                tuple(
+                    (name, f"{gain.mean:.1f}", f"{gain.standard_error:.1f}", "yes" if gain.is_shown else "no")
+                    for name, gain in gains.items()
+                ),
+            ),
+            remarks=self.verdict(),
+        )
 
     @property
     def estimate(self) -> NonlinearEstimate:
