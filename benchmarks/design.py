@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armperturb.analysis.fit.maximum_likelihood import Group, estimate
-from armperturb.analysis.fit.structures import at_truth, body_of
+from armperturb.analysis.fit.structures import at_truth
 from armperturb.cohort import draw_subject
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.lab.experiment import run_experiment
@@ -96,7 +96,7 @@ def errors(plan: Design, played: list[Perturbation], groups: int, name: str) -> 
         recording = run_experiment(
             trials, linear=True, instruments=Instruments(marker_noise=None, emg=None), n_threads=1
         )
-        result = estimate([Group.prepare(recording, body_of(recording), structure)])
+        result = estimate([Group.prepare(recording, structure)])
         found[group] = [result.values[parameter] for parameter in plan.names]
     return found - plan.truth
 

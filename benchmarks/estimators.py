@@ -20,8 +20,8 @@ import numpy as np
 
 from armperturb.analysis.fit.linear_start import linear_start
 from armperturb.analysis.fit.maximum_likelihood import Group, estimate
-from armperturb.analysis.fit.structures import body_of
 from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.study.validation.validate import ESTIMATORS, ValidateSettings, Validation, simulate_group, validate
 
 GROUPS = 40
@@ -177,13 +177,13 @@ def speed() -> None:
     """Times of the parts, from eight trials of PT7.5, in this process."""
     settings = ValidateSettings()
     recording, structure = simulate_group(settings, 0), settings.structure()
-    body = body_of(recording)
+    body = ConditionTrials.prepare(recording).body
     spectra = estimate_spectra(line_spectra(recording))
-    group = Group.prepare(recording, body, structure)
+    group = Group.prepare(recording, structure)
     took = {
         "linear start": milliseconds(lambda: linear_start(spectra.frequency, spectra.arm, body, structure), 50),
         "frequency fit": milliseconds(lambda: estimate([group], "frequency"), 50),
-        "whole records": milliseconds(lambda: estimate([Group.prepare(recording, body, structure)], "record"), 10),
+        "whole records": milliseconds(lambda: estimate([Group.prepare(recording, structure)], "record"), 10),
     }
     report_head()
     for name, value in took.items():

@@ -22,9 +22,10 @@ from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.response.arx import HIGHEST_ORDER, Regression, fit_arx
 from armperturb.analysis.response.estimate import response
-from armperturb.analysis.response.joint_records import JointRecords, admittance_of, joint_records
+from armperturb.analysis.response.joint_records import admittance_of, joint_records
 from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.response.subspace import fit_subspace
+from armperturb.analysis.trials import TrialRecord
 from armperturb.environment import Environment
 from armperturb.perturbations import Multisine
 from armperturb.recording import TRIAL_COORDINATES, make_recording
@@ -133,11 +134,7 @@ CASES = (
 
 def direct(recording: xr.Dataset, frequency: Any) -> Any:
     records = joint_records(recording)
-    straight = JointRecords(
-        perturbation=tuple(y[:, :2] for y in records.response),
-        response=tuple(y[:, 2:] for y in records.response),
-        rate=records.rate,
-    )
+    straight = [TrialRecord(record.response[:, :2], record.response[:, 2:], record.rate) for record in records]
     return Regression(straight, HIGHEST_ORDER).model(HIGHEST_ORDER).response(frequency)[0]
 
 
@@ -176,7 +173,7 @@ def orders(recording: xr.Dataset, truth: Any, frequency: Any) -> dict[str, tuple
         off = np.linalg.norm(values - truth, axis=(1, 2)) / np.linalg.norm(truth, axis=(1, 2))
         error.append(np.sqrt(np.mean(off**2)))
         n, width = regression.n_rows, regression.width(model.order)
-        likely = n * np.linalg.slogdet(model.noise / np.outer(model.response_scale, model.response_scale))[1]
+        likely = n * np.linalg.slogdet(model.noise)[1]
         criterion.append(likely + regression.n_outputs * width * np.log(n))
     chosen = {
         "chosen": fit_arx(records, frequency).order,

@@ -76,7 +76,7 @@ def our_fit(admittance: np.ndarray, body: Subject, *, as_published: bool) -> flo
     """Criterion."""
     start = VARTHETA["vartheta_i5"]
     return fit_admittance(
-        FREQUENCY, admittance, body, STRUCTURE, ENVIRONMENT, start=start, as_published=as_published, delay="pade"
+        FREQUENCY, admittance, body, STRUCTURE, ENVIRONMENT, initial=start, as_published=as_published, delay="pade"
     ).criterion
 
 
@@ -103,7 +103,7 @@ def main() -> None:
             line += f"{criterion:14.4f} {1e3 * own[name]:6.0f} ms {own['plain'] / own[name]:6.1f}"
         print(line)
     begin, n = time.process_time(), len(targets)
-    fit_admittances(targets, [STRUCTURE] * n, starts=[VARTHETA["vartheta_i5"]] * n, delay="pade")
+    fit_admittances(targets, [STRUCTURE] * n, initials=[VARTHETA["vartheta_i5"]] * n, delay="pade")
     spent["batch"] = time.process_time() - begin
     for name in ("published", "fit", "batch"):
         print(f"all together, {name}: {spent['plain'] / spent[name]:.0f} times faster than plain")

@@ -7,7 +7,7 @@ import numpy as np
 
 from armperturb.recording import REQUIRED_SIGNALS, make_recording
 
-RATE, N_TIME, N_TRIALS = 200.0, 2000, 2
+RATE, N_TIME, N_TRIALS = 200.0, 1200, 2
 MASS, DAMPING, STIFFNESS = 3.0, 2.0, 40.0
 
 

@@ -1,8 +1,428 @@
-"""Trials of one person in one condition, checked once and cut once."""
+"""Trials of one person in one condition: checked once, cut once, the manipulator identified once.
+
+Every estimator takes `ConditionTrials`, or a recording that `prepare` turns into them. What several estimators need is
+computed when it is first asked for, and kept with the trials (`per_trials`): manipulator and instrument noise, the
+period, spectra.
+
+A trial is used up to its pulse. `onset_samples` is the one place that says where that is.
+"""
+
+import inspect
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, wraps
+from typing import Concatenate, NamedTuple, ParamSpec, Self, TypeAlias, TypeVar
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+
+from armperturb.analysis.defaults import SETTLED
+from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
+from armperturb.analysis.numerics.periodicity import find_period
+from armperturb.arrays import Array, Indices
+from armperturb.environment import Environment
+from armperturb.recording import check_recording
+from armperturb.subject import POSITION, RELAX, TASKS, Subject
+from armperturb.validation import require_number
+
+APERIODIC = 1e-2
+"""Share of its power by which a disturbance may differ from one period to the next [-]."""
+
+NEGLIGIBLE = 1e-9
+"""Disturbances below this count as zero [N]."""
+
+ONE_VALUED = ("subject", "task", "condition", "l_h", "l_f", "theta_s_deg", "theta_e_deg")
+"""Coordinates that all trials of a person in a condition share."""
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def onset_samples(recording: xr.Dataset) -> Indices:
+    """First sample of each trial's pulse, or the number of samples of a trial without one, (trial,)."""
+    n_samples, rate = recording.sizes["time"], float(recording.attrs["rate"])
+    onset = recording["pulse_onset"].values.astype(float) * rate
+    return np.minimum(np.round(np.where(np.isnan(onset), n_samples, onset)), n_samples).astype(np.intp)
+
+
+def limit_samples(recording: xr.Dataset) -> Array:
+    """When each trial met the workspace limit [samples], (trial,); infinite if it did not."""
+    limit = recording["limit_time"].values.astype(float) * float(recording.attrs["rate"])
+    return np.where(np.isnan(limit), np.inf, limit)
+
+
+class TrialRecord(NamedTuple):
+    """One trial from the start of the analysis to its pulse.
+
+    Attributes:
+      perturbation: d [N], (time, axis).
+      response: f [N] and x [m] beside one another, (time, 4).
+      rate: of the samples [Hz].
+    """
+
+    perturbation: Array
+    response: Array
+    rate: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ConditionTrials:
+    """Trials of one person in one condition.
+
+    Attributes:
+      recording: the checked trials.
+      numbers: which trials these are, of those that were prepared, (trial,).
+      whole: the trials that these were taken from, whose manipulator and displacement they share; None for none.
+      given: manipulator and instrument noise; None to identify them from these trials.
+      last: number of samples that fits over whole records may use; None for all.
+    """
+
+    recording: xr.Dataset
+    numbers: Indices
+    whole: Self | None = None
+    given: tuple[Environment, NoiseLevels] | None = None
+    last: int | None = None
+    _results: dict[object, object] = field(default_factory=dict, init=False, repr=False)
+
+    @classmethod
+    def prepare(cls, recording: xr.Dataset, *, is_checked: bool = False) -> Self:
+        """Check the trials of one person in one condition.
+
+        Args:
+          recording: the trials.
+          is_checked: whether `check_recording` has already accepted it, as it does all that `load_recording` reads.
+
+        Raises:
+          ValueError: as `check_recording`.
+        """
+        if not is_checked:
+            check_recording(recording)
+        return cls(recording=recording, numbers=np.arange(recording.sizes["trial"]))
+
+    @cached_property
+    def label(self) -> str:
+        """The condition."""
+        return str(self.recording["condition"].values[0])
+
+    @cached_property
+    def body(self) -> Subject:
+        """Task, segment lengths and posture, in a subject whose muscles do not matter.
+
+        Raises:
+          ValueError: trials differ in subject, condition or posture, or the task is unknown.
+        """
+        values = {}
+        for name in ONE_VALUED:
+            distinct = list(dict.fromkeys(self.recording[name].values.tolist()))
+            if len(distinct) > 1:
+                raise ValueError(
+                    f"recording: {name} has several values ({', '.join(map(str, distinct))}); expected the trials of "
+                    "one person in one condition and posture"
+                )
+            values[name] = distinct[0]
+        if values["task"] not in TASKS:
+            raise ValueError(f"recording: task = {values['task']!r}; expected one of {', '.join(TASKS)}")
+        del values["condition"]
+        name = values.pop("subject")
+        return replace(POSITION if values["task"] == "PT" else RELAX, name=name, **values)
+
+    @property
+    def name(self) -> str:
+        """Of the person."""
+        return str(self.recording["subject"].values[0])
+
+    @property
+    def rate(self) -> float:
+        """Sampling rate [Hz]."""
+        return float(self.recording.attrs["rate"])
+
+    @property
+    def n_trials(self) -> int:
+        """How many trials."""
+        return int(self.recording.sizes["trial"])
+
+    @property
+    def n_samples(self) -> int:
+        """Samples of each trial."""
+        return int(self.recording.sizes["time"])
+
+    @cached_property
+    def perturbation(self) -> Array:
+        """d [N], (trial, time, axis)."""
+        return np.asarray(self.recording["perturbation"].values, dtype=float)
+
+    @cached_property
+    def force(self) -> Array:
+        """Reaction force f of the handle on the hand [N], (trial, time, axis)."""
+        return np.asarray(self.recording["force"].values, dtype=float)
+
+    @cached_property
+    def recorded_displacement(self) -> Array:
+        """Displacement of the handle as the encoders have it [m], (trial, time, axis)."""
+        return np.asarray(self.recording["displacement"].values, dtype=float)
+
+    @cached_property
+    def drive(self) -> Array:
+        """d with what is negligible set to zero [N], (trial, time, axis): simulating with denormal numbers is slow."""
+        return np.where(np.abs(self.perturbation) < NEGLIGIBLE, 0.0, self.perturbation)
+
+    @cached_property
+    def onset(self) -> Indices:
+        """First sample of each trial's pulse, or the number of samples of a trial without one, (trial,)."""
+        return onset_samples(self.recording)
+
+    @cached_property
+    def limit(self) -> Array:
+        """When each trial met the workspace limit [samples], (trial,); infinite if it did not."""
+        return limit_samples(self.recording)
+
+    @property
+    def direction_deg(self) -> Array:
+        """Direction of each trial's pulse [deg], (trial,); NaN without a pulse."""
+        return np.asarray(self.recording["pulse_direction"].values, dtype=float)
+
+    @property
+    def first_onset(self) -> int:
+        """First sample of the earliest pulse, or the number of samples."""
+        return int(self.onset.min(initial=self.n_samples))
+
+    @cached_property
+    def end(self) -> int:
+        """Number of samples that fits over whole records may use.
+
+        At the workspace limit the handle is blocked, and near the end of a record `displacement` is not reliable.
+        """
+        limit = min(float(self.limit.min(initial=np.inf)), self.n_samples)
+        return min(self.n_samples - round(EDGE * self.rate), round(limit), self.last or self.n_samples)
+
+    @cached_property
+    def balance(self) -> Balance:
+        """Force balance of the manipulator.
+
+        Raises:
+          ValueError: the trials are too short.
+        """
+        return Balance(self.perturbation, self.force, self.recorded_displacement, self.rate)
+
+    @cached_property
+    def instruments(self) -> tuple[Environment, NoiseLevels]:
+        """The manipulator, and the noise of the instruments.
+
+        Raises:
+          ValueError: as `Balance.fit`, or the trials are too short.
+        """
+        if self.given is not None:
+            return self.given
+        return self.balance.fit() if self.whole is None else self.whole.instruments
+
+    @property
+    def environment(self) -> Environment:
+        """What the hand held: mass, damping and stiffness of the manipulator."""
+        return self.instruments[0]
+
+    @property
+    def noise(self) -> NoiseLevels:
+        """White noise of the instruments."""
+        return self.instruments[1]
+
+    @cached_property
+    def skew(self) -> Skew:
+        """Delay of force after displacement, as these trials show it."""
+        return self.balance.skew(*self.instruments)
+
+    @cached_property
+    def displacement(self) -> Array:
+        """Displacement of the handle from encoders and strain gauge together [m], (trial, time, axis)."""
+        if self.whole is not None:
+            return self.whole.displacement[self.numbers]
+        return self.balance.displacement(*self.instruments)
+
+    @cached_property
+    def multisine(self) -> Self:
+        """Signals before the first pulse, of the trials that stay inside the workspace until then.
+
+        A pulse may well take the handle to the limit: that does not harm the multisine before it. The manipulator is
+        identified from these signals alone.
+        """
+        end = self.first_onset
+        inside = np.flatnonzero(~(self.limit < end))
+        part = self.recording.isel(trial=inside, time=slice(0, end))
+        part = part.assign_coords(limit_time=("trial", np.full(len(inside), np.nan)))
+        return type(self)(recording=part, numbers=self.numbers[inside])
+
+    def take(self, trials: Iterable[int]) -> Self:
+        """Some of the trials; manipulator and displacement stay those of all."""
+        index = np.asarray(list(trials), dtype=np.intp)
+        numbers = index if self.whole is None else self.numbers[index]
+        return replace(self, recording=self.recording.isel(trial=index), numbers=numbers, whole=self.whole or self)
+
+    def before(self, sample: int) -> Self:
+        """The same trials, of which fits over whole records use only what is before a sample."""
+        numbers = np.arange(self.n_trials) if self.whole is None else self.numbers
+        return replace(self, last=min(self.end, sample), numbers=numbers, whole=self.whole or self)
+
+    def require_inside(self) -> None:
+        """Refuse trials that met the workspace limit.
+
+        Raises:
+          ValueError: one did.
+        """
+        hit = np.flatnonzero(np.isfinite(self.limit))
+        if len(hit):
+            raise ValueError(
+                f"trial {hit[0]} reached the workspace limit at {self.limit[hit[0]] / self.rate:.3f} s; expected "
+                "trials that stay inside (leave this one out)"
+            )
+
+    def is_perturbed(self, window_start: float) -> bool:
+        """Whether something perturbs every trial between a time [s] and its pulse."""
+        first = round(window_start * self.rate)
+        return all(d[first:end].any() for d, end in zip(self.perturbation, self.onset, strict=True))
+
+    def records(self, window_start: float) -> list[TrialRecord]:
+        """Trials from a time on to each one's pulse, or to its end.
+
+        Args:
+          window_start: that time [s].
+
+        Raises:
+          ValueError: a trial met the workspace limit, nothing is left of it, or its perturbation or force is constant.
+        """
+        require_number("records", "window_start", window_start, at_least=0.0)
+        self.require_inside()
+        first = round(window_start * self.rate)
+        records = []
+        for trial, end in enumerate(self.onset.tolist()):
+            if end - first < 2:
+                raise ValueError(
+                    f"trial {trial} ends at {end / self.rate:g} s; expected more than {window_start:g} s (an earlier "
+                    "--window-start, or leave this trial out)"
+                )
+            d, f, x = (
+                values[trial, first:end] for values in (self.perturbation, self.force, self.recorded_displacement)
+            )
+            for name, values in (("perturbation", d), ("force", f)):
+                if not np.ptp(values, axis=0).any():
+                    raise ValueError(
+                        f"{name} of trial {trial} is constant from {window_start:g} s on; expected a perturbed trial"
+                    )
+            records.append(TrialRecord(d, np.concatenate([f, x], axis=1), self.rate))
+        return records
+
+    def period(self, window_start: float) -> float:
+        """Period of the perturbation [s], found in what was recorded of it before the pulses.
+
+        Args:
+          window_start: from when on the analysis uses the trials [s]; the perturbation repeats from `SETTLED` on.
+
+        Raises:
+          ValueError: as `records` and `find_period`.
+        """
+        return common_period([self], window_start)
+
+    def check_period(self, window_start: float, period: float | None) -> None:
+        """Refuse a stated period after which the perturbation does not repeat.
+
+        Args:
+          window_start: start of the window of whole periods [s]. What is before it counts from half that time on.
+          period: as stated [s]; None if it is to be found.
+
+        Raises:
+          ValueError: the perturbation does not repeat.
+        """
+        if period is None:
+            return
+        require_number("analysis", "period", period, above=0.0)
+        n_period, first = round(period * self.rate), round(window_start * self.rate) // 2
+        for trial, end in enumerate(self.onset.tolist()):
+            d = self.perturbation[trial, first:end]
+            earlier, later = d[:-n_period], d[n_period:]
+            if np.sum((later - earlier) ** 2) > APERIODIC * np.sum(later**2):
+                raise ValueError(
+                    f"period = {period:g} s; expected the perturbation's own: that of trial {trial} does not repeat "
+                    "after it (without --period it is found)"
+                )
+
+    def window(self, window_start: float, period: float) -> slice:
+        """Samples of the whole periods between a time and the first pulse, or the end.
+
+        Args:
+          window_start: that time [s].
+          period: of the perturbation [s].
+
+        Raises:
+          ValueError: there is no whole period, or a period is not a whole number of samples.
+        """
+        require_number("window", "window_start", window_start, at_least=0.0)
+        require_number("window", "period", period, above=0.0)
+        samples = period * self.rate
+        if abs(samples - round(samples)) > 1e-6 * samples:
+            raise ValueError(
+                f"rate = {self.rate:g} Hz; expected one at which the period of {period:g} s is a whole number of "
+                f"samples (it is {samples:.6g})"
+            )
+        n_period, first = round(samples), round(window_start * self.rate)
+        n_periods = (self.first_onset - first) // n_period
+        if n_periods < 1:
+            raise ValueError(
+                f"the recording holds {self.first_onset / self.rate:g} s before the pulse or its end; expected a whole "
+                f"period of {period:g} s from {window_start:g} s on (an earlier --window-start)"
+            )
+        return slice(first, first + n_periods * n_period)
+
+
+Trials: TypeAlias = ConditionTrials | xr.Dataset
+"""What an estimator takes: prepared trials, or their recording."""
+
+SeveralTrials: TypeAlias = Trials | Sequence[Trials]
+"""Trials of one person in one condition that may differ in length from recording to recording."""
+
+
+def prepared(trials: Trials) -> ConditionTrials:
+    """The trials, prepared if they are not yet."""
+    return trials if isinstance(trials, ConditionTrials) else ConditionTrials.prepare(trials)
+
+
+def prepared_recordings(recordings: SeveralTrials) -> list[ConditionTrials]:
+    """One or several recordings, prepared if they are not yet.
+
+    Raises:
+      ValueError: there is none, one is refused, or rates differ.
+    """
+    several = [recordings] if isinstance(recordings, (ConditionTrials, xr.Dataset)) else list(recordings)
+    if not several:
+        raise ValueError("recordings is empty; expected at least one")
+    trials = [prepared(recording) for recording in several]
+    rates = sorted({part.rate for part in trials})
+    if len(rates) > 1:
+        raise ValueError(f"recordings: rate = {', '.join(f'{rate:g}' for rate in rates)} Hz; expected one rate")
+    return trials
+
+
+def records_of(trials: Sequence[ConditionTrials], window_start: float) -> list[TrialRecord]:
+    """All trials from a time on, see `ConditionTrials.records`."""
+    return [record for part in trials for record in part.records(window_start)]
+
+
+def trials_by_condition(recording: xr.Dataset, *, is_checked: bool = False) -> dict[str, ConditionTrials]:
+    """Condition to its trials, in the order of the recording.
+
+    Args:
+      recording: trials of one person.
+      is_checked: as `ConditionTrials.prepare` has it.
+
+    Raises:
+      ValueError: the recording is refused, or holds several people.
+    """
+    if not is_checked:
+        check_recording(recording)
+    people = list(dict.fromkeys(recording["subject"].values.tolist()))
+    if len(people) > 1:
+        raise ValueError(f"recording: subject = {', '.join(map(str, people))}; expected one person")
+    return {
+        str(label): ConditionTrials.prepare(of_condition(recording, label), is_checked=True)
+        for label in dict.fromkeys(recording["condition"].values.tolist())
+    }
 
 
 def of_condition(recording: xr.Dataset, condition: str) -> xr.Dataset:
@@ -10,15 +430,46 @@ def of_condition(recording: xr.Dataset, condition: str) -> xr.Dataset:
     return recording.isel(trial=np.flatnonzero(recording["condition"].values == condition))
 
 
-def multisine_part(recording: xr.Dataset) -> tuple[xr.Dataset, NDArray[np.int64]]:
-    """What comes before the first pulse, of the trials that stay inside the workspace until then, and which these are.
+def per_trials(
+    function: Callable[Concatenate[ConditionTrials, P], T],
+) -> Callable[Concatenate[Trials, P], T]:
+    """Decorator: the result for the same trials and options is computed once, and kept with the trials.
 
-    A pulse may well take the handle to the limit: that does not harm the multisine before it.
+    Args:
+      function: of prepared trials and hashable options.
     """
-    onsets, limits = recording["pulse_onset"].values, recording["limit_time"].values
-    end = recording.sizes["time"]
-    if np.isfinite(onsets).any():
-        end = min(end, round(float(np.nanmin(onsets)) * float(recording.attrs["rate"])))
-    kept = np.flatnonzero(~(limits * float(recording.attrs["rate"]) < end))
-    part = recording.isel(trial=kept, time=slice(0, end))
-    return part.assign_coords(limit_time=("trial", np.full(len(kept), np.nan))), kept
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def remembered(trials: Trials, *args: P.args, **options: P.kwargs) -> T:
+        ready = prepared(trials)
+        call = signature.bind(ready, *args, **options)
+        call.apply_defaults()
+        key = (function, tuple(call.arguments.items())[1:])
+        if key not in ready._results:
+            ready._results[key] = function(ready, *args, **options)
+        return ready._results[key]  # type: ignore[return-value]
+
+    return remembered
+
+
+@per_trials
+def _period(trials: ConditionTrials, start: float) -> float:
+    return find_period([record.perturbation for record in trials.records(start)], trials.rate, start)
+
+
+def common_period(trials: Sequence[ConditionTrials], window_start: float) -> float:
+    """Period of the perturbation of all trials together [s].
+
+    Args:
+      trials: of one or several recordings; some may be shorter than a period.
+      window_start: as `ConditionTrials.period` has it [s].
+
+    Raises:
+      ValueError: as `ConditionTrials.period`.
+    """
+    start = min(window_start, SETTLED)
+    if len(trials) == 1:
+        return _period(trials[0], start)
+    records = [record.perturbation for part in trials for record in part.records(start)]
+    return find_period(records, trials[0].rate, start)

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 import tyro
 import xarray as xr
 
+from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
 from armperturb.analysis.fit.identify import Estimator
 from armperturb.commands.command import Command
 from armperturb.commands.selection import select_trials
@@ -50,11 +51,11 @@ class Identify(Command):
     """Which subject, if the recordings hold several."""
     condition: str | None = None
     """The only condition to identify; by default all that have a multisine."""
-    start: float = 8.0
-    """Start of the spectral window [s]."""
-    period: float = 20.48
-    """Period of the disturbance [s]."""
-    lines_per_average: int = 4
+    window_start: float = WINDOW_START
+    """Start of the window of whole periods [s], when the transient has died away."""
+    period: float | None = None
+    """Period of the perturbation [s]; by default it is found from the data."""
+    lines_per_average: int = LINES_PER_AVERAGE
     """Adjacent excited lines that are averaged in admittance.csv and by the thesis's estimator; 1 keeps every line and
     needs several trials."""
 
@@ -99,7 +100,7 @@ class Identify(Command):
                 self.model,
                 estimator=self.estimator,
                 share=self.share,
-                start=self.start,
+                window_start=self.window_start,
                 period=self.period,
                 lines_per_average=self.lines_per_average,
             )
@@ -129,7 +130,7 @@ class Identify(Command):
                     recording,
                     self.law or "full",
                     pulse_directions_deg=self.pulses,
-                    start=self.start,
+                    window_start=self.window_start,
                     period=self.period,
                     folder=self.out,
                     progress=lambda line: print(line, file=sys.stderr, flush=True),

@@ -6,10 +6,11 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from armperturb.analysis.defaults import SETTLED
 from armperturb.analysis.response.best_linear import BestLinear, best_linear
-from armperturb.analysis.response.closed_loop import period_of
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.frequency_response import FrequencyResponse
+from armperturb.analysis.trials import common_period, prepared_recordings
 from armperturb.commands.command import Command
 from armperturb.commands.selection import select_trials
 from armperturb.convert import import_recording
@@ -36,7 +37,7 @@ class Response(Command):
     """Which subject, if the recordings hold several."""
     condition: str | None = None
     """Which condition, if they hold several."""
-    start: float | None = None
+    window_start: float | None = None
     """Start of what is used [s]; by default 2 for multisine, 8 for spectral, and 0 for the other methods."""
     period: float | None = None
     """Period of a multisine [s]; by default it is found from the data."""
@@ -54,15 +55,18 @@ class Response(Command):
             single_condition=True,
         )
         options: dict[str, Any] = {
-            name: value for name, value in (("start", self.start), ("period", self.period)) if value is not None
+            name: value
+            for name, value in (("window_start", self.window_start), ("period", self.period))
+            if value is not None
         }
         lines, distortion = [note for _, notes in imported for note in notes], None
         try:
+            trials = prepared_recordings(recordings)
             if self.method == "multisine":
                 if self.period is None:
-                    options["period"] = period_of(recordings, options.get("start", 2.0))
+                    options["period"] = common_period(trials, options.get("window_start", SETTLED))
                 lines.append(f"period: {options['period']:g} s")
-            estimate = response(recordings, self.method, what=self.what, **options)
+            estimate = response(trials, self.method, what=self.what, **options)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
         if (used := estimate.environment) is not None:
@@ -74,11 +78,11 @@ class Response(Command):
             lines.append(f"no uncertainty: {self.method} needs more trials for an estimate of it")
         if self.method == "multisine" and self.what == "arm":
             try:
-                distortion = best_linear(recordings, **options)
+                distortion = best_linear(trials, **options)
                 lines.append(distortion.describe().facts[0])
             except ValueError as error:
                 lines.append(f"nonlinear distortion: not estimated ({error})")
-        write_response(estimate, distortion, self.out, str(recordings[0]["condition"].values[0]))
+        write_response(estimate, distortion, self.out, trials[0].label)
         return [*lines, f"results: {self.out}"]
 
 

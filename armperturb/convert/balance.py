@@ -258,7 +258,7 @@ def _change(name: str, matrix: Array) -> str | None:
     if np.array_equal(matrix, np.eye(2)):
         return None
     if np.array_equal(matrix, -np.eye(2)):
-        by = " (exerted_by: the other body)" if name == "force" else ""
+        by = " (signals.force.exerted_by of the sidecar: the other of handle and hand)" if name == "force" else ""
         return f"the sign of {name} were turned{by}"
     turned = [axis for axis, row in zip("xy", matrix, strict=True) if row.sum() < 0.0]
     if matrix[0, 0] == 0.0:

@@ -20,6 +20,19 @@ LARGEST = 2**20
 LONGEST_TEXT = 200
 """Characters of a label or of the name of a channel."""
 
+MEANINGS = {
+    "axes": 'where x and y point, e.g. {"x": "right", "y": "forward"}',
+    "exerted_by": "handle (the force of the handle on the hand) or hand (the force of the hand on the handle)",
+    "unit": "the unit of the values, e.g. N or mm",
+    "subject": "a name or number of the person",
+    "task": "PT if the person kept the position, RT if relaxed",
+    "l_h": 'length of the humerus, e.g. "31 cm"',
+    "l_f": 'length of the forearm to the middle of the grip, e.g. "34 cm"',
+    "theta_s_deg": "shoulder angle of the start posture, from the x axis",
+    "theta_e_deg": "elbow angle of the start posture",
+}
+"""Field to what a person should know to fill it in."""
+
 OPEN = "?"
 """In the place of a value that a person has to fill in."""
 
@@ -197,7 +210,9 @@ class Sidecar:
         labels = {**self.labels, **self.trials.get(trial, {})}
         for name in REQUIRED_LABELS:
             if name not in labels:
-                raise ValueError(f"{self.path}: labels.{name} is missing for trial {trial!r}; expected a value")
+                raise ValueError(
+                    f"{self.path}: labels.{name} is missing for trial {trial!r}; expected {MEANINGS[name]}"
+                )
         if labels.get("pulse_level", 0.0) != 0.0 and "pulse_onset" not in labels:
             raise ValueError(
                 f"{self.path}: pulse_level = {labels['pulse_level']:g} without pulse_onset for trial {trial!r}; "
@@ -221,12 +236,15 @@ class _Fields:
     def __getitem__(self, name: str) -> Any:
         return self.content[name]
 
-    def where(self, name: str) -> str:
+    def place_of(self, name: str) -> str:
         shown = (name if name.isprintable() else ascii(name))[:60]
-        return f"{self.file}: {self.place}.{shown}" if self.place else f"{self.file}: {shown}"
+        return f"{self.place}.{shown}" if self.place else shown
+
+    def where(self, name: str) -> str:
+        return f"{self.file}: {self.place_of(name)}"
 
     def fields(self, name: str) -> "_Fields":
-        return _Fields(self.content[name], self.file, self.where(name).removeprefix(f"{self.file}: "))
+        return _Fields(self.content[name], self.file, self.place_of(name))
 
     def require_only(self, known: Collection[str], required: Collection[str] = ()) -> None:
         for name in self.content:
@@ -234,7 +252,7 @@ class _Fields:
                 raise ValueError(f"{self.where(name)}: unknown field; expected {', '.join(known)}")
         for name in required:
             if name not in self.content:
-                raise ValueError(f"{self.where(name)} is missing; expected {', '.join(required)}")
+                raise ValueError(f"{self.where(name)} is missing; expected {MEANINGS.get(name, ', '.join(required))}")
 
     def text(self, name: str) -> str:
         value = self.content[name]
@@ -247,20 +265,23 @@ class _Fields:
         return value
 
     def choice(self, name: str, known: Collection[str]) -> str:
-        require_one_of(self.file, self.where(name).removeprefix(f"{self.file}: "), self.content[name], tuple(known))
+        require_one_of(self.file, self.place_of(name), self.content[name], tuple(known))
         return str(self.content[name])
 
     def rate(self, name: str) -> float | None:
         if name not in self.content:
             return None
         rate = quantity(self.content[name], "Hz", self.where(name))
-        require_number(self.file, self.where(name).removeprefix(f"{self.file}: "), rate, at_least=1.0, at_most=1e6)
+        require_number(self.file, self.place_of(name), rate, at_least=1.0, at_most=1e6)
         return rate
 
 
 def _parsed(path: Path) -> object:
     if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file, or a folder; expected the sidecar (JSON, docs/recordings.md)")
+        raise FileNotFoundError(
+            f"{path}: no such file, or a folder; expected the sidecar, which says what the channels mean (`armperturb "
+            "sidecar FILE` writes one)"
+        )
     size = path.stat().st_size
     if size > LARGEST:
         raise ValueError(f"{path}: {size} bytes; expected a sidecar of at most {LARGEST}")
@@ -293,10 +314,11 @@ def _require_closed(fields: _Fields, checks: Mapping[str, str]) -> None:
 
 def _leaves(content: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, Any]]:
     for name, value in content.items():
-        if isinstance(value, dict) and name != "guessed":
-            yield from _leaves(value, f"{place}{name}.")
+        where = f"{place}{name if name.isprintable() else ascii(name)}"
+        if isinstance(value, dict) and name != "guessed" and where.count(".") < 4:  # deeper, there are no fields
+            yield from _leaves(value, f"{where}.")
         else:
-            yield f"{place}{name}", value
+            yield where, value
 
 
 def _unconfirmed(path: Path, guessed: Collection[str]) -> tuple[str, ...]:
@@ -365,9 +387,7 @@ def _start(fields: _Fields, components: tuple[str, ...]) -> tuple[float, ...] | 
     if not isinstance(value, list) or len(value) != len(components):
         raise ValueError(f"{fields.where('start')} = {value!r:.60}; expected 'first', or [x, y] in the signal's unit")
     for coordinate in value:
-        require_number(
-            fields.file, fields.where("start").removeprefix(f"{fields.file}: "), coordinate, at_least=-1e6, at_most=1e6
-        )
+        require_number(fields.file, fields.place_of("start"), coordinate, at_least=-1e6, at_most=1e6)
     return tuple(map(float, value))
 
 

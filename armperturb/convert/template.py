@@ -17,7 +17,7 @@ from armperturb.convert.faults import Repair
 from armperturb.convert.importer import import_trials
 from armperturb.convert.raw import trial_name
 from armperturb.convert.reading import C3D, MATLAB, TEXT, read_trials
-from armperturb.convert.sidecar import BODIES, FIRST, OPEN, REQUIRED_LABELS, Dialect, Sidecar
+from armperturb.convert.sidecar import BODIES, FIRST, MEANINGS, OPEN, REQUIRED_LABELS, Dialect, Sidecar
 from armperturb.convert.units import UNITS
 from armperturb.environment import Environment
 from armperturb.files import written_whole
@@ -41,18 +41,21 @@ RELAXED = {"rt", "relax", "relaxed"}
 MOVEMENT = (0.003, 0.5)
 """Between which the handle's path usually extends [m]."""
 
-CHECKS = {
-    "axes": "where x and y point, seen by the seated person: right, left, forward or backward; no data can show it",
-    "labels.subject": "a name or number of the person",
-    "labels.task": "PT if the person kept the position, RT if relaxed",
-    "labels.l_h": "length of the person's humerus; the average person's is filled in",
-    "labels.l_f": "length of the person's forearm to the middle of the grip; the average person's is filled in",
-    "labels.theta_s_deg": "shoulder angle of the start posture, from the x axis; that of the thesis is filled in",
-    "labels.theta_e_deg": "elbow angle of the start posture; that of the thesis is filled in",
-    "signals.force.exerted_by": "handle for the force of the handle on the hand, hand for the opposite sign",
-    "rate": "the sampling rate in Hz, or instead the field time with the channel of the times",
+ORIGINS = {
+    "axes": "no data can show it; as seen by the seated person",
+    "subject": "no column says it",
+    "task": "no column says it",
+    "l_h": "the average person's",
+    "l_f": "the average person's",
+    "theta_s_deg": "that of the thesis",
+    "theta_e_deg": "that of the thesis",
+    "exerted_by": "physics does not show it",
 }
-"""Field to what a person should know to check it."""
+"""Field that has to be filled in to why its value is a guess."""
+
+
+def _check(field: str) -> str:
+    return f"{MEANINGS[field]} ({ORIGINS[field]})"
 
 
 class SidecarTemplate(NamedTuple):
@@ -150,8 +153,11 @@ def _guess(
             if axis is not None and role is not None:
                 pairs[role].setdefault(stem, {}).setdefault(axis, column)
     if "time" not in content and "rate" not in content and not any(column.rate for column in columns):
-        content, guessed = {"rate": OPEN, **content}, {"rate": CHECKS["rate"], **guessed}
-    content["axes"], guessed["axes"] = {"x": "right", "y": "forward"}, CHECKS["axes"]
+        content, guessed = (
+            {"rate": OPEN, **content},
+            {"rate": "the sampling rate in Hz, or instead of it the field time", **guessed},
+        )
+    content["axes"], guessed["axes"] = {"x": "right", "y": "forward"}, _check("axes")
     others = ", ".join(column.channel for column in columns)
     content["signals"] = {
         name: _signal(name, [pair for pair in stems.values() if len(pair) == 2], others, guessed)
@@ -225,7 +231,7 @@ def _add_labels(
     defaults |= {name: getattr(POSITION, name) for name in REQUIRED_LABELS if name not in defaults}
     for name in REQUIRED_LABELS:
         if name not in labels:
-            guessed[f"labels.{name}"] = CHECKS[f"labels.{name}"]
+            guessed[f"labels.{name}"] = _check(name)
     content["labels"] = {name: constant.get(name, value) for name, value in defaults.items() if name not in varying}
     content["labels"] |= constant
     if varying and numbers is not None:
@@ -247,7 +253,7 @@ def _settled(
     try:
         raw = read_trials(path, Sidecar.of(content, target))
     except ValueError as error:
-        guessed["signals.force.exerted_by"] = CHECKS["signals.force.exerted_by"]
+        guessed["signals.force.exerted_by"] = _check("exerted_by")
         return [f"units and signs are unchecked: {error}"]
     units = [displacement["unit"]]
     if "signals.displacement.unit" in guessed:
@@ -273,5 +279,5 @@ def _settled(
         _, displacement["unit"], force["exerted_by"], note = min(passed)
         return [note]
     displacement["unit"], force["exerted_by"] = units[0], "handle"
-    guessed["signals.force.exerted_by"] = CHECKS["signals.force.exerted_by"]
+    guessed["signals.force.exerted_by"] = _check("exerted_by")
     return [f"units and signs are unchecked{f': as guessed, {refused[0]}' if refused else ''}"]

@@ -130,7 +130,7 @@ def test_settings_that_do_not_go_together_are_refused(path, capsys):
     assert "identify: share = ('mass',); expected () with --model nonlinear" in refused("--share", "mass")
     assert "pulses: no pulse in the direction 77 deg; expected some of 20, 200" in refused("--pulses", "77")
     assert "no subject 'S99'; expected one of" in refused("--subject", "S99")
-    assert "all pulses come before 65.48 s; expected a trial with a whole period" in refused("--start", "45")
+    assert "all pulses come before 45 s, or nothing perturbs the trials before them" in refused("--window-start", "45")
     assert not (path.parent / "out").exists()
     linear = ["identify", str(path), "--model", "1", "--out", str(path.parent / "o")]
     assert cli.main([*linear, "--law", "full"]) == 1

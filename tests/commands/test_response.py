@@ -93,7 +93,7 @@ def test_it_refuses_in_one_line(folder, tmp_path, capsys):
     )
     assert "no condition 'RT'" in refused(capsys, "response", folder / "noise.nc", "--condition", "RT", *out)
     assert "trial 0 ends at 25 s; expected more than 30 s" in refused(
-        capsys, "response", folder / "noise.nc", "--method", "noise", "--start", 30, *out
+        capsys, "response", folder / "noise.nc", "--method", "noise", "--window-start", 30, *out
     )
     assert "no such file" in refused(capsys, "response", tmp_path / "none.nc", *out)
     recording = recorded(noise(np.random.default_rng(2), 2, 12.0), np.random.default_rng(2))

@@ -241,7 +241,7 @@ def test_small_movements_see_short_range_stiffness_as_linear():
     ]
     recording = run_experiment(trials, timestep=2.5e-3)
     for number, subject in enumerate(people):
-        lines = line_spectra(recording.isel(trial=[2 * number, 2 * number + 1]), start=10.0, period=PERIOD)
+        lines = line_spectra(recording.isel(trial=[2 * number, 2 * number + 1]), window_start=10.0, period=PERIOD)
         forces, moves = (np.moveaxis(of, 0, -1) for of in (lines.force, lines.displacement))
         found = moves @ np.linalg.inv(forces)
         low = lines.frequency <= 20.0

@@ -86,7 +86,7 @@ def test_force_and_acceleration_feedback_give_the_admittance_of_theory():
     ]
     recording = run_experiment(trials, timestep=1.25e-3)
     for number, subject in enumerate(people):
-        lines = line_spectra(recording.isel(trial=[2 * number, 2 * number + 1]), start=settled, period=PERIOD)
+        lines = line_spectra(recording.isel(trial=[2 * number, 2 * number + 1]), window_start=settled, period=PERIOD)
         exact = arm_admittance(subject, lines.frequency)
         # No averages: moved along one axis at a time, line by line, the two inputs determine the admittance.
         forces, moves = (np.moveaxis(of, 0, -1) for of in (lines.force, lines.displacement))

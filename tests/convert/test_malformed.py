@@ -23,7 +23,7 @@ from armperturb.foreign import LARGEST
 from armperturb.foreign.program import parse
 from armperturb.recording import MUSCLES, encode_recording
 
-VALUES = table(duration=6.0)
+VALUES = table()
 TEXT = as_text(VALUES)
 LINES = TEXT.splitlines()
 

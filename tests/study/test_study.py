@@ -9,6 +9,7 @@ import pytest
 
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.results import LINES, PARAMETER_COLUMNS
+from armperturb.analysis.trials import trials_by_condition
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Pulse
@@ -110,7 +111,7 @@ def test_a_thesis_fit_that_fails_costs_nothing_else(relax_recording, tmp_path, m
 
     monkeypatch.setattr(cases, "identify_conditions", failing)
     long = Protocol(conditions=(RT,), trial_duration=29.0, multisine_duration=28.6)
-    [case] = identify_person(relax_recording, tmp_path / "r.nc", long)
+    [case] = identify_person(trials_by_condition(relax_recording), tmp_path / "r.nc", long)
     assert case.thesis is None
     assert case.left_out == ("relax in RT7.5 was not identified by the thesis's estimator: no fit",)
     assert case.identified.fit.converged
@@ -216,7 +217,7 @@ def test_trials_at_the_workspace_limit_are_left_out_by_name(tmp_path):
     hard = Pulse(peak=600.0, direction_deg=20.0, onset=0.1, duration=1.0)
     recording = run_experiment([Trial(subject=RELAX, perturbation=hard, condition=RT.name)])
     recording = recording.assign_coords(pulse_onset=("trial", [math.nan]))  # as if it were a multisine
-    [case] = identify_person(recording, tmp_path / "r.nc", Protocol(conditions=(RT,)))
+    [case] = identify_person(trials_by_condition(recording), tmp_path / "r.nc", Protocol(conditions=(RT,)))
     assert case.identification is None
     assert case.left_out[0].startswith("trial 0 of relax in RT7.5 reached the workspace limit at 0.")
     assert np.isfinite(recording["limit_time"].values).all()
@@ -227,7 +228,7 @@ def test_trials_at_the_workspace_limit_are_left_out_by_name(tmp_path):
 
 def test_multisines_too_short_to_identify_from_are_named(relax_recording, tmp_path):
     brief = Protocol(conditions=(RT,), trial_duration=20.0, multisine_duration=19.0)
-    [case] = identify_person(relax_recording, tmp_path / "r.nc", brief)
+    [case] = identify_person(trials_by_condition(relax_recording), tmp_path / "r.nc", brief)
     assert case.identification is None
     assert case.left_out == (
         "relax in RT7.5 was not identified: the multisine lasts 20 s, and the analysis needs 28.48 s",

@@ -132,7 +132,7 @@ def fit_admittance(
     environment: Environment,
     *,
     coherence: ArrayLike | None = None,
-    start: Mapping[str, float] | None = None,
+    initial: Mapping[str, float] | None = None,
     as_published: bool = False,
     use_penalty: bool = True,
     delay: Delay = "exact",
@@ -152,23 +152,23 @@ def fit_admittance(
       structure: model structure, or its name in `STRUCTURES`.
       environment: what the hand held, for the stability of the whole.
       coherence: multiple coherence [-], (frequency, output); one if not given.
-      start: values of free parameters to start from, SI; the published start where not given.
+      initial: values of free parameters to start from, SI; the published value where not given.
       as_published: optimise as appendices C to E do: from the given start only, on the modulus, penalised from the
         first step on, and with their tolerances. It mostly stops short of the minimum, where the data say little.
       use_penalty: whether to push the fit away from instability (eq. 2.21).
       delay: "exact", or the thesis's "pade".
 
     Raises:
-      ValueError: shapes do not fit, values are not finite, an admittance is zero, a start is unknown or outside its
-        bounds, or the structure has free parameters that no admittance at these frequencies can tell apart.
+      ValueError: shapes do not fit, values are not finite, an admittance is zero, an initial value is unknown or not
+        within its bounds, or free parameters are not separately identifiable from any admittance at these frequencies.
     """
     target = Target(frequency=frequency, admittance=admittance, body=body, environment=environment, coherence=coherence)
     if as_published:
-        return fit_admittances([target], [structure], starts=[start], use_penalty=use_penalty, delay=delay)[0]
+        return fit_admittances([target], [structure], initials=[initial], use_penalty=use_penalty, delay=delay)[0]
     structure = _named(structure)
     batch = _Batch.of([target], [structure], delay)
     problem = _checked(target, structure, delay)
-    first = _checked_start(structure, start)
+    first = _checked_initial(structure, initial)
     batch.require_identifiable(first[None])
     starts = [first, with_linear_part(problem.model, problem.admittance, body, structure, first)]
     solutions = [_minimise(problem, values, with_penalty=False) for values in starts]
@@ -198,7 +198,7 @@ def fit_admittances(
     targets: Sequence[Target],
     structures: Sequence[Structure | str],
     *,
-    starts: Sequence[Mapping[str, float] | None],
+    initials: Sequence[Mapping[str, float] | None],
     use_penalty: bool = True,
     delay: Delay = "exact",
 ) -> list[AdmittanceFit]:
@@ -210,7 +210,7 @@ def fit_admittances(
       targets: what to fit to, with the same number of frequencies; of any people and tasks. One that several starts
         share stands here once for each.
       structures: model structure of each fit, or its name in `STRUCTURES`.
-      starts: where each fit starts, (target,): values of free parameters, SI; the published start where not given.
+      initials: where each fit starts, (target,): values of free parameters, SI; the published value where not given.
       use_penalty: whether to push fits away from instability (eq. 2.21).
       delay: "exact", or the thesis's "pade".
 
@@ -225,8 +225,8 @@ def fit_admittances(
     batch = _Batch.of(targets, [_named(structure) for structure in structures], delay)
     problem, sizes = batch.problem, batch.sizes
     first = np.zeros_like(problem.lower)
-    for row, structure, start in zip(first, batch.structures, starts, strict=True):
-        row[: len(structure.free)] = _checked_start(structure, start)
+    for row, structure, initial in zip(first, batch.structures, initials, strict=True):
+        row[: len(structure.free)] = _checked_initial(structure, initial)
     batch.require_identifiable(first)
     scale = np.where(first != 0, np.abs(first), 1.0)
     found = minimise(
@@ -654,18 +654,18 @@ def _checked(target: Target, structure: Structure, delay: Delay) -> _Problem:
 
 
 def _published(structure: Structure) -> Array:
-    return np.array([structure.start[name] for name in structure.free])
+    return np.array([structure.initial[name] for name in structure.free])
 
 
-def _checked_start(structure: Structure, start: Mapping[str, float] | None) -> Array:
-    values = dict(structure.start)
-    for name, value in (start or {}).items():
+def _checked_initial(structure: Structure, initial: Mapping[str, float] | None) -> Array:
+    values = dict(structure.initial)
+    for name, value in (initial or {}).items():
         if name not in values:
             raise ValueError(
-                f"start: unknown parameter {name!r}; model {structure.name} has {', '.join(structure.free)}"
+                f"initial: unknown parameter {name!r}; model {structure.name} has {', '.join(structure.free)}"
             )
         lower, upper = structure.bounds[name]
         if not lower <= value <= upper:
-            raise ValueError(f"start: {name} = {value!r}; expected {lower:g} to {upper:g} {unit(name)}")
+            raise ValueError(f"initial: {name} = {value!r}; expected {lower:g} to {upper:g} {unit(name)}")
         values[name] = float(value)
     return np.array([values[name] for name in structure.free])

@@ -12,16 +12,19 @@ from numpy.typing import ArrayLike
 from armperturb.analysis.arm.linear_arm import LinearArm, arm_admittance
 from armperturb.analysis.arm.parameters import parameter_vector
 from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
 from armperturb.analysis.fit.maximum_likelihood import Estimate, Group, estimate
-from armperturb.analysis.fit.structures import STRUCTURES, Structure, body_of, unit
-from armperturb.analysis.fit.thesis import ThesisEstimate, Trials, Wanted, fit_wanted
+from armperturb.analysis.fit.structures import STRUCTURES, Structure, unit
+from armperturb.analysis.fit.thesis import ThesisEstimate, Wanted, fit_wanted
 from armperturb.analysis.measures.vaf import prediction_vaf
 from armperturb.analysis.response.frequency_response import Bands
-from armperturb.analysis.response.spectra import SpectralEstimate, estimate_spectra, line_spectra
+from armperturb.analysis.response.spectra import SpectralEstimate, averaged_spectra
 from armperturb.analysis.results import Description, FitResult, Result, Table, normal_quantile, parameter_table, plain
+from armperturb.analysis.trials import ConditionTrials, Trials, prepared, trials_by_condition
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
+from armperturb.validation import require_one_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -258,129 +261,117 @@ def _with_error(fit: ArmFit, name: str) -> str:
 
 
 def identify(
-    recording: xr.Dataset,
+    trials: Trials,
     model: Structure | str,
     *,
     estimator: Estimator = "record",
-    start: float = 8.0,
-    period: float = 20.48,
-    lines_per_average: int = 4,
+    window_start: float = WINDOW_START,
+    period: float | None = None,
+    lines_per_average: int = LINES_PER_AVERAGE,
 ) -> Identification:
     """Admittance, environment, arm model and its VAF from the trials of one subject in one condition.
 
     Args:
-      recording: the trials, each from rest at its first sample; `recording.sel` or `.isel` picks them from a larger
-        one.
+      trials: each from rest at its first sample; of a larger recording, `recording.sel` or `.isel` picks them.
       model: structure or its name, see `structures.STRUCTURES`.
       estimator: "thesis", "frequency" or "record".
-      start: of the window of whole periods, after the transient has gone [s].
-      period: of the disturbance [s].
-      lines_per_average: of the spectra, see `estimate_spectra`; estimates of greatest likelihood use every line.
+      window_start: start of the window of whole periods, after the transient has died away [s].
+      period: of the disturbance [s]; None to find it.
+      lines_per_average: of the spectra, see `estimate_spectra`; maximum likelihood estimates use every line.
 
     Raises:
       ValueError: the recording is refused, holds several subjects, conditions or postures, or gives no spectra.
     """
-    body_of(recording)
-    found = identify_conditions(
-        recording, model, estimator=estimator, start=start, period=period, lines_per_average=lines_per_average
-    )
-    return next(iter(found.values()))
+    ready = prepared(trials)
+    ready.body  # noqa: B018  (refuses several conditions)
+    return identify_conditions(
+        {ready.label: ready},
+        model,
+        estimator=estimator,
+        window_start=window_start,
+        period=period,
+        lines_per_average=lines_per_average,
+    )[ready.label]
 
 
 def identify_conditions(
-    recording: xr.Dataset,
+    trials: Mapping[str, ConditionTrials] | xr.Dataset,
     model: Structure | str,
     *,
     estimator: Estimator = "record",
     share: Sequence[str] = (),
-    start: float = 8.0,
-    period: float = 20.48,
-    lines_per_average: int = 4,
+    window_start: float = WINDOW_START,
+    period: float | None = None,
+    lines_per_average: int = LINES_PER_AVERAGE,
 ) -> Identifications:
-    """The same of one subject in every condition of a recording, parameters being shared where asked for.
+    """Admittance, environment, arm model and its VAF of one subject in every condition.
 
     Args:
-      recording: trials of one subject; a condition's have the same posture.
-      model: as in `identify`.
-      estimator: as in `identify`.
+      trials: condition to trials of one subject, or their recording; a condition's have the same posture.
+      model: structure or its name, see `structures.STRUCTURES`.
+      estimator: "thesis", "frequency" or "record".
       share: parameters that are the same in all conditions, see `maximum_likelihood.estimate`.
-      start: as in `identify`.
-      period: as in `identify`.
-      lines_per_average: as in `identify`.
+      window_start: start of the window of whole periods, after the transient has died away [s].
+      period: of the disturbance [s]; None to find it, in each condition.
+      lines_per_average: of the spectra, see `estimate_spectra`; maximum likelihood estimates use every line.
 
     Returns:
       Condition to what it yields, in the order of the recording; those in which nothing perturbs the window, as where
       there are pulses alone, are left out if there are others.
 
     Raises:
-      ValueError: as `identify`; or the thesis's estimator is to share, which it cannot.
+      ValueError: as `identify`; or the thesis's estimator is to share parameters, but fits each trial alone.
     """
-    if estimator not in get_args(Estimator):
-        raise ValueError(f"estimator = {estimator!r}; expected one of {', '.join(get_args(Estimator))}")
+    require_one_of("identify", "estimator", estimator, get_args(Estimator))
     if isinstance(model, str):
-        if model not in STRUCTURES:
-            raise ValueError(f"model = {model!r}; expected one of {', '.join(STRUCTURES)}")
+        require_one_of("identify", "model", model, list(STRUCTURES))
         model = STRUCTURES[model]
     if estimator == "thesis" and share:
         raise ValueError(
-            f"share = {', '.join(share)}; expected nothing with the thesis's estimator, which shares nothing"
+            f"identify: share = {', '.join(share)}; expected nothing with estimator = 'thesis', which fits each trial "
+            "alone (--estimator record shares)"
         )
-    parts = _conditions(recording, start, period)
+    conditions = trials_by_condition(trials) if isinstance(trials, xr.Dataset) else trials
+    perturbed = {label: part for label, part in conditions.items() if part.is_perturbed(window_start)}
+    conditions = perturbed or conditions
+    for part in conditions.values():
+        part.check_period(window_start, period)
     spectra = {
-        label: _spectra(part, start=start, period=period, lines_per_average=lines_per_average)
-        for label, part in parts.items()
+        label: averaged_spectra(part, window_start=window_start, period=period, lines_per_average=lines_per_average)
+        for label, part in conditions.items()
     }
     if estimator == "thesis":
-        wanted = [Wanted(Trials.prepare(part, start=start, period=period), model) for part in parts.values()]
+        wanted = [Wanted(part, model) for part in conditions.values()]
+        fitted = fit_wanted(wanted, window_start=window_start, period=period)
         fits = {
             label: _thesis_fit(of_trials, part, model, spectra[label])
-            for (label, part), of_trials in zip(parts.items(), fit_wanted(wanted), strict=True)
+            for (label, part), of_trials in zip(conditions.items(), fitted, strict=True)
         }
     else:
-        groups = [Group.prepare(part, body_of(part), model, start=start, period=period) for part in parts.values()]
-        found = estimate(groups, estimator, share=share)
-        fits = {group.label: _likely_fit(found, group, spectra[group.label]) for group in groups}
+        groups = [Group.prepare(part, model, window_start=window_start, period=period) for part in conditions.values()]
+        joint = estimate(groups, estimator, share=share)
+        fits = {group.label: _likely_fit(joint, group, spectra[group.label]) for group in groups}
     return Identifications(
         {
             label: Identification(
-                n_trials=parts[label].sizes["trial"],
+                n_trials=conditions[label].n_trials,
                 spectra=spectra[label],
                 environment=environment,
                 fit=fit,
-                vaf=prediction_vaf(parts[label], fit.arm, environment).mean(axis=0),
+                vaf=prediction_vaf(conditions[label], fit.arm, environment).mean(axis=0),
             )
             for label, (fit, environment) in fits.items()
         }
     )
 
 
-def _conditions(recording: xr.Dataset, start: float, period: float) -> dict[str, xr.Dataset]:
-    """The trials of each condition whose window is perturbed; of all if none is."""
-    labels = recording["condition"].values
-    parts = {
-        str(label): recording.isel(trial=np.flatnonzero(labels == label)) for label in dict.fromkeys(labels.tolist())
-    }
-    perturbed = {
-        label: part
-        for label, part in parts.items()
-        if part["perturbation"].sel(time=slice(start, start + period)).values.any(axis=(1, 2)).all()
-    }
-    return perturbed or parts
-
-
-def _spectra(recording: xr.Dataset, *, start: float, period: float, lines_per_average: int) -> SpectralEstimate:
-    body_of(recording)
-    lines = line_spectra(recording, start=start, period=period)
-    return estimate_spectra(lines, lines_per_average=lines_per_average)
-
-
 def _thesis_fit(
-    found: ThesisEstimate, recording: xr.Dataset, structure: Structure, spectra: SpectralEstimate
+    found: ThesisEstimate, trials: ConditionTrials, structure: Structure, spectra: SpectralEstimate
 ) -> tuple[ArmFit, Environment]:
     """Means over trials, as published."""
     names, n_trials = found.parameters, len(found.fits)
     values, errors = found.values.mean(axis=0), found.sem.mean(axis=0)
-    arm = structure.arm(body_of(recording), values)
+    arm = structure.arm(trials.body, values)
     pole = largest_real_pole(arm, found.environment)
     remarks = [f"{name} sits on a bound in {count} of {n_trials} trials" for name, count in found.at_bound.items()]
     if found.n_stable < n_trials:
@@ -388,7 +379,7 @@ def _thesis_fit(
     fit = ArmFit(
         estimator="thesis",
         structure=found.structure,
-        condition=str(recording["condition"].values[0]),
+        condition=trials.label,
         arm=arm,
         mixing=structure.mixing,
         values=dict(zip(names, values.tolist(), strict=True)),

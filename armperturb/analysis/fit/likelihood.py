@@ -38,8 +38,9 @@ RELATIVE_WIDTH = 0.05
 TAPER = 2.0
 """Length over which a record fades out before it is transformed [s]; one that begins at rest needs no fading in."""
 
-EXCITED = 1e-3
-"""Share of the strongest frequency's power from which on a frequency counts as excited."""
+EXCITED_POWER = 1e-3
+"""Share of the largest power above which a frequency counts as excited. It is larger than that of the lines of a
+multisine (`spectra.EXCITED_LINE`), as whole records are tapered and leak power into neighbouring frequencies."""
 
 ROUND_OFF = 1e-12
 """Noise cannot be less: amplitude over that of the strongest disturbance, power in one direction over all [-]."""
@@ -241,8 +242,8 @@ class PeriodLikelihood(Likelihood):
         force = spectrum(perturbation)
         power = np.sum(np.abs(force) ** 2, axis=(0, 1))
         # Lines without disturbance hold noise alone, which is why they are here.
-        excited = np.flatnonzero(power > EXCITED * power.max())
-        force[..., power <= EXCITED * power.max()] = 0.0
+        excited = np.flatnonzero(power > EXCITED_POWER * power.max())
+        force[..., power <= EXCITED_POWER * power.max()] = 0.0
         super().__init__(body, environment, frequency[used], rate, force, spectrum(displacement), excited)
         self._model = LinearArm(body, frequency[used][excited])
         self._load = force[..., excited] * self._filter[excited]
@@ -353,7 +354,7 @@ def smoother(n: int, n_trials: int) -> sparse.csr_array:
 def excited_bands(frequency: Array, force: ComplexArray) -> list[slice]:
     """Runs of excited frequencies, split where they are wider than a third of an octave."""
     power = np.mean(np.abs(force) ** 2, axis=(0, 1))
-    excited = np.flatnonzero(power > EXCITED * power.max())
+    excited = np.flatnonzero(power > EXCITED_POWER * power.max())
     runs, first = [], excited[0]
     for before, now in itertools.pairwise(excited):
         if now - before > 2 or frequency[now] > 2 ** (1 / 3) * frequency[first] + 4 * frequency[0]:

@@ -49,7 +49,7 @@ def linear_start(
 
 def _guesses(structure: Structure) -> list[Array]:
     """Starts that differ in delay and cut-off, those of both joints changing together."""
-    start = np.array([structure.start[name] for name in structure.free])
+    start = np.array([structure.initial[name] for name in structure.free])
     shares = (np.arange(N_TRIED) + 0.5) / N_TRIED
     groups = []
     for quantity in ("Td", "fact"):

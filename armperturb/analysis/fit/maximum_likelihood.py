@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple, Self, get_args
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike
 from scipy import optimize
 
 from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.fit.likelihood import (
     LackOfFit,
     Likelihood,
@@ -25,10 +25,11 @@ from armperturb.analysis.fit.likelihood import (
     whitened,
 )
 from armperturb.analysis.fit.linear_start import linear_start
-from armperturb.analysis.fit.structures import Structure, body_of, unit
-from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
-from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
+from armperturb.analysis.fit.structures import Structure, unit
+from armperturb.analysis.force_balance import EDGE, Skew
+from armperturb.analysis.response.spectra import averaged_spectra, line_spectra
 from armperturb.analysis.results import Description, FitResult, parameter_table
+from armperturb.analysis.trials import ConditionTrials, Trials, per_trials, prepared
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -81,90 +82,87 @@ SHARES: Mapping[str, tuple[str, ...]] = {
 """Names for parameters that are shared together; single ones are named as they are."""
 
 
+@per_trials
+def _white(trials: ConditionTrials) -> Array:
+    """Whitened displacement, (trial, time, axis)."""
+    return whitened(trials.displacement, trials.rate)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Group:
-    """Trials of one person in one condition, ready to be fitted.
+    """Trials of one person in one condition, and the structure that is fitted to them.
 
     Attributes:
-      label: the condition.
-      body: task, segment lengths and posture.
+      trials: the trials.
       structure: what is free.
-      environment: what the hand held, as identified from these trials.
-      noise: of the instruments, as identified from these trials.
-      skew: of the clocks of force and displacement, as seen in these trials.
-      n_trials: how many there are.
-      start: values of the free parameters near the best fit, (parameter,).
+      initial: values of the free parameters by linear least squares, from which a search may start, (parameter,).
       period: likelihood of the mean periods.
       record: likelihood of the whole records.
     """
 
-    label: str
-    body: Subject
+    trials: ConditionTrials
     structure: Structure
-    environment: Environment
-    noise: NoiseLevels
-    skew: Skew
-    n_trials: int
-    start: Array
+    initial: Array
     period: Likelihood
     record: Likelihood
+
+    @property
+    def label(self) -> str:
+        """The condition."""
+        return self.trials.label
+
+    @property
+    def body(self) -> Subject:
+        """Task, segment lengths and posture."""
+        return self.trials.body
+
+    @property
+    def environment(self) -> Environment:
+        """What the hand held, as identified from these trials."""
+        return self.trials.environment
 
     @classmethod
     def prepare(
         cls,
-        recording: xr.Dataset,
-        body: Subject,
+        trials: Trials,
         structure: Structure,
         *,
-        start: float = 8.0,
-        period: float = 20.48,
+        window_start: float = WINDOW_START,
+        period: float | None = None,
         settle: float = 0.0,
     ) -> Self:
         """Prepare trials. Of trials with pulses, what is before the earliest is used.
 
         Args:
-          recording: trials of one person in one condition.
-          body: the person, see `body.body_of`.
+          trials: of one person in one condition, or their recording.
           structure: what is to be estimated.
-          start: of the window of whole periods, after the transient has gone [s].
-          period: of the disturbance [s].
+          window_start: start of the window of whole periods, after the transient has died away [s].
+          period: of the disturbance [s]; None to find it.
           settle: time at the start of the records that "record" does not judge [s]: 0 where they start at rest, some 8
             s where they start amid the perturbation, so that the response to what is not recorded has died away.
 
         Raises:
-          ValueError: the recording is refused, gives no spectra, is of another person, task or posture than body, its
+          ValueError: the recording is refused, gives no spectra, is of several people, tasks or postures, its
             perturbation is not periodic, or settle leaves less than a period.
         """
-        found = body_of(recording)
-        for field in _BODY:
-            if getattr(found, field) != getattr(body, field):
-                raise ValueError(
-                    f"{field} = {getattr(found, field)!r} in the recording; expected {getattr(body, field)!r} (body)"
-                )
-        lines = line_spectra(recording, start=start, period=period)
-        spectra = estimate_spectra(lines)
-        rate = float(recording.attrs["rate"])
-        signals = (recording[name].values for name in ("perturbation", "force", "displacement"))
-        d, f, x = (np.asarray(values, dtype=float) for values in signals)
-        n_period, first = round(period * rate), round(start * rate)
+        trials = prepared(trials)
+        body = trials.body
+        spectra = averaged_spectra(trials, window_start=window_start, period=period)
+        lines = line_spectra(trials, window_start=window_start, period=period)
+        rate = trials.rate
+        period = trials.period(window_start) if period is None else period
+        n_period, first = round(period * rate), round(window_start * rate)
+        d = trials.perturbation
         _require_periodic(d, first, n_period, rate)
-        balance = Balance(d, f, x, rate)
-        environment, noise = balance.fit()
-        white = whitened(balance.displacement(environment, noise), rate)
-        onset = float(np.nanmin([*recording["pulse_onset"].values, np.inf]))
-        end = min(round(min(onset, d.shape[1] / rate) * rate), d.shape[1] - round(EDGE * rate))
+        environment, white = trials.environment, _white(trials)
+        end = min(trials.first_onset, trials.n_samples - round(EDGE * rate))
         require_number("Group", "settle", settle, at_least=0.0, at_most=end / rate - period)
         top = min(1.1 * float(lines.frequency[-1]), 0.45 * rate)
         last = first + n_period * max(1, (end - first) // n_period)
         return cls(
-            label=str(recording["condition"].values[0]),
-            body=body,
+            trials=trials,
             structure=structure,
-            environment=environment,
-            noise=noise,
-            skew=balance.skew(environment, noise),
-            n_trials=len(d),
-            start=linear_start(spectra.frequency, spectra.arm, body, structure),
+            initial=linear_start(spectra.frequency, spectra.arm, body, structure),
             period=PeriodLikelihood(d[:, first:last], white[:, first:last], body, environment, rate, n_period, top),
             record=RecordLikelihood(d[:, :end], white[:, :end], body, environment, rate, top, settle),
         )
@@ -295,16 +293,18 @@ class _Problem:
             if not lower < upper:
                 raise ValueError(f"bounds of the shared {name} cross ({lower:g} to {upper:g}); expected some overlap")
 
-    def start(self, given: Mapping[str, float]) -> Array:
+    def initial(self, given: Mapping[str, float]) -> Array:
         """Given values, and where there is none the mean over the groups of where linear least squares would start."""
-        values = self._mean([group.start for group in self.groups])
+        values = self._mean([group.initial for group in self.groups])
         for name, value in given.items():
             if name not in self.names:
-                raise ValueError(f"start: unknown parameter {name!r}; expected {', '.join(self.names)}")
+                raise ValueError(f"initial: unknown parameter {name!r}; expected {', '.join(self.names)}")
             column = self.names.index(name)
             lower, upper = self.lower[column], self.upper[column]
             if not lower <= value <= upper:
-                raise ValueError(f"start: {name} = {value!r}; expected {lower:g} to {upper:g} {unit(name.split()[0])}")
+                raise ValueError(
+                    f"initial: {name} = {value!r}; expected {lower:g} to {upper:g} {unit(name.split()[0])}"
+                )
             values[column] = value
         return values
 
@@ -366,7 +366,7 @@ class _Problem:
 
     def published(self) -> Array:
         """Mean over the groups of the structures' default starts."""
-        return self._mean([[group.structure.start[name] for name in group.structure.free] for group in self.groups])
+        return self._mean([[group.structure.initial[name] for name in group.structure.free] for group in self.groups])
 
     def stabilised(self, values: Array) -> Array:
         """The values moved towards the structures' default starts until every arm is stable, or all the way."""
@@ -433,7 +433,7 @@ def estimate(
     method: Method = "record",
     *,
     share: Sequence[str] = (),
-    start: Mapping[str, float] | None = None,
+    initial: Mapping[str, float] | None = None,
 ) -> Estimate:
     """Estimate the arm of one person from the trials of one or several conditions.
 
@@ -441,11 +441,11 @@ def estimate(
       groups: trials, one group per condition.
       method: "frequency" (mean periods; fast) or "record" (all of each trial; best, started from the former).
       share: parameters that are the same in all conditions: names of parameters, or of `SHARES`.
-      start: values to start from, named as in `Estimate.values`, SI; linear least squares for those not given.
+      initial: values to start from, named as in `Estimate.values`, SI; linear least squares for those not given.
 
     Raises:
-      ValueError: there is no group, groups differ in person or posture, a shared name is unknown, a start is unknown or
-        outside its bounds, or the structure cannot be identified from any data; the message names the direction.
+      ValueError: there is no group, groups differ in person or posture, a shared name is unknown, an initial value is
+        unknown or outside its bounds, or no data identify the structure; the message names the direction.
     """
     if method not in get_args(Method):
         raise ValueError(f"method = {method!r}; expected one of {', '.join(get_args(Method))}")
@@ -453,7 +453,7 @@ def estimate(
         raise ValueError("groups is empty; expected the trials of at least one condition")
     _require_one_person(groups)
     problem = _Problem(groups, "frequency", share)
-    first = problem.stabilised(problem.start(start or {}))
+    first = problem.stabilised(problem.initial(initial or {}))
     found = _judge(problem, "frequency", _search(problem, first))
     if not np.isfinite(list(found.standard_error.values())).all():
         problem.require_identifiable(first)
@@ -594,7 +594,7 @@ def _judge(problem: _Problem, method: Method, search: _Search) -> Estimate:
         dof=fit.dof,
         objective=objective,
         n_rounds=search.n_rounds,
-        skew={group.label: group.skew for group in problem.groups},
+        skew={group.label: group.trials.skew for group in problem.groups},
     )
     return replace(result, remarks=_remarks(result))
 
@@ -610,16 +610,13 @@ def _shared_names(groups: Sequence[Group], share: Sequence[str]) -> set[str]:
     return shared
 
 
-_BODY = ("name", "task", "l_h", "l_f", "theta_s_deg", "theta_e_deg")
-
-
 def _require_one_person(groups: Sequence[Group]) -> None:
     labels = [group.label for group in groups]
-    for field in _BODY:
-        found = {getattr(group.body, field) for group in groups}
-        if len(found) > 1 and field != "task":
+    for field in ("name", "l_h", "l_f", "theta_s_deg", "theta_e_deg"):
+        values = {getattr(group.body, field) for group in groups}
+        if len(values) > 1:
             raise ValueError(
-                f"the conditions {', '.join(labels)} differ in {field} ({', '.join(map(str, sorted(found)))}); "
+                f"the conditions {', '.join(labels)} differ in {field} ({', '.join(map(str, sorted(values)))}); "
                 "expected one person in one posture"
             )
     for label in labels:

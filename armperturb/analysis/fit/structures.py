@@ -7,12 +7,11 @@ from types import MappingProxyType
 from typing import Any, NoReturn, Self
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike
 
 from armperturb.analysis.arm.parameters import PARAMETERS, parameter_vector
 from armperturb.arrays import Array
-from armperturb.subject import HUMERUS_MASS_SHARE, POSITION, RELAX, TASKS, Subject
+from armperturb.subject import HUMERUS_MASS_SHARE, TASKS, Subject
 
 Bounds = tuple[float, float]
 
@@ -43,9 +42,9 @@ def unit(parameter: str) -> str:
 class Structure:
     """One arm model structure: what each parameter of an arm (`arm_model.PARAMETERS`) is in a fit.
 
-    A parameter is free (has bounds and a start), tied to free ones, or fixed; one that is none of these has the value
-    that a `Subject` has by default: no feedback, a delay of 30 ms, a cut-off of 3.5 Hz. Others are derived from the
-    thesis's by `fixing`, `freeing`, `tying` and `named`:
+    A parameter is free (has bounds and an initial value), tied to free ones, or fixed; one that is none of these has
+    the value that a `Subject` has by default: no feedback, a delay of 30 ms, a cut-off of 3.5 Hz. Others are derived
+    from the thesis's by `fixing`, `freeing`, `tying` and `named`:
 
         STRUCTURES["3"].fixing(Td_s=0.03, fact_s=3.5, fact_e=3.5).tying(Td_e={"Td_s": 1.0}).named("3, one delay")
 
@@ -53,19 +52,19 @@ class Structure:
       name: as the thesis numbers it.
       bounds: lower and upper bound of each free parameter, SI. Names that are no parameter of an arm, as m_tot, exist
         through those that are tied to them.
-      start: value of each free parameter, SI; the default start of a fit.
+      initial: value of each free parameter, SI; the default start of a fit.
       fixed: task to the value of parameters that are not estimated, SI.
       tied: parameter to the free ones whose weighted sum it is: {"m_h": {"m_tot": 0.49}}.
       mixing: derivative of an arm's parameters by the free ones, (arm parameter, free parameter); follows from these.
 
     Raises:
       ValueError: a name is unknown, a parameter is free, tied or fixed at the same time, or missing, bounds cross or
-        hold values that no arm can have, or a start is missing or outside its bounds.
+        hold values that no arm can have, or an initial value is missing or outside its bounds.
     """
 
     name: str
     bounds: Mapping[str, Bounds]
-    start: Mapping[str, float]
+    initial: Mapping[str, float]
     fixed: Mapping[str, Mapping[str, float]]
     tied: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     mixing: Array = field(init=False, repr=False)
@@ -104,9 +103,9 @@ class Structure:
         for name in self.bounds:
             if name not in PARAMETERS and name not in tied_to:
                 self._fail(f"free parameter {name!r} is unknown; expected one of {', '.join(PARAMETERS)}")
-        for name in self.start:
+        for name in self.initial:
             if name not in self.bounds:
-                self._fail(f"start of {name!r}, which is not free; expected {', '.join(self.bounds)}")
+                self._fail(f"initial value of {name!r}, which is not free; expected {', '.join(self.bounds)}")
         for name, shares in self.tied.items():
             if name not in PARAMETERS:
                 self._fail(f"tied parameter {name!r} is unknown; expected one of {', '.join(PARAMETERS)}")
@@ -139,10 +138,10 @@ class Structure:
             if lower < least or (lower == least and name in _ABOVE_ZERO):
                 word = "above" if name in _ABOVE_ZERO else "at least"
                 self._fail(f"bounds of {name} = {lower!r} to {upper!r}; expected a lower bound {word} 0")
-            if name not in self.start:
-                self._fail(f"no start for {name}; expected {lower:g} to {upper:g}")
-            if not lower <= self.start[name] <= upper:
-                self._fail(f"start of {name} = {self.start[name]!r}; expected {lower:g} to {upper:g}")
+            if name not in self.initial:
+                self._fail(f"no initial value for {name}; expected {lower:g} to {upper:g}")
+            if not lower <= self.initial[name] <= upper:
+                self._fail(f"initial value of {name} = {self.initial[name]!r}; expected {lower:g} to {upper:g}")
         for task, values in self.fixed.items():
             for name, value in values.items():
                 if not math.isfinite(value):
@@ -205,7 +204,7 @@ class Structure:
             self,
             name=f"{self.name} variant",
             bounds=bounds,
-            start={name: value for name, value in self.start.items() if name in bounds},
+            initial={name: value for name, value in self.initial.items() if name in bounds},
             fixed={task: {**fixed, **physical, **follow} for task, fixed in self.fixed.items()},
             tied=tied,
         )
@@ -214,7 +213,7 @@ class Structure:
         """The structure in which these parameters are estimated.
 
         Args:
-          **free: name to lower bound, start and upper bound, SI. A name that is free already gets these.
+          **free: name to lower bound, initial value and upper bound, SI. A name that is free already gets these.
 
         Raises:
           ValueError: as the class.
@@ -223,7 +222,7 @@ class Structure:
             self,
             name=f"{self.name} variant",
             bounds={**self.bounds, **{name: (lower, upper) for name, (lower, _, upper) in free.items()}},
-            start={**self.start, **{name: start for name, (_, start, _) in free.items()}},
+            initial={**self.initial, **{name: initial for name, (_, initial, _) in free.items()}},
             fixed=self._fixed_without(free),
             tied={name: shares for name, shares in self.tied.items() if name not in free},
         )
@@ -241,7 +240,7 @@ class Structure:
             self,
             name=f"{self.name} variant",
             bounds={name: pair for name, pair in self.bounds.items() if name not in tied},
-            start={name: value for name, value in self.start.items() if name not in tied},
+            initial={name: value for name, value in self.initial.items() if name not in tied},
             fixed=self._fixed_without(tied),
             tied={**self.tied, **tied},
         )
@@ -342,7 +341,7 @@ _PAIRS = {"m": ("m_h", "m_f"), "grip": ("b_h", "k_h"), "Td": ("Td_s", "Td_e"), "
 def _table_c1(name: str) -> Structure:
     """One of the six structures of table C.1."""
     quantities = _STARTS[name]
-    start = {
+    initial = {
         parameter: value
         for quantity, values in quantities.items()
         for parameter, value in zip(
@@ -353,7 +352,7 @@ def _table_c1(name: str) -> Structure:
     for quantity, pairs in _FEEDBACK.items():
         bounds |= pairs if quantity in quantities else {}
     bounds |= _DELAY_AND_ACTIVATION if "Td" in quantities else {}
-    return Structure(name=name, bounds=bounds, start=start, fixed={"PT": {}, "RT": {}})
+    return Structure(name=name, bounds=bounds, initial=initial, fixed={"PT": {}, "RT": {}})
 
 
 _DELAY_AND_CUTOFF = {"Td_s": 0.030, "Td_e": 0.030, "fact_s": 3.5, "fact_e": 3.5}
@@ -361,7 +360,7 @@ _DELAY_AND_CUTOFF = {"Td_s": 0.030, "Td_e": 0.030, "fact_s": 3.5, "fact_e": 3.5}
 _MODEL_3B = Structure(
     name="3b",
     # Table E.3, start vartheta_i5.
-    start=dict(
+    initial=dict(
         m_tot=2.96,
         b_s=2.98,
         b_se=4.78,
@@ -428,24 +427,3 @@ def true_values(truth: Subject, structure: Structure) -> Array:
     fixed = structure.parameters(truth.task, np.zeros(len(structure.free)))
     free = structure.mixing.any(axis=1)
     return np.asarray(np.linalg.lstsq(structure.mixing[free], (parameter_vector(truth) - fixed)[free], rcond=None)[0])
-
-
-def body_of(recording: xr.Dataset) -> Subject:
-    """Task, segment lengths and posture of the one person in a recording, in a subject whose muscles do not matter.
-
-    Raises:
-      ValueError: trials differ in subject, condition or posture, or the task is unknown.
-    """
-    found = {}
-    for name in ("subject", "task", "condition", "l_h", "l_f", "theta_s_deg", "theta_e_deg"):
-        values = list(dict.fromkeys(recording[name].values.tolist()))
-        if len(values) > 1:
-            raise ValueError(
-                f"the recording holds several values of {name} ({', '.join(map(str, values))}); expected one"
-            )
-        found[name] = values[0]
-    if found["task"] not in TASKS:
-        raise ValueError(f"task = {found['task']!r}; expected one of {', '.join(TASKS)}")
-    found.pop("condition")
-    name = found.pop("subject")
-    return replace(POSITION if found["task"] == "PT" else RELAX, name=name, **found)

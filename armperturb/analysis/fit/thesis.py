@@ -15,18 +15,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from types import MappingProxyType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from armperturb.analysis.arm.linear_arm import Delay
+from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.fit.admittance_fit import AdmittanceFit, Target, fit_admittance, fit_admittances
-from armperturb.analysis.fit.structures import STRUCTURES, Structure, body_of, unit
-from armperturb.analysis.force_balance import Balance
-from armperturb.analysis.measures.vaf import Predictable
-from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
+from armperturb.analysis.fit.structures import STRUCTURES, Structure, unit
+from armperturb.analysis.measures.vaf import trial_vaf
+from armperturb.analysis.response.spectra import single_trial_spectra
+from armperturb.analysis.trials import ConditionTrials, Trials, per_trials, prepared
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 
@@ -119,7 +119,7 @@ class ThesisEstimate:
             return np.full(2, np.nan), np.full(2, np.nan)
         return kept.mean(axis=0), np.asarray(kept.std(axis=0, ddof=1) if len(kept) > 1 else np.full(2, np.nan))
 
-    def start(self) -> dict[str, float]:
+    def means(self) -> dict[str, float]:
         """Group means, from which another fit may start (step 2 of appendix C)."""
         return dict(zip(self.parameters, map(float, self.over_subjects(self.values)[0]), strict=True))
 
@@ -140,84 +140,43 @@ class ThesisEstimate:
         ]
 
 
-@dataclass(frozen=True, eq=False)
-class Trials:
-    """Trials of one condition, ready for any number of fits.
-
-    Attributes:
-      subjects: whose trial each is, (trial,).
-      environment: mass, spring and damper that the manipulator really showed.
-      targets: what a fit of each trial needs.
-      recorded: what the fit of each trial is to predict.
-    """
-
-    subjects: tuple[str, ...]
-    environment: Environment
-    targets: tuple[Target, ...]
-    recorded: tuple[Predictable, ...]
-
-    @classmethod
-    def prepare(
-        cls,
-        recording: xr.Dataset,
-        *,
-        environment: Environment | None = None,
-        start: float = 8.0,
-        period: float = 20.48,
-    ) -> Self:
-        """Spectra of the trials of a recording.
-
-        Args:
-          recording: trials of one condition, of any number of subjects.
-          environment: what the hands held; by default estimated from all trials (eq. A.19).
-          start: of the spectral window [s].
-          period: of the disturbance [s].
-
-        Raises:
-          ValueError: the recording is refused or gives no spectra.
-        """
-        lines = line_spectra(recording, start=start, period=period)
-        if environment is None:
-            d, f, x = (recording[name].values for name in ("perturbation", "force", "displacement"))
-            environment, _ = Balance(d, f, x, float(recording.attrs["rate"])).fit()
-        targets = []
-        for trial in range(recording.sizes["trial"]):
-            of_trial = replace(
-                lines,
-                perturbation=lines.perturbation[[trial]],
-                force=lines.force[[trial]],
-                displacement=lines.displacement[[trial]],
-            )
-            spectra = estimate_spectra(of_trial)
-            targets.append(
-                Target(
-                    frequency=spectra.frequency,
-                    admittance=spectra.arm,
-                    body=body_of(recording.isel(trial=[trial])),
-                    environment=environment,
-                    coherence=spectra.coherence,
-                )
-            )
-        subjects = tuple(recording["subject"].values.tolist())
-        return cls(subjects, environment, tuple(targets), tuple(Predictable.prepare(recording)))
+@per_trials
+def _targets(trials: ConditionTrials, *, window_start: float, period: float | None) -> tuple[Target, ...]:
+    """What a fit of each trial needs."""
+    return tuple(
+        Target(
+            frequency=spectra.frequency,
+            admittance=spectra.arm,
+            body=trials.body,
+            environment=trials.environment,
+            coherence=spectra.coherence,
+        )
+        for spectra in single_trial_spectra(trials, window_start=window_start, period=period)
+    )
 
 
 class Wanted(NamedTuple):
     """A fit of every trial of a condition.
 
     Attributes:
-      trials: of the condition.
+      trials: of one person in one condition.
       structure: model structure, or its name in `STRUCTURES`.
       initial: parameter vector to start from, SI; the structure's own where not given.
     """
 
-    trials: Trials
+    trials: ConditionTrials
     structure: Structure | str
     initial: Mapping[str, float] | None = None
 
 
 def fit_wanted(
-    wanted: Sequence[Wanted], *, use_penalty: bool = True, as_published: bool = True, delay: Delay = "pade"
+    wanted: Sequence[Wanted],
+    *,
+    use_penalty: bool = True,
+    as_published: bool = True,
+    delay: Delay = "pade",
+    window_start: float = WINDOW_START,
+    period: float | None = None,
 ) -> list[ThesisEstimate]:
     """Fit structures to trials, all together, which is many times faster than one by one.
 
@@ -226,29 +185,31 @@ def fit_wanted(
       use_penalty: whether to push fits away from instability (eq. 2.21).
       as_published: see the head of this module and `fit_admittance`.
       delay: "exact", or the thesis's "pade".
+      window_start: start of the spectral window [s].
+      period: of the disturbance [s]; None to find it, in each condition.
 
     Returns:
       The estimate of each.
 
     Raises:
-      ValueError: structure or initial vector are refused.
+      ValueError: trials give no spectra, or structure or initial vector are refused.
     """
     alike: dict[int, list[tuple[int, Target]]] = {}
-    for i, one in enumerate(wanted):
-        for target in one.trials.targets:
+    for i, (trials, _, _) in enumerate(wanted):
+        for target in _targets(trials, window_start=window_start, period=period):
             alike.setdefault(np.size(target.frequency), []).append((i, target))
     fits: list[list[AdmittanceFit]] = [[] for _ in wanted]
     for members in alike.values():
         if as_published:
-            found = fit_admittances(
+            fitted = fit_admittances(
                 [target for _, target in members],
                 [wanted[i].structure for i, _ in members],
-                starts=[wanted[i].initial for i, _ in members],
+                initials=[wanted[i].initial for i, _ in members],
                 use_penalty=use_penalty,
                 delay=delay,
             )
         else:
-            found = [
+            fitted = [
                 fit_admittance(
                     target.frequency,
                     target.admittance,
@@ -256,64 +217,41 @@ def fit_wanted(
                     wanted[i].structure,
                     target.environment,
                     coherence=target.coherence,
-                    start=wanted[i].initial,
+                    initial=wanted[i].initial,
                     use_penalty=use_penalty,
                     delay=delay,
                 )
                 for i, target in members
             ]
-        for (i, _), fit in zip(members, found, strict=True):
+        for (i, _), fit in zip(members, fitted, strict=True):
             fits[i].append(fit)
     return [
         ThesisEstimate(
             structure=fits[i][0].structure,
-            subjects=one.trials.subjects,
-            environment=one.trials.environment,
+            subjects=(trials.body.name,) * trials.n_trials,
+            environment=trials.environment,
             fits=tuple(fits[i]),
-            vaf=np.array(
-                [
-                    recorded.vaf(fit.arm, one.trials.environment)
-                    for recorded, fit in zip(one.trials.recorded, fits[i], strict=True)
-                ]
-            ),
+            vaf=np.array([trial_vaf(trials, n, fit.arm, trials.environment) for n, fit in enumerate(fits[i])]),
         )
-        for i, one in enumerate(wanted)
+        for i, (trials, _, _) in enumerate(wanted)
     ]
 
 
 def fit_trials(
-    recording: xr.Dataset,
-    structure: Structure | str,
-    *,
-    initial: Mapping[str, float] | None = None,
-    use_penalty: bool = True,
-    as_published: bool = True,
-    delay: Delay = "pade",
-    environment: Environment | None = None,
-    start: float = 8.0,
-    period: float = 20.48,
+    trials: Trials, structure: Structure | str, *, initial: Mapping[str, float] | None = None, **options: Any
 ) -> ThesisEstimate:
-    """Fit a structure to the admittance of each trial of a recording.
-
-    For several structures or starts, `fit_wanted` prepares the trials once.
+    """Fit a structure to the admittance of each trial.
 
     Args:
-      recording: trials of one condition, of any number of subjects.
+      trials: of one person in one condition, or their recording.
       structure: model structure, or its name in `STRUCTURES`.
       initial: parameter vector to start from, SI; the structure's own where not given.
-      use_penalty: whether to push fits away from instability (eq. 2.21).
-      as_published: see the head of this module and `fit_admittance`.
-      delay: "exact", or the thesis's "pade".
-      environment: what the hands held; by default estimated from all trials (eq. A.19).
-      start: of the spectral window [s].
-      period: of the disturbance [s].
+      **options: of `fit_wanted`.
 
     Raises:
       ValueError: the recording is refused or gives no spectra, or structure or initial are refused.
     """
-    trials = Trials.prepare(recording, environment=environment, start=start, period=period)
-    wanted = [Wanted(trials, structure, initial)]
-    return fit_wanted(wanted, use_penalty=use_penalty, as_published=as_published, delay=delay)[0]
+    return fit_wanted([Wanted(prepared(trials), structure, initial)], **options)[0]
 
 
 def join_estimates(estimates: Sequence[ThesisEstimate]) -> ThesisEstimate:
@@ -337,8 +275,8 @@ def join_estimates(estimates: Sequence[ThesisEstimate]) -> ThesisEstimate:
 
 
 def appendix_c(
-    first: Trials | xr.Dataset,
-    conditions: Mapping[str, Trials | xr.Dataset],
+    first: Trials,
+    conditions: Mapping[str, Trials],
     models: Sequence[Structure | str] = tuple("123456"),
     **options: Any,
 ) -> dict[str, tuple[ThesisEstimate, dict[str, ThesisEstimate]]]:
@@ -349,8 +287,7 @@ def appendix_c(
     printed; here it starts from the structure's own start.
 
     Args:
-      first: trials of the condition of step 1: PT7.5 for the position task, RT7.5 for the relax task. A recording is
-        prepared as `Trials.prepare` does by default.
+      first: trials of the condition of step 1: PT7.5 for the position task, RT7.5 for the relax task.
       conditions: name to trials of each condition of step 2, of the same task.
       models: structures, or their names.
       **options: of `fit_wanted`, but for use_penalty.
@@ -359,58 +296,54 @@ def appendix_c(
       Name of the structure to step 1, and to step 2 by condition.
 
     Raises:
-      ValueError: as `Trials.prepare` and `fit_wanted`.
+      ValueError: a recording is refused, or as `fit_wanted`.
     """
-    trials = _prepared(first)
-    prepared = {name: trials if one is first else _prepared(one) for name, one in conditions.items()}
-    ones = fit_wanted([Wanted(trials, model) for model in models], use_penalty=False, **options)
+    start = prepared(first)
+    ready = {name: start if part is first else prepared(part) for name, part in conditions.items()}
+    ones = fit_wanted([Wanted(start, model) for model in models], use_penalty=False, **options)
     of_step_2 = [
-        Wanted(one, model, estimate.start())
+        Wanted(part, model, estimate.means())
         for model, estimate in zip(models, ones, strict=True)
-        for one in prepared.values()
+        for part in ready.values()
     ]
     twos = iter(fit_wanted(of_step_2, **options))
-    return {one.structure: (one, dict(zip(prepared, islice(twos, len(prepared)), strict=True))) for one in ones}
+    return {step_1.structure: (step_1, dict(zip(ready, islice(twos, len(ready)), strict=True))) for step_1 in ones}
 
 
-def appendix_d(recording: Trials | xr.Dataset, **options: Any) -> dict[str, ThesisEstimate]:
+def appendix_d(trials: Trials, **options: Any) -> dict[str, ThesisEstimate]:
     """Model 3 with the bounds of table D.2 from theta_i1 to theta_i6, with penalty (appendix D, tables D.3 to D.5).
 
     Args:
-      recording: trials of PT7.5. A recording is prepared as `Trials.prepare` does by default.
+      trials: of PT7.5, or their recording.
       **options: of `fit_wanted`.
 
     Returns:
       Name of the start to its estimate.
 
     Raises:
-      ValueError: as `Trials.prepare` and `fit_wanted`.
+      ValueError: the recording is refused, or as `fit_wanted`.
     """
-    trials = _prepared(recording)
-    found = fit_wanted([Wanted(trials, MODEL_3_WIDE, initial) for initial in THETA.values()], **options)
-    return dict(zip(THETA, found, strict=True))
+    ready = prepared(trials)
+    fitted = fit_wanted([Wanted(ready, MODEL_3_WIDE, initial) for initial in THETA.values()], **options)
+    return dict(zip(THETA, fitted, strict=True))
 
 
-def appendix_e(recording: Trials | xr.Dataset, **options: Any) -> dict[str, ThesisEstimate]:
+def appendix_e(trials: Trials, **options: Any) -> dict[str, ThesisEstimate]:
     """Model 3a from vartheta_i1 and model 3b from vartheta_i2 to vartheta_i6 (appendix E, tables E.3 to E.5).
 
     Args:
-      recording: trials of PT7.5. A recording is prepared as `Trials.prepare` does by default.
+      trials: of PT7.5, or their recording.
       **options: of `fit_wanted`.
 
     Returns:
       Name of the start to its estimate.
 
     Raises:
-      ValueError: as `Trials.prepare` and `fit_wanted`.
+      ValueError: the recording is refused, or as `fit_wanted`.
     """
-    trials = _prepared(recording)
-    wanted = [Wanted(trials, "3a" if name == "vartheta_i1" else "3b", initial) for name, initial in VARTHETA.items()]
+    ready = prepared(trials)
+    wanted = [Wanted(ready, "3a" if name == "vartheta_i1" else "3b", initial) for name, initial in VARTHETA.items()]
     return dict(zip(VARTHETA, fit_wanted(wanted, **options), strict=True))
-
-
-def _prepared(trials: Trials | xr.Dataset) -> Trials:
-    return trials if isinstance(trials, Trials) else Trials.prepare(trials)
 
 
 _WIDE = {

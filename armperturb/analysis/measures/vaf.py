@@ -1,15 +1,13 @@
 """Variance accounted for: how well a model predicts a recorded displacement (thesis 2.7)."""
 
-from dataclasses import dataclass
 from functools import cache
-from typing import Self
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike
 from scipy import signal
 
 from armperturb.analysis.arm.state_space import largest_real_pole, simulate_linear
+from armperturb.analysis.trials import ConditionTrials, Trials, per_trials, prepared
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -51,45 +49,31 @@ def _share(x: Array, model: Array) -> Array:
     return np.asarray(100.0 * (1.0 - np.sum((x - model) ** 2, axis=-2) / np.sum(x**2, axis=-2)))
 
 
-@dataclass(frozen=True, eq=False)
-class Predictable:
-    """A trial up to its pulse, whose displacement any number of models may predict.
-
-    Attributes:
-      perturbation: d [N], (time, axis).
-      displacement: without what the high-pass takes out [m], (time, axis).
-      rate: of the samples [Hz].
-    """
-
-    perturbation: Array
-    displacement: Array
-    rate: float
-
-    @classmethod
-    def prepare(cls, recording: xr.Dataset) -> list[Self]:
-        """The trials of a recording."""
-        rate, trials = float(recording.attrs["rate"]), []
-        for onset, d, x in zip(
-            *(recording[name].values for name in ("pulse_onset", "perturbation", "displacement")), strict=True
-        ):
-            n = len(x) if np.isnan(onset) else round(float(onset) * rate)
-            trials.append(cls(d[:n], _highpassed(np.asarray(x[:n], dtype=float), rate, HIGHPASS), rate))
-        return trials
-
-    def vaf(self, arm: Subject, environment: Environment) -> Array:
-        """VAF of the linear model's displacement [%], (axis,); minus infinity if it is unstable: it has no bound."""
-        if largest_real_pole(arm, environment) >= 0:
-            return np.full(2, -np.inf)
-        predicted = simulate_linear(arm, environment, self.perturbation, self.rate).displacement
-        return _share(self.displacement, _highpassed(predicted, self.rate, HIGHPASS))
+@per_trials
+def _recorded(trials: ConditionTrials) -> tuple[Array, ...]:
+    """Displacement of each trial up to its pulse without what the high-pass takes out [m], each (time, axis)."""
+    return tuple(
+        _highpassed(x[:end], trials.rate, HIGHPASS)
+        for x, end in zip(trials.recorded_displacement, trials.onset.tolist(), strict=True)
+    )
 
 
-def prediction_vaf(recording: xr.Dataset, arm: Subject, environment: Environment) -> Array:
+def trial_vaf(trials: ConditionTrials, trial: int, arm: Subject, environment: Environment) -> Array:
+    """VAF of a linear model's displacement in one trial [%], (axis,); as `prediction_vaf`."""
+    if largest_real_pole(arm, environment) >= 0:
+        return np.full(2, -np.inf)
+    driven = trials.perturbation[trial, : trials.onset[trial]]
+    predicted = simulate_linear(arm, environment, driven, trials.rate).displacement
+    return _share(_recorded(trials)[trial], _highpassed(predicted, trials.rate, HIGHPASS))
+
+
+def prediction_vaf(trials: Trials, arm: Subject, environment: Environment) -> Array:
     """VAF of the linear model's displacement up to the pulse [%], (trial, axis).
 
     Args:
-      recording: the trials that are predicted.
+      trials: that are predicted, or their recording.
       arm: the model; minus infinity if it is unstable, as its response has no bound.
       environment: what the hand held.
     """
-    return np.array([trial.vaf(arm, environment) for trial in Predictable.prepare(recording)])
+    ready = prepared(trials)
+    return np.array([trial_vaf(ready, trial, arm, environment) for trial in range(ready.n_trials)])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.nonlinear.choice import Choice, compare_laws
 from armperturb.analysis.nonlinear.estimate import N_PAIRS, N_PAIRS_OF_ERRORS, fit, nearest_arms
 from armperturb.analysis.nonlinear.model import Law, Model
@@ -106,8 +107,8 @@ def identify_nonlinear(
     law: Law | Literal["choose"] = "full",
     *,
     pulse_directions_deg: Iterable[float] = (),
-    start: float = 8.0,
-    period: float = 20.48,
+    window_start: float = WINDOW_START,
+    period: float | None = None,
     folder: Path | None = None,
     progress: Callable[[str], object] | None = None,
     threads: int = 1,
@@ -120,8 +121,8 @@ def identify_nonlinear(
       recording: trials of one person, of one or both tasks.
       law: which, or "choose": see `compare_laws`.
       pulse_directions_deg: pulses in these directions are fitted too.
-      start: of the window that linear arms are identified from, see `identify_conditions` [s].
-      period: of the disturbance [s].
+      window_start: start of the window that linear arms are identified from, see `identify_conditions` [s].
+      period: of the disturbance [s]; None to find it.
       folder: for checkpoints; fits that were stopped there go on.
       progress: called with a line after each step.
       threads: how many simulate at a time; no effect on the result.
@@ -141,7 +142,7 @@ def identify_nonlinear(
             known = ", ".join(f"{deg:g}" for deg in sorted(recorded)) or "none, as there are no pulses"
             raise ValueError(f"pulses: no pulse in the direction {wanted:g} deg; expected some of {known}")
     fitted, left_out = training_sets(sets, directions)
-    arms = linear_arms(recording, start=start, period=period)
+    arms = linear_arms(recording, window_start=window_start, period=period)
     options: dict[str, Any] = dict(
         n_pairs=n_pairs, n_pairs_of_errors=n_pairs_of_errors, progress=progress, threads=threads
     )

@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
 from armperturb.analysis.fit.identify import identify_conditions
 from armperturb.analysis.nonlinear.model import ELEMENTS, GROUPS, Parameters, bounds, coordinate, stem
 from armperturb.analysis.nonlinear.problem import Problem, State
 from armperturb.analysis.nonlinear.trials import TrialSet
+from armperturb.analysis.trials import ConditionTrials, trials_by_condition
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -37,35 +39,49 @@ SPREAD = 0.08
 """SD of the logarithms of the trials' own factors [-]."""
 
 
-LINEAR_MODELS: Mapping[str, str] = {"PT": "3b", "RT": "1"}
-"""Task to the linear structure whose fits start the nonlinear ones, see `fit.structures`."""
-
-
-def linear_arms(recording: xr.Dataset, *, start: float = 8.0, period: float = 20.48) -> dict[str, Subject]:
+def linear_arms(
+    recording: xr.Dataset, *, window_start: float = WINDOW_START, period: float | None = None
+) -> dict[str, Subject]:
     """Condition to its linear arm, of all conditions from which one can be identified.
 
     Args:
       recording: trials of one person.
-      start: of the window of whole periods, as in `identify_conditions` [s].
-      period: likewise [s].
+      window_start: start of the window of whole periods, as in `identify_conditions` [s].
+      period: of the disturbance [s]; None to find it.
 
     Raises:
-      ValueError: a task has no such condition, or the recording is refused.
+      ValueError: no trial of a task holds a whole period before its pulse, or the recording is refused.
     """
-    onset = recording["pulse_onset"].values
+    conditions = trials_by_condition(recording)
     arms: dict[str, Subject] = {}
-    for task in dict.fromkeys(recording["task"].values.tolist()):
-        wide = ~(onset < start + period) & (recording["task"].values == task)
-        if not wide.any():
+    for task in dict.fromkeys(trials.body.task for trials in conditions.values()):
+        of_task = {label: trials for label, trials in conditions.items() if trials.body.task == task}
+        length = _period(list(of_task.values()), window_start) if period is None else period
+        wide = {
+            label: trials.take(np.flatnonzero(trials.onset >= round((window_start + length) * trials.rate)))
+            for label, trials in of_task.items()
+        }
+        wide = {label: trials for label, trials in wide.items() if trials.n_trials}
+        if not wide:
             raise ValueError(
-                f"{task}: all pulses come before {start + period:g} s; expected a trial with a whole period of "
-                f"{period:g} s from {start:g} s on"
+                f"{task}: all pulses come before {window_start + length:g} s; expected a trial with a whole period of "
+                f"{length:g} s from {window_start:g} s on (an earlier --window-start)"
             )
-        fits = identify_conditions(
-            recording.isel(trial=np.flatnonzero(wide)), LINEAR_MODELS[task], start=start, period=period
-        )
-        arms |= {label: identified.fit.arm for label, identified in fits.items()}
+        results = identify_conditions(wide, LINEAR_MODELS[task], window_start=window_start, period=period)
+        arms |= {label: result.fit.arm for label, result in results.items()}
     return arms
+
+
+def _period(conditions: Sequence[ConditionTrials], window_start: float) -> float:
+    """Period of the first condition that is perturbed before its pulses [s]."""
+    for trials in conditions:
+        late = trials.take(np.flatnonzero(trials.onset > round(window_start * trials.rate) + 1))
+        if late.n_trials and late.is_perturbed(window_start):
+            return late.period(window_start)
+    raise ValueError(
+        f"{conditions[0].body.task}: all pulses come before {window_start:g} s, or nothing perturbs the trials before "
+        "them; expected a multisine (an earlier --window-start)"
+    )
 
 
 def start_values(

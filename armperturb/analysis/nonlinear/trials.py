@@ -7,8 +7,8 @@ from typing import Self
 import numpy as np
 import xarray as xr
 
-from armperturb.analysis.fit.structures import body_of
 from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, Indices
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -60,7 +60,7 @@ class TrialSet:
           ValueError: the recording is of several people, conditions or postures, or too short, or its force does not
             balance (see `Balance`).
         """
-        body = body_of(recording)
+        body = ConditionTrials.prepare(recording, is_checked=True).body
         d, f, x = (
             np.asarray(recording[name].values, dtype=float) for name in ("perturbation", "force", "displacement")
         )

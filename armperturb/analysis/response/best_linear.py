@@ -37,7 +37,8 @@ import numpy as np
 import xarray as xr
 from scipy import interpolate, stats
 
-from armperturb.analysis.response.closed_loop import HIGHEST_ORDER, Periodic, Recordings, periodic_trials
+from armperturb.analysis.defaults import LINES_PER_AVERAGE, SETTLED
+from armperturb.analysis.response.closed_loop import HIGHEST_ORDER, Periodic, periodic_trials
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.analysis.response.local_polynomial import (
     ComplexArray,
@@ -50,6 +51,7 @@ from armperturb.analysis.response.local_polynomial import (
     without,
 )
 from armperturb.analysis.results import Description, Result, Table, plain
+from armperturb.analysis.trials import SeveralTrials, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.recording import LABELS, named
 
@@ -191,30 +193,38 @@ class BestLinear(Result):
 
 
 def best_linear(
-    recordings: Recordings, *, period: float = 20.48, start: float = 2.0, lines_per_average: int = 4
+    recordings: SeveralTrials,
+    *,
+    period: float | None = None,
+    window_start: float = SETTLED,
+    lines_per_average: int = LINES_PER_AVERAGE,
 ) -> BestLinear:
     """Best linear approximation of the arm, from multisines.
 
     Args:
       recordings: trials of one subject in one condition, with different multisines of one power spectrum, each longer
         than a period by a fifth or more. Of a single trial, the distortion is that of its realisation alone.
-      period: of the disturbance [s].
-      start: of what is used [s]; later for loads that ring on, whose start otherwise passes for distortion.
+      period: of the disturbance [s]; None to find it.
+      window_start: start of what is used [s]; later for loads that ring on, whose transient otherwise passes for
+        distortion.
       lines_per_average: as in `estimate_multisine`; 3 or more.
 
     Raises:
       ValueError: as `estimate_multisine`; or lines of a cluster or periods are too few.
     """
-    trials = periodic_trials(recordings, period=period, start=start, lines_per_average=lines_per_average)
+    several = prepared_recordings(recordings)
+    trials = periodic_trials(several, period=period, window_start=window_start, lines_per_average=lines_per_average)
     shortest = min(map(len, trials.groups))
     if shortest < 3:
         raise ValueError(f"a group has {shortest} excited lines; expected at least 3 (more lines per average)")
-    n_periods = np.array([1.0 + sum(map(len, trial.contrasts)) / (period * trials.rate) for trial in trials.trials])
+    n_periods = np.array(
+        [1.0 + sum(map(len, trial.contrasts)) / (trials.period * trials.rate) for trial in trials.trials]
+    )
     contrasts = _contrasts(trials)
     if not contrasts:
         raise ValueError(
-            f"trials hold {n_periods.max():.2f} periods from {start:g} s on; expected at least "
-            f"{1 + SHORTEST / period:.2f}"
+            f"trials hold {n_periods.max():.2f} periods from {window_start:g} s on; expected at least "
+            f"{1 + SHORTEST / trials.period:.2f}"
         )
     order = ORDER.get(len(trials.trials), HIGHEST_ORDER)
     fits = trials.fit(order, own_levels=True)
@@ -230,7 +240,9 @@ def best_linear(
     ]
     uneven = _unevenness(n_periods)
     share = float(np.mean([trial.share for trial in trials.trials]))
-    scale = 2.0 / (period * trials.rate)  # from |Z|^2 over the number of samples to the mean square of a sine wave
+    scale = 2.0 / (
+        trials.period * trials.rate
+    )  # from |Z|^2 over the number of samples to the mean square of a sine wave
     linear, noise, distortion, error, excess, precision = [], [], [], [], [], []
     for group, fit, impedance, own, near, quiet_uses, near_noises, noise_uses in zip(
         trials.groups, fits, around, own_fits, quiet, _uses(quiet), noises, _uses(noises), strict=True
@@ -262,7 +274,7 @@ def best_linear(
     return BestLinear(
         response=replace(
             frequency_response(fits, "arm", [(fit.excited_noise, fit.excited_dof) for fit in fits]),
-            label=named(recordings),
+            label=named([part.recording for part in several]),
         ),
         linear=np.array(linear),
         noise=np.array(noise),

@@ -1,8 +1,8 @@
 """Frequency responses of arm and environment from any disturbance: multisines, or noise (thesis 2.6, generalised).
 
-Both read one or several recordings, which may differ in length, and use every sample from `start` to each trial's pulse
-or end. What came before is leakage, which `local_polynomial` removes. It does so as long as what came before dies away
-within a fraction of the record: a record that begins at rest, or later, has little of it.
+Both read one or several recordings, which may differ in length, and use every sample from `window_start` to each
+trial's pulse or end. What came before is leakage, which `local_polynomial` removes. It does so as long as what came
+before dies away within a fraction of the record: a record that begins at rest, or later, has little of it.
 
 **Multisines** of a known period and unknown lines, which the disturbance tells. Samples of equal phase are averaged,
 so that 24 s of a period of 20.48 s hold one period of which a part is less noisy. The disturbance then sits on the
@@ -16,13 +16,12 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
-from armperturb.analysis.response.joint_records import JointRecords
-from armperturb.analysis.response.line_balance import LineBalance, find_balance, holds
+from armperturb.analysis.response.joint_records import excited_frequencies
+from armperturb.analysis.response.line_balance import find_balance, holds
 from armperturb.analysis.response.local_polynomial import (
     N_INPUTS,
     LocalFit,
@@ -31,13 +30,18 @@ from armperturb.analysis.response.local_polynomial import (
     frequency_response,
     n_unknowns,
 )
-from armperturb.analysis.response.periodicity import find_period
-from armperturb.analysis.response.spectra import EXCITED
+from armperturb.analysis.response.spectra import EXCITED_LINE
+from armperturb.analysis.trials import (
+    APERIODIC,
+    SeveralTrials,
+    TrialRecord,
+    common_period,
+    prepared_recordings,
+    records_of,
+)
 from armperturb.arrays import Array, ComplexArray
-from armperturb.recording import check_recording
 from armperturb.validation import require_number
 
-Recordings = xr.Dataset | Sequence[xr.Dataset]
 Answer = Callable[[Array, ComplexArray, ComplexArray], ComplexArray]
 """From frequency, D and (F, X) of lines to what takes the place of the latter."""
 
@@ -65,9 +69,6 @@ LEAST_DOF = 8.0
 FADE = 2.0
 """Time over which the weights of samples of equal phase change [s]; less if a record is hardly longer than a period."""
 
-APERIODIC = 1e-2
-"""Share of its power by which a disturbance may differ from one period to the next [-]."""
-
 HALF_WIDTH = (0.2, 0.1)
 """Least half of the band around a frequency that tells the response there: [Hz], and over the frequency [-].
 
@@ -75,20 +76,6 @@ The former is for noise alone."""
 
 N_POINTS = 40
 """Frequencies at which the response to noise is estimated, unless asked otherwise."""
-
-
-class Record(NamedTuple):
-    """One trial.
-
-    Attributes:
-      perturbation: d [N], (time, axis).
-      answer: f [N] and x [m], (time, 4).
-      rate: of the samples [Hz].
-    """
-
-    perturbation: Array
-    answer: Array
-    rate: float
 
 
 class Periods(NamedTuple):
@@ -199,64 +186,15 @@ def _fit(
     return best
 
 
-def records_of(recordings: Recordings, start: float) -> list[Record]:
-    """Trials from `start` to each one's pulse, or to its end.
-
-    Raises:
-      ValueError: a recording is refused (see `check_recording`), rates differ, a trial met the workspace limit, or
-        nothing is left of it.
-    """
-    require_number("records_of", "start", start, at_least=0.0)
-    recordings = [recordings] if isinstance(recordings, xr.Dataset) else list(recordings)
-    if not recordings:
-        raise ValueError("recordings is empty; expected at least one")
-    records = []
-    for recording in recordings:
-        check_recording(recording)
-        rate = float(recording.attrs["rate"])
-        if rate != float(recordings[0].attrs["rate"]):
-            raise ValueError(
-                f"rate = {rate:g} Hz; expected {recordings[0].attrs['rate']:g} Hz as in the first recording"
-            )
-        d = recording["perturbation"].values
-        z = np.concatenate([recording["force"].values, recording["displacement"].values], axis=-1)
-        ends = recording["pulse_onset"].values
-        for trial, limit in enumerate(recording["limit_time"].values):
-            if np.isfinite(limit):
-                raise ValueError(
-                    f"trial {trial} reached the workspace limit at {limit:.3f} s; expected trials that stay inside "
-                    "(leave this one out)"
-                )
-            end = round(ends[trial] * rate) if np.isfinite(ends[trial]) else recording.sizes["time"]
-            judged = slice(round(start * rate), min(end, recording.sizes["time"]))
-            if judged.stop - judged.start < 2:
-                raise ValueError(f"trial {trial} ends at {end / rate:g} s; expected more than {start:g} s")
-            records.append(Record(d[trial, judged], z[trial, judged], rate))
-            for name, values in (("the perturbation", records[-1].perturbation), ("force", z[trial, judged, :2])):
-                if not np.ptp(values, axis=0).any():
-                    raise ValueError(
-                        f"{name} of trial {trial} is constant from {start:g} s on; expected a perturbation"
-                    )
-    return records
-
-
-def period_of(recordings: Recordings, start: float) -> float:
-    """Period of the disturbance [s], as found in what was recorded of it from `start` on.
-
-    Raises:
-      ValueError: as `records_of` and `find_period`.
-    """
-    records = records_of(recordings, start)
-    return find_period([record.perturbation for record in records], records[0].rate, start)
-
-
-def periodic_trials(recordings: Recordings, *, period: float | None, start: float, lines_per_average: int) -> Periodic:
+def periodic_trials(
+    recordings: SeveralTrials, *, period: float | None, window_start: float, lines_per_average: int
+) -> Periodic:
     """Mean periods and what differs between them.
 
     Args:
       recordings: trials of one subject in one condition.
       period: of the disturbance [s]; None finds it, see `periodicity`.
-      start: of what is used [s].
+      window_start: start of what is used [s].
       lines_per_average: excited lines in a group, where there are as many without a wider gap than between the closest
         two; more where quiet lines are too few to tell leakage and noise.
 
@@ -267,10 +205,11 @@ def periodic_trials(recordings: Recordings, *, period: float | None, start: floa
     if period is not None:
         require_number("periodic_trials", "period", period, above=0.0)
     require_number("periodic_trials", "lines_per_average", lines_per_average, at_least=1)
-    records = records_of(recordings, start)
-    rate = records[0].rate
+    several = prepared_recordings(recordings)
+    rate = several[0].rate
     if period is None:
-        period = find_period([record.perturbation for record in records], rate, start)
+        period = common_period(several, window_start)
+    records = records_of(several, window_start)
     n = round(period * rate)
     if abs(n - period * rate) > 1e-6 * n:
         raise ValueError(
@@ -282,7 +221,8 @@ def periodic_trials(recordings: Recordings, *, period: float | None, start: floa
         d = record.perturbation
         if len(d) < n:
             raise ValueError(
-                f"trial {number} holds {len(d) / rate:g} s from {start:g} s on; expected a whole period of {period:g} s"
+                f"trial {number} holds {len(d) / rate:g} s from {window_start:g} s on; expected a whole period of "
+                f"{period:g} s"
             )
         if np.mean((d[n:] - d[:-n]) ** 2 if len(d) > n else 0.0) > APERIODIC * np.mean(d**2):
             raise ValueError(
@@ -292,16 +232,16 @@ def periodic_trials(recordings: Recordings, *, period: float | None, start: floa
         trials.append(_mean_period(record, n))
     power = np.sum([np.abs(trial.perturbation) ** 2 for trial in trials], axis=(0, 2))
     power[[0, -1]] = 0.0
-    excited = np.flatnonzero(power > EXCITED * power.max())
+    excited = np.flatnonzero(power > EXCITED_LINE * power.max())
     return Periodic(tuple(trials), excited, _groups(excited, len(trials), lines_per_average), period, rate)
 
 
-def _mean_period(record: Record, n: int) -> Periods:
+def _mean_period(record: TrialRecord, n: int) -> Periods:
     """Mean over periods by weights that sum to one at each phase and fade in and out.
 
     A jump in the weights would spread slow noise over all lines.
     """
-    signals = np.concatenate([record.perturbation, record.answer], axis=1)
+    signals = np.concatenate([record.perturbation, record.response], axis=1)
     n_all = len(signals)
     n_fade = min(round(FADE * record.rate), n_all - n)
     inner = np.zeros(-(-n_all // n) * n)
@@ -317,9 +257,9 @@ def _mean_period(record: Record, n: int) -> Periods:
     mean = (weights[:, None] * padded).reshape(-1, n, signals.shape[1]).sum(axis=0)
     share = float(np.sum(weights[:n_all] ** 2) / n)
     spectrum = np.fft.rfft(mean, axis=0) / np.sqrt(n * share)
-    contrasts, total = [], record.answer[:n].copy()
+    contrasts, total = [], record.response[:n].copy()
     for first in range(n, n_all, n):
-        part = record.answer[first : first + n]
+        part = record.response[first : first + n]
         m, k = first // n, len(part)
         contrasts.append(np.sqrt(m / (m + 1)) * (part - total[:k] / m))
         total[:k] += part
@@ -352,11 +292,11 @@ def _groups(excited: NDArray[np.int64], n_trials: int, size: int) -> tuple[NDArr
 
 
 def estimate_multisine(
-    recordings: Recordings,
+    recordings: SeveralTrials,
     *,
     what: System = "arm",
     period: float | None = None,
-    start: float = 2.0,
+    window_start: float = 2.0,
     lines_per_average: int = 4,
     order: int | None = None,
     balance: bool = True,
@@ -371,7 +311,7 @@ def estimate_multisine(
       recordings: trials of one subject in one condition; the same or different multisines of one period.
       what: "arm" (from f to x), "environment" (from d - f to x) or "total" (from d to x).
       period: of the disturbance [s]; None finds it in what was recorded, for at least 1.1 periods.
-      start: of what is used [s].
+      window_start: start of what is used [s].
       lines_per_average: neighbouring lines that share a polynomial: the clusters of the thesis's multisine have 4.
       order: of that polynomial; by default 2 if there are at least twice as many equations as it has terms, or lines
         are far apart, and else 1.
@@ -383,8 +323,9 @@ def estimate_multisine(
     """
     if order is not None:
         require_number("estimate_multisine", "order", order, at_least=0)
-    trials = periodic_trials(recordings, period=period, start=start, lines_per_average=lines_per_average)
-    found = _balance(recordings) if balance and what != "environment" else None
+    several = prepared_recordings(recordings)
+    trials = periodic_trials(several, period=period, window_start=window_start, lines_per_average=lines_per_average)
+    found = find_balance(several) if balance and what != "environment" else None
     if found is not None:
         if holds(trials.replaced(found.left_over).fit(order)):
             trials = trials.replaced(found.corrected)
@@ -398,10 +339,10 @@ def estimate_multisine(
 
 
 def estimate_noise(
-    recordings: Recordings,
+    recordings: SeveralTrials,
     *,
     what: System = "arm",
-    start: float = 0.0,
+    window_start: float = 0.0,
     frequency: ArrayLike | None = None,
     order: int | None = None,
     balance: bool = True,
@@ -411,7 +352,7 @@ def estimate_noise(
     Args:
       recordings: trials of one subject in one condition; their lengths may differ.
       what: as in `estimate_multisine`.
-      start: of what is used [s].
+      window_start: start of what is used [s].
       frequency: where the response is wanted [Hz], (frequency,); None takes up to 40 of those that the disturbance
         excites.
       order: of the response's polynomial; by default 2, or up to 5 where that fits clearly better. The band around a
@@ -424,7 +365,8 @@ def estimate_noise(
     if order is not None:
         require_number("estimate_noise", "order", order, at_least=0)
     orders: tuple[int, ...] = HIGH_ORDERS if order is None else (order,)
-    records = records_of(recordings, start)
+    several = prepared_recordings(recordings)
+    records = records_of(several, window_start)
     spectra = [_whole(record) for record in records]
     wanted = excited_band(records) if frequency is None else require_frequencies(frequency, records[0].rate)
 
@@ -434,7 +376,7 @@ def estimate_noise(
             for centre in wanted
         ]
 
-    found = _balance(recordings) if balance and what != "environment" else None
+    found = find_balance(several) if balance and what != "environment" else None
     if found is not None:
         if holds(fit([_replaced(window, found.left_over) for window in spectra])):
             spectra = [_replaced(window, found.corrected) for window in spectra]
@@ -446,33 +388,24 @@ def estimate_noise(
     )
 
 
-def _balance(recordings: Recordings) -> LineBalance | None:
-    return find_balance([recordings] if isinstance(recordings, xr.Dataset) else recordings)
-
-
 def _replaced(window: Window, answer: Answer) -> Window:
     return window._replace(answer=answer(window.frequency, window.perturbation, window.answer))
 
 
-def _whole(record: Record) -> Window:
+def _whole(record: TrialRecord) -> Window:
     """DFT of a whole record, without the mean."""
     n = len(record.perturbation)
-    d, z = (np.fft.rfft(values, axis=0)[1:] / np.sqrt(n) for values in (record.perturbation, record.answer))
+    d, z = (np.fft.rfft(values, axis=0)[1:] / np.sqrt(n) for values in (record.perturbation, record.response))
     frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / record.rate)[1:], dtype=float)
     return Window(frequency, d, z, np.ones(len(d), dtype=bool))
 
 
-def excited_band(records: Sequence[Record]) -> Array:
+def excited_band(records: Sequence[TrialRecord]) -> Array:
     """At most `N_POINTS` frequencies [Hz] that the disturbance excites, (frequency,).
 
     They share out the band that holds all but 1 % of its power evenly on a logarithmic scale, as far as there is power.
     """
-    joint = JointRecords(
-        perturbation=tuple(record.perturbation for record in records),
-        response=tuple(record.answer for record in records),
-        rate=records[0].rate,
-    )
-    excited = joint.excited_frequencies()
+    excited = excited_frequencies(records)
     longest = _whole(max(records, key=lambda record: len(record.perturbation)))
     power = np.cumsum(np.sum(np.abs(longest.perturbation) ** 2, axis=1))
     low, high = np.interp([0.005, 0.995], power / power[-1], longest.frequency)

@@ -1,7 +1,7 @@
 """Frequency responses without a model of the arm, by one call and any of seven methods.
 
 A method is a function from a recording, or several, to a `FrequencyResponse`. All take what is wanted (`what`), where
-(`frequency`) and from when on (`start`); each has options of its own.
+(`frequency`) and from when on (`window_start`); each has options of its own.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,11 +9,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike
 
+from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
 from armperturb.analysis.response.arx import HIGHEST_ORDER, fit_arx
-from armperturb.analysis.response.closed_loop import estimate_multisine, estimate_noise, period_of
+from armperturb.analysis.response.closed_loop import estimate_multisine, estimate_noise
 from armperturb.analysis.response.frequency_response import (
     FrequencyResponse,
     System,
@@ -21,32 +21,28 @@ from armperturb.analysis.response.frequency_response import (
     require_system,
 )
 from armperturb.analysis.response.joint_records import (
-    JointRecords,
     admittance_of,
+    excited_frequencies,
     joint_records,
     variance_of,
 )
 from armperturb.analysis.response.local_polynomial import N_INPUTS, Window, fit_locally, frequency_response
-from armperturb.analysis.response.spectra import LineSpectra, SpectralEstimate, estimate_spectra, line_spectra
+from armperturb.analysis.response.spectra import LineSpectra, SpectralEstimate, averaged_spectra, line_spectra
 from armperturb.analysis.response.subspace import PAST, fit_subspace
 from armperturb.analysis.response.tapers import estimate_multitaper, estimate_welch
+from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.recording import join_recordings, named
 
-Recordings = xr.Dataset | Sequence[xr.Dataset]
-
 SAME_FREQUENCY = 1e-6
 """Difference of frequencies that are the same, over their size [-]."""
-
-SETTLED = 2.0
-"""Time by which a disturbance is as periodic as it gets [s]."""
 
 FEWEST_TRIALS = 4
 """Trials from which on their differences tell the covariance of a subspace estimate."""
 
 
 def multisine_response(
-    recording: Recordings, *, frequency: ArrayLike | None = None, **options: Any
+    recording: SeveralTrials, *, frequency: ArrayLike | None = None, **options: Any
 ) -> FrequencyResponse:
     """Response by `closed_loop.estimate_multisine`, with covariance.
 
@@ -62,13 +58,13 @@ def multisine_response(
 
 
 def spectral_response(
-    recording: Recordings,
+    recording: SeveralTrials,
     *,
     frequency: ArrayLike | None = None,
     what: System = "arm",
-    start: float = 8.0,
+    window_start: float = WINDOW_START,
     period: float | None = None,
-    lines_per_average: int = 4,
+    lines_per_average: int = LINES_PER_AVERAGE,
 ) -> FrequencyResponse:
     """Response by averaged spectra of a periodic disturbance as in the thesis, see `spectra.estimate_spectra`.
 
@@ -79,20 +75,19 @@ def spectral_response(
       recording: trials of one person in one condition, of one duration.
       frequency: some of those at which there are estimates [Hz], (frequency,); None gives all.
       what: "arm" (x over f), "environment" (x over d - f) or "total" (x over d) [m/N].
-      start: of the window, after the transient has gone [s].
-      period: of the disturbance [s]; None finds it, see `periodicity`.
+      window_start: start of the window, after the transient has gone [s].
+      period: of the disturbance [s]; None to find it.
       lines_per_average: adjacent lines that are averaged.
 
     Raises:
       ValueError: as `line_spectra`, `estimate_spectra` and `join_recordings`; or there is no estimate at a frequency.
     """
     require_system(what)
-    if not isinstance(recording, xr.Dataset):
-        recording = join_recordings(recording)
-    if period is None:
-        period = period_of(recording, min(start, SETTLED))
-    lines = line_spectra(recording, start=start, period=period)
-    return _at(_averaged(lines, estimate_spectra(lines, lines_per_average=lines_per_average), what), frequency)
+    several = prepared_recordings(recording)
+    trials = several[0] if len(several) == 1 else prepared(join_recordings([part.recording for part in several]))
+    lines = line_spectra(trials, window_start=window_start, period=period)
+    spectra = averaged_spectra(trials, window_start=window_start, period=period, lines_per_average=lines_per_average)
+    return _at(_averaged(lines, spectra, what), frequency)
 
 
 def _averaged(lines: LineSpectra, spectra: SpectralEstimate, what: System) -> FrequencyResponse:
@@ -114,11 +109,11 @@ def _averaged(lines: LineSpectra, spectra: SpectralEstimate, what: System) -> Fr
 
 
 def arx_response(
-    recording: Recordings,
+    recording: SeveralTrials,
     *,
     frequency: ArrayLike | None = None,
     what: System = "arm",
-    start: float = 0.0,
+    window_start: float = 0.0,
     order: int | None = None,
     highest_order: int = HIGHEST_ORDER,
 ) -> FrequencyResponse:
@@ -129,7 +124,7 @@ def arx_response(
         before the pulse is used, transients included.
       frequency: where the response is wanted [Hz], (frequency,); None takes those that the disturbance excites.
       what: "arm" (x over f), "environment" (x over d - f) or "total" (x over d) [m/N].
-      start: of what is used [s].
+      window_start: start of what is used [s].
       order: number of lags; None chooses the one with the least estimated error at these frequencies.
       highest_order: among which is chosen.
 
@@ -137,7 +132,7 @@ def arx_response(
       TypeError: an order is not a whole number.
       ValueError: as `joint_records` and `fit_arx`, or a frequency is out of range.
     """
-    records = joint_records(recording, start)
+    records = joint_records(recording, window_start)
     wanted = _wanted(frequency, records)
     model = fit_arx(records, wanted, what=what, order=order, highest_order=highest_order)
     joint, noise, spread = model.response(wanted)
@@ -150,11 +145,11 @@ def arx_response(
 
 
 def subspace_response(
-    recording: Recordings,
+    recording: SeveralTrials,
     *,
     frequency: ArrayLike | None = None,
     what: System = "arm",
-    start: float = 0.0,
+    window_start: float = 0.0,
     order: int | None = None,
     past: int = PAST,
 ) -> FrequencyResponse:
@@ -167,7 +162,7 @@ def subspace_response(
       recording: as for `arx_response`.
       frequency: as for `arx_response`.
       what: as for `arx_response`.
-      start: as for `arx_response`.
+      window_start: as for `arx_response`.
       order: number of states; None chooses the stable model with the least estimated error at these frequencies.
       past: lags of the past window.
 
@@ -178,16 +173,16 @@ def subspace_response(
       TypeError: an order is not a whole number.
       ValueError: as `joint_records` and `fit_subspace`, or a frequency is out of range.
     """
-    records = joint_records(recording, start)
+    records = joint_records(recording, window_start)
     wanted = _wanted(frequency, records)
     model = fit_subspace(records, wanted, what=what, order=order, past=past)
-    n_trials = len(records.perturbation)
+    n_trials = len(records)
     covariance = dof = None
     if n_trials >= FEWEST_TRIALS:
         without = []
         for left_out in range(n_trials):
-            others = [trial for trial in range(n_trials) if trial != left_out]
-            fewer = fit_subspace(_some(records, others), wanted, what=what, order=model.order, past=past)
+            others = [record for number, record in enumerate(records) if number != left_out]
+            fewer = fit_subspace(others, wanted, what=what, order=model.order, past=past)
             without.append(admittance_of(what, fewer.response(wanted)))
         covariance = (n_trials - 1) * np.var(without, axis=0)
         dof = np.full(len(wanted), n_trials - 1.0)
@@ -197,14 +192,6 @@ def subspace_response(
         covariance=covariance,
         what=what,
         dof=dof,
-    )
-
-
-def _some(records: JointRecords, trials: Sequence[int]) -> JointRecords:
-    return replace(
-        records,
-        perturbation=tuple(records.perturbation[trial] for trial in trials),
-        response=tuple(records.response[trial] for trial in trials),
     )
 
 
@@ -221,7 +208,7 @@ METHODS: dict[str, Callable[..., FrequencyResponse]] = {
 
 
 def response(
-    recording: Recordings, method: str = "multisine", frequency: ArrayLike | None = None, **options: Any
+    recording: SeveralTrials, method: str = "multisine", frequency: ArrayLike | None = None, **options: Any
 ) -> FrequencyResponse:
     """Frequency response of the arm, the environment or both, without a model of the arm.
 
@@ -232,8 +219,8 @@ def response(
         either: the models "arx" and "subspace".
       frequency: where the response is wanted [Hz], (frequency,); None leaves it to the method. Methods for multisines
         have estimates at the middles of clusters alone.
-      **options: `what`: "arm" (default, x over f), "environment" (x over d - f) or "total" (x over d); `start` of what
-        is used [s]; and those of the method, see its function.
+      **options: `what`: "arm" (default, x over f), "environment" (x over d - f) or "total" (x over d); `window_start`
+        of what is used [s]; and those of the method, see its function.
 
     Raises:
       TypeError: the method lacks an option.
@@ -242,11 +229,14 @@ def response(
     if method not in METHODS:
         raise ValueError(f"method = {method!r}; expected one of {', '.join(METHODS)}")
     require_system(options.get("what", "arm"))
-    return replace(METHODS[method](recording, frequency=frequency, **options), label=f"{named(recording)}, {method}")
+    several = prepared_recordings(recording)
+    label = f"{named([trials.recording for trials in several])}, {method}"
+    return replace(METHODS[method](several, frequency=frequency, **options), label=label)
 
 
-def _wanted(frequency: ArrayLike | None, records: JointRecords) -> Array:
-    return records.excited_frequencies() if frequency is None else require_frequencies(frequency, records.rate)
+def _wanted(frequency: ArrayLike | None, records: Sequence[TrialRecord]) -> Array:
+    rate = records[0].rate
+    return excited_frequencies(records) if frequency is None else require_frequencies(frequency, rate)
 
 
 def _at(found: FrequencyResponse, frequency: ArrayLike | None) -> FrequencyResponse:

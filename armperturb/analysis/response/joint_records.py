@@ -1,13 +1,13 @@
 """Perturbation and response of several trials as one open-loop system, d to (f, x).
 
-Arm and environment are a closed loop: force moves the handle, and the handle's movement changes the force. A model
-straight from f to x is biased by whatever else moves the handle: through the manipulator's mass the noise of x is in
-the f of the same instant, and no delay keeps them apart, as methods for closed loops ask for. The disturbance d is
-outside the loop, and nothing else correlates with it. Seen from d everything is open loop,
+Arm and environment form a closed loop: force moves the handle, and the handle's movement changes the force. A model
+straight from f to x is biased by any other cause of movement: through the manipulator's mass the noise of x enters f
+at the same instant, and no delay separates the two, as closed-loop methods require. The disturbance d is outside the
+loop and correlates with none of the noise, so that from d everything is open loop, with noise of any colour,
 
-    f = T d + noise,    x = P d + noise,
+    f = T d + noise,    x = P d + noise.
 
-and the noises may be as coloured and as correlated with each other as they are. With G = [T; P] and W = a I + b T
+With G = [T; P] and W = a I + b T
 
     R = P W^-1,    dR = [-b R, I] dG W^-1,
 
@@ -15,143 +15,108 @@ where (a, b) is (0, 1) for the arm H (x over f), (1, -1) for the environment E (
 
 The three signals pass the same anti-alias filter, which cancels in T and P. What is then sampled holds nothing above
 half the sampling rate (but for traces at the onset), so that a model in discrete time has the frequency response of the
-continuous system: nothing is held between samples, and x answers d within the sample.
+continuous system: nothing is held between samples, and x responds to d within the sample.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
-import xarray as xr
 from scipy import signal
 
 from armperturb.analysis.response.frequency_response import System, require_system
+from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_recordings, records_of
 from armperturb.arrays import Array, ComplexArray
-from armperturb.recording import check_recording
-from armperturb.validation import require_number
 
 MODEL_RATE = 200.0
 """Records that are sampled more than 1.5 times as fast are resampled to about this rate [Hz]: more samples of the same
-band cost regressors, and say nothing."""
+band need more lags and carry no information."""
 
 FILTER_REACH = 10
-"""Samples of the lower rate at either end of a record that the filter for resampling spoils."""
+"""Samples of the lower rate at either end of a record that the resampling filter spoils."""
 
 FILTER_CUTOFF = 0.7
 """Cut-off of that filter over half the lower rate: signals that reach up to half the rate take many states, as no
 causal model in discrete time is a mass there."""
 
 SAME_DIRECTION = 1e-6
-"""Determinant of the correlation of both disturbances below which they are one [-]."""
+"""Determinant of the correlation of both disturbances below which they count as one [-]."""
 
 BIN = 10.24
-"""Length of the pieces in which the power of the disturbance is found [s]."""
+"""Length of the segments from which the power of the disturbance is estimated [s]."""
 
-EXCITED = 1e-3
-"""Share of the strongest power from which on a frequency counts as excited."""
+EXCITED_DENSITY = 1e-3
+"""Share of the largest power density above which a frequency counts as excited. It is larger than that of the lines of
+a multisine (`spectra.EXCITED_LINE`), as Welch's segments leak power into neighbouring frequencies."""
 
 _WEIGHTS = {"arm": (0.0, 1.0), "environment": (1.0, -1.0), "total": (1.0, 0.0)}
-_AXES = ("x", "y")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class JointRecords:
-    """Trials of one system, of any lengths.
-
-    Attributes:
-      perturbation: d of each trial [N], (time, axis).
-      response: f [N] and x [m] of each trial beside one another, (time, 4).
-      rate: of the samples [Hz].
-    """
-
-    perturbation: tuple[Array, ...]
-    response: tuple[Array, ...]
-    rate: float
-
-    @property
-    def n_samples(self) -> int:
-        """Samples of all trials."""
-        return sum(map(len, self.perturbation))
-
-    def excited_frequencies(self) -> Array:
-        """Where the disturbance has power, in steps of about 0.1 Hz, up to 0.4 of the rate [Hz], (frequency,)."""
-        n_bin = min(round(BIN * self.rate), max(map(len, self.perturbation)))
-        long_enough = [d for d in self.perturbation if len(d) >= n_bin]
-        frequency = np.fft.rfftfreq(n_bin, 1.0 / self.rate)
-        power = np.sum([signal.welch(d, self.rate, nperseg=n_bin, axis=0)[1] for d in long_enough], axis=(0, 2))
-        power[(frequency == 0.0) | (frequency > 0.4 * self.rate)] = 0.0
-        return np.asarray(frequency[power > EXCITED * power.max()])
-
-
-def joint_records(recording: xr.Dataset | Sequence[xr.Dataset], start: float = 0.0) -> JointRecords:
-    """The signals of trials up to their pulses.
+def joint_records(recording: SeveralTrials, window_start: float = 0.0) -> list[TrialRecord]:
+    """The signals of trials up to their pulses, at no more than about `MODEL_RATE`.
 
     Args:
       recording: trials of one person in one condition, or several such recordings of the same rate, of any lengths.
-      start: of what is used [s].
+      window_start: start of what is used [s].
 
     Raises:
-      ValueError: a recording is refused (see `check_recording`), a trial met the workspace limit, begins with its
-        pulse, ends before `start` or is too short to be resampled, rates differ, a channel is constant, or the
-        disturbances along x and y are one.
+      ValueError: as `ConditionTrials.records`; or a trial is too short to be resampled, rates differ, a channel is
+        constant, or the disturbances along x and y are not independent.
     """
-    require_number("joint_records", "start", start, at_least=0.0)
-    recordings = [recording] if isinstance(recording, xr.Dataset) else list(recording)
-    if not recordings:
-        raise ValueError("recording is empty; expected at least one recording")
-    perturbation: list[Array] = []
-    response: list[Array] = []
-    for one in recordings:
-        check_recording(one)
-    rates = sorted({float(one.attrs["rate"]) for one in recordings})
-    if len(rates) > 1:
-        raise ValueError(f"recordings at {', '.join(f'{rate:g}' for rate in rates)} Hz; expected one rate")
-    factor, first = max(1, round(rates[0] / MODEL_RATE)), round(start * rates[0])
-    for one in recordings:
-        d, f, x = (np.asarray(one[name].values, dtype=float) for name in ("perturbation", "force", "displacement"))
-        onsets, hits = one["pulse_onset"].values, one["limit_time"].values
-        for trial in range(len(d)):
-            if np.isfinite(hits[trial]):
-                raise ValueError(
-                    f"trial {trial} reached the workspace limit at {hits[trial]:.3f} s; expected trials that stay "
-                    "inside (leave this one out)"
-                )
-            end = round(onsets[trial] * rates[0]) if np.isfinite(onsets[trial]) else d.shape[1]
-            if end < 2:
-                raise ValueError(
-                    f"trial {trial} has its pulse at {onsets[trial]:g} s; expected a perturbation before it (leave "
-                    "this one out)"
-                )
-            used = slice(first, min(end, d.shape[1]))
-            if used.stop - used.start < 2:
-                raise ValueError(f"trial {trial} ends at {used.stop / rates[0]:g} s; expected more than {start:g} s")
-            signals = np.concatenate([d[trial, used], f[trial, used], x[trial, used]], axis=1)
-            signals = _resampled(signals, factor)
-            perturbation.append(signals[:, :2])
-            response.append(signals[:, 2:])
-    records = JointRecords(perturbation=tuple(perturbation), response=tuple(response), rate=rates[0] / factor)
-    _require_moving(records)
+    records = [_resampled(record) for record in records_of(prepared_recordings(recording), window_start)]
+    d, response = (
+        np.concatenate([part - part.mean(axis=0) for part in parts]) for parts in list(zip(*records, strict=True))[:2]
+    )
+    for name, values in (("perturbation", d), ("force", response[:, :2]), ("displacement", response[:, 2:])):
+        for axis, spread in zip("xy", np.ptp(values, axis=0), strict=True):
+            if not spread > 0.0:
+                raise ValueError(f"{name} along {axis} is constant in all trials; expected a signal")
+    if np.linalg.det(np.corrcoef(d.T)) < SAME_DIRECTION:
+        raise ValueError(
+            "the disturbances along x and y are not independent; expected independent ones (other realisations, or "
+            "one trial for each direction)"
+        )
     return records
 
 
+def _resampled(record: TrialRecord) -> TrialRecord:
+    factor = max(1, round(record.rate / MODEL_RATE))
+    if factor == 1:
+        return record
+    signals = np.concatenate(record[:2], axis=1)
+    if len(signals) < 4 * FILTER_REACH * factor:
+        raise ValueError(f"a trial holds {len(signals)} samples; expected at least {4 * FILTER_REACH * factor}")
+    # All signals pass the same filter, so that it cancels.
+    lowpass = signal.firwin(2 * FILTER_REACH * factor + 1, FILTER_CUTOFF / factor, window=("kaiser", 5.0))
+    signals = signal.resample_poly(signals, 1, factor, axis=0, window=lowpass)[FILTER_REACH:-FILTER_REACH]
+    return TrialRecord(signals[:, :2], signals[:, 2:], record.rate / factor)
+
+
+def excited_frequencies(records: Sequence[TrialRecord]) -> Array:
+    """Where the disturbance has power, in steps of about 0.1 Hz, up to 0.4 of the rate [Hz], (frequency,)."""
+    rate, longest = records[0].rate, max(len(record.perturbation) for record in records)
+    n_bin = min(round(BIN * rate), longest)
+    long_enough = [record.perturbation for record in records if len(record.perturbation) >= n_bin]
+    frequency = np.fft.rfftfreq(n_bin, 1.0 / rate)
+    power = np.sum([signal.welch(d, rate, nperseg=n_bin, axis=0)[1] for d in long_enough], axis=(0, 2))
+    power[(frequency == 0.0) | (frequency > 0.4 * rate)] = 0.0
+    return np.asarray(frequency[power > EXCITED_DENSITY * power.max()])
+
+
 def admittance_of(what: System, joint: ComplexArray) -> ComplexArray:
-    """Arm, environment or both from the joint response.
+    """Admittance of arm, environment or both [m/N], (frequency, output, input).
 
     Args:
       what: "arm", "environment" or "total".
       joint: G from d to (f, x), (frequency, 4, 2).
 
-    Returns:
-      Admittance [m/N], (frequency, output, input).
-
     Raises:
       ValueError: what is something else.
     """
-    return np.asarray(joint[:, 2:] @ _moving(what, joint))
+    return np.asarray(joint[:, 2:] @ _to_disturbance(what, joint))
 
 
 def variance_of(what: System, joint: ComplexArray, noise: ComplexArray, spread: ComplexArray) -> Array:
-    """Variance of that admittance, to first order.
+    """Variance of that admittance to first order: the mean of |error|^2 [(m/N)^2], (frequency, output, input).
 
     Args:
       what: as in `admittance_of`.
@@ -159,45 +124,18 @@ def variance_of(what: System, joint: ComplexArray, noise: ComplexArray, spread: 
       noise: N, (frequency, 4, 4).
       spread: S, (frequency, 2, 2), such that the covariance of dG_ab and dG_cd is N_ac S_bd.
 
-    Returns:
-      The mean of |error|^2 of each element [(m/N)^2], (frequency, output, input).
-
     Raises:
       ValueError: as `admittance_of`.
     """
-    inverse, response = _moving(what, joint), admittance_of(what, joint)
+    inverse, response = _to_disturbance(what, joint), admittance_of(what, joint)
     left = np.concatenate([-_WEIGHTS[what][1] * response, np.broadcast_to(np.eye(2), response.shape)], axis=2)
     of_output = np.einsum("fia,fac,fic->fi", left, noise, left.conj()).real
     of_input = np.einsum("fbj,fbd,fdj->fj", inverse, spread, inverse.conj()).real
     return np.asarray(of_output[:, :, None] * of_input[:, None, :])
 
 
-def _moving(what: System, joint: ComplexArray) -> ComplexArray:
-    """W^-1: from what moves the system to d."""
+def _to_disturbance(what: System, joint: ComplexArray) -> ComplexArray:
+    """W^-1: from the system's input to d."""
     require_system(what)
     a, b = _WEIGHTS[what]
     return np.asarray(np.linalg.inv(a * np.eye(2) + b * joint[:, :2]))
-
-
-def _resampled(signals: Array, factor: int) -> Array:
-    if factor == 1:
-        return signals
-    if len(signals) < 4 * FILTER_REACH * factor:
-        raise ValueError(f"a trial holds {len(signals)} samples; expected at least {4 * FILTER_REACH * factor}")
-    # All signals pass the same filter, so that it cancels.
-    lowpass = signal.firwin(2 * FILTER_REACH * factor + 1, FILTER_CUTOFF / factor, window=("kaiser", 5.0))
-    return np.asarray(signal.resample_poly(signals, 1, factor, axis=0, window=lowpass)[FILTER_REACH:-FILTER_REACH])
-
-
-def _require_moving(records: JointRecords) -> None:
-    d = np.concatenate([one - one.mean(axis=0) for one in records.perturbation])
-    y = np.concatenate([one - one.mean(axis=0) for one in records.response])
-    for name, values in (("perturbation", d), ("force", y[:, :2]), ("displacement", y[:, 2:])):
-        for axis, spread in zip(_AXES, np.ptp(values, axis=0), strict=True):
-            if not spread > 0.0:
-                raise ValueError(f"{name} along {axis} is constant in all trials; expected a signal")
-    if np.linalg.det(np.corrcoef(d.T)) < SAME_DIRECTION:
-        raise ValueError(
-            "the disturbances along x and y cannot be told apart; expected independent disturbances (other "
-            "realisations, or one trial for each direction)"
-        )

@@ -21,10 +21,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import xarray as xr
 
 from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels
 from armperturb.analysis.response.local_polynomial import LocalFit
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 
@@ -64,24 +64,26 @@ class LineBalance(NamedTuple):
         return answer + np.concatenate([force * noise, displacement * stiffness.conj() * noise], axis=1)
 
 
-def find_balance(recordings: Sequence[xr.Dataset]) -> LineBalance | None:
+def find_balance(trials: Sequence[ConditionTrials]) -> LineBalance | None:
     """Manipulator and instruments from all recordings together; None if there is no balance, or too little for one."""
-    rate = float(recordings[0].attrs["rate"])
-    long_enough = [one for one in recordings if one.sizes["time"] >= SHORTEST * rate]
+    rate = trials[0].rate
+    long_enough = [part for part in trials if part.n_samples >= SHORTEST * rate]
     if not long_enough:
         return None
-    n = min(one.sizes["time"] for one in long_enough)
-    d, f, x = (
-        np.concatenate(
-            [
-                one[name].values[:, first : first + n]
-                for one in long_enough
-                for first in range(0, one.sizes["time"] - n + 1, n)
-            ]
-        )
-        for name in ("perturbation", "force", "displacement")
-    )
     try:
+        if len(long_enough) == 1:
+            return LineBalance(*long_enough[0].instruments)
+        n = min(part.n_samples for part in long_enough)
+        d, f, x = (
+            np.concatenate(
+                [
+                    getattr(part, name)[:, first : first + n]
+                    for part in long_enough
+                    for first in range(0, part.n_samples - n + 1, n)
+                ]
+            )
+            for name in ("perturbation", "force", "recorded_displacement")
+        )
         return LineBalance(*Balance(d, f, x, rate).fit())
     except ValueError:
         return None

@@ -12,24 +12,24 @@ sign with its opposite, and loses transposes (A.12).
 """
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
 from armperturb.analysis.results import Description, Result, Table, plain, response_coordinates, response_frame
+from armperturb.analysis.trials import ConditionTrials, per_trials
 from armperturb.arrays import Array, ComplexArray
-from armperturb.recording import check_recording
-from armperturb.validation import require_number
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
 N_INPUTS = 2
-EXCITED = 1e-4
+EXCITED_LINE = 1e-4
 """Share of the strongest line's power from which on a line counts as excited."""
 
 
@@ -119,49 +119,81 @@ class LineSpectra:
     force: ComplexArray
     displacement: ComplexArray
 
+    def of_trial(self, trial: int) -> "LineSpectra":
+        """The coefficients of one trial."""
+        return replace(
+            self,
+            perturbation=self.perturbation[[trial]],
+            force=self.force[[trial]],
+            displacement=self.displacement[[trial]],
+        )
 
-def line_spectra(recording: xr.Dataset, *, start: float = 8.0, period: float = 20.48) -> LineSpectra:
+
+@per_trials
+def line_spectra(
+    trials: ConditionTrials, *, window_start: float = WINDOW_START, period: float | None = None
+) -> LineSpectra:
     """Fourier coefficients at the lines that a periodic disturbance excites.
 
     Args:
-      recording: trials of one subject in one condition.
-      start: of the window, after the transient has gone [s].
-      period: of the disturbance [s]. Whole periods from `start` to the pulse, or to the end, are used.
+      trials: of one person in one condition, or their recording.
+      window_start: start of the window, after the transient has died away [s].
+      period: of the disturbance [s]; None to find it. Whole periods from `window_start` to the first pulse, or to the
+        end, are used.
 
     Raises:
       ValueError: the recording is refused (see `check_recording`), holds no whole period, a trial met the workspace
         limit, or the perturbation is zero.
     """
-    check_recording(recording)
-    require_number("line_spectra", "start", start, at_least=0.0)
-    require_number("line_spectra", "period", period, above=0.0)
-    hit = np.flatnonzero(np.isfinite(recording["limit_time"].values))
-    if len(hit):
-        raise ValueError(
-            f"trial {hit[0]} reached the workspace limit at {recording['limit_time'].values[hit[0]]:.3f} s; "
-            "expected trials that stay inside (leave this one out)"
-        )
-    rate = float(recording.attrs["rate"])
-    window = _whole_periods(recording, start, period, rate)
+    trials.require_inside()
+    if period is None:
+        period = trials.period(window_start)
+    window = trials.window(window_start, period)
+    n_period = round(period * trials.rate)
     d, f, x = (
-        _spectrum(recording[name].values, window, rate, period) for name in ("perturbation", "force", "displacement")
+        _spectrum(values[:, window], n_period)
+        for values in (trials.perturbation, trials.force, trials.recorded_displacement)
     )
     for name, values in (("force", f), ("displacement", x)):
         if not values.any():
-            raise ValueError(f"{name} is constant from {start:g} s on; expected the response to the perturbation")
+            raise ValueError(
+                f"{name} is constant from {window_start:g} s on; expected the response to the perturbation"
+            )
     power = np.sum(np.abs(d) ** 2, axis=(0, 2))
     power[0] = 0.0
     if not power.any():
         raise ValueError(
-            f"the perturbation is zero from {start:g} s on; expected a disturbance with a period of {period:g} s"
+            f"the perturbation is zero from {window_start:g} s on; expected a disturbance with a period of {period:g} s"
         )
-    line = np.flatnonzero(power > EXCITED * power.max())
+    line = np.flatnonzero(power > EXCITED_LINE * power.max())
     return LineSpectra(
         line=line, frequency=line / period, perturbation=d[:, line], force=f[:, line], displacement=x[:, line]
     )
 
 
-def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = 4) -> SpectralEstimate:
+@per_trials
+def averaged_spectra(
+    trials: ConditionTrials,
+    *,
+    window_start: float = WINDOW_START,
+    period: float | None = None,
+    lines_per_average: int = LINES_PER_AVERAGE,
+) -> SpectralEstimate:
+    """Admittances and coherence over all trials; arguments and errors as `line_spectra` and `estimate_spectra`."""
+    lines = line_spectra(trials, window_start=window_start, period=period)
+    return estimate_spectra(lines, lines_per_average=lines_per_average)
+
+
+@per_trials
+def single_trial_spectra(
+    trials: ConditionTrials, *, window_start: float = WINDOW_START, period: float | None = None
+) -> tuple[SpectralEstimate, ...]:
+    """Admittances and coherence of each trial, averaged over adjacent lines only; arguments as `line_spectra`."""
+    lines = line_spectra(trials, window_start=window_start, period=period)
+    return tuple(estimate_spectra(lines.of_trial(trial)) for trial in range(trials.n_trials))
+
+
+def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_AVERAGE) -> SpectralEstimate:
     """Estimate admittances and coherence.
 
     Spectra (not gains) are averaged over `lines_per_average` adjacent lines (fewer where the run of lines is shorter, a
@@ -209,30 +241,9 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = 4) -> Spect
     )
 
 
-def _whole_periods(recording: xr.Dataset, start: float, period: float, rate: float) -> slice:
-    samples = period * rate
-    if abs(samples - round(samples)) > 1e-6 * samples:
-        raise ValueError(
-            f"rate = {rate:g} Hz; expected one at which the period of {period:g} s is a whole number of samples "
-            f"(it is {samples:.6g})"
-        )
-    n_period, first = round(samples), round(start * rate)
-    onsets = recording["pulse_onset"].values
-    end = float(np.nanmin(onsets)) if np.isfinite(onsets).any() else recording.sizes["time"] / rate
-    n_periods = int((min(round(end * rate), recording.sizes["time"]) - first) // n_period)
-    if n_periods < 1:
-        raise ValueError(
-            f"the recording holds {end:g} s before the pulse or its end; expected a whole period of {period:g} s from "
-            f"{start:g} s on"
-        )
-    return slice(first, first + n_periods * n_period)
-
-
-def _spectrum(values: Array, window: slice, rate: float, period: float) -> ComplexArray:
+def _spectrum(values: Array, n_period: int) -> ComplexArray:
     """DFT of the mean period, (trial, line, axis)."""
-    n_period = round(period * rate)
-    part = values[:, window]
-    mean = part.reshape(len(part), -1, n_period, part.shape[-1]).mean(axis=1)
+    mean = values.reshape(len(values), -1, n_period, values.shape[-1]).mean(axis=1)
     return np.asarray(np.fft.rfft(mean, axis=1), dtype=np.complex128)
 
 

@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import signal
 
-from armperturb.analysis.response.closed_loop import LEAST_DOF, Record, Recordings, excited_band, records_of
+from armperturb.analysis.response.closed_loop import LEAST_DOF, excited_band
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
 from armperturb.analysis.response.local_polynomial import N_INPUTS, Window, fit_locally, frequency_response
+from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_recordings, records_of
 from armperturb.arrays import Array, ComplexArray
 from armperturb.validation import require_number
 
@@ -37,10 +38,10 @@ power of those below 1 Hz, which would leak into them [-]."""
 
 
 def estimate_welch(
-    recordings: Recordings,
+    recordings: SeveralTrials,
     *,
     what: System = "arm",
-    start: float = 0.0,
+    window_start: float = 0.0,
     frequency: ArrayLike | None = None,
     segment: float = SEGMENT,
 ) -> FrequencyResponse:
@@ -49,7 +50,7 @@ def estimate_welch(
     Args:
       recordings: trials of one subject in one condition; their lengths may differ.
       what: "arm" (from f to x), "environment" (from d - f to x) or "total" (from d to x).
-      start: of what is used [s].
+      window_start: start of what is used [s].
       frequency: where the response is wanted [Hz], (frequency,); None takes up to 40 of those that the disturbance
         excites.
       segment: length of the segments [s]. Trials that are shorter are left out.
@@ -58,11 +59,11 @@ def estimate_welch(
       ValueError: as `records_of` and `fit_locally`, the records hold too few segments, or a frequency is out of range.
     """
     require_number("estimate_welch", "segment", segment, above=0.0)
-    records = records_of(recordings, start)
+    records = records_of(prepared_recordings(recordings), window_start)
     n = round(segment * records[0].rate)
     window = signal.windows.hann(n, sym=False)
 
-    def pieces(record: Record) -> tuple[list[slice], Array, float]:
+    def pieces(record: TrialRecord) -> tuple[list[slice], Array, float]:
         firsts = range(0, len(record.perturbation) - n + 1, n // 2)
         count = max(len(firsts), 1)
         independent = count / (1 + 2 * NEIGHBOURS**2 * (1 - 1 / count))
@@ -72,10 +73,10 @@ def estimate_welch(
 
 
 def estimate_multitaper(
-    recordings: Recordings,
+    recordings: SeveralTrials,
     *,
     what: System = "arm",
-    start: float = 0.0,
+    window_start: float = 0.0,
     frequency: ArrayLike | None = None,
     half_bandwidth: float = HALF_BANDWIDTH,
 ) -> FrequencyResponse:
@@ -84,7 +85,7 @@ def estimate_multitaper(
     Args:
       recordings: as in `estimate_welch`.
       what: as in `estimate_welch`.
-      start: of what is used [s].
+      window_start: start of what is used [s].
       frequency: as in `estimate_welch`.
       half_bandwidth: half of the band that the tapers average over [Hz]: W. A record of length T has 2 T W tapers,
         of which the last few are left out, see `LEAST_OUTSIDE`.
@@ -94,10 +95,10 @@ def estimate_multitaper(
         frequency is out of range.
     """
     require_number("estimate_multitaper", "half_bandwidth", half_bandwidth, above=0.0)
-    records = records_of(recordings, start)
+    records = records_of(prepared_recordings(recordings), window_start)
     tapers: dict[int, Array] = {}
 
-    def pieces(record: Record) -> tuple[list[slice], Array, float]:
+    def pieces(record: TrialRecord) -> tuple[list[slice], Array, float]:
         n = len(record.perturbation)
         product = half_bandwidth * n / record.rate
         if not 1.0 <= product < n / 2:
@@ -111,10 +112,10 @@ def estimate_multitaper(
 
 
 def _estimate(
-    records: list[Record],
+    records: list[TrialRecord],
     what: System,
     frequency: ArrayLike | None,
-    pieces: Callable[[Record], tuple[list[slice], Array, float]],
+    pieces: Callable[[TrialRecord], tuple[list[slice], Array, float]],
     asked: str,
 ) -> FrequencyResponse:
     """ComplexArray from pieces of records, tapers of each piece, and how many independent spectra that is worth."""
@@ -130,7 +131,7 @@ def _estimate(
         if slices and n not in waves:
             waves[n] = np.exp(-2j * np.pi * np.outer(wanted / rate, np.arange(n)))
         for piece in slices:
-            both = np.concatenate([record.perturbation[piece], record.answer[piece]], axis=1)
+            both = np.concatenate([record.perturbation[piece], record.response[piece]], axis=1)
             both = both - both.mean(axis=0)
             spectra += [waves[n] @ (taper[:, None] * both) for taper in tapers]
     dof = independent - N_INPUTS

@@ -17,6 +17,7 @@ import tomli_w
 from scipy import optimize
 
 from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.measures.pulse import WINDOWS
 from armperturb.arrays import Array
 from armperturb.cohort import STABILITY_MARGIN, Person, average_body
@@ -28,7 +29,6 @@ from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study.protocol import THESIS, Protocol, with_published_forces
 from armperturb.study.published.tables import MeanSD
-from armperturb.study.results.cases import WINDOW_START
 from armperturb.study.results.quantities import Cell, measured_cells, published_cells
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import require_number

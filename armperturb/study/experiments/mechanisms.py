@@ -16,6 +16,7 @@ import numpy as np
 import xarray as xr
 
 from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.measures.kinematics import true_rotations
 from armperturb.analysis.measures.pulse import WINDOWS, pulse_peaks
 from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
@@ -29,7 +30,6 @@ from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study.protocol import THESIS, Protocol, with_published_forces
 from armperturb.study.published import tables as published
-from armperturb.study.results.cases import WINDOW_START
 from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.subject import Subject
 
@@ -367,7 +367,7 @@ def _response(recording: xr.Dataset, subject: Subject) -> Response:
         )
     if pulse_onset < WINDOW_START:
         return response
-    spectra = estimate_spectra(line_spectra(recording, start=WINDOW_START))
+    spectra = estimate_spectra(line_spectra(recording, window_start=WINDOW_START))
     rotation = true_rotations(recording)
     window = slice(round(WINDOW_START * rate), round((WINDOW_START + PERIOD) * rate))
     stretch = element_motion(rotation[:, window].reshape(-1, 2))

@@ -77,7 +77,7 @@ def describe(design: Design) -> Description:
     if settings.period < PERIOD or settings.start < USUAL_START:
         details.append(
             f"period {settings.period:g} s, for which there is time: identify with --period {settings.period:g} "
-            f"--start {settings.start:g}"
+            f"--window-start {settings.start:g}"
         )
     worse = design.factors[other] > 1.0
     return Description(

@@ -9,6 +9,7 @@ from typing import Any, Generic, NamedTuple, Self, TypeVar
 
 from tqdm import tqdm
 
+from armperturb.analysis.trials import trials_by_condition
 from armperturb.cohort import Person
 from armperturb.environment import Environment
 from armperturb.recording import load_recording
@@ -337,7 +338,7 @@ def _analyse(path: Path, protocol: Protocol, settings: AnalysisSettings) -> Pers
 
 
 def _second_step(path: Path, means: Mapping[Key, Mapping[str, float]]) -> SecondStep:
-    return fit_second_step(load_recording(path, ["joint_angle"]), means)
+    return fit_second_step(trials_by_condition(load_recording(path, []), is_checked=True), means)
 
 
 def _nonlinear(

@@ -7,20 +7,17 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import xarray as xr
-
 from armperturb.analysis.fit.thesis import (
     ThesisEstimate,
-    Trials,
     Wanted,
     appendix_d,
     appendix_e,
     fit_wanted,
     join_estimates,
 )
-from armperturb.analysis.trials import multisine_part, of_condition
+from armperturb.analysis.response.spectra import single_trial_spectra
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.study.published import tables as published
-from armperturb.study.results.cases import WINDOW_START
 from armperturb.study.results.settings import AnalysisSettings
 
 FIRST_STEP = {"PT": "PT7.5", "RT": "RT7.5"}
@@ -73,16 +70,16 @@ class Appendices:
     starts: Mapping[str, ThesisEstimate] = field(default_factory=dict)
 
 
-def fit_person(recording: xr.Dataset, settings: AnalysisSettings) -> Fits:
+def fit_person(conditions: Mapping[str, ConditionTrials], settings: AnalysisSettings) -> Fits:
     """Step 1 of appendix C, and appendices D and E, for one person.
 
     Args:
-      recording: the person's trials.
+      conditions: condition to the person's trials.
       settings: which fits are made.
     """
-    name = str(recording["subject"].values[0])
+    name = next(iter(conditions.values())).name
     left_out: list[str] = []
-    prepared = _prepared(recording, FIRST_STEP.values(), left_out)
+    prepared = _fittable(conditions, FIRST_STEP.values(), left_out)
     first: dict[Key, ThesisEstimate] = {}
     starts: dict[str, ThesisEstimate] = {}
     try:
@@ -98,16 +95,16 @@ def fit_person(recording: xr.Dataset, settings: AnalysisSettings) -> Fits:
     return Fits(name, first, starts, tuple(left_out))
 
 
-def fit_second_step(recording: xr.Dataset, means: Mapping[Key, Mapping[str, float]]) -> SecondStep:
+def fit_second_step(conditions: Mapping[str, ConditionTrials], means: Mapping[Key, Mapping[str, float]]) -> SecondStep:
     """Step 2 of appendix C for one person.
 
     Args:
-      recording: the person's trials.
+      conditions: condition to the person's trials.
       means: task and structure to everybody's means of step 1, from which the fits start.
     """
-    name = str(recording["subject"].values[0])
+    name = next(iter(conditions.values())).name
     left_out: list[str] = []
-    prepared = _prepared(recording, filter(published.has_multisine, published.conditions()), left_out)
+    prepared = _fittable(conditions, filter(published.has_multisine, published.conditions()), left_out)
     estimates: dict[Key, ThesisEstimate] = {}
     try:
         estimates = _fitted(
@@ -124,19 +121,24 @@ def fit_second_step(recording: xr.Dataset, means: Mapping[Key, Mapping[str, floa
     return SecondStep(estimates, tuple(left_out))
 
 
-def _prepared(recording: xr.Dataset, conditions: Iterable[str], left_out: list[str]) -> dict[str, Trials]:
-    """Conditions to their trials, as far as there are any that can be analysed; else says why."""
-    name = str(recording["subject"].values[0])
-    prepared = {}
-    for condition in conditions:
-        part, fitted = multisine_part(of_condition(recording, condition))
-        if not len(fitted):
+def _fittable(
+    conditions: Mapping[str, ConditionTrials], wanted: Iterable[str], left_out: list[str]
+) -> dict[str, ConditionTrials]:
+    """Conditions to their multisines, as far as there are any that give spectra; else says why not."""
+    fittable = {}
+    for condition in wanted:
+        if condition not in conditions or not conditions[condition].multisine.n_trials:
             continue
+        multisine = conditions[condition].multisine
         try:
-            prepared[condition] = Trials.prepare(part, start=WINDOW_START)
+            single_trial_spectra(multisine)
+            multisine.instruments  # noqa: B018  (raises)
+            fittable[condition] = multisine
         except ValueError as error:
-            left_out.append(f"{name} in {condition} was not fitted as in appendices C to E: {error}")
-    return prepared
+            left_out.append(
+                f"{next(iter(conditions.values())).name} in {condition} was not fitted as in appendices C to E: {error}"
+            )
+    return fittable
 
 
 def _fitted(wanted: Mapping[Key, Wanted], *, use_penalty: bool) -> dict[Key, ThesisEstimate]:
@@ -147,7 +149,7 @@ def _fitted(wanted: Mapping[Key, Wanted], *, use_penalty: bool) -> dict[Key, The
 def means_of(first: Mapping[Key, ThesisEstimate]) -> dict[Key, dict[str, float]]:
     """Task and structure to everybody's means of step 1 (appendix C, step 2)."""
     tasks = {condition: task for task, condition in FIRST_STEP.items()}
-    return {(tasks[condition], model): estimate.start() for (condition, model), estimate in first.items()}
+    return {(tasks[condition], model): estimate.means() for (condition, model), estimate in first.items()}
 
 
 def joined(people: Iterable[Mapping]) -> dict:

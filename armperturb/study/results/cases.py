@@ -8,22 +8,18 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
 from armperturb.analysis.fit.identify import Identification, identify, identify_conditions
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.thesis import ThesisEstimate
-from armperturb.analysis.response.spectra import SpectralEstimate, estimate_spectra, line_spectra
+from armperturb.analysis.response.spectra import SpectralEstimate, single_trial_spectra
 from armperturb.analysis.results import Description, Result
-from armperturb.analysis.trials import multisine_part, of_condition
+from armperturb.analysis.trials import ConditionTrials, of_condition
+from armperturb.arrays import Array
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.recording import load_recording, stack_trials
+from armperturb.recording import load_recording
 from armperturb.study.protocol import Condition, Protocol
 from armperturb.subject import Subject
-
-MODELS = {"PT": "3b", "RT": "1"}
-"""Task to the structure that is fitted, see `armperturb.analysis.fit.structures`."""
-
-WINDOW_START = 8.0
-"""Time from which on a trial is analysed [s]: the transient has gone by then."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -34,7 +30,7 @@ class Case(Result):
       condition: what was run.
       name: of the person.
       recording: path of the person's recording.
-      identification: what the analysis made of it, by greatest likelihood over whole records; None if it could not be
+      identification: what the analysis made of it, by maximum likelihood over whole records; None if it could not be
         identified.
       thesis: what the thesis's estimator makes of the same trials; None if it cannot.
       left_out: reasons why trials were left out, or why an estimator gave nothing.
@@ -66,7 +62,7 @@ class Case(Result):
     @property
     def model(self) -> str:
         """Structure that is fitted, see `armperturb.analysis.fit.structures`."""
-        return MODELS[self.condition.task]
+        return LINEAR_MODELS[self.condition.task]
 
     @property
     def identified(self) -> Identification:
@@ -76,7 +72,7 @@ class Case(Result):
 
     @property
     def estimate(self) -> Estimate:
-        """What the greatest likelihood gives of such a case beside the arm: intervals, correlations, lack of fit."""
+        """The maximum likelihood estimate of such a case: intervals, correlations, lack of fit."""
         assert isinstance(self.identified.fit.detail, Estimate)
         return self.identified.fit.detail
 
@@ -91,26 +87,26 @@ class Case(Result):
     def trials(self) -> xr.Dataset:
         """The recorded trials behind the identification, pulses included."""
         mine = of_condition(load_recording(self.recording, ["joint_angle"]), self.condition.name)
-        return mine.isel(trial=multisine_part(mine)[1])
+        return mine.isel(trial=ConditionTrials.prepare(mine, is_checked=True).multisine.numbers)
 
 
-def identify_person(recording: xr.Dataset, path: Path, protocol: Protocol) -> tuple[Case, ...]:
+def identify_person(conditions: Mapping[str, ConditionTrials], path: Path, protocol: Protocol) -> tuple[Case, ...]:
     """Identify a person in every condition of a protocol that has a multisine.
 
     Args:
-      recording: the person's trials, of at least one condition.
-      path: where it lies.
+      conditions: condition to the person's trials, of at least one condition.
+      path: where their recording lies.
       protocol: what was to be recorded.
     """
-    name = str(recording["subject"].values[0])
-    cases, parts = [], {}
+    name = next(iter(conditions.values())).name
+    cases, multisines = [], {}
     for condition in protocol.conditions:
         if condition.has_multisine:
-            case, part = _identify(condition, name, recording, path, protocol)
+            case, multisine = _identify(condition, name, conditions.get(condition.name), path, protocol)
             cases.append(case)
-            if part is not None:
-                parts[condition.name] = part
-    thesis, failed = _by_thesis(parts)
+            if multisine is not None:
+                multisines[condition.name] = multisine
+    thesis, failed = _by_thesis(multisines)
     return tuple(
         replace(
             case,
@@ -123,17 +119,18 @@ def identify_person(recording: xr.Dataset, path: Path, protocol: Protocol) -> tu
 
 
 def _identify(
-    condition: Condition, name: str, recording: xr.Dataset, path: Path, protocol: Protocol
-) -> tuple[Case, xr.Dataset | None]:
-    """By greatest likelihood, and the trials that can be analysed, up to the pulse."""
-    mine = of_condition(recording, condition.name)
-    part, kept = multisine_part(mine)
-    limits = mine["limit_time"].values
-    left_out = [
-        f"trial {trial} of {name} in {condition.name} reached the workspace limit at {limits[trial]:.3f} s"
-        for trial in range(mine.sizes["trial"])
-        if trial not in kept
-    ]
+    condition: Condition, name: str, trials: ConditionTrials | None, path: Path, protocol: Protocol
+) -> tuple[Case, ConditionTrials | None]:
+    """By maximum likelihood, and the trials that can be analysed, up to the pulse."""
+    multisine = None if trials is None else trials.multisine
+    left_out = []
+    if trials is not None and multisine is not None:
+        left_out = [
+            f"trial {trial} of {name} in {condition.name} reached the workspace limit at "
+            f"{trials.limit[trial] / trials.rate:.3f} s"
+            for trial in range(trials.n_trials)
+            if trial not in multisine.numbers
+        ]
     lasts = protocol.multisine_duration if condition.pulse_levels else protocol.trial_duration
     case = Case(condition=condition, name=name, recording=path, identification=None, left_out=tuple(left_out))
     if lasts < WINDOW_START + PERIOD:
@@ -142,45 +139,43 @@ def _identify(
             f"needs {WINDOW_START + PERIOD:g} s"
         )
         return replace(case, left_out=tuple(left_out)), None
-    if not len(kept):
+    if multisine is None or not multisine.n_trials:
         return case, None
     try:
         return replace(
             case,
-            identification=identify(part, MODELS[condition.task], start=WINDOW_START),
-            single_trials=tuple(
-                estimate_spectra(line_spectra(part.isel(trial=[trial]), start=WINDOW_START))
-                for trial in range(len(kept))
-            ),
-            force=_rms(part["perturbation"]),
-            displacement=_rms(part["displacement"]),
-        ), part
+            identification=identify(multisine, LINEAR_MODELS[condition.task]),
+            single_trials=single_trial_spectra(multisine),
+            force=_rms(multisine.perturbation, multisine.rate),
+            displacement=_rms(multisine.recorded_displacement, multisine.rate),
+        ), multisine
     except ValueError as error:  # must not cost the other people their results
         left_out.append(f"{name} in {condition.name} was not identified: {error}")
-        return replace(case, left_out=tuple(left_out)), part
+        return replace(case, left_out=tuple(left_out)), multisine
 
 
-def _by_thesis(parts: Mapping[str, xr.Dataset]) -> tuple[dict[str, Identification], dict[str, str]]:
+def _by_thesis(multisines: Mapping[str, ConditionTrials]) -> tuple[dict[str, Identification], dict[str, str]]:
     """What the thesis's estimator gives in each condition, and why it gives nothing in others.
 
     Conditions of one task are fitted together, which is faster; not so those whose trials differ in length.
     """
-    alike: dict[tuple[str, int], list[str]] = {}
-    for condition, part in parts.items():
-        alike.setdefault((str(part["task"].values[0]), part.sizes["time"]), []).append(condition)
-    found: dict[str, Identification] = {}
+    alike: dict[tuple[str, int], dict[str, ConditionTrials]] = {}
+    for condition, trials in multisines.items():
+        task = str(trials.recording["task"].values[0])
+        alike.setdefault((task, trials.n_samples), {})[condition] = trials
+    results: dict[str, Identification] = {}
     failed: dict[str, str] = {}
     for (task, _), conditions in alike.items():
-        together = stack_trials([parts[condition] for condition in conditions])
         try:
-            found |= identify_conditions(together, MODELS[task], estimator="thesis", start=WINDOW_START)
+            results |= identify_conditions(conditions, LINEAR_MODELS[task], estimator="thesis")
         except ValueError as error:
             for condition in conditions:
                 failed[condition] = f"in {condition} was not identified by the thesis's estimator: {error}"
-    return found, failed
+    return results, failed
 
 
-def _rms(signal: xr.DataArray) -> float:
+def _rms(signal: Array, rate: float) -> float:
     """RMS per axis over the window of the analysis, pooled over axes and trials."""
-    window = (signal["time"] >= WINDOW_START) & (signal["time"] < WINDOW_START + PERIOD - 1e-9)
-    return float(np.sqrt(np.mean(signal.values[:, window.values] ** 2)))
+    time = np.arange(signal.shape[1]) / rate
+    window = (time >= WINDOW_START) & (time < WINDOW_START + PERIOD - 1e-9)
+    return float(np.sqrt(np.mean(signal[:, window] ** 2)))

@@ -16,7 +16,7 @@ from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.nonlinear.model import stem
 from armperturb.analysis.nonlinear.trials import TrialSet, training_sets, trial_sets
-from armperturb.analysis.trials import multisine_part
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.planar_arm.skeletal import simulate_skeletal
 from armperturb.study.results.cases import Case
@@ -170,12 +170,14 @@ def fit_nonlinear(
 
 
 def _usable(recording: xr.Dataset, task: str) -> xr.Dataset:
-    """Trials of a task that stay inside the workspace until the pulse, as `multisine_part` has them."""
+    """Trials of a task that stay inside the workspace until the pulse, as `ConditionTrials.multisine` has them."""
     kept = []
     labels = np.where(recording["task"].values == task, recording["condition"].values, "")
     for label in dict.fromkeys(labels[labels != ""].tolist()):
         places = np.flatnonzero(labels == label)
-        kept += places[multisine_part(recording.isel(trial=places))[1]].tolist()
+        kept += places[
+            ConditionTrials.prepare(recording.isel(trial=places), is_checked=True).multisine.numbers
+        ].tolist()
     return recording.isel(trial=kept)
 
 

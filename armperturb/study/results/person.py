@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import xarray as xr
 
+from armperturb.analysis.trials import trials_by_condition
 from armperturb.study.protocol import Protocol
 from armperturb.study.results.appendix_fits import Fits, fit_person
 from armperturb.study.results.cases import Case, identify_person
@@ -32,19 +33,20 @@ def analyse_person(recording: xr.Dataset, path: Path, protocol: Protocol, settin
     """Identify and measure a person.
 
     Args:
-      recording: the person's trials.
+      recording: the person's trials, as `load_recording` has checked them.
       path: of the recording, relative to the study folder.
       protocol: what was to be recorded.
       settings: which fits are made.
 
     Raises:
-      ValueError: the recording is refused, or holds several people.
+      ValueError: the recording holds several people.
     """
-    cases = identify_person(recording, path, protocol)
+    conditions = trials_by_condition(recording, is_checked=True)
+    cases = identify_person(conditions, path, protocol)
     return PersonResults(
         cases=cases,
-        measures=measure_person(recording, cases),
-        fits=fit_person(recording, settings),
+        measures=measure_person(recording, conditions, cases),
+        fits=fit_person(conditions, settings),
         missing=tuple(missing_trials(recording, protocol)),
     )
 

@@ -31,6 +31,7 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.measures.kinematics import (
     hand_path,
     joint_rotations,
@@ -44,7 +45,6 @@ from armperturb.perturbations.multisine import PERIOD
 from armperturb.recording import REQUIRED_SIGNALS, check_recording
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
-from armperturb.study.results.cases import WINDOW_START
 
 JOINTS = ("s", "e")
 """Shoulder and elbow, in the order of a recording."""
@@ -96,36 +96,38 @@ def published_cells() -> Mapping[Cell, MeanSD]:
     return MappingProxyType(cells)
 
 
-def measured_cells(recording: xr.Dataset, *, start: float = WINDOW_START, period: float = PERIOD) -> dict[Cell, float]:
+def measured_cells(
+    recording: xr.Dataset, *, window_start: float = WINDOW_START, period: float = PERIOD
+) -> dict[Cell, float]:
     """Published cells that the recordings of one person fill, SI; `measure` also tells what is missing and why.
 
     Args:
       recording: trials of one person in any of the thesis's conditions, of people or simulated, with or without
         instruments; conditions that are missing give no cells.
-      start: of the multisine's window [s].
+      window_start: start of the multisine's window [s].
       period: its length [s].
 
     Raises:
       ValueError: the recording is refused (see `check_recording`), or holds several people.
     """
-    return measure(recording, start=start, period=period).cells
+    check_recording(recording)
+    return measure(recording, window_start=window_start, period=period).cells
 
 
 def measure(
-    recording: xr.Dataset, *, start: float = WINDOW_START, period: float = PERIOD, simulated_joints: bool = False
+    recording: xr.Dataset, *, window_start: float = WINDOW_START, period: float = PERIOD, simulated_joints: bool = False
 ) -> Measured:
     """As `measured_cells`, with the reasons why trials, or parts of them, fill no cell.
 
     Args:
       recording: as there.
-      start: as there.
+      window_start: as there.
       period: as there.
       simulated_joints: take the joints as the simulation has them, `joint_angle`, and not from the handle's path.
 
     Raises:
       ValueError: as there, or there are no simulated joints.
     """
-    check_recording(recording)
     people = list(dict.fromkeys(recording["subject"].values.tolist()))
     if len(people) > 1:
         raise ValueError(f"recordings of {', '.join(map(str, people))}; expected those of one person")
@@ -136,7 +138,7 @@ def measure(
     for trial, condition in enumerate(inside["condition"].values.tolist()):
         parts: list[Callable[[], Iterator[_Value]]] = []
         if published.has_multisine(condition):
-            parts.append(partial(_multisine_values, path, trial, start, period))
+            parts.append(partial(_multisine_values, path, trial, window_start, period))
         if published.pulse_levels(condition) and not np.isnan(inside["pulse_onset"].values[trial]):
             parts.append(partial(_pulse_values, path, trial))
         for part in parts:
@@ -219,14 +221,14 @@ def _first_sample_from(time: float, rate: float) -> int:
     return round(samples) if math.isclose(samples, round(samples), abs_tol=1e-6) else math.ceil(samples)
 
 
-def _multisine_values(path: _Path, trial: int, start: float, period: float) -> Iterator[_Value]:
+def _multisine_values(path: _Path, trial: int, window_start: float, period: float) -> Iterator[_Value]:
     recording = path.recording
-    window = slice(round(start * path.rate), round((start + period) * path.rate))
+    window = slice(round(window_start * path.rate), round((window_start + period) * path.rate))
     onset = float(recording["pulse_onset"].values[trial])
     end = recording.sizes["time"] if np.isnan(onset) else round(onset * path.rate)
     if window.stop > end:
         raise ValueError(
-            f"trial {trial}: the multisine ends at {end / path.rate:g} s; expected {start + period:g} s or more"
+            f"trial {trial}: the multisine ends at {end / path.rate:g} s; expected {window_start + period:g} s or more"
         )
     limit = float(recording["limit_time"].values[trial])
     if limit * path.rate < window.stop:

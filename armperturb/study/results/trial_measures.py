@@ -12,7 +12,7 @@ import xarray as xr
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.measures.pulse import peak_norm, predicted_peaks, pulse_peaks, pulse_span
 from armperturb.analysis.measures.vaf import variance_accounted_for
-from armperturb.analysis.trials import multisine_part, of_condition
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.planar_arm.skeletal import simulate_skeletal
@@ -121,11 +121,14 @@ class PersonMeasures:
         return found
 
 
-def measure_person(recording: xr.Dataset, cases: Sequence[Case]) -> PersonMeasures:
+def measure_person(
+    recording: xr.Dataset, conditions: Mapping[str, ConditionTrials], cases: Sequence[Case]
+) -> PersonMeasures:
     """All of it.
 
     Args:
       recording: the person's trials.
+      conditions: condition to these trials.
       cases: what was identified from them; each trial is predicted by its own fit, of the thesis's estimator.
 
     Raises:
@@ -134,16 +137,14 @@ def measure_person(recording: xr.Dataset, cases: Sequence[Case]) -> PersonMeasur
     cells, told = measure(recording)
     name = str(recording["subject"].values[0])
     left_out = [f"{name}: {line}" for line in told]
-    conditions = tuple(dict.fromkeys(recording["condition"].values.tolist()))
     by_condition = {case.condition.name: case for case in cases}
     low_gain: dict[str, Array] = {}
     trials: list[TrialMeasures] = []
     estimates: dict[str, ThesisEstimate] = {}
     for condition in published.conditions():
-        mine = of_condition(recording, condition)
-        if not mine.sizes["trial"]:
+        if condition not in conditions:
             continue
-        part, fitted = multisine_part(mine)
+        mine, multisine = conditions[condition].recording, conditions[condition].multisine
         case = by_condition.get(condition)
         if case is not None and case.identification is not None:
             gain = np.abs(np.diagonal(case.identification.spectra.arm, axis1=1, axis2=2))
@@ -155,7 +156,9 @@ def measure_person(recording: xr.Dataset, cases: Sequence[Case]) -> PersonMeasur
             left_out += [f"{name}, {line}" for line in _unstable(estimate, condition)]
             models = {
                 trial: (fit.arm, estimate.environment, vaf)
-                for trial, fit, vaf in zip(fitted.tolist(), estimate.fits, estimate.vaf.tolist(), strict=True)
+                for trial, fit, vaf in zip(
+                    multisine.numbers.tolist(), estimate.fits, estimate.vaf.tolist(), strict=True
+                )
                 if fit.stable
             }
         for trial, measures in enumerate(_recorded_trials(mine)):
@@ -164,13 +167,13 @@ def measure_person(recording: xr.Dataset, cases: Sequence[Case]) -> PersonMeasur
                 one = mine.isel(trial=[trial])
                 predicted = float(predicted_peaks(one, arm, environment)[0])
                 measures = measures._replace(predicted_linear=predicted, vaf_linear=(x, y))
-                multisine = slice(0, part.sizes["time"])
-                measures, lost = _with_skeletal(measures, one, multisine, arm, environment)
+                before = slice(0, multisine.n_samples)
+                measures, lost = _with_skeletal(measures, one, before, arm, environment)
                 left_out += [f"{name} in {line}" for line in lost]
             trials.append(measures)
     return PersonMeasures(
         name=name,
-        conditions=conditions,
+        conditions=tuple(conditions),
         cells=cells,
         true_cells=_true_cells(recording),
         low_gain=low_gain,

@@ -96,7 +96,7 @@ class ValidateSettings:
         """
         truth, structure = self.truth(), STRUCTURES[self.model]
         wide = {
-            name: (MODEL_3_WIDE.bounds[name][0], structure.start[name], MODEL_3_WIDE.bounds[name][1])
+            name: (MODEL_3_WIDE.bounds[name][0], structure.initial[name], MODEL_3_WIDE.bounds[name][1])
             for name in structure.free
             if name.startswith(("Td_", "fact_"))
         }

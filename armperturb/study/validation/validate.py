@@ -17,9 +17,10 @@ from tqdm import tqdm
 
 from armperturb.analysis.fit.identify import Estimator
 from armperturb.analysis.fit.maximum_likelihood import Group, Method, estimate
-from armperturb.analysis.fit.structures import Structure, at_truth, body_of, true_values, unit
+from armperturb.analysis.fit.structures import Structure, at_truth, true_values, unit
 from armperturb.analysis.fit.thesis import fit_trials
 from armperturb.analysis.results import Description, Result
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
 from armperturb.envs.lab.experiment import run_experiment
@@ -237,14 +238,14 @@ def run_group(settings: ValidateSettings, number: int) -> tuple[int, dict[Estima
       OSError: the subject's file cannot be read.
     """
     truth, structure, recording = settings.truth(), settings.structure(), simulate_group(settings, number)
-    body = body_of(recording)
-    group = Group.prepare(recording, body, structure)
+    trials = ConditionTrials.prepare(recording, is_checked=True)
+    group = Group.prepare(trials, structure)
     values = true_values(truth, structure)
     right = at_truth(structure, truth).parameters(truth.task, values)
     group.record.weigh(right)
     information = group.record.normal(right, structure.mixing).information
     judged = {
-        estimator: _by_thesis(recording, structure, values)
+        estimator: _by_thesis(trials, structure, values)
         if estimator == "thesis"
         else _by_likelihood(group, estimator, values)
         for estimator in settings.estimators
@@ -291,7 +292,7 @@ def _scaled(noise: HumanNoise, factor: float) -> HumanNoise:
 def _by_likelihood(group: Group, method: Method, truth: Array) -> Judged:
     found = estimate([group], method)
     names = group.structure.free
-    from_truth = estimate([group], method, start=dict(zip(names, truth.tolist(), strict=True)))
+    from_truth = estimate([group], method, initial=dict(zip(names, truth.tolist(), strict=True)))
     intervals = [found.interval(name) for name in names]
     return Judged(
         values=np.array([*found.values.values()]),
@@ -304,10 +305,10 @@ def _by_likelihood(group: Group, method: Method, truth: Array) -> Judged:
     )
 
 
-def _by_thesis(recording: xr.Dataset, structure: Structure, truth: Array) -> Judged:
+def _by_thesis(trials: ConditionTrials, structure: Structure, truth: Array) -> Judged:
     """Each trial alone, averaged as published; intervals from the mean of the standard errors of eq. 2.22."""
-    found = fit_trials(recording, structure)
-    least = fit_trials(recording.isel(trial=[0]), structure, as_published=False)
+    found = fit_trials(trials, structure)
+    least = fit_trials(trials.take([0]), structure, as_published=False)
     values, error = found.values.mean(axis=0), found.sem.mean(axis=0)
     return Judged(
         values=values,

@@ -43,7 +43,7 @@ def test_own_response_gives_every_parameter_back_from_starts_25_percent_off(mode
             name: float(np.clip(value * rng.choice([0.75, 1.25]), *STRUCTURES[model].bounds[name]))
             for name, value in truth.items()
         }
-        result = fit(arm, model, start=start, delay=delay)
+        result = fit(arm, model, initial=start, delay=delay)
         assert worst_error(result, truth) < 1e-3
         assert result.converged
         assert result.status.startswith("converged: ")
@@ -184,7 +184,7 @@ def test_what_the_data_say_nothing_about_is_said_and_has_an_infinite_error():
     structure = STRUCTURES["1"].freeing(kv_s=(-50.0, 0.0, 50.0), Td_s=(0.01, 0.03, 0.05))
     start = {name: getattr(RELAX, name) for name in structure.free}
     admittance = arm_admittance(RELAX, FREQUENCY)
-    result = fit_admittance(FREQUENCY, admittance, RELAX, structure, ENVIRONMENT, start=start, as_published=True)
+    result = fit_admittance(FREQUENCY, admittance, RELAX, structure, ENVIRONMENT, initial=start, as_published=True)
     assert result.unidentified == ("Td_s",)
     assert result.status.endswith("; the data say nothing about Td_s")
     assert result.sem["Td_s"] == np.inf
@@ -195,7 +195,7 @@ def test_what_the_data_say_nothing_about_is_said_and_has_an_infinite_error():
 def test_as_published_is_lsqnonlin_on_the_modulus_from_one_start(use_penalty):
     rng, structure = np.random.default_rng(8), STRUCTURES["3b"]
     admittance = arm_admittance(POSITION, FREQUENCY, "pade") * np.exp(0.4 * rng.normal(size=(len(FREQUENCY), 2, 2)))
-    start = np.array(list(structure.start.values()))
+    start = np.array(list(structure.initial.values()))
     lower, upper = np.array(list(structure.bounds.values())).T / start[:, None].T
 
     def error(v):
@@ -226,7 +226,7 @@ def test_fits_of_a_batch_are_those_of_each_alone(use_penalty):
             Target(frequency=FREQUENCY, admittance=admittance, body=arm, environment=environment, coherence=coherence)
         )
     structures, starts = ["1", "3b", STRUCTURES["2"], "1"], [None, {"k_s": 150.0}, None, {"m_h": 1.5}]
-    together = fit_admittances(targets, structures, starts=starts, use_penalty=use_penalty, delay="pade")
+    together = fit_admittances(targets, structures, initials=starts, use_penalty=use_penalty, delay="pade")
     for target, structure, start, fit_of_batch in zip(targets, structures, starts, together, strict=True):
         alone = fit_admittance(
             target.frequency,
@@ -235,7 +235,7 @@ def test_fits_of_a_batch_are_those_of_each_alone(use_penalty):
             structure,
             target.environment,
             coherence=target.coherence,
-            start=start,
+            initial=start,
             use_penalty=use_penalty,
             as_published=True,
             delay="pade",
@@ -261,21 +261,21 @@ def test_a_batch_has_one_number_of_frequencies():
         )
         for n in (18, 12)
     ]
-    assert fit_admittances([], [], starts=[]) == []
+    assert fit_admittances([], [], initials=[]) == []
     with pytest.raises(ValueError, match="targets have 12, 18 frequencies; expected the same number"):
-        fit_admittances(targets, ["1", "1"], starts=[None, None])
+        fit_admittances(targets, ["1", "1"], initials=[None, None])
 
 
 @pytest.mark.parametrize("model", ["2", "3", "4", "5", "6", "3a"])
 def test_every_structure_gives_its_own_response_back(model):
     structure = STRUCTURES[model]
-    arm = structure.arm(POSITION, list(structure.start.values()))
-    start = {name: float(np.clip(1.1 * value, *structure.bounds[name])) for name, value in structure.start.items()}
+    arm = structure.arm(POSITION, list(structure.initial.values()))
+    start = {name: float(np.clip(1.1 * value, *structure.bounds[name])) for name, value in structure.initial.items()}
     result = fit_admittance(
-        FREQUENCY, arm_admittance(arm, FREQUENCY), arm, model, ENVIRONMENT, start=start, use_penalty=False
+        FREQUENCY, arm_admittance(arm, FREQUENCY), arm, model, ENVIRONMENT, initial=start, use_penalty=False
     )
     assert result.criterion < 1e-9, result.status
-    np.testing.assert_allclose(list(result.values.values()), list(structure.start.values()), rtol=0.02, atol=0.05)
+    np.testing.assert_allclose(list(result.values.values()), list(structure.initial.values()), rtol=0.02, atol=0.05)
 
 
 def test_an_admittance_without_inverse_is_fitted_all_the_same():
@@ -289,8 +289,8 @@ def test_an_admittance_without_inverse_is_fitted_all_the_same():
     ("change", "message"),
     [
         ({"structure": "7"}, "model = '7'; expected one of 1, 2, 3, 4, 5, 6, 3a, 3b"),
-        ({"start": {"m_x": 1.0}}, "start: unknown parameter 'm_x'; model 1 has m_h"),
-        ({"start": {"m_h": 9.0}}, "start: m_h = 9.0; expected 1 to 3 kg"),
+        ({"initial": {"m_x": 1.0}}, "initial: unknown parameter 'm_x'; model 1 has m_h"),
+        ({"initial": {"m_h": 9.0}}, "initial: m_h = 9.0; expected 1 to 3 kg"),
         ({"frequency": FREQUENCY[:3]}, r"shapes \(3,\), \(18, 2, 2\)"),
         ({"frequency": FREQUENCY - 1.0}, "frequency = -0.7 Hz; expected frequencies above 0"),
         ({"coherence": np.full((18, 2), np.nan)}, "coherence holds nan; expected finite values"),

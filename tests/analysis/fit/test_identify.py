@@ -6,10 +6,11 @@ import xarray as xr
 
 from armperturb.analysis.fit.identify import identify, identify_conditions
 from armperturb.analysis.fit.maximum_likelihood import Estimate
-from armperturb.analysis.fit.structures import STRUCTURES, body_of
+from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.force_balance import Balance
 from armperturb.analysis.measures.vaf import variance_accounted_for
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.environment import Environment
 from armperturb.study.report.tables import true_value
 from armperturb.subject import POSITION, RELAX
@@ -132,14 +133,14 @@ def test_vaf_forgets_slow_corrections():
 
 
 def test_body_is_read_from_the_recording(relax_recording):
-    body = body_of(relax_recording)
+    body = ConditionTrials.prepare(relax_recording).body
     assert (body.task, body.l_h, body.l_f, body.name) == ("RT", RELAX.l_h, RELAX.l_f, "relax")
     np.testing.assert_allclose(body.posture, RELAX.posture)
 
 
 def test_mixed_recordings_are_refused(relax_recording, position_recording):
     both = xr.concat([relax_recording, position_recording], "trial", combine_attrs="override")
-    with pytest.raises(ValueError, match=r"several values of subject \(relax, position\); expected one"):
+    with pytest.raises(ValueError, match=r"subject has several values \(relax, position\); expected"):
         identify(both, "1")
 
 
@@ -150,7 +151,7 @@ def test_bad_requests_are_named(relax_recording):
         ({"model": "1", "share": ["k_x"]}, "share: 'k_x' is no free parameter; expected mass, damping"),
         (
             {"model": "1", "estimator": "thesis", "share": ["mass", "grip"]},
-            "share = mass, grip; expected nothing with the thesis's estimator",
+            "share = mass, grip; expected nothing with estimator = 'thesis'",
         ),
     ):
         with pytest.raises(ValueError, match=message):

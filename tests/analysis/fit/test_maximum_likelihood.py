@@ -6,7 +6,7 @@ import pytest
 
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.fit.maximum_likelihood import Group, estimate, profile
-from armperturb.analysis.fit.structures import STRUCTURES, body_of
+from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
@@ -44,7 +44,7 @@ def record(subject, n=4, *, seed=0, noise=1.0, linear=True, instruments=INSTRUME
 
 def group_of(recording, model, **options):
     structure = STRUCTURES[model] if isinstance(model, str) else model
-    return Group.prepare(recording, body_of(recording), structure, **options)
+    return Group.prepare(recording, structure, **options)
 
 
 def true_value(arm, name):
@@ -135,7 +135,7 @@ def test_a_shared_mass_is_one_value_and_better_known_than_from_either_condition_
     for group, one in zip(groups, alone, strict=True):
         for name, value in one.values.items():
             assert apart.values[f"{name} [{group.label}]"] == pytest.approx(value, abs=0.1 * one.standard_error[name])
-    started = estimate(groups, share=["m_tot", "velocity"], start={"m_tot": 4.0, "kv_s": 12.0, "k_e [PT7.5]": 150.0})
+    started = estimate(groups, share=["m_tot", "velocity"], initial={"m_tot": 4.0, "kv_s": 12.0, "k_e [PT7.5]": 150.0})
     assert started.converged
     assert "kv_s" in started.values
 
@@ -216,7 +216,7 @@ def test_an_unstable_start_is_made_stable(position_group):
     start = {"kv_s": 100.0, "kv_se": 0.0, "kv_e": 100.0, "b_s": 0.1, "b_e": 0.1}
     arm = replace(POSITION, **start)
     assert largest_real_pole(arm, Environment()) > 0
-    found, usual = (estimate([position_group], "frequency", start=given) for given in (start, None))
+    found, usual = (estimate([position_group], "frequency", initial=given) for given in (start, None))
     assert found.converged
     for name, value in usual.values.items():
         assert found.values[name] == pytest.approx(value, abs=0.1 * usual.standard_error[name])
@@ -230,7 +230,7 @@ def test_structures_that_no_trial_identifies_are_refused_with_the_direction(rela
     twice = replace(
         base,
         bounds={name: pair for name, pair in base.bounds.items() if name != "b_s"} | {"b": (0.0, 9.0), "c": (0.0, 9.0)},
-        start={name: value for name, value in base.start.items() if name != "b_s"} | {"b": 1.0, "c": 1.0},
+        initial={name: value for name, value in base.initial.items() if name != "b_s"} | {"b": 1.0, "c": 1.0},
         tied={"b_s": {"b": 1.0, "c": 0.5}},
     )
     with pytest.raises(ValueError, match=r"a change of [+-]0.5 b [+-]1 c leaves the movement as it is"):
@@ -241,9 +241,9 @@ def test_bad_input_is_refused_in_one_sentence(position, position_group, relax, r
     for arguments, options, message in (
         (([],), {}, r"groups is empty; expected the trials of at least one condition"),
         (([position_group], "best"), {}, r"method = 'best'; expected one of frequency, record"),
-        (([position_group],), {"start": {"k": 1.0}}, r"start: unknown parameter 'k'; expected m_tot, b_s"),
-        (([position_group],), {"start": {"k_s": -1.0}}, r"start: k_s = -1.0; expected 0 to 1000 Nm/rad"),
-        (([position_group],), {"start": {"k_s": np.nan}}, r"start: k_s = nan; expected 0 to 1000 Nm/rad"),
+        (([position_group],), {"initial": {"k": 1.0}}, r"initial: unknown parameter 'k'; expected m_tot, b_s"),
+        (([position_group],), {"initial": {"k_s": -1.0}}, r"initial: k_s = -1.0; expected 0 to 1000 Nm/rad"),
+        (([position_group],), {"initial": {"k_s": np.nan}}, r"initial: k_s = nan; expected 0 to 1000 Nm/rad"),
         (([position_group],), {"share": ["masses"]}, r"share: 'masses' is no free parameter; expected mass, damping"),
         (([position_group, position_group],), {}, r"condition 'PT7.5' comes twice"),
         (([position_group, relax_group],), {}, r"differ in name \(position, relax\); expected one person"),
@@ -261,16 +261,15 @@ def test_bad_input_is_refused_in_one_sentence(position, position_group, relax, r
     with pytest.raises(ValueError, match=r"k_s = -1.0; expected 0 to 1000 Nm/rad"):
         profile([position_group], found, "k_s", [-1.0])
 
-    body = body_of(position)
-    with pytest.raises(ValueError, match=r"theta_s_deg = 22.5 in the recording; expected 30.0 \(body\)"):
-        Group.prepare(position, replace(body, theta_s_deg=30.0), STRUCTURES["3b"])
-    with pytest.raises(ValueError, match=r"several values of l_h"):
-        Group.prepare(position.assign_coords(l_h=("trial", np.linspace(0.3, 0.33, 8))), body, STRUCTURES["3b"])
+    with pytest.raises(ValueError, match=r"l_h has several values"):
+        Group.prepare(position.assign_coords(l_h=("trial", np.linspace(0.3, 0.33, 8))), STRUCTURES["3b"])
     broken = position.copy(deep=True)
     broken["force"].values[2, 5, 1] = np.nan
     with pytest.raises(ValueError, match=r"force of trial 2 is nan at sample 5"):
-        Group.prepare(broken, body, STRUCTURES["3b"])
+        Group.prepare(broken, STRUCTURES["3b"])
     with pytest.raises(ValueError, match=r"expected a whole period of 20.48 s"):
+        group_of(position.isel(time=slice(0, 4000)), "3b", period=20.48)
+    with pytest.raises(ValueError, match=r"does not repeat within the 18 s from 2 s on"):
         group_of(position.isel(time=slice(0, 4000)), "3b")
     with pytest.raises(ValueError, match=r"trial 0 changes by \d+% of its RMS from one period of 10 s to the next"):
         group_of(position, "3b", period=10.0)

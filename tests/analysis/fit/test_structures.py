@@ -19,7 +19,7 @@ SI = {"kN/m": 1e3, "ms": 1e-3}
 PLAIN = dict(
     name="plain",
     bounds={"k_s": (0.0, 500.0)},
-    start={"k_s": 100.0},
+    initial={"k_s": 100.0},
     fixed={
         task: dict(m_h=1.6, m_f=1.7, b_s=5.0, b_se=5.0, b_e=5.0, k_se=50.0, k_e=90.0, b_h=50.0, k_h=2e4)
         for task in ("PT", "RT")
@@ -38,12 +38,12 @@ def published(table, model, quantity="parameter", start=""):
 
 @pytest.mark.parametrize(("model", "table"), [("1", "C.13"), *((number, "C.3") for number in "23456")])
 def test_structures_of_table_c1_start_where_the_thesis_did_without_penalty(model, table):
-    assert STRUCTURES[model].start == pytest.approx(published(table, model), rel=1e-12)
+    assert STRUCTURES[model].initial == pytest.approx(published(table, model), rel=1e-12)
 
 
 @pytest.mark.parametrize(("model", "start"), [("3a", "vartheta_i1"), ("3b", "vartheta_i5")])
 def test_structures_of_appendix_e_start_at_its_initial_vectors(model, start):
-    assert STRUCTURES[model].start == pytest.approx(published("E.3", model, "initial", start), rel=1e-12)
+    assert STRUCTURES[model].initial == pytest.approx(published("E.3", model, "initial", start), rel=1e-12)
 
 
 def test_structures_have_the_feedback_of_table_c1():
@@ -70,20 +70,20 @@ def test_structures_have_the_feedback_of_table_c1():
 
 def test_arm_and_parameters_agree():
     for structure in STRUCTURES.values():
-        values = np.array(list(structure.start.values()))
+        values = np.array(list(structure.initial.values()))
         for body in (POSITION, RELAX):
             arm = structure.arm(body, values)
             np.testing.assert_array_equal(parameter_vector(arm), structure.parameters(body.task, values))
             assert arm.posture.tolist() == body.posture.tolist()
-    arm = STRUCTURES["3b"].arm(POSITION, list(STRUCTURES["3b"].start.values()))
+    arm = STRUCTURES["3b"].arm(POSITION, list(STRUCTURES["3b"].initial.values()))
     assert (arm.m_h, arm.m_f) == pytest.approx((0.49 * 2.96, 0.51 * 2.96))
-    assert STRUCTURES["1"].arm(POSITION, list(STRUCTURES["1"].start.values())).kv_s == 0.0
+    assert STRUCTURES["1"].arm(POSITION, list(STRUCTURES["1"].initial.values())).kv_s == 0.0
 
 
 @pytest.mark.parametrize("model", ["3", "6", "3b"])
 def test_gradients_by_free_parameters_equal_finite_differences(model):
     structure = STRUCTURES[model]
-    values = np.array(list(structure.start.values()))
+    values = np.array(list(structure.initial.values()))
     gradient = (
         LinearArm(POSITION, FREQUENCY).total_and_gradient(structure.parameters("PT", values), ENVIRONMENT)[1]
         @ structure.mixing
@@ -106,21 +106,21 @@ def test_variants_take_a_line_each():
     one_delay = STRUCTURES["3"].fixing(fact_s=3.5, fact_e=3.5).tying(Td_e={"Td_s": 1.0}).named("3, one delay")
     assert one_delay.name == "3, one delay"
     assert set(STRUCTURES["3"].free) - set(one_delay.free) == {"fact_s", "fact_e", "Td_e"}
-    arm = one_delay.arm(POSITION, list(one_delay.start.values()))
-    assert arm.Td_e == arm.Td_s == one_delay.start["Td_s"]
+    arm = one_delay.arm(POSITION, list(one_delay.initial.values()))
+    assert arm.Td_e == arm.Td_s == one_delay.initial["Td_s"]
     assert arm.fact_e == 3.5
     fixed = one_delay.fixing(Td_s=0.04)
-    assert fixed.arm(POSITION, list(fixed.start.values())).Td_e == 0.04
+    assert fixed.arm(POSITION, list(fixed.initial.values())).Td_e == 0.04
 
     other_grip = STRUCTURES["3b"].fixing(b_h=80.0, k_h=3e4, Td_s=0.025, Td_e=0.025)
     assert other_grip.free == STRUCTURES["3b"].free
     for body in (POSITION, RELAX):
-        assert other_grip.arm(body, list(other_grip.start.values())).k_h == 3e4
+        assert other_grip.arm(body, list(other_grip.initial.values())).k_h == 3e4
 
     with_delay = STRUCTURES["3b"].freeing(Td_s=(0.02, 0.03, 0.06)).tying(Td_e={"Td_s": 1.0})
     assert with_delay.free == (*STRUCTURES["3b"].free, "Td_s")
     known_mass = STRUCTURES["3b"].fixing(m_tot=4.0)
-    assert known_mass.arm(POSITION, list(known_mass.start.values())).m_h == pytest.approx(0.49 * 4.0)
+    assert known_mass.arm(POSITION, list(known_mass.initial.values())).m_h == pytest.approx(0.49 * 4.0)
     assert "m_tot" not in known_mass.free
 
 

@@ -65,7 +65,7 @@ def test_averages_are_over_trials_and_then_over_subjects(estimate):
     rows = {row["parameter"]: row for row in estimate.rows()}
     assert rows["k_s"]["value"] == pytest.approx(mean[estimate.parameters.index("k_s")])
     assert rows["k_s"]["sem_over_value"] == pytest.approx(rows["k_s"]["sem"] / rows["k_s"]["value"])
-    assert estimate.start() == pytest.approx(dict(zip(estimate.parameters, mean, strict=True)))
+    assert estimate.means() == pytest.approx(dict(zip(estimate.parameters, mean, strict=True)))
 
 
 def test_only_positive_vaf_counts(estimate):
@@ -87,7 +87,7 @@ def test_appendix_c_goes_from_the_first_step_to_the_second(two_people):
     assert not others
     assert all(fit.penalty == 1.0 for fit in first.fits)
     assert list(second) == ["PT7.5", "again"]
-    repeated = fit_trials(one, "3", initial=first.start())
+    repeated = fit_trials(one, "3", initial=first.means())
     np.testing.assert_array_equal(second["PT7.5"].values, repeated.values)
     assert repeated.n_stable == 2
     assert repeated.fits[0].penalty == pytest.approx(penalty_factor(repeated.fits[0].largest_real_pole))
@@ -165,7 +165,7 @@ def test_bounds_are_the_published_ones():
 
 
 def test_bad_input_is_named(two_people):
-    with pytest.raises(ValueError, match=r"start: k_s = 5000.0; expected 0 to 1000 Nm/rad"):
+    with pytest.raises(ValueError, match=r"initial: k_s = 5000.0; expected 0 to 1000 Nm/rad"):
         fit_trials(two_people, "3b", initial={"k_s": 5000.0})
     broken = two_people.assign(force=two_people["force"] * np.nan)
     with pytest.raises(ValueError, match="force"):

@@ -4,7 +4,8 @@ import numpy as np
 from scipy import signal
 
 from armperturb.analysis.response.arx import fit_arx
-from armperturb.analysis.response.joint_records import JointRecords, admittance_of, variance_of
+from armperturb.analysis.response.joint_records import admittance_of, variance_of
+from armperturb.analysis.trials import TrialRecord
 
 RATE = 100.0
 FREQUENCY = np.array([1.0, 2.0, 4.0, 6.0, 9.0, 14.0])
@@ -28,7 +29,7 @@ def records(seed, n_samples=1500):
     f = d - 0.3 * np.roll(x, 1, axis=0)
     noise = signal.lfilter([1.0], [1.0, -0.9], rng.normal(size=(n_samples, 4)), axis=0)
     y = np.concatenate([f, x], axis=1) + 0.1 * noise
-    return JointRecords(perturbation=(d[200:],), response=(y[200:],), rate=RATE)
+    return [TrialRecord(d[200:], y[200:], RATE)]
 
 
 def truth():

@@ -37,7 +37,7 @@ def known(seed, n_trials, n_periods, *, noise=NOISE, distortion=0.0, spread=0.0)
 
 @pytest.mark.parametrize("n_periods", [1.5, 3])
 def test_levels_are_those_put_in(n_periods):
-    found = [best_linear(known(seed, 4, n_periods, distortion=DISTORTION), start=0.0) for seed in range(6)]
+    found = [best_linear(known(seed, 4, n_periods, distortion=DISTORTION), window_start=0.0) for seed in range(6)]
     # White noise of N samples has 2 sigma^2 / N at a line; complex normal lines of unit parts a mean square of 2.
     assert np.mean([one.noise for one in found]) == pytest.approx(2 * NOISE**2 / N_PERIOD, rel=0.05)
     assert np.mean([one.distortion for one in found]) == pytest.approx(DISTORTION**2, rel=0.1)
@@ -50,7 +50,7 @@ def test_levels_are_those_put_in(n_periods):
 @pytest.mark.parametrize(("n_trials", "n_periods", "spread"), [(2, 1.5, 0.0), (4, 1.5, 0.1), (2, 3, 0.1)])
 def test_linear_loads_are_linear(n_trials, n_periods, spread):
     # Loads that differ between trials as well, by their constant.
-    found = [best_linear(known(100 + seed, n_trials, n_periods, spread=spread), start=0.0) for seed in range(18)]
+    found = [best_linear(known(100 + seed, n_trials, n_periods, spread=spread), window_start=0.0) for seed in range(18)]
     statistic = np.array([one.statistic for one in found])
     assert stats.kstest(statistic, "norm").pvalue > 0.01
     inside = [np.abs(one.distortion) <= 1.96 * one.distortion_error for one in found]
@@ -65,7 +65,7 @@ def test_noise_of_a_loop_is_no_distortion(n_trials, duration):
     for seed in range(16):
         rng = np.random.default_rng([seed, 5])
         recording = recorded(multisine(rng, n_trials, duration), rng, own=0.3, instruments=1.0)
-        found = best_linear(recording, start=0.0)
+        found = best_linear(recording, window_start=0.0)
         statistic.append(found.statistic)
         inside.append(np.abs(found.distortion) <= 1.96 * found.distortion_error)
     assert stats.kstest(statistic, "norm").pvalue > 0.01
@@ -83,15 +83,15 @@ def test_nearly_without_noise_a_linear_load_is_linear(n_trials, duration, noise)
 
 
 def test_one_realisation_tells_distortion_from_noise():
-    found = [best_linear(known(seed, 1, 3, distortion=2 * DISTORTION), start=0.0) for seed in range(8)]
+    found = [best_linear(known(seed, 1, 3, distortion=2 * DISTORTION), window_start=0.0) for seed in range(8)]
     assert np.mean([one.noise for one in found]) == pytest.approx(2 * NOISE**2 / N_PERIOD, rel=0.1)
     assert np.mean([one.distortion for one in found]) == pytest.approx(4 * DISTORTION**2, rel=0.3)
-    linear = [best_linear(known(seed, 1, 3), start=0.0) for seed in range(20)]
+    linear = [best_linear(known(seed, 1, 3), window_start=0.0) for seed in range(20)]
     assert stats.kstest([one.statistic for one in linear], "norm").pvalue > 0.01
 
 
 def test_linear_power_is_that_of_the_load():
-    found = best_linear(known(1, 4, 3), start=0.0)
+    found = best_linear(known(1, 4, 3), window_start=0.0)
     lines = CLUSTERS.reshape(-1, 4)
     gain = np.sum(np.abs(TRUE["arm"](lines.ravel() / PERIOD)) ** 2, axis=2).reshape(*lines.shape, 2).mean(axis=1)
     # Mean over phases of 2 |H D / N|^2 with |D| = 100 on both axes.
@@ -103,13 +103,13 @@ def test_linear_power_is_that_of_the_load():
 def test_bad_input_is_refused():
     recording = known(1, 2, 1.5)
     with pytest.raises(ValueError, match=r"trials hold 1\.10 periods from 8\.192 s on; expected at least 1\.20"):
-        best_linear(recording, start=0.4 * PERIOD)
+        best_linear(recording, window_start=0.4 * PERIOD)
     with pytest.raises(ValueError, match="a group has 2 excited lines; expected at least 3"):
         best_linear(recording, lines_per_average=2)
 
 
 def test_figures_show_what_was_found():
-    found = best_linear(known(1, 2, 1.5), start=0.0)
+    found = best_linear(known(1, 2, 1.5), window_start=0.0)
     axes = found.response.plot(figure=new_figure(1.0))
     gain, phase = axes[0, 0]
     bands = found.response.bands()

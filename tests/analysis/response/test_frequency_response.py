@@ -5,12 +5,12 @@ import pytest
 from scipy import signal
 
 from armperturb.analysis.force_balance import NoiseLevels
+from armperturb.analysis.numerics.periodicity import find_period
 from armperturb.analysis.response.closed_loop import estimate_multisine, estimate_noise
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.analysis.response.line_balance import LineBalance
 from armperturb.analysis.response.local_polynomial import Window, fit_locally
-from armperturb.analysis.response.periodicity import find_period
 from armperturb.environment import Environment
 from armperturb.recording import make_recording
 
@@ -261,7 +261,7 @@ def test_a_longer_record_says_more():
 def test_transients_do_not_bias():
     rng = np.random.default_rng(5)
     force = multisine(rng, 4, 32.0)
-    from_rest = estimate_multisine(recorded(force, rng), start=0.0)
+    from_rest = estimate_multisine(recorded(force, rng), window_start=0.0)
     assert worst(from_rest, "arm") < 0.02
 
 
@@ -326,7 +326,7 @@ def test_bad_input_is_refused(excited):
     with pytest.raises(ValueError, match=r"does not repeat after 5\.12 s"):
         estimate_multisine(recording, period=5.12)
     with pytest.raises(ValueError, match=r"holds 12 s from 20 s on; expected a whole period of 20\.48 s"):
-        estimate_multisine(recording, start=20.0, period=PERIOD)
+        estimate_multisine(recording, window_start=20.0, period=PERIOD)
     with pytest.raises(ValueError, match=r"hold 0 independent spectra with 40 s of Welch's segments"):
         response(recording, "welch", segment=40.0)
     with pytest.raises(ValueError, match=r"hold 0 independent spectra with a half bandwidth of 0\.01 Hz"):

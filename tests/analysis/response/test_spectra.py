@@ -55,7 +55,7 @@ def labels(n_trials):
 
 
 def estimate(recording, lines_per_average=4, start=START, period=PERIOD):
-    lines = line_spectra(recording, start=start, period=period)
+    lines = line_spectra(recording, window_start=start, period=period)
     return estimate_spectra(lines, lines_per_average=lines_per_average)
 
 

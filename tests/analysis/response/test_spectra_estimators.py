@@ -10,9 +10,10 @@ from armperturb.analysis.arm.linear_arm import environment_admittance, total_adm
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.response.arx import Regression, fit_arx
 from armperturb.analysis.response.estimate import METHODS, response
-from armperturb.analysis.response.joint_records import JointRecords, admittance_of, joint_records, variance_of
+from armperturb.analysis.response.joint_records import admittance_of, excited_frequencies, joint_records, variance_of
 from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.response.subspace import fit_subspace
+from armperturb.analysis.trials import TrialRecord
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.recording import make_recording
 
@@ -155,11 +156,7 @@ def test_models_of_a_noisy_arm_are_stable_and_as_slow_as_it(noisy_arm, fit):
 
 def test_a_model_straight_from_force_to_displacement_would_be_biased(noisy_arm):
     records = joint_records(noisy_arm)
-    straight = JointRecords(
-        perturbation=tuple(y[:, :2] for y in records.response),
-        response=tuple(y[:, 2:] for y in records.response),
-        rate=records.rate,
-    )
+    straight = [TrialRecord(record.response[:, :2], record.response[:, 2:], record.rate) for record in records]
     truth = arm_admittance(POSITION, BELOW_20)
     direct = Regression(straight, 30).model(30).response(BELOW_20)[0]
     joint = response(noisy_arm, "arx", BELOW_20, order=30).response
@@ -214,7 +211,7 @@ def test_what_is_before_the_start_is_left_out(load, method):
     later = load.isel(time=slice(1000, None)).assign_coords(time=load["time"].values[:-1000])
     frequency = response(load, "spectral").frequency[3:8]
     found, expected = (
-        response(recording, method, frequency, start=start, **({"balance": False} if method == "noise" else {}))
+        response(recording, method, frequency, window_start=start, **({"balance": False} if method == "noise" else {}))
         for recording, start in ((load, 5.0), (later, 0.0))
     )
     np.testing.assert_allclose(found.response, expected.response, rtol=1e-9)
@@ -243,13 +240,12 @@ def arx_records(lengths, seed, noise, offset=0.0):
             y[k] += noise * rng.normal(size=4)
         inputs.append(u + offset * trial)
         outputs.append(y - offset * trial**2)
-    return JointRecords(perturbation=tuple(inputs), response=tuple(outputs), rate=100.0)
+    return [TrialRecord(u, y, 100.0) for u, y in zip(inputs, outputs, strict=True)]
 
 
 def test_trials_of_unequal_length_from_any_start_and_offset_are_not_joined():
     model = fit_arx(arx_records([60, 100, 150], 0, 0.0, offset=3.0), BELOW_20, order=2)
-    np.testing.assert_allclose(model.past_response, A, atol=1e-5)
-    np.testing.assert_allclose(model.past_input, B, atol=1e-5)
+    np.testing.assert_allclose(model.past, np.concatenate([A, B], axis=2), atol=1e-5)
     np.testing.assert_allclose(model.direct, D, atol=1e-5)
     joint = model.response(BELOW_20)[0]
     np.testing.assert_allclose(joint, arx_response(BELOW_20, 100.0), atol=1e-4)
@@ -260,7 +256,7 @@ def test_trials_of_unequal_length_from_any_start_and_offset_are_not_joined():
 def test_one_factor_holds_the_least_squares_of_every_order():
     records = arx_records([400], 1, 1.0)
     regression = Regression(records, 6)
-    u, y = records.perturbation[0], records.response[0]
+    u, y, _ = records[0]
     for order in (1, 4, 6):
         both = np.concatenate([y, u], axis=1)
         rows = [np.ones((394, 1)), u[6:], *(both[6 - lag : 400 - lag] for lag in range(1, order + 1))]
@@ -268,7 +264,7 @@ def test_one_factor_holds_the_least_squares_of_every_order():
         theta, squares = np.linalg.lstsq(phi, y[6:], rcond=None)[:2]
         model = regression.model(order)
         np.testing.assert_allclose(model.direct, theta[1:3].T, atol=1e-6)
-        np.testing.assert_allclose(model.past_response[-1], theta[-6:-2].T, atol=1e-6)
+        np.testing.assert_allclose(model.past[-1], theta[-6:].T, atol=1e-6)
         np.testing.assert_allclose(np.diag(model.noise), squares / (394 - phi.shape[1]), rtol=1e-6)
 
 
@@ -315,7 +311,7 @@ def state_space_records(noise, seed=3):
         disturbed = signal.dlsim((a, np.eye(5), c, np.zeros((4, 5)), 0.01), noise * rng.normal(size=(len(u), 5)))[1]
         outputs.append(y + disturbed + noise * rng.normal(size=y.shape))
     judge = control.frequency_response(control.ss(a, b, c, d, 0.01), 2 * np.pi * BELOW_20)
-    records = JointRecords(perturbation=tuple(inputs), response=tuple(outputs), rate=100.0)
+    records = [TrialRecord(u, y, 100.0) for u, y in zip(inputs, outputs, strict=True)]
     return records, np.moveaxis(judge.frdata, -1, 0), np.linalg.eigvals(a)
 
 
@@ -341,7 +337,7 @@ def test_with_noise_a_subspace_model_is_close_and_of_few_states():
 def test_records_end_at_the_pulse_of_each_trial(load):
     onsets = np.array([12.0, np.nan])
     cut = load.assign_coords(pulse_onset=("trial", onsets, load["pulse_onset"].attrs))
-    assert [len(one) for one in joint_records(cut).perturbation] == [2400, 6000]
+    assert [len(record.perturbation) for record in joint_records(cut)] == [2400, 6000]
 
 
 def test_several_recordings_may_have_several_lengths(load):
@@ -351,7 +347,7 @@ def test_several_recordings_may_have_several_lengths(load):
 
 
 def test_the_excited_frequencies_are_those_of_the_disturbance(load):
-    found = joint_records(load).excited_frequencies()
+    found = excited_frequencies(joint_records(load))
     lines = line_spectra(load).frequency
     apart = np.abs(found[:, None] - lines).min(axis=1)
     assert apart.max() < 0.21
@@ -382,19 +378,19 @@ def with_nan(recording):
     [
         (lambda r: constant(r, "displacement", 1), "displacement along y is constant in all trials"),
         (lambda r: constant(r, "perturbation", 0), "perturbation along x is constant in all trials"),
-        (one_direction, "cannot be told apart"),
+        (one_direction, "are not independent"),
         (with_nan, "force of trial 1 is nan at sample 7"),
         (lambda r: r.isel(time=slice(0, 200)), "200 samples|400 samples"),
         (lambda r: r.isel(trial=[]), "there are no trials"),
-        (lambda r: [], "recording is empty"),
-        (lambda r: [r, load_recording(multisines, 1, 12.0, 100.0)], "recordings at 100, 200 Hz; expected one rate"),
+        (lambda r: [], "recordings is empty"),
+        (lambda r: [r, load_recording(multisines, 1, 12.0, 100.0)], "rate = 100, 200 Hz; expected one rate"),
         (
             lambda r: r.assign_coords(limit_time=("trial", [np.nan, 3.0], r["limit_time"].attrs)),
             "trial 1 reached the workspace limit at 3.000 s",
         ),
         (
             lambda r: r.assign_coords(pulse_onset=("trial", [9.0, 0.0], r["pulse_onset"].attrs)),
-            "trial 1 has its pulse at 0 s; expected a perturbation before it",
+            "trial 1 ends at 0 s; expected more than 0 s",
         ),
     ],
 )
@@ -437,8 +433,8 @@ def test_recordings_are_refused(load, method, spoil, message):
         (("welch",), {"segment": 0.0}, ValueError, "segment = 0"),
         (("welch",), {"what": "leg"}, ValueError, "what = 'leg'"),
         (("noise",), {"what": "leg"}, ValueError, "what = 'leg'"),
-        (("arx",), {"start": 40.0}, ValueError, "trial 0 ends at 30 s; expected more than 40 s"),
-        (("multitaper",), {"start": 40.0}, ValueError, "trial 0 ends at 30 s; expected more than 40 s"),
+        (("arx",), {"window_start": 40.0}, ValueError, "trial 0 ends at 30 s; expected more than 40 s"),
+        (("multitaper",), {"window_start": 40.0}, ValueError, "trial 0 ends at 30 s; expected more than 40 s"),
     ],
 )
 def test_requests_are_refused(load, arguments, options, error, message):

@@ -65,7 +65,7 @@ def both_axes(subjects, settled, rms=2e-3, **options):
         warnings.simplefilter("ignore", RuntimeWarning)  # two averages for two inputs: coherence is not used here
         return [
             estimate_spectra(
-                line_spectra(recording.isel(trial=[2 * n, 2 * n + 1]), start=settled, period=PERIOD),
+                line_spectra(recording.isel(trial=[2 * n, 2 * n + 1]), window_start=settled, period=PERIOD),
                 lines_per_average=1,
             )
             for n in range(len(subjects))

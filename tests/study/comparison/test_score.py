@@ -10,7 +10,7 @@ import pytest
 
 from armperturb.analysis.fit.thesis import fit_trials, join_estimates
 from armperturb.analysis.results import LINES
-from armperturb.analysis.trials import multisine_part, of_condition
+from armperturb.analysis.trials import ConditionTrials, of_condition, trials_by_condition
 from armperturb.cli import main
 from armperturb.environment import Environment
 from armperturb.plots.style import new_figure
@@ -103,10 +103,10 @@ def test_files(result, tmp_path):
 def test_appendix_c_is_what_the_estimator_gives(study, result):
     def trials(condition):
         recordings = [load_recording(case.recording) for case in study.of("PT7.5")]
-        return [multisine_part(of_condition(recording, condition))[0] for recording in recordings]
+        return [ConditionTrials.prepare(of_condition(recording, condition)).multisine for recording in recordings]
 
     first = join_estimates([fit_trials(one, "1", use_penalty=False) for one in trials("RT7.5")])
-    second = join_estimates([fit_trials(one, "1", initial=first.start()) for one in trials("RT22.5")])
+    second = join_estimates([fit_trials(one, "1", initial=first.means()) for one in trials("RT22.5")])
     cells = of(result)
     place = first.parameters.index("k_se")
     for table, condition, estimate in (("C.13", "RT7.5", first), ("C.20", "RT22.5", second)):
@@ -332,13 +332,14 @@ def test_a_limit_harms_what_comes_after_it_alone(study, tmp_path):
     first, second = np.flatnonzero(recording["condition"].values == "RT7.5")
     limits[first], limits[second] = 28.7, 20.0  # in the pulse, in the multisine
     changed = recording.assign_coords(limit_time=("trial", limits))
-    part, kept = multisine_part(of_condition(changed, "RT7.5"))
-    assert kept.tolist() == [0]
-    assert part.sizes["time"] == round(28.6 * 200.0)
+    trials = trials_by_condition(changed)
+    multisine = trials["RT7.5"].multisine
+    assert multisine.numbers.tolist() == [0]
+    assert multisine.n_samples == round(28.6 * 200.0)
     conditions = tuple(study.protocol.condition(name) for name in ("PT2.5", "RT7.5"))
-    cases = identify_person(changed, tmp_path, replace(study.protocol, conditions=conditions))
+    cases = identify_person(trials, tmp_path, replace(study.protocol, conditions=conditions))
     assert cases[1].left_out == ("trial 1 of S01 in RT7.5 reached the workspace limit at 20.000 s",)
-    measured, whole = measure_person(changed, cases), study.people[0]
+    measured, whole = measure_person(changed, trials, cases), study.people[0]
     assert measured.low_gain.keys() == {"PT2.5", "RT7.5"}
     assert not np.allclose(measured.low_gain["RT7.5"], whole.low_gain["RT7.5"])
     np.testing.assert_array_equal(measured.low_gain["PT2.5"], whole.low_gain["PT2.5"])

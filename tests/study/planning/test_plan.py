@@ -14,7 +14,7 @@ from armperturb.analysis.arm.parameters import PARAMETERS
 from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.likelihood import TAPER
 from armperturb.analysis.fit.maximum_likelihood import Group, estimate
-from armperturb.analysis.fit.structures import STRUCTURES, at_truth, body_of
+from armperturb.analysis.fit.structures import STRUCTURES, at_truth
 from armperturb.analysis.force_balance import EDGE, NoiseLevels
 from armperturb.analysis.results import LINES
 from armperturb.controllers.remnant import HUMAN_NOISE
@@ -285,7 +285,7 @@ def test_simulated_records_hold_the_predicted_information_and_estimates_scatter_
             recording = run_experiment(
                 trials, linear=True, instruments=Instruments(marker_noise=None, emg=None), n_threads=1
             )
-            prepared = Group.prepare(recording, body_of(recording), structure)
+            prepared = Group.prepare(recording, structure)
             values = structure.parameters("PT", plan.truth)
             prepared.record.weigh(values)
             information = prepared.record.normal(values, structure.mixing).information
@@ -380,7 +380,7 @@ def test_a_short_plan_can_be_identified():
     n_period = round(5.12 * 200.0)
     np.testing.assert_allclose(played.force[n_period:], played.force[: len(played.force) - n_period], atol=1e-12)
     recording = run_experiment([Trial(subject=POSITION, perturbation=played)], linear=True, n_threads=1)
-    found = identify(recording, "3b", start=plan.settings.start, period=plan.settings.period)
+    found = identify(recording, "3b", window_start=plan.settings.start, period=plan.settings.period)
     for name in ("k_e", "kv_e"):
         assert found.fit.values[name] == pytest.approx(getattr(POSITION, name), rel=0.02)
 

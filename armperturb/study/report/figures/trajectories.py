@@ -14,7 +14,7 @@ from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.measures import kinematics
 from armperturb.analysis.measures.pulse import WINDOWS, pulse_span
-from armperturb.analysis.trials import multisine_part
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.perturbations import Pulse
 from armperturb.planar_arm.skeletal import simulate_skeletal
@@ -96,12 +96,12 @@ def responses(recording: xr.Dataset, estimate: ThesisEstimate | None, level: flo
 
     Args:
       recording: one person's trials of one condition.
-      estimate: the fits of the trials that `multisine_part` gives.
+      estimate: the fits of the trials that `ConditionTrials.multisine` keeps.
       level: of the pulse [-].
     """
     fits = {}
     if estimate is not None:
-        _, fitted = multisine_part(recording)
+        fitted = ConditionTrials.prepare(recording, is_checked=True).multisine.numbers
         fits = {int(trial): fit for trial, fit in zip(fitted, estimate.fits, strict=True) if fit.stable}
     rate = float(recording.attrs["rate"])
     found = []

@@ -1,0 +1,16 @@
+"""What the analysis assumes unless a caller says otherwise: the settings of the thesis, named once."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+WINDOW_START = 8.0
+"""Start of the window of whole periods [s]: the transient has died away by then."""
+
+SETTLED = 2.0
+"""Time from which on a disturbance is periodic [s]; the response to it need not be."""
+
+LINES_PER_AVERAGE = 4
+"""Adjacent lines over which spectra are averaged: the clusters of the thesis's multisine."""
+
+LINEAR_MODELS: Mapping[str, str] = MappingProxyType({"PT": "3b", "RT": "1"})
+"""Task to the structure that is fitted, see `armperturb.analysis.fit.structures`."""
