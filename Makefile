@@ -6,7 +6,7 @@ LATEST := .venv-latest/bin
 PYTEST := -m pytest -n auto --dist worksteal
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: run quick test test-core test-latest check docs bench clean
+.PHONY: run quick test test-core test-latest check docs tutorials bench clean
 .DELETE_ON_ERROR:
 
 run: .venv/installed
@@ -38,6 +38,10 @@ check: .venv/installed-test .venv/installed-check docs
 # Into site/. While writing, `.venv/bin/mkdocs serve` shows each change at once.
 docs: .venv/installed-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -W error -m mkdocs build --strict
+
+# Runs the tutorials in examples/, and writes their pages, pictures and notebooks.
+tutorials: .venv/installed-test
+	$(BIN)/python docs/tutorials/make.py
 
 bench: .venv/installed-test
 	$(BIN)/python -m benchmarks

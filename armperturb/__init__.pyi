@@ -8,6 +8,7 @@ from .analysis.measures.vaf import variance_accounted_for as variance_accounted_
 from .analysis.nonlinear.identify import identify_nonlinear as identify_nonlinear
 from .analysis.response.best_linear import best_linear as best_linear
 from .analysis.response.estimate import response as response
+from .analysis.trials import ConditionTrials as ConditionTrials
 from .cohort import Person as Person
 from .cohort import average_person as average_person
 from .cohort import draw_cohort as draw_cohort

@@ -1,4 +1,4 @@
-"""The one log format: what a laboratory records of a set of trials, as an `xarray.Dataset`.
+"""The format of recordings: the signals of a set of trials, as an `xarray.Dataset`.
 
 | variable | dims | unit | |
 |---|---|---|---|
@@ -145,12 +145,13 @@ def join_recordings(recordings: Sequence[xr.Dataset], source: str = "recordings"
     Raises:
       ValueError: rates or durations differ.
     """
-    clocks = {(float(one.attrs["rate"]), one.sizes["time"]) for one in recordings}
+    clocks = {(float(recording.attrs["rate"]), recording.sizes["time"]) for recording in recordings}
     if len(clocks) > 1:
-        found = " and ".join(f"{n / rate:g} s at {rate:g} Hz" for rate, n in sorted(clocks))
-        raise ValueError(f"{source}: trials of {found}; expected one rate and duration")
-    partial = [name for name in OPTIONAL_COORDINATES if not all(name in one.coords for one in recordings)]
-    return stack_trials([one[list(REQUIRED_SIGNALS)].drop_vars(partial, errors="ignore") for one in recordings])
+        trials = " and ".join(f"{n / rate:g} s at {rate:g} Hz" for rate, n in sorted(clocks))
+        raise ValueError(f"{source}: trials of {trials}; expected one rate and duration")
+    partial = [name for name in OPTIONAL_COORDINATES if not all(name in recording.coords for recording in recordings)]
+    required = list(REQUIRED_SIGNALS)
+    return stack_trials([recording[required].drop_vars(partial, errors="ignore") for recording in recordings])
 
 
 def named(recordings: xr.Dataset | Sequence[xr.Dataset]) -> str:
@@ -250,9 +251,9 @@ def _check_clock(recording: xr.Dataset, dim: str, source: str) -> None:
         raise ValueError(f"{source}: {dim} has {len(time)} samples; expected at least 2")
     off = np.abs(time - np.arange(len(time)) / rate)
     if off.max() > 0.01 / rate:
-        found = 1.0 / np.median(np.diff(time))
+        actual = 1.0 / np.median(np.diff(time))
         raise ValueError(
-            f"{source}: {dim} runs at {found:.6g} Hz, or not evenly (sample {int(np.argmax(off > 0.01 / rate))} is at "
+            f"{source}: {dim} runs at {actual:.6g} Hz, or not evenly (sample {int(np.argmax(off > 0.01 / rate))} is at "
             f"{time[np.argmax(off > 0.01 / rate)]:.6g} s); expected even steps from 0 s at {attribute} = "
             f"{float(rate):.6g} Hz"
         )
@@ -335,8 +336,8 @@ def load_recording(
     """
     path, wanted = Path(path), set(optional)
     if unknown := wanted - set(OPTIONAL_SIGNALS):
-        found = ", ".join(map(repr, sorted(unknown)))
-        raise ValueError(f"load_recording: optional has {found}; expected some of {', '.join(OPTIONAL_SIGNALS)}")
+        refused = ", ".join(map(repr, sorted(unknown)))
+        raise ValueError(f"load_recording: optional has {refused}; expected some of {', '.join(OPTIONAL_SIGNALS)}")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file, or a folder; expected a recording (netCDF4)")
     try:

@@ -1,4 +1,4 @@
-"""The one way in which a bad value is refused: field, value, what was expected."""
+"""Checks of values; each message names the owner, the field, its value, and what was expected."""
 
 import math
 from collections.abc import Sequence

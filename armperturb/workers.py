@@ -1,7 +1,7 @@
-"""Where a study's units of work are done: in this process, in processes of this machine, or on a Dask cluster.
+"""Worker processes: on this machine, or of a Dask cluster.
 
-A unit is done by a pure function: doing one again gives the same result, so a unit whose worker has died is simply done
-again, and which worker does which unit has no effect on any file.
+Work is divided into units, each of which a pure function computes. A unit whose worker has died is therefore computed
+again, and the assignment of units to workers has no effect on any file.
 """
 
 import logging
@@ -28,35 +28,35 @@ Result = TypeVar("Result")
 LOG = logging.getLogger(__name__)
 
 MAX_DEATHS = 3
-"""How often in a row workers may die before any unit gets done; then the fault is the units' and repeating is vain."""
+"""How often in succession workers may die before a unit is finished: beyond that, the unit itself is at fault."""
 
 MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(2**20)}
-"""Has glibc give back the memory of large arrays at once, which it else keeps: a fifth less at the peak, half after."""
+"""Makes glibc return the memory of large arrays at once: a fifth less memory at the peak, half as much afterwards."""
 
 DASK_TIMEOUT = 10.0
 """How long a Dask scheduler may take to answer [s]."""
 
 TICK = 0.2
-"""How long to wait for a unit before looking at the progress [s]."""
+"""Time between two looks at the progress [s]."""
 
 
 class Workers(Protocol):
-    """Processes that do units of work."""
+    """Processes that compute units of work."""
 
     remote: bool
     """Whether they may lack this machine's file system."""
 
     def submit(self, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
-        """Hand out a unit, to processes that are started if there are none."""
+        """Submit a unit, to processes that are started if there are none."""
 
     def at_once(self) -> int:
-        """How many units to hand out at once."""
+        """How many units to submit before the first is finished."""
 
     def threads(self, number: int, n_units: int) -> int:
         """Threads for one of `n_units` units, counted from 0 in the order in which they start."""
 
     def stop(self) -> None:
-        """Let go of everything that still runs, at once; more may be handed out later."""
+        """Give up everything that still runs, at once; more may be submitted later."""
 
 
 class LocalProcesses:
@@ -73,7 +73,7 @@ class LocalProcesses:
         self._executor: ProcessPoolExecutor | None = None
 
     def submit(self, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
-        """Hand out a unit, to processes that are started if there are none."""
+        """Submit a unit, to processes that are started if there are none."""
         with ctrl_c_held_back():
             if self._executor is None:
                 # Libraries with a pool of their own (BLAS) must not take every core in every process.
@@ -92,7 +92,7 @@ class LocalProcesses:
         return 2 * self.count
 
     def threads(self, number: int, n_units: int) -> int:
-        """The cores, shared out; among fewer in the last round if there is not enough work for every process."""
+        """The cores divided among the processes; in the last round among those that still have a unit."""
         last_round = n_units % self.count
         together = last_round if number >= n_units - last_round else self.count
         return max(1, cpu_count() // together)
@@ -132,7 +132,7 @@ class DaskCluster:
         self._executor: Executor | None = None
 
     def submit(self, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
-        """Hand out a unit."""
+        """Submit a unit."""
         if self._executor is None:
             if not self._client.ncores():
                 LOG.warning("the Dask cluster has no workers yet: waiting for some")
@@ -148,7 +148,7 @@ class DaskCluster:
         return 1
 
     def stop(self) -> None:
-        """Forget what still runs there."""
+        """Give up what still runs there."""
         executor, self._executor = self._executor, None
         if executor is not None:
             executor.shutdown(wait=False)
@@ -160,7 +160,7 @@ class DaskCluster:
 
 @contextmanager
 def workers_for(count: int, dask: str | None) -> Iterator[Workers | None]:
-    """The workers that a command asks for; None stands for this process itself.
+    """The workers to compute with; None stands for this process itself.
 
     Args:
       count: of local processes.
@@ -193,16 +193,16 @@ def completed(
     workers: Workers,
     tick: Callable[[], object] = lambda: None,
 ) -> Generator[Result]:
-    """Do units of work and give the results as they come, in no order.
+    """Compute units of work and yield the results as they are finished, in any order.
 
     Args:
-      function: does a unit; must give the same result whenever and wherever it is called.
-      units: what to do.
-      workers: who does it.
-      tick: called some times a second while waiting.
+      function: computes a unit; must give the same result whenever and wherever it is called.
+      units: arguments of the function.
+      workers: processes that compute.
+      tick: called several times a second while waiting.
 
     Raises:
-      RuntimeError: workers died again and again.
+      RuntimeError: workers died repeatedly.
       Exception: what the function raised; units that still run are given up.
     """
     waiting = deque(units)
@@ -228,14 +228,14 @@ def completed(
             deaths += 1
             if deaths > MAX_DEATHS:
                 raise RuntimeError(
-                    f"worker processes died {deaths} times in a row ({error}); expected enough memory for them (a "
+                    f"worker processes died {deaths} times in succession ({error}); expected enough memory for them (a "
                     "smaller --block or fewer --workers)"
                 ) from None
             waiting.extendleft(reversed(running.values()))
             why = " ".join(str(error).split())
-            LOG.warning("a worker process died; %d unfinished units are done again (%s)", len(running), why)
+            LOG.warning("a worker process died; %d unfinished units are computed again (%s)", len(running), why)
         except CancelledError:
-            raise RuntimeError("the workers gave up a unit; expected the cluster to stay until all is done") from None
+            raise RuntimeError("the workers gave up a unit; expected the cluster to stay until the end") from None
         finally:
             if not ended_well:
                 workers.stop()
@@ -243,16 +243,16 @@ def completed(
 
 @contextmanager
 def ctrl_c_held_back() -> Iterator[None]:
-    """Let a Ctrl-C take effect only after the block, and never in processes that start in it.
+    """Delay a Ctrl-C until the end of the block, and keep it from processes that start in it.
 
-    A terminal sends it to all processes, but it is this one that stops the others; and a pool that is interrupted while
-    its processes start loses count of them.
+    A terminal sends it to all processes, but this one stops the others; and a pool that is interrupted while its
+    processes start loses track of them.
     """
-    # The pool would start this helper of its own, which unblocks the signal.
+    # Otherwise the pool would start this helper itself, and unblock the signal.
     resource_tracker.ensure_running()
     pressed: list[int] = []
     in_main = threading.current_thread() is threading.main_thread()
-    # Blocking alone is passed on to processes, but here another thread (BLAS) may take the signal in.
+    # Processes inherit the blocked signal; here, another thread (BLAS) may still receive it.
     before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number)) if in_main else None
     can_block = hasattr(signal, "pthread_sigmask")
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if can_block else ()
@@ -268,7 +268,7 @@ def ctrl_c_held_back() -> Iterator[None]:
 
 
 def _on_its_own(function: Callable[[Unit], Result], unit: Unit) -> Result:
-    """Do a unit on a Dask worker as if there were no cluster."""
+    """Compute a unit on a Dask worker as if there were no cluster."""
     import dask
 
     # xarray would ask the cluster for a lock on every file that it writes, even on one in memory, which fails.

@@ -39,7 +39,7 @@ from armperturb.analysis.nonlinear.model import coordinate, true_values
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, median_peak, predict_pulses
 from armperturb.analysis.nonlinear.result import UNCERTAIN, NonlinearEstimate
 from armperturb.analysis.nonlinear.start import linear_arms
-from armperturb.analysis.nonlinear.trials import training_sets, trial_sets
+from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
 from armperturb.analysis.results import normal_quantile
 from armperturb.cohort import Person, draw_person
 from armperturb.envs.lab.experiment import run_experiment
@@ -167,7 +167,7 @@ def fit_person(part: str, path: Path, truth: Person) -> tuple[str, Results]:
         )
     results.errors[part, RATIO].append(_ratio(estimate, known))
     pulses = {model: list(of) for model, of in found.pulses.items()} | {"truth": []}
-    for one in training_sets(trial_sets(recording), directions)[1]:
+    for one in training_sets(fitted_conditions(recording), directions)[1]:
         pulses["truth"] += predict_pulses(one, THESIS.condition(one.label).subject_of(truth))
     own = defaultdict(list)
     for model in MODELS:
@@ -190,7 +190,8 @@ def judge_linear_person(part: str, seed: int) -> tuple[str, Results]:
     recording = run_experiment(trials, instruments=Instruments(emg=None, marker_noise=None), n_threads=1)
     clock = time.perf_counter()
     # Pulses have no say in the choice: they are not predicted here.
-    choice = compare_laws(training_sets(trial_sets(recording))[0], linear_arms(recording))
+    conditions = fitted_conditions(recording)
+    choice = compare_laws(training_sets(conditions)[0], linear_arms(conditions))
     results.verdicts[part].append((choice.chosen, time.perf_counter() - clock))
     return f"{part}, seed {seed}: {choice.chosen} chosen; {'; '.join(choice.verdict())}", results
 

@@ -1,6 +1,9 @@
-"""What mkdocs puts into pages that it builds: the command reference, from the dataclasses that parse the commands."""
+"""What mkdocs adds to the pages: references of commands, public names and modules, from the code itself."""
 
+import ast
 import inspect
+import itertools
+import re
 import types
 from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
@@ -14,6 +17,11 @@ from armperturb.commands.command import Command, field_texts
 
 PLACE = "<!-- commands -->"
 """Where the reference stands in `commands.md`."""
+
+NAMES = "<!-- names -->"
+"""Where the public names stand in `api/public.md`."""
+
+ROOT = Path(__file__).parents[1]
 
 
 class Argument(NamedTuple):
@@ -34,7 +42,48 @@ class Argument(NamedTuple):
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Called by mkdocs for each page; gives the markdown that is rendered."""
-    return markdown.replace(PLACE, reference()) if page.file.src_uri == "commands.md" else markdown
+    generated = {"commands.md": (PLACE, reference), "api/public.md": (NAMES, public_names)}
+    if page.file.src_uri in generated:
+        place, write = generated[page.file.src_uri]
+        return markdown.replace(place, write())
+    return re.sub(r"^::: (\S+)\.\*$", lambda folder: modules(folder[1]), markdown, flags=re.MULTILINE)
+
+
+def modules(package: str) -> str:
+    """The modules of a package, each as a line that mkdocstrings renders."""
+    names = sorted(path.stem for path in (ROOT / package.replace(".", "/")).glob("*.py") if path.stem[0] != "_")
+    return "\n\n".join(f"::: {package}.{name}" for name in names)
+
+
+def public_names() -> str:
+    """The names of `import armperturb` as a table, each with the first sentence of its text."""
+    lines = ["| name | meaning |", "|---|---|"]
+    for node in ast.parse((ROOT / "armperturb" / "__init__.pyi").read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.ImportFrom):
+            module, name = f"armperturb.{node.module}", node.names[0].name
+            path, text = _defined(module, name)
+            lines.append(f"| [`{name}`][{path}.{name}] | {text} |")
+    return "\n".join(lines)
+
+
+def _defined(module: str, name: str) -> tuple[str, str]:
+    """Module that defines a name, and the first sentence of the name's text."""
+    path = ROOT / module.replace(".", "/")
+    body = ast.parse((path / "__init__.py" if path.is_dir() else path.with_suffix(".py")).read_text("utf-8")).body
+    for node, after in itertools.zip_longest(body, body[1:]):
+        if isinstance(node, ast.ImportFrom) and name in {alias.name for alias in node.names}:
+            return _defined(str(node.module), name)
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and node.name == name:
+            return module, _sentence(ast.get_docstring(node) or "")
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        if any(isinstance(target, ast.Name) and target.id == name for target in targets):
+            return module, _sentence(after.value.value if isinstance(after, ast.Expr) else "")
+    raise ValueError(f"docs: {module} has no {name}; expected what armperturb/__init__.pyi imports")
+
+
+def _sentence(text: str) -> str:
+    first = text.strip().partition("\n\n")[0]
+    return " ".join(first.split()).replace("|", "\\|")
 
 
 def reference() -> str:
@@ -72,15 +121,15 @@ def _section(name: str, kind: type) -> str:
         "| argument | value | default | meaning |",
         "|---|---|---|---|",
     ]
-    for one in arguments(kind):
-        cells = (f"`{one.name}`", one.values, one.default or "must be given", one.meaning)
+    for argument in arguments(kind):
+        cells = (f"`{argument.name}`", argument.values, argument.default or "required", argument.meaning)
         lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
     return "\n".join(lines)
 
 
 def _usage(name: str, kind: type) -> str:
-    needed = [one for one in arguments(kind) if not one.default]
-    parts = [one.name if not one.name.startswith("-") else f"{one.name} {one.name[2:].upper()}" for one in needed]
+    names = [argument.name for argument in arguments(kind) if not argument.default]
+    parts = [name if not name.startswith("-") else f"{name} {name[2:].upper()}" for name in names]
     return " ".join(["armperturb", name, *parts, "[options]"])
 
 

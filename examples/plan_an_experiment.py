@@ -1,69 +1,72 @@
-"""Will my experiment tell what I want to know of this person, and which perturbation would tell it better?
+# %% [markdown]
+# # Plan an experiment
+#
+# How many trials does it take to know a parameter within 10 %, and which perturbation needs fewer? This tutorial
+# answers both from a pilot recording of the person, before the experiment. It needs the extra `sim`; the method is
+# described in [Plan an experiment](../design.md).
+#
+# ## Who will be perturbed
+#
+# The pilot is the position task of `examples/data`. The identified arm, as far as the pilot determines it, is the
+# person for whom the experiment is planned. Use the recording of a similar person, or `ap.POSITION`, if there is no
+# pilot.
 
-Run `python examples/plan_an_experiment.py [--pilot FILE] [--sidecar FILE.json] [--out FOLDER] [--fast]`. A pilot
-recording says who the person is, as far as it can; by default it is the position task of examples/data. The thesis's
-perturbation stands beside one that is made for the goal, within the same limits. What is promised holds for noise like
-that of synthetic people (docs/design.md). It writes perturbations that `armperturb simulate` plays, and a figure.
-"""
-
-import argparse
+# %%
 import math
-import sys
-from pathlib import Path
 
-from armperturb import identify
-from armperturb.convert import import_recording
-from armperturb.plots.style import save_png
-from armperturb.study.planning.plan import DesignSettings, design
-from armperturb.study.planning.report import write_design
+import armperturb as ap
 
-DATA = Path(__file__).resolve().parent / "data"
+pilot, _ = ap.import_recording(["examples/data/position.csv"])
+person = ap.identify(pilot, model="3b").fit.arm
 
-MODEL = {"PT": "3b", "RT": "1"}
-GOAL = {"PT": "reflex", "RT": "intrinsic"}
-LIMITS = {
-    "PT": {"force": 5.4, "displacement": 0.0075, "duration": 32.0},
-    "RT": {"force": 0.9, "displacement": 0.010, "duration": 32.0},
-}
-"""RMS force per axis [N], RMS displacement per axis [m] and duration [s] of a trial, as in the thesis's conditions."""
+# %% [markdown]
+# ## The plan
+#
+# The goal is the reflexes, which are the hardest to determine. The limits per trial are those of the thesis's
+# condition PT7.5: 5.4 N and 7.5 mm RMS per axis, and 32 s. The thesis's multisine, made as strong as the same limits
+# allow, is the reference.
 
-GOOD = 0.10
-"""Standard error that is good enough, over the value [-]."""
+# %%
+settings = ap.DesignSettings(
+    subject=person, goal="reflex", force=5.4, displacement=0.0075, duration=32.0, model="3b", trials=2, seed=1
+)
+plan = ap.design(settings)
+plan
 
+# %% [markdown]
+# The picture shows how standard errors fall with duration and number of trials, and where the optimised multisine has
+# its power: at few frequencies, around those at which the reflexes show most.
 
-def trials_needed(trials: int, standard_error: float, value: float) -> int:
-    """Trials after which a parameter is known as well as `GOOD`: errors fall with the root of their number."""
-    return math.ceil(trials * (standard_error / (GOOD * value)) ** 2)
+# %% alt="Standard errors against duration and number of trials, and spectra of both multisines"
+plan.plot()
+# %% [markdown]
+# ## How many trials?
+#
+# Standard errors fall with the root of the number of trials:
 
+# %%
+table = plan.to_frame()
+for row in table[table["goal"] == 1].itertuples():
+    needed = [math.ceil(2 * (sem / (0.1 * abs(row.value))) ** 2) for sem in (row.sem_thesis, row.sem_optimised)]
+    print(f"{row.parameter:6} {row.value:6.2f}: 10 % after {needed[0]:3} trials of the thesis, {needed[1]:3} optimised")
 
-def main(pilot: Path, sidecar: Path | None, folder: Path, trials: int) -> None:
-    recording = import_recording([pilot], sidecar=sidecar).recording
-    task = str(recording["task"].values[0])
-    person = identify(recording, model=MODEL[task]).fit.arm
-    plan = design(
-        DesignSettings(subject=person, goal=GOAL[task], **LIMITS[task], model=MODEL[task], trials=trials, seed=1)
-    )
-    print(plan.summary())
-    print(f"\ntrials of {LIMITS[task]['duration']:g} s until the standard error is {GOOD:.0%} of the value:")
-    for row in plan.to_frame().to_dict("records"):
-        if row["goal"] and row["value"]:
-            usual, better = (trials_needed(trials, row[sem], row["value"]) for sem in ("sem_thesis", "sem_optimised"))
-            print(f"  {row['parameter']:6} {usual:4d} of the thesis's, {better:4d} optimised")
-    print("That is of one who is the same in every trial, and as the pilot says: what it does not know, no plan does.")
+# %% [markdown]
+# The prediction is a lower bound for a person who is the same in every trial and as the pilot says. [Known
+# limits](../design.md#known-limits) of a plan include people who vary from trial to trial and muscles that are not
+# linear.
+#
+# ## Use it
+#
+# Each trial has a realisation of its own, which a manipulator can play from a file:
 
-    write_design(plan, folder / "plan")
-    save_png(plan.plot().flat[0].figure, folder / "plan_an_experiment.png", 110)
-    print(f"wrote {folder / 'plan_an_experiment.png'}, and tables and {trials} perturbations to {folder / 'plan'}")
+# %%
+for number, perturbation in enumerate(plan.perturbations, 1):
+    ap.save_perturbation(perturbation, f"trial_{number}.csv", rate=200.0)
+trials = [ap.Trial(subject=person, perturbation=played, seed=i) for i, played in enumerate(plan.perturbations)]
+recording = ap.run_experiment(trials, instruments=ap.Instruments())
+rms = 1e3 * float((recording["displacement"] ** 2).mean() ** 0.5)
+print(f"RMS displacement in a simulation of the plan: {rms:.1f} mm per axis")
 
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--pilot", type=Path, default=DATA / "position.csv", metavar="FILE")
-    parser.add_argument("--sidecar", type=Path)
-    parser.add_argument("--out", type=Path, default=Path("example"), metavar="FOLDER")
-    parser.add_argument("--fast", action="store_true", help="one trial instead of four")
-    given = parser.parse_args()
-    try:
-        main(given.pilot, given.sidecar, given.out, 1 if given.fast else 4)
-    except (TypeError, ValueError, OSError) as error:
-        sys.exit(f"{error}")
+# %% [markdown]
+# On the command line, `armperturb design --subject person.toml --goal reflex --force 5.4 --displacement 0.0075
+# --duration 32 --out plan` writes tables, the picture and the perturbations.

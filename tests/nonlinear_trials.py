@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from armperturb.analysis.force_balance import NoiseLevels
-from armperturb.analysis.nonlinear.trials import TrialSet
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.cohort import average_person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
@@ -51,18 +51,7 @@ def record(person, pushes, *, noisy=False, condition="RT7.5", timestep=2.5e-3, r
     return run_experiment(trials, environment, timestep=timestep, rate=rate, n_threads=1)
 
 
-def trial_set(recording, person, environment=None):
+def trial_set(recording, environment=None):
     """The trials as a fit takes them, with a manipulator that is known."""
-    n = recording.sizes["time"]
-    return TrialSet(
-        label=str(recording["condition"].values[0]),
-        body=replace(person, muscle=None),
-        environment=environment or Environment(),
-        noise=NoiseLevels(0.01, 1e-5),
-        rate=float(recording.attrs["rate"]),
-        perturbation=np.array(recording["perturbation"].values),
-        displacement=np.array(recording["displacement"].values),
-        onset=np.full(recording.sizes["trial"], n),
-        direction_deg=np.full(recording.sizes["trial"], np.nan),
-        end=n,
-    )
+    instruments = environment or Environment(), NoiseLevels(0.01, 1e-5)
+    return replace(ConditionTrials.prepare(recording), given=instruments)

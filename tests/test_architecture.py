@@ -19,7 +19,7 @@ ARM = BASE | {
 }  # fmt: skip
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear"}
 LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
-STUDY = LAB | ANALYSIS | {"envs.lab", "archive", "workers", "study.protocol", "study.published"}
+STUDY = LAB | ANALYSIS | {"envs.lab", "archive", "workers", "progress", "study.protocol", "study.published"}
 ARROWS = {
     "arrays": set(),
     "validation": set(),
@@ -33,6 +33,7 @@ ARROWS = {
     "recording": {"files", "foreign"},
     "archive": {"files"},
     "workers": {"extras"},
+    "progress": set(),
     "perturbations": BASE,
     "controllers": BASE,
     "planar_arm": ARM | {"controllers", "perturbations"},
@@ -55,7 +56,7 @@ ARROWS = {
     "envs.learning": LAB | {"envs.lab", "envs.render"},
     "study.published": BASE,
     "study.protocol": LAB | {"envs.lab"},
-    "study.recording": LAB | {"envs.lab", "workers", "study.protocol"},
+    "study.recording": LAB | {"envs.lab", "workers", "progress", "study.protocol"},
     "study.results": STUDY | {"study.recording"},
     "study.comparison": STUDY | {"study.results"},
     "study.experiments": STUDY | {"study.recording", "study.results"},

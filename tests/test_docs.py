@@ -1,23 +1,27 @@
-"""The documentation holds together: links, navigation, commands and symbols; `make docs` builds it."""
+"""The documentation holds together: links, navigation, commands, symbols, equations; `make docs` builds it."""
 
 import dataclasses
-import importlib
+import html
 import re
 import runpy
+import shutil
+import subprocess
 import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from armperturb import POSITION, Multisine, Subject, cli, load_recording
+from armperturb import POSITION, Environment, Multisine, MuscleLaw, Strap, Subject, cli, load_recording
+from armperturb.controllers.muscle import MuscleState
 from armperturb.perturbations import Perturbation
 from armperturb.recording import MUSCLES, SIGNALS, TRIAL_COORDINATES
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted(DOCS.rglob("*.md"))
-TEXTS = [*PAGES, ROOT / "README.md"]
+TEXTS = [*PAGES, *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "examples/README.md"))]
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 HOOKS = runpy.run_path(str(DOCS / "hooks.py"))
 COMMANDS, REFERENCE = HOOKS["commands"](), HOOKS["reference"]()
 
@@ -32,10 +36,10 @@ def without_code(text):
 
 def anchors(path):
     """Anchors of a page's headings, and of the modules that its reference shows."""
-    text = path.read_text(encoding="utf-8")
+    text = path.read_text(encoding="utf-8").replace(HOOKS["PLACE"], REFERENCE)
     headings = re.findall(r"^#+ (.+)$", re.sub(r"```.*?```", "", text, flags=re.S), re.M)
-    kept = [re.sub(r"[^\w\s-]", "", heading.lower()).strip() for heading in headings]
-    return {re.sub(r"[\s]+", "-", one) for one in kept} | set(re.findall(r"^::: (\S+)$", text, re.M))
+    plain = [re.sub(r"[^\w\s-]", "", heading.lower()).strip() for heading in headings]
+    return {re.sub(r"[\s]+", "-", heading) for heading in plain} | set(re.findall(r"^::: (\S+)$", text, re.M))
 
 
 def cells(row):
@@ -81,7 +85,7 @@ def typed_help(capsys, *arguments):
 
 def test_reference_has_the_commands_that_can_be_typed(capsys):
     offered = re.search(r"\{([a-z,\s]+)\}", typed_help(capsys)).group(1)
-    assert set(COMMANDS) == {one.strip() for one in offered.split(",")}
+    assert set(COMMANDS) == {name.strip() for name in offered.split(",")}
     assert (DOCS / "commands.md").read_text(encoding="utf-8").count(HOOKS["PLACE"]) == 1
 
 
@@ -91,7 +95,7 @@ def test_reference_has_all_arguments_of_a_command(command, capsys):
     section = REFERENCE.split(f"## {command}\n", 1)[1].split("\n## ", 1)[0]
     documented = {cells(row)[0].strip("`") for row in section.splitlines() if row.startswith("| `")}
     typed = set(re.findall(r"--[a-z][a-z-]*", text)) - {"--help"}
-    assert {one for one in documented if one.startswith("--")} == typed
+    assert {name for name in documented if name.startswith("--")} == typed
     for row in section.splitlines():
         if row.startswith("| `"):
             name, values, default, meaning = cells(row)
@@ -127,71 +131,77 @@ def test_commands_that_are_shown_can_be_typed(arguments, monkeypatch, capsys):
     assert capsys.readouterr().err == "armperturb: error: understood\n"
 
 
-def resolved(name):
-    """What a dotted name of the package stands for; fields of dataclasses and named tuples count."""
-    parts = ["armperturb", *name.split(".")]
-    for length in range(len(parts), 0, -1):
-        try:
-            found = importlib.import_module(".".join(parts[:length]))
-        except ModuleNotFoundError:
-            continue
-        for part in parts[length:]:
-            if dataclasses.is_dataclass(found) and part in {field.name for field in dataclasses.fields(found)}:
-                return found
-            found = getattr(found, part)
-        return found
-    raise AssertionError(name)
-
-
-def symbol_rows():
-    for line in (DOCS / "symbols.md").read_text(encoding="utf-8").splitlines():
-        if line.startswith("| ") and not line.startswith("| symbol"):
-            yield cells(line)
+def symbols():
+    """Names in code of the glossary, without quotes."""
+    rows = [line for line in (DOCS / "glossary.md").read_text(encoding="utf-8").splitlines() if line.startswith("| ")]
+    return {name for row in rows for name in re.findall(r"`([^`]+)`", cells(row)[1])}
 
 
 def test_symbols_name_code_that_exists():
-    names = [name for row in symbol_rows() for name in re.findall(r"`([^`]+)`", row[1])]
-    assert len(names) > 90
-    for name in names:
-        if variable := re.fullmatch(r'recording\["(\w+)"\]', name):
-            assert variable.group(1) in {**SIGNALS, **TRIAL_COORDINATES}, name
-        else:
-            assert resolved(name) is not None, name
+    kinds = (Subject, MuscleLaw, Environment, Strap)
+    names = {f"{kind.__name__}.{field.name}" for kind in kinds for field in dataclasses.fields(kind)}
+    names |= {f"MuscleState.{name}" for name in MuscleState.__annotations__}
+    names |= {f'recording["{name}"]' for name in (*SIGNALS, *TRIAL_COORDINATES)}
+    assert symbols() <= names
 
 
-def test_page_on_the_report_names_code_that_exists():
-    names = re.findall(r"`((?:study|analysis)\.[\w.]+)`", (DOCS / "report.md").read_text(encoding="utf-8"))
-    assert len(names) > 15
-    for name in names:
-        assert resolved(name) is not None, name
-
-
-def test_every_parameter_of_a_person_and_the_manipulator_has_a_symbol():
-    from armperturb.environment import Environment, Strap
-    from armperturb.subject import Subject
-
-    named = " ".join(row[1] for row in symbol_rows())
-    text = {Subject: {"task", "name", "muscle"}, Environment: {"workspace"}, Strap: set()}
+def test_every_parameter_has_a_symbol():
+    text = {Subject: {"task", "name", "muscle"}, Environment: {"workspace"}, Strap: set(), MuscleLaw: set()}
     for kind, others in text.items():
-        for field in dataclasses.fields(kind):
-            assert field.name in others or f".{kind.__name__}.{field.name}`" in named, field.name
+        assert {
+            f"{kind.__name__}.{field.name}" for field in dataclasses.fields(kind) if field.name not in others
+        } <= symbols()
 
 
-def test_every_parameter_of_a_muscle_law_has_a_symbol():
-    from armperturb.controllers.muscle import MuscleState
-    from armperturb.muscle_law import MuscleLaw
-
-    rows = table_below((DOCS / "muscle.md").read_text(encoding="utf-8"), "Equations")
-    named = [row[1].strip("`").removeprefix("MuscleState.") for row in rows]
-    of_law = [field.name for field in dataclasses.fields(MuscleLaw)]
-    assert set(named) - set(of_law) <= set(MuscleState.__annotations__)
-    assert set(of_law) <= set(named)
+def test_every_term_is_defined_once():
+    text = (DOCS / "glossary.md").read_text(encoding="utf-8")
+    terms = [row[0] for heading in ("Tasks and conditions", "Terms") for row in table_below(text, heading)]
+    assert len(terms) > 40
+    assert len(set(terms)) == len(terms)
 
 
-def test_symbols_have_sources():
-    for symbol, name, meaning, _, source in symbol_rows():
-        assert meaning, (symbol, name)
-        assert source, (symbol, name)
+@pytest.mark.parametrize("page", ["docs/verification.md", "CONTRIBUTING.md"])
+def test_files_that_are_named_exist(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    names = re.findall(r"\b((?:tests|armperturb|docs|examples)/[\w./-]+\.(?:py|md|html|toml))\b", text)
+    names += [name.replace(".", "/") + ".py" for name in re.findall(r"python -m (benchmarks\.\w+)", text)]
+    assert len(names) > 10
+    assert [name for name in names if not (ROOT / name).is_file()] == []
+
+
+def test_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 800
+
+
+def test_citation_is_of_this_version():
+    lines = (ROOT / "CITATION.cff").read_text(encoding="utf-8").splitlines()
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert {"cff-version: 1.2.0", f"version: {project['version']}", f"license: {project['license']}"} <= set(lines)
+
+
+EQUATION = re.compile(r"\$\$(.+?)\$\$|\$([^$\n]+)\$", re.S)
+
+
+@pytest.mark.slow("starts a browser")
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on PATH: equations are not drawn")
+def test_equations_are_drawn(tmp_path):
+    equations = [
+        (page.name, *found) for page in PAGES for found in EQUATION.findall(without_code(page.read_text("utf-8")))
+    ]
+    assert len(equations) > 150
+    places = "".join(
+        f'<{tag} class="arithmatex">\\({html.escape(display or inline)}\\)</{tag}>'
+        for _, display, inline in equations
+        for tag in (["div"] if display else ["span"])
+    )
+    scripts = "".join(
+        f'<script src="{(DOCS / "katex" / name).as_uri()}"></script>' for name in ("katex.min.js", "equations.js")
+    )
+    (tmp_path / "page.html").write_text(f"<!DOCTYPE html><meta charset=utf-8><body>{places}{scripts}", encoding="utf-8")
+    command = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom", (tmp_path / "page.html").as_uri()]
+    drawn = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+    assert drawn.count('class="katex"') == len(equations)
+    assert re.findall(r'class="katex-error"[^>]*title="([^"]*)"', drawn) == []
 
 
 def test_recording_format_is_that_of_the_code():
@@ -207,14 +217,14 @@ def test_recording_format_is_that_of_the_code():
 
 def test_page_on_the_report_names_every_section_table_and_figure():
     text = (DOCS / "report.md").read_text(encoding="utf-8")
-    study = ROOT / "armperturb" / "study"
-    templates = "".join(path.read_text(encoding="utf-8") for path in sorted((study / "templates").glob("*.html")))
+    report = ROOT / "armperturb" / "study" / "report"
+    templates = "".join(path.read_text(encoding="utf-8") for path in sorted((report / "templates").glob("*.html")))
     shown = re.findall(r'call (?:figure|table)\("(\w+)"', templates)
     assert len(shown) > 30
     for name in shown:
         rest = r"[\w*]+" if name.endswith("_") else r"(?:\*|PT)?"  # some go on with the task
         assert re.search(rf"`(?:tables/)?{name}{rest}`|`tables/{name}\.csv`", text), name
-    for title in re.findall(r'title="([^"]+)"', (study / "sections.py").read_text(encoding="utf-8")):
+    for title in re.findall(r'title="([^"]+)"', (report / "sections.py").read_text(encoding="utf-8")):
         assert re.search(rf"^## .*{title}", text, re.M | re.I), title
 
 
@@ -230,7 +240,7 @@ def test_recording_of_ones_own_is_one(tmp_path, monkeypatch):
 
 
 def test_first_files_are_written(tmp_path, monkeypatch):
-    from armperturb import Subject, load_perturbation
+    from armperturb import load_perturbation
 
     monkeypatch.chdir(tmp_path)
     exec(python_blocks("index.md")[0], {})
@@ -244,5 +254,5 @@ def test_versions_of_the_documentation_are_pinned():
     ]
     pinned = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     names = {line.partition("==")[0].lower() for line in pinned}
-    assert {re.match(r"[\w-]+", one).group().lower() for one in extra} <= names
+    assert {re.match(r"[\w-]+", package).group().lower() for package in extra} <= names
     assert pinned == sorted(pinned, key=str.lower)

@@ -47,24 +47,24 @@ def wait_long(_):
 
 def test_all_units_are_done_once():
     ticks = []
-    with workers_for(2, None) as crew:
+    with workers_for(2, None) as pool:
         for first in (0, 20):  # the processes stay for more
-            found = list(completed(square, range(first, first + 20), crew, lambda: ticks.append(0)))
+            found = list(completed(square, range(first, first + 20), pool, lambda: ticks.append(0)))
             assert sorted(found) == [n**2 for n in range(first, first + 20)]
     assert ticks
 
 
 def test_units_of_a_killed_worker_are_done_again_and_none_doubled(tmp_path, caplog):
     units = [(n, str(tmp_path / str(n // 4))) for n in range(8)]
-    with caplog.at_level(logging.WARNING), workers_for(2, None) as crew:
-        found = list(completed(die_once, units, crew))
+    with caplog.at_level(logging.WARNING), workers_for(2, None) as pool:
+        found = list(completed(die_once, units, pool))
     assert sorted(found) == list(range(8))
     assert "a worker process died" in caplog.text
 
 
 def test_workers_that_always_die_end_it(monkeypatch):
     monkeypatch.setattr(workers, "MAX_DEATHS", 1)
-    with pytest.raises(RuntimeError, match="worker processes died 2 times in a row"):
+    with pytest.raises(RuntimeError, match="worker processes died 2 times in succession"):
         list(completed(die, range(3), LocalProcesses(1)))
 
 
@@ -74,8 +74,8 @@ def test_what_a_unit_raises_comes_through():
 
 
 def test_closing_stops_at_once():
-    crew = LocalProcesses(2)
-    results = completed(wait_long, range(4), crew, lambda: (_ for _ in ()).throw(KeyboardInterrupt))
+    pool = LocalProcesses(2)
+    results = completed(wait_long, range(4), pool, lambda: (_ for _ in ()).throw(KeyboardInterrupt))
     start = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         next(results)
@@ -90,9 +90,9 @@ def test_ctrl_c_does_not_reach_the_processes():
     # In a process of its own: what the pool leaves running in this one would hide how the first one starts.
     code = (
         "from tests.test_workers import *\n"
-        "crew = LocalProcesses(2)\n"
-        "print(set(completed(ctrl_c_is_blocked, range(6), crew)), flush=True)\n"
-        "crew.stop()\n"
+        "pool = LocalProcesses(2)\n"
+        "print(set(completed(ctrl_c_is_blocked, range(6), pool)), flush=True)\n"
+        "pool.stop()\n"
     )
     run = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert run.stdout == "{True}\n"
@@ -114,26 +114,26 @@ def test_ctrl_c_waits_until_the_processes_have_started(monkeypatch, ctrl_c_is_he
 
     started, begin = [], ProcessPoolExecutor._adjust_process_count
     monkeypatch.setattr(ProcessPoolExecutor, "_adjust_process_count", start)
-    crew = LocalProcesses(2)
+    pool = LocalProcesses(2)
     with pytest.raises(KeyboardInterrupt):
-        crew.submit(square, 1)
+        pool.submit(square, 1)
     assert started == [2]
-    processes = [psutil.Process(pid) for pid in crew._executor._processes]
-    crew.stop()
+    processes = [psutil.Process(pid) for pid in pool._executor._processes]
+    pool.stop()
     assert psutil.wait_procs(processes, timeout=10.0)[1] == []
 
 
 def test_cores_are_shared_out(monkeypatch):
     monkeypatch.setattr(workers, "cpu_count", lambda: 8)
-    crew = LocalProcesses(4)
-    assert [crew.threads(number, 10) for number in range(10)] == [2] * 8 + [4] * 2
-    assert [crew.threads(number, 2) for number in range(2)] == [4] * 2
+    pool = LocalProcesses(4)
+    assert [pool.threads(number, 10) for number in range(10)] == [2] * 8 + [4] * 2
+    assert [pool.threads(number, 2) for number in range(2)] == [4] * 2
     assert LocalProcesses(16).threads(0, 16) == 1
 
 
 def test_one_worker_is_this_process():
-    with workers_for(1, None) as crew:
-        assert crew is None
+    with workers_for(1, None) as pool:
+        assert pool is None
 
 
 def test_dask_is_told_to_be_missing(monkeypatch):

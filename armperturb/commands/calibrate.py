@@ -7,6 +7,7 @@ from typing import Literal
 
 from armperturb.commands.command import Command
 from armperturb.files import require_folder_of
+from armperturb.progress import Progress
 from armperturb.subject import TASKS
 
 
@@ -32,16 +33,19 @@ class Calibrate(Command):
         if "full" not in self.laws:
             raise ValueError(f"laws = {self.laws!r}; expected 'full' among them, as its person is written")
         require_folder_of(self.out)
+        searches = [(law, task) for law in dict.fromkeys(self.laws) for task in TASKS]
         calibrations = []
-        for law in dict.fromkeys(self.laws):
-            for task in TASKS:
+        with Progress("calibration", total=len(searches) * self.iterations, unit="steps") as bar:
+            for number, (law, task) in enumerate(searches, start=1):
 
                 def report_progress(line: str, name: str = f"{law}, {task}") -> None:
-                    print(f"{name}: {line}", file=sys.stderr, flush=True)
+                    bar.write(f"{name}: {line}", file=sys.stderr)
+                    bar.update()
 
                 calibrations.append(
                     calibrate(task, law, seed=self.seed, max_iterations=self.iterations, progress=report_progress)
                 )
+                bar.update(number * self.iterations - bar.n)
         save_calibrations(self.out, calibrations)
         lines = [
             f"{row['law']}, {row['task']}, {row['n']} cells {row['cells']}: {row['within_0.5_sd']:.0%} within 0.5, "

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from armperturb.commands.command import Command
+from armperturb.progress import stages
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,5 +30,12 @@ class Report(Command):
         from armperturb.study.report.report import write_report
         from armperturb.study.results.analyse import analyse_study
 
-        result = analyse_study(self.folder, workers=self.workers, nonlinear=self.nonlinear)
-        return [f"report: {write_report(result, self.folder, workers=self.workers)}"]
+        with stages(analysis_stages(nonlinear=bool(self.nonlinear))):
+            result = analyse_study(self.folder, workers=self.workers, nonlinear=self.nonlinear)
+            return [f"report: {write_report(result, self.folder, workers=self.workers)}"]
+
+
+def analysis_stages(*, nonlinear: bool) -> dict[str, float]:
+    """Stages of the analysis of a study and of its report, to their usual shares of the time."""
+    fits = {"nonlinear fits": 300.0} if nonlinear else {}
+    return {"analysis": 40.0, **fits, "mechanisms": 10.0, "figures": 10.0}

@@ -87,12 +87,12 @@ class Response(Command):
 
 
 def write_response(
-    found: FrequencyResponse, distortion: BestLinear | None, folder: str | Path, condition: str
+    estimate: FrequencyResponse, distortion: BestLinear | None, folder: str | Path, condition: str
 ) -> list[Path]:
     """Write `response.csv` and `response.svg`, and `distortion.csv` and `.svg` if there are any, into a folder.
 
     Args:
-      found: the response.
+      estimate: the response.
       distortion: levels of noise and distortion; None removes those of an earlier run.
       folder: where; it is made if needed.
       condition: for the last column of the tables.
@@ -108,8 +108,8 @@ def write_response(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / name for name in ("response.csv", "response.svg", "distortion.csv", "distortion.svg")]
-    write_csv(found.to_frame().assign(condition=condition), paths[0])
-    save_plot(found, paths[1])
+    write_csv(estimate.to_frame().assign(condition=condition), paths[0])
+    save_plot(estimate, paths[1])
     if distortion is None:
         for path in paths[2:]:
             path.unlink(missing_ok=True)

@@ -5,7 +5,12 @@ from pathlib import Path
 from typing import Literal
 
 from armperturb.commands.command import Command
+from armperturb.commands.report import analysis_stages
+from armperturb.progress import stages
 from armperturb.study.recording.settings import BLOCK, StudySettings
+
+RECORDING = 40.0
+"""Usual share of the time of a study, see `analysis_stages`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,12 +44,13 @@ class Study(Command):
         from armperturb.study.report.report import write_report
         from armperturb.study.results.analyse import run_study
 
-        result = run_study(
-            self.settings,
-            self.out,
-            workers=self.workers,
-            dask=self.dask,
-            block=self.block,
-            nonlinear=self.nonlinear,
-        )
-        return [f"report: {write_report(result, self.out, workers=self.workers)}"]
+        with stages({"recording": RECORDING} | analysis_stages(nonlinear=bool(self.nonlinear))):
+            result = run_study(
+                self.settings,
+                self.out,
+                workers=self.workers,
+                dask=self.dask,
+                block=self.block,
+                nonlinear=self.nonlinear,
+            )
+            return [f"report: {write_report(result, self.out, workers=self.workers)}"]

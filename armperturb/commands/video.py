@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from tqdm import tqdm
 
 from armperturb.commands.command import Command
 from armperturb.envs.render.clip import Clip
+from armperturb.progress import Progress
 from armperturb.recording import load_recording
 
 
@@ -34,7 +34,7 @@ class Video(Command):
         require_ending(self.out)
         recording = load_recording(self.recording, optional=SIGNALS)
         replay = Replay.of_trial(recording, self.trial, str(self.recording))
-        with tqdm(desc="video", unit="frame", disable=None) as bar:
+        with Progress("video", total=0, unit="frames") as bar:
 
             def report_progress(done: int, total: int) -> None:
                 bar.total = total

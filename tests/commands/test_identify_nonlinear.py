@@ -70,6 +70,7 @@ def rows(path):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow(reason="simulates trials and fits them")
 def test_a_search_that_is_interrupted_goes_on_and_writes_what_it_found(path, capsys, monkeypatch):
     out, save = path.parent / "out", estimate.save_position
     with monkeypatch.context() as patch:
@@ -119,6 +120,7 @@ def test_a_search_that_is_interrupted_goes_on_and_writes_what_it_found(path, cap
     assert summary["choice"] is None
 
 
+@pytest.mark.slow(reason="simulates trials")
 def test_settings_that_do_not_go_together_are_refused(path, capsys):
     def refused(*options):
         assert run(path, *options) == 1

@@ -19,7 +19,7 @@ def digest_of(problem: Problem, *origin: object) -> str:
     digest = hashlib.sha256(repr((problem.parameters.model, *origin)).encode())
     for trials in problem.sets:
         digest.update(repr((trials.label, trials.body, trials.environment, trials.end)).encode())
-        for signal in (trials.perturbation, trials.displacement):
+        for signal in (trials.drive, trials.displacement):
             digest.update(np.ascontiguousarray(signal).tobytes())
     return digest.hexdigest()
 

@@ -26,8 +26,8 @@ from armperturb.analysis.nonlinear.model import Law, Model, bounds, stem
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, median_peak, median_vaf, predict_pulses
 from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem, State
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
-from armperturb.analysis.nonlinear.trials import TrialSet
 from armperturb.analysis.results import Description, Result, Table
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -175,9 +175,9 @@ class Choice(Result):
 
 
 def compare_laws(
-    sets: Sequence[TrialSet],
+    sets: Sequence[ConditionTrials],
     arms: Mapping[str, Subject],
-    left_out: Sequence[TrialSet] = (),
+    left_out: Sequence[ConditionTrials] = (),
     *,
     laws: Sequence[Law] = LAWS,
     mechanisms: bool = False,
@@ -256,7 +256,7 @@ def compare_laws(
     return Choice(judged=judged, chosen=chosen, gains=gains, mechanisms=singly)
 
 
-Fold = tuple[list[TrialSet], list[TrialSet]]
+Fold = tuple[list[ConditionTrials], list[ConditionTrials]]
 """Trials to fit and trials to leave out, set by set; a set may leave out nothing."""
 
 
@@ -272,7 +272,7 @@ class _Fits:
     threads: int
 
     def fit(
-        self, trials: Sequence[TrialSet], model: Model, name: str, start: Mapping[str, float], n_pairs: int
+        self, trials: Sequence[ConditionTrials], model: Model, name: str, start: Mapping[str, float], n_pairs: int
     ) -> NonlinearEstimate:
         """A fit of that name, which starts from the values that its law has too."""
         report = self.progress
@@ -313,7 +313,7 @@ class _Fits:
         return judged, estimates
 
 
-def _folds(sets: Sequence[TrialSet]) -> list[Fold]:
+def _folds(sets: Sequence[ConditionTrials]) -> list[Fold]:
     folds = []
     for fold in range(N_FOLDS):
         train, test = [], []
@@ -328,7 +328,7 @@ def _folds(sets: Sequence[TrialSet]) -> list[Fold]:
 
 def left_out_likelihood(
     estimate: NonlinearEstimate,
-    sets: Sequence[TrialSet],
+    sets: Sequence[ConditionTrials],
     arms: Mapping[str, Subject],
     *,
     n_pairs: int = N_PAIRS_OF_FOLDS,
@@ -369,5 +369,5 @@ def left_out_likelihood(
         if np.all(np.abs(step) < 0.05 / np.sqrt(np.diag(normal.matrix))):
             break
     matrix = problem.normal(state, predicted).matrix
-    curvature = np.array([np.linalg.slogdet(matrix[own, own])[1] for own in problem.own_effects])
+    curvature = np.array([np.linalg.slogdet(matrix[places, places])[1] for places in problem.effects_of])
     return -0.5 * (problem.costs(state, predicted) + problem.log_determinants(state) + curvature)

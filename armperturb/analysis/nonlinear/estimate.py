@@ -20,7 +20,7 @@ from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem
 from armperturb.analysis.nonlinear.result import NonlinearEstimate, remarks_on
 from armperturb.analysis.nonlinear.search import CONVERGED, MAX_STEPS, Position, Search, Solution, inverse
 from armperturb.analysis.nonlinear.start import best_start, start_values
-from armperturb.analysis.nonlinear.trials import TrialSet
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.subject import Subject
 
 N_PAIRS = 6
@@ -34,7 +34,7 @@ AT_BOUND = 1e-3
 
 
 def fit(
-    sets: Sequence[TrialSet],
+    sets: Sequence[ConditionTrials],
     arms: Mapping[str, Subject],
     model: Model | None = None,
     *,
@@ -82,7 +82,7 @@ def fit(
     return _estimate(problem, search.run(), n_pairs_of_errors, seed + 1)
 
 
-def free_parameters(sets: Sequence[TrialSet], model: Model) -> Parameters:
+def free_parameters(sets: Sequence[ConditionTrials], model: Model) -> Parameters:
     """What is free in a structure for these trials.
 
     Raises:
@@ -91,7 +91,7 @@ def free_parameters(sets: Sequence[TrialSet], model: Model) -> Parameters:
     return Parameters(model, *_people(sets))
 
 
-def _people(sets: Sequence[TrialSet]) -> tuple[dict[str, Subject], dict[str, tuple[str, ...]]]:
+def _people(sets: Sequence[ConditionTrials]) -> tuple[dict[str, Subject], dict[str, tuple[str, ...]]]:
     if not sets:
         raise ValueError("no trials; expected at least one")
     for name in ("name", "l_h", "l_f", "theta_s_deg", "theta_e_deg"):
@@ -112,14 +112,14 @@ def _people(sets: Sequence[TrialSet]) -> tuple[dict[str, Subject], dict[str, tup
     return bodies, conditions
 
 
-def nearest_arms(sets: Sequence[TrialSet], arms: Mapping[str, Subject]) -> dict[str, Subject]:
+def nearest_arms(sets: Sequence[ConditionTrials], arms: Mapping[str, Subject]) -> dict[str, Subject]:
     """Condition to its linear arm, or to that of the condition of its task whose movements are nearest in size.
 
     Raises:
       ValueError: there is no arm of a task.
     """
 
-    def size(trials: TrialSet) -> float:
+    def size(trials: ConditionTrials) -> float:
         return float(np.log(trials.displacement[:, : trials.end].std()))
 
     nearest = {}

@@ -22,7 +22,7 @@ from armperturb.analysis.nonlinear.prediction import (
 )
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.nonlinear.start import linear_arms
-from armperturb.analysis.nonlinear.trials import training_sets, trial_sets
+from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
 from armperturb.analysis.results import Description, Result
 from armperturb.subject import Subject
 
@@ -135,14 +135,14 @@ def identify_nonlinear(
       ModuleNotFoundError: numba is not installed.
     """
     directions = list(pulse_directions_deg)
-    sets = trial_sets(recording)
+    sets = fitted_conditions(recording)
     recorded = {float(deg) for trials in sets.values() for deg in trials.direction_deg if not np.isnan(deg)}
     for wanted in directions:
         if not any(math.isclose(wanted, deg) for deg in recorded):
             known = ", ".join(f"{deg:g}" for deg in sorted(recorded)) or "none, as there are no pulses"
             raise ValueError(f"pulses: no pulse in the direction {wanted:g} deg; expected some of {known}")
     fitted, left_out = training_sets(sets, directions)
-    arms = linear_arms(recording, window_start=window_start, period=period)
+    arms = linear_arms(sets, window_start=window_start, period=period)
     options: dict[str, Any] = dict(
         n_pairs=n_pairs, n_pairs_of_errors=n_pairs_of_errors, progress=progress, threads=threads
     )

@@ -8,8 +8,8 @@ import numpy as np
 
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.measures.pulse import WINDOWS, peak_norm
-from armperturb.analysis.nonlinear.trials import TrialSet
 from armperturb.analysis.results import Description, Result
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, Indices
 from armperturb.planar_arm.lanes import lane_table
 from armperturb.planar_arm.simulation import Disturbances
@@ -83,7 +83,7 @@ class PulsePrediction(Result):
         return 100.0 * (1.0 - float(np.sum((self.recorded - self.predicted) ** 2) / np.sum(self.recorded**2)))
 
 
-def predict_pulses(recorded: TrialSet, person: Subject) -> list[PulsePrediction]:
+def predict_pulses(recorded: ConditionTrials, person: Subject) -> list[PulsePrediction]:
     """Predict each pulse of a condition by simulating the whole disturbance from rest, without noise.
 
     Trials without a pulse, or whose window after it is not recorded to its end (thesis 2.8), are left out.
@@ -95,12 +95,12 @@ def predict_pulses(recorded: TrialSet, person: Subject) -> list[PulsePrediction]
     trials, ends = _with_window(recorded)
     if not trials:
         return []
-    disturbances = Disturbances(recorded.perturbation[trials, : int(ends.max())], recorded.rate)
+    disturbances = Disturbances(recorded.drive[trials, : int(ends.max())], recorded.rate)
     lanes = lane_table([person] * len(trials), [recorded.environment] * len(trials), disturbances.timestep)
     return _compared(recorded, trials, ends, disturbances.responses(lanes, np.arange(len(trials)), ends))
 
 
-def predict_pulses_linearly(recorded: TrialSet, arm: Subject) -> list[PulsePrediction]:
+def predict_pulses_linearly(recorded: ConditionTrials, arm: Subject) -> list[PulsePrediction]:
     """Predict the pulses that `predict_pulses` predicts by the linear model, whose geometry stays (thesis 2.8).
 
     Args:
@@ -110,19 +110,19 @@ def predict_pulses_linearly(recorded: TrialSet, arm: Subject) -> list[PulsePredi
     trials, ends = _with_window(recorded)
     if not trials:
         return []
-    force = recorded.perturbation[trials, : int(ends.max())]
+    force = recorded.drive[trials, : int(ends.max())]
     response = simulate_linear(arm, recorded.environment, force, recorded.rate).displacement
     return _compared(recorded, trials, ends, response)
 
 
-def _with_window(recorded: TrialSet) -> tuple[list[int], Indices]:
+def _with_window(recorded: ConditionTrials) -> tuple[list[int], Indices]:
     """Trials whose window after the pulse is recorded, and the sample after it."""
     n_window = round(WINDOWS[recorded.body.task] * recorded.rate) + 1
     trials = [trial for trial, onset in enumerate(recorded.onset) if onset + n_window <= recorded.end]
     return trials, recorded.onset[trials] + n_window
 
 
-def _compared(recorded: TrialSet, trials: list[int], ends: Indices, responses: Array) -> list[PulsePrediction]:
+def _compared(recorded: ConditionTrials, trials: list[int], ends: Indices, responses: Array) -> list[PulsePrediction]:
     return [
         PulsePrediction(
             condition=recorded.label,

@@ -17,7 +17,7 @@ import numpy as np
 
 from armperturb.analysis.nonlinear.model import EFFECTS, Parameters
 from armperturb.analysis.nonlinear.noise import Noise
-from armperturb.analysis.nonlinear.trials import TrialSet
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, ComplexArray
 from armperturb.planar_arm.lanes import lane_table
 from armperturb.planar_arm.simulation import Disturbances
@@ -93,13 +93,13 @@ class Problem:
       conditions: of each trial, (trial,).
       kinds: task and quantity of the effects, (kind,).
       kind_of: kind of each effect, (effect,).
-      own_effects: places of each trial's effects, (trial,).
+      effects_of: places of each trial's effects, (trial,).
       noises: of each set.
       perturbation: of all trials [N], (trial, time, axis).
     """
 
     def __init__(
-        self, parameters: Parameters, sets: Sequence[TrialSet], arms: Mapping[str, Subject], threads: int = 1
+        self, parameters: Parameters, sets: Sequence[ConditionTrials], arms: Mapping[str, Subject], threads: int = 1
     ) -> None:
         """Take the trials.
 
@@ -122,10 +122,10 @@ class Problem:
         firsts = np.cumsum([0, *(trials.n_trials for trials in sets)])
         self.rows = [slice(a, b) for a, b in itertools.pairwise(firsts.tolist())]
         self.kinds = [(task, quantity) for task in dict.fromkeys(self._tasks) for quantity in EFFECTS[task]]
-        self.own_effects: list[slice] = []
+        self.effects_of: list[slice] = []
         kind_of: list[int] = []
         for task in self._tasks:
-            self.own_effects.append(slice(len(kind_of), len(kind_of) + len(EFFECTS[task])))
+            self.effects_of.append(slice(len(kind_of), len(kind_of) + len(EFFECTS[task])))
             kind_of += [self.kinds.index((task, quantity)) for quantity in EFFECTS[task]]
         self.kind_of = np.array(kind_of)
         rates = {trials.rate for trials in sets}
@@ -134,8 +134,7 @@ class Problem:
         self._rate = rates.pop()
         n = int(self._ends.max())
         self.perturbation, self._observed = (
-            np.concatenate([_padded(getattr(trials, name), n) for trials in sets])
-            for name in ("perturbation", "displacement")
+            np.concatenate([_padded(getattr(trials, name), n) for trials in sets]) for name in ("drive", "displacement")
         )
         self.noises = [
             Noise(arms[trials.label], trials.environment, trials.end, trials.n_trials, trials.rate)
@@ -176,7 +175,7 @@ class Problem:
         """The person in each trial."""
         return [
             self.parameters.person(task, state.point, condition, state.effects[effects])
-            for task, condition, effects in zip(self._tasks, self.conditions, self.own_effects, strict=True)
+            for task, condition, effects in zip(self._tasks, self.conditions, self.effects_of, strict=True)
         ]
 
     def _responses(self, states: Sequence[State], disturbances: Disturbances) -> Array:
@@ -230,7 +229,7 @@ class Problem:
         """Squares of white residuals and of effects over their spread, (trial,); infinite where an arm diverges."""
         left = self.residual(predicted)
         total = np.array(
-            [np.sum((state.effects[own] / state.spread[self.kind_of[own]]) ** 2) for own in self.own_effects]
+            [np.sum((state.effects[places] / state.spread[self.kind_of[places]]) ** 2) for places in self.effects_of]
         )
         for rows, noise in zip(self.rows, self.noises, strict=True):
             total[rows] += np.sum(noise.white(left[rows]) ** 2, axis=1)
@@ -245,7 +244,9 @@ class Problem:
         of_noise = [
             -noise.log_determinant for trials, noise in zip(self.sets, self.noises, strict=True) for _ in trials.onset
         ]
-        return np.array(of_noise) + [2.0 * np.sum(np.log(state.spread[self.kind_of[own]])) for own in self.own_effects]
+        return np.array(of_noise) + [
+            2.0 * np.sum(np.log(state.spread[self.kind_of[places]])) for places in self.effects_of
+        ]
 
     def objective(self, state: State, predicted: Array) -> float:
         """Minus twice the log-likelihood and log prior, but for a constant, with the noise as last estimated."""
@@ -258,17 +259,17 @@ class Problem:
             point = state.point.copy()
             point[column] += STEP
             states.append(state._replace(point=point))
-        for effect in range(max(own.stop - own.start for own in self.own_effects)):
+        for effect in range(max(places.stop - places.start for places in self.effects_of)):
             effects = state.effects.copy()
-            for own in self.own_effects:
-                if own.start + effect < own.stop:
-                    effects[own.start + effect] += STEP
+            for places in self.effects_of:
+                if places.start + effect < places.stop:
+                    effects[places.start + effect] += STEP
             states.append(state._replace(effects=effects))
         changes = (self.predict(states, n_draws=n_draws) - self.predict([state], n_draws=n_draws)[0]) / STEP
         slopes = []
         for rows, noise in zip(self.rows, self.noises, strict=True):
             for trial in range(rows.start, rows.stop):
-                n_unknowns = len(state.point) + self.own_effects[trial].stop - self.own_effects[trial].start
+                n_unknowns = len(state.point) + self.effects_of[trial].stop - self.effects_of[trial].start
                 slopes.append(noise.white(changes[:n_unknowns, trial]))
         return slopes
 
@@ -276,8 +277,8 @@ class Problem:
         """Matrices (unknown, unknown) or vectors (unknown,) of the single trials, summed over all unknowns."""
         n = len(state.point)
         total = np.zeros((n + len(state.effects),) * np.ndim(parts[0]))
-        for own, part in zip(self.own_effects, parts, strict=True):
-            used = np.r_[:n, n + own.start : n + own.stop]
+        for places, part in zip(self.effects_of, parts, strict=True):
+            used = np.r_[:n, n + places.start : n + places.stop]
             total[np.ix_(*(used,) * part.ndim)] += part
         return total
 
@@ -305,8 +306,8 @@ class Problem:
             step = np.linalg.solve(information, score)
             left.append(
                 [
-                    record - np.concatenate([step[:n], step[n:][own]]) @ columns
-                    for record, columns, own in zip(white, slopes, self.own_effects, strict=True)
+                    record - np.concatenate([step[:n], step[n:][places]]) @ columns
+                    for record, columns, places in zip(white, slopes, self.effects_of, strict=True)
                 ]
             )
         return left

@@ -4,14 +4,12 @@ import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import xarray as xr
 
 from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
 from armperturb.analysis.fit.identify import identify_conditions
 from armperturb.analysis.nonlinear.model import ELEMENTS, GROUPS, Parameters, bounds, coordinate, stem
 from armperturb.analysis.nonlinear.problem import Problem, State
-from armperturb.analysis.nonlinear.trials import TrialSet
-from armperturb.analysis.trials import ConditionTrials, trials_by_condition
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -40,19 +38,18 @@ SPREAD = 0.08
 
 
 def linear_arms(
-    recording: xr.Dataset, *, window_start: float = WINDOW_START, period: float | None = None
+    conditions: Mapping[str, ConditionTrials], *, window_start: float = WINDOW_START, period: float | None = None
 ) -> dict[str, Subject]:
     """Condition to its linear arm, of all conditions from which one can be identified.
 
     Args:
-      recording: trials of one person.
+      conditions: trials of one person by condition.
       window_start: start of the window of whole periods, as in `identify_conditions` [s].
       period: of the disturbance [s]; None to find it.
 
     Raises:
-      ValueError: no trial of a task holds a whole period before its pulse, or the recording is refused.
+      ValueError: no trial of a task holds a whole period before its pulse, or trials are refused.
     """
-    conditions = trials_by_condition(recording)
     arms: dict[str, Subject] = {}
     for task in dict.fromkeys(trials.body.task for trials in conditions.values()):
         of_task = {label: trials for label, trials in conditions.items() if trials.body.task == task}
@@ -85,7 +82,7 @@ def _period(conditions: Sequence[ConditionTrials], window_start: float) -> float
 
 
 def start_values(
-    parameters: Parameters, sets: Sequence[TrialSet], arms: Mapping[str, Subject], given: Mapping[str, float]
+    parameters: Parameters, sets: Sequence[ConditionTrials], arms: Mapping[str, Subject], given: Mapping[str, float]
 ) -> Array:
     """Coordinates of the free parameters from linear arms, (parameter,).
 

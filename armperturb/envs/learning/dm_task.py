@@ -15,15 +15,15 @@ from armperturb.envs.lab.simulation import DIVERGED, MUSCLE_FIELDS, MuscleFields
 from armperturb.envs.lab.trial import Trial
 from armperturb.envs.learning.dm import composer, mjcf, observable
 from armperturb.envs.learning.entities import Rig
-from armperturb.envs.learning.gym_env import ONLY, task_settings
 from armperturb.envs.learning.participants import (
+    ONLY,
     Participants,
     action_bounds,
     action_names,
     observation_bounds,
     own_action,
 )
-from armperturb.envs.learning.task import TaskSettings
+from armperturb.envs.learning.task import TaskSettings, task_settings
 
 SENSES = {"joint_stretch": 0, "joint_velocity": 2, "hand_force": 4, "handle_seen": 6}
 """Name of an observable to the first of its two places in an observation of `Participants`."""

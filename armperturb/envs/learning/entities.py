@@ -5,6 +5,7 @@ They are made of the package's MJCF files and of the numbers in `build_spec`, so
 have that of the entity before them, as in "arm/shoulder"; the room's own, such as those of its cameras, do not.
 """
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
@@ -99,7 +100,7 @@ class ArmEntity(_Part):
           spec: the rig that both are part of, from `build_spec`.
         """
         # The arm has them, so that its own tendons come first: in what order forces are summed shows in the last bit.
-        for tendon in _room().tendon.all_children():
+        for tendon in _template().tendon.all_children():
             grip = _copy(tendon, self._mjcf_model.tendon)
             for end in grip.site:
                 if self._mjcf_model.find("site", end.site) is None:
@@ -219,9 +220,15 @@ def _room() -> mjcf.RootElement:
     return mjcf.from_xml_string(ElementTree.tostring(tree, encoding="unicode"))
 
 
+@functools.cache
+def _template() -> mjcf.RootElement:
+    """A room to copy from."""
+    return _room()
+
+
 def _model(path: Path, spec: mujoco.MjSpec) -> mjcf.RootElement:
     """A file's model with the rig's motors and sensors that are on it, and the numbers of a spec."""
-    model, room = mjcf.from_path(str(path)), _room()
+    model, room = mjcf.from_path(str(path)), _template()
     for section, parent in ((room.actuator, model.actuator), (room.sensor, model.sensor)):
         for element in section.all_children():
             kind = "joint" if hasattr(element, "joint") else "site"

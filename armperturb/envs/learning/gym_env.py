@@ -7,9 +7,9 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
-from armperturb.envs.learning.participants import action_bounds, observation_bounds, own_action
+from armperturb.envs.learning.participants import ONLY, action_bounds, observation_bounds, own_action
 from armperturb.envs.learning.session import Session
-from armperturb.envs.learning.task import TaskSettings
+from armperturb.envs.learning.task import TaskSettings, task_settings
 from armperturb.envs.render.gl import has_display
 from armperturb.envs.render.live_view import LiveView
 from armperturb.envs.render.viewer import require_display
@@ -23,9 +23,6 @@ LONGEST_ARROW = 0.25
 
 WATCHED = ("joint_angle", "displacement", "perturbation", "force")
 """Parts of the truth that show."""
-
-ONLY = np.zeros(1, dtype=int)
-"""Index of the one person."""
 
 
 def spaces(settings: TaskSettings) -> tuple[Box, Box]:
@@ -173,16 +170,3 @@ def checked_picture(view: str, width: int, height: int) -> tuple[str, int, int]:
     for name, value in (("width", width), ("height", height)):
         require_whole("render", name, value, at_least=1)
     return view, int(width), int(height)
-
-
-def task_settings(settings: dict[str, Any]) -> TaskSettings:
-    """Settings by name.
-
-    Raises:
-      TypeError: a name is unknown; otherwise as `TaskSettings`.
-    """
-    known = TaskSettings.__dataclass_fields__
-    for name in settings:
-        if name not in known:
-            raise TypeError(f"unknown setting {name!r}; expected some of {', '.join(known)}")
-    return TaskSettings(**settings)

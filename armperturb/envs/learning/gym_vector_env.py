@@ -18,10 +18,10 @@ from armperturb.envs.learning.gym_env import (
     checked_picture,
     live_view,
     spaces,
-    task_settings,
 )
 from armperturb.envs.learning.participants import own_action
 from armperturb.envs.learning.session import Session
+from armperturb.envs.learning.task import task_settings
 from armperturb.validation import require_one_of, require_whole
 
 Flags = NDArray[np.bool_]

@@ -28,6 +28,10 @@ SENSE_LIMITS = np.array([np.pi, np.pi, 100.0, 100.0, 2000.0, 2000.0, 1.0, 1.0])
 """Where senses saturate, the last two times the visual gain: far beyond what happens inside the workspace."""
 
 
+ONLY = np.zeros(1, dtype=int)
+"""Index of a single person."""
+
+
 def action_names(settings: TaskSettings) -> tuple[str, ...]:
     """What each number of an action sets."""
     names: list[str] = []

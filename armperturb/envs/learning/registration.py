@@ -26,8 +26,9 @@ TASKS: dict[str, dict[str, Any]] = {
 
 def register_environments() -> None:
     """Register the tasks with gymnasium: now if it is imported already, and otherwise as soon as it is."""
-    if "gymnasium" in sys.modules:
-        _register(sys.modules["gymnasium"])
+    gymnasium = sys.modules.get("gymnasium")
+    if gymnasium is not None:
+        _register(gymnasium)
     elif not any(isinstance(finder, _GymnasiumFinder) for finder in sys.meta_path):
         sys.meta_path.insert(0, _GymnasiumFinder())
 

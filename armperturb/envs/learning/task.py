@@ -272,6 +272,19 @@ class TaskSettings:
         return trial
 
 
+def task_settings(settings: dict[str, Any]) -> TaskSettings:
+    """Settings by name.
+
+    Raises:
+      TypeError: a name is unknown; otherwise as `TaskSettings`.
+    """
+    known = TaskSettings.__dataclass_fields__
+    for name in settings:
+        if name not in known:
+            raise TypeError(f"unknown setting {name!r}; expected some of {', '.join(known)}")
+    return TaskSettings(**settings)
+
+
 def _perturbation(
     settings: TaskSettings, number: int, start: float, onset: float, rms: float, peak: float, direction: float
 ) -> Perturbation:

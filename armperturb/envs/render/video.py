@@ -172,10 +172,16 @@ def write_video(
       progress: called with the number of frames that are done, and of all.
 
     Raises:
+      ModuleNotFoundError: the encoder is not installed; the message names the extra.
       ValueError: the file has another ending, or the clip is outside the trial.
       RuntimeError: this machine cannot draw; the message names what to install.
       OSError: the file cannot be written, or the encoder failed.
     """
+    with naming_the_extra("write_video"):  # here, as mediapy takes long to import
+        import imageio_ffmpeg
+        import mediapy
+
+    mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
     out = Path(out)
     ending, clip = require_ending(out), clip or Clip()
     frame_rate = FRAME_RATES[ending]
@@ -216,11 +222,8 @@ def require_ending(out: Path) -> str:
 
 
 def _encoder(path: Path, shape: tuple[int, int], frame_rate: float) -> Any:
-    with naming_the_extra("writing a video"):  # here, as mediapy takes long to import
-        import imageio_ffmpeg
-        import mediapy
+    import mediapy
 
-    mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
     if path.suffix == ".gif":
         return mediapy.VideoWriter(path, shape, fps=frame_rate, codec="gif")
     # The index first, so that a browser starts to play before it has the whole file.

@@ -69,11 +69,11 @@ class AdmittanceEffect(NamedTuple):
 
     def where(self, output: int, input_: int) -> list[str]:
         """Frequencies at which the effect on an element counts, in words."""
-        return [f"{one:.2g}" for one in self.frequency[self.counts[:, output, input_]]]
+        return [f"{frequency:.2g}" for frequency in self.frequency[self.counts[:, output, input_]]]
 
     def alone(self, output: int, input_: int) -> list[str]:
         """Frequencies at which it is significant, in words, be it alone."""
-        return [f"{one:.2g}" for one in self.frequency[self.p[:, output, input_] < ALPHA]]
+        return [f"{frequency:.2g}" for frequency in self.frequency[self.p[:, output, input_] < ALPHA]]
 
 
 class Agreement(NamedTuple):
@@ -84,7 +84,7 @@ class Agreement(NamedTuple):
       agree: of these, those that are, or are not, in both.
     """
 
-    told: int
+    judged: int
     agree: int
 
 
@@ -109,10 +109,10 @@ class Effects:
     @property
     def agreement(self) -> Agreement:
         """With the thesis, on what is significant."""
-        told = [(row["p"], row["published_p"]) for row in self.rows if row["published_p"]]
-        told += [(row["p_bonferroni"], row["published_p"]) for row in self.pairs if row["published_p"]]
+        judged = [(row["p"], row["published_p"]) for row in self.rows if row["published_p"]]
+        judged += [(row["p_bonferroni"], row["published_p"]) for row in self.pairs if row["published_p"]]
         # A printed p is always of a difference that is called significant.
-        return Agreement(len(told), sum((p < ALPHA) == (printed != "ns") for p, printed in told))
+        return Agreement(len(judged), sum((p < ALPHA) == (printed != "ns") for p, printed in judged))
 
 
 class _Tests:
@@ -148,22 +148,22 @@ class _Tests:
         table = self.table(f"{what}, {task}", values, conditions)
         if table is None:
             return math.nan
-        found = effect_of_condition(table, conditions=conditions)
+        effect = effect_of_condition(table, conditions=conditions)
         self.rows.append(
             {
                 "quantity": what,
                 "task": task,
                 "conditions": ", ".join(conditions),
-                "people": found.n,
-                "test": found.test,
-                "statistic": found.statistic,
-                "dof": ", ".join(f"{dof:.3g}" for dof in found.dof),
-                "p": found.p,
+                "people": effect.n,
+                "test": effect.test,
+                "statistic": effect.statistic,
+                "dof": ", ".join(f"{dof:.3g}" for dof in effect.dof),
+                "p": effect.p,
                 "published_p": printed,
-                "effect_size": found.effect_size,
-                "mauchly_p": found.mauchly_p,
-                "epsilon": found.epsilon,
-                "shapiro_p_min": min(found.shapiro_p),
+                "effect_size": effect.effect_size,
+                "mauchly_p": effect.mauchly_p,
+                "epsilon": effect.epsilon,
+                "shapiro_p_min": min(effect.shapiro_p),
             }
         )
         for (i, j), pair in post_hoc(table, conditions=conditions).items():
@@ -180,7 +180,7 @@ class _Tests:
                     "published_p": (printed_pairs or {}).get((i, j), ""),
                 }
             )
-        return found.p
+        return effect.p
 
     def levels(self, condition: str, values: Mapping[str, Sequence[float]], printed: str) -> None:
         """Dependent t-test of the two levels of pulses."""
@@ -188,7 +188,7 @@ class _Tests:
         table = self.table(what, values, ("level 2", "level 1"))
         if table is None:
             return
-        found = paired_t(table[:, 0], table[:, 1])
+        test = paired_t(table[:, 0], table[:, 1])
         self.rows.append(
             {
                 "quantity": "pulse admittance",
@@ -196,9 +196,9 @@ class _Tests:
                 "conditions": f"{condition}, level 2 against 1",
                 "people": len(table),
                 "test": "dependent t",
-                "statistic": found.t,
-                "dof": str(found.dof),
-                "p": found.p,
+                "statistic": test.t,
+                "dof": str(test.dof),
+                "p": test.p,
                 "published_p": printed,
                 "effect_size": math.nan,
                 "mauchly_p": math.nan,
@@ -211,7 +211,7 @@ class _Tests:
 def effects(study: StudyResult) -> Effects:
     """All tests that the people and conditions of a study allow."""
     tests = _Tests()
-    admittance = {task: found for task in AMPLITUDES if (found := admittance_effect(study, task)) is not None}
+    admittance = {task: effect for task in AMPLITUDES if (effect := admittance_effect(study, task)) is not None}
     parameters: dict[tuple[str, str], float] = {}
     for task, conditions in AMPLITUDES.items():
         for name in (f"{kind}_{place}" for kind in TRIPLES[task] for place in PLACES):

@@ -84,10 +84,10 @@ def _gain_ratio(people: Sequence[PersonMeasures], name: str, above: str, below: 
     """Mean over the lowest two frequencies and the diagonal of the ratio of gains, geometric means over people."""
     gains = []
     for condition in (above, below):
-        found = [person.low_gain[condition] for person in people if condition in person.low_gain]
-        if not found:
+        low_gains = [person.low_gain[condition] for person in people if condition in person.low_gain]
+        if not low_gains:
             return _missing(name, published.headline_text(name), f"nobody's admittance in {condition}")
-        gains.append(np.exp(np.mean(np.log(found), axis=0)))
+        gains.append(np.exp(np.mean(np.log(low_gains), axis=0)))
     return Headline(
         name=name,
         published=published.headline_text(name),
@@ -99,16 +99,16 @@ def _gain_ratio(people: Sequence[PersonMeasures], name: str, above: str, below: 
 def _predictions(people: Sequence[PersonMeasures]) -> list[Headline]:
     """Figure 3.19, and what the text says of it."""
     low, high = (published.headline_text(f"pulse_prediction_{end}") for end in ("low", "high"))
-    means, excess, found = {}, [], []
+    means, excess, lines = {}, [], []
     for condition, level in PREDICTED:
         values = [pulse for pulse in _of(people, condition, level) if math.isfinite(pulse.prediction)]
         name = f"pulse_prediction_{condition}_{level}"
         if not values:
-            found.append(_missing(name, f"{low} to {high}", "nobody's pulse is predicted", "%"))
+            lines.append(_missing(name, f"{low} to {high}", "nobody's pulse is predicted", "%"))
             continue
         means[condition, level] = float(np.mean([pulse.prediction for pulse in values]))
         excess.append(float(np.mean([pulse.excess for pulse in values])))
-        found.append(Headline(name=name, published=f"{low} to {high}", ours=means[condition, level], unit="%"))
+        lines.append(Headline(name=name, published=f"{low} to {high}", ours=means[condition, level], unit="%"))
     summaries = {
         "pulse_prediction_low": (lambda: min(means.values()), "%", "smallest of the conditions"),
         "pulse_prediction_high": (lambda: max(means.values()), "%", "largest of the conditions"),
@@ -124,9 +124,9 @@ def _predictions(people: Sequence[PersonMeasures]) -> list[Headline]:
         if means:
             missing = len(PREDICTED) - len(means)
             remark += f"; {missing} of {len(PREDICTED)} conditions are missing" if missing else ""
-            found.append(Headline(name=name, published=text, ours=value(), unit=unit, remark=remark))
+            lines.append(Headline(name=name, published=text, ours=value(), unit=unit, remark=remark))
         else:
-            found.append(_missing(name, text, "nobody's pulse is predicted", unit))
+            lines.append(_missing(name, text, "nobody's pulse is predicted", unit))
     for name, after, before in (
         ("pulse_prediction_increase_pt2.5_pt22.5_max", ("PT22.5", "max"), ("PT2.5", "max")),
         ("pulse_prediction_increase_pt7.5_max_min", ("PT7.5", "min"), ("PT7.5", "max")),
@@ -135,37 +135,37 @@ def _predictions(people: Sequence[PersonMeasures]) -> list[Headline]:
         text = published.headline_text(name)
         if after in means and before in means:
             remark = "difference in percentage points"
-            found.append(
+            lines.append(
                 Headline(name=name, published=text, ours=means[after] - means[before], unit="%", remark=remark)
             )
         else:
-            found.append(_missing(name, text, "a condition has no prediction", "%"))
-    return found
+            lines.append(_missing(name, text, "a condition has no prediction", "%"))
+    return lines
 
 
 def _levels(people: Sequence[PersonMeasures]) -> list[Headline]:
     """Pulse admittance at the maximum over that at the minimum level, and a dependent t-test."""
-    found = []
+    lines = []
     for condition in ("PT0", "PT7.5"):
         values = _table(people, ((condition, "max"), (condition, "min")))
         key = condition.lower()
         name, test = f"pulse_admittance_ratio_max_min_{key}", f"p_pulse_admittance_level_{key}"
         if not len(values):
-            found += [
-                _missing(one, published.headline_text(one), f"nobody has both levels in {condition}")
-                for one in (name, test)
+            lines += [
+                _missing(missing, published.headline_text(missing), f"nobody has both levels in {condition}")
+                for missing in (name, test)
             ]
             continue
         ratio = float(values[:, 0].mean() / values[:, 1].mean())
-        found.append(Headline(name=name, published=published.headline_text(name), ours=ratio))
+        lines.append(Headline(name=name, published=published.headline_text(name), ours=ratio))
         if len(values) < FEWEST:
-            found.append(_missing(test, published.headline_text(test), f"fewer than {FEWEST} people"))
+            lines.append(_missing(test, published.headline_text(test), f"fewer than {FEWEST} people"))
         else:
             p = paired_t(values[:, 0], values[:, 1]).p
-            found.append(
+            lines.append(
                 Headline(name=test, published=published.headline_text(test), ours=p, remark="dependent t-test")
             )
-    return found
+    return lines
 
 
 def _before(people: Sequence[PersonMeasures], task: str) -> list[Headline]:
@@ -181,22 +181,22 @@ def _before(people: Sequence[PersonMeasures], task: str) -> list[Headline]:
             *(_missing(test, published.headline_text(test), why) for test in tests),
         ]
     mean = values.mean(axis=0)
-    found = [
-        Headline(name=name, published=words, ours=float(one / mean[0]), remark=f"level {pulses[0][1]}")
-        for name, one in zip(names, mean[1:], strict=True)
+    lines = [
+        Headline(name=name, published=words, ours=float(ratio / mean[0]), remark=f"level {pulses[0][1]}")
+        for name, ratio in zip(names, mean[1:], strict=True)
     ]
     if len(values) < FEWEST:
-        return found + [_missing(test, published.headline_text(test), f"fewer than {FEWEST} people") for test in tests]
+        return lines + [_missing(test, published.headline_text(test), f"fewer than {FEWEST} people") for test in tests]
     effect, pairs = effect_of_condition(values), post_hoc(values)
-    found.append(
+    lines.append(
         Headline(name=tests[0], published=published.headline_text(tests[0]), ours=effect.p, remark=effect.test)
     )
     for name, pair in POST_HOC[task].items():
         text = published.headline_text(name)
-        found.append(
+        lines.append(
             Headline(name=name, published=text, ours=pairs[pair].p_bonferroni, remark="dependent t-test, Bonferroni")
         )
-    return found
+    return lines
 
 
 def _task_ratio(people: Sequence[PersonMeasures]) -> Headline:

@@ -261,9 +261,9 @@ def _mean_sd(values: Sequence[float]) -> MeanSD:
 
 def share(cells: Iterable[ScoredCell]) -> Share:
     """How many of some cells are near; those without a published SD do not count."""
-    judged = [one for one in cells if math.isfinite(one.published.sd)]
-    z = np.abs([one.z for one in judged if math.isfinite(one.z)])
-    ratios = [one.sd_ratio for one in judged if math.isfinite(one.sd_ratio)]
+    judged = [scored for scored in cells if math.isfinite(scored.published.sd)]
+    z = np.abs([scored.z for scored in judged if math.isfinite(scored.z)])
+    ratios = [scored.sd_ratio for scored in judged if math.isfinite(scored.sd_ratio)]
     return Share(
         published=len(judged),
         computed=len(z),
@@ -274,15 +274,15 @@ def share(cells: Iterable[ScoredCell]) -> Share:
 
 def shares(result: Score) -> dict[str, Share]:
     """Share of each table, and of groups of them: measured (2.1 and F, and of these each task) and fitted (C to E)."""
-    tables = dict.fromkeys(one.cell.table for one in result.cells)
-    of = {table: share(one for one in result.cells if one.cell.table == table) for table in tables}
-    measured = [one for one in result.cells if one.cell.table.startswith(("2", "F"))]
+    tables = dict.fromkeys(scored.cell.table for scored in result.cells)
+    of = {table: share(scored for scored in result.cells if scored.cell.table == table) for table in tables}
+    measured = [scored for scored in result.cells if scored.cell.table.startswith(("2", "F"))]
     groups = {
-        "2.1 and F, PT": [one for one in measured if one.cell.condition.startswith("PT")],
-        "2.1 and F, RT": [one for one in measured if one.cell.condition.startswith("RT")],
+        "2.1 and F, PT": [scored for scored in measured if scored.cell.condition.startswith("PT")],
+        "2.1 and F, RT": [scored for scored in measured if scored.cell.condition.startswith("RT")],
         "2.1 and F": measured,
         **{
-            appendix: [one for one in result.cells if one.cell.table.startswith(appendix)]
+            appendix: [scored for scored in result.cells if scored.cell.table.startswith(appendix)]
             for appendix in ("C", "D", "E")
         },
         "total": list(result.cells),
@@ -292,7 +292,9 @@ def shares(result: Score) -> dict[str, Share]:
 
 def missing_cells(result: Score) -> dict[tuple[str, str], int]:
     """How many cells could not be computed, by reason and by table and condition."""
-    return Counter((one.reason, f"{one.cell.table}, {one.cell.condition}") for one in result.cells if one.reason)
+    return Counter(
+        (scored.reason, f"{scored.cell.table}, {scored.cell.condition}") for scored in result.cells if scored.reason
+    )
 
 
 def write_score(result: Score, folder: Path) -> Path:

@@ -10,7 +10,7 @@ by trust regions (Gauss-Newton); all slopes of an iteration are one batch.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import tomli_w
@@ -20,17 +20,17 @@ from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.measures.pulse import WINDOWS
 from armperturb.arrays import Array
-from armperturb.cohort import STABILITY_MARGIN, Person, average_body
+from armperturb.cohort import STABILITY_MARGIN
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.files import written_whole
-from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.study.protocol import THESIS, Protocol, with_published_forces
+from armperturb.study.experiments.candidates import Candidate, Unknown, unknowns
+from armperturb.study.protocol import QUICK_STEP, THESIS, Protocol, with_published_forces
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.results.quantities import Cell, measured_cells, published_cells
-from armperturb.subject import POSITION, RELAX, TASKS, Subject
+from armperturb.subject import TASKS
 from armperturb.validation import require_number
 
 CALIBRATED = ("2.1", "F.2", "F.3", "F.4")
@@ -38,9 +38,6 @@ CALIBRATED = ("2.1", "F.2", "F.3", "F.4")
 
 HELD_OUT = ("F.5", "F.6")
 """Tables of the same kind that it does not see."""
-
-STEP = 2.5e-3
-"""Of the simulation [s]; cells differ by less than 0.1 % from those at 1 ms."""
 
 SLOPE_STEP = 0.03
 """Of the logarithm of an unknown, for slopes."""
@@ -58,9 +55,6 @@ MARGIN_SD = 0.25
 TOLERANCE = 5e-3
 """The search ends when an iteration lowers the objective by less than this share."""
 
-PARTS = 8
-"""Elasto-plastic parts per element."""
-
 _STEADY = {
     task: replace(noise, spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
     for task, noise in HUMAN_NOISE.items()
@@ -72,146 +66,6 @@ SEEN, UNSEEN = 500, 900
 
 N_UNSEEN = 6
 """Sets of multisines on which the result is judged."""
-
-
-class Unknown(NamedTuple):
-    """What is calibrated.
-
-    Attributes:
-      name: in a person's dictionary of unknowns.
-      typical: value that the literature makes likely.
-      factor: one standard deviation of it, as a factor.
-      start: where the search starts; people with typical values of everything may be unstable.
-      slope_down: whether slopes are taken towards smaller values, as larger ones may be unstable.
-    """
-
-    name: str
-    typical: float
-    factor: float
-    start: float
-    slope_down: bool = False
-
-
-_SHORT_RANGE = ("S_s", "S_se", "S_e", "L", "c")
-_REST = ("A", "T", "w", "w_s")
-
-LAWS: dict[str, tuple[str, ...]] = {
-    "linear": (),
-    "short-range": _SHORT_RANGE,
-    "full": _SHORT_RANGE + _REST,
-}
-"""Laws to compare: name to the unknowns that they have beside those of the linear arm."""
-
-_TYPICAL: dict[str, tuple[Unknown, ...]] = {
-    "RT": (
-        Unknown("k_s", 2.0, 2.0, start=2.38),
-        Unknown("k_se", 1.0, 2.0, start=0.772),
-        Unknown("k_e", 2.0, 2.0, start=1.38),
-        Unknown("b_s", 0.75, 2.0, start=0.885),
-        Unknown("b_se", 1.4, 2.0, start=1.33),
-        Unknown("b_e", 0.5, 2.0, start=0.46),
-        Unknown("S_s", 11.0, 2.5, start=15.9),
-        Unknown("S_se", 11.0, 2.5, start=15.7),
-        Unknown("S_e", 11.0, 2.5, start=9.83),
-        Unknown("L", 0.7, 2.5, start=0.805),
-        Unknown("c", 0.5, 2.0, start=0.463),
-        Unknown("A", 30.0, 2.7, start=29.1),
-        Unknown("T", 1.7, 3.3, start=1.39),
-        Unknown("w", 0.13, 2.2, start=0.115),
-    ),
-    "PT": (
-        Unknown("k_s", 30.0, 2.2, start=44.6),
-        Unknown("k_se", 60.0, 2.2, start=23.7),
-        Unknown("k_e", 50.0, 2.2, start=37.2),
-        Unknown("b_s", 2.5, 2.7, start=2.33),
-        Unknown("b_se", 3.0, 2.7, start=1.38),
-        Unknown("b_e", 4.0, 2.7, start=4.95),
-        Unknown("kv_s", 5.0, 2.2, start=2.95),
-        Unknown("kv_se", 12.0, 2.2, start=12.5),
-        Unknown("kv_e", 10.0, 2.2, start=4.03),
-        Unknown("kp_s", 5.0, 2.7, start=5.92),
-        Unknown("kp_se", 15.0, 2.7, start=19.3),
-        Unknown("kp_e", 15.0, 2.7, start=10.4),
-        Unknown("S_s", 40.0, 2.2, start=41.9),
-        Unknown("S_se", 60.0, 2.2, start=75.2),
-        Unknown("S_e", 40.0, 2.2, start=29.6),
-        Unknown("L", 0.8, 1.8, start=1.47),
-        Unknown("c", 0.5, 2.0, start=0.43),
-        Unknown("A", 40.0, 2.7, start=42.5),
-        Unknown("T", 1.7, 2.7, start=1.82),
-        Unknown("w", 1.5, 2.7, start=1.24),
-        Unknown("w_s", 1.5, 2.7, start=1.1),
-        Unknown("level PT0", 0.5, 1.6, start=0.395, slope_down=True),
-        Unknown("level PT2.5", 0.5, 1.6, start=0.628, slope_down=True),
-        Unknown("level PT22.5", 1.5, 1.4, start=1.61, slope_down=True),
-    ),
-}
-
-
-def unknowns(task: str, law: str) -> tuple[Unknown, ...]:
-    """What is calibrated of a law in a task.
-
-    Raises:
-      ValueError: the task or the law is unknown.
-    """
-    if task not in TASKS:
-        raise ValueError(f"calibrate: task = {task!r}; expected one of {', '.join(TASKS)}")
-    if law not in LAWS:
-        raise ValueError(f"calibrate: law = {law!r}; expected one of {', '.join(LAWS)}")
-    left_out = set(LAWS["full"]) - set(LAWS[law])
-    return tuple(unknown for unknown in _TYPICAL[task] if unknown.name not in left_out)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Candidate:
-    """An average person in one task.
-
-    Attributes:
-      subject: at level 1.
-      levels: condition to the level of co-contraction [-]; 1 where it is not named.
-    """
-
-    subject: Subject
-    levels: Mapping[str, float]
-
-    @classmethod
-    def of(cls, task: str, values: Mapping[str, float]) -> "Candidate":
-        """The candidate with these values of the unknowns (by name)."""
-
-        def groups(quantity: str) -> dict[str, float]:
-            s, se, e = (values[f"{quantity}_{joint}"] for joint in ("s", "se", "e"))
-            return {f"{quantity}_s": s + se, f"{quantity}_se": se, f"{quantity}_e": e + se}
-
-        changes: dict[str, Any] = {**average_body(), **groups("k"), **groups("b")}
-        if task == "PT":
-            changes.update(**groups("kv"), **groups("kp"))
-        law: dict[str, Any] = {}
-        if "L" in values:
-            law.update(
-                short_range_stiffness=(values["S_s"], values["S_se"], values["S_e"]),
-                elastic_limit_deg=values["L"],
-                elastic_limit_spread=values["c"],
-                parts=PARTS,
-            )
-        if "A" in values:
-            law.update(loss_angle_deg=values["A"], recovery_time=values["T"], thinning_velocity=values["w"])
-        if "w_s" in values:
-            law.update(spindle_saturation=values["w_s"])
-        start = POSITION if task == "PT" else RELAX
-        subject = replace(start, **changes, muscle=MuscleLaw(**law) if law else None)
-        levels = {name.split()[1]: value for name, value in values.items() if name.startswith("level ")}
-        return cls(subject=subject, levels=levels)
-
-    @property
-    def person(self) -> Person:
-        """The candidate as somebody who can go through a protocol."""
-        return Person(
-            name=self.subject.name,
-            height=1.0,
-            mass=1.0,
-            subjects={self.subject.task: self.subject},
-            levels=dict(self.levels),
-        )
 
 
 def schedules(task: str) -> tuple[Protocol, Protocol]:
@@ -235,16 +89,20 @@ def simulated_cells(
     candidates: Sequence[Candidate],
     seeds: Sequence[int],
     *,
+    noisy: bool = True,
     environment: Environment | None = None,
+    timestep: float = QUICK_STEP,
     n_threads: int = 0,
     progress: Callable[[float], object] | None = None,
 ) -> list[dict[Cell, float] | None]:
     """Cells of several candidates of one task, side by side and under the same multisines.
 
     Args:
-      candidates: who is perturbed by the published mean forces, noisy as people are but the same in every trial.
+      candidates: who is perturbed by the published mean forces.
       seeds: of the multisines; each adds four trials to every condition that has one.
+      noisy: whether they are noisy, as people are, but with the same muscles in every trial.
       environment: what the hand holds; the thesis's manipulator if not given.
+      timestep: of the simulation [s].
       n_threads: 0 takes all cores.
       progress: called with the simulated seconds since the last call.
 
@@ -253,7 +111,7 @@ def simulated_cells(
     """
     environment = environment or Environment()
     able = [number for number, candidate in enumerate(candidates) if poles(candidate, environment).max() < 0]
-    found: dict[int, dict[Cell, float]] = {number: {} for number in able}
+    cells_of: dict[int, dict[Cell, float]] = {number: {} for number in able}
     if able:
         continuous, alone = schedules(candidates[0].subject.task)
         for protocol, own_seeds in ((continuous, seeds), (alone, seeds[:1])):
@@ -261,25 +119,25 @@ def simulated_cells(
             people = [candidates[number].person for number in able]
             trials = [
                 [
-                    replace(trial, noise=_STEADY[trial.subject.task])
+                    replace(trial, noise=_STEADY[trial.subject.task] if noisy else None)
                     for seed in own_seeds
                     for trial in protocol.trials(person, forces, seed, 0)
                 ]
                 for person in people
             ]
             recording = run_experiment(
-                [trial for own in trials for trial in own],
+                [trial for of_person in trials for trial in of_person],
                 environment,
-                timestep=STEP,
+                timestep=timestep,
                 n_threads=n_threads,
                 progress=progress,
             )
             n_own = len(trials[0])
             for place, number in enumerate(able):
-                found[number].update(measured_cells(recording.isel(trial=slice(place * n_own, (place + 1) * n_own))))
+                cells_of[number].update(measured_cells(recording.isel(trial=slice(place * n_own, (place + 1) * n_own))))
     needed = _cells(candidates[0].subject.task, CALIBRATED + HELD_OUT)
     return [
-        found[number] if number in found and found[number].keys() >= needed.keys() else None
+        cells_of[number] if number in cells_of and cells_of[number].keys() >= needed.keys() else None
         for number in range(len(candidates))
     ]
 
@@ -393,7 +251,7 @@ def calibrate(
     if search.residuals([start])[0] is None:
         raise RuntimeError(f"calibrate: the typical person in {task} is unstable or leaves the workspace")
     solution = optimize.least_squares(
-        search.one,
+        search.residuals_at,
         start,
         jac=search.slopes,
         bounds=(-WIDEST, WIDEST),
@@ -443,24 +301,24 @@ class _Search:
         candidates = [Candidate.of(self.task, self.values(point)) for point in points]
         answers = simulated_cells(candidates, self.seeds, environment=self.environment, n_threads=self.n_threads)
         wanted = _cells(self.task, CALIBRATED)
-        found: list[Array | None] = []
+        residuals: list[Array | None] = []
         for candidate, cells, point in zip(candidates, answers, points, strict=True):
             if cells is None:
-                found.append(None)
+                residuals.append(None)
                 continue
             deviations = [(cells[cell] - value.mean) / value.sd for cell, value in wanted.items()]
             too_far = np.maximum(poles(candidate, self.environment) + MARGIN, 0.0) / MARGIN_SD
-            found.append(np.concatenate([deviations, point, too_far]))
-        return found
+            residuals.append(np.concatenate([deviations, point, too_far]))
+        return residuals
 
-    def one(self, point: Array) -> Array:
+    def residuals_at(self, point: Array) -> Array:
         """Residuals at a point; infinite where nothing can be simulated, so that the search turns back."""
-        found = self.residuals([point])[0]
-        if found is None:
+        residuals = self.residuals([point])[0]
+        if residuals is None:
             self.progress("unstable, or out of the workspace: a smaller step")
             return np.full(self.n_residuals, np.inf)
-        self.progress(f"objective {np.sum(found**2):.2f}")
-        return found
+        self.progress(f"objective {np.sum(residuals**2):.2f}")
+        return residuals
 
     def slopes(self, point: Array) -> Array:
         """Slopes of the residuals, by differences towards the stable side."""
@@ -478,19 +336,19 @@ class _Search:
 def summary(calibrations: Sequence[Calibration]) -> list[dict[str, Any]]:
     """Per law, task and kind of table: shares of cells within 0.5, 1 and 2 published SDs [-] and RMS deviation [SD]."""
     rows = []
-    for found in calibrations:
+    for calibration in calibrations:
         for kind, tables in (("calibrated", CALIBRATED), ("held out", HELD_OUT)):
-            deviation = np.abs(list(found.deviations(tables).values()))
+            deviation = np.abs(list(calibration.deviations(tables).values()))
             rows.append(
                 {
-                    "law": found.law,
-                    "task": found.task,
+                    "law": calibration.law,
+                    "task": calibration.task,
                     "cells": kind,
                     "n": len(deviation),
                     **{f"within_{limit:g}_sd": float(np.mean(deviation <= limit)) for limit in (0.5, 1.0, 2.0)},
                     "rms_deviation": float(np.sqrt(np.mean(deviation**2))),
-                    "unknowns": len(found.values),
-                    "objective": found.objective,
+                    "unknowns": len(calibration.values),
+                    "objective": calibration.objective,
                 }
             )
     return rows
@@ -509,19 +367,19 @@ def save_calibrations(path: str | Path, calibrations: Sequence[Calibration]) -> 
       ValueError: the full law is missing in a task.
       OSError: the file cannot be written.
     """
-    full = {found.task: found for found in calibrations if found.law == "full"}
+    full = {calibration.task: calibration for calibration in calibrations if calibration.law == "full"}
     for task in TASKS:
         if task not in full:
             raise ValueError(f"calibrations: none of the full law in {task}; expected one per task")
     person = {task: replace(full[task].candidate.subject, name="average").to_dict() for task in TASKS}
-    levels = {name: level for found in full.values() for name, level in found.candidate.levels.items()}
+    levels = {name: level for calibration in full.values() for name, level in calibration.candidate.levels.items()}
     document = {
         "calibrated": list(CALIBRATED),
         "held_out": list(HELD_OUT),
         **person,
         "levels": levels,
         "summary": summary(calibrations),
-        "cells": [row for found in full.values() for row in found.rows()],
+        "cells": [row for calibration in full.values() for row in calibration.rows()],
     }
     with written_whole(path) as temporary:
         temporary.write_text(tomli_w.dumps(_rounded(document)), encoding="utf-8")
@@ -530,7 +388,7 @@ def save_calibrations(path: str | Path, calibrations: Sequence[Calibration]) -> 
 def _rounded(value: Any) -> Any:
     """Seven digits: more say nothing, and differ between machines."""
     if isinstance(value, dict):
-        return {key: _rounded(own) for key, own in value.items()}
+        return {key: _rounded(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_rounded(own) for own in value]
+        return [_rounded(entry) for entry in value]
     return float(f"{value:.7g}") if isinstance(value, float) else value

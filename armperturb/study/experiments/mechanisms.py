@@ -1,4 +1,4 @@
-"""Why people yield: what each mechanism of a person's muscle law does to the admittance and to responses to pulses.
+"""What each mechanism of a person's muscle law does to the admittance and to the responses to pulses.
 
 The person is simulated without noise under the published forces, with the whole law, with linear muscle, and with one
 mechanism switched off at a time. All arms of a condition get the same multisines, and so do all conditions but for
@@ -28,7 +28,7 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.study.protocol import THESIS, Protocol, with_published_forces
+from armperturb.study.protocol import QUICK_STEP, THESIS, Protocol, with_published_forces
 from armperturb.study.published import tables as published
 from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.subject import Subject
@@ -58,10 +58,7 @@ CONDITIONS = ("RT0", *(condition for conditions in AMPLITUDES.values() for condi
 """All that are simulated."""
 
 NEEDED = ("RT0", "RT2.5", "RT22.5", "PT2.5", "PT7.5", "PT22.5")
-"""Those that are compared between all arms."""
-
-STEP = 2.5e-3
-"""Of the simulation [s], as in `calibrate.STEP`; with a longer one, arms that are nearly unstable may be so."""
+"""Conditions that are simulated for all arms."""
 
 REST = 0.5
 """Time before a pulse that comes alone [s]."""
@@ -69,20 +66,20 @@ REST = 0.5
 CALM = 8.0
 """Time after a pulse that comes alone, in which an arm has to come to rest [s]."""
 
-RESTLESS = 0.02
-"""Movement in the last second of that time over the largest displacement, up to which an arm is at rest [-]."""
+AT_REST = 0.02
+"""Largest movement in the last second of that time over the largest displacement, for an arm at rest [-]."""
 
 LOW = 2
-"""How many of the lowest frequencies the low-frequency admittance is averaged over (thesis 3.1)."""
+"""Number of the lowest frequencies over which the low-frequency admittance is averaged (thesis 3.1)."""
 
 LOOP_FREQUENCY = 0.5
-"""Of the sinusoids by which muscle elements are stretched [Hz]."""
+"""Frequency of the cyclic stretch of muscle elements [Hz]."""
 
 LOOP_CYCLES = 12
-"""So many of them, until the loops repeat themselves; the last is kept."""
+"""Number of cycles, after which the loops repeat; the last is shown."""
 
 LOOP_SAMPLES = 200
-"""Of a cycle."""
+"""Samples per cycle."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -144,8 +141,8 @@ class Yielding:
         pair = self._pair(variant, "RT22.5", "RT0")
         return pair[0].pulse_admittance / pair[1].pulse_admittance if pair else math.nan
 
-    def _pair(self, variant: str, one: str, other: str) -> tuple[Response, Response] | None:
-        first, second = (self.responses.get((variant, condition)) for condition in (one, other))
+    def _pair(self, variant: str, first_condition: str, second_condition: str) -> tuple[Response, Response] | None:
+        first, second = (self.responses.get((variant, condition)) for condition in (first_condition, second_condition))
         return (first, second) if first and second else None
 
     def rows(self) -> list[Row]:
@@ -154,7 +151,9 @@ class Yielding:
             {
                 "arm": variant,
                 **{
-                    f"peak_{condition}_m": one.peak if (one := self.responses.get((variant, condition))) else math.nan
+                    f"peak_{condition}_m": response.peak
+                    if (response := self.responses.get((variant, condition)))
+                    else math.nan
                     for condition in PULSES
                 },
                 "RT_rise": self.rise(variant, "RT22.5", "RT2.5"),
@@ -191,21 +190,21 @@ def has_law(person: Person) -> bool:
 
 
 def variants(person: Person) -> dict[str, Person]:
-    """The person, with linear muscle, and with each mechanism switched off that the person has, by name.
+    """The person, the person with linear muscle, and with each mechanism switched off that the person has, by name.
 
     Raises:
       ValueError: the person has no muscle law.
     """
     if not has_law(person):
         raise ValueError(f"person {person.name!r} has linear muscles; expected a muscle law")
-    found = {WHOLE: person, LINEAR: _with_laws(person, lambda _: None)}
+    arms = {WHOLE: person, LINEAR: _with_laws(person, lambda _: None)}
     for name, off in MECHANISMS.items():
         changed = _with_laws(person, partial(replace, **off))
         if changed.subjects != person.subjects:
-            found[name] = changed
+            arms[name] = changed
     if len(set(person.levels.values()) | {1.0}) > 1:
-        found[ONE_LEVEL] = replace(person, levels={})
-    return found
+        arms[ONE_LEVEL] = replace(person, levels={})
+    return arms
 
 
 def _with_laws(person: Person, change: Callable[[MuscleLaw], MuscleLaw | None]) -> Person:
@@ -222,7 +221,7 @@ def why_people_yield(
     *,
     seed: int = 0,
     n_multisines: int = 2,
-    timestep: float = STEP,
+    timestep: float = QUICK_STEP,
     n_threads: int = 0,
     progress: Callable[[float], object] | None = None,
 ) -> Yielding:
@@ -258,32 +257,32 @@ def why_people_yield(
         trials = {pair: _trials(protocol, *pair, seed) for pair in pairs}
         if not trials:
             return
-        everything = [trial for own in trials.values() for trial in own]
+        everything = [trial for own_trials in trials.values() for trial in own_trials]
         recording = run_experiment(everything, environment, timestep=timestep, n_threads=n_threads, progress=progress)
         first = 0
-        for (condition, subject), own in trials.items():
-            yield condition, subject, recording.isel(trial=slice(first, first + len(own)))
-            first += len(own)
+        for (condition, subject), own_trials in trials.items():
+            yield condition, subject, recording.isel(trial=slice(first, first + len(own_trials)))
+            first += len(own_trials)
 
-    # Arms that are the same are simulated once: most mechanisms change the arm of one task, or of a few conditions.
-    found: dict[tuple[str, Subject], Response | str] = {}
+    # Equal arms are simulated once: most mechanisms change the arm of one task, or of a few conditions.
+    results: dict[tuple[str, Subject], Response | str] = {}
     steady: dict[Subject, str] = {}
     for (_, condition), subject in sorted(subjects.items(), key=lambda item: item[0][1] != "RT0"):
         if subject not in wrong:
             steady.setdefault(subject, condition)
     for condition, subject, recording in recorded(_alone(), ((name, subject) for subject, name in steady.items())):
-        reason = _left_workspace(recording) or _restless(recording)
+        reason = _left_workspace(recording) or _oscillation(recording)
         if reason:
             wrong[subject] = reason
-        found[condition, subject] = reason or _response(recording, subject)
+        results[condition, subject] = reason or _response(recording, subject)
     moved = {(name, subject): None for (_, name), subject in subjects.items() if name != "RT0" and subject not in wrong}
     for condition, subject, recording in recorded(_continuous(n_multisines), moved):
-        found[condition, subject] = _left_workspace(recording) or _response(recording, subject)
+        results[condition, subject] = _left_workspace(recording) or _response(recording, subject)
 
     responses: dict[tuple[str, str], Response] = {}
     unstable: dict[tuple[str, str], str] = {}
     for key, subject in subjects.items():
-        answer = wrong[subject] if subject in wrong else found[key[1], subject]
+        answer = wrong[subject] if subject in wrong else results[key[1], subject]
         if isinstance(answer, Response):
             responses[key] = answer
         else:
@@ -323,29 +322,29 @@ def _continuous(n_multisines: int) -> Protocol:
 
 def _trials(protocol: Protocol, condition: str, subject: Subject, seed: int) -> list[Trial]:
     """The trials of one condition, whose multisines are those of all conditions, and of both directions."""
-    own = replace(protocol, conditions=(protocol.condition(condition),))
-    drawn = own.draw_multisines(seed, range(own.conditions[0].repetitions))
-    multisines = {number: drawn[cell.repetition] for number, cell in enumerate(own.planned_trials()) if drawn}
+    alone = replace(protocol, conditions=(protocol.condition(condition),))
+    drawn = alone.draw_multisines(seed, range(alone.conditions[0].repetitions))
+    multisines = {number: drawn[planned.repetition] for number, planned in enumerate(alone.planned_trials()) if drawn}
     person = Person(name=subject.name, height=1.0, mass=1.0, subjects={subject.task: subject})
-    return own.trials(person, own.given_forces(), seed, 0, noisy=False, multisines=multisines)
+    return alone.trials(person, alone.given_forces(), seed, 0, noisy=False, multisines=multisines)
 
 
 def _left_workspace(recording: xr.Dataset) -> str:
-    """Empty if no trial did."""
+    """When the handle left the workspace; empty if it did not."""
     limit = recording["limit_time"].values
     return f"leaves the workspace at {np.nanmin(limit):.1f} s" if np.isfinite(limit).any() else ""
 
 
-def _restless(recording: xr.Dataset) -> str:
-    """Empty if the arm comes to rest after a pulse: hardly moves any more, or much less than some time before."""
+def _oscillation(recording: xr.Dataset) -> str:
+    """Empty if the arm comes to rest after a pulse: it moves little, or half as much as 3 s before."""
     rate = float(recording.attrs["rate"])
     handle, second = recording["displacement"].values, round(rate)
     before, after = (
         np.ptp(part, axis=1).max(axis=-1) for part in (handle[:, -4 * second : -3 * second], handle[:, -second:])
     )
     peak = np.linalg.norm(handle, axis=-1).max(axis=-1)
-    restless = (after > RESTLESS * peak) & (after > 0.5 * before)
-    return f"still swings {CALM:g} s after a pulse" if restless.any() else ""
+    oscillates = (after > AT_REST * peak) & (after > 0.5 * before)
+    return f"self-sustained oscillation: still moves {CALM:g} s after a pulse" if oscillates.any() else ""
 
 
 def _response(recording: xr.Dataset, subject: Subject) -> Response:

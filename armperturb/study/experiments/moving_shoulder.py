@@ -22,7 +22,7 @@ from armperturb.cohort import Person
 from armperturb.environment import Environment, Strap
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.study.protocol import THESIS, Condition, Protocol
+from armperturb.study.protocol import QUICK_STEP, THESIS, Condition, Protocol
 from armperturb.study.results.quantities import JOINTS
 
 Row = dict[str, Any]
@@ -32,9 +32,6 @@ CONDITIONS = ("PT0", "PT7.5", "PT22.5", "RT0", "RT22.5")
 
 MEASURES = ("true", "fixed_shoulder", "with_shoulder", "translation")
 """Fields of a row that are measured."""
-
-STEP = 2.5e-3
-"""Of the simulation [s], as in `calibrate.STEP`."""
 
 SETTLE = 4.0
 """Start of the stretch of multisine that is measured [s]: the start has died out."""
@@ -137,28 +134,31 @@ def moving_shoulder(
     """
     strap = strap or Strap()
     chosen = [protocol.condition(name) for name in conditions]
-    found: dict[str, list[ShoulderRow]] = {name: [] for name in conditions}
+    rows_of: dict[str, list[ShoulderRow]] = {name: [] for name in conditions}
     left_out: list[str] = []
     # Those without a multisine are shorter.
-    for mine in ([one for one in chosen if one.has_multisine], [one for one in chosen if not one.has_multisine]):
+    for mine in (
+        [condition for condition in chosen if condition.has_multisine],
+        [condition for condition in chosen if not condition.has_multisine],
+    ):
         if not mine:
             continue
         short = _shortened(protocol, mine)
         trials = short.trials(person, short.given_forces() if forces is None else forces, seed, 0, noisy=False)
         for belt in (None, strap):
             recording = run_experiment(
-                trials, environment, timestep=STEP, strap=belt, n_threads=n_threads, progress=progress
+                trials, environment, timestep=QUICK_STEP, strap=belt, n_threads=n_threads, progress=progress
             )
             for condition in mine:
-                own = recording.isel(trial=np.flatnonzero(recording["condition"].values == condition.name))
-                inside = np.isnan(own["limit_time"].values)
+                of_condition = recording.isel(trial=np.flatnonzero(recording["condition"].values == condition.name))
+                inside = np.isnan(of_condition["limit_time"].values)
                 left_out += [
                     f"{condition.name}, shoulder {'held' if belt is None else 'on the strap'}: a trial reached the "
                     f"workspace limit at {limit:.3f} s"
-                    for limit in own["limit_time"].values[~inside]
+                    for limit in of_condition["limit_time"].values[~inside]
                 ]
-                found[condition.name] += _rows(own.isel(trial=inside), condition, belt is not None)
-    rows = tuple(row for name in conditions for row in found[name])
+                rows_of[condition.name] += _rows(of_condition.isel(trial=inside), condition, belt is not None)
+    rows = tuple(row for name in conditions for row in rows_of[name])
     return MovingShoulder(person=person.name, strap=strap, rows=rows, left_out=tuple(left_out))
 
 

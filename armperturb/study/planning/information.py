@@ -106,7 +106,9 @@ class Experiment:
         total, gradient = model.total_and_gradient(values, environment)
         self._gradient = gradient @ structure.mixing
         self._jacobian = hand_jacobian(arm)
-        to_hand, to_joints = (np.linalg.inv(one) for one in (model.admittance(values), model.joint_impedance(values)))
+        to_hand, to_joints = (
+            np.linalg.inv(matrix) for matrix in (model.admittance(values), model.joint_impedance(values))
+        )
         self._own = total @ to_hand @ self._jacobian @ to_joints
         self._displacement = np.abs(total) ** 2
         held = 1.0 / np.abs(environment_admittance(environment, frequency)[:, 0, 0]) ** 2
@@ -381,8 +383,8 @@ def _with_barrier(
     """
     covariance = _inverse(np.einsum("sij,s->ij", parts, share))
     slope, curvature = np.zeros_like(share), np.zeros((len(share), len(share)))
-    for one in goal:
-        column = covariance[:, one] / np.sqrt(covariance[one, one])
+    for place in goal:
+        column = covariance[:, place] / np.sqrt(covariance[place, place])
         along = parts @ column
         down = along @ column
         slope -= down

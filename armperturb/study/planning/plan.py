@@ -226,7 +226,9 @@ def design(settings: DesignSettings) -> Design:
     thesis /= max(1.0, float(usual.displacement(thesis).max()) / displacement**2)
     if settings.peak is not None:
         multisines = [Multisine.draw(seed=seed, rms=float(np.sqrt(thesis[:, 0].sum()))) for seed in seeds]
-        largest = max(float(np.abs(one.sample(DESIGN_RATE, PERIOD_SAMPLES)).max()) for one in multisines)
+        largest = max(
+            float(np.abs(perturbation.sample(DESIGN_RATE, PERIOD_SAMPLES)).max()) for perturbation in multisines
+        )
         thesis *= min(1.0, settings.peak / largest) ** 2
     usual_demand = usual.demand(thesis)
 
@@ -244,10 +246,10 @@ def design(settings: DesignSettings) -> Design:
         for seed in seeds
     ]
     # How x and y add up depends on the phases: the worst trial must be within the limits.
-    moved = max(float(displacements(settings.subject, one, n_period).max()) for one in drawn)
+    moved = max(float(displacements(settings.subject, perturbation, n_period).max()) for perturbation in drawn)
     scale = min(1.0, displacement / moved)
     if settings.peak is not None:
-        scale = min(scale, settings.peak / max(float(np.abs(one.force).max()) for one in drawn))
+        scale = min(scale, settings.peak / max(float(np.abs(perturbation.force).max()) for perturbation in drawn))
 
     def signal(of: Experiment, powers: Array) -> Signal:
         return _signal(
@@ -261,7 +263,9 @@ def design(settings: DesignSettings) -> Design:
         thesis=signal(usual, thesis),
         optimised=signal(best, scale**2 * optimum.power),
         proposed=None if settings.perturbation is None else proposed_signal(settings, usual_demand),
-        perturbations=tuple(Sampled(force=scale * one.force, rate=one.rate) for one in drawn),
+        perturbations=tuple(
+            Sampled(force=scale * perturbation.force, rate=perturbation.rate) for perturbation in drawn
+        ),
         excess=optimum.excess,
     )
 
@@ -289,8 +293,8 @@ def proposed_signal(settings: DesignSettings, usual_demand: Array) -> Signal:
     n_samples = round(lasts * DESIGN_RATE)
     spectrum = 2.0 * rfft(settings.perturbation.sample(DESIGN_RATE, n_samples), axis=0) / n_samples
     frequency = np.arange(len(spectrum)) * DESIGN_RATE / n_samples
-    kept = (frequency > 0.0) & (frequency < DESIGN_RATE / 2.0)  # a constant force tells nothing of what moves
-    of, amplitudes = experiment_at(settings, frequency[kept]), spectrum[kept]
+    usable = (frequency > 0.0) & (frequency < DESIGN_RATE / 2.0)  # a constant force tells nothing of what moves
+    of, amplitudes = experiment_at(settings, frequency[usable]), spectrum[usable]
     try:
         return _signal(
             of,
@@ -308,14 +312,14 @@ def _signal(
     of: Experiment,
     powers: Array,
     usual_demand: Array,
-    told: Callable[[Array], Array],
+    information: Callable[[Array], Array],
     duration: float,
     trials: int,
 ) -> Signal:
     """What lines tell; `told` gives the information per second for a demand."""
-    own = of.demand(powers)
-    demands: dict[NoiseLaw, Array] = {"held": np.maximum(own, usual_demand), "follows": own}
-    errors = {law: of.standard_error(told(demand), duration, trials) for law, demand in demands.items()}
+    demand_alone = of.demand(powers)
+    demands: dict[NoiseLaw, Array] = {"held": np.maximum(demand_alone, usual_demand), "follows": demand_alone}
+    errors = {law: of.standard_error(information(demand), duration, trials) for law, demand in demands.items()}
     return Signal(of.frequency, powers, errors, np.sqrt(of.displacement(powers)), duration)
 
 

@@ -110,7 +110,7 @@ def plot_design(design: Design, figure: Figure | None = None) -> Any:
     (against_duration, against_trials), (on_x, on_y) = axes
     durations = np.geomspace(min(duration, PERIOD + SETTLING), LONGEST * duration, 100)
     trials = np.arange(1.0, LONGEST * settings.trials + 1.0)
-    lengths = np.array([effective_duration(one) for one in durations])
+    lengths = np.array([effective_duration(length) for length in durations])
     planned = effective_duration(duration)
     for name, signal in _signals(design):
         size = np.abs(design.truth[columns]) / 100.0 if known else 1.0
@@ -121,8 +121,8 @@ def plot_design(design: Design, figure: Figure | None = None) -> Any:
             (against_duration, durations, settings.trials * lengths, duration),
             (against_trials, trials, trials * planned, settings.trials),
         ):
-            for one in of_a_second:
-                ax.plot(steps, one / np.sqrt(seconds), linewidth=0.6, alpha=0.4, **LOOKS[name])
+            for errors in of_a_second:
+                ax.plot(steps, errors / np.sqrt(seconds), linewidth=0.6, alpha=0.4, **LOOKS[name])
             mean = float(np.exp(np.mean(np.log(of_a_second))))
             ax.plot(steps, mean / np.sqrt(seconds), linewidth=2.0, label=name, **LOOKS[name])
             ax.plot(planned_step, mean / np.sqrt(settings.trials * planned), "o", **LOOKS[name])
@@ -188,8 +188,8 @@ def write_design(design: Design, folder: Path) -> None:
       OSError: a file cannot be written.
     """
     tables, figures, perturbations = (folder / name for name in ("tables", "figures", "perturbations"))
-    for one in (tables, figures, perturbations):
-        one.mkdir(parents=True, exist_ok=True)
+    for folder in (tables, figures, perturbations):
+        folder.mkdir(parents=True, exist_ok=True)
     for old in perturbations.glob("trial_*.csv"):  # of a plan with more trials
         old.unlink()
     write_csv(design.to_frame(), tables / "design.csv")

@@ -1,4 +1,4 @@
-"""The study folder: who may write to it, what it was made with, and which subjects' recordings are there and whole.
+"""The study folder: a lock, the manifest, and each subject's recording with its checksum.
 
 | file | |
 |---|---|
@@ -73,13 +73,13 @@ class StudyFolder:
         with ThreadPoolExecutor() as pool:  # hashing lets go of the interpreter
             digests = list(pool.map(digest, map(self.recording, present)))
         whole, damaged = [], []
-        for name, found in zip(present, digests, strict=True):
-            if self._sums.get(name) == found:
+        for name, checksum in zip(present, digests, strict=True):
+            if self._sums.get(name) == checksum:
                 whole.append(name)
                 continue
             path = self.recording(name)
             aside = path.with_name(f"{path.name}.corrupt")
-            with _told(path):
+            with _naming(path):
                 os.replace(path, aside)
             damaged.append(aside)
         return whole, damaged
@@ -101,7 +101,7 @@ class StudyFolder:
         path = self.recording(name)
         sums = {**self._sums, name: sha256}
         text = "".join(f"{sums[key]}  {key}.nc\n" for key in sorted(sums))
-        with _told(path):
+        with _naming(path):
             write_durably(path.parent / SUMS, text.encode())
             os.replace(staged, path)
             sync_folder(path.parent)
@@ -125,12 +125,12 @@ def open_study(root: Path, manifest: Mapping[str, Any]) -> Iterator[StudyFolder]
         of unknown origin.
       OSError: the folder cannot be written to.
     """
-    with _told(root):
+    with _naming(root):
         root.mkdir(parents=True, exist_ok=True)
         lock = FileLock(root / LOCK, timeout=0)
     with _locked(lock, root):
         _agree(root, manifest)
-        with _told(root):
+        with _naming(root):
             (root / RECORDINGS).mkdir(exist_ok=True)
             _sweep(root)
             (root / STAGING).mkdir()
@@ -156,11 +156,11 @@ def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
       OSError: there is no recording.
       ValueError: none is whole.
     """
-    found, sums = sorted((root / RECORDINGS).glob("*.nc")), _read_sums(root / RECORDINGS / SUMS)
-    if not found:
+    paths, sums = sorted((root / RECORDINGS).glob("*.nc")), _read_sums(root / RECORDINGS / SUMS)
+    if not paths:
         raise FileNotFoundError(f"{root}: holds no {RECORDINGS}/*.nc; expected the folder of a study")
     whole, remarks = [], []
-    for path in found:
+    for path in paths:
         if sums and sums.get(path.stem) != digest(path):
             remarks.append(f"{path.name} does not match its checksum; it is left out")
         else:
@@ -179,7 +179,7 @@ def digest(path: Path) -> str:
 @contextmanager
 def _locked(lock: FileLock, root: Path) -> Iterator[None]:
     try:
-        with _told(root):
+        with _naming(root):
             lock.acquire()
     except Timeout:
         holder = root / STAGING / HOLDER
@@ -197,13 +197,13 @@ def _agree(root: Path, manifest: Mapping[str, Any]) -> None:
     """Write the manifest if there is none, else compare."""
     path = root / MANIFEST
     if not path.exists():
-        found = next((root / RECORDINGS).glob("*.nc"), None)
-        if found is not None:
+        recording = next((root / RECORDINGS).glob("*.nc"), None)
+        if recording is not None:
             raise ValueError(
-                f"{root}: holds {found.relative_to(root)} but no {MANIFEST} that tells how it was made; expected an "
-                "empty folder or one that a study has begun"
+                f"{root}: holds {recording.relative_to(root)} but no {MANIFEST} that says how it was made; expected an "
+                "empty folder, or one with an unfinished study"
             )
-        with _told(path):
+        with _naming(path):
             write_durably(path, (json.dumps(manifest, indent=1, ensure_ascii=False) + "\n").encode())
         return
     try:
@@ -284,8 +284,8 @@ def _read_sums(path: Path) -> dict[str, str]:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Say of an operating system's error what could not be written."""
+def _naming(path: Path) -> Iterator[None]:
+    """Name the file that could not be written in an operating system's error."""
     try:
         yield
     except OSError as error:
@@ -293,7 +293,7 @@ def _told(path: Path) -> Iterator[None]:
 
 
 def cannot_write(path: Path, error: OSError) -> OSError:
-    """An error of the operating system, told in a sentence; the kind stays."""
-    told = type(error)(f"{path}: cannot be written ({error.strerror or error}); what was finished before is kept")
-    told.errno = error.errno
-    return told
+    """An error of the operating system of the same class, as a sentence that names the file."""
+    explained = type(error)(f"{path}: cannot be written ({error.strerror or error}); what was finished before is kept")
+    explained.errno = error.errno
+    return explained

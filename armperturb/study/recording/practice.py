@@ -4,6 +4,7 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Self
 
 import numpy as np
@@ -20,7 +21,7 @@ from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD
 from armperturb.seeds import random_stream, trial_seed
-from armperturb.study.protocol import PULSE_UNIT, Condition, Protocol
+from armperturb.study.protocol import PULSE_UNIT, QUICK_STEP, Condition, Protocol
 from armperturb.subject import Subject
 
 Measure = Callable[[NDArray[np.int_], Array], Array]
@@ -36,23 +37,19 @@ MAX_ROUNDS = 6
 """Rounds that a practice session may take."""
 
 SETTLE = 8.0
-"""Time that passes before the displacement counts [s], as in the analysis: the transient has gone."""
-
-STEP = 2.5e-3
-"""Of the simulation [s]. Beside 1 ms, it makes the RMS displacement 0.05 % larger on average over conditions and people
-whose muscles yield, and 0.5 % in the worst (PT22.5): a quarter of the tolerance, and of the costs."""
+"""Time before the window of the displacement [s], in which the transient decays, as in the analysis."""
 
 TRIALS_PER_BATCH = 240
-"""How many practice trials are simulated side by side; bounds the memory, changes no result."""
+"""Number of practice trials that are simulated side by side; limits the memory, no effect on the result."""
 
 N_CANDIDATES = 500
-"""How many sets of phases the practice multisine is picked from; its crest factor on y is some 2.8."""
+"""Number of sets of phases among which the practice multisine is chosen; its crest factor on y is some 2.8."""
 
 _NONLINEAR_EXPONENT = 1.3
 """Exponent of displacement over force [-] in the first correction for nonlinear muscles: it is 1.0 to 1.8."""
 
 _LARGEST_STEP = math.log(4.0)
-"""Of the logarithm of the force from one round to the next."""
+"""Largest change of the logarithm of the force from one round to the next."""
 
 _EXPONENTS = (0.1, 8.0)
 """Bounds of the exponent of displacement over force [-]: 1 is a linear arm."""
@@ -81,6 +78,7 @@ def practise(
     n_threads: int = 0,
     *,
     noisy: bool = False,
+    timestep: float = QUICK_STEP,
     progress: Callable[[float], object] | None = None,
 ) -> tuple[dict[str, float], ...]:
     """Forces for every person: each condition's force is adjusted until the handle moves as far as intended.
@@ -97,6 +95,7 @@ def practise(
       environment: what the hand holds; the thesis's manipulator if not given.
       n_threads: of the simulation; 0 takes all cores.
       noisy: whether people are noisy while they practise, in the same way in every round.
+      timestep: of the simulation [s].
       progress: called with the simulated seconds (all trials together) since the last call.
 
     Returns:
@@ -118,7 +117,15 @@ def practise(
         goals.update(dict.fromkeys(goals_of[-1].values()))
     force_of: dict[_Goal, float] = {}
     if goals:
-        adjusted = _reach(list(goals), seed, environment, protocol.strap, n_threads, noisy, progress)
+        simulate = partial(
+            measured_displacement,
+            environment=environment,
+            strap=protocol.strap,
+            timestep=timestep,
+            n_threads=n_threads,
+            progress=progress,
+        )
+        adjusted = _reach(list(goals), seed, environment, noisy, simulate)
         force_of = dict(zip(goals, adjusted.force.tolist(), strict=True))
     forces = []
     for goal_of in goals_of:
@@ -148,13 +155,7 @@ class _Goal:
 
 
 def _reach(
-    goals: Sequence[_Goal],
-    seed: int,
-    environment: Environment,
-    strap: Strap | None,
-    n_threads: int,
-    noisy: bool,
-    progress: Callable[[float], object] | None,
+    goals: Sequence[_Goal], seed: int, environment: Environment, noisy: bool, simulate: Callable[[list[Trial]], Array]
 ) -> Adjustment:
     """The force of each goal.
 
@@ -178,10 +179,7 @@ def _reach(
             for goal, newton in zip([goals[number] for number in numbers.tolist()], force.tolist(), strict=True)
         ]
         return np.concatenate(
-            [
-                measured_displacement(trials[first : first + TRIALS_PER_BATCH], environment, n_threads, progress, strap)
-                for first in range(0, len(trials), TRIALS_PER_BATCH)
-            ]
+            [simulate(trials[first : first + TRIALS_PER_BATCH]) for first in range(0, len(trials), TRIALS_PER_BATCH)]
         )
 
     exponents = np.array([1.0 if goal.subject.muscle is None else _NONLINEAR_EXPONENT for goal in goals])
@@ -231,15 +229,19 @@ def linear_displacement(subject: Subject, environment: Environment, multisine: M
 def measured_displacement(
     trials: Sequence[Trial],
     environment: Environment,
+    *,
+    strap: Strap | None = None,
+    timestep: float = QUICK_STEP,
     n_threads: int = 0,
     progress: Callable[[float], object] | None = None,
-    strap: Strap | None = None,
 ) -> Array:
     """RMS displacement from the start, pooled over both axes, from 8 s to 28.48 s [m], (trial,).
 
     Infinite where the handle reached the workspace limit before the end, or the simulation diverged.
     """
-    recording = run_experiment(trials, environment, timestep=STEP, strap=strap, n_threads=n_threads, progress=progress)
+    recording = run_experiment(
+        trials, environment, timestep=timestep, strap=strap, n_threads=n_threads, progress=progress
+    )
     first, last = (round(time * recording.attrs["rate"]) for time in (SETTLE, SETTLE + PERIOD))
     inside = recording["displacement"].values[:, first:last]
     rms = np.sqrt(np.mean(inside**2, axis=(1, 2)))

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from tqdm import tqdm
 
 from armperturb.cohort import Person
 from armperturb.environment import Environment
@@ -24,6 +23,7 @@ from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
 from armperturb.files import write_durably
 from armperturb.perturbations import Multisine
+from armperturb.progress import Progress
 from armperturb.recording import encode_recording, stack_trials
 from armperturb.study.protocol import Protocol
 from armperturb.study.recording.folder import StudyFolder, cannot_write, open_study
@@ -310,11 +310,12 @@ class _Progress(AbstractContextManager["_Progress"]):
         self._n_trials, self._n_before, self._duration = n_trials, n_before, duration
         self._seconds = 0.0
         self._start = self._next = time.monotonic()
-        self._bar = tqdm(
+        self._bar = Progress(
+            "recording",
             total=n_trials,
             initial=n_before,
-            desc="simulate",
-            disable=None if show else True,
+            unit="trials",
+            show=show,
             bar_format="{l_bar}{bar}| {remaining} left{postfix}",
         )
 

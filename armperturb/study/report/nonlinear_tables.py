@@ -50,12 +50,12 @@ def degrees(pulses: str) -> str:
 
 def fitted(study: StudyResult, task: str, *, pulses: bool) -> list[NonlinearFit]:
     """Fits in a task that did not fail, to what comes before pulses alone, or to some pulses too."""
-    return [one for one in study.nonlinear if one.task == task and not one.failed and bool(one.fitted_deg) == pulses]
+    return [fit for fit in study.nonlinear if fit.task == task and not fit.failed and bool(fit.fitted_deg) == pulses]
 
 
 def tasks_fitted(study: StudyResult) -> list[str]:
     """Tasks in which somebody was identified nonlinearly."""
-    return list(dict.fromkeys(one.task for one in study.nonlinear if not one.failed))
+    return list(dict.fromkeys(fit.task for fit in study.nonlinear if not fit.failed))
 
 
 def true_parameters(study: StudyResult, fit: NonlinearFit) -> dict[str, float]:
@@ -80,11 +80,11 @@ def linear_parameters(study: StudyResult, name: str, task: str) -> dict[str, lis
         for case in study.of(condition.name)
         if case.name == name and condition.task == task
     ]
-    found = {name: [float(getattr(arm, name)) for arm in arms] for name in (*BODY, *GRIP)}
+    values = {name: [float(getattr(arm, name)) for arm in arms] for name in (*BODY, *GRIP)}
     for group in GROUPS:
         for place, element in enumerate(ELEMENTS):
-            found[f"{group}.{element}"] = [float(arm.muscle_groups(group)[place]) for arm in arms]
-    return found
+            values[f"{group}.{element}"] = [float(arm.muscle_groups(group)[place]) for arm in arms]
+    return values
 
 
 def nonlinear_parameter_rows(study: StudyResult) -> list[Row]:
@@ -156,19 +156,19 @@ def left_out_pulses(study: StudyResult, task: str) -> dict[tuple[str, float], di
 
     The linear and the skeletal model predict each trial by its own fit, and so need a multisine before the pulse.
     """
-    found: dict[tuple[str, float], dict[str, list[tuple[float, float]]]] = {}
+    of_pulse: dict[tuple[str, float], dict[str, list[tuple[float, float]]]] = {}
     for pulses in (False, True):
         for fit in fitted(study, task, pulses=pulses):
             for pulse in fit.pulses:
-                own = found.setdefault((pulse.condition, pulse.level), {model: [] for model in SHOWN_MODELS})
+                of_model = of_pulse.setdefault((pulse.condition, pulse.level), {model: [] for model in SHOWN_MODELS})
                 for model in pulse.peak:
                     if model == "nonlinear":
-                        own[SEES_OTHERS if pulses else SEES_NONE].append(_both(pulse, model))
+                        of_model[SEES_OTHERS if pulses else SEES_NONE].append(_both(pulse, model))
                     elif not pulses:
-                        own[model].append(_both(pulse, model))
+                        of_model[model].append(_both(pulse, model))
     order = [condition.name for condition in study.protocol.conditions]
-    order += [condition for condition, _ in found if condition not in order]
-    return {key: found[key] for key in sorted(found, key=lambda key: (order.index(key[0]), key[1]))}
+    order += [condition for condition, _ in of_pulse if condition not in order]
+    return {key: of_pulse[key] for key in sorted(of_pulse, key=lambda key: (order.index(key[0]), key[1]))}
 
 
 def nonlinear_pulse_rows(study: StudyResult) -> list[Row]:
@@ -176,16 +176,16 @@ def nonlinear_pulse_rows(study: StudyResult) -> list[Row]:
     rows = []
     for task in tasks_fitted(study):
         for (condition, level), of_model in left_out_pulses(study, task).items():
-            for model, told in of_model.items():
-                if told:
-                    peak, vaf = np.transpose(told)
+            for model, shares in of_model.items():
+                if shares:
+                    peak, vaf = np.transpose(shares)
                     rows.append(
                         {
                             "task": task,
                             "condition": condition,
                             "level": level,
                             "model": model,
-                            "pulses": len(told),
+                            "pulses": len(shares),
                             "median_peak_percent": float(np.median(peak)),
                             **mean_sd_of("peak_percent", peak.tolist()),
                             "median_vaf_percent": float(np.median(vaf)),
@@ -199,16 +199,16 @@ def nonlinear_fit_rows(study: StudyResult) -> list[Row]:
     """How each fit went."""
     return [
         {
-            "task": one.task,
-            "subject": one.name,
-            "fitted_pulses_deg": " ".join(f"{deg:g}" for deg in one.fitted_deg),
-            "converged": str(one.converged).lower(),
-            "status": one.status or one.failed,
-            "parameters": len(one.values),
-            "at_bound": " ".join(one.at_bound),
-            "remarks": "; ".join(one.remarks),
+            "task": fit.task,
+            "subject": fit.name,
+            "fitted_pulses_deg": " ".join(f"{deg:g}" for deg in fit.fitted_deg),
+            "converged": str(fit.converged).lower(),
+            "status": fit.status or fit.failed,
+            "parameters": len(fit.values),
+            "at_bound": " ".join(fit.at_bound),
+            "remarks": "; ".join(fit.remarks),
         }
-        for one in study.nonlinear
+        for fit in study.nonlinear
     ]
 
 

@@ -93,8 +93,8 @@ _DISPLAYED = {"k_h": ("kN/m", 1e-3), "Td_s": ("ms", 1e3), "Td_e": ("ms", 1e3)}
 def published_tables(result: Score) -> tuple[PublishedTable, ...]:
     """All tables that are scored, in the order of the thesis: 2.1, C.3 to C.22, D.3 to E.5, F.2 to F.6."""
     tables: dict[str, list[ScoredCell]] = {}
-    for one in result.cells:
-        tables.setdefault(one.cell.table, []).append(one)
+    for scored in result.cells:
+        tables.setdefault(scored.cell.table, []).append(scored)
 
     def place(number: str) -> tuple[str, int]:
         chapter, _, count = number.partition(".")
@@ -105,47 +105,47 @@ def published_tables(result: Score) -> tuple[PublishedTable, ...]:
 
 def _table(number: str, cells: list[ScoredCell]) -> PublishedTable:
     places: list[Callable[[ScoredCell], _Place]] = [_measured_place, _fitted_place]
-    where = [(places[number[0] in "CDE"](one), one) for one in cells]
+    where = [(places[number[0] in "CDE"](scored), scored) for scored in cells]
     # As printed, with pulses last; else as they come.
     order = {label: number for number, (label, _) in enumerate(_MEASURED.values())}
     columns = tuple(sorted({place.column: None for place, _ in where}, key=lambda column: order.get(column, 0)))
-    found = {(place.row, place.column): _entry(one, place.factor) for place, one in where}
+    entries = {(place.row, place.column): _entry(scored, place.factor) for place, scored in where}
     rows = dict.fromkeys(place.row for place, _ in where)
     return PublishedTable(
         number=number,
-        title=TITLES.get(number) or _fit_title(number, [one for _, one in where]),
+        title=TITLES.get(number) or _fit_title(number, [scored for _, scored in where]),
         columns=columns,
-        rows=tuple((row, tuple(found.get((row, column)) for column in columns)) for row in rows),
+        rows=tuple((row, tuple(entries.get((row, column)) for column in columns)) for row in rows),
         share=share(cells),
     )
 
 
-def _entry(one: ScoredCell, factor: float) -> Entry:
+def _entry(scored: ScoredCell, factor: float) -> Entry:
     return Entry(
-        published=factor * one.published.mean,
-        published_sd=factor * one.published.sd,
-        ours=factor * one.ours.mean,
-        ours_sd=factor * one.ours.sd,
-        z=one.z,
-        reason=one.reason,
+        published=factor * scored.published.mean,
+        published_sd=factor * scored.published.sd,
+        ours=factor * scored.ours.mean,
+        ours_sd=factor * scored.ours.sd,
+        z=scored.z,
+        reason=scored.reason,
     )
 
 
-def _measured_place(one: ScoredCell) -> _Place:
-    if one.cell.quantity in _MEASURED:
-        return _Place(one.cell.condition, *_MEASURED[one.cell.quantity])
-    match = _JOINT.fullmatch(one.cell.quantity)
+def _measured_place(scored: ScoredCell) -> _Place:
+    if scored.cell.quantity in _MEASURED:
+        return _Place(scored.cell.condition, *_MEASURED[scored.cell.quantity])
+    match = _JOINT.fullmatch(scored.cell.quantity)
     assert match is not None
     kind, what, pulse, joint = match.groups()
     level = {"min": ", level 1", "max": ", level 2", "left": ", to the left", "right": ", to the right"}
     name = {"rms": "RMS", "max": "largest", "peak": "peak"}[kind]
     shown = "deg" if what == "rotation" else "deg/s"
-    row = f"{one.cell.condition}, {'shoulder' if joint == 's' else 'elbow'}"
+    row = f"{scored.cell.condition}, {'shoulder' if joint == 's' else 'elbow'}"
     return _Place(row, f"{name} {what}{level.get(pulse or '', '')} [{shown}]", math.degrees(1.0))
 
 
-def _fitted_place(one: ScoredCell) -> _Place:
-    match = _FIT.fullmatch(one.cell.quantity)
+def _fitted_place(scored: ScoredCell) -> _Place:
+    match = _FIT.fullmatch(scored.cell.quantity)
     assert match is not None
     _, what, model, start = match.groups()
     column = f"model {model}, start {start.rpartition('_')[2]}" if start else f"model {model}"
@@ -157,7 +157,7 @@ def _fitted_place(one: ScoredCell) -> _Place:
             "N_pos": ("trials with a positive VAF [%]", 100.0),
             "N_stab": ("stable trials [%]", 100.0),
         }[what]
-        return _Place(f"{one.cell.condition}, {name}", column, factor)
+        return _Place(f"{scored.cell.condition}, {name}", column, factor)
     shown, factor = _DISPLAYED.get(what, (unit(what), 1.0))
     return _Place(f"{what} [{shown}]", column, factor)
 
@@ -165,10 +165,10 @@ def _fitted_place(one: ScoredCell) -> _Place:
 def _fit_title(number: str, cells: Iterable[ScoredCell]) -> str:
     """E.g. "Parameters of six structures in PT7.5, with the penalty"."""
     cells = list(cells)
-    conditions = ", ".join(dict.fromkeys(one.cell.condition for one in cells))
+    conditions = ", ".join(dict.fromkeys(scored.cell.condition for scored in cells))
     first = cells[0].cell.quantity
     what = "Standard errors" if first.startswith("SEM") else "Parameters"
-    if any(one.cell.quantity.startswith("criterion") for one in cells):
+    if any(scored.cell.quantity.startswith("criterion") for scored in cells):
         what = "Criterion and VAF"
     of = "of six structures" if number.startswith("C") else "from several starts"
     return f"{what} {of} in {conditions}, {'without' if number in WITHOUT_PENALTY else 'with'} the penalty"

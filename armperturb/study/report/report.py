@@ -10,13 +10,13 @@ from typing import Any, NamedTuple, TypeVar
 import jinja2
 from markupsafe import Markup
 from matplotlib.figure import Figure
-from tqdm import tqdm
 
 from armperturb.cohort import Person
 from armperturb.environment import Environment
 from armperturb.files import write_csv, written_whole
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.plots.style import save_svg
+from armperturb.progress import Progress
 from armperturb.study.comparison.effects import effects
 from armperturb.study.comparison.score import Score, score, write_score
 from armperturb.study.experiments.mechanisms import Yielding, has_law, why_people_yield
@@ -98,7 +98,7 @@ def write_report(
             if figures is None or name in figures
         ]
         pictures, not_drawn = {}, {}
-        for name, picture, reason in _each(_draw, units, pool, "draw", show_progress):
+        for name, picture, reason in _each(_draw, units, pool, "figures", show_progress):
             if picture is None:
                 not_drawn[name] = reason
             else:
@@ -170,7 +170,7 @@ def _simulated(
         )
         for kind, (function, result) in functions.items()
     ]
-    results = dict(_each(_simulate, units, pool, "simulate", show_progress))
+    results = dict(_each(_simulate, units, pool, "mechanisms", show_progress))
     return results.get("mechanisms"), results["moving-shoulder"]
 
 
@@ -209,7 +209,7 @@ def _each(
     function: Callable[[Unit], Result], units: Sequence[Unit], pool: Workers | None, label: str, show_progress: bool
 ) -> Iterator[Result]:
     """What a function gives of each unit, as it comes."""
-    with tqdm(total=len(units), desc=label, disable=None if show_progress else True) as bar:
+    with Progress(label, total=len(units), unit="units", show=show_progress) as bar:
         for result in map(function, units) if pool is None else completed(function, units, pool, bar.refresh):
             bar.update()
             yield result

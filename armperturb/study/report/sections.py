@@ -1,4 +1,4 @@
-"""The sections of the report: what each one's template is given."""
+"""The sections of the report, in order: title, template, and the values that the template shows."""
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -33,12 +33,12 @@ PULSES_DRAWN = {"peak_displacement", "pulse_admittance", "pulse_prediction", "tr
 """Figures of pulse responses."""
 
 FACTORS = {
-    "admittance_ratio_rt7.5_pt7.5": "admittance, relaxing over holding position",
-    "admittance_amplitude_factor_pt": "its fall with amplitude, holding position",
-    "admittance_amplitude_factor_rt": "its rise with amplitude, relaxing",
+    "admittance_ratio_rt7.5_pt7.5": "admittance ratio, relaxing over holding position",
+    "admittance_amplitude_factor_pt": "decrease with amplitude, holding position",
+    "admittance_amplitude_factor_rt": "increase with amplitude, relaxing",
     "pulse_underprediction_factor": "peak after a pulse over its prediction",
-    "pulse_prediction_low": "predicted share of a peak, least [%]",
-    "pulse_prediction_high": "predicted share of a peak, most [%]",
+    "pulse_prediction_low": "smallest predicted share of a peak [%]",
+    "pulse_prediction_high": "largest predicted share of a peak [%]",
     "peak_displacement_ratio_rt_pt_min_level": "peak after a pulse, relaxing over holding",
     "pulse_admittance_ratio_max_min_pt0": "pulse admittance, level 2 over 1, PT0",
     "pulse_admittance_ratio_max_min_pt7.5": "pulse admittance, level 2 over 1, PT7.5",
@@ -113,7 +113,7 @@ def sections(
       shoulder: what it does if the first person's shoulder moves; None of people who were not simulated.
       drawn: names of the figures that are there.
     """
-    found = [
+    present = [
         Section(title="Summary", template="summary", context={"rows": rows["summary"], **_summary(score)}),
         Section(title="Method", template="method"),
         Section(
@@ -128,13 +128,13 @@ def sections(
         Section(title="Parameters", template="parameters", context={"rows": rows["parameters_summary"]}),
     ]
     if PULSES_DRAWN & set(drawn):
-        found.append(
+        present.append(
             Section(title="Pulse response", template="pulses", context={"headlines": score and _of_pulses(score)})
         )
     if study.nonlinear:
-        found.append(Section(title="Nonlinear identification", template="nonlinear", context=_nonlinear(study)))
+        present.append(Section(title="Nonlinear identification", template="nonlinear", context=_nonlinear(study)))
     if effects.rows or effects.admittance:
-        found.append(Section(title="Statistics", template="statistics", context={"effects": effects}))
+        present.append(Section(title="Statistics", template="statistics", context={"effects": effects}))
     if score is not None or "joint_rotations" in drawn:
         context: dict[str, Any] = {
             "joints": joint_rows(study),
@@ -143,28 +143,28 @@ def sections(
             "shoulder": shoulder,
             "names": NAMES,
         }
-        found.append(Section(title="Kinematics", template="kinematics", context=context))
+        present.append(Section(title="Kinematics", template="kinematics", context=context))
     if "stills" in drawn:
-        found.append(Section(title="Videos, as stills", template="stills"))
+        present.append(Section(title="Videos, as stills", template="stills"))
     if yielding is not None:
         context = {"person": yielding.person, "rows": yielding.rows(), "pulses": PULSES, "unstable": yielding.unstable}
-        found.append(Section(title="Why people yield", template="yielding", context=context))
+        present.append(Section(title="Mechanisms of the muscle law", template="yielding", context=context))
     if score is not None:
-        found.append(
+        present.append(
             Section(
-                title="Beside the thesis",
+                title="Comparison with the thesis",
                 template="published",
                 context={"tables": published_tables(score), "score": score, "missing": missing_cells(score)},
             )
         )
-    found.append(
+    present.append(
         Section(
             title="What was left out",
             template="left_out",
             context={"lists": left_out(study, rows["fits"], score.remarks if score is not None else study.remarks)},
         )
     )
-    return found
+    return present
 
 
 def _nonlinear(study: StudyResult) -> dict[str, Any]:
@@ -206,8 +206,8 @@ def joint_rows(study: StudyResult) -> list[Row]:
         if not cell.table.startswith("F"):
             continue
         path, true = (
-            [of_person[cell] for of_person in found if cell in of_person]
-            for found in ([person.cells for person in study.people], [person.true_cells for person in study.people])
+            [of_person[cell] for of_person in of_people if cell in of_person]
+            for of_people in ([p.cells for p in study.people], [p.true_cells for p in study.people])
         )
         if path:
             row: Row = {"table": cell.table, "condition": cell.condition, "quantity": cell.quantity}
@@ -218,8 +218,8 @@ def joint_rows(study: StudyResult) -> list[Row]:
 
 def _means(study: StudyResult) -> dict[Cell, float]:
     """Means over people of the cells that somebody fills."""
-    found = {cell: [p.cells[cell] for p in study.people if cell in p.cells] for cell in published_cells()}
-    return {cell: float(np.mean(values)) for cell, values in found.items() if values}
+    values_of = {cell: [p.cells[cell] for p in study.people if cell in p.cells] for cell in published_cells()}
+    return {cell: float(np.mean(values)) for cell, values in values_of.items() if values}
 
 
 def _summary(score: Score | None) -> dict[str, Any]:
@@ -240,14 +240,14 @@ def _differs(score: Score, factors: list[Factor]) -> list[str]:
     """The largest differences, in words."""
     off = [factor for factor in factors if factor.mark == "beyond-1"]
     lines = [f"{len(off)} of {len(factors)} headline numbers are off by more than {100.0 * NEAR:.0f} %"] if off else []
-    measured = [one for one in score.cells if one.cell.table[0] in "2F"]
-    beyond = [one for one in measured if abs(one.z) > 2.0]
+    measured = [scored for scored in score.cells if scored.cell.table[0] in "2F"]
+    beyond = [scored for scored in measured if abs(scored.z) > 2.0]
     if beyond:
-        named = ", ".join(f"{one.cell.quantity} in {one.cell.condition}" for one in beyond[:MOST_NAMED])
+        named = ", ".join(f"{scored.cell.quantity} in {scored.cell.condition}" for scored in beyond[:MOST_NAMED])
         more = f" and {len(beyond) - MOST_NAMED} more" if len(beyond) > MOST_NAMED else ""
         lines.append(f"movements beyond 2 SD: {named.replace('_', ' ')}{more}")
-    of_tables = {name: one for name, one in shares(score).items() if "." in name and " " not in name}
-    far = sorted((one.parts[1], name) for name, one in of_tables.items() if one.parts[1] < 0.5)
+    of_tables = {name: scored for name, scored in shares(score).items() if "." in name and " " not in name}
+    far = sorted((scored.parts[1], name) for name, scored in of_tables.items() if scored.parts[1] < 0.5)
     if far:
         worst = ", ".join(f"{name} ({100.0 * part:.0f}\u00a0%)" for part, name in far[:MOST_NAMED])
         lines.append(f"less than half of the cells within 1 SD: {len(far)} of {len(of_tables)} tables, least {worst}")
@@ -268,34 +268,32 @@ def drifting(study: StudyResult) -> list[Condition]:
 
 
 def left_out(study: StudyResult, fits: list[Row], remarks: Sequence[str]) -> dict[str, list[str]]:
-    """What no table shows, or what a reader should not trust: heading to one line each."""
+    """What is missing and which results are doubtful: heading to one line each."""
 
     def those(says: Callable[[Row], str]) -> list[str]:
         return [f"{row['subject']} in {row['condition']}: {says(row)}" for row in fits if says(row)]
 
     return {
-        "What is missing, or was made otherwise": list(study.missing),
-        "What was left out of single results": [line for line in remarks if line not in study.missing],
-        "Trials and people that were left out": [reason for case in study.cases for reason in case.left_out],
-        "Fits of greatest likelihood that did not converge": those(
-            lambda row: "" if row["converged"] else row["status"]
-        ),
-        "Fits of greatest likelihood with a parameter at its bound": those(lambda row: row["at_bound"]),
-        "Fits whose trials say that the model is wrong, or the person not linear": those(
+        "Missing, or made with other settings or versions": list(study.missing),
+        "Left out of single results": [line for line in remarks if line not in study.missing],
+        "Trials and people left out": [reason for case in study.cases for reason in case.left_out],
+        "Maximum likelihood fits that did not converge": those(lambda row: "" if row["converged"] else row["status"]),
+        "Maximum likelihood fits with a parameter at its bound": those(lambda row: row["at_bound"]),
+        "Fits with residuals larger than the noise explains": those(
             lambda row: (
                 f"chi2 / dof {row['chi2'] / row['dof']:.2f}, p = {row['p_value']:.1g}"
                 if row["p_value"] < SUSPICIOUS
                 else ""
             )
         ),
-        "Fits of greatest likelihood that are unstable on the manipulator": those(
+        "Maximum likelihood fits that are unstable on the manipulator": those(
             lambda row: "" if row["stable"] else f"largest real part of a pole {row['largest_real_pole_per_s']:.3g} 1/s"
         ),
     }
 
 
 def remarks(study: StudyResult) -> dict[str, dict[str, list[str]]]:
-    """Condition to person to what to know before trusting their estimates, the thesis's estimator's last."""
+    """Condition to person to the remarks on their estimates, those of the thesis's estimator last."""
     said: dict[str, dict[str, list[str]]] = {}
     for case in study.cases:
         if case.identification is not None:

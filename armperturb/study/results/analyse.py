@@ -7,11 +7,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, Self, TypeVar
 
-from tqdm import tqdm
-
 from armperturb.analysis.trials import trials_by_condition
 from armperturb.cohort import Person
 from armperturb.environment import Environment
+from armperturb.progress import Progress
 from armperturb.recording import load_recording
 from armperturb.study.protocol import THESIS, Protocol
 from armperturb.study.recording.folder import RECORDINGS, digest, find_recordings
@@ -94,7 +93,7 @@ def analyse_study(
         require_number("analysis", "workers", workers, at_least=1)
     study, missing = _Study.find(root, settings or AnalysisSettings())
     with workers_for(worker_count(workers, len(study.paths)), None) as pool:
-        with tqdm(total=2 * len(study.paths), desc="analyse", unit="step", disable=_hidden(show_progress)) as bar:
+        with Progress("analysis", total=2 * len(study.paths), unit="steps", show=show_progress) as bar:
             people = study.people(pool, bar)
             appendices, second = study.appendices(people, pool, bar)
         fits, stale = _nonlinear(study.nonlinear_units(people), nonlinear, pool, show_progress)
@@ -215,7 +214,7 @@ class _Study:
         )
         return study, missing
 
-    def people(self, pool: Workers | None, bar: tqdm) -> dict[Path, PersonResults]:
+    def people(self, pool: Workers | None, bar: Progress) -> dict[Path, PersonResults]:
         """Each recording to what it tells, people in the order of their names.
 
         Raises:
@@ -238,7 +237,7 @@ class _Study:
         return people
 
     def appendices(
-        self, people: Mapping[Path, PersonResults], pool: Workers | None, bar: tqdm
+        self, people: Mapping[Path, PersonResults], pool: Workers | None, bar: Progress
     ) -> tuple[Appendices, list[SecondStep]]:
         """Everybody's fits of appendices C to E; step 2 of appendix C starts from everybody's step 1."""
         first, starts = (
@@ -368,7 +367,7 @@ def _nonlinear(
                 kept[unit.cached.path] = fit
         new = [unit for unit in units if unit.cached.path not in kept and unit.task in tasks]
         if new:
-            with tqdm(total=len(new), desc="nonlinear", unit="fit", disable=_hidden(show_progress)) as bar:
+            with Progress("nonlinear fits", total=len(new), unit="fits", show=show_progress) as bar:
                 for number, fit in _computed(new, pool, bar):
                     new[number].checkpoint.unlink(missing_ok=True)
                     kept[new[number].cached.path] = fit
@@ -379,7 +378,7 @@ def _nonlinear(
     return fits, stale
 
 
-def _each(units: Sequence[_Unit[Result]], pool: Workers | None, bar: tqdm) -> list[Result]:
+def _each(units: Sequence[_Unit[Result]], pool: Workers | None, bar: Progress) -> list[Result]:
     """The result of each unit, in their order: as it was kept, or computed now."""
     results: dict[int, Result] = {}
     for number, unit in enumerate(units):
@@ -396,7 +395,7 @@ def _each(units: Sequence[_Unit[Result]], pool: Workers | None, bar: tqdm) -> li
     return [results[number] for number in range(len(units))]
 
 
-def _computed(units: Sequence[Any], pool: Workers | None, bar: tqdm) -> Iterator[tuple[int, Any]]:
+def _computed(units: Sequence[Any], pool: Workers | None, bar: Progress) -> Iterator[tuple[int, Any]]:
     """Number and result of each unit, as they are finished and kept."""
     work = list(enumerate(units))
     for number, result in map(_run, work) if pool is None else completed(_run, work, pool, bar.refresh):
@@ -408,8 +407,3 @@ def _computed(units: Sequence[Any], pool: Workers | None, bar: tqdm) -> Iterator
 def _run(work: tuple[int, Any]) -> tuple[int, Any]:
     number, unit = work
     return number, unit.run()
-
-
-def _hidden(show_progress: bool) -> bool | None:
-    """What tqdm calls `disable`: None draws a bar if there is a terminal."""
-    return None if show_progress else True

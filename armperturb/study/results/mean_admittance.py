@@ -55,7 +55,7 @@ def mean_admittance(study: StudyResult, condition: str) -> MeanAdmittance:
     if not cases:
         raise ValueError(f"condition = {condition!r}; expected one in which somebody was identified")
     spectra = [case.identified.spectra for case in cases]
-    arm = np.stack([one.arm for one in spectra])
+    arm = np.stack([spectrum.arm for spectrum in spectra])
     log_gain, direction = np.log(np.abs(arm)), np.mean(arm / np.abs(arm), axis=0)
     if len(arm) > 1:
         gain_ratio = np.exp(log_gain.std(axis=0, ddof=1))

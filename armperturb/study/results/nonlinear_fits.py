@@ -15,7 +15,7 @@ import xarray as xr
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.nonlinear.model import stem
-from armperturb.analysis.nonlinear.trials import TrialSet, training_sets, trial_sets
+from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.planar_arm.skeletal import simulate_skeletal
@@ -143,7 +143,7 @@ def fit_nonlinear(
         if not own:
             raise ValueError(f"no linear arm was identified in {task}, where the fit would start")
         mine = _usable(recording, task)
-        sets = trial_sets(mine)
+        sets = fitted_conditions(mine)
         fitted, _ = training_sets(sets, fitted_deg)
         arms = {label: case.identified.fit.arm for label, case in own.items()}
         estimate = fit(fitted, arms, initial=start, checkpoint=checkpoint)
@@ -183,7 +183,7 @@ def _usable(recording: xr.Dataset, task: str) -> xr.Dataset:
 
 def _left_out(
     recording: xr.Dataset,
-    sets: Mapping[str, TrialSet],
+    sets: Mapping[str, ConditionTrials],
     subjects: Mapping[str, Subject],
     estimates: Mapping[str, ThesisEstimate | None],
     fitted_deg: Iterable[float],

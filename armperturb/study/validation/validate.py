@@ -13,7 +13,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
-from tqdm import tqdm
 
 from armperturb.analysis.fit.identify import Estimator
 from armperturb.analysis.fit.maximum_likelihood import Group, Method, estimate
@@ -27,6 +26,7 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
+from armperturb.progress import Progress
 from armperturb.seeds import trial_seed
 from armperturb.study.validation.settings import ValidateSettings
 from armperturb.subject import Subject
@@ -125,7 +125,7 @@ class Validation(Result):
         n = self.settings.groups
         spread = np.sqrt(n / stats.chi2.ppf([0.975, 0.025], n))
         for estimator, judged in self.judged.items():
-            deviation = np.array([one.values for one in judged]) - self.truth
+            deviation = np.array([judgement.values for judgement in judged]) - self.truth
             rms = np.sqrt(np.mean(deviation**2, axis=0))
             for column, name in enumerate(self.names):
                 scale = 100.0 / abs(self.truth[column]) if self.truth[column] else np.nan
@@ -142,8 +142,8 @@ class Validation(Result):
                         "rms_error_over_bound": float(rms[column] / self.bound[column]),
                         "rms_error_over_bound_low": float(rms[column] / self.bound[column] * spread[0]),
                         "rms_error_over_bound_high": float(rms[column] / self.bound[column] * spread[1]),
-                        "mean_standard_error": float(np.mean([one.error[column] for one in judged])),
-                        "coverage_percent": 100.0 * float(np.mean([one.covered[column] for one in judged])),
+                        "mean_standard_error": float(np.mean([judgement.error[column] for judgement in judged])),
+                        "coverage_percent": 100.0 * float(np.mean([judgement.covered[column] for judgement in judged])),
                     }
                 )
         return pd.DataFrame(rows)
@@ -158,18 +158,20 @@ class Validation(Result):
 
         rows = []
         for estimator, judged in self.judged.items():
-            deviation = np.array([one.values for one in judged]) - self.truth
-            error = np.array([one.error for one in judged])
+            deviation = np.array([judgement.values for judgement in judged]) - self.truth
+            error = np.array([judgement.error for judgement in judged])
             biased = np.any(np.abs(deviation.mean(axis=0)) > BIASED * error, axis=1)
-            flagged = np.array([np.nan if one.suspicious is None else one.suspicious for one in judged], dtype=float)
+            flagged = np.array(
+                [np.nan if judgement.suspicious is None else judgement.suspicious for judgement in judged], dtype=float
+            )
             rows.append(
                 {
                     "estimator": estimator,
                     "groups": len(judged),
-                    "converged_percent": 100.0 * float(np.mean([one.converged for one in judged])),
-                    "stable_percent": 100.0 * float(np.mean([one.stable for one in judged])),
-                    "global_percent": 100.0 * float(np.mean([one.is_global for one in judged])),
-                    "coverage_percent": 100.0 * float(np.mean([one.covered for one in judged])),
+                    "converged_percent": 100.0 * float(np.mean([judgement.converged for judgement in judged])),
+                    "stable_percent": 100.0 * float(np.mean([judgement.stable for judgement in judged])),
+                    "global_percent": 100.0 * float(np.mean([judgement.is_global for judgement in judged])),
+                    "coverage_percent": 100.0 * float(np.mean([judgement.covered for judgement in judged])),
                     "median_error_over_bound": float(np.median(np.sqrt(np.mean(deviation**2, axis=0)) / self.bound)),
                     "flagged_percent": 100.0 * float(flagged.mean()),
                     "biased_percent": 100.0 * float(biased.mean()),
@@ -198,10 +200,10 @@ def validate(settings: ValidateSettings, *, workers: int | None = None, show_pro
     require_number("validate", "workers", workers, at_least=1)
     units, do, results = range(settings.groups), partial(run_group, settings), []
     with (
-        workers_for(min(workers, settings.groups), None) as crew,
-        tqdm(total=len(units), desc="validate", unit="group", disable=None if show_progress else True) as bar,
+        workers_for(min(workers, settings.groups), None) as pool,
+        Progress("validation", total=len(units), unit="groups", show=show_progress) as bar,
     ):
-        for result in map(do, units) if crew is None else completed(do, units, crew, bar.refresh):
+        for result in map(do, units) if pool is None else completed(do, units, pool, bar.refresh):
             results.append(result)
             bar.update()
     return collect(settings, results)
@@ -257,7 +259,7 @@ def collect(settings: ValidateSettings, results: Sequence[tuple[int, dict[Estima
     """What `run_group` gave of every group, together."""
     ordered = sorted(results, key=lambda result: result[0])
     structure = settings.structure()
-    information = np.mean([one for _, _, one in ordered], axis=0)
+    information = np.mean([matrix for _, _, matrix in ordered], axis=0)
     return Validation(
         settings=settings,
         names=structure.free,
@@ -290,32 +292,34 @@ def _scaled(noise: HumanNoise, factor: float) -> HumanNoise:
 
 
 def _by_likelihood(group: Group, method: Method, truth: Array) -> Judged:
-    found = estimate([group], method)
+    fitted = estimate([group], method)
     names = group.structure.free
     from_truth = estimate([group], method, initial=dict(zip(names, truth.tolist(), strict=True)))
-    intervals = [found.interval(name) for name in names]
+    intervals = [fitted.interval(name) for name in names]
     return Judged(
-        values=np.array([*found.values.values()]),
-        error=np.array([*found.standard_error.values()]),
-        covered=np.array([one.lower <= true <= one.upper for one, true in zip(intervals, truth, strict=True)]),
-        converged=float(found.converged),
-        stable=float(found.stable),
-        is_global=float(found.objective <= from_truth.objective + SAME_OPTIMUM),
-        suspicious=found.is_suspicious,
+        values=np.array([*fitted.values.values()]),
+        error=np.array([*fitted.standard_error.values()]),
+        covered=np.array(
+            [interval.lower <= true <= interval.upper for interval, true in zip(intervals, truth, strict=True)]
+        ),
+        converged=float(fitted.converged),
+        stable=float(fitted.stable),
+        is_global=float(fitted.objective <= from_truth.objective + SAME_OPTIMUM),
+        suspicious=fitted.is_suspicious,
     )
 
 
 def _by_thesis(trials: ConditionTrials, structure: Structure, truth: Array) -> Judged:
     """Each trial alone, averaged as published; intervals from the mean of the standard errors of eq. 2.22."""
-    found = fit_trials(trials, structure)
+    fitted = fit_trials(trials, structure)
     least = fit_trials(trials.take([0]), structure, as_published=False)
-    values, error = found.values.mean(axis=0), found.sem.mean(axis=0)
+    values, error = fitted.values.mean(axis=0), fitted.sem.mean(axis=0)
     return Judged(
         values=values,
         error=error,
         covered=np.abs(values - truth) <= stats.norm.ppf(0.975) * error,
-        converged=float(np.mean([fit.converged for fit in found.fits])),
-        stable=float(found.stable.mean()),
-        is_global=float(found.criterion[0] <= (1.0 + SAME_CRITERION) * least.criterion[0]),
+        converged=float(np.mean([fit.converged for fit in fitted.fits])),
+        stable=float(fitted.stable.mean()),
+        is_global=float(fitted.criterion[0] <= (1.0 + SAME_CRITERION) * least.criterion[0]),
         suspicious=None,
     )

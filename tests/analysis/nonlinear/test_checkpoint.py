@@ -50,8 +50,8 @@ def test_the_checkpoint_of_another_fit_or_a_damaged_one_is_none(position, tmp_pa
 
 def test_another_structure_other_trials_and_another_start_have_other_digests():
     def problem(model, seed):
-        push = made.push(seed, 0.5, duration=2.0)
-        trials = made.trial_set(made.record(RELAX, [push]), RELAX)
+        push = made.push(seed, 0.5, duration=6.0)
+        trials = made.trial_set(made.record(RELAX, [push]))
         return Problem(free_parameters([trials], model), [trials], {"RT7.5": RELAX})
 
     linear = problem(Model(law="linear"), 0)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import nonlinear_trials as made
 import numpy as np
 import pytest
-import xarray as xr
 
 from armperturb.analysis.nonlinear.choice import Choice, Gain, Judged, compare_laws
 from armperturb.analysis.nonlinear.draws import lack_of_fit, predict_with_noise, simulate_deviations
@@ -15,9 +14,10 @@ from armperturb.analysis.nonlinear.prediction import predict_pulses, predict_pul
 from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem, State
 from armperturb.analysis.nonlinear.result import remarks_on
 from armperturb.analysis.nonlinear.start import best_start
-from armperturb.analysis.nonlinear.trials import trial_sets
+from armperturb.analysis.nonlinear.trials import fitted_conditions
 from armperturb.analysis.results import PARAMETER_COLUMNS
 from armperturb.cohort import average_person, draw_person
+from armperturb.recording import stack_trials
 from armperturb.subject import RELAX, at_level
 
 PERSON = average_person().subjects["RT"]
@@ -50,9 +50,11 @@ def sets_of(once, name, person, n_trials, noisy):
         return [
             made.trial_set(
                 made.record(
-                    person, [made.push(10 * i + k, rms) for k in range(n_trials)], noisy=noisy, condition=condition
-                ),
-                person,
+                    person,
+                    [made.push(10 * i + k, rms) for k in range(n_trials)],
+                    noisy=noisy,
+                    condition=condition,
+                )
             )
             for i, (condition, rms) in enumerate((("RT2.5", 0.5), ("RT7.5", 1.5)))
         ]
@@ -77,6 +79,7 @@ def noisy_fit(noisy, once):
     return once("nonlinear fit", lambda _: fit(noisy, ARMS, FEW, n_pairs=2))
 
 
+@pytest.mark.slow(reason="compiles, simulates and fits")
 def test_without_noise_the_truth_is_found(ideal):
     found = fit(ideal, ARMS, FEW, n_pairs=0)
     assert set(found.values) == set(FREE)
@@ -87,6 +90,7 @@ def test_without_noise_the_truth_is_found(ideal):
     )
 
 
+@pytest.mark.slow(reason="simulates eight trials and fits them")
 def test_with_noise_the_intervals_hold_the_truth_and_are_no_wider_than_they_must_be(noisy_fit):
     assert noisy_fit.converged
     for name in FREE:
@@ -103,6 +107,7 @@ def test_with_noise_the_intervals_hold_the_truth_and_are_no_wider_than_they_must
     assert not any("amplitude" in remark for remark in noisy_fit.remarks)
 
 
+@pytest.mark.slow(reason="fits eight trials")
 def test_a_wrong_law_leaves_a_lack_of_fit(noisy):
     fixed = {name: value for name, value in FEW.fixed.items() if name in ("m_h", "m_f", "k_h", "b_h")}
     found = fit(noisy, ARMS, Model(law="linear", fixed=fixed), n_pairs=0)
@@ -113,6 +118,7 @@ class Stopped(Exception):
     pass
 
 
+@pytest.mark.slow(reason="fits twice")
 def test_a_search_that_was_stopped_goes_on_to_the_same_result(noisy, tmp_path):
     few = [trials.take(range(2)) for trials in noisy]
     options = {"n_pairs": 1, "n_pairs_of_errors": 2}
@@ -139,6 +145,7 @@ def test_a_search_that_was_stopped_goes_on_to_the_same_result(noisy, tmp_path):
     assert found.coordinate_error == pytest.approx(expected.coordinate_error, rel=1e-6)
 
 
+@pytest.mark.slow(reason="fits eight simulated trials")
 def test_one_amplitude_is_said_to_tell_little(noisy):
     found = fit([noisy[1].take([0])], ARMS, FEW, n_pairs=0)
     assert any("all trials have one amplitude" in remark for remark in found.remarks)
@@ -147,13 +154,14 @@ def test_one_amplitude_is_said_to_tell_little(noisy):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"name": "S02"}, "trials differ in subject (.*, S02); expected one person in one posture"),
+        ({"subject": "S02"}, "trials differ in subject (.*, S02); expected one person in one posture"),
         ({"l_h": 0.4}, "trials differ in l_h"),
         ({"theta_s_deg": 30.0}, "trials differ in theta_s_deg"),
     ],
 )
 def test_trials_of_two_people_are_refused(ideal, change, message):
-    other = replace(ideal[1], body=replace(ideal[1].body, **change))
+    recording = ideal[1].recording.assign_coords({name: ("trial", [value]) for name, value in change.items()})
+    other = replace(ideal[1], recording=recording)
     with pytest.raises(ValueError, match=message.replace("(", r"\(").replace(")", r"\)")):
         fit([ideal[0], other], ARMS, FEW)
 
@@ -161,8 +169,8 @@ def test_trials_of_two_people_are_refused(ideal, change, message):
 def test_a_recording_of_two_people_is_refused():
     people = PERSON, replace(PERSON, name="S02")
     recordings = [made.record(person, [made.push(0, 0.5, duration=1.0)]) for person in people]
-    with pytest.raises(ValueError, match=r"the recording holds trials of .* and S02; expected one person"):
-        trial_sets(xr.concat(recordings, "trial", data_vars="all", coords="different", compat="equals", join="exact"))
+    with pytest.raises(ValueError, match=r"recording: subject = .*, S02; expected one person"):
+        fitted_conditions(stack_trials(recordings))
 
 
 def test_what_cannot_be_fitted_is_refused(ideal):
@@ -175,23 +183,24 @@ def test_what_cannot_be_fitted_is_refused(ideal):
     with pytest.raises(ValueError, match=r"initial: thinning_velocity = -1; expected 0.01 to 50"):
         fit(ideal, ARMS, FEW, initial={"thinning_velocity": -1.0})
     with pytest.raises(ValueError, match="sampling rates 100, 200 Hz; expected one"):
-        fit([ideal[0], replace(ideal[1], rate=200.0)], ARMS, FEW)
+        fit([ideal[0], replace(ideal[1], recording=ideal[1].recording.assign_attrs(rate=200.0))], ARMS, FEW)
 
 
 def test_an_unstable_start_is_refused():
     arm = replace(average_person().subjects["PT"], muscle=None)
-    trials = made.trial_set(made.record(arm, [made.push(0, 3.0, duration=6.0)], condition="PT7.5"), arm)
+    trials = made.trial_set(made.record(arm, [made.push(0, 3.0, duration=6.0)], condition="PT7.5"))
     with pytest.raises(ValueError, match="initial: the arm is unstable, and so are all arms near it; expected values"):
         fit([trials], {"PT7.5": arm}, Model(law="linear"), initial=dict.fromkeys(
             ("kv.shoulder", "kv.two-joint", "kv.elbow"), 150.0))  # fmt: skip
 
 
+@pytest.mark.slow(reason="simulates and fits")
 def test_negative_groups_of_linear_people_are_found():
     arm = draw_person(1, 0, muscles="linear").subjects["PT"]
     true = true_values(arm, {})
     assert min(true["kp.shoulder"], true["kv.shoulder"]) < -4.0
     pushes = [made.push(seed, 3.0, duration=12.0) for seed in range(2)]
-    trials = made.trial_set(made.record(arm, pushes, condition="PT7.5"), arm)
+    trials = made.trial_set(made.record(arm, pushes, condition="PT7.5"))
     found = fit([trials], {"PT7.5": arm}, Model(law="linear"), initial={"kp.shoulder": 10.0}, n_pairs=0)
     for name, value in found.values.items():
         assert value == pytest.approx(true[name], rel=0.1), name
@@ -199,6 +208,7 @@ def test_negative_groups_of_linear_people_are_found():
     assert low < found.values["kp.shoulder"] < high < 0.0
 
 
+@pytest.mark.slow(reason="fits")
 def test_dampers_that_linear_arms_have_negative_start_from_small_positive_ones(ideal):
     # b_se > b_s: the shoulder's own damping is negative, which a law whose damping thins must not have.
     odd = {label: replace(arm, b_s=1.0, b_se=1.4, b_e=1.6) for label, arm in ARMS.items()}
@@ -211,8 +221,8 @@ def test_dampers_that_linear_arms_have_negative_start_from_small_positive_ones(i
 def test_pulses_of_the_true_person_are_predicted_and_those_of_a_linear_arm_are_not():
     force = np.zeros((1000, 2))
     force[500:512] = 12.0, 6.0
-    recorded = made.trial_set(made.record(PERSON, [force + made.push(5, 0.5, duration=10.0)]), PERSON)
-    recorded = replace(recorded, onset=np.array([500]), direction_deg=np.array([27.0]))
+    recording = made.record(PERSON, [force + made.push(5, 0.5, duration=10.0)])
+    recorded = made.trial_set(recording.assign_coords(pulse_onset=("trial", [5.0]), pulse_direction=("trial", [27.0])))
     (itself,) = predict_pulses(recorded, PERSON)
     assert itself.vaf > 99.9
     assert itself.peak == pytest.approx(100.0, abs=1.0)
@@ -222,16 +232,17 @@ def test_pulses_of_the_true_person_are_predicted_and_those_of_a_linear_arm_are_n
     (linear,), (skeletal,) = predict_pulses_linearly(recorded, ARM), predict_pulses(recorded, ARM)
     assert max(linear.vaf, skeletal.vaf) < 95.0
     assert not np.allclose(linear.predicted, skeletal.predicted, rtol=0.01)
-    assert predict_pulses(replace(recorded, end=600), PERSON) == []  # the window is not recorded
+    assert predict_pulses(recorded.before(600), PERSON) == []  # the window is not recorded
 
 
+@pytest.mark.slow(reason="five fits")
 @pytest.mark.parametrize("truth", ["linear", "short-range"])
 def test_left_out_trials_choose_the_law(noisy, once, truth):
-    sets = sets_of(once, "linear", RELAX, 4, True) if truth == "linear" else noisy
+    sets = sets_of(once, "linear", RELAX, 3, True) if truth == "linear" else noisy
     arms = dict.fromkeys(ARMS, RELAX) if truth == "linear" else ARMS
-    end = 800 if truth == "linear" else 1400  # nothing is shown by less, and something only by more
+    end = 800 if truth == "linear" else 1400  # the shorter, the less is shown
     found = compare_laws(
-        [replace(trials.take(range(3)), end=end) for trials in sets],
+        [trials.before(end).take(range(3)) for trials in sets],
         arms,
         laws=("linear", "short-range"),
         n_pairs=0,
@@ -323,14 +334,15 @@ def position_problem(sets, **fixed):
     return Problem(parameters, sets, nearest_arms(sets, arms))
 
 
+@pytest.mark.slow(reason="simulates trials of two people")
 @pytest.mark.parametrize("level", [0.4, 1.4])
 def test_pulses_alone_start_from_the_level_that_answers_them(level):
     true = true_values(POSITION, {})
     fixed = {name: true[name] for name in Model().names("PT", ["PT7.5"])}
-    multisine = made.trial_set(made.record(POSITION, [made.push(1, 1.5, 6.0)], condition="PT7.5"), POSITION)
+    multisine = made.trial_set(made.record(POSITION, [made.push(1, 1.5, 6.0)], condition="PT7.5"))
     force = np.zeros((600, 2))
     force[100:112] = 12.0, 6.0
-    pulse = made.trial_set(made.record(at_level(POSITION, level), [force], condition="PT0"), POSITION)
+    pulse = made.trial_set(made.record(at_level(POSITION, level), [force], condition="PT0"))
     problem = position_problem([multisine, pulse], **fixed)
     assert problem.parameters.names == ["level.PT0"]
     start = best_start(problem, np.zeros(1), {})
@@ -338,9 +350,10 @@ def test_pulses_alone_start_from_the_level_that_answers_them(level):
     assert best_start(problem, np.log([0.8]), {"level.PT0": 0.8}).point == pytest.approx(np.log([0.8]))
 
 
+@pytest.mark.slow(reason="fits")
 def test_a_limit_cycle_is_found_and_invalidates_a_fit(noisy, monkeypatch):
     push = made.push(1, 1.5, 6.0)
-    trials = made.trial_set(made.record(POSITION, [push], condition="PT7.5"), POSITION)
+    trials = made.trial_set(made.record(POSITION, [push], condition="PT7.5"))
     true, problem = true_values(POSITION, {}), position_problem([trials])
     names = problem.parameters.names
     state = State(np.log([true[name] for name in names]), np.zeros(4), np.full(4, 0.1))
@@ -353,6 +366,7 @@ def test_a_limit_cycle_is_found_and_invalidates_a_fit(noisy, monkeypatch):
     assert "the arm has a limit cycle (self-sustained oscillation) in RT7.5" in found.remarks[0]
 
 
+@pytest.mark.slow(reason="fits eight trials")
 def test_a_result_reads_as_a_table(noisy_fit):
     frame = noisy_fit.to_frame()
     assert tuple(frame.columns) == PARAMETER_COLUMNS
@@ -377,6 +391,7 @@ def at_truth(noisy):
     return problem, state, problem.slopes(state)
 
 
+@pytest.mark.slow(reason="simulates eight trials")
 def test_what_a_fit_leaves_of_a_record_moves_it_no_more(at_truth):
     problem, state, slopes = at_truth
     white = problem.white(problem.residual(problem.predict([state])[0]))
@@ -389,6 +404,7 @@ def test_what_a_fit_leaves_of_a_record_moves_it_no_more(at_truth):
     assert sum(np.sum(record**2) for record in left) < sum(np.sum(record**2) for record in white)
 
 
+@pytest.mark.slow(reason="simulates eight trials")
 def test_draws_are_strong_enough_for_what_a_fit_takes_of_them(noisy, at_truth, monkeypatch):
     def strength(problem, state):
         residual = problem.residual(problem.predict([state])[0])
@@ -405,6 +421,7 @@ def test_draws_are_strong_enough_for_what_a_fit_takes_of_them(noisy, at_truth, m
     assert fitted > 1.001 * strength(other, state)
 
 
+@pytest.mark.slow(reason="simulates eight trials")
 def test_lack_of_fit_is_judged_by_draws(at_truth):
     problem, state, slopes = at_truth
     predicted = problem.predict([state])[0]

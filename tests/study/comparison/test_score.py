@@ -28,6 +28,7 @@ from armperturb.study.comparison.score import (
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.recording.folder import find_recordings
+from armperturb.study.results import analyse
 from armperturb.study.results import trial_measures as measure
 from armperturb.study.results.appendix_fits import Appendices
 from armperturb.study.results.cases import identify_person
@@ -359,7 +360,8 @@ def test_recordings_that_are_not_whole_are_told(folder, tmp_path):
     assert len(find_recordings(copy)[0]) == 2
 
 
-def test_command(folder, result, tmp_path, capsys):
+def test_command(folder, study, result, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(analyse, "analyse_study", lambda root, workers: study)
     before = sorted(folder.rglob("*"))
     assert main(["score", str(folder), "--out", str(tmp_path / "out"), "--workers", "1"]) == 0
     assert capsys.readouterr().out == f"{result.summary()}\nresults: {tmp_path / 'out'}\n"

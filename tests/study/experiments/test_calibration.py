@@ -6,23 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from armperturb.analysis.nonlinear.model import ELEMENTS
 from armperturb.cohort import average_body, average_person
 from armperturb.environment import Environment
 from armperturb.study.experiments import calibration as module
 from armperturb.study.experiments.calibration import (
     CALIBRATED,
     HELD_OUT,
-    LAWS,
     Calibration,
-    Candidate,
     calibrate,
     poles,
     save_calibrations,
     schedules,
     simulated_cells,
     summary,
-    unknowns,
 )
+from armperturb.study.experiments.candidates import LAWS, Candidate, unknowns
 from armperturb.study.recording.practice import linear_displacement
 from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.subject import TASKS
@@ -36,23 +35,13 @@ COARSE = 5e-3
 """A step [s] at which linear people are simulated in half the time, off by far less than 1 % in displacement."""
 
 
-@pytest.fixture
-def coarse(monkeypatch):
-    monkeypatch.setattr(module, "STEP", COARSE)
-
-
 @pytest.fixture(scope="module")
 def linear(once):
     """A linear candidate in RT, and its cells without noise."""
 
-    def make(_):
-        candidate = Candidate.of("RT", typical("RT", "linear"))
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(module, "_STEADY", {"RT": None})
-            patch.setattr(module, "STEP", COARSE)
-            return candidate, simulated_cells([candidate], [3])[0]
-
-    return once("linear candidate", make)
+    candidate = Candidate.of("RT", typical("RT", "linear"))
+    (cells,) = once("linear candidate", lambda _: simulated_cells([candidate], [3], noisy=False, timestep=COARSE))
+    return candidate, cells
 
 
 @pytest.fixture(scope="module")
@@ -79,14 +68,14 @@ def test_unknowns_become_the_person_they_describe():
     candidate = Candidate.of("PT", values)
     subject, law = candidate.subject, candidate.subject.muscle
     for quantity in ("k", "b", "kv", "kp"):
-        expected = [values[f"{quantity}_{joint}"] for joint in ("s", "se", "e")]
+        expected = [values[f"{quantity}.{element}"] for element in ELEMENTS]
         assert subject.muscle_groups(quantity) == pytest.approx(expected)
     assert law.of_elements("short_range_stiffness") == pytest.approx(
-        [values[f"S_{joint}"] for joint in ("s", "se", "e")]
+        [values[f"short_range_stiffness.{element}"] for element in ELEMENTS]
     )
-    assert law.of_elements("elastic_limit_deg") == (values["L"],) * 3
-    assert law.of_elements("spindle_saturation") == (values["w_s"],) * 3
-    assert candidate.levels == {name: values[f"level {name}"] for name in ("PT0", "PT2.5", "PT22.5")}
+    assert law.of_elements("elastic_limit_deg") == (values["elastic_limit_deg"],) * 3
+    assert law.of_elements("spindle_saturation") == (values["spindle_saturation"],) * 3
+    assert candidate.levels == {name: values[f"level.{name}"] for name in ("PT0", "PT2.5", "PT22.5")}
     assert {name: getattr(subject, name) for name in average_body()} == average_body()
     # The condition's level reaches the person who is perturbed.
     level = {c.name: c.subject_of(candidate.person).k_s / subject.k_s for p in schedules("PT") for c in p.conditions}
@@ -129,27 +118,24 @@ def test_linear_person_moves_as_theory_says(linear):
         assert cells[Cell("2.1", condition, "rms_force")] == pytest.approx(force, rel=1e-6)
 
 
-@pytest.mark.usefixtures("coarse")
-def test_candidates_are_the_same_alone_and_together(linear, monkeypatch):
-    monkeypatch.setattr(module, "_STEADY", {"RT": None})
+def test_candidates_are_the_same_alone_and_together(linear):
     candidate, cells = linear
-    other = Candidate.of("RT", {**typical("RT", "linear"), "k_s": 6.0})
-    together = simulated_cells([other, candidate], [3])
+    other = Candidate.of("RT", {**typical("RT", "linear"), "k.shoulder": 6.0})
+    together = simulated_cells([other, candidate], [3], noisy=False, timestep=COARSE)
     assert together[1] == cells
     assert together[0] != cells
 
 
-@pytest.mark.usefixtures("coarse")
 def test_noise_moves_people_further(linear):
     candidate, silent = linear
-    (noisy,) = simulated_cells([candidate], [3])
+    (noisy,) = simulated_cells([candidate], [3], timestep=COARSE)
     for condition in ("RT2.5", "RT7.5", "RT22.5"):
         cell = Cell("F.2", condition, "rms_velocity_e")
         assert 1.0 < noisy[cell] / silent[cell] < 1.5
 
 
 def test_unstable_candidates_have_no_cells():
-    wild = {**typical("PT", "linear"), "kv_s": 60.0, "kv_e": 60.0}
+    wild = {**typical("PT", "linear"), "kv.shoulder": 60.0, "kv.elbow": 60.0}
     assert simulated_cells([Candidate.of("PT", wild)], [3]) == [None]
 
 

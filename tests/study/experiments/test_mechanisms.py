@@ -116,25 +116,33 @@ def test_unstable_arms_are_told(monkeypatch):
     # Damping that thins at once leaves the reflexes alone with their delay, unless they saturate too.
     law = MuscleLaw(thinning_velocity=0.02, spindle_saturation=0.02)
     person = with_law(law)
-    monkeypatch.setattr(why, "STEP", 5e-3)
     monkeypatch.setattr(why, "CONDITIONS", ("PT7.5",))
     monkeypatch.setattr(why, "CALM", 5.0)
-    found = why_people_yield(person)
+    found = why_people_yield(person, timestep=5e-3)
     name = "spindles do not saturate"
     assert (name, "PT7.5") not in found.responses
-    assert found.unstable[name, "PT7.5"].startswith(("leaves the workspace", "still swings"))
+    assert found.unstable[name, "PT7.5"].startswith(("leaves the workspace", "self-sustained"))
+
+
+SWINGS = "self-sustained oscillation: still moves 8 s after a pulse"
 
 
 @pytest.mark.parametrize(
     ("rate_of_decay", "told"),
-    [(0.0, "still swings 8 s after a pulse"), (-0.5, "still swings 8 s after a pulse"), (0.4, ""), (5.0, "")],
+    [
+        (0.0, SWINGS),
+        (-0.5, SWINGS),
+        (0.4, ""),
+        (5.0, ""),
+    ],
 )
 def test_arms_that_do_not_come_to_rest_are_told(rate_of_decay, told):
     time = np.arange(0.0, 8.5, 0.005)
     swing = 0.1 * np.exp(-rate_of_decay * time) * np.sin(2.0 * np.pi * 3.0 * time)
     handle = np.stack([np.zeros((2, len(time))), [swing, 0.0 * swing]], axis=-1)
     assert (
-        why._restless(xr.Dataset({"displacement": (("trial", "time", "axis"), handle)}, attrs={"rate": 200.0})) == told
+        why._oscillation(xr.Dataset({"displacement": (("trial", "time", "axis"), handle)}, attrs={"rate": 200.0}))
+        == told
     )
 
 
@@ -191,7 +199,7 @@ def test_figures_do_without_arms_that_are_unstable(explained):
 
 def test_example_draws_and_tells(explained, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(why, "why_people_yield", lambda person: explained)
-    runpy.run_path(str(ROOT / "examples" / "why_people_yield.py"))["main"](tmp_path / "folder")
+    runpy.run_path(str(ROOT / "docs" / "figures" / "muscle_mechanisms.py"))["main"](tmp_path / "folder")
     assert {path.name for path in (tmp_path / "folder").iterdir()} == {
         f"yielding_{name}.png" for name in ("loops", "admittance", "pulses")
     }

@@ -11,8 +11,8 @@ from armperturb.environment import Environment, Strap
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Pulse
-from armperturb.study.experiments.moving_shoulder import AFTER, REST, SETTLE, STEP, STRETCH, _shortened, moving_shoulder
-from armperturb.study.protocol import PULSE_UNIT, THESIS
+from armperturb.study.experiments.moving_shoulder import AFTER, REST, SETTLE, STRETCH, _shortened, moving_shoulder
+from armperturb.study.protocol import PULSE_UNIT, QUICK_STEP, THESIS
 from armperturb.subject import POSITION, RELAX
 
 PERSON = Person(name="P", height=1.8, mass=75.0, subjects={"PT": POSITION, "RT": RELAX})
@@ -63,7 +63,7 @@ def test_peaks_of_rotations_are_those_of_the_trials(moved, strap):
         )
         for direction in (20.0, 200.0)
     ]
-    recording = run_experiment(trials, timestep=STEP, strap=strap)
+    recording = run_experiment(trials, timestep=QUICK_STEP, strap=strap)
     handle = recording["displacement"].values
     shoulder = recording["shoulder_marker"].values if strap else np.zeros(handle.shape)
     window = slice(round(REST * 200), round((REST + 0.3) * 200) + 1)

@@ -14,7 +14,7 @@ from armperturb.environment import Environment, Strap
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.seeds import trial_seed
-from armperturb.study.protocol import PULSE_UNIT, THESIS
+from armperturb.study.protocol import PULSE_UNIT, QUICK_STEP, THESIS
 from armperturb.study.recording import practice
 from armperturb.study.recording.practice import (
     MAX_ROUNDS,
@@ -40,19 +40,9 @@ def people():
     return draw_cohort(2, SEED, muscles="linear")
 
 
-@pytest.fixture
-def coarse(monkeypatch):
-    monkeypatch.setattr(practice, "STEP", COARSE)
-
-
 @pytest.fixture(scope="module")
 def forces(people, once):
-    def make(_):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(practice, "STEP", COARSE)
-            return practise(people, BOTH, SEED)
-
-    return once("forces", make)
+    return once("forces", lambda _: practise(people, BOTH, SEED, timestep=COARSE))
 
 
 def displacement(people, forces, noisy=False, strap=None):
@@ -68,23 +58,20 @@ def displacement(people, forces, noisy=False, strap=None):
         for condition in BOTH.conditions
     ]
     targets = np.array([condition.rms_displacement for condition in BOTH.conditions])
-    return measured_displacement(trials, Environment(), strap=strap).reshape(len(people), -1) / targets
+    return measured_displacement(trials, Environment(), strap=strap, timestep=COARSE).reshape(len(people), -1) / targets
 
 
-@pytest.mark.usefixtures("coarse")
 def test_linear_people_move_as_far_as_intended(people, forces):
     assert np.abs(displacement(people, forces) - 1.0).max() < TOLERANCE
 
 
-@pytest.mark.usefixtures("coarse")
 def test_noisy_people_move_as_far_as_intended(people):
-    found = practise(people[:1], BOTH, SEED, noisy=True)
+    found = practise(people[:1], BOTH, SEED, noisy=True, timestep=COARSE)
     assert np.abs(displacement(people[:1], found, noisy=True) - 1.0).max() < TOLERANCE
 
 
-@pytest.mark.usefixtures("coarse")
 def test_people_practise_under_the_strap_of_the_protocol(people, forces):
-    found = practise(people[:1], replace(BOTH, strap=Strap()), SEED)
+    found = practise(people[:1], replace(BOTH, strap=Strap()), SEED, timestep=COARSE)
     assert np.abs(displacement(people[:1], found, strap=Strap()) - 1.0).max() < TOLERANCE
     assert found[0]["PT7.5"] < 0.98 * forces[0]["PT7.5"]
 
@@ -93,12 +80,11 @@ def drifting(**fields):
     return replace(BOTH, conditions=tuple(replace(condition, **fields) for condition in BOTH.conditions))
 
 
-@pytest.mark.usefixtures("coarse")
 def test_people_whose_muscles_yield_move_as_far_as_they_change_before_the_experiment(monkeypatch):
     moved = {}
 
-    def measure(trials, environment, n_threads, progress, strap):
-        found = measured_displacement(trials, environment, n_threads, progress, strap)
+    def measure(trials, environment, **options):
+        found = measured_displacement(trials, environment, **{**options, "timestep": COARSE})
         moved.update({(t.subject, t.perturbation.rms): x for t, x in zip(trials, found, strict=True)})
         return found
 
@@ -116,7 +102,7 @@ def test_people_whose_muscles_yield_move_as_far_as_they_change_before_the_experi
 
 
 def test_how_far_people_change_is_each_ones_and_each_conditions_own(monkeypatch):
-    def measure(trials, environment, *_):
+    def measure(trials, environment, **_):
         return np.array([linear_displacement(trial.subject, environment, trial.perturbation) for trial in trials])
 
     monkeypatch.setattr(practice, "measured_displacement", measure)
@@ -134,14 +120,13 @@ def test_how_far_people_change_is_each_ones_and_each_conditions_own(monkeypatch)
     assert practise(crowd[7:8], protocol, SEED + 1) != found[7:8]
 
 
-@pytest.mark.usefixtures("coarse")
 def test_conditions_that_differ_in_co_contraction_get_forces_of_their_own(people):
     half, whole, same = (
         replace(AS_INTENDED.condition("PT7.5"), name=name, co_contraction=level)
         for name, level in (("half", 0.5), ("whole", 1.0), ("same", 1.0))
     )
     protocol = replace(AS_INTENDED, conditions=(half, whole, same), pulse_unit_condition="whole")
-    (found,) = practise(people[:1], protocol, SEED, noisy=False)
+    (found,) = practise(people[:1], protocol, SEED, timestep=COARSE)
     assert found["half"] < 0.8 * found["whole"]
     assert found["same"] == found["whole"]
 
@@ -153,9 +138,8 @@ def test_pulse_unit_is_ten_times_the_force_of_pt7_5(forces):
     assert len({own["PT7.5"] for own in forces}) == len(forces)
 
 
-@pytest.mark.usefixtures("coarse")
 def test_a_persons_forces_do_not_depend_on_the_others(people, forces):
-    assert practise(people[1:2], BOTH, SEED)[0] == forces[1]
+    assert practise(people[1:2], BOTH, SEED, timestep=COARSE)[0] == forces[1]
 
 
 def test_published_forces_are_everyones(people):
@@ -187,7 +171,7 @@ def test_ten_nonlinear_people_in_six_rounds(monkeypatch, arm):
     """All conditions of all people, one batch a round, on arms that a linear guess does not know."""
     batches = []
 
-    def measure(trials, environment, *_):
+    def measure(trials, environment, **_):
         batches.append(len(trials))
         linear = [linear_displacement(trial.subject, environment, trial.perturbation) for trial in trials]
         return arm(np.array(linear))
@@ -241,17 +225,16 @@ def test_best_round_is_kept_when_nothing_helps():
 
 
 def test_what_cannot_be_reached_is_named(people, monkeypatch):
-    monkeypatch.setattr(practice, "measured_displacement", lambda trials, *_: np.full(len(trials), 9e-3))
+    monkeypatch.setattr(practice, "measured_displacement", lambda trials, **_: np.full(len(trials), 9e-3))
     with pytest.raises(
         RuntimeError, match=r"practice of 'S01' in PT7\.5: RMS displacement = 9 mm .* 6 rounds; .* 7\.5 mm"
     ):
         practise(people, BOTH, SEED)
 
 
-@pytest.mark.usefixtures("coarse")
 def test_leaving_the_workspace_is_infinitely_far(people):
     trial = Trial(subject=people[0].subjects["RT"], perturbation=replace(practice_multisine(SEED), rms=40.0))
-    assert measured_displacement([trial], Environment()).tolist() == [np.inf]
+    assert measured_displacement([trial], Environment(), timestep=COARSE).tolist() == [np.inf]
 
 
 def test_practice_multisine_moves_people_as_realisations_do_on_average():
@@ -291,6 +274,5 @@ def test_the_step_hardly_matters(monkeypatch):
     ]
     monkeypatch.setattr(practice, "SETTLE", 1.0)
     monkeypatch.setattr(practice, "PERIOD", 3.0)
-    coarse = measured_displacement(trials, Environment())
-    monkeypatch.setattr(practice, "STEP", 1e-3)
-    np.testing.assert_allclose(coarse, measured_displacement(trials, Environment()), rtol=practice.AIM / 2)
+    quick, fine = (measured_displacement(trials, Environment(), timestep=step) for step in (QUICK_STEP, 1e-3))
+    np.testing.assert_allclose(quick, fine, rtol=practice.AIM / 2)

@@ -5,7 +5,6 @@ import io
 import logging
 import os
 import resource
-import runpy
 import shutil
 import signal
 import subprocess
@@ -13,7 +12,6 @@ import sys
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import psutil
@@ -406,11 +404,3 @@ def test_a_short_multisine_is_left_out_with_its_reason(settings, copied):
 
 def test_digest_file_is_that_of_the_files(undisturbed):
     assert_checksums_fit(undisturbed)
-
-
-def test_the_example_of_a_thousand_subjects_runs_with_three(protocol, tmp_path):
-    example = runpy.run_path(str(Path(__file__).parents[3] / "examples" / "thousand_subjects.py"))
-    options = ["--subjects", "3", "--workers", "1", "--protocol", str(protocol)]
-    files = example["main"]([str(tmp_path), *options])
-    assert [path.name for path in files] == ["S01.nc", "S02.nc", "S03.nc"]
-    assert all(path.is_file() for path in files)

@@ -389,7 +389,7 @@ def test_reports_what_went_badly(study, tmp_path):
         stable=False,
         at_bound=("k_s",),
         converged=False,
-        status="gave up",
+        message="gave up",
         remarks=("k_s <sits>",),
         detail=replace(position.estimate, chi2=3.0 * position.estimate.dof),
     )
@@ -400,15 +400,15 @@ def test_reports_what_went_badly(study, tmp_path):
     gone = replace(relax, identification=None, left_out=(reason,), single_trials=())
     badly = replace(study, made=replace(study.made, subjects=1), cases=(bad, gone), people=())
     lists = left_out(badly, fit_rows(badly), ["a <remark>"])
-    assert lists["Fits of greatest likelihood with a parameter at its bound"] == ["S01 in PT7.5: k_s"]
-    assert [
-        line.split(",")[0] for line in lists["Fits whose trials say that the model is wrong, or the person not linear"]
-    ] == ["S01 in PT7.5: chi2 / dof 3.00"]
-    assert lists["Fits of greatest likelihood that did not converge"] == ["S01 in PT7.5: gave up"]
-    assert lists["Trials and people that were left out"] == [reason]
-    assert [
-        line.split(":")[0] for line in lists["Fits of greatest likelihood that are unstable on the manipulator"]
-    ] == ["S01 in PT7.5"]
+    assert lists["Maximum likelihood fits with a parameter at its bound"] == ["S01 in PT7.5: k_s"]
+    assert [line.split(",")[0] for line in lists["Fits with residuals larger than the noise explains"]] == [
+        "S01 in PT7.5: chi2 / dof 3.00"
+    ]
+    assert lists["Maximum likelihood fits that did not converge"] == ["S01 in PT7.5: gave up"]
+    assert lists["Trials and people left out"] == [reason]
+    assert [line.split(":")[0] for line in lists["Maximum likelihood fits that are unstable on the manipulator"]] == [
+        "S01 in PT7.5"
+    ]
     text = sketch(badly, tmp_path)
     # One task and one amplitude are left.
     assert possible_figures(badly) == {
@@ -503,7 +503,7 @@ def test_reports_a_study_without_anybody_and_without_a_rig(study, tmp_path, monk
     monkeypatch.setattr(rig_figures, "render", without_pictures)
     nobody = replace(study, cases=tuple(replace(case, identification=None) for case in study.cases), people=())
     text = sketch(nobody, tmp_path, figures=("rig", "stills"))
-    assert "Nobody was identified: the reasons are below" in text
+    assert "Nobody was identified: the last section gives the reasons" in text
     assert "render: no OpenGL context; install &lt;libegl1&gt;" in text
     assert "<libegl1>" not in text
     assert possible_figures(nobody) == {"pulse_signal", "joint_rotations", "trajectories_PT"}

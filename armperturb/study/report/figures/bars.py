@@ -69,9 +69,9 @@ def draw_groups(ax: Axes, groups: Mapping[str, Sequence[Bar]], scale: float = 1.
         reach = [0.0]
         places += [group + (number - len(bars) / 2) * slot for number in range(len(bars))]
         for bar in bars:
-            for one in (bar.ours, bar.printed):
-                if math.isfinite(one.mean):
-                    reach.append(scale * (one.mean + (one.sd if math.isfinite(one.sd) else 0.0)))
+            for value in (bar.ours, bar.printed):
+                if math.isfinite(value.mean):
+                    reach.append(scale * (value.mean + (value.sd if math.isfinite(value.sd) else 0.0)))
         tops[label] = max(reach)
     flat = [bar for bars in drawn.values() for bar in bars]
     left = np.array(places)

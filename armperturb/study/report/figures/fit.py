@@ -165,7 +165,7 @@ def penalty(study: StudyResult) -> Figure:
     figure = new_figure(3.1)
     curve, *places = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
     pole = np.linspace(-1.5, 0.25, 351)
-    curve.plot(pole, [penalty_factor(one) for one in pole], **FITTED)
+    curve.plot(pole, [penalty_factor(value) for value in pole], **FITTED)
     curve.set(yscale="log", xlim=(pole[0], pole[-1]), ylim=(0.5, 1e9), ylabel="penalty factor [-]")
     inactive = published.headline("penalty_inactive_below")
     curve.axvline(inactive, **PUBLISHED, linestyle="--")

@@ -75,8 +75,8 @@ def admittance(yielding: Yielding) -> Figure:
             handles.append(Line2D([], [], label=condition, **looks[WHOLE]))
         above, below = (conditions[-1], conditions[0]) if task == "RT" else (conditions[0], conditions[-1])
         factors = [yielding.rise(variant, above, below) for variant in (WHOLE, LINEAR)]
-        told = [f"{factor:.2f}" if np.isfinite(factor) else "none" for factor in factors]
-        column[0].set_title(f"{above} / {below} at low f: {told[0]}, linear {told[1]}")
+        texts = [f"{factor:.2f}" if np.isfinite(factor) else "none" for factor in factors]
+        column[0].set_title(f"{above} / {below} at low f: {texts[0]}, linear {texts[1]}")
     for name, ax in zip(AXES, panels[:, 0], strict=True):
         ax.set_ylabel(f"$|H_{{{2 * name}}}|$ [m/N]")
     for ax in panels[-1]:

@@ -130,15 +130,17 @@ def drawn_pulses(study: StudyResult, task: str) -> dict[float, dict[str, LeftOut
     Both are of one trial, the first of its direction whose linear fit predicts it, if any does.
     """
     for person in study.names:
-        found: dict[float, dict[str, LeftOutPulse]] = {}
+        shown: dict[float, dict[str, LeftOutPulse]] = {}
         for model, pulses in ((SEES_NONE, False), (SEES_OTHERS, True)):
             for fit in fitted(study, task, pulses=pulses):
-                shown = [one for one in fit.pulses if (one.condition, one.level) == PATHS[task] and one.paths]
-                for one in sorted(shown, key=lambda one: "linear" not in one.paths):
+                left_out = [
+                    pulse for pulse in fit.pulses if (pulse.condition, pulse.level) == PATHS[task] and pulse.paths
+                ]
+                for pulse in sorted(left_out, key=lambda pulse: "linear" not in pulse.paths):
                     if fit.name == person:
-                        found.setdefault(one.direction_deg, {}).setdefault(model, one)
-        if found:
-            return dict(sorted(found.items()))
+                        shown.setdefault(pulse.direction_deg, {}).setdefault(model, pulse)
+        if shown:
+            return dict(sorted(shown.items()))
     return {}
 
 
@@ -161,7 +163,9 @@ def trajectories(study: StudyResult, task: str) -> Figure:
         lines = [("recorded", first.paths["recorded"], RECORDED)]
         lines += [(model, first.paths[model], LOOKS[model]) for model in LINEAR_MODELS if model in first.paths]
         lines += [
-            (model, one.paths["nonlinear"], LOOKS[model]) for model, one in of_fit.items() if "nonlinear" in one.paths
+            (model, pulse.paths["nonlinear"], LOOKS[model])
+            for model, pulse in of_fit.items()
+            if "nonlinear" in pulse.paths
         ]
         for name, path, look in lines:
             x, y = 100.0 * path.T

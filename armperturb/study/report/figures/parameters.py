@@ -86,16 +86,16 @@ def parameters(study: StudyResult, task: str) -> Figure:
                 printed.append((mean_sd, look))
                 reach += [mean_sd.mean - mean_sd.sd, mean_sd.mean + mean_sd.sd]
         (left, high), (bottom, top) = padded(truths), padded([*truths, *reach])
-        for true, found in of_thesis:
-            ax.plot(true, np.clip(found, bottom, top), **BESIDE, clip_on=False, zorder=1.5)
+        for true, estimated_value in of_thesis:
+            ax.plot(true, np.clip(estimated_value, bottom, top), **BESIDE, clip_on=False, zorder=1.5)
         ax.plot((left, high), (left, high), **{**TRUE, "linewidth": 1})
         place_width = 0.11 * (high - left)
         right = high + place_width * (len(printed) + 0.6) if printed else high
         any_printed |= bool(printed)
         ax.axvspan(high, right, color=PALE, alpha=0.35, linewidth=0)
-        for place, (one, look) in enumerate(printed, start=1):
+        for place, (value, look) in enumerate(printed, start=1):
             x = high + (place - 0.2) * place_width
-            ax.errorbar(x, one.mean, one.sd, fmt=look["marker"], color=PUBLISHED["color"], markersize=3.5)
+            ax.errorbar(x, value.mean, value.sd, fmt=look["marker"], color=PUBLISHED["color"], markersize=3.5)
         ax.set(xlim=(left, right), ylim=(bottom, top), box_aspect=1)
         ax.set_title(f"{parameter_symbol(name)} [{unit(name)}]")
         for axis in (ax.xaxis, ax.yaxis):
@@ -179,11 +179,11 @@ def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] |
 
 def estimated(study: StudyResult, task: str) -> Estimates:
     """The thesis's estimates in each condition of a task in which there are any, one per person."""
-    found = {
+    by_condition = {
         condition: [person.estimates[condition] for person in study.people if condition in person.estimates]
         for condition in CONDITIONS[task]
     }
-    return {condition: estimates for condition, estimates in found.items() if estimates}
+    return {condition: estimates for condition, estimates in by_condition.items() if estimates}
 
 
 def _quantities(estimates: Estimates) -> list[str]:
@@ -225,7 +225,7 @@ def _bars(
 ) -> list[Bar]:
     """A bar of a parameter for each condition, from the estimates of each person."""
     return [
-        Bar(mean_sd(ours(one, name) for one in estimates[condition]), printed(condition, name), colour)
+        Bar(mean_sd(ours(estimate, name) for estimate in estimates[condition]), printed(condition, name), colour)
         for condition, colour in _colours(task, estimates)
     ]
 

@@ -36,14 +36,14 @@ NAMES = {"min": "minimum level", "max": "maximum level"}
 @in_style()
 def peak_displacement(study: StudyResult) -> Figure:
     """Peak displacement after pulses, mean and SD over people of means over trials (thesis fig. 3.15, table 2.1)."""
-    found = _by_level(
+    by_task = _by_level(
         lambda condition, level: [
             person.pulses[condition, level].displacement
             for person in study.people
             if (condition, level) in person.pulses
         ]
     )
-    figure, _ = _draw_levels(found, "peak displacement [cm]", 100.0, published.peak_displacement)
+    figure, _ = _draw_levels(by_task, "peak displacement [cm]", 100.0, published.peak_displacement)
     return figure
 
 
@@ -57,12 +57,12 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
       study: with trials that have pulses.
       p: condition with both levels to the p of the level's effect.
     """
-    found = pulsed_trials(study, lambda trial: trial.admittance)
-    figure, panels = _draw_levels(found, "pulse admittance [mm/N]", 1000.0, shared=False)
+    by_task = pulsed_trials(study, lambda trial: trial.admittance)
+    figure, panels = _draw_levels(by_task, "pulse admittance [mm/N]", 1000.0, shared=False)
     for task, (ax, tops) in panels.items():
-        if any(len(levels) == len(LEVELS) for levels in found[task].values()):
+        if any(len(levels) == len(LEVELS) for levels in by_task[task].values()):
             ax.set_ylim(top=1.2 * max(tops.values()))
-        for group, (condition, levels) in enumerate(found[task].items()):
+        for group, (condition, levels) in enumerate(by_task[task].items()):
             if len(levels) < len(LEVELS):
                 continue
             ratio = mean_sd(levels["max"]).mean / mean_sd(levels["min"]).mean
@@ -84,17 +84,17 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
 @in_style()
 def pulse_prediction(study: StudyResult) -> Figure:
     """Predicted over recorded peak displacement of both models, mean and SD over trials (thesis fig. 3.19)."""
-    found = {model: pulsed_trials(study, partial(predicted_share, model=model)) for model in MODELS}
+    by_model = {model: pulsed_trials(study, partial(predicted_share, model=model)) for model in MODELS}
     groups = {
         task: {
             f"{condition}\n{level}": [
-                Bar(mean_sd(found[model].get(task, {}).get(condition, {}).get(level, ())), UNKNOWN, look["color"])
+                Bar(mean_sd(by_model[model].get(task, {}).get(condition, {}).get(level, ())), UNKNOWN, look["color"])
                 for model, look in MODELS.items()
             ]
             for condition, levels in conditions.items()
             for level in levels
         }
-        for task, conditions in found["linear"].items()
+        for task, conditions in by_model["linear"].items()
     }
     figure, panels = _panels(3.4, {task: len(bars) for task, bars in groups.items()})
     low, high = (published.headline(f"pulse_prediction_{end}") for end in ("low", "high"))
@@ -133,18 +133,18 @@ def pulsed_trials(study: StudyResult, quantity: Callable[[TrialMeasures], float]
 
 def _by_level(values_of: Callable[[str, str], list[float]]) -> dict[str, Levels]:
     """Task, condition and level to the finite ones of their values; only those that have any."""
-    found: dict[str, Levels] = {}
+    by_task: dict[str, Levels] = {}
     for task, conditions in CONDITIONS.items():
         for condition in conditions:
             for level in LEVELS:
                 values = [value for value in values_of(condition, level) if np.isfinite(value)]
                 if values:
-                    found.setdefault(task, {}).setdefault(condition, {})[level] = values
-    return found
+                    by_task.setdefault(task, {}).setdefault(condition, {})[level] = values
+    return by_task
 
 
 def _draw_levels(
-    found: Mapping[str, Levels],
+    by_task: Mapping[str, Levels],
     label: str,
     scale: float,
     source: Callable[..., published.MeanSD] | None = None,
@@ -164,14 +164,14 @@ def _draw_levels(
             ]
             for condition, levels in conditions.items()
         }
-        for task, conditions in found.items()
+        for task, conditions in by_task.items()
     }
     figure, panels = _panels(3.3, {task: len(bars) for task, bars in groups.items()}, shared=shared)
     tops = {task: draw_groups(ax, groups[task], scale) for task, ax in panels.items()}
     next(iter(panels.values())).set_ylabel(label)
     handles = [
         Patch(color=_colour(task, level), label=f"{task}, {name}")
-        for task, conditions in found.items()
+        for task, conditions in by_task.items()
         for level, name in NAMES.items()
         if any(level in levels for levels in conditions.values())
     ]

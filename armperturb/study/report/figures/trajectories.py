@@ -78,14 +78,14 @@ def first_pulses(
     """
     levels = np.abs(recording["pulse_level"].values)
     wanted = levels.max(initial=0.0) if level is None else level
-    found: dict[float, int] = {}
+    first: dict[float, int] = {}
     for trial in sorted(np.flatnonzero(levels == wanted).tolist(), key=lambda trial: trial not in preferred):
         try:
             pulse_span(recording, trial)
         except ValueError:
             continue
-        found.setdefault(float(recording["pulse_direction"].values[trial]), trial)
-    return dict(sorted(found.items()))
+        first.setdefault(float(recording["pulse_direction"].values[trial]), trial)
+    return dict(sorted(first.items()))
 
 
 def responses(recording: xr.Dataset, estimate: ThesisEstimate | None, level: float) -> list[Response]:
@@ -104,7 +104,7 @@ def responses(recording: xr.Dataset, estimate: ThesisEstimate | None, level: flo
         fitted = ConditionTrials.prepare(recording, is_checked=True).multisine.numbers
         fits = {int(trial): fit for trial, fit in zip(fitted, estimate.fits, strict=True) if fit.stable}
     rate = float(recording.attrs["rate"])
-    found = []
+    results = []
     for direction, trial in first_pulses(recording, level, fits).items():
         span = pulse_span(recording, trial)
         paths = {"recorded": recording["displacement"].values[trial, span]}
@@ -113,8 +113,8 @@ def responses(recording: xr.Dataset, estimate: ThesisEstimate | None, level: flo
             driven = recording["perturbation"].values[trial, : span.stop]
             paths["linear"] = simulate_linear(arm, environment, driven, rate).displacement[span]
             paths["skeletal"] = simulate_skeletal(arm, environment, driven, rate, span.start)
-        found.append(Response(direction, paths))
-    return found
+        results.append(Response(direction, paths))
+    return results
 
 
 @in_style()
@@ -132,11 +132,11 @@ def trajectories(recording: xr.Dataset, estimate: ThesisEstimate | None, level: 
     task = str(recording["task"].values[0])
     step = round(DOTS[task] * float(recording.attrs["rate"]))
     lines: dict[str, dict[str, Any]] = {"recorded": RECORDED, **MODELS}
-    found = responses(recording, estimate, level)
+    first = responses(recording, estimate, level)
     figure = new_figure(4.2)
     ax = figure.subplots()
     drawn = set()
-    for response in found:
+    for response in first:
         for name, path in response.paths.items():
             x, y = 100.0 * path.T
             ax.plot(x, y, **lines[name])
@@ -146,8 +146,8 @@ def trajectories(recording: xr.Dataset, estimate: ThesisEstimate | None, level: 
                 peak = int(np.argmax(np.linalg.norm(path, axis=1)))
                 to_peak = {**PEAK, "color": lines[name]["color"]}
                 ax.annotate("", (x[peak], y[peak]), (0.0, 0.0), arrowprops=to_peak)
-    reach = 100.0 * max(np.linalg.norm(response.paths["recorded"], axis=1).max() for response in found)
-    for response in found:
+    reach = 100.0 * max(np.linalg.norm(response.paths["recorded"], axis=1).max() for response in first)
+    for response in first:
         angle = math.radians(response.direction_deg)
         tip = (0.4 * reach * math.cos(angle), 0.4 * reach * math.sin(angle))
         ax.annotate("", tip, (0.0, 0.0), arrowprops=PUSHED, zorder=0.5)
@@ -188,15 +188,15 @@ def joint_rotations(recording: xr.Dataset) -> Figure:
     panels = figure.subplots(1, len(trials), sharey=True, squeeze=False)[0]
     any_printed = False
     for ax, (direction, trial) in zip(panels, trials.items(), strict=True):
-        one = around_pulse(recording, trial)
-        time = 1e3 * (one["time"].values - float(one["pulse_onset"].values[0]))
-        rotation = np.degrees(kinematics.joint_rotations(one)[0])
+        around = around_pulse(recording, trial)
+        time = 1e3 * (around["time"].values - float(around["pulse_onset"].values[0]))
+        rotation = np.degrees(kinematics.joint_rotations(around)[0])
         ax.axvspan(0.0, 1e3 * Pulse.width, color=PALE, alpha=0.5, linewidth=0)
         for joint, (name, look) in enumerate(JOINT_LOOKS.items()):
             values = rotation[:, joint]
             ax.plot(time, values, **look)
-            if "joint_angle" in one:
-                truth = np.degrees(kinematics.true_rotations(one)[0, :, joint])
+            if "joint_angle" in around:
+                truth = np.degrees(kinematics.true_rotations(around)[0, :, joint])
                 ax.plot(time, truth, **ITSELF)
             peak = int(np.argmax(np.where(time >= 0.0, np.abs(values), 0.0)))
             sign = np.sign(values[peak])

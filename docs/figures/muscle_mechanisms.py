@@ -1,6 +1,7 @@
 """What does each mechanism of the muscle law do to the average person's movements?
 
-Run `python examples/why_people_yield.py FOLDER`. It writes the pictures of docs/muscle.md and prints their numbers.
+Run `python docs/figures/muscle_mechanisms.py FOLDER`. It writes the pictures of docs/muscle.md and
+prints their numbers.
 """
 
 import sys

@@ -1,6 +1,6 @@
 """Does a trade-off between effort and accuracy predict that people who keep position stiffen in larger movements?
 
-Run `python examples/effort_and_accuracy.py FOLDER [--fast]`. The position task's own reward chooses levels of
+Run `python docs/figures/effort_and_accuracy.py FOLDER [--fast]`. The position task's own reward chooses levels of
 co-contraction and reflexes, from candidates that try side by side in the vector environment, and the arms that result
 are identified. It writes the picture of docs/effort.md and prints its numbers; --fast only shows that it runs.
 """

@@ -1,6 +1,6 @@
 """What does the muscle law do in the experiments of the textbooks?
 
-Run `python examples/muscle_law.py PICTURE.png`. It stretches one muscle element by hand, without an arm around it.
+Run `python docs/figures/muscle_law.py PICTURE.png`. It stretches one muscle element by hand, without an arm around it.
 """
 
 import math
