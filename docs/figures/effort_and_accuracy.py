@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import gymnasium as gym
 import numpy as np
+from effort import chosen_level, derived_levels, weight_of
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy.optimize import differential_evolution
@@ -26,7 +27,6 @@ from armperturb.envs.learning.task import TaskSettings
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.plots.panels import AXES, label_frequency, legend
 from armperturb.plots.style import COLOURS, GREY, INK, PUBLISHED, in_style, new_figure, save_png, shades
-from armperturb.study.experiments.effort import chosen_level, derived_levels, weight_of
 from armperturb.study.protocol import THESIS
 from armperturb.study.published import tables as published
 
@@ -189,7 +189,7 @@ def identified(arms: dict[str, dict[str, np.ndarray]], size: Size) -> dict[tuple
     found = {}
     for number, (key, own) in enumerate(trials.items()):
         part = recording.isel(trial=slice(number * len(own), (number + 1) * len(own)))
-        spectra = estimate_spectra(line_spectra(part, window_start=size.settle))
+        spectra = estimate_spectra(line_spectra(part, window_start=size.settle, period=PERIOD))
         moved = part["displacement"].values[:, round(size.settle * part.attrs["rate"]) :]
         gain = np.abs(np.diagonal(spectra.arm, axis1=1, axis2=2))
         found[key] = Arm(spectra.frequency, gain, float(np.sqrt(np.mean(moved**2))))

@@ -26,7 +26,7 @@ from armperturb.analysis.nonlinear.model import Law, Model, bounds, stem
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, median_peak, median_vaf, predict_pulses
 from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem, State
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
-from armperturb.analysis.results import Description, Result, Table
+from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.subject import Subject
@@ -78,7 +78,7 @@ class Gain(NamedTuple):
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Judged:
     """A structure, and how well it predicts what it was not fitted to.
 
@@ -124,27 +124,18 @@ class Choice(Result):
     gains: Mapping[Law, Gain]
     mechanisms: Mapping[str, Gain]
 
-    def describe(self) -> Description:
-        """Which law was chosen, and what each larger law and each mechanism gains."""
-        gains = {**{f"{law} law": gain for law, gain in self.gains.items()}, **self.mechanisms}
-        return Description(
-            title=f"Choice of the muscle law by left-out trials: {self.chosen}",
-            table=Table(
-                ("structure", "gain in log-likelihood", "standard error", "significant"),
-                tuple(
-                    (name, f"{gain.mean:.1f}", f"{gain.standard_error:.1f}", "yes" if gain.is_shown else "no")
-                    for name, gain in gains.items()
-                ),
-            ),
-            remarks=self.verdict(),
-        )
-
     @property
     def estimate(self) -> NonlinearEstimate:
         """That of the chosen law, from all trials."""
         estimate = self.judged[self.chosen].estimate
         assert estimate is not None
         return estimate
+
+    def describe(self) -> Description:
+        """Which law was chosen, and why."""
+        return Description(
+            title=f"Laws compared: {', '.join(self.judged)}; chosen: {self.chosen}", facts=self.verdict()
+        )
 
     def verdict(self) -> tuple[str, ...]:
         """What the trials support, a sentence each."""

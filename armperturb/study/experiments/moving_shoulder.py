@@ -188,7 +188,7 @@ def _rows(recording: xr.Dataset, condition: Condition, strap: bool) -> Iterator[
         joint_rotations(recording),
         joint_rotations(recording, shoulder=shoulder),
     )
-    signals = {"rotation": rotations, "velocity": tuple(joint_velocities(one, rate) for one in rotations)}
+    signals = {"rotation": rotations, "velocity": tuple(joint_velocities(rotation, rate) for rotation in rotations)}
     moved = np.linalg.norm(shoulder, axis=-1)
     values: dict[tuple[str, int], list[list[Array]]] = defaultdict(list)
     for trial in range(recording.sizes["trial"]):

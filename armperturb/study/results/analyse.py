@@ -246,8 +246,8 @@ class _Study:
         means = means_of(first)
         units = []
         for path in self.paths:
-            own = self._cached(path, "step-2", SecondStep)
-            everybody = replace(own, recordings={path.name: sha256 for path, sha256 in self.paths.items()})
+            cached = self._cached(path, "step-2", SecondStep)
+            everybody = replace(cached, recordings={path.name: sha256 for path, sha256 in self.paths.items()})
             units.append(_Unit(cached=everybody, compute=_second_step, arguments=(path, means)))
         second = _each(units, pool, bar)
         return Appendices(first=first, second=joined(step.estimates for step in second), starts=starts), second
@@ -357,21 +357,21 @@ def _nonlinear(
     fits, stale = dict[Path, NonlinearFit](), dict[Path, str]()
 
     def add(units: Sequence[_NonlinearUnit]) -> None:
-        kept = dict[Path, NonlinearFit]()
+        available = dict[Path, NonlinearFit]()
         for unit in units:
             try:
                 fit = unit.cached.read()
             except StaleResult as error:
                 stale[unit.cached.path], fit = str(error), None
             if fit is not None:
-                kept[unit.cached.path] = fit
-        new = [unit for unit in units if unit.cached.path not in kept and unit.task in tasks]
+                available[unit.cached.path] = fit
+        new = [unit for unit in units if unit.cached.path not in available and unit.task in tasks]
         if new:
             with Progress("nonlinear fits", total=len(new), unit="fits", show=show_progress) as bar:
                 for number, fit in _computed(new, pool, bar):
                     new[number].checkpoint.unlink(missing_ok=True)
-                    kept[new[number].cached.path] = fit
-        fits.update({unit.cached.path: kept[unit.cached.path] for unit in units if unit.cached.path in kept})
+                    available[new[number].cached.path] = fit
+        fits.update({unit.cached.path: available[unit.cached.path] for unit in units if unit.cached.path in available})
 
     add(units)
     add([more for unit in units if unit.cached.path in fits for more in unit.with_pulses(fits[unit.cached.path])])

@@ -138,26 +138,26 @@ def fit_nonlinear(
 
     name = str(recording["subject"].values[0])
     nothing = NonlinearFit(name, task, tuple(fitted_deg))
-    own = {case.condition.name: case for case in cases if case.condition.task == task and case.identification}
+    identified = {case.condition.name: case for case in cases if case.condition.task == task and case.identification}
     try:
-        if not own:
+        if not identified:
             raise ValueError(f"no linear arm was identified in {task}, where the fit would start")
         mine = _usable(recording, task)
         sets = fitted_conditions(mine)
         fitted, _ = training_sets(sets, fitted_deg)
-        arms = {label: case.identified.fit.arm for label, case in own.items()}
+        arms = {label: case.identified.fit.arm for label, case in identified.items()}
         estimate = fit(fitted, arms, initial=start, checkpoint=checkpoint)
         subjects = {label: estimate.subject(task, label) for label in sets}
         pulses = _left_out(
-            mine, sets, subjects, {label: case.thesis_estimate for label, case in own.items()}, fitted_deg
+            mine, sets, subjects, {label: case.thesis_estimate for label, case in identified.items()}, fitted_deg
         )
     except ValueError as error:  # must not cost the other people their results
         return nothing._replace(failed=str(error))
     intervals = {parameter: estimate.interval(parameter) for parameter in estimate.values}
-    directions = np.concatenate([one.direction_deg for one in sets.values()])
+    directions = np.concatenate([trials.direction_deg for trials in sets.values()])
     return nothing._replace(
         directions_deg=tuple(np.unique(directions[np.isfinite(directions)]).tolist()),
-        reference=next(one.label for one in fitted if f"level.{one.label}" not in estimate.values),
+        reference=next(trials.label for trials in fitted if f"level.{trials.label}" not in estimate.values),
         values=dict(estimate.values),
         lower={parameter: lower for parameter, (lower, _) in intervals.items()},
         upper={parameter: upper for parameter, (_, upper) in intervals.items()},
@@ -171,14 +171,14 @@ def fit_nonlinear(
 
 def _usable(recording: xr.Dataset, task: str) -> xr.Dataset:
     """Trials of a task that stay inside the workspace until the pulse, as `ConditionTrials.multisine` has them."""
-    kept = []
+    usable = []
     labels = np.where(recording["task"].values == task, recording["condition"].values, "")
     for label in dict.fromkeys(labels[labels != ""].tolist()):
         places = np.flatnonzero(labels == label)
-        kept += places[
+        usable += places[
             ConditionTrials.prepare(recording.isel(trial=places), is_checked=True).multisine.numbers
         ].tolist()
-    return recording.isel(trial=kept)
+    return recording.isel(trial=usable)
 
 
 def _left_out(
@@ -192,34 +192,34 @@ def _left_out(
     from armperturb.analysis.nonlinear.prediction import predict_pulses
 
     fitted = list(fitted_deg)
-    found: list[LeftOutPulse] = []
-    for label, one in sets.items():
+    pulses: list[LeftOutPulse] = []
+    for label, prepared in sets.items():
         mine = recording.isel(trial=np.flatnonzero(recording["condition"].values == label))
         estimate = estimates.get(label)
-        for trial, direction in enumerate(one.direction_deg):
+        for trial, direction in enumerate(prepared.direction_deg):
             if np.isnan(direction) or np.isclose(direction, fitted or [np.nan]).any():
                 continue
-            for pulse in predict_pulses(one.take([trial]), subjects[label]):
+            for pulse in predict_pulses(prepared.take([trial]), subjects[label]):
                 predicted = {"nonlinear": pulse}
                 if estimate is not None and estimate.fits[trial].stable:
                     arm, environment = estimate.fits[trial].arm, estimate.environment
-                    driven = mine["perturbation"].values[trial, : one.onset[trial] + len(pulse.time)]
-                    onset = int(one.onset[trial])
-                    path = simulate_linear(arm, environment, driven, one.rate).displacement[onset:]
+                    driven = mine["perturbation"].values[trial, : prepared.onset[trial] + len(pulse.time)]
+                    onset = int(prepared.onset[trial])
+                    path = simulate_linear(arm, environment, driven, prepared.rate).displacement[onset:]
                     predicted["linear"] = replace(pulse, predicted=path)
-                    path = simulate_skeletal(arm, environment, driven, one.rate, onset)
+                    path = simulate_skeletal(arm, environment, driven, prepared.rate, onset)
                     predicted["skeletal"] = replace(pulse, predicted=path)
                 level = abs(float(mine["pulse_level"].values[trial]))
-                found.append(_told(LeftOutPulse(label, level, float(direction), {}, {}, {}), predicted))
-    return found
+                pulses.append(_with_predictions(LeftOutPulse(label, level, float(direction), {}, {}, {}), predicted))
+    return pulses
 
 
-def _told(pulse: LeftOutPulse, predicted: Mapping[str, "PulsePrediction"]) -> LeftOutPulse:
+def _with_predictions(pulse: LeftOutPulse, predicted: Mapping[str, "PulsePrediction"]) -> LeftOutPulse:
     """With what further models predict, as far as it is finite."""
     peak, vaf, paths = dict(pulse.peak), dict(pulse.vaf), dict(pulse.paths)
-    for model, one in predicted.items():
-        if np.isfinite(one.predicted).all():
-            peak[model], vaf[model] = one.peak, one.vaf
+    for model, prediction in predicted.items():
+        if np.isfinite(prediction.predicted).all():
+            peak[model], vaf[model] = prediction.peak, prediction.vaf
             if (pulse.condition, pulse.level) in PATHS.values():
-                paths |= {"recorded": one.recorded, model: one.predicted}
+                paths |= {"recorded": prediction.recorded, model: prediction.predicted}
     return pulse._replace(peak=peak, vaf=vaf, paths=paths)

@@ -106,7 +106,7 @@ class PersonMeasures:
     @cached_property
     def pulses(self) -> dict[tuple[str, str], PulseMeans]:
         """Condition and level ("min", "max") to the means over the trials whose pulse tells something."""
-        found = {}
+        means = {}
         for condition in dict.fromkeys(trial.condition for trial in self.trials):
             for name, level in LEVELS.items():
                 its = [
@@ -117,8 +117,8 @@ class PersonMeasures:
                     and math.isfinite(trial.displacement)
                 ]
                 if its:
-                    found[condition, name] = _pulse_means(its)
-        return found
+                    means[condition, name] = _pulse_means(its)
+        return means
 
 
 def measure_person(
@@ -134,9 +134,9 @@ def measure_person(
     Raises:
       ValueError: the recording is refused, or holds several people.
     """
-    cells, told = measure(recording)
+    cells, reasons = measure(recording)
     name = str(recording["subject"].values[0])
-    left_out = [f"{name}: {line}" for line in told]
+    left_out = [f"{name}: {line}" for line in reasons]
     by_condition = {case.condition.name: case for case in cases}
     low_gain: dict[str, Array] = {}
     trials: list[TrialMeasures] = []
@@ -164,11 +164,11 @@ def measure_person(
         for trial, measures in enumerate(_recorded_trials(mine)):
             if trial in models:
                 arm, environment, (x, y) = models[trial]
-                one = mine.isel(trial=[trial])
-                predicted = float(predicted_peaks(one, arm, environment)[0])
+                alone = mine.isel(trial=[trial])
+                predicted = float(predicted_peaks(alone, arm, environment)[0])
                 measures = measures._replace(predicted_linear=predicted, vaf_linear=(x, y))
                 before = slice(0, multisine.n_samples)
-                measures, lost = _with_skeletal(measures, one, before, arm, environment)
+                measures, lost = _with_skeletal(measures, alone, before, arm, environment)
                 left_out += [f"{name} in {line}" for line in lost]
             trials.append(measures)
     return PersonMeasures(

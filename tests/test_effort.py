@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from effort import LEVELS, chosen_level, derived_levels, displacement_at_levels, weight_of
 
 from armperturb.cohort import Person
-from armperturb.study.experiments.effort import LEVELS, chosen_level, derived_levels, displacement_at_levels, weight_of
 from armperturb.study.protocol import Condition, Protocol
 from armperturb.subject import POSITION
 

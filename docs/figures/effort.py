@@ -56,8 +56,8 @@ def chosen_level(levels: ArrayLike, displacement: ArrayLike, weight: float) -> f
 
     best = int(np.argmin(cost(grid)))
     around = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    found = optimize.minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-9})
-    return float(np.exp(found.x))
+    lowest = optimize.minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-9})
+    return float(np.exp(lowest.x))
 
 
 def weight_of(levels: ArrayLike, displacement: ArrayLike, level: float) -> float:
@@ -116,9 +116,9 @@ def displacement_at_levels(
     if not tried:
         return np.empty(0), np.empty(0)
     trials = [Trial(subject=at, perturbation=multisine) for _, at in tried]
-    found = measured_displacement(trials, environment, n_threads=n_threads)
-    inside = np.isfinite(found)
-    return np.array([level for level, _ in tried])[inside], found[inside]
+    displacement = measured_displacement(trials, environment, n_threads=n_threads)
+    inside = np.isfinite(displacement)
+    return np.array([level for level, _ in tried])[inside], displacement[inside]
 
 
 def derived_levels(
@@ -159,8 +159,8 @@ def derived_levels(
         )
         for condition in conditions
     }
-    own = protocol.condition(known).co_contraction * person.levels.get(known, 1.0)
-    weight = weight_of(*responses[known], own)
+    level = protocol.condition(known).co_contraction * person.levels.get(known, 1.0)
+    weight = weight_of(*responses[known], level)
     return {name: chosen_level(*response, weight) for name, response in responses.items()}
 
 
