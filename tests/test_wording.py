@@ -16,7 +16,7 @@ NAMES = frozenset({"one", "found", "own", "told", "kept", "crew"})
 PENDING = (
     "CHANGELOG.md",
     "README.md",
-    "armperturb/analysis/",
+    "armperturb/analysis/nonlinear/",
     "armperturb/plots/",
     "docs/",
     "examples/",

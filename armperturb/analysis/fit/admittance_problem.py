@@ -189,7 +189,7 @@ def applied(matrix: Array, vector: Array) -> Array:
 
 
 def frequency_last(values: NDArray[Any]) -> NDArray[Any]:
-    """The same, (batch, frequency, output, input), with frequency last in memory, as `LinearArm` has it."""
+    """Values, (batch, frequency, output, input), stored with frequency as the last axis in memory, as by `LinearArm`."""
     return np.moveaxis(np.ascontiguousarray(np.moveaxis(values, (-2, -1), (0, 1))), (0, 1), (-2, -1))
 
 

@@ -68,10 +68,10 @@ def find_period(perturbation: Sequence[Array], rate: float, start: float = 0.0) 
         best = int(np.argmin(bottom))
         if bottom[best] > APERIODIC or abs(offset[best]) < OFF_SAMPLE:
             raise ValueError(refusal)
-    found = dips[best] + offset[best]
+    samples = dips[best] + offset[best]
     raise ValueError(
-        f"rate = {rate:g} Hz; expected one at which the perturbation's period of {found / rate:.5g} s is a whole "
-        f"number of samples (it is {found:.2f}): resample the recording"
+        f"rate = {rate:g} Hz; expected one at which the perturbation's period of {samples / rate:.5g} s is a whole "
+        f"number of samples (it is {samples:.2f}): resample the recording"
     )
 
 
