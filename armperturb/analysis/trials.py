@@ -185,20 +185,12 @@ class ConditionTrials:
 
     @cached_property
     def balance(self) -> Balance:
-        """Force balance of the manipulator.
-
-        Raises:
-          ValueError: the trials are too short.
-        """
+        """Force balance of the manipulator. Raises ValueError where the trials are too short."""
         return Balance(self.perturbation, self.force, self.recorded_displacement, self.rate)
 
     @cached_property
     def instruments(self) -> tuple[Environment, NoiseLevels]:
-        """The manipulator, and the noise of the instruments.
-
-        Raises:
-          ValueError: as `Balance.fit`, or the trials are too short.
-        """
+        """The manipulator, and the noise of the instruments. Raises ValueError as `balance` and `Balance.fit`."""
         if self.given is not None:
             return self.given
         return self.balance.fit() if self.whole is None else self.whole.instruments

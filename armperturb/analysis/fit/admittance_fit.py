@@ -29,6 +29,7 @@ from armperturb.analysis.fit.admittance_problem import (
 from armperturb.analysis.fit.linear_start import with_linear_part
 from armperturb.analysis.fit.structures import STRUCTURES, Structure, unit
 from armperturb.analysis.numerics.trust_region import NOT_FINITE, minimise
+from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -55,8 +56,8 @@ _WHY_STOPPED = {
 }
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class AdmittanceFit:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class AdmittanceFit(Result):
     """An arm model fitted to an admittance.
 
     Attributes:
@@ -94,6 +95,20 @@ class AdmittanceFit:
     n_starts: int
     n_starts_agree: int
     n_evaluations: int
+
+    def describe(self) -> Description:
+        """Estimates with the SEM of eq. 2.22, and how the search ended."""
+        return Description(
+            title=f"Admittance of {self.arm.name} fitted by the thesis's criterion: model {self.structure}",
+            facts=(f"{self.status}; criterion {plain(self.criterion)}, {'' if self.stable else 'not '}stable",),
+            table=Table(
+                ("parameter", "estimate", "SEM", "unit"),
+                tuple(
+                    (name, plain(value), plain(self.sem[name], 3), unit(name)) for name, value in self.values.items()
+                ),
+            ),
+            remarks=tuple(f"{name} sits on a bound" for name in self.at_bound),
+        )
 
 
 def fit_admittance(

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +27,17 @@ from armperturb.analysis.fit.admittance_problem import Target
 from armperturb.analysis.fit.structures import STRUCTURES, Structure, unit
 from armperturb.analysis.measures.vaf import trial_vaf
 from armperturb.analysis.response.spectra import single_trial_spectra
+from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials, Trials, per_trials, prepared
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 
+if TYPE_CHECKING:
+    import pandas as pd
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ThesisEstimate:
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ThesisEstimate(Result):
     """A structure fitted to every trial of a condition, and the averages that the thesis prints.
 
     Attributes:
@@ -49,6 +53,27 @@ class ThesisEstimate:
     environment: Environment
     fits: tuple[AdmittanceFit, ...]
     vaf: Array
+
+    def describe(self) -> Description:
+        """Means over subjects, SDs over them, and how the fits ended."""
+        n, people = len(self.fits), list(dict.fromkeys(self.subjects))
+        who = people[0] if len(people) == 1 else f"{len(people)} people"
+        vaf, _ = self.mean_vaf()
+        return Description(
+            title=f"The thesis's estimator, model {self.structure}: {n} trial{'' if n == 1 else 's'} of {who}",
+            facts=(
+                f"{self.n_stable} stable; {self.n_positive} with a positive VAF, mean x {vaf[0]:.1f}, y {vaf[1]:.1f} %",
+                ", ".join(f"{count} of {n} {words}" for words, count in self.status.items()),
+            ),
+            table=Table(
+                ("parameter", "mean", "SD over people", "SEM", "unit"),
+                tuple(
+                    (row["parameter"], *(plain(row[name]) for name in ("value", "value_sd", "sem")), row["unit"])
+                    for row in self.to_frame().to_dict("records")
+                ),
+            ),
+            remarks=tuple(f"{name} sits on a bound in {count} of {n} trials" for name, count in self.at_bound.items()),
+        )
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -126,21 +151,22 @@ class ThesisEstimate:
         """Group means, from which another fit may start (step 2 of appendix C)."""
         return dict(zip(self.parameters, map(float, self.over_subjects(self.values)[0]), strict=True))
 
-    def rows(self) -> list[dict[str, Any]]:
+    def to_frame(self) -> "pd.DataFrame":
         """One row per parameter, as in tables E.3 and E.4: means and SDs over subjects of estimate and SEM, SI."""
+        import pandas as pd
+
         (mean, sd), (sem, sem_sd) = self.over_subjects(self.values), self.over_subjects(self.sem)
-        return [
+        return pd.DataFrame(
             {
-                "parameter": name,
-                "unit": unit(name),
-                "value": float(mean[i]),
-                "value_sd": float(sd[i]),
-                "sem": float(sem[i]),
-                "sem_sd": float(sem_sd[i]),
-                "sem_over_value": float(abs(sem[i] / mean[i])) if mean[i] else float("inf"),
+                "parameter": self.parameters,
+                "unit": [unit(name) for name in self.parameters],
+                "value": mean,
+                "value_sd": sd,
+                "sem": sem,
+                "sem_sd": sem_sd,
+                "sem_over_value": np.divide(np.abs(sem), np.abs(mean), out=np.full_like(sem, np.inf), where=mean != 0),
             }
-            for i, name in enumerate(self.parameters)
-        ]
+        )
 
 
 @per_trials

@@ -57,8 +57,9 @@ def pulse_span(recording: xr.Dataset, trial: int) -> slice:
             f"trial {trial} ends {recording.sizes['time'] / rate - onset:.3g} s after its pulse began; expected more "
             f"than {WINDOWS[task]:g} s in {task}"
         )
-    limit = float(limit_samples(recording)[trial]) / rate
-    if limit * rate <= last:
+    limit_sample = float(limit_samples(recording)[trial])
+    if limit_sample <= last:
+        limit = limit_sample / rate
         raise ValueError(
             f"trial {trial} reached the workspace limit at {limit:.3f} s, {limit - onset:.3f} s after its pulse began; "
             f"expected it to stay inside for {WINDOWS[task]:g} s"
