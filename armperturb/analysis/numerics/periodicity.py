@@ -44,7 +44,7 @@ def find_period(perturbation: Sequence[Array], rate: float, start: float = 0.0) 
     refusal = (
         f"the perturbation does not repeat within the {longest:.4g} s from {start:g} s on; expected a periodic one "
         f"that is recorded for at least {1 + OVERLAP:g} periods (for noise there is the method noise; of a shorter "
-        "record state the period)"
+        "record state the period: --period)"
     )
     apart = np.flatnonzero(difference > DIFFERENT)
     if not len(apart):
