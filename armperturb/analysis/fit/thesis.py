@@ -14,7 +14,6 @@ two (`benchmarks.thesis_sem`).
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -24,7 +23,7 @@ from armperturb.analysis.arm.linear_arm import Delay
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.fit.admittance_fit import AdmittanceFit, fit_admittance, fit_admittances
 from armperturb.analysis.fit.admittance_problem import Target
-from armperturb.analysis.fit.structures import STRUCTURES, Structure, unit
+from armperturb.analysis.fit.structures import MODEL_3_WIDE, STRUCTURES, Structure, published_starts, unit
 from armperturb.analysis.measures.vaf import trial_vaf
 from armperturb.analysis.response.spectra import single_trial_spectra
 from armperturb.analysis.results import Description, Result, Table, plain
@@ -375,61 +374,8 @@ def appendix_e(trials: Trials, **options: Any) -> dict[str, ThesisEstimate]:
     return dict(zip(VARTHETA, fit_wanted(wanted, **options), strict=True))
 
 
-_WIDE = {
-    "m_h": (0.5, 4.0),
-    "m_f": (0.5, 4.0),
-    "Td_s": (0.025, 0.075),
-    "Td_e": (0.025, 0.075),
-    "fact_s": (1.7, 6.0),
-    "fact_e": (1.7, 6.0),
-}
-
-_THETA_1 = {
-    **dict(m_h=1.7, m_f=2.4, b_s=2.6, b_se=6.1, b_e=11.1, k_s=202.9, k_se=76.4, k_e=182.1, b_h=73.8, k_h=26.1e3),
-    **dict(kv_s=13.6, kv_se=19.7, kv_e=24.9, kp_s=-63.4, kp_se=38.4, kp_e=65.9),
-    **dict(Td_s=31.6e-3, Td_e=31.7e-3, fact_s=2.8, fact_e=2.8),
-}
-
-MODEL_3_WIDE = (
-    STRUCTURES["3"]
-    .freeing(**{name: (lower, _THETA_1[name], upper) for name, (lower, upper) in _WIDE.items()})
-    .named("3 (D.2)")
-)
-"""Model 3 with the bounds of table D.2."""
-
-THETA = MappingProxyType(
-    {
-        "theta_i1": _THETA_1,
-        "theta_i2": {
-            **_THETA_1,
-            **dict(b_s=16.2, b_se=23.2, b_e=36.0, k_s=139.6, k_se=103.3, k_e=248.1),
-            **dict(kv_s=0.1, kv_se=0.2, kv_e=0.2, kp_s=-0.6, kp_se=0.4, kp_e=0.7),
-        },
-        "theta_i3": {**_THETA_1, **dict(Td_s=0.050, Td_e=0.050)},
-        "theta_i4": {**_THETA_1, **dict(fact_s=5.0, fact_e=5.0)},
-        "theta_i5": {**_THETA_1, **dict(b_se=0.1, k_se=0.8, kv_se=0.2, kp_se=0.4)},
-        # k_h is printed as 32.6 kN/m, beyond its own bound of 30 kN/m: it starts there.
-        "theta_i6": {
-            **dict(m_h=1.3, m_f=3.0, b_s=3.3, b_se=4.5, b_e=8.3, k_s=152.2, k_se=95.5, k_e=227.7, b_h=55.4, k_h=30e3),
-            **dict(kv_s=10.2, kv_se=14.8, kv_e=18.7, kp_s=-47.5, kp_se=28.8, kp_e=49.4),
-            **dict(Td_s=25.3e-3, Td_e=25.3e-3, fact_s=3.5, fact_e=2.1),
-        },
-    }
-)
+THETA = published_starts("D", MODEL_3_WIDE)
 """Initial parameter vectors of appendix D, SI (table D.3, in italics)."""
 
-_MODEL_3B = STRUCTURES["3b"].free
-VARTHETA = MappingProxyType(
-    {
-        name: dict(zip(_MODEL_3B, values, strict=True))
-        for name, values in {
-            "vartheta_i1": (3.94, 3.98, 6.38, 10.72, 197.6, 109.5, 175.4, 12.9, 13.6, 19.7, -47.5, 10.8, 37.8),
-            "vartheta_i2": (3.94, 3.98, 6.38, 10.72, 197.6, 109.5, 175.4, 12.9, 13.6, 19.7, 10.0, 10.8, 37.8),
-            "vartheta_i3": (4.93, 4.97, 4.78, 13.41, 247.0, 82.1, 131.5, 16.1, 16.9, 24.6, 7.5, 13.5, 47.2),
-            "vartheta_i4": (2.96, 4.97, 4.78, 13.41, 148.2, 82.1, 131.5, 9.7, 10.2, 24.6, 12.5, 13.5, 28.3),
-            "vartheta_i5": (2.96, 2.98, 4.78, 13.41, 148.2, 82.1, 131.5, 9.7, 10.2, 14.8, 7.5, 8.1, 28.3),
-            "vartheta_i6": (4.93, 4.97, 4.78, 13.41, 148.2, 82.1, 219.2, 9.7, 16.9, 24.6, 12.5, 8.1, 47.2),
-        }.items()
-    }
-)
+VARTHETA = published_starts("E", STRUCTURES["3b"])
 """Initial parameter vectors of appendix E, SI (table E.3, in italics)."""
