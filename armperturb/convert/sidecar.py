@@ -1,7 +1,7 @@
 """The sidecar: a JSON file that says what the columns of a laboratory's file mean (docs/recordings.md)."""
 
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, Self
@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, NoReturn, Self
 import numpy as np
 
 from armperturb.arrays import Array
+from armperturb.convert.tables import TABLES
 from armperturb.convert.units import factor_to, quantity
 from armperturb.recording import LABELS, REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES
 from armperturb.subject import TASKS
@@ -20,23 +21,13 @@ LARGEST = 2**20
 LONGEST_TEXT = 200
 """Characters of a label or of the name of a channel."""
 
-MEANINGS = {
-    "axes": "where x and y point: right, left, forward or backward",
-    "exerted_by": "handle (the force of the handle on the hand) or hand (the force of the hand on the handle)",
-    "unit": "the unit of the values, e.g. N or mm",
-    "subject": "a name or number of the person",
-    "task": "PT if the person kept the position, RT if relaxed",
-    "l_h": 'length of the humerus, e.g. "31 cm"',
-    "l_f": 'length of the forearm to the middle of the grip, e.g. "34 cm"',
-    "theta_s_deg": "shoulder angle of the start posture, from the x axis",
-    "theta_e_deg": "elbow angle of the start posture",
-}
+MEANINGS: Mapping[str, str] = TABLES["meanings"]
 """Field to what a person should know to fill it in."""
 
 OPEN = "?"
 """In the place of a value that a person has to fill in."""
 
-DIRECTIONS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "forward": (0.0, 1.0), "backward": (0.0, -1.0)}
+DIRECTIONS: Mapping[str, Sequence[float]] = TABLES["directions"]
 """Where an axis of the laboratory can point, in ours: x = right, y = forward."""
 
 BODIES = {"handle": 1.0, "hand": -1.0}
@@ -47,18 +38,7 @@ FIRST = "first"
 
 REQUIRED_LABELS = ("subject", "task", "l_h", "l_f", "theta_s_deg", "theta_e_deg")
 
-_RANGES: Mapping[str, tuple[float, float]] = {
-    "l_h": (0.1, 0.7),
-    "l_f": (0.1, 0.7),
-    "theta_s_deg": (-90.0, 180.0),
-    "theta_e_deg": (1.0, 179.0),
-    "repetition": (0.0, 1e6),
-    "order": (0.0, 1e6),
-    "pulse_level": (-1e3, 1e3),
-    "pulse_direction": (-360.0, 360.0),
-    "pulse_onset": (0.0, 1e5),
-    "limit_time": (0.0, 1e5),
-}
+_RANGES: Mapping[str, tuple[float, float]] = TABLES["ranges"]
 """What labels of people can be, in our units: beyond it is a slip, or another unit."""
 
 
