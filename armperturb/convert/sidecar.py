@@ -132,9 +132,9 @@ class Sidecar:
             ("rate", "time", "trial", "axes", "signals", "labels", "trials", "environment", "csv", "guessed"),
             ("axes", "signals", "labels"),
         )
-        guessed = top.fields("guessed") if "guessed" in top else _Fields({}, str(path), "")
+        guessed = top.fields("guessed")
         _require_closed(top, {name: guessed.text(name) for name in guessed.content})
-        rate, time = top.rate("rate"), None
+        rate, time, mass = top.rate("rate"), None, None
         if "time" in top:
             of_time = top.fields("time")
             of_time.require_only(("channel", "unit"), ("channel", "unit"))
@@ -152,14 +152,9 @@ class Sidecar:
                         "channel for each"
                     )
                 owners[channel] = name
-        labels = _labels(top.fields("labels"))
-        trials = {}
-        if "trials" in top:
-            of_trials = top.fields("trials")
-            trials = {name: _labels(of_trials.fields(name)) for name in of_trials.content}
-            if not trials:
-                raise ValueError(f"{path}: trials is empty; expected labels of each trial, or no such field")
-        mass = None
+        of_trials = top.fields("trials")
+        if "trials" in top and not of_trials.content:
+            raise ValueError(f"{path}: trials is empty; expected labels of each trial, or no such field")
         if "environment" in top:
             of_environment = top.fields("environment")
             of_environment.require_only(("m_env",), ("m_env",))
@@ -171,11 +166,16 @@ class Sidecar:
             time=time,
             trial=top.text("trial") if "trial" in top else None,
             signals=signals,
-            labels=labels,
-            trials=trials,
+            labels=_labels(top.fields("labels")),
+            trials={name: _labels(of_trials.fields(name)) for name in of_trials.content},
             mass=mass,
-            dialect=_dialect(top.fields("csv")) if "csv" in top else Dialect(),
-            notes=_unconfirmed(path, guessed.content),
+            dialect=_dialect(top.fields("csv")),
+            notes=(
+                f"{path}: guesses that nobody has confirmed: {', '.join(guessed.content)} (delete what you have "
+                "checked from guessed)",
+            )
+            if guessed.content
+            else (),
         )
 
     def labels_of(self, trial: str) -> dict[str, Any]:
@@ -224,7 +224,7 @@ class _Fields:
         return f"{self.file}: {self.place_of(name)}"
 
     def fields(self, name: str) -> "_Fields":
-        return _Fields(self.content[name], self.file, self.place_of(name))
+        return _Fields(self.content.get(name, {}), self.file, self.place_of(name))
 
     def require_only(self, known: Collection[str], required: Collection[str] = ()) -> None:
         for name in self.content:
@@ -244,9 +244,10 @@ class _Fields:
             )
         return value
 
-    def choice(self, name: str, known: Collection[str]) -> str:
-        require_one_of(self.file, self.place_of(name), self.content[name], tuple(known))
-        return str(self.content[name])
+    def choice(self, name: str, known: Collection[str], default: str | None = None) -> str:
+        value = self.content.get(name, default)
+        require_one_of(self.file, self.place_of(name), value, tuple(known))
+        return str(value)
 
     def rate(self, name: str) -> float | None:
         if name not in self.content:
@@ -301,14 +302,6 @@ def _leaves(content: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, 
             yield where, value
 
 
-def _unconfirmed(path: Path, guessed: Collection[str]) -> tuple[str, ...]:
-    if not guessed:
-        return ()
-    return (
-        f"{path}: guesses that nobody has confirmed: {', '.join(guessed)} (delete what you have checked from guessed)",
-    )
-
-
 def _axes(fields: _Fields) -> Array:
     """Directions of the laboratory's x and y in our axes, (lab's axis, our axis)."""
     of_axes = fields.fields("axes")
@@ -323,12 +316,8 @@ def _axes(fields: _Fields) -> Array:
 
 def _signal(fields: _Fields, name: str, axes: Array) -> Signal:
     dims, ours, _ = SIGNALS[name]
-    components, on_axes = LABELS[dims[1]], dims[1] == "axis"
-    known = ["channels", "unit"]
-    known += ["axes"] if on_axes else []
-    known += ["start"] if on_axes and ours == "m" else []
-    known += ["exerted_by"] if name == "force" else []
-    known += ["rate", "file"] if name == "emg" else []
+    components = LABELS[dims[1]]
+    known = TABLES["fields"][name]
     fields.require_only(known, [field for field in known if field in ("channels", "unit", "exerted_by")])
     of_channels = fields.fields("channels")
     of_channels.require_only(components, components)
@@ -337,7 +326,7 @@ def _signal(fields: _Fields, name: str, axes: Array) -> Signal:
         if list(channels.values()).count(channel) > 1:
             raise ValueError(f"{of_channels.where(component)} = {channel!r} twice; expected a channel for each")
     matrix = np.eye(len(components)) * factor_to(ours, fields["unit"], fields.where("unit"))
-    if on_axes:
+    if "axes" in known:
         matrix = matrix @ (_axes(fields) if "axes" in fields else axes)
     if name == "force":
         matrix = matrix * BODIES[fields.choice("exerted_by", BODIES)]
@@ -362,7 +351,7 @@ def _file(fields: _Fields) -> str:
 
 def _start(fields: _Fields, components: tuple[str, ...]) -> tuple[float, ...] | str:
     value = fields["start"]
-    if isinstance(value, str) and value == FIRST:
+    if value == FIRST:
         return FIRST
     if not isinstance(value, list) or len(value) != len(components):
         raise ValueError(f"{fields.where('start')} = {value!r:.60}; expected 'first', or [x, y] in the signal's unit")
@@ -398,8 +387,8 @@ def _labels(fields: _Fields) -> dict[str, Any]:
 
 def _dialect(fields: _Fields) -> Dialect:
     fields.require_only(Dialect._fields)
-    delimiter = fields.choice("delimiter", (",", ";", "\t", " ")) if "delimiter" in fields else ","
-    decimal = fields.choice("decimal", (".", ",")) if "decimal" in fields else "."
+    delimiter = fields.choice("delimiter", (",", ";", "\t", " "), ",")
+    decimal = fields.choice("decimal", (".", ","), ".")
     if decimal == delimiter:
         raise ValueError(f"{fields.where('decimal')} = {decimal!r} as the delimiter; expected another one")
     skip = fields.content.get("skip_lines", 0)
