@@ -18,7 +18,8 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from armperturb.analysis.fit.maximum_likelihood import Group, estimate
+from armperturb.analysis.fit.group import Group
+from armperturb.analysis.fit.maximum_likelihood import estimate
 from armperturb.analysis.fit.structures import at_truth
 from armperturb.cohort import draw_subject
 from armperturb.controllers.remnant import HUMAN_NOISE

@@ -18,8 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.linear_start import linear_start
-from armperturb.analysis.fit.maximum_likelihood import Group, estimate
+from armperturb.analysis.fit.maximum_likelihood import estimate
 from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.study.validation.validate import ESTIMATORS, ValidateSettings, Validation, simulate_group, validate

@@ -17,8 +17,9 @@ from scipy import optimize
 from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
-from armperturb.analysis.fit.admittance_fit import Target, fit_admittance, fit_admittances, penalty_factor
-from armperturb.analysis.fit.admittance_fit import _checked as prepared
+from armperturb.analysis.fit.admittance_fit import fit_admittance, fit_admittances
+from armperturb.analysis.fit.admittance_problem import Target, penalty_factor
+from armperturb.analysis.fit.admittance_problem import _checked as prepared
 from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.analysis.fit.thesis import VARTHETA
 from armperturb.cohort import draw_cohort

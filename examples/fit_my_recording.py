@@ -9,8 +9,9 @@
 # ## Read and check
 #
 # A [sidecar](../recordings.md#the-sidecar), here `position.json`, declares what the columns of `position.csv` mean.
-# Reading converts units, signs and axes and checks them against physics: disturbance minus hand force must move the
-# manipulator.
+# `write_sidecar` writes a first version of it from the names and numbers in the file and lists every guess to check. Of
+# this laboratory, x points to the left, and the segment lengths are the person's own. Reading converts units, signs and
+# axes and checks them against physics: disturbance minus hand force must move the manipulator.
 
 # %%
 import json
@@ -21,6 +22,8 @@ import numpy as np
 import armperturb as ap
 
 data = Path("examples/data")
+print(*ap.write_sidecar(data / "position.csv", "first_version.json").notes, sep="\n")
+
 recording, notes = ap.import_recording([data / "position.csv"])
 print(f"{recording.sizes['trial']} trials of {recording.sizes['time'] / recording.attrs['rate']:g} s, notes: {notes}")
 

@@ -15,7 +15,7 @@ from armperturb.analysis.fit.identify import Estimator
 from armperturb.commands.command import Command
 from armperturb.commands.selection import select_trials
 from armperturb.convert import import_recording
-from armperturb.extras import naming_the_extra
+from armperturb.extras import MissingExtraError, naming_the_extra
 
 OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average")
 OF_THE_NONLINEAR_MODEL = ("law", "pulses")
@@ -136,7 +136,7 @@ class Identify(Command):
                     progress=lambda line: print(line, file=sys.stderr, flush=True),
                     threads=cpu_count(),
                 )
-        except ValueError:
+        except (ValueError, MissingExtraError):
             if is_new and not any(self.out.iterdir()):
                 self.out.rmdir()
             raise

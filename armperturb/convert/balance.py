@@ -1,8 +1,8 @@
 """Whether a recording obeys physics: d - f must move a positive mass, spring and damper (thesis eqs 2.11, A.19).
 
-The environment is linear, isotropic and passive, whoever holds the handle. If d - f balances far better with other
-signs or axes, what is wrong can be named: all 64 ways in which the axes of force and of displacement can lie to those
-of the perturbation are tried in each trial. What turns all three signals alike cannot be seen.
+The environment is linear, isotropic and passive, whoever holds the handle. All 64 orientations of the axes of force and
+displacement relative to those of the perturbation are tried in each trial. If one of them balances far better than the
+declared one, the error message names it. An error in the orientation of all three signals together has no effect.
 """
 
 import math
@@ -19,37 +19,37 @@ from armperturb.arrays import Array
 from armperturb.recording import REQUIRED_SIGNALS
 
 LIGHTEST, HEAVIEST = 0.1, 60.0
-"""Of the handles that people hold [kg]: outside, a unit is wrong."""
+"""Smallest and largest mass of a handle [kg]; outside, a unit is wrong."""
 
 SET_TO = 1.5
-"""Factor within which the mass must be what the manipulator was set to [-]."""
+"""Largest ratio of the estimated mass to the mass that the manipulator was set to [-]."""
 
 UNBALANCED = 0.02
-"""Share of the load that is left over from which on a reader should know, and below which a mass is certain [-]."""
+"""Unexplained share of the load above which a note is given [-]."""
 
 TOO_MUCH = 0.1
-"""Share of the load that is left over from which on a recording is refused [-]."""
+"""Unexplained share of the load above which a recording is refused [-]."""
 
 FAR_BETTER = 0.5
-"""Share of what is left over with which other signs or axes explain the load far better [-]: chance gives 0.9."""
+"""Ratio of unexplained shares below which other signs or axes are far better [-]; by chance it is 0.9."""
 
 RIGHT = 0.05
-"""Share of the load that other signs, axes or units may leave over to be named as what is right [-]."""
+"""Unexplained share of the load below which other signs, axes or units are named as the right ones [-]."""
 
 SEEN = 0.01
-"""Share of the load's power that a disturbance must have for its sign and axes to be seen [-]."""
+"""Smallest power of a disturbance, relative to the load, that shows its sign and axes [-]."""
 
 RESCALED = 1.2
-"""Factor on the force from which on it counts as another unit, not as a gauge that is badly calibrated [-]."""
+"""Smallest factor on the force that means another unit and not a badly calibrated gauge [-]."""
 
 SLOWEST = 20.0
-"""Sampling rate below which inertia is not seen [Hz]."""
+"""Lowest sampling rate at which inertia is seen [Hz]."""
 
 BAND = (0.2, 8.0)
-"""Frequencies at which signs and axes are tried [Hz]."""
+"""Frequencies at which signs and axes are compared [Hz]."""
 
 DRIFT = 5e-4
-"""Change of the skew of force and displacement over a trial that is refused, if beyond 3 standard errors [s]."""
+"""Largest change of the skew of force and displacement over a trial [s], unless it is within 3 standard errors."""
 
 _SIGNED = [np.diag(s) @ np.eye(2)[list(p)] for p in permutations((0, 1)) for s in product((1.0, -1.0), repeat=2)]
 
@@ -63,12 +63,12 @@ def check_balance(recording: xr.Dataset, mass: float | None = None, names: Seque
     """Refuse a recording whose force, displacement and perturbation do not belong together.
 
     Args:
-      recording: the trials. Those that reached the workspace limit count up to there, if there are no others.
+      recording: the trials. Those that reached the workspace limit count only if there are no others, up to the limit.
       mass: that the manipulator was set to [kg]; None if unknown.
       names: of the trials, for the message; by default their numbers, from 1.
 
     Returns:
-      What a reader should know, a sentence each.
+      Notes for the reader, one sentence each.
 
     Raises:
       ValueError: d - f does not move a positive mass, spring and damper, or one that is no handle's; the message says
@@ -116,14 +116,15 @@ def require_signs(recording: xr.Dataset, names: Sequence[str] = ()) -> Array | N
     """Refuse a recording that other signs, axes or scales would explain far better.
 
     Args:
-      recording: as in `check_balance`.
-      names: as there.
+      recording: the trials.
+      names: of the trials, for the message; by default their numbers, from 1.
 
     Returns:
-      Inner products of the signals of each trial, see `_grams`; None if it is too short, or too slow, to tell.
+      Inner products of the signals of each trial, see `_grams`; None if the recording is too short or its sampling rate
+      too low for a comparison.
 
     Raises:
-      ValueError: they would; the message says which.
+      ValueError: there is such a change; the message names it.
     """
     rate = float(recording.attrs["rate"])
     names = names or [f"trial {trial + 1}" for trial in range(recording.sizes["trial"])]
@@ -146,7 +147,7 @@ def require_signs(recording: xr.Dataset, names: Sequence[str] = ()) -> Array | N
 
 
 def _before_limit(recording: xr.Dataset, rate: float) -> tuple[list[int], int]:
-    """Trials that mean something to the end, and all samples; or all trials, and samples before any met the limit."""
+    """Trials that never reached the limit, and all samples; or all trials, and the samples before any reached it."""
     limit, n_time = recording["limit_time"].values, recording.sizes["time"]
     free = np.flatnonzero(np.isnan(limit)).tolist()
     if free:
@@ -159,7 +160,7 @@ def _in_numbers(explained: _Explained) -> str:
 
 
 def _skews(d: Array, f: Array, x: Array, rate: float) -> list[str]:
-    """Whether the clocks of force and displacement agree, and go on to do so."""
+    """Refuse clocks of force and displacement that drift apart; a note if they differ."""
     half = d.shape[1] // 2
     halves = (slice(half), slice(half, 2 * half)) if half >= 10 * round(EDGE * rate) else ()
     skews = []
@@ -195,7 +196,7 @@ def _grams(d: Array, f: Array, x: Array, rate: float) -> Array:
     s = 2j * np.pi * fft.rfftfreq(n_padded, 1.0 / rate)
     top = min(BAND[1], 0.25 * rate)
     smooth = 0.5 - 0.5 * np.cos(np.pi * np.clip((1.4 * top - np.abs(s) / (2 * np.pi)) / (0.3 * top), 0.0, 1.0))
-    # Flat, so that a pulse shortly before the end counts.
+    # Flat almost to the end, so that a pulse there counts.
     n_inner = n_samples - 2 * n_edge
     taper = signal.windows.tukey(n_inner, n_edge / n_inner, sym=False)
     frequency = fft.rfftfreq(n_inner, 1.0 / rate)

@@ -1,4 +1,4 @@
-"""From a recording to files for other programs: text or MATLAB, each with the sidecar that reads it back."""
+"""Writes recordings as text or MATLAB files for other programs, each with the sidecar that reads it back."""
 
 import io
 import json
@@ -24,13 +24,13 @@ COLUMNS = {
     "shoulder_marker": ("marker_x_m", "marker_y_m"),
     "emg": tuple(f"{name}_V" for name in LABELS["muscle"]),
 }
-"""Variable to its columns in text; those of EMG, which has another clock, stand in a file of their own."""
+"""Variable to its columns in text. EMG, which has another sampling rate, goes to a separate file."""
 
 ENDINGS = (".nc", ".csv", ".mat")
 
 
 def export_recording(recording: xr.Dataset, path: str | Path) -> list[Path]:
-    """Write a recording in the format that the ending says, whole or not at all.
+    """Write a recording in the format that the ending of the path names; on an error nothing is written.
 
     Args:
       recording: what to write.
@@ -58,7 +58,7 @@ def export_recording(recording: xr.Dataset, path: str | Path) -> list[Path]:
         files[beside] = _emg_text(recording)
         meaning["signals"]["emg"]["file"] = beside.name
     files[sidecar] = (json.dumps(meaning, indent=2, allow_nan=False) + "\n").encode()
-    with ExitStack() as stack:  # all take their places together, after all were written
+    with ExitStack() as stack:  # files are moved to their places only after all were written
         parts = {file: stack.enter_context(written_whole(file)) for file in files}
         for file, part in parts.items():
             part.write_bytes(files[file])
@@ -81,7 +81,7 @@ def _text(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
     time = recording["time"].values.tolist()
     for trial in range(recording.sizes["trial"]):
         values = np.concatenate([recording[name].values[trial] for name in names], axis=1).astype(float)
-        # repr of a float reads back as the same float.
+        # The repr of a float is exact.
         file.writelines(
             f"{trial + 1},{at!r},{','.join(map(repr, row))}\n" for at, row in zip(time, values.tolist(), strict=True)
         )
@@ -98,14 +98,14 @@ def _text(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
 def _emg_text(recording: xr.Dataset) -> bytes:
     file = io.StringIO()
     file.write(",".join(("trial", *COLUMNS["emg"])) + "\n")
-    line = ",%.9g" * len(COLUMNS["emg"]) + "\n"  # nine digits tell every number of single precision
+    line = ",%.9g" * len(COLUMNS["emg"]) + "\n"  # nine digits are exact in single precision
     for trial, values in enumerate(recording["emg"].values):
         file.writelines(f"{trial + 1}{line % tuple(row)}" for row in values.tolist())
     return file.getvalue().encode()
 
 
 def _matlab(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
-    """Arrays as they are, (trial, time, component), with labels and units for those who read them in MATLAB."""
+    """Arrays (trial, time, component), with labels and units for readers in MATLAB."""
     names = [str(name) for name in recording.data_vars]
     trials = _trials(recording)
     content: dict[str, Any] = {name: recording[name].values for name in names}
@@ -125,7 +125,7 @@ def _matlab(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
         name: tuple(f"{name}(trial,time,{i + 1})" for i in range(len(LABELS[SIGNALS[name][0][1]]))) for name in names
     }
     meaning = _sidecar(recording, channels)
-    if recording.sizes["trial"] == 1:  # which is then called as the file
+    if recording.sizes["trial"] == 1:  # importing names a single trial after the file
         return file.getvalue(), {**meaning, "labels": trials["1"]}
     return file.getvalue(), {**meaning, "trials": trials}
 

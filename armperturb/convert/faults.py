@@ -8,7 +8,8 @@
 | `lengths` | trials, or signals of a trial, that do not last equally long | by a cut to the shortest |
 | `trials` | any fault that is not repaired otherwise | by leaving out the trial |
 
-That a channel is stuck, clipped, or holds its last value, and times that step back, have no repair but the last.
+Channels that are stuck, clipped or hold their last value can only be left out with their trial. Times that step back
+are always refused.
 """
 
 import math
@@ -24,28 +25,28 @@ from armperturb.arrays import Array
 from armperturb.recording import REQUIRED_SIGNALS
 
 Repair = Literal["gaps", "drops", "clock", "lengths", "trials"]
-"""What may be repaired, see above."""
+"""Faults that can be repaired, see above."""
 
 LONGEST_GAP = {"perturbation": 0.025, "force": 0.025}
-"""That is filled in a signal [s]: a quarter period of the fastest that it holds much of, more would be invention."""
+"""Longest gap that is filled in a signal [s]: a quarter period of its highest frequency of substantial power."""
 
 LONGEST_SLOW_GAP = 0.1
-"""Likewise, in what moves: the arm is undamped at about 2.5 Hz."""
+"""Longest gap that is filled in positions and angles [s]: the arm's resonance is at about 2.5 Hz."""
 
 ROUNDED = 0.15
-"""Share of a step by which a time may be off even times [-]: times are written in whole milliseconds."""
+"""Largest deviation of a time from even times, relative to a step [-]: some files hold whole milliseconds."""
 
 OFF = 0.1
-"""Share by which a clock may be off the stated rate to be put right [-]: beyond, a unit or the rate is wrong."""
+"""Largest relative deviation of a clock from the stated rate that is repaired [-]; beyond, rate or unit is wrong."""
 
 LEAST_RUN = 3
-"""Samples of equal value from which on a channel may be clipped."""
+"""Smallest number of equal samples that counts as clipping."""
 
 STEEP = 0.3
-"""Share of a channel's RMS step with which it must run into a plateau, and out of it, to be clipped [-]."""
+"""Slope into and out of a plateau that counts as clipping, relative to the RMS step of the channel [-]."""
 
 BEYOND = 3.0
-"""Resolutions by which a channel must have gone on beyond a plateau, were it not clipped [-]."""
+"""Extrapolated height above a plateau that counts as clipping, in resolutions of the channel [-]."""
 
 
 class Fault(NamedTuple):
@@ -86,10 +87,10 @@ def even_times(
       signals: name to values, (time, component), NaN where there is none.
       components: what they are called in the file.
       time: of the samples [s], (time,).
-      stated: sampling rate that the sidecar states [Hz]; None if the times tell.
+      stated: sampling rate that the sidecar states [Hz]; None to take it from the times.
 
     Returns:
-      The signals as they are if the times are even, else put right as far as that can be.
+      The signals, unchanged if the times are even and otherwise repaired as far as possible, and the faults.
 
     Raises:
       ValueError: times are missing or do not increase.
@@ -123,7 +124,7 @@ def even_times(
     off = np.abs(time - index / rate)
     if off.max() > ROUNDED / rate:
         at = int(np.argmax(off > ROUNDED / rate))
-        # Through the whole trial, so that single late samples do not count.
+        # A fit to the whole trial, so that single late samples do not count.
         of_times = float(np.polyfit(time, index, 1)[0])
         drifts = abs(of_times / rate - 1.0) * len(time) > ROUNDED
         what = f"time runs at {of_times:.6g} Hz" if drifts else "time does not run evenly"
@@ -149,7 +150,7 @@ def even_times(
 
 
 def _rate_of(time: Array, steps: Array, usual: float) -> float:
-    """Sampling rate that the times tell [Hz]: a whole number if that explains them."""
+    """Sampling rate that fits the times [Hz]: a whole number if one does."""
     regular = steps < 1.5 * usual
     rate = float(regular.sum() / steps[regular].sum())
     whole = float(max(round(rate), 1))
@@ -158,7 +159,7 @@ def _rate_of(time: Array, steps: Array, usual: float) -> float:
 
 
 def _between(at: Array, values: Array, grid: Array) -> Array:
-    """Cubic spline through what there is; NaN where a gap was, so that it is still seen."""
+    """Cubic spline through the finite samples; NaN where a gap was, so that it is found afterwards."""
     out = np.empty((len(grid), values.shape[1]))
     for column, of_one in enumerate(values.T):
         there = np.isfinite(of_one)
@@ -175,7 +176,7 @@ def _between(at: Array, values: Array, grid: Array) -> Array:
 
 
 def find_gaps(timed: Timed) -> tuple[Timed, list[Fault]]:
-    """Gaps of the signals, and the signals with those filled that can be."""
+    """Signals with short gaps filled, and all gaps."""
     faults, mended = [], {}
     for name, values in timed.signals.items():
         rate, longest = timed.rates[name], LONGEST_GAP.get(name, LONGEST_SLOW_GAP)
@@ -200,7 +201,7 @@ def find_gaps(timed: Timed) -> tuple[Timed, list[Fault]]:
 
 
 def without_padding(timed: Timed) -> Timed:
-    """Signals without the end at which all of them are missing, as a table of trials of unequal length has it."""
+    """Signals without missing values at their end, which a table of trials of unequal length has."""
     signals = {}
     for name, values in timed.signals.items():
         there = np.flatnonzero(np.isfinite(values).any(axis=1))
@@ -209,7 +210,7 @@ def without_padding(timed: Timed) -> Timed:
 
 
 def find_stuck(timed: Timed) -> list[Fault]:
-    """Channels that are constant, clipped, or held their last value; signals must be finite."""
+    """Channels that are constant, clipped or hold their last value, in signals without gaps."""
     faults = []
     for name in REQUIRED_SIGNALS:
         values, rate = timed.signals[name], timed.rates[name]
@@ -235,7 +236,7 @@ def find_stuck(timed: Timed) -> list[Fault]:
 
 
 def _plateaus(values: Array) -> list[tuple[int, int]]:
-    """Where a channel runs into its largest value, stays there, and falls off as steeply: first sample and the end."""
+    """First sample and end of each stretch at the largest value that is entered and left steeply."""
     top = float(values.max())
     if top == 0.0:  # where a disturbance rests
         return []
@@ -254,7 +255,7 @@ def _plateaus(values: Array) -> list[tuple[int, int]]:
 
 
 def _held(timed: Timed) -> list[Fault]:
-    """Samples in which nothing changes although the disturbance did before and does after: a recorder that stood."""
+    """Stretches in which no signal changes although the disturbance does before and after: the recorder stopped."""
     parts = [timed.signals[name] for name in REQUIRED_SIGNALS]
     if len({len(part) for part in parts}) > 1 or len({timed.rates[name] for name in REQUIRED_SIGNALS}) > 1:
         return []
@@ -273,7 +274,7 @@ def _held(timed: Timed) -> list[Fault]:
 
 
 def equal_lengths(timed: Timed, names: Collection[str]) -> tuple[Timed, list[Fault]]:
-    """Signals of a trial cut to the shortest, and that they were not equally long."""
+    """Signals of a trial cut to the shortest, and the fault that their lengths differed."""
     lengths = {name: len(timed.signals[name]) / timed.rates[name] for name in names}
     shortest = min(lengths, key=lambda name: lengths[name])
     longest = max(lengths, key=lambda name: lengths[name])

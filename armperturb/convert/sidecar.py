@@ -21,7 +21,7 @@ LONGEST_TEXT = 200
 """Characters of a label or of the name of a channel."""
 
 MEANINGS = {
-    "axes": 'where x and y point, e.g. {"x": "right", "y": "forward"}',
+    "axes": "where x and y point: right, left, forward or backward",
     "exerted_by": "handle (the force of the handle on the hand) or hand (the force of the hand on the handle)",
     "unit": "the unit of the values, e.g. N or mm",
     "subject": "a name or number of the person",

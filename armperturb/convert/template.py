@@ -104,15 +104,20 @@ def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: floa
     content["guessed"] = guessed
     with written_whole(target) as part:
         part.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    marked = [f"{field} = {_value(content, field)}: {text}" for field, text in guessed.items()]
+    marked = [_marked(field, _value(content, field), text) for field, text in guessed.items()]
     return SidecarTemplate(target, (*marked, *notes))
 
 
-def _value(content: Mapping[str, Any], field: str) -> str:
+def _value(content: Mapping[str, Any], field: str) -> Any:
     value: Any = content
     for name in field.split("."):
         value = value[name]
-    return json.dumps(value, ensure_ascii=False)
+    return value
+
+
+def _marked(field: str, value: Any, text: str) -> str:
+    what = "is left open" if value == OPEN else "is a guess"
+    return f"{field} = {json.dumps(value, ensure_ascii=False)} {what}: {text}"
 
 
 # What it means.

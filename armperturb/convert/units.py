@@ -1,4 +1,4 @@
-"""Units that laboratories write, and what they are in SI."""
+"""Units of laboratories and their conversion to SI."""
 
 import math
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "kg": {"kg": 1.0, "g": 1e-3},
     "": {"": 1.0},
 }
-"""Our unit to those that can be turned into it, with the factor."""
+"""Our unit to the units that can be converted into it, with the factor."""
 
 
 LONGEST_NUMBER = 50

@@ -204,27 +204,19 @@ def _hdf5(file: IO[bytes], head: bytes, names: Collection[str] | None, budget: B
                 for name, item in _members(opened)
                 if name != "#refs#"
             }
-        items = {name: item for name, item in _members(opened) if isinstance(item, h5py.Dataset)}
-        variables = {
-            name: {
-                "values": _array(item, name, budget) if names is None or name in names else None,
-                "dims": _dimensions(item, name),
-                "attrs": _attributes(item),
-            }
-            for name, item in items.items()
-            if not bytes(item.attrs.get("NAME", b"")).startswith(b"This is a netCDF dimension but not a netCDF var")
+        values = {
+            name: _array(item, name, budget) if names is None or name in names else None
+            for name, item in _members(opened)
+            if isinstance(item, h5py.Dataset)
         }
-        return {"attrs": _attributes(opened), "variables": variables}
+    import h5netcdf
 
-
-def _dimensions(item: Any, name: str) -> list[str]:
-    """Names of the dimensions of a variable of netCDF."""
-    if item.is_scale:
-        return [name]
-    paths = [(dim[0].name or "") if len(dim) else "" for dim in item.dims]
-    if not all(paths):
-        raise Refused(f"{name!r} has dimensions without a name; expected a recording, as `convert` writes it")
-    return [path.rpartition("/")[2] for path in paths]
+    with h5netcdf.File(file.name, "r") as described:
+        variables = {
+            name: {"dims": list(item.dimensions), "attrs": dict(item.attrs), "values": values[name]}
+            for name, item in described.variables.items()
+        }
+        return {"attrs": dict(described.attrs), "variables": variables}
 
 
 def _members(group: Any) -> Iterator[tuple[str, Any]]:
@@ -253,27 +245,6 @@ def _array(item: Any, name: str, budget: Budget) -> Any:
         return texts
     budget.take(texts.size * max(map(len, texts.flat), default=0), f"{name!r}", 4)
     return texts.astype(str)
-
-
-def _attributes(item: Any) -> dict[str, Any]:
-    """Attributes that netCDF shows, of texts and numbers."""
-    import h5py
-
-    hidden = ("CLASS", "NAME", "REFERENCE_LIST", "DIMENSION_LIST", "DIMENSION_LABELS")
-    attributes = {}
-    for name in item.attrs:
-        if name in hidden or name.startswith(("_Netcdf4", "_NC", "_nc3")):
-            continue
-        value = item.attrs[name]
-        if isinstance(value, bytes):
-            value = value.decode("utf-8", "replace")
-        if isinstance(value, np.ndarray) and value.dtype.kind in "OS":
-            value = np.array([part.decode() if isinstance(part, bytes) else str(part) for part in value.flat])
-        if isinstance(value, np.ndarray) and value.size == 1:
-            value = value.item() if value.dtype.kind == "U" else value.ravel()[0]
-        if not isinstance(value, h5py.Empty):
-            attributes[name] = value
-    return attributes
 
 
 def _matlab_hdf5(item: Any, name: str, budget: Budget, depth: int) -> Any:
@@ -363,7 +334,7 @@ def _require_whole_c3d(file: IO[bytes], budget: Budget) -> None:
 def _described(item: Any, arrays: list[Any]) -> Any:
     """The item as JSON, and its arrays in the order in which they stand there."""
     if isinstance(item, np.ndarray | np.generic):
-        arrays.append(item)
+        arrays.append(item.astype(str) if item.dtype == object else item)
         return {"array": len(arrays)}
     if isinstance(item, dict):
         return {"fields": {name: _described(part, arrays) for name, part in item.items()}}
@@ -394,7 +365,7 @@ def main(path: str, names: str, largest: str, seconds: str) -> None:
     except Refused as error:
         sys.stderr.write(f"{error}")
         sys.exit(REFUSED)
-    sys.stdout.buffer.write(json.dumps(description).encode() + b"\n")
+    sys.stdout.buffer.write(json.dumps(description, default=str).encode() + b"\n")
     for array in arrays:
         np.save(sys.stdout.buffer, array, allow_pickle=False)
 

@@ -1,5 +1,6 @@
 """How people answer disturbances: many lanes of the compiled arm side by side."""
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -67,8 +68,7 @@ class Disturbances:
         Raises:
           ModuleNotFoundError: numba is not installed.
         """
-        with naming_the_extra("the compiled arm"):  # here, as few analyses need it, and it loads slowly
-            from armperturb.planar_arm.compiled import simulate_lanes
+        simulate_lanes = load_compiled_arm()
         wanted = np.full(len(lanes), self.n_samples) if n_samples is None else np.asarray(n_samples)
         of_lane, wanted = (np.asarray(values, dtype=np.intp) for values in (of_lane, wanted))
         displacement = np.zeros((len(lanes), self.n_samples, 2))
@@ -97,6 +97,17 @@ class Disturbances:
     def n_history(self, lanes: NDArray[np.void]) -> int:
         """How many past motor commands the delays of these lanes need."""
         return int(np.ceil(lanes["delay"].max() / self.timestep)) + 3
+
+
+def load_compiled_arm() -> Callable[..., None]:
+    """`compiled.simulate_lanes`; not imported with this module, as it loads slowly and few analyses need it.
+
+    Raises:
+      ModuleNotFoundError: numba is not installed; the message names the extra.
+    """
+    with naming_the_extra("the compiled arm"):
+        from armperturb.planar_arm.compiled import simulate_lanes
+    return simulate_lanes
 
 
 def _held(perturbation: Array, decimation: int, straight: bool) -> Array:

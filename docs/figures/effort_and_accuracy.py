@@ -189,7 +189,7 @@ def identified(arms: dict[str, dict[str, np.ndarray]], size: Size) -> dict[tuple
     found = {}
     for number, (key, own) in enumerate(trials.items()):
         part = recording.isel(trial=slice(number * len(own), (number + 1) * len(own)))
-        spectra = estimate_spectra(line_spectra(part, window_start=size.settle))
+        spectra = estimate_spectra(line_spectra(part, window_start=size.settle, period=PERIOD))
         moved = part["displacement"].values[:, round(size.settle * part.attrs["rate"]) :]
         gain = np.abs(np.diagonal(spectra.arm, axis1=1, axis2=2))
         found[key] = Arm(spectra.frequency, gain, float(np.sqrt(np.mean(moved**2))))

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import sys
 from functools import partial
 
 import nonlinear_trials as made
@@ -137,3 +138,12 @@ def test_settings_that_do_not_go_together_are_refused(path, capsys):
     linear = ["identify", str(path), "--model", "1", "--out", str(path.parent / "o")]
     assert cli.main([*linear, "--law", "full"]) == 1
     assert "identify: law = 'full'; expected None without --model nonlinear" in capsys.readouterr().err
+
+
+@pytest.mark.slow(reason="simulates trials")
+def test_without_the_compiler_the_extra_is_named(path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.delitem(sys.modules, "armperturb.planar_arm.compiled", raising=False)
+    assert run(path) == 1
+    assert "armperturb[nonlinear]" in capsys.readouterr().err
+    assert not (path.parent / "out").exists()

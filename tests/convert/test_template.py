@@ -95,6 +95,7 @@ def test_what_cannot_be_guessed_is_left_open_and_named_when_the_file_is_read(tmp
     path.write_text(as_text(table(), ["trial", "c1", "c2", "c3", "Fx", "Fy", "X", "Y"]))
     written = write_sidecar(path)
     assert "units and signs are unchecked" in written.notes[-1]
+    assert written.notes[0].startswith('rate = "?" is left open: the sampling rate in Hz')
     with pytest.raises(
         ValueError, match=r"lab.json: rate = '\?' is left open; expected the sampling rate in Hz, .* 2 more"
     ):
@@ -186,8 +187,8 @@ def test_the_command_prints_the_guesses_and_the_sidecar(tmp_path, capsys):
     path.write_text(as_text(table()))
     assert cli.main(["sidecar", str(path)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == 'time.unit = "s": from the steps of the times'
-    assert lines[1].startswith('axes = {"x": "right", "y": "forward"}: where x and y point, e.g.')
+    assert lines[0] == 'time.unit = "s" is a guess: from the steps of the times'
+    assert lines[1].startswith('axes = {"x": "right", "y": "forward"} is a guess: where x and y point: right')
     assert lines[-1] == f"sidecar: {tmp_path / 'lab.json'}"
     assert cli.main(["sidecar", str(path)]) == 1
     assert capsys.readouterr().err.startswith(f"armperturb: error: {tmp_path / 'lab.json'} exists; expected a new file")

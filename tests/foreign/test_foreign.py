@@ -2,7 +2,10 @@
 
 import os
 import struct
+import subprocess
+import sys
 import zlib
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -157,6 +160,24 @@ def test_the_child_process_is_stopped_in_time_and_its_limits_named(recording_fil
     monkeypatch.setattr(foreign, "__file__", str(tmp_path / "__init__.py"))
     with pytest.raises(Refused, match=r"r.nc: parsing crashed \(SIGABRT\); expected an undamaged file"):
         read_foreign(recording_file)
+
+
+def in_program(path, largest, *lines):
+    """The child process, run with other limits and after other lines of Python."""
+    script = Path(foreign.__file__).with_name("program.py")
+    arguments = [str(script), str(path), "null", str(largest), "30"]
+    code = "\n".join(
+        ("import runpy, sys", *lines, f"sys.argv = {arguments}", f"runpy.run_path({str(script)!r}, None, '__main__')")
+    )
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+
+
+@pytest.mark.slow(reason="three child processes")
+def test_memory_is_limited_where_the_system_can(recording_file):
+    pytest.importorskip("resource")
+    assert in_program(recording_file, foreign.LARGEST).stdout.startswith(b'{"fields": {"attrs"')
+    assert in_program(recording_file, 2**24).returncode != 0  # 64 MiB of addresses, less than NumPy takes
+    assert in_program(recording_file, 2**24, "sys.modules['resource'] = None").stdout.startswith(b'{"fields": {"attrs"')
 
 
 def test_a_recording_comes_through_the_child_process_as_it_is(recording_file):

@@ -17,12 +17,26 @@ Of a subject with a muscle law, responses are those of its linear parameters; on
 
 import copy
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armperturb.analysis.arm.geometry import hand_jacobian, segment_inertias
+from armperturb.analysis.arm.joint_matrices import (
+    Environments,
+    Gradient,
+    Joints,
+    by_triple,
+    columns_of,
+    inverse,
+    joint_matrix,
+    laplace,
+    matrix_first,
+    matrix_last,
+    parameter_last,
+    product,
+)
 from armperturb.analysis.arm.parameters import (
     CUTOFFS,
     DELAYS,
@@ -51,129 +65,6 @@ from armperturb.subject import Subject
 
 Delay = Literal["exact", "pade"]
 """A pure neural delay, or its third-order Pade approximation (eq. B.12)."""
-
-
-class Environments(NamedTuple):
-    """What the hands of a batch of arms hold.
-
-    Attributes:
-      m_env: virtual mass [kg], (batch,).
-      b_env: virtual damping [Ns/m], (batch,).
-      k_env: virtual stiffness [N/m], (batch,).
-    """
-
-    m_env: Array
-    b_env: Array
-    k_env: Array
-
-    @classmethod
-    def of(cls, environments: Sequence[Environment]) -> Self:
-        """The environment of each hand."""
-        return cls(*np.array([(one.m_env, one.b_env, one.k_env) for one in environments]).T)
-
-    def take(self, index: NDArray[np.int64]) -> Self:
-        """Some of them, in this order."""
-        return type(self)(*(values[index] for values in self))
-
-
-def _matrix(values: Array, quantity: str) -> Array:
-    """Joint matrix of a quantity, ready for frequencies, (joint, joint, ..., 1)."""
-    return values[MATRIX[quantity]][..., None]
-
-
-def _columns_of(environment: Environment | Environments) -> tuple[Array, Array, Array]:
-    """Mass, damping and stiffness, (..., 1) each."""
-    m_env, b_env, k_env = environment.m_env, environment.b_env, environment.k_env
-    return np.asarray(m_env)[..., None], np.asarray(b_env)[..., None], np.asarray(k_env)[..., None]
-
-
-def _laplace(frequency: ArrayLike) -> ComplexArray:
-    return 2j * np.pi * np.asarray(frequency, dtype=float)
-
-
-def _product(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
-    return a[:, :1] * b[:1] + a[:, 1:] * b[1:]
-
-
-def _inverse(a: NDArray[Any]) -> NDArray[Any]:
-    (p, q), (r, t) = a
-    inverse = np.array([[t, -q], [-r, p]])
-    inverse /= p * t - q * r
-    return inverse
-
-
-def _matrix_last(a: NDArray[Any]) -> NDArray[Any]:
-    return np.moveaxis(a, (0, 1), (-2, -1))
-
-
-def _matrix_first(a: NDArray[Any]) -> NDArray[Any]:
-    return np.moveaxis(a, (-2, -1), (0, 1))
-
-
-def _parameter_last(gradient: ComplexArray) -> ComplexArray:
-    return np.moveaxis(gradient, (0, 1, 2), (-1, -3, -2))
-
-
-def _triple(outer: ComplexArray) -> ComplexArray:
-    """Derivative by (s, se, e) from that by the entries, (output, row, column, input, n) to (3, output, input, n)."""
-    return np.stack([outer[:, 0, 0], outer[:, 0, 1] + outer[:, 1, 0], outer[:, 1, 1]])
-
-
-class _Gradient:
-    """Derivatives by groups of parameters as they are computed, (parameter, output, input, ..., frequency).
-
-    Attributes:
-      values: of the wanted groups one after the other; complex, or the real part of weight x derivative.
-      weight: (output, input, ..., frequency), if there is one.
-    """
-
-    def __init__(self, shape: tuple[int, ...], groups: Sequence[str], weight: ComplexArray | None) -> None:
-        self.weight = weight
-        sizes = [GROUPS[group].stop - GROUPS[group].start for group in groups]
-        ends = np.cumsum(sizes)
-        self.values = np.empty((int(ends[-1]), 2, 2, *shape), dtype=complex if weight is None else float)
-        self._rows = {
-            group: slice(end - size, end) for group, size, end in zip(groups, sizes, ends.tolist(), strict=True)
-        }
-
-    def wants(self, *groups: str) -> bool:
-        """Whether any of these groups is wanted."""
-        return any(group in self._rows for group in groups)
-
-    def weighted(self, values: ComplexArray) -> ComplexArray:
-        """Values with output first, then (inner axes,) input, ..., frequency, times the weight."""
-        if self.weight is None:
-            return values
-        inner = values.ndim - self.weight.ndim
-        return values * self.weight[:, *(None,) * inner]
-
-    def put(self, group: str, values: ComplexArray) -> None:
-        """Keep the weighted derivatives by a wanted group."""
-        self.values[self._rows[group]] = values if self.weight is None else values.real
-
-
-class _Joints(NamedTuple):
-    """What joint impedance and its derivatives share; rows are joints.
-
-    Attributes:
-      delayed: transfer function of the delay, (joint, ..., frequency).
-      active: that of the activation filter, (joint, ..., frequency).
-      delay_slope: derivative by the delay, (joint, ..., frequency).
-      active_slope: derivative by the cut-off frequency, (joint, ..., frequency).
-      loop: (1 - R Kf)^-1, (joint, joint, ..., frequency).
-      muscle: from q to tau, (joint, joint, ..., frequency).
-      reflex: from q to u_r, (joint, joint, ..., frequency).
-      impedance: Z, (joint, joint, ..., frequency).
-    """
-
-    delayed: ComplexArray
-    active: ComplexArray
-    delay_slope: ComplexArray
-    active_slope: ComplexArray
-    loop: ComplexArray
-    muscle: ComplexArray
-    reflex: ComplexArray
-    impedance: ComplexArray
 
 
 class LinearArm:
@@ -210,12 +101,12 @@ class LinearArm:
 
     def _prepare(self, frequency: Array, jacobian: Array, zeta: Array, inertias: Array) -> None:
         self.frequency, self.jacobian, self._zeta, self._inertias = frequency, jacobian, zeta, inertias
-        self._s = _laplace(frequency)
+        self._s = laplace(frequency)
         self._s2 = self._s**2
         eye = np.broadcast_to(np.eye(2), jacobian.shape)
-        self._left = _matrix_first(jacobian)[..., None]
+        self._left = matrix_first(jacobian)[..., None]
         self._right = self._left.swapaxes(0, 1)
-        self._eye = _matrix_first(eye)[..., None]
+        self._eye = matrix_first(eye)[..., None]
         self._deflection = np.concatenate([-jacobian, eye], axis=-1)
 
     def take(self, index: NDArray[np.int64]) -> Self:
@@ -232,29 +123,29 @@ class LinearArm:
 
     def joint_impedance(self, values: Array) -> ComplexArray:
         """Joint impedance Z from angle to torque [Nm/rad], (..., frequency, joint, joint)."""
-        return _matrix_last(self._joints(values).impedance)
+        return matrix_last(self._joints(values).impedance)
 
     def admittance(self, values: Array) -> ComplexArray:
         """Endpoint admittance H_xf of arm and grip, from f to x [m/N], (..., frequency, output, input)."""
-        return _matrix_last(self._endpoint(_inverse(self._joints(values).impedance), values))
+        return matrix_last(self._endpoint(inverse(self._joints(values).impedance), values))
 
     def total_admittance(self, values: Array, environment: Environment) -> ComplexArray:
         """Admittance P_dx of arm and environment, from d to x [m/N], (..., frequency, output, input)."""
-        arm = self._endpoint(_inverse(self._joints(values).impedance), values)
-        return _matrix_last(_product(arm, self._share(arm, environment)))
+        arm = self._endpoint(inverse(self._joints(values).impedance), values)
+        return matrix_last(product(arm, self._share(arm, environment)))
 
     def joint_impedance_gradient(self, values: Array) -> ComplexArray:
         """Derivative of `joint_impedance` by every parameter, (..., frequency, joint, joint, parameter)."""
         groups = [group for group in GROUPS if group != "grip"]
-        gradient = _Gradient(self._s.shape, groups, None)
+        gradient = Gradient(self._s.shape, groups, None)
         self._joint_change(gradient, self._joints(values), self._eye, self._eye)
         without_grip = np.zeros((2, *gradient.values.shape[1:]))
-        return _parameter_last(np.concatenate([gradient.values, without_grip]))
+        return parameter_last(np.concatenate([gradient.values, without_grip]))
 
     def admittance_and_gradient(self, values: Array) -> tuple[ComplexArray, ComplexArray]:
         """`admittance` and its derivative by every parameter, (..., frequency, output, input, parameter)."""
         arm, gradient = self._arm_and_gradient(values, None)
-        return _matrix_last(arm), _parameter_last(gradient)
+        return matrix_last(arm), parameter_last(gradient)
 
     def admittance_and_weighted_gradient(
         self, values: Array, weigh: Callable[[ComplexArray], ComplexArray], groups: Sequence[str]
@@ -270,7 +161,7 @@ class LinearArm:
           The admittance, and the derivative, (..., frequency, output, input, parameter), by the groups' parameters.
         """
         arm, gradient = self._arm_and_gradient(values, None, weigh, groups)
-        return _matrix_last(arm), np.asarray(_parameter_last(gradient), dtype=float)
+        return matrix_last(arm), np.asarray(parameter_last(gradient), dtype=float)
 
     def total_and_gradient(self, values: Array, environment: Environment) -> tuple[ComplexArray, ComplexArray]:
         """`total_admittance` and its derivative by every parameter, (..., frequency, output, input, parameter).
@@ -278,7 +169,7 @@ class LinearArm:
         As P^-1 = E^-1 + H^-1, dP = P H^-1 dH H^-1 P, where P H^-1 = H^-1 P = (1 + E^-1 H)^-1.
         """
         arm, gradient = self._arm_and_gradient(values, environment)
-        return _matrix_last(_product(arm, self._share(arm, environment))), _parameter_last(gradient)
+        return matrix_last(product(arm, self._share(arm, environment))), parameter_last(gradient)
 
     def poles(self, values: Array, environment: Environment | Environments) -> ComplexArray:
         """Poles of arm and environment with third-order Pade delays [1/s], (..., state).
@@ -318,12 +209,12 @@ class LinearArm:
 
         def weigh(arm: ComplexArray) -> ComplexArray:
             """-(dF/dH) / (dF/ds) at the pole, and nothing beside it."""
-            (p, q), (r, t) = here._eye + held * _matrix_first(arm)
+            (p, q), (r, t) = here._eye + held * matrix_first(arm)
             vanishing = p * t - q * r
             slope = (vanishing[..., 1] - vanishing[..., 2])[..., None] / (2 * step)
             weight = np.array([[t, -r], [-q, p]]) * (-held / slope)
             weight[..., 1:] = 0.0
-            return _matrix_last(weight)
+            return matrix_last(weight)
 
         return here.admittance_and_weighted_gradient(values, weigh, groups)[1].sum(axis=(-4, -3, -2))
 
@@ -357,7 +248,7 @@ class LinearArm:
         a[..., ACTIVE_DOT, ACTIVE_DOT] -= 2 * self._zeta[..., None] * omega
         a[..., ACTIVE_DOT, ACTIVE] -= omega**2
         a[..., Q_DOT, :] = acceleration
-        m_env, b_env, k_env = _columns_of(environment)
+        m_env, b_env, k_env = columns_of(environment)
         a[..., X_DOT, :] = -force / m_env[..., None]
         a[..., JOINTS + 4, JOINTS + 4] -= b_env / m_env
         a[..., JOINTS + 4, JOINTS + 6] -= k_env / m_env
@@ -365,15 +256,15 @@ class LinearArm:
 
     def _held(self, environment: Environment | Environments) -> ComplexArray:
         """E^-1, of which the environment's is a multiple of the identity [N/m], (..., frequency)."""
-        m_env, b_env, k_env = _columns_of(environment)
+        m_env, b_env, k_env = columns_of(environment)
         return np.asarray(m_env * self._s2 + b_env * self._s + k_env)
 
     def _share(self, arm: ComplexArray, environment: Environment) -> ComplexArray:
         """Share of d that the arm takes, (1 + E^-1 H)^-1 = H^-1 P, (axis, axis, ..., frequency)."""
-        return _inverse(self._eye + self._held(environment) * arm)
+        return inverse(self._eye + self._held(environment) * arm)
 
     def _endpoint(self, compliance: ComplexArray, values: Array) -> ComplexArray:
-        arm = _product(_product(self._left, compliance), self._right)
+        arm = product(product(self._left, compliance), self._right)
         grip = self._grip(values)
         arm[0, 0] += grip
         arm[1, 1] += grip
@@ -383,7 +274,7 @@ class LinearArm:
         """Admittance of the grip, as a multiple of the identity [m/N], (..., frequency)."""
         return np.asarray(1.0 / (values[..., GRIP_DAMPING, None] * self._s + values[..., GRIP_STIFFNESS, None]))
 
-    def _joints(self, values: Array) -> _Joints:
+    def _joints(self, values: Array) -> Joints:
         s, s2, values = self._s, self._s2, np.moveaxis(values, -1, 0)
         zeta = self._zeta[..., None]
         delay, omega = values[DELAYS][..., None], 2 * np.pi * values[CUTOFFS][..., None]
@@ -400,19 +291,19 @@ class LinearArm:
         active_slope = 4 * np.pi * (omega - active * (zeta * s + omega)) / denominator
 
         r = (delayed * active)[:, None]
-        force = _matrix(values, "kf")
-        feedback = _matrix(values, "ka") * s2 + _matrix(values, "kv") * s + _matrix(values, "kp")
-        loop = _inverse(self._eye - r * force)
-        muscle = _product(loop, _matrix(values, "b") * s + _matrix(values, "k") + r * feedback)
-        mass = values[0] * _matrix_first(self._inertias[0]) + values[1] * _matrix_first(self._inertias[1])
-        return _Joints(
+        force = joint_matrix(values, "kf")
+        feedback = joint_matrix(values, "ka") * s2 + joint_matrix(values, "kv") * s + joint_matrix(values, "kp")
+        loop = inverse(self._eye - r * force)
+        muscle = product(loop, joint_matrix(values, "b") * s + joint_matrix(values, "k") + r * feedback)
+        mass = values[0] * matrix_first(self._inertias[0]) + values[1] * matrix_first(self._inertias[1])
+        return Joints(
             delayed=delayed,
             active=active,
             delay_slope=delay_slope,
             active_slope=active_slope,
             loop=loop,
             muscle=muscle,
-            reflex=feedback + _product(force, muscle),
+            reflex=feedback + product(force, muscle),
             impedance=mass[..., None] * s2 + muscle,
         )
 
@@ -429,22 +320,22 @@ class LinearArm:
           (output, input, ..., frequency) and (parameter, output, input, ..., frequency).
         """
         joints = self._joints(values)
-        compliance = _inverse(joints.impedance)
+        compliance = inverse(joints.impedance)
         arm = self._endpoint(compliance, values)
-        left, right = _product(self._left, compliance), _product(compliance, self._right)
+        left, right = product(self._left, compliance), product(compliance, self._right)
         through_grip = self._eye
         if environment is not None:
             share = self._share(arm, environment)
-            left, right, through_grip = _product(share, left), _product(right, share), _product(share, share)
-        weight = None if weigh is None else _matrix_first(weigh(_matrix_last(arm)))
-        gradient = _Gradient(self._s.shape, groups, weight)
+            left, right, through_grip = product(share, left), product(right, share), product(share, share)
+        weight = None if weigh is None else matrix_first(weigh(matrix_last(arm)))
+        gradient = Gradient(self._s.shape, groups, weight)
         self._joint_change(gradient, joints, -left, right)
         if gradient.wants("grip"):
             by_stiffness = gradient.weighted(-(self._grip(values) ** 2) * through_grip)
             gradient.put("grip", np.stack([self._s * by_stiffness, by_stiffness]))
         return arm, gradient.values
 
-    def _joint_change(self, out: _Gradient, joints: _Joints, left: NDArray[Any], right: NDArray[Any]) -> None:
+    def _joint_change(self, out: Gradient, joints: Joints, left: NDArray[Any], right: NDArray[Any]) -> None:
         """Put left x (derivative of Z) x right for every wanted parameter but the grip's.
 
         With W = (1 - R Kf)^-1 (B s + K + R G) the muscle's part of Z and G the part of the feedback that sees q,
@@ -452,27 +343,27 @@ class LinearArm:
         """
         s, s2 = self._s, self._s2
         if out.wants("m"):
-            inertias = (_matrix_first(inertia)[..., None] for inertia in self._inertias)
-            out.put("m", np.stack([out.weighted(s2 * _product(_product(left, one), right)) for one in inertias]))
-        left = _product(left, joints.loop)
+            inertias = (matrix_first(inertia)[..., None] for inertia in self._inertias)
+            out.put("m", np.stack([out.weighted(s2 * product(product(left, one), right)) for one in inertias]))
+        left = product(left, joints.loop)
         changed = out.weighted(np.broadcast_to(right, (2, 1, *right.shape)))
         reflexive = left * (joints.delayed * joints.active)
         if out.wants("b", "k"):
-            stiffness = _triple(left[:, :, None, None] * changed)
+            stiffness = by_triple(left[:, :, None, None] * changed)
             for group, factor in (("b", s), ("k", None)):
                 if out.wants(group):
                     out.put(group, stiffness if factor is None else factor * stiffness)
         if out.wants("kv", "kp", "ka"):
-            position = _triple(reflexive[:, :, None, None] * changed)
+            position = by_triple(reflexive[:, :, None, None] * changed)
             for group, factor in (("kv", s), ("kp", None), ("ka", s2)):
                 if out.wants(group):
                     out.put(group, position if factor is None else factor * position)
         if out.wants("kf"):
-            sensed = _product(joints.muscle, right)
+            sensed = product(joints.muscle, right)
             sensed = out.weighted(np.broadcast_to(sensed, (2, 1, *sensed.shape)))
-            out.put("kf", _triple(reflexive[:, :, None, None] * sensed))
+            out.put("kf", by_triple(reflexive[:, :, None, None] * sensed))
         if out.wants("Td", "fact"):
-            moved = out.weighted(left[:, :, None] * _product(joints.reflex, right)[None]).swapaxes(0, 1)
+            moved = out.weighted(left[:, :, None] * product(joints.reflex, right)[None]).swapaxes(0, 1)
             for group, slope in (
                 ("Td", joints.delay_slope * joints.active),
                 ("fact", joints.delayed * joints.active_slope),
@@ -509,7 +400,7 @@ def arm_admittance(subject: Subject, frequency: ArrayLike, delay: Delay = "exact
 
 def environment_admittance(environment: Environment, frequency: ArrayLike) -> ComplexArray:
     """Admittance E_xz of the environment, from d - f to x [m/N], (frequency, output, input). Source: eq. 2.11."""
-    s = _laplace(frequency)
+    s = laplace(frequency)
     impedance = environment.m_env * s**2 + environment.b_env * s + environment.k_env
     return np.multiply.outer(1.0 / impedance, np.eye(2))
 

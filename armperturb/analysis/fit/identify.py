@@ -13,7 +13,8 @@ from armperturb.analysis.arm.linear_arm import LinearArm, arm_admittance
 from armperturb.analysis.arm.parameters import parameter_vector
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
-from armperturb.analysis.fit.maximum_likelihood import Estimate, Group, estimate
+from armperturb.analysis.fit.group import Group
+from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.structures import STRUCTURES, Structure, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, Wanted, fit_wanted
 from armperturb.analysis.measures.vaf import prediction_vaf

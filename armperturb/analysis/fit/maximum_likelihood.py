@@ -8,35 +8,22 @@ be beaten.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, Self, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import optimize
 
-from armperturb.analysis.arm.state_space import largest_real_pole
-from armperturb.analysis.defaults import WINDOW_START
+from armperturb.analysis.fit.group import Group, Method, require_one_person
+from armperturb.analysis.fit.joint_likelihood import PART_OF, SINGULAR, JointLikelihood, scaled_information
 from armperturb.analysis.fit.likelihood import (
     LackOfFit,
-    Likelihood,
     Normal,
-    PeriodLikelihood,
-    RecordLikelihood,
-    whitened,
 )
-from armperturb.analysis.fit.linear_start import linear_start
-from armperturb.analysis.fit.structures import Structure, unit
-from armperturb.analysis.force_balance import EDGE, Skew
-from armperturb.analysis.response.spectra import averaged_spectra, line_spectra
+from armperturb.analysis.fit.structures import unit
+from armperturb.analysis.force_balance import Skew
 from armperturb.analysis.results import Description, FitResult, parameter_table
-from armperturb.analysis.trials import ConditionTrials, Trials, per_trials, prepared
 from armperturb.arrays import Array
-from armperturb.environment import Environment
 from armperturb.subject import Subject
-from armperturb.validation import require_number
-
-Method = Literal["frequency", "record"]
-"""Whether the mean period of each trial is used, or all of it from its start."""
 
 MAX_ROUNDS = 60
 
@@ -46,126 +33,14 @@ WEIGHED_ROUNDS = 20
 SETTLED = 0.01
 """A step this small in units of the standard error ends the search [-]."""
 
-STABILISING = (0.0, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
-"""Shares of the default start that are mixed into an unstable one until it is stable [-]."""
-
 AT_BOUND = 1e-6
 """A parameter sits on a bound when it is closer to it than this share of the distance between its bounds."""
-
-SINGULAR = 1e-12
-"""Least eigenvalue of the scaled information with which a structure can be identified [-]."""
-
-PART_OF = 1e-3
-"""Share of a direction of parameters from which on a parameter belongs to it [-]."""
 
 SKEWED = 2e-4
 """Skew between force and displacement that is remarked upon, if it is beyond three standard errors [s]."""
 
-NOT_PERIODIC = 0.01
-"""RMS of what changes from period to period over that of the perturbation from which on it is not periodic [-]."""
-
 SUSPICIOUS, UNCERTAIN, ALIKE = 0.01, 0.5, 0.95
 """From when on remarks are made: chance of the lack of fit, error over value, and correlation of errors [-]."""
-
-SHARES: Mapping[str, tuple[str, ...]] = {
-    "mass": ("m_h", "m_f", "m_tot"),
-    "damping": ("b_s", "b_se", "b_e"),
-    "stiffness": ("k_s", "k_se", "k_e"),
-    "velocity": ("kv_s", "kv_se", "kv_e"),
-    "position": ("kp_s", "kp_se", "kp_e"),
-    "acceleration": ("ka_s", "ka_se", "ka_e"),
-    "force": ("kf_s", "kf_se", "kf_e"),
-    "delay": ("Td_s", "Td_e"),
-    "cutoff": ("fact_s", "fact_e"),
-    "grip": ("b_h", "k_h"),
-}
-"""Names for parameters that are shared together; single ones are named as they are."""
-
-
-@per_trials
-def _white(trials: ConditionTrials) -> Array:
-    """Whitened displacement, (trial, time, axis)."""
-    return whitened(trials.displacement, trials.rate)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Group:
-    """Trials of one person in one condition, and the structure that is fitted to them.
-
-    Attributes:
-      trials: the trials.
-      structure: what is free.
-      initial: values of the free parameters by linear least squares, from which a search may start, (parameter,).
-      period: likelihood of the mean periods.
-      record: likelihood of the whole records.
-    """
-
-    trials: ConditionTrials
-    structure: Structure
-    initial: Array
-    period: Likelihood
-    record: Likelihood
-
-    @property
-    def label(self) -> str:
-        """The condition."""
-        return self.trials.label
-
-    @property
-    def body(self) -> Subject:
-        """Task, segment lengths and posture."""
-        return self.trials.body
-
-    @property
-    def environment(self) -> Environment:
-        """What the hand held, as identified from these trials."""
-        return self.trials.environment
-
-    @classmethod
-    def prepare(
-        cls,
-        trials: Trials,
-        structure: Structure,
-        *,
-        window_start: float = WINDOW_START,
-        period: float | None = None,
-        settle: float = 0.0,
-    ) -> Self:
-        """Prepare trials. Of trials with pulses, what is before the earliest is used.
-
-        Args:
-          trials: of one person in one condition, or their recording.
-          structure: what is to be estimated.
-          window_start: start of the window of whole periods, after the transient has died away [s].
-          period: of the disturbance [s]; None to find it.
-          settle: time at the start of the records that "record" does not judge [s]: 0 where they start at rest, some 8
-            s where they start amid the perturbation, so that the response to what is not recorded has died away.
-
-        Raises:
-          ValueError: the recording is refused, gives no spectra, is of several people, tasks or postures, its
-            perturbation is not periodic, or settle leaves less than a period.
-        """
-        trials = prepared(trials)
-        body = trials.body
-        spectra = averaged_spectra(trials, window_start=window_start, period=period)
-        lines = line_spectra(trials, window_start=window_start, period=period)
-        rate = trials.rate
-        period = trials.period(window_start) if period is None else period
-        n_period, first = round(period * rate), round(window_start * rate)
-        d = trials.perturbation
-        _require_periodic(d, first, n_period, rate)
-        environment, white = trials.environment, _white(trials)
-        end = min(trials.first_onset, trials.n_samples - round(EDGE * rate))
-        require_number("Group", "settle", settle, at_least=0.0, at_most=end / rate - period)
-        top = min(1.1 * float(lines.frequency[-1]), 0.45 * rate)
-        last = first + n_period * max(1, (end - first) // n_period)
-        return cls(
-            trials=trials,
-            structure=structure,
-            initial=linear_start(spectra.frequency, spectra.arm, body, structure),
-            period=PeriodLikelihood(d[:, first:last], white[:, first:last], body, environment, rate, n_period, top),
-            record=RecordLikelihood(d[:, :end], white[:, :end], body, environment, rate, top, settle),
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -267,159 +142,6 @@ def _remarks(fit: Estimate) -> tuple[str, ...]:
     return tuple(said)
 
 
-class _Problem:
-    """Free parameters of all groups in one vector, and their likelihood."""
-
-    def __init__(self, groups: Sequence[Group], method: Method, share: Sequence[str]) -> None:
-        self.groups = tuple(groups)
-        self.likelihoods = [group.period if method == "frequency" else group.record for group in self.groups]
-        shared = _shared_names(self.groups, share)
-        self.names: list[str] = []
-        self.columns: list[list[int]] = []
-        for group in self.groups:
-            mine = []
-            for name in group.structure.free:
-                label = name if len(self.groups) == 1 or name in shared else f"{name} [{group.label}]"
-                if label not in self.names:
-                    self.names.append(label)
-                mine.append(self.names.index(label))
-            self.columns.append(mine)
-        self.lower, self.upper = np.full(len(self.names), -np.inf), np.full(len(self.names), np.inf)
-        for group, columns in zip(self.groups, self.columns, strict=True):
-            lower, upper = np.array([group.structure.bounds[name] for name in group.structure.free]).T
-            self.lower[columns] = np.maximum(self.lower[columns], lower)
-            self.upper[columns] = np.minimum(self.upper[columns], upper)
-        for name, lower, upper in zip(self.names, self.lower, self.upper, strict=True):
-            if not lower < upper:
-                raise ValueError(f"bounds of the shared {name} cross ({lower:g} to {upper:g}); expected some overlap")
-
-    def initial(self, given: Mapping[str, float]) -> Array:
-        """Given values, and where there is none the mean over the groups of where linear least squares would start."""
-        values = self._mean([group.initial for group in self.groups])
-        for name, value in given.items():
-            if name not in self.names:
-                raise ValueError(f"initial: unknown parameter {name!r}; expected {', '.join(self.names)}")
-            column = self.names.index(name)
-            lower, upper = self.lower[column], self.upper[column]
-            if not lower <= value <= upper:
-                raise ValueError(
-                    f"initial: {name} = {value!r}; expected {lower:g} to {upper:g} {unit(name.split()[0])}"
-                )
-            values[column] = value
-        return values
-
-    def _mean(self, of_groups: Sequence[ArrayLike]) -> Array:
-        total, count = np.zeros(len(self.names)), np.zeros(len(self.names))
-        for columns, values in zip(self.columns, of_groups, strict=True):
-            total[columns] += np.asarray(values)
-            count[columns] += 1.0
-        return np.clip(total / count, self.lower, self.upper)
-
-    def parameters(self, values: Array) -> list[Array]:
-        return [
-            group.structure.parameters(group.body.task, values[columns])
-            for group, columns in zip(self.groups, self.columns, strict=True)
-        ]
-
-    def arms(self, values: Array) -> list[Subject]:
-        return [
-            group.structure.arm(group.body, values[columns])
-            for group, columns in zip(self.groups, self.columns, strict=True)
-        ]
-
-    def pole(self, values: Array) -> float:
-        """Largest real part of a pole of any arm on its environment [1/s]."""
-        arms = zip(self.arms(values), self.groups, strict=True)
-        return max(largest_real_pole(arm, group.environment) for arm, group in arms)
-
-    def weigh(self, values: Array) -> None:
-        for likelihood, parameters in zip(self.likelihoods, self.parameters(values), strict=True):
-            likelihood.weigh(parameters)
-
-    def cost(self, values: Array) -> float:
-        pairs = zip(self.likelihoods, self.parameters(values), strict=True)
-        return sum(likelihood.cost(parameters) for likelihood, parameters in pairs)
-
-    def objective(self, values: Array) -> float:
-        pairs = zip(self.likelihoods, self.parameters(values), strict=True)
-        return sum(likelihood.objective(parameters) for likelihood, parameters in pairs)
-
-    def normal(self, values: Array) -> Normal:
-        cost, slope = 0.0, np.zeros(len(self.names))
-        information = np.zeros((len(self.names), len(self.names)))
-        every = zip(self.groups, self.likelihoods, self.columns, self.parameters(values), strict=True)
-        for group, likelihood, columns, parameters in every:
-            part = likelihood.normal(parameters, group.structure.mixing)
-            cost += part.cost
-            slope[columns] += part.slope
-            information[np.ix_(columns, columns)] += part.information
-        return Normal(cost, slope, information)
-
-    def lack_of_fit(self, values: Array) -> LackOfFit:
-        """Of all groups together; the noise must have been weighed."""
-        parts = [
-            likelihood.lack_of_fit(parameters)
-            for likelihood, parameters in zip(self.likelihoods, self.parameters(values), strict=True)
-        ]
-        dof = sum(part.dof for part in parts) - len(self.names)
-        return LackOfFit(sum(part.chi2 for part in parts), max(dof, 1))
-
-    def published(self) -> Array:
-        """Mean over the groups of the structures' default starts."""
-        return self._mean([[group.structure.initial[name] for name in group.structure.free] for group in self.groups])
-
-    def stabilised(self, values: Array) -> Array:
-        """The values moved towards the structures' default starts until every arm is stable, or all the way."""
-        published = self.published()
-        for share in STABILISING:
-            mixed = (1.0 - share) * values + share * published
-            if self.pole(mixed) < 0.0:
-                break
-        return mixed
-
-    def require_identifiable(self, values: Array) -> None:
-        """Refuse structures in which some direction of the parameters changes no movement.
-
-        What has no effect at these values may have some elsewhere, as a delay has none without gains: only what has
-        none at the structures' default starts either is refused.
-
-        Raises:
-          ValueError: there is such a direction.
-        """
-        information = np.zeros((len(self.names), len(self.names)))
-        for place in (values, self.published()):
-            self.weigh(place)
-            information += self.normal(place).information
-            if _scaled(information)[1][0] > SINGULAR:
-                return
-        require_informative(information, self.names)
-
-
-def require_informative(information: Array, names: Sequence[str]) -> None:
-    """Refuse information that leaves some direction of the parameters unknown.
-
-    Args:
-      information: Fisher information, (parameter, parameter).
-      names: of the parameters.
-
-    Raises:
-      ValueError: there is such a direction; the message names it.
-    """
-    scale, power, directions = _scaled(information)
-    if power[0] > SINGULAR:
-        return
-    silent = [name for name, size in zip(names, np.diag(information), strict=True) if not size > 0.0]
-    if silent:
-        raise ValueError(f"{', '.join(silent)} cannot be identified: no effect on the movement; expected fixed values")
-    weak = directions[:, 0] / scale
-    weak /= np.abs(weak).max()
-    terms = [f"{w:+.2g} {name}" for w, name in zip(weak, names, strict=True) if abs(w) > PART_OF]
-    raise ValueError(
-        f"the structure cannot be identified: a change of {' '.join(terms)} leaves the movement as it is; "
-        "expected one of them fixed"
-    )
-
-
 class _Search(NamedTuple):
     values: Array
     information: Array
@@ -451,8 +173,8 @@ def estimate(
         raise ValueError(f"method = {method!r}; expected one of {', '.join(get_args(Method))}")
     if not groups:
         raise ValueError("groups is empty; expected the trials of at least one condition")
-    _require_one_person(groups)
-    problem = _Problem(groups, "frequency", share)
+    require_one_person(groups)
+    problem = JointLikelihood(groups, "frequency", share)
     first = problem.stabilised(problem.initial(initial or {}))
     found = _judge(problem, "frequency", _search(problem, first))
     if not np.isfinite(list(found.standard_error.values())).all():
@@ -463,7 +185,7 @@ def estimate(
             found = other
     if method == "frequency":
         return found
-    problem = _Problem(groups, "record", share)
+    problem = JointLikelihood(groups, "record", share)
     start_of_record = problem.stabilised(np.array(list(found.values.values())))
     return _judge(problem, "record", _search(problem, start_of_record))
 
@@ -487,7 +209,7 @@ def profile(
     Raises:
       ValueError: the parameter is unknown, or a point is outside its bounds.
     """
-    problem = _Problem(groups, found.method, share)
+    problem = JointLikelihood(groups, found.method, share)
     if name not in problem.names:
         raise ValueError(f"no parameter {name!r}; expected one of {', '.join(problem.names)}")
     column = problem.names.index(name)
@@ -508,7 +230,7 @@ def profile(
     return deviance
 
 
-def _search(problem: _Problem, values: Array, *, weigh: bool = True) -> _Search:
+def _search(problem: JointLikelihood, values: Array, *, weigh: bool = True) -> _Search:
     """Gauss-Newton steps within bounds, the noise being weighed anew before each unless told otherwise.
 
     No step leads to an unstable arm, or from an unstable start to one that is less stable.
@@ -536,14 +258,6 @@ def _search(problem: _Problem, values: Array, *, weigh: bool = True) -> _Search:
     return _Search(values, normal.information, f"not converged: {MAX_ROUNDS} steps were not enough", False, MAX_ROUNDS)
 
 
-def _scaled(information: Array) -> tuple[Array, Array, Array]:
-    """Scale that gives the information a diagonal of ones, its eigenvalues then, rising, and its directions."""
-    scale = np.sqrt(np.diag(information))
-    scale[scale == 0.0] = 1.0
-    power, directions = np.linalg.eigh(information / np.outer(scale, scale))
-    return scale, np.asarray(power), np.asarray(directions)
-
-
 def _size(normal: Normal, step: Array) -> float:
     """Largest change of a parameter in units of its error, were all others known."""
     return float(np.max(np.abs(step) * np.sqrt(np.diag(normal.information))))
@@ -551,7 +265,7 @@ def _size(normal: Normal, step: Array) -> float:
 
 def _bounded_step(normal: Normal, damping: float, lower: Array, upper: Array) -> Array:
     """Levenberg-Marquardt step that stays within bounds."""
-    scale, power, directions = _scaled(normal.information)
+    scale, power, directions = scaled_information(normal.information)
     root = np.sqrt(np.maximum(power, 0.0) + damping + SINGULAR)
     target = directions.T @ (normal.slope / scale) / root
     design = root[:, None] * directions.T
@@ -562,11 +276,11 @@ def _bounded_step(normal: Normal, damping: float, lower: Array, upper: Array) ->
     return step / scale
 
 
-def _judge(problem: _Problem, method: Method, search: _Search) -> Estimate:
+def _judge(problem: JointLikelihood, method: Method, search: _Search) -> Estimate:
     values, names = search.values, problem.names
     objective = problem.objective(values)
     fit = problem.lack_of_fit(values)
-    scale, power, directions = _scaled(search.information)
+    scale, power, directions = scaled_information(search.information)
     known = power > SINGULAR
     covariance = (directions[:, known] / power[known]) @ directions[:, known].T
     error = np.sqrt(np.diag(covariance)) / scale * np.sqrt(max(1.0, fit.chi2 / fit.dof))
@@ -597,42 +311,3 @@ def _judge(problem: _Problem, method: Method, search: _Search) -> Estimate:
         skew={group.label: group.trials.skew for group in problem.groups},
     )
     return replace(result, remarks=_remarks(result))
-
-
-def _shared_names(groups: Sequence[Group], share: Sequence[str]) -> set[str]:
-    known = {name for group in groups for name in group.structure.free}
-    shared: set[str] = set()
-    for name in share:
-        names = [one for one in SHARES.get(name, (name,)) if one in known]
-        if not names:
-            raise ValueError(f"share: {name!r} is no free parameter; expected {', '.join((*SHARES, *sorted(known)))}")
-        shared.update(names)
-    return shared
-
-
-def _require_one_person(groups: Sequence[Group]) -> None:
-    labels = [group.label for group in groups]
-    for field in ("name", "l_h", "l_f", "theta_s_deg", "theta_e_deg"):
-        values = {getattr(group.body, field) for group in groups}
-        if len(values) > 1:
-            raise ValueError(
-                f"the conditions {', '.join(labels)} differ in {field} ({', '.join(map(str, sorted(values)))}); "
-                "expected one person in one posture"
-            )
-    for label in labels:
-        if labels.count(label) > 1:
-            raise ValueError(f"the condition {label!r} comes twice; expected each once (its trials in one group)")
-
-
-def _require_periodic(perturbation: Array, first: int, n_period: int, rate: float) -> None:
-    """Refuse a perturbation that is another before and in the window than a period later."""
-    n = min(n_period, first // 2)
-    earlier, later = perturbation[:, first - n : first], perturbation[:, first - n + n_period : first + n_period]
-    change = np.sqrt(np.mean((later - earlier) ** 2, axis=(1, 2))) if n else np.zeros(len(perturbation))
-    rms = np.sqrt(np.mean(perturbation[:, first : first + n_period] ** 2, axis=(1, 2)))
-    worst = int(np.argmax(change / rms))
-    if change[worst] > NOT_PERIODIC * rms[worst]:
-        raise ValueError(
-            f"the perturbation of trial {worst} changes by {change[worst] / rms[worst]:.0%} of its RMS from one period "
-            f"of {n_period / rate:g} s to the next; expected a periodic one (another period?)"
-        )

@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.arm.linear_arm import Delay
 from armperturb.analysis.defaults import WINDOW_START
-from armperturb.analysis.fit.admittance_fit import AdmittanceFit, Target, fit_admittance, fit_admittances
+from armperturb.analysis.fit.admittance_fit import AdmittanceFit, fit_admittance, fit_admittances
+from armperturb.analysis.fit.admittance_problem import Target
 from armperturb.analysis.fit.structures import STRUCTURES, Structure, unit
 from armperturb.analysis.measures.vaf import trial_vaf
 from armperturb.analysis.response.spectra import single_trial_spectra

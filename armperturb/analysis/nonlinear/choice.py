@@ -26,6 +26,7 @@ from armperturb.analysis.nonlinear.model import Law, Model, bounds, stem
 from armperturb.analysis.nonlinear.prediction import PulsePrediction, median_peak, median_vaf, predict_pulses
 from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem, State
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
+from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.subject import Subject
@@ -77,7 +78,7 @@ class Gain(NamedTuple):
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Judged:
     """A structure, and how well it predicts what it was not fitted to.
 
@@ -107,8 +108,8 @@ class Judged:
         return Gain(float(difference.sum()), math.sqrt(variance) if dof else math.inf, dof)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Choice:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Choice(Result):
     """Laws compared.
 
     Attributes:
@@ -129,6 +130,12 @@ class Choice:
         estimate = self.judged[self.chosen].estimate
         assert estimate is not None
         return estimate
+
+    def describe(self) -> Description:
+        """Which law was chosen, and why."""
+        return Description(
+            title=f"Laws compared: {', '.join(self.judged)}; chosen: {self.chosen}", facts=self.verdict()
+        )
 
     def verdict(self) -> tuple[str, ...]:
         """What the trials support, a sentence each."""

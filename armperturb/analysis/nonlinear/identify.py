@@ -24,6 +24,7 @@ from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
 from armperturb.analysis.results import Description, Result
+from armperturb.planar_arm.simulation import load_compiled_arm
 from armperturb.subject import Subject
 
 if TYPE_CHECKING:
@@ -134,6 +135,7 @@ def identify_nonlinear(
       OSError: a checkpoint cannot be read or written.
       ModuleNotFoundError: numba is not installed.
     """
+    load_compiled_arm()  # refused before anything that takes time
     directions = list(pulse_directions_deg)
     sets = fitted_conditions(recording)
     recorded = {float(deg) for trials in sets.values() for deg in trials.direction_deg if not np.isnan(deg)}

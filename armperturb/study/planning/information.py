@@ -30,8 +30,8 @@ from scipy import optimize
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.arm.linear_arm import LinearArm, environment_admittance
 from armperturb.analysis.arm.parameters import parameter_vector
+from armperturb.analysis.fit.joint_likelihood import require_informative
 from armperturb.analysis.fit.likelihood import TAPER
-from armperturb.analysis.fit.maximum_likelihood import require_informative
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.force_balance import EDGE, NoiseLevels
 from armperturb.arrays import Array, ComplexArray

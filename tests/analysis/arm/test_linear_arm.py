@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy import integrate
 
 from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix
+from armperturb.analysis.arm.joint_matrices import Environments
 from armperturb.analysis.arm.linear_arm import (
-    Environments,
     LinearArm,
     arm_admittance,
     environment_admittance,

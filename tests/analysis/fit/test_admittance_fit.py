@@ -8,7 +8,8 @@ from scipy import optimize
 
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
-from armperturb.analysis.fit.admittance_fit import Target, _checked, fit_admittance, fit_admittances, penalty_factor
+from armperturb.analysis.fit.admittance_fit import fit_admittance, fit_admittances
+from armperturb.analysis.fit.admittance_problem import Target, checked_problem, penalty_factor
 from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.cohort import draw_subject
 from armperturb.environment import Environment
@@ -103,7 +104,7 @@ def test_jacobian_equals_finite_differences(model, arm, with_penalty):
     slow = replace(arm, kv_s=arm.kv_s * 1.9) if model == "3b" else replace(arm, k_s=3.0, m_f=3.5)
     admittance = arm_admittance(arm, FREQUENCY)
     target = Target(frequency=FREQUENCY, admittance=admittance, body=arm, environment=ENVIRONMENT)
-    problem = _checked(target, STRUCTURES[model], "exact")
+    problem = checked_problem(target, STRUCTURES[model], "exact")
     values = np.array(list(truth_of(slow, model).values()))
     numerical = optimize.approx_fprime(values, lambda v: problem.residual(v, with_penalty), 1e-6 * values)
     exact = problem.jacobian(values, with_penalty)

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.arm.state_space import largest_real_pole
-from armperturb.analysis.fit.maximum_likelihood import Group, estimate, profile
+from armperturb.analysis.fit.group import Group
+from armperturb.analysis.fit.maximum_likelihood import estimate, profile
 from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment

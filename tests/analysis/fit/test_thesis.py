@@ -1,23 +1,26 @@
 """The thesis's estimator on simulated recordings: procedures, averages, starts and refusals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
 
-from armperturb.analysis.fit.admittance_fit import penalty_factor
+from armperturb.analysis.fit.admittance_problem import penalty_factor
 from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.analysis.fit.thesis import (
     MODEL_3_WIDE,
     THETA,
     VARTHETA,
-    Trials,
     Wanted,
     appendix_c,
     appendix_d,
     appendix_e,
     fit_trials,
     fit_wanted,
+    join_estimates,
 )
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
@@ -29,15 +32,20 @@ from armperturb.subject import POSITION
 
 
 @pytest.fixture(scope="module")
-def two_people(position_recording):
-    """Three trials of one person and one of another, who is the same but for the name."""
-    names = xr.DataArray(["first", "first", "other", "first"], dims="trial")
-    return position_recording.assign_coords(subject=names)
+def first(position_recording):
+    """Three trials of one person."""
+    return position_recording.isel(trial=slice(3)).assign_coords(subject=("trial", ["first"] * 3))
 
 
 @pytest.fixture(scope="module")
-def estimate(two_people, once):
-    return once("estimate of the thesis", lambda _: fit_trials(two_people, "3b"))
+def other(position_recording):
+    """One of another, who is the same but for the name."""
+    return position_recording.isel(trial=[3]).assign_coords(subject=("trial", ["other"]))
+
+
+@pytest.fixture(scope="module")
+def estimate(first, other, once):
+    return once("estimate of the thesis", lambda _: join_estimates([fit_trials(part, "3b") for part in (first, other)]))
 
 
 def test_ideal_trials_give_the_person_back_and_are_predicted(estimate):
@@ -59,7 +67,7 @@ def test_criterion_is_the_printed_sum(estimate):
 
 def test_averages_are_over_trials_and_then_over_subjects(estimate):
     mean, sd = estimate.over_subjects(estimate.values)
-    of_first, of_other = estimate.values[[0, 1, 3]].mean(axis=0), estimate.values[2]
+    of_first, of_other = estimate.values[:3].mean(axis=0), estimate.values[3]
     np.testing.assert_allclose(mean, (of_first + of_other) / 2)
     np.testing.assert_allclose(sd, np.abs(of_first - of_other) / np.sqrt(2))
     rows = {row["parameter"]: row for row in estimate.rows()}
@@ -81,38 +89,38 @@ def test_only_positive_vaf_counts(estimate):
         estimate.vaf[:] = kept
 
 
-def test_appendix_c_goes_from_the_first_step_to_the_second(two_people):
-    one = two_people.isel(trial=[0, 2])
-    (first, second), *others = appendix_c(one, {"PT7.5": one, "again": one.isel(trial=[1])}, ["3"]).values()
+def test_appendix_c_goes_from_the_first_step_to_the_second(first):
+    one = first.isel(trial=[0, 2])
+    (step_1, step_2), *others = appendix_c(one, {"PT7.5": one, "again": one.isel(trial=[1])}, ["3"]).values()
     assert not others
-    assert all(fit.penalty == 1.0 for fit in first.fits)
-    assert list(second) == ["PT7.5", "again"]
-    repeated = fit_trials(one, "3", initial=first.means())
-    np.testing.assert_array_equal(second["PT7.5"].values, repeated.values)
+    assert all(fit.penalty == 1.0 for fit in step_1.fits)
+    assert list(step_2) == ["PT7.5", "again"]
+    repeated = fit_trials(one, "3", initial=step_1.means())
+    np.testing.assert_array_equal(step_2["PT7.5"].values, repeated.values)
     assert repeated.n_stable == 2
     assert repeated.fits[0].penalty == pytest.approx(penalty_factor(repeated.fits[0].largest_real_pole))
 
 
-def test_wanted_fits_are_those_of_each_alone(two_people):
-    one, other = two_people.isel(trial=[0]), two_people.isel(trial=[2, 3])
-    first, second = Trials.prepare(one), Trials.prepare(other, environment=Environment(m_env=3.0))
+def test_wanted_fits_are_those_of_each_alone(first, other):
+    one, two = ConditionTrials.prepare(other), ConditionTrials.prepare(first.isel(trial=[1, 2]))
+    two = replace(two, given=(Environment(m_env=3.0), two.noise))
     start = VARTHETA["vartheta_i4"]
-    found = fit_wanted([Wanted(first, "1"), Wanted(second, "3b", start), Wanted(first, "3b")], use_penalty=False)
+    found = fit_wanted([Wanted(one, "1"), Wanted(two, "3b", start), Wanted(one, "3b")], use_penalty=False)
     alone = [
         fit_trials(one, "1", use_penalty=False),
-        fit_trials(other, "3b", initial=start, use_penalty=False, environment=Environment(m_env=3.0)),
+        fit_trials(two, "3b", initial=start, use_penalty=False),
         fit_trials(one, "3b", use_penalty=False),
     ]
     for a, b in zip(found, alone, strict=True):
         assert (a.structure, a.subjects, a.environment) == (b.structure, b.subjects, b.environment)
         np.testing.assert_allclose(a.criterion, b.criterion, rtol=1e-3)
         np.testing.assert_allclose(a.vaf, b.vaf, atol=0.1)
-    assert found[1].subjects == ("other", "first")
+    assert found[1].subjects == ("first", "first")
     assert fit_wanted([]) == []
 
 
-def test_appendix_d_and_e_take_every_published_start(two_people):
-    one = Trials.prepare(two_people.isel(trial=[1]))
+def test_appendix_d_and_e_take_every_published_start(other):
+    one = ConditionTrials.prepare(other)
     d, e = appendix_d(one), appendix_e(one)
     assert list(d) == [f"theta_i{i}" for i in range(1, 7)]
     assert {estimate.structure for estimate in d.values()} == {"3 (D.2)"}
@@ -164,12 +172,14 @@ def test_bounds_are_the_published_ones():
                 assert printed == ((0.035, 0.045) if (table, name) == ("C.2", "Td_e") else pytest.approx(pair)), name
 
 
-def test_bad_input_is_named(two_people):
+def test_bad_input_is_named(first, other):
+    with pytest.raises(ValueError, match=r"subject has several values \(first, other\)"):
+        fit_trials(xr.concat([first, other], "trial", combine_attrs="override"), "3b")
     with pytest.raises(ValueError, match=r"initial: k_s = 5000.0; expected 0 to 1000 Nm/rad"):
-        fit_trials(two_people, "3b", initial={"k_s": 5000.0})
-    broken = two_people.assign(force=two_people["force"] * np.nan)
+        fit_trials(first, "3b", initial={"k_s": 5000.0})
+    broken = first.assign(force=first["force"] * np.nan)
     with pytest.raises(ValueError, match="force"):
         fit_trials(broken, "3b")
-    flipped = two_people.assign(force=-two_people["force"])
+    flipped = first.assign(force=-first["force"])
     with pytest.raises(ValueError, match="expected a positive mass"):
         fit_trials(flipped, "3b")

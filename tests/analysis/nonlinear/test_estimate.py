@@ -277,7 +277,11 @@ def test_verdicts_say_what_is_not_shown():
     nothing = judged([0.0] * 8)
     gains = {"short-range": Gain(90.0, 9.0, 6), "full": Gain(3.0, 4.0, 6)}
     laws = dict.fromkeys(("linear", "short-range", "full"), nothing)
-    verdict = Choice(judged=laws, chosen="short-range", gains=gains, mechanisms={}).verdict()
+    choice = Choice(judged=laws, chosen="short-range", gains=gains, mechanisms={})
+    assert repr(choice).startswith(
+        "Laws compared: linear, short-range, full; chosen: short-range\ncompared with the linear law, "
+    )
+    verdict = choice.verdict()
     assert verdict[0] == (
         "compared with the linear law, the short-range law raises the log-likelihood of left-out trials by 90.0 "
         "(standard error 9.0)"

@@ -369,12 +369,10 @@ def test_people_are_as_noisy_as_the_thesis_describes():
     for number, name in enumerate(forces):
         spectra = [estimate_spectra(line_spectra(recording.isel(trial=[number * n + i]))) for i in range(n)]
         coherence[name] = np.mean([s.coherence for s in spectra], axis=0)
-    slow = spectra[0].frequency <= 1.5
-    # Section 3.1: high over the full range, and lower for the smallest perturbation.
-    assert coherence["PT7.5"][slow].mean() > 0.8
-    assert coherence["PT7.5"][~slow].mean() > 0.8
-    assert coherence["PT2.5"].mean() < coherence["PT7.5"].mean()
-    assert (coherence["RT7.5"][slow].mean() - coherence["RT7.5"][~slow].mean()) > 0.1
+    slow, middle = spectra[0].frequency < 1.5, (spectra[0].frequency >= 1.5) & (spectra[0].frequency < 10.0)
+    # As `HUMAN_NOISE` has it of other multisines; its mean varies by 0.02 between sets of four trials.
+    for name, expected in {"PT2.5": (0.88, 0.89), "PT7.5": (0.90, 0.94), "RT7.5": (0.95, 0.83)}.items():
+        assert [coherence[name][band].mean() for band in (slow, middle)] == pytest.approx(expected, abs=0.05), name
     # Tables C.12, E.5: 61 and 50 % (SD over trials 10 and 17 %).
     vaf = fit_trials(recording.isel(trial=slice(n, n + 2)), "3b").vaf.mean(axis=0)
     assert vaf[0] == pytest.approx(61.0, abs=2 * 10.0)

@@ -15,7 +15,7 @@ from armperturb.subject import POSITION, RELAX
 
 pytestmark = pytest.mark.slow(reason="imports dm_control and compiles its models")
 
-STEPS = 2000
+STEPS = 1000
 PER_CONTROL = 10
 AVERAGE = average_person().subjects
 ODD = replace(
@@ -33,10 +33,8 @@ ODD = replace(
 HEAVY = Environment(m_env=np.pi, b_env=1.7, k_env=31.1, workspace=0.21)
 NARROW = Environment(workspace=0.005)
 RIGS = {
-    "relax": (RELAX, Environment(), {}),
     "position": (POSITION, Environment(), {}),
     "average RT": (AVERAGE["RT"], Environment(), {}),
-    "average PT": (AVERAGE["PT"], Environment(), {}),
     "odd": (ODD, HEAVY, {}),
     "pendulum": (ODD, HEAVY, {"rope": "pendulum", "timestep": 0.0008}),
     "strap": (ODD, HEAVY, {"strap": Strap(stiffness=4321.0, damping=123.0, mass=6.7)}),

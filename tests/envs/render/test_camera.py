@@ -91,9 +91,8 @@ def pinhole(point, width, height):
 
 @pytest.mark.slow(reason="draws many pictures")
 @needs_gl
-@pytest.mark.parametrize("force", [(40.0, 10.0), (-20.0, 35.0), (-15.0, -40.0)])
-@pytest.mark.parametrize("which", ["d", "f"])
-def test_arrows_point_where_forces_do_and_are_to_scale(model, force, which):
+@pytest.mark.parametrize(("which", "force"), [("d", (40.0, 10.0)), ("f", (-20.0, 35.0)), ("d", (-15.0, -40.0))])
+def test_arrows_point_where_forces_do_and_are_to_scale(model, which, force):
     scale, moved = 0.006, (0.05, -0.04)
     colour = DISTURBANCE if which == "d" else REACTION
     d, f = (force, (0.0, 0.0)) if which == "d" else ((0.0, 0.0), force)

@@ -11,9 +11,10 @@ from scipy import optimize, signal, stats
 from armperturb import cli
 from armperturb.analysis.arm.linear_arm import total_admittance
 from armperturb.analysis.arm.parameters import PARAMETERS
+from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.likelihood import TAPER
-from armperturb.analysis.fit.maximum_likelihood import Group, estimate
+from armperturb.analysis.fit.maximum_likelihood import estimate
 from armperturb.analysis.fit.structures import STRUCTURES, at_truth
 from armperturb.analysis.force_balance import EDGE, NoiseLevels
 from armperturb.analysis.results import LINES

@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import simulate_linear
-from armperturb.analysis.fit.admittance_fit import penalty_factor
+from armperturb.analysis.fit.admittance_problem import penalty_factor
 from armperturb.analysis.measures.vaf import variance_accounted_for
 from armperturb.arrays import Array
 from armperturb.plots.panels import AXES, FREQUENCY, admittance_panels, legend, plot_admittance

@@ -1,0 +1,271 @@
+"""Error of an arm model against an admittance, with its derivative and the penalty on instability (eqs 2.18-2.21)."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import optimize
+
+from armperturb.analysis.arm.joint_matrices import Environments
+from armperturb.analysis.arm.linear_arm import Delay, LinearArm
+from armperturb.analysis.arm.parameters import groups_of
+from armperturb.analysis.fit.structures import Structure
+from armperturb.arrays import Array, ComplexArray
+from armperturb.environment import Environment
+from armperturb.subject import Subject
+
+MAX_EVALUATIONS = 1000
+
+NEGLIGIBLE_PENALTY = 1e-9
+"""A penalty this close to one has no slope worth computing."""
+
+UNIDENTIFIED = 1e-10
+"""Directions of the parameters, each scaled by its effect, whose effect is this small beside the largest have none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Target:
+    """What an arm model is fitted to.
+
+    Attributes:
+      frequency: [Hz], (frequency,).
+      admittance: estimated H_xf [m/N], (frequency, output, input).
+      body: gives task, segment lengths, posture and activation damping; its other parameters do not matter.
+      environment: what the hand held, for the stability of the whole.
+      coherence: multiple coherence [-], (frequency, output); one if not given.
+    """
+
+    frequency: ArrayLike
+    admittance: ArrayLike
+    body: Subject
+    environment: Environment
+    coherence: ArrayLike | None = None
+
+
+def penalty_factor(pole: ArrayLike) -> Array:
+    """Factor on the error that keeps a fit stable; one for poles left of about -0.8 1/s (eq. 2.21, figure C.1).
+
+    Args:
+      pole: largest real part of a pole of arm and environment [1/s], of any shape, which the factor gets.
+    """
+    # Beyond 10^50 it only has to be large: powers of it must not overflow.
+    return np.asarray(10.0 * 10.0 ** np.minimum(10.0 * (np.asarray(pole) + 0.5), 50.0) + 1.0)
+
+
+def least_squares(problem: "AdmittanceProblem", start: Array, *, with_penalty: bool) -> optimize.OptimizeResult:
+    """Bounded least squares from one start; the result holds parameters in SI."""
+    scale = np.where(start != 0, np.abs(start), 1.0)
+    lower, upper = problem.lower, problem.upper
+    solution = optimize.least_squares(
+        lambda v: problem.residual(v * scale, with_penalty),
+        np.clip(start, lower, upper) / scale,
+        lambda v: problem.jacobian(v * scale, with_penalty) * scale,
+        bounds=(lower / scale, upper / scale),
+        x_scale="jac",
+        xtol=1e-10,
+        ftol=1e-12,
+        gtol=1e-12,
+        max_nfev=MAX_EVALUATIONS,
+    )
+    solution.x = np.clip(solution.x * scale, lower, upper)
+    return solution
+
+
+@dataclass(frozen=True, eq=False)
+class AdmittanceProblem:
+    """Residual and its derivative for one admittance, or of a batch of them, whose axis is the ... below."""
+
+    frequency: Array
+    admittance: ComplexArray
+    weight: Array
+    environment: Environment | Environments
+    model: LinearArm
+    mixing: Array
+    constant: Array
+    lower: Array
+    upper: Array
+    latest_pole: dict[bytes, ComplexArray] = field(default_factory=dict)
+
+    @cached_property
+    def groups(self) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+        """Groups of arm parameters that any free parameter acts through, and the indices of theirs."""
+        acting = np.abs(self.mixing).reshape(-1, *self.mixing.shape[-2:]).sum(axis=(0, 2)) > 0
+        return groups_of(acting)
+
+    def parameters(self, values: Array) -> Array:
+        """Parameters of the arm from the free ones, (..., parameter)."""
+        return self.constant + applied(self.mixing, values)
+
+    def penalty(self, values: Array) -> Array:
+        """Factor of eq. 2.21, (...,)."""
+        return penalty_factor(self.largest_pole(values).real)
+
+    def largest_pole(self, values: Array) -> ComplexArray:
+        """Rightmost pole of arm and environment [1/s], (...,)."""
+        # An optimiser asks for the derivative where it has just asked for the residual.
+        key = values.tobytes()
+        if key not in self.latest_pole:
+            poles = self.model.poles(self.parameters(values), self.environment)
+            largest = np.argmax(poles.real, axis=-1)[..., None]
+            self.latest_pole.clear()
+            self.latest_pole[key] = np.take_along_axis(poles, largest, axis=-1)[..., 0]
+        return self.latest_pole[key]
+
+    def log_error(self, values: Array) -> ComplexArray:
+        """Weighted complex log error, (..., 4 frequency)."""
+        return flat(self.weight * np.log(self.admittance / self.model.admittance(self.parameters(values))), 3)
+
+    def log_error_and_slope(self, values: Array) -> tuple[ComplexArray, ComplexArray]:
+        """`log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter)."""
+        model, gradient = self.model.admittance_and_gradient(self.parameters(values))
+        error = self.weight * np.log(self.admittance / model)
+        slope = gradient * (-self.weight / model)[..., None]
+        return flat(error, 3), np.asarray(flat(slope, 4) @ self.mixing)
+
+    def modulus_and_slope(self, values: Array) -> tuple[Array, Array]:
+        """Modulus of `log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter).
+
+        Errors are in another order than there.
+        """
+        modulus = np.empty(0)
+
+        def weigh(model: ComplexArray) -> ComplexArray:
+            nonlocal modulus
+            error = self.weight * np.log(self.admittance / model)
+            modulus = np.abs(error)
+            aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
+            return np.asarray(aligned * self.weight / -model)
+
+        groups, rows = self.groups
+        _, slope = self.model.admittance_and_weighted_gradient(self.parameters(values), weigh, groups)
+        # Frequency is the last axis in memory.
+        flat = np.moveaxis(slope, (-1, -4), (-4, -1)).reshape(*values.shape[:-1], len(rows), -1)
+        mixed = self.mixing[..., rows, :].swapaxes(-1, -2) @ flat
+        return np.moveaxis(modulus, -3, -1).reshape(*values.shape[:-1], -1), mixed.swapaxes(-1, -2)
+
+    def residual(self, values: Array, with_penalty: bool) -> Array:
+        """Weighted complex log error, real then imaginary parts; with penalty and then a zero, (8 frequency [+ 1],)."""
+        error = stack(self.log_error(values))
+        return np.append(error * self.penalty(values), 0.0) if with_penalty else error
+
+    def jacobian(self, values: Array, with_penalty: bool) -> Array:
+        """Derivative of the residual, (8 frequency [+ 1], parameter).
+
+        The zero that comes with the penalty changes neither criterion nor gradient, whatever its row here. The row adds
+        the second derivative of the penalty, most of its curvature, to the Gauss-Newton step: without it the optimiser
+        creeps along the border of stability.
+        """
+        error, slope = map(stack, self.log_error_and_slope(values))
+        if not with_penalty:
+            return slope
+        factor, gradient = self.penalty_and_gradient(values)
+        if factor - 1.0 < NEGLIGIBLE_PENALTY:
+            return np.vstack([slope, gradient])
+        curvature = np.linalg.norm(error) * np.sqrt(factor / (factor - 1.0)) * gradient
+        return np.vstack([slope * factor + np.outer(error, gradient), curvature])
+
+    def penalty_and_gradient(self, values: Array) -> tuple[Array, Array]:
+        """Penalty and its derivative, (...,) and (..., parameter).
+
+        The derivative is zero where the penalty is one or out of all bounds.
+        """
+        pole = self.largest_pole(values)
+        factor = penalty_factor(pole.real)
+        acts = (factor - 1.0 >= NEGLIGIBLE_PENALTY) & (factor < penalty_factor(np.inf))
+        if not acts.any():
+            return factor, np.zeros_like(values)
+        groups, rows = self.groups
+        gradient = self.model.pole_gradient(self.parameters(values), self.environment, pole, groups)
+        slope = applied(self.mixing[..., rows, :].swapaxes(-1, -2), gradient)
+        steepness = (factor - 1.0) * 10.0 * np.log(10.0)
+        return factor, np.where(acts[..., None], steepness[..., None] * slope, 0.0)
+
+
+def applied(matrix: Array, vector: Array) -> Array:
+    """Matrix times vector, batch by batch."""
+    return np.asarray((matrix @ vector[..., None])[..., 0])
+
+
+def frequency_last(values: NDArray[Any]) -> NDArray[Any]:
+    """The same, (batch, frequency, output, input), with frequency last in memory, as `LinearArm` has it."""
+    return np.moveaxis(np.ascontiguousarray(np.moveaxis(values, (-2, -1), (0, 1))), (0, 1), (-2, -1))
+
+
+def flat(values: NDArray[Any], n: int) -> NDArray[Any]:
+    """One axis in the place of frequency, output and input, of which the first is the n-th from the end."""
+    cut = values.ndim - n
+    return values.reshape(*values.shape[:cut], -1, *values.shape[cut + 3 :])
+
+
+def stack(values: ComplexArray, axis: int = 0) -> Array:
+    """Real parts, then imaginary parts."""
+    return np.concatenate([values.real, values.imag], axis=axis)
+
+
+def silent_directions(jacobian: Array) -> Array:
+    """Directions of the columns, each scaled by its norm, in which nothing changes, (direction, column)."""
+    scale = np.linalg.norm(jacobian, axis=0)
+    if not scale.all():
+        return np.eye(len(scale))[scale == 0]
+    _, singular, basis = np.linalg.svd(jacobian / scale, full_matrices=len(jacobian) < len(scale))
+    return np.asarray(basis[np.count_nonzero(singular > UNIDENTIFIED * singular[0]) :])
+
+
+def standard_error(modulus: Array, jacobian: Array) -> Array:
+    """Eq. 2.22; infinite for columns that share in a direction without effect.
+
+    Args:
+      modulus: of the log error, (n,).
+      jacobian: its derivative, (n, parameter).
+    """
+    silent = np.abs(silent_directions(jacobian)).max(axis=0, initial=0.0) > 1e-6
+    known = jacobian[:, ~silent]
+    scale = np.linalg.norm(known, axis=0)
+    _, singular, basis = np.linalg.svd(known / scale, full_matrices=False)
+    variance = np.sum((basis / singular[:, None]) ** 2, axis=0) / scale**2 * np.mean(modulus**2)
+    sem = np.full(len(silent), np.inf)
+    sem[~silent] = np.sqrt(variance)
+    return sem
+
+
+def checked_problem(target: Target, structure: Structure, delay: Delay) -> AdmittanceProblem:
+    """The problem of one target.
+
+    Raises:
+      ValueError: as `fit_admittance`.
+    """
+    f, h = np.asarray(target.frequency, dtype=float), np.asarray(target.admittance, dtype=complex)
+    c = np.ones((f.size, 2)) if target.coherence is None else np.asarray(target.coherence, dtype=float)
+    if f.ndim != 1 or h.shape != (f.size, 2, 2) or c.shape != (f.size, 2):
+        raise ValueError(
+            f"frequency, admittance and coherence have shapes {f.shape}, {h.shape}, {c.shape}; "
+            "expected (n,), (n, 2, 2), (n, 2)"
+        )
+    for name, values in (("frequency", f), ("admittance", h), ("coherence", c)):
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name} holds {values[~np.isfinite(values)][0]}; expected finite values")
+    if (f <= 0).any():
+        raise ValueError(f"frequency = {f.min():g} Hz; expected frequencies above 0")
+    if (h == 0).any():
+        raise ValueError(f"admittance at {f[np.argwhere(h == 0)[0][0]]:g} Hz is 0; expected a response to fit")
+    if (c < 0).any() or (c > 1).any():
+        raise ValueError(f"coherence from {c.min():g} to {c.max():g}; expected 0 to 1")
+    if delay not in get_args(Delay):
+        raise ValueError(f"delay = {delay!r}; expected one of {', '.join(get_args(Delay))}")
+    if 8 * f.size <= len(structure.free):
+        raise ValueError(f"{f.size} frequencies for {len(structure.free)} parameters; expected more frequencies")
+    weight = np.broadcast_to(np.sqrt(c)[:, :, None], h.shape)
+    lower, upper = np.array(list(structure.bounds.values())).T
+    return AdmittanceProblem(
+        f,
+        h,
+        weight,
+        target.environment,
+        LinearArm(target.body, f, delay),
+        structure.mixing,
+        structure.constant(target.body.task),
+        lower,
+        upper,
+    )

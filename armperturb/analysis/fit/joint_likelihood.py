@@ -1,0 +1,222 @@
+"""Free parameters of several conditions in one vector, and their likelihood."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.fit.group import Group, Method
+from armperturb.analysis.fit.likelihood import (
+    LackOfFit,
+    Normal,
+)
+from armperturb.analysis.fit.structures import unit
+from armperturb.arrays import Array
+from armperturb.subject import Subject
+
+STABILISING = (0.0, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
+"""Shares of the default start that are mixed into an unstable one until it is stable [-]."""
+
+SINGULAR = 1e-12
+"""Least eigenvalue of the scaled information with which a structure can be identified [-]."""
+
+PART_OF = 1e-3
+"""Share of a direction of parameters from which on a parameter belongs to it [-]."""
+
+SHARES: Mapping[str, tuple[str, ...]] = {
+    "mass": ("m_h", "m_f", "m_tot"),
+    "damping": ("b_s", "b_se", "b_e"),
+    "stiffness": ("k_s", "k_se", "k_e"),
+    "velocity": ("kv_s", "kv_se", "kv_e"),
+    "position": ("kp_s", "kp_se", "kp_e"),
+    "acceleration": ("ka_s", "ka_se", "ka_e"),
+    "force": ("kf_s", "kf_se", "kf_e"),
+    "delay": ("Td_s", "Td_e"),
+    "cutoff": ("fact_s", "fact_e"),
+    "grip": ("b_h", "k_h"),
+}
+"""Names for parameters that are shared together; single ones are named as they are."""
+
+
+class JointLikelihood:
+    """Free parameters of all groups in one vector, and their likelihood."""
+
+    def __init__(self, groups: Sequence[Group], method: Method, share: Sequence[str]) -> None:
+        self.groups = tuple(groups)
+        self.likelihoods = [group.period if method == "frequency" else group.record for group in self.groups]
+        shared = shared_names(self.groups, share)
+        self.names: list[str] = []
+        self.columns: list[list[int]] = []
+        for group in self.groups:
+            mine = []
+            for name in group.structure.free:
+                label = name if len(self.groups) == 1 or name in shared else f"{name} [{group.label}]"
+                if label not in self.names:
+                    self.names.append(label)
+                mine.append(self.names.index(label))
+            self.columns.append(mine)
+        self.lower, self.upper = np.full(len(self.names), -np.inf), np.full(len(self.names), np.inf)
+        for group, columns in zip(self.groups, self.columns, strict=True):
+            lower, upper = np.array([group.structure.bounds[name] for name in group.structure.free]).T
+            self.lower[columns] = np.maximum(self.lower[columns], lower)
+            self.upper[columns] = np.minimum(self.upper[columns], upper)
+        for name, lower, upper in zip(self.names, self.lower, self.upper, strict=True):
+            if not lower < upper:
+                raise ValueError(f"bounds of the shared {name} cross ({lower:g} to {upper:g}); expected some overlap")
+
+    def initial(self, given: Mapping[str, float]) -> Array:
+        """Given values, and where there is none the mean over the groups of where linear least squares would start."""
+        values = self._mean([group.initial for group in self.groups])
+        for name, value in given.items():
+            if name not in self.names:
+                raise ValueError(f"initial: unknown parameter {name!r}; expected {', '.join(self.names)}")
+            column = self.names.index(name)
+            lower, upper = self.lower[column], self.upper[column]
+            if not lower <= value <= upper:
+                raise ValueError(
+                    f"initial: {name} = {value!r}; expected {lower:g} to {upper:g} {unit(name.split()[0])}"
+                )
+            values[column] = value
+        return values
+
+    def _mean(self, of_groups: Sequence[ArrayLike]) -> Array:
+        total, count = np.zeros(len(self.names)), np.zeros(len(self.names))
+        for columns, values in zip(self.columns, of_groups, strict=True):
+            total[columns] += np.asarray(values)
+            count[columns] += 1.0
+        return np.clip(total / count, self.lower, self.upper)
+
+    def parameters(self, values: Array) -> list[Array]:
+        """Parameters of the arm in each group."""
+        return [
+            group.structure.parameters(group.body.task, values[columns])
+            for group, columns in zip(self.groups, self.columns, strict=True)
+        ]
+
+    def arms(self, values: Array) -> list[Subject]:
+        """The arm of each group."""
+        return [
+            group.structure.arm(group.body, values[columns])
+            for group, columns in zip(self.groups, self.columns, strict=True)
+        ]
+
+    def pole(self, values: Array) -> float:
+        """Largest real part of a pole of any arm on its environment [1/s]."""
+        arms = zip(self.arms(values), self.groups, strict=True)
+        return max(largest_real_pole(arm, group.environment) for arm, group in arms)
+
+    def weigh(self, values: Array) -> None:
+        """Estimate the noise at these parameters; it holds until the next call."""
+        for likelihood, parameters in zip(self.likelihoods, self.parameters(values), strict=True):
+            likelihood.weigh(parameters)
+
+    def cost(self, values: Array) -> float:
+        """Sum of squares of the white residual."""
+        pairs = zip(self.likelihoods, self.parameters(values), strict=True)
+        return sum(likelihood.cost(parameters) for likelihood, parameters in pairs)
+
+    def objective(self, values: Array) -> float:
+        """Minus twice the log-likelihood, up to a constant."""
+        pairs = zip(self.likelihoods, self.parameters(values), strict=True)
+        return sum(likelihood.objective(parameters) for likelihood, parameters in pairs)
+
+    def normal(self, values: Array) -> Normal:
+        """Normal equations of a Gauss-Newton step."""
+        cost, slope = 0.0, np.zeros(len(self.names))
+        information = np.zeros((len(self.names), len(self.names)))
+        every = zip(self.groups, self.likelihoods, self.columns, self.parameters(values), strict=True)
+        for group, likelihood, columns, parameters in every:
+            part = likelihood.normal(parameters, group.structure.mixing)
+            cost += part.cost
+            slope[columns] += part.slope
+            information[np.ix_(columns, columns)] += part.information
+        return Normal(cost, slope, information)
+
+    def lack_of_fit(self, values: Array) -> LackOfFit:
+        """Of all groups together; the noise must have been weighed."""
+        parts = [
+            likelihood.lack_of_fit(parameters)
+            for likelihood, parameters in zip(self.likelihoods, self.parameters(values), strict=True)
+        ]
+        dof = sum(part.dof for part in parts) - len(self.names)
+        return LackOfFit(sum(part.chi2 for part in parts), max(dof, 1))
+
+    def published(self) -> Array:
+        """Mean over the groups of the structures' default starts."""
+        return self._mean([[group.structure.initial[name] for name in group.structure.free] for group in self.groups])
+
+    def stabilised(self, values: Array) -> Array:
+        """The values moved towards the structures' default starts until every arm is stable, or all the way."""
+        published = self.published()
+        for share in STABILISING:
+            mixed = (1.0 - share) * values + share * published
+            if self.pole(mixed) < 0.0:
+                break
+        return mixed
+
+    def require_identifiable(self, values: Array) -> None:
+        """Refuse structures in which some direction of the parameters changes no movement.
+
+        What has no effect at these values may have some elsewhere, as a delay has none without gains: only what has
+        none at the structures' default starts either is refused.
+
+        Raises:
+          ValueError: there is such a direction.
+        """
+        information = np.zeros((len(self.names), len(self.names)))
+        for place in (values, self.published()):
+            self.weigh(place)
+            information += self.normal(place).information
+            if scaled_information(information)[1][0] > SINGULAR:
+                return
+        require_informative(information, self.names)
+
+
+def require_informative(information: Array, names: Sequence[str]) -> None:
+    """Refuse information that leaves some direction of the parameters unknown.
+
+    Args:
+      information: Fisher information, (parameter, parameter).
+      names: of the parameters.
+
+    Raises:
+      ValueError: there is such a direction; the message names it.
+    """
+    scale, power, directions = scaled_information(information)
+    if power[0] > SINGULAR:
+        return
+    silent = [name for name, size in zip(names, np.diag(information), strict=True) if not size > 0.0]
+    if silent:
+        raise ValueError(f"{', '.join(silent)} cannot be identified: no effect on the movement; expected fixed values")
+    weak = directions[:, 0] / scale
+    weak /= np.abs(weak).max()
+    terms = [f"{w:+.2g} {name}" for w, name in zip(weak, names, strict=True) if abs(w) > PART_OF]
+    raise ValueError(
+        f"the structure cannot be identified: a change of {' '.join(terms)} leaves the movement as it is; "
+        "expected one of them fixed"
+    )
+
+
+def scaled_information(information: Array) -> tuple[Array, Array, Array]:
+    """Scale that gives the information a diagonal of ones, its eigenvalues then, rising, and its directions."""
+    scale = np.sqrt(np.diag(information))
+    scale[scale == 0.0] = 1.0
+    power, directions = np.linalg.eigh(information / np.outer(scale, scale))
+    return scale, np.asarray(power), np.asarray(directions)
+
+
+def shared_names(groups: Sequence[Group], share: Sequence[str]) -> set[str]:
+    """Parameters that the groups share.
+
+    Raises:
+      ValueError: a name is of no free parameter.
+    """
+    known = {name for group in groups for name in group.structure.free}
+    shared: set[str] = set()
+    for name in share:
+        names = [one for one in SHARES.get(name, (name,)) if one in known]
+        if not names:
+            raise ValueError(f"share: {name!r} is no free parameter; expected {', '.join((*SHARES, *sorted(known)))}")
+        shared.update(names)
+    return shared
