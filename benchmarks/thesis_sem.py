@@ -87,7 +87,7 @@ def main() -> None:
     for i, name in enumerate(names):
         mine, printed, plain = [], [], []
         for start in list(VARTHETA)[1:]:
-            row = as_published[start].rows()[i]
+            row = as_published[start].to_frame().iloc[i]
             value, sem = (
                 published.estimate(name, table, model="3b", start=start, quantity=quantity).mean
                 for table, quantity in (("E.3", "parameter"), ("E.4", "SEM"))

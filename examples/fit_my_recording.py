@@ -15,6 +15,7 @@
 
 # %%
 import json
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,7 @@ Path("wrong.json").write_text(json.dumps(sidecar))
 try:
     ap.import_recording([data / "position.csv"], sidecar="wrong.json")
 except ValueError as error:
-    print(error)
+    print(textwrap.fill(str(error), 110))
 
 # %% [markdown]
 # ## The admittance, without a model

@@ -53,9 +53,15 @@ def test_importing_is_quick_and_loads_no_heavy_library():
 @pytest.mark.parametrize(
     "lines",
     [
-        ("import gymnasium as gym", "import armperturb", VECTOR),
+        pytest.param(
+            ("import gymnasium as gym", "import armperturb", VECTOR),
+            marks=pytest.mark.slow(reason="a process for each"),
+        ),
         ("import armperturb", "import gymnasium as gym", VECTOR),
-        ("import gymnasium as gym", VECTOR.replace("Arm", "armperturb:Arm", 1)),
+        pytest.param(
+            ("import gymnasium as gym", VECTOR.replace("Arm", "armperturb:Arm", 1)),
+            marks=pytest.mark.slow(reason="a process for each"),
+        ),
     ],
     ids=["gymnasium first", "armperturb first", "by gymnasium"],
 )

@@ -12,8 +12,9 @@ LOOKS: dict[str, dict[str, Any]] = {
     "nonlinear": {"color": COLOURS["RT"], "linewidth": 1.3},
     "linear": FITTED,
     "skeletal": SKELETAL,
+    "predicted": FITTED,
 }
-"""Model to its line."""
+"""Model to its line; "predicted" is that of a single model."""
 
 ROW = 1.5
 """Height of a row [inch]."""

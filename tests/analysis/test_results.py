@@ -132,8 +132,11 @@ def test_an_identification_reads_as_a_table(identified):
         assert f"VAF x {result.vaf[0]:.1f} %" in text
         for name, value in result.fit.values.items():
             assert [name, plain(value)] in [line.split()[:2] for line in text.splitlines()]
-    if identified["RT7.5"].fit.estimator != "thesis":
-        require_readable(identified["RT7.5"].fit.detail)
+    detail = identified["RT7.5"].fit.detail
+    require_readable(detail)
+    if identified["RT7.5"].fit.estimator == "thesis":
+        assert "3 trials of relax" in repr(detail)
+        require_readable(detail.fits[0])
 
 
 def test_every_estimator_has_the_same_table(identified, tmp_path):

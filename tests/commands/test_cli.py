@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +17,14 @@ from armperturb.perturbations import Multisine, Pulse, save_perturbation
 from armperturb.recording import load_recording, save_recording
 from armperturb.study.recording import record as runner
 from armperturb.subject import POSITION, RELAX
+
+RECORDING = Path(__file__).parents[2] / "examples" / "data" / "relax.nc"
+"""Four trials of the subject S01 in the condition RT7.5."""
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return load_recording(RECORDING)
 
 
 @pytest.fixture
@@ -46,6 +55,7 @@ def simulate(folder, *options, subject="subject.toml", perturbation="pulse.csv",
     return ("simulate", *paths, *options)
 
 
+@pytest.mark.slow(reason="simulates a trial of 30 s and fits it")
 def test_simulate_then_identify(inputs, capsys):
     assert run(*simulate(inputs, "--ideal", perturbation="multisine.csv")) == 0
     assert run("identify", inputs / "out.nc", "--model", "3b", "--out", inputs / "results") == 0
@@ -83,6 +93,7 @@ def test_simulate_then_identify(inputs, capsys):
     assert fit["VAF_x"] > 98
 
 
+@pytest.mark.slow(reason="simulates four trials")
 def test_ideal_records_the_truth_and_the_seed_its_noise(inputs):
     for options, name in ((("--ideal",), "a"), (("--seed", 1), "b"), (("--seed", 2), "c"), (("--seed", 2), "d")):
         assert run(*simulate(inputs, *options, out=f"{name}.nc")) == 0
@@ -93,6 +104,7 @@ def test_ideal_records_the_truth_and_the_seed_its_noise(inputs):
     assert a.attrs["rate"] == 200.0
 
 
+@pytest.mark.slow(reason="simulates two trials")
 def test_pendulum_rope_changes_the_recording(inputs):
     assert run(*simulate(inputs, "--ideal", out="a.nc")) == 0
     assert run(*simulate(inputs, "--ideal", "--rope", "pendulum", out="b.nc")) == 0
@@ -160,39 +172,39 @@ def test_missing_files_and_folders_are_named(inputs, capsys):
 DAMAGE = {
     "no force": (lambda r: r.drop_vars("force"), "variable 'force' is missing"),
     "rate": (lambda r: r.isel(time=slice(None, None, 4)), "rate = 200 Hz"),
-    "too short": (lambda r: r.isel(time=slice(2000)), "expected a whole period of 20.48 s from 8 s on"),
-    "one direction": (lambda r: r.assign(perturbation=r["perturbation"] * [1.0, 0.0]), "cannot be told apart"),
+    "too short": (lambda r: r.isel(time=slice(2000)), "of a shorter record state the period"),
+    "one direction": (lambda r: r.assign(perturbation=r["perturbation"] * [1.0, 0.0]), "are not independent"),
     "flipped": (lambda r: r.assign(force=-r["force"]), "force must be the reaction force"),
 }
 
 
 @pytest.mark.parametrize("name", DAMAGE)
-def test_bad_recordings_are_refused_in_one_line(name, position_recording, tmp_path, capsys):
+def test_bad_recordings_are_refused_in_one_line(name, recording, tmp_path, capsys):
     damage, message = DAMAGE[name]
-    damage(position_recording.isel(trial=[0])).to_netcdf(tmp_path / "bad.nc", engine="h5netcdf")
-    line = refused(capsys, "identify", tmp_path / "bad.nc", "--model", "3b", "--out", tmp_path / "results")
+    damage(recording.isel(trial=[0])).to_netcdf(tmp_path / "bad.nc", engine="h5netcdf")
+    line = refused(capsys, "identify", tmp_path / "bad.nc", "--model", "1", "--out", tmp_path / "results")
     assert message in line
     assert "bad.nc" in line
     assert not (tmp_path / "results").exists()
 
 
-def test_subject_and_condition_are_picked(relax_recording, tmp_path, capsys):
-    save_recording(relax_recording, tmp_path / "r.nc")
-    common = ("identify", tmp_path / "r.nc", "--model", "1", "--out", tmp_path / "results")
-    assert "no subject 'X'; expected one of relax" in refused(capsys, *common, "--subject", "X")
+def test_subject_and_condition_are_picked(tmp_path, capsys):
+    common = ("identify", RECORDING, "--model", "1", "--out", tmp_path / "results")
+    assert "no subject 'X'; expected one of S01" in refused(capsys, *common, "--subject", "X")
     assert "no condition 'PT0'; expected one of RT7.5" in refused(capsys, *common, "--condition", "PT0")
-    assert run(*common, "--subject", "relax", "--condition", "RT7.5", "--lines-per-average", 1) == 0
 
 
 @pytest.fixture
-def two_recordings(noisy_relax_recording, tmp_path):
-    """Both conditions of a person, each in a file of its own."""
+def two_recordings(recording, tmp_path):
+    """A person in two conditions, each in a file of its own."""
     paths = [tmp_path / "a.nc", tmp_path / "b.nc"]
-    for path, part in zip(paths, (slice(3), slice(3, 6)), strict=True):
-        save_recording(noisy_relax_recording.isel(trial=part), path)
+    for path, condition, part in zip(paths, ("RT7.5", "RT22.5"), (slice(2), slice(2, 4)), strict=True):
+        trials = recording.isel(trial=part)
+        save_recording(trials.assign_coords(condition=("trial", [condition] * 2)), path)
     return paths
 
 
+@pytest.mark.slow(reason="fits two conditions together")
 def test_several_recordings_are_identified_together(two_recordings, tmp_path, capsys):
     common = ("identify", *two_recordings, "--model", "1", "--out", tmp_path / "r")
     assert run(*common, "--estimator", "frequency", "--share", "mass", "grip") == 0
@@ -210,37 +222,43 @@ def test_several_recordings_are_identified_together(two_recordings, tmp_path, ca
     assert len(fits["RT7.5"]["correlation"]["parameters"]) == 16
 
 
+@pytest.mark.slow(reason="fits each trial")
 def test_the_thesis_estimator_can_be_asked_for(two_recordings, tmp_path, capsys):
-    assert run(
-        "identify", two_recordings[0], "--model", "1", "--estimator", "thesis", "--out", tmp_path / "r"
-    ) == 0  # fmt: skip
-    assert "of 3 trials" in capsys.readouterr().out
+    whose = ("--subject", "S01", "--condition", "RT7.5")
+    arguments = ("identify", two_recordings[0], "--model", "1", "--estimator", "thesis", *whose)
+    assert run(*arguments, "--out", tmp_path / "r") == 0
+    assert "of 2 trials" in capsys.readouterr().out
     fit = json.loads((tmp_path / "r" / "fit.json").read_text())
-    assert (fit["estimator"], fit["n_trials"]) == ("thesis", 3)
+    assert (fit["estimator"], fit["n_trials"]) == ("thesis", 2)
     assert "chi2" not in fit
 
 
-def test_what_cannot_be_identified_together_is_refused(two_recordings, position_recording, tmp_path, capsys):
-    save_recording(position_recording, tmp_path / "p.nc")
-    save_recording(position_recording.isel(time=slice(5800)), tmp_path / "short.nc")
+@pytest.mark.slow(reason="reads recordings ten times")
+def test_what_cannot_be_identified_together_is_refused(two_recordings, recording, tmp_path, capsys):
+    in_other_task = {name: ("trial", [name] * 4) for name in ("subject", "condition")} | {"task": ("trial", ["PT"] * 4)}
+    save_recording(recording.assign_coords(in_other_task), tmp_path / "p.nc")
+    save_recording(recording.isel(time=slice(5800)), tmp_path / "short.nc")
     out = ("--out", tmp_path / "r")
     a, b = two_recordings
     line = refused(capsys, "identify", a, tmp_path / "p.nc", "--model", "1", *out)
-    assert "subjects relax, position; expected only one (choose a --subject)" in line
-    line = refused(capsys, "identify", tmp_path / "p.nc", tmp_path / "short.nc", "--model", "3b", *out)
-    assert "p.nc" in line
+    assert "subjects S01, subject; expected only one (choose a --subject)" in line
+    other = recording.assign_coords(condition=("trial", ["PT7.5"] * 4), task=("trial", ["PT"] * 4))
+    save_recording(other, tmp_path / "p.nc")
+    line = refused(capsys, "identify", a, tmp_path / "p.nc", "--model", "1", *out)
+    assert "trials of the tasks RT and PT; expected only one task (choose a --condition)" in line
+    line = refused(capsys, "identify", a, tmp_path / "short.nc", "--model", "1", *out)
+    assert "short.nc" in line
     assert "expected one rate and duration" in line
     line = refused(capsys, "identify", a, b, "--model", "1", "--estimator", "thesis", "--share", "mass", *out)
-    assert "share = mass; expected nothing with the thesis's estimator" in line
+    assert "share = mass; expected nothing with estimator = 'thesis'" in line
     line = refused(capsys, "identify", a, b, "--model", "1", "--share", "k_x", *out)
     assert "share: 'k_x' is no free parameter" in line
     assert not (tmp_path / "r").exists()
 
 
-def test_a_result_that_cannot_be_written_leaves_the_others_as_they_were(position_recording, tmp_path, capsys):
-    save_recording(position_recording.isel(trial=[0]), tmp_path / "r.nc")
+def test_a_result_that_cannot_be_written_leaves_the_others_as_they_were(tmp_path, capsys):
     (tmp_path / "results" / "parameters.csv").mkdir(parents=True)
-    line = refused(capsys, "identify", tmp_path / "r.nc", "--model", "3b", "--out", tmp_path / "results")
+    line = refused(capsys, "identify", RECORDING, "--model", "1", "--out", tmp_path / "results")
     assert "parameters.csv: is a folder" in line
     assert [path.name for path in (tmp_path / "results").iterdir()] == ["parameters.csv"]
 
@@ -283,6 +301,7 @@ def in_a_process(folder, backend, *arguments):
     return done.returncode, done.stderr
 
 
+@pytest.mark.slow(reason="a process for each library")
 @pytest.mark.skipif(sys.platform != "linux", reason="OSMesa is for Linux")
 @pytest.mark.parametrize(
     ("backend", "message"),
@@ -300,6 +319,7 @@ def test_a_library_that_does_not_load_is_one_line(tmp_path, backend, message):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow(reason="a process of its own")
 def test_identify_needs_no_simulator(tmp_path):
     status, said = in_a_process(tmp_path, "foo", "identify", "none.nc", "--model", "1", "--out", "r")
     assert status == 1

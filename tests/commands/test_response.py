@@ -57,6 +57,7 @@ def test_multisines_give_tables_figures_and_the_distortion(folder, tmp_path, cap
     assert {row["condition"] for row in levels + table} == {"PT"}
 
 
+@pytest.mark.slow(reason="estimates from long records")
 def test_records_of_unequal_length_in_other_formats(folder, tmp_path, capsys):
     from armperturb.recording import load_recording
 
@@ -72,12 +73,14 @@ def test_records_of_unequal_length_in_other_formats(folder, tmp_path, capsys):
     assert np.median(np.abs(found - truth)[used] / np.abs(truth).max(axis=(1, 2), keepdims=True)[used]) < 0.02
 
 
+@pytest.mark.slow(reason="fits a state space")
 def test_without_covariance_there_are_no_bands(folder, tmp_path, capsys):
     assert run("response", folder / "noise.nc", "--method", "subspace", "--out", tmp_path) == 0
     assert "no uncertainty" in capsys.readouterr().out
     assert {row["standard_error"] for row in rows(tmp_path / "response.csv")} == {""}
 
 
+@pytest.mark.slow(reason="draws figures")
 def test_an_earlier_distortion_goes(folder, tmp_path, capsys):
     (tmp_path / "distortion.csv").write_text("old")
     assert run("response", folder / "multisine.nc", "--what", "total", "--out", tmp_path) == 0

@@ -170,6 +170,7 @@ def test_matlab_v5_in_every_form(tmp_path, form):
     assert_is_the_laboratory(import_recording([tmp_path / "lab.mat"]).recording)
 
 
+@pytest.mark.slow(reason="a child process for each form")
 @pytest.mark.parametrize("form", ["time by trial", "structures"])
 def test_matlab_v73(tmp_path, form):
     content, channels = in_matlab("time by trial")
@@ -223,6 +224,7 @@ def test_c3d_with_markers_and_converter_at_different_rates(tmp_path):
     assert environment.m_env == pytest.approx(MASS, rel=2e-3)
 
 
+@pytest.mark.slow(reason="two child processes, and a C3D file written")
 def test_c3d_units_that_the_file_contradicts_are_refused(tmp_path):
     write_c3d(tmp_path / "lab.c3d")
     text = (tmp_path / "lab.json").read_text()
@@ -238,6 +240,7 @@ def test_without_ezc3d_the_extra_is_named(tmp_path, monkeypatch):
         import_recording([tmp_path / "lab.c3d"], rate=200.0)
 
 
+@pytest.mark.slow(reason="records at 500 Hz, as text")
 def test_other_rates_are_resampled_as_asked(tmp_path):
     fine = table(rate=500.0)
     path = write(tmp_path, fine, meaning(rate=500.0))

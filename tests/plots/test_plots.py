@@ -7,6 +7,7 @@ import pytest
 from matplotlib import pyplot
 
 import armperturb
+from armperturb.analysis.nonlinear.prediction import PulsePrediction
 from armperturb.analysis.results import PARAMETER_COLUMNS
 from armperturb.plots.parameters import plot_parameters
 from armperturb.plots.scores import FARTHEST, plot_scores
@@ -77,3 +78,21 @@ def test_scores_keep_what_is_far_at_the_edge():
     drawn = np.concatenate([line.get_xdata() for line in ax.get_lines() if line.get_marker() in "o<>"])
     assert sorted(drawn.tolist()) == [-FARTHEST, 0.3, FARTHEST]
     assert [label.get_text() for label in ax.get_yticklabels()] == ["F.2", "C.3"]
+
+
+def test_a_predicted_pulse_reads_as_a_line_and_plots():
+    time = np.arange(60) / 200.0
+    recorded = np.stack([np.sin(9.0 * time), 0.5 * np.cos(9.0 * time)], axis=1)
+    pulse = PulsePrediction(
+        condition="PT7.5", direction_deg=20.0, time=time, recorded=recorded, predicted=0.9 * recorded
+    )
+    assert repr(pulse) == "Pulse at 20 deg in PT7.5: predicted over recorded peak 90 %, VAF 99.0 %"
+    frame = pulse.to_frame()
+    assert list(frame.columns) == ["time_s", "recorded_x_m", "recorded_y_m", "predicted_x_m", "predicted_y_m"]
+    np.testing.assert_array_equal(frame["predicted_y_m"], pulse.predicted[:, 1])
+    axes = armperturb.plot(pulse, figure=new_figure(1.0))
+    assert axes.shape == (1, 2)
+    for ax, column in zip(axes[0], range(2), strict=True):
+        shown = {line.get_label(): line.get_ydata() for line in ax.get_lines()}
+        np.testing.assert_allclose(shown["recorded"], 1e3 * recorded[:, column])
+        np.testing.assert_allclose(shown["predicted"], 1e3 * pulse.predicted[:, column])

@@ -1,8 +1,10 @@
 """Arm model structures: which parameters are estimated, within which bounds, and what the others are (table C.1)."""
 
 import math
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from importlib import resources
 from types import MappingProxyType
 from typing import Any, NoReturn, Self
 
@@ -11,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from armperturb.analysis.arm.parameters import PARAMETERS, parameter_vector
 from armperturb.arrays import Array
-from armperturb.subject import HUMERUS_MASS_SHARE, TASKS, Subject
+from armperturb.subject import TASKS, Subject
 
 Bounds = tuple[float, float]
 
@@ -28,7 +30,7 @@ UNITS = {
 }
 GRIP_UNITS = {"b_h": "Ns/m", "k_h": "N/m"}
 
-_DEFAULTS = {one.name: one.default for one in fields(Subject) if isinstance(one.default, float)}
+_DEFAULTS = {each.name: each.default for each in fields(Subject) if isinstance(each.default, float)}
 _AT_LEAST_ZERO = ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e", "b_h")
 _ABOVE_ZERO = ("m_h", "m_f", "k_h", "Td_s", "Td_e", "fact_s", "fact_e")
 
@@ -252,169 +254,41 @@ class Structure:
         }
 
 
-_JOINTS = ("s", "se", "e")
+_PUBLISHED = tomllib.loads(resources.files(__package__).joinpath("structures.toml").read_text(encoding="utf-8"))
 
 
-def _triple(quantity: str, bounds: Bounds) -> dict[str, Bounds]:
-    return {f"{quantity}_{joint}": bounds for joint in _JOINTS}
+def _published(name: str) -> Structure:
+    """A structure of the file beside this module."""
+    table = _PUBLISHED["structures"][name]
+    return Structure(
+        name=name,
+        bounds={parameter: (lower, upper) for parameter, (lower, _, upper) in table["free"].items()},
+        initial={parameter: initial for parameter, (_, initial, _) in table["free"].items()},
+        fixed={task: table.get("fixed", {}).get(task, {}) for task in TASKS},
+        tied=table.get("tied", {}),
+    )
 
 
-# Table C.2. It prints 35 to 45 ms for Td_e, which 25 of the published estimates contradict (31 to 34 ms in all tables
-# of the position task); from 25 ms on, as for Td_s, all of them are inside.
-_INTRINSIC = {
-    "m_h": (1.0, 3.0),
-    "m_f": (0.5, 4.0),
-    **_triple("b", (0.0, 1e2)),
-    **_triple("k", (0.0, 1e3)),
-    "b_h": (0.0, 5e3),
-    "k_h": (2e3, 3e4),
-}
-_FEEDBACK = {
-    "kf": _triple("kf", (-1e2, 1e2)),
-    "ka": _triple("ka", (-5.0, 5.0)),
-    "kv": _triple("kv", (-1e2, 1e2)),
-    "kp": _triple("kp", (-1e3, 1e3)),
-}
-_DELAY_AND_ACTIVATION = {"Td_s": (0.025, 0.035), "Td_e": (0.025, 0.045), "fact_s": (1.7, 3.0), "fact_e": (1.7, 3.0)}
-
-# Table C.13 (RT7.5, without penalty) for model 1, which the thesis kept for the relax task; table C.3 (PT7.5, without
-# penalty) for the others.
-_STARTS: dict[str, dict[str, tuple[float, ...]]] = {
-    "1": {"m": (2.04, 1.92), "b": (1.91, 1.25, 1.47), "k": (7.7, 1.8, 5.5), "grip": (32.8, 8.4e3)},
-    "2": {
-        "m": (1.52, 2.30),
-        "b": (4.91, 5.04, 9.62),
-        "k": (112.71, 60.76, 190.29),
-        "grip": (60.83, 23.74e3),
-        "kv": (18.81, 17.61, 29.22),
-        "Td": (27.18e-3, 32.41e-3),
-        "fact": (2.93, 2.57),
-    },
-    "3": {
-        "m": (1.79, 2.68),
-        "b": (2.10, 4.78, 8.42),
-        "k": (181.40, 60.82, 158.46),
-        "grip": (66.73, 24.88e3),
-        "kv": (13.30, 16.84, 21.64),
-        "kp": (-57.59, 36.59, 71.73),
-        "Td": (31.23e-3, 31.37e-3),
-        "fact": (2.80, 2.74),
-    },
-    "4": {
-        "m": (1.60, 2.60),
-        "b": (2.36, 3.62, 7.17),
-        "k": (145.31, 57.03, 135.82),
-        "grip": (64.28, 24.97e3),
-        "kf": (-0.69, -0.28, -0.43),
-        "kv": (17.86, 15.99, 20.51),
-        "kp": (64.96, 59.01, 52.81),
-        "Td": (30.05e-3, 31.81e-3),
-        "fact": (2.55, 2.69),
-    },
-    "5": {
-        "m": (1.96, 2.24),
-        "b": (2.99, 2.18, 7.71),
-        "k": (78.83, 46.05, 32.36),
-        "grip": (66.80, 26.97e3),
-        "ka": (0.46, 0.29, 1.09),
-        "kv": (18.58, 12.92, 23.34),
-        "kp": (60.87, 95.69, 370.04),
-        "Td": (31.36e-3, 32.98e-3),
-        "fact": (2.78, 2.75),
-    },
-    "6": {
-        "m": (1.87, 2.23),
-        "b": (2.96, 1.83, 6.83),
-        "k": (131.31, 39.53, 31.96),
-        "grip": (63.61, 26.49e3),
-        "kf": (-1.57, -0.02, -1.06),
-        "ka": (-0.31, 0.10, 0.96),
-        "kv": (19.20, 13.44, 22.37),
-        "kp": (177.57, 99.94, 412.18),
-        "Td": (29.47e-3, 32.60e-3),
-        "fact": (2.50, 2.66),
-    },
-}
-_PAIRS = {"m": ("m_h", "m_f"), "grip": ("b_h", "k_h"), "Td": ("Td_s", "Td_e"), "fact": ("fact_s", "fact_e")}
-
-
-def _table_c1(name: str) -> Structure:
-    """One of the six structures of table C.1."""
-    quantities = _STARTS[name]
-    initial = {
-        parameter: value
-        for quantity, values in quantities.items()
-        for parameter, value in zip(
-            _PAIRS.get(quantity, [f"{quantity}_{joint}" for joint in _JOINTS]), values, strict=True
-        )
-    }
-    bounds: dict[str, Bounds] = dict(_INTRINSIC)
-    for quantity, pairs in _FEEDBACK.items():
-        bounds |= pairs if quantity in quantities else {}
-    bounds |= _DELAY_AND_ACTIVATION if "Td" in quantities else {}
-    return Structure(name=name, bounds=bounds, initial=initial, fixed={"PT": {}, "RT": {}})
-
-
-_DELAY_AND_CUTOFF = {"Td_s": 0.030, "Td_e": 0.030, "fact_s": 3.5, "fact_e": 3.5}
-
-_MODEL_3B = Structure(
-    name="3b",
-    # Table E.3, start vartheta_i5.
-    initial=dict(
-        m_tot=2.96,
-        b_s=2.98,
-        b_se=4.78,
-        b_e=13.41,
-        k_s=148.2,
-        k_se=82.1,
-        k_e=131.5,
-        kv_s=9.7,
-        kv_se=10.2,
-        kv_e=14.8,
-        kp_s=7.5,
-        kp_se=8.1,
-        kp_e=28.3,
-    ),
-    # Table E.2.
-    bounds={
-        "m_tot": (0.5, 8.0),
-        **_triple("b", (0.0, 1e2)),
-        **_triple("k", (0.0, 1e3)),
-        **_triple("kv", (0.0, 1e2)),
-        **_triple("kp", (0.0, 1e3)),
-    },
-    # Section 2.7.
-    fixed={
-        "PT": {"b_h": 57.0, "k_h": 22.4e3, **_DELAY_AND_CUTOFF},
-        "RT": {"b_h": 32.8, "k_h": 8.4e3, **_DELAY_AND_CUTOFF},
-    },
-    # Eqs 2.14, 2.15.
-    tied={"m_h": {"m_tot": HUMERUS_MASS_SHARE}, "m_f": {"m_tot": 1 - HUMERUS_MASS_SHARE}},
-)
-
-# Bounds of table D.2, whose lower bounds of -1e-2 for kv are taken as -1e2; start vartheta_i1 of table E.3.
-_MODEL_3A = _MODEL_3B.freeing(
-    m_tot=(0.5, 3.94, 8.0),
-    b_s=(0.0, 3.98, 1e2),
-    b_se=(0.0, 6.38, 1e2),
-    b_e=(0.0, 10.72, 1e2),
-    k_s=(0.0, 197.6, 1e3),
-    k_se=(0.0, 109.5, 1e3),
-    k_e=(0.0, 175.4, 1e3),
-    kv_s=(-1e2, 12.9, 1e2),
-    kv_se=(-1e2, 13.6, 1e2),
-    kv_e=(-1e2, 19.7, 1e2),
-    kp_s=(-1e3, -47.5, 1e3),
-    kp_se=(-1e3, 10.8, 1e3),
-    kp_e=(-1e3, 37.8, 1e3),
-).named("3a")
+MODEL_3_WIDE = _published("3 (D.2)")
+"""Model 3 with the bounds of table D.2."""
 
 STRUCTURES = MappingProxyType(
-    {structure.name: structure for structure in (*map(_table_c1, _STARTS), _MODEL_3A, _MODEL_3B)}
+    {name: _published(name) for name in _PUBLISHED["structures"] if name != MODEL_3_WIDE.name}
 )
 """Structures by name. 1 to 6 are those of table C.1: intrinsic and grip (1), with velocity (2), velocity and position
 (3) feedback, and with force (4), acceleration (5) or both (6) beside these. 3a and 3b are those of appendix E: total
 mass, velocity and position feedback, with (3a) and without (3b) negative gains; grip, delay and cut-off fixed."""
+
+
+def published_starts(appendix: str, structure: Structure) -> Mapping[str, Mapping[str, float]]:
+    """Name of each start of an appendix to its initial values, SI.
+
+    Args:
+      appendix: "D" or "E".
+      structure: whose free parameters the file lists.
+    """
+    starts = _PUBLISHED["starts"][appendix].items()
+    return MappingProxyType({name: dict(zip(structure.free, values, strict=True)) for name, values in starts})
 
 
 def at_truth(structure: Structure, truth: Subject) -> Structure:

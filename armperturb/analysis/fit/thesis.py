@@ -14,8 +14,7 @@ two (`benchmarks.thesis_sem`).
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,16 +23,20 @@ from armperturb.analysis.arm.linear_arm import Delay
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.fit.admittance_fit import AdmittanceFit, fit_admittance, fit_admittances
 from armperturb.analysis.fit.admittance_problem import Target
-from armperturb.analysis.fit.structures import STRUCTURES, Structure, unit
+from armperturb.analysis.fit.structures import MODEL_3_WIDE, STRUCTURES, Structure, published_starts, unit
 from armperturb.analysis.measures.vaf import trial_vaf
 from armperturb.analysis.response.spectra import single_trial_spectra
+from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials, Trials, per_trials, prepared
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 
+if TYPE_CHECKING:
+    import pandas as pd
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ThesisEstimate:
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ThesisEstimate(Result):
     """A structure fitted to every trial of a condition, and the averages that the thesis prints.
 
     Attributes:
@@ -49,6 +52,27 @@ class ThesisEstimate:
     environment: Environment
     fits: tuple[AdmittanceFit, ...]
     vaf: Array
+
+    def describe(self) -> Description:
+        """Means over subjects, SDs over them, and how the fits ended."""
+        n, people = len(self.fits), list(dict.fromkeys(self.subjects))
+        who = people[0] if len(people) == 1 else f"{len(people)} people"
+        vaf, _ = self.mean_vaf()
+        return Description(
+            title=f"The thesis's estimator, model {self.structure}: {n} trial{'' if n == 1 else 's'} of {who}",
+            facts=(
+                f"{self.n_stable} stable; {self.n_positive} with a positive VAF, mean x {vaf[0]:.1f}, y {vaf[1]:.1f} %",
+                ", ".join(f"{count} of {n} {words}" for words, count in self.status.items()),
+            ),
+            table=Table(
+                ("parameter", "mean", "SD over people", "SEM", "unit"),
+                tuple(
+                    (row["parameter"], *(plain(row[name]) for name in ("value", "value_sd", "sem")), row["unit"])
+                    for row in self.to_frame().to_dict("records")
+                ),
+            ),
+            remarks=tuple(f"{name} sits on a bound in {count} of {n} trials" for name, count in self.at_bound.items()),
+        )
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -115,30 +139,33 @@ class ThesisEstimate:
 
     def mean_vaf(self) -> tuple[Array, Array]:
         """Mean and SD over trials with a positive VAF [%], (axis,) each; NaN without any (tables C.5 to E.5)."""
-        kept = self.vaf[self.positive]
-        if not len(kept):
+        positive = self.vaf[self.positive]
+        if not len(positive):
             return np.full(2, np.nan), np.full(2, np.nan)
-        return kept.mean(axis=0), np.asarray(kept.std(axis=0, ddof=1) if len(kept) > 1 else np.full(2, np.nan))
+        return positive.mean(axis=0), np.asarray(
+            positive.std(axis=0, ddof=1) if len(positive) > 1 else np.full(2, np.nan)
+        )
 
     def means(self) -> dict[str, float]:
         """Group means, from which another fit may start (step 2 of appendix C)."""
         return dict(zip(self.parameters, map(float, self.over_subjects(self.values)[0]), strict=True))
 
-    def rows(self) -> list[dict[str, Any]]:
+    def to_frame(self) -> "pd.DataFrame":
         """One row per parameter, as in tables E.3 and E.4: means and SDs over subjects of estimate and SEM, SI."""
+        import pandas as pd
+
         (mean, sd), (sem, sem_sd) = self.over_subjects(self.values), self.over_subjects(self.sem)
-        return [
+        return pd.DataFrame(
             {
-                "parameter": name,
-                "unit": unit(name),
-                "value": float(mean[i]),
-                "value_sd": float(sd[i]),
-                "sem": float(sem[i]),
-                "sem_sd": float(sem_sd[i]),
-                "sem_over_value": float(abs(sem[i] / mean[i])) if mean[i] else float("inf"),
+                "parameter": self.parameters,
+                "unit": [unit(name) for name in self.parameters],
+                "value": mean,
+                "value_sd": sd,
+                "sem": sem,
+                "sem_sd": sem_sd,
+                "sem_over_value": np.divide(np.abs(sem), np.abs(mean), out=np.full_like(sem, np.inf), where=mean != 0),
             }
-            for i, name in enumerate(self.parameters)
-        ]
+        )
 
 
 @per_trials
@@ -264,14 +291,14 @@ def join_estimates(estimates: Sequence[ThesisEstimate]) -> ThesisEstimate:
     Raises:
       ValueError: structures differ.
     """
-    structures = list(dict.fromkeys(one.structure for one in estimates))
+    structures = list(dict.fromkeys(estimate.structure for estimate in estimates))
     if len(structures) != 1:
         raise ValueError(f"estimates of structures {', '.join(structures) or 'none'}; expected one structure")
     return replace(
         estimates[0],
-        subjects=tuple(name for one in estimates for name in one.subjects),
-        fits=tuple(fit for one in estimates for fit in one.fits),
-        vaf=np.concatenate([one.vaf for one in estimates]),
+        subjects=tuple(name for estimate in estimates for name in estimate.subjects),
+        fits=tuple(fit for estimate in estimates for fit in estimate.fits),
+        vaf=np.concatenate([estimate.vaf for estimate in estimates]),
     )
 
 
@@ -347,61 +374,8 @@ def appendix_e(trials: Trials, **options: Any) -> dict[str, ThesisEstimate]:
     return dict(zip(VARTHETA, fit_wanted(wanted, **options), strict=True))
 
 
-_WIDE = {
-    "m_h": (0.5, 4.0),
-    "m_f": (0.5, 4.0),
-    "Td_s": (0.025, 0.075),
-    "Td_e": (0.025, 0.075),
-    "fact_s": (1.7, 6.0),
-    "fact_e": (1.7, 6.0),
-}
-
-_THETA_1 = {
-    **dict(m_h=1.7, m_f=2.4, b_s=2.6, b_se=6.1, b_e=11.1, k_s=202.9, k_se=76.4, k_e=182.1, b_h=73.8, k_h=26.1e3),
-    **dict(kv_s=13.6, kv_se=19.7, kv_e=24.9, kp_s=-63.4, kp_se=38.4, kp_e=65.9),
-    **dict(Td_s=31.6e-3, Td_e=31.7e-3, fact_s=2.8, fact_e=2.8),
-}
-
-MODEL_3_WIDE = (
-    STRUCTURES["3"]
-    .freeing(**{name: (lower, _THETA_1[name], upper) for name, (lower, upper) in _WIDE.items()})
-    .named("3 (D.2)")
-)
-"""Model 3 with the bounds of table D.2."""
-
-THETA = MappingProxyType(
-    {
-        "theta_i1": _THETA_1,
-        "theta_i2": {
-            **_THETA_1,
-            **dict(b_s=16.2, b_se=23.2, b_e=36.0, k_s=139.6, k_se=103.3, k_e=248.1),
-            **dict(kv_s=0.1, kv_se=0.2, kv_e=0.2, kp_s=-0.6, kp_se=0.4, kp_e=0.7),
-        },
-        "theta_i3": {**_THETA_1, **dict(Td_s=0.050, Td_e=0.050)},
-        "theta_i4": {**_THETA_1, **dict(fact_s=5.0, fact_e=5.0)},
-        "theta_i5": {**_THETA_1, **dict(b_se=0.1, k_se=0.8, kv_se=0.2, kp_se=0.4)},
-        # k_h is printed as 32.6 kN/m, beyond its own bound of 30 kN/m: it starts there.
-        "theta_i6": {
-            **dict(m_h=1.3, m_f=3.0, b_s=3.3, b_se=4.5, b_e=8.3, k_s=152.2, k_se=95.5, k_e=227.7, b_h=55.4, k_h=30e3),
-            **dict(kv_s=10.2, kv_se=14.8, kv_e=18.7, kp_s=-47.5, kp_se=28.8, kp_e=49.4),
-            **dict(Td_s=25.3e-3, Td_e=25.3e-3, fact_s=3.5, fact_e=2.1),
-        },
-    }
-)
+THETA = published_starts("D", MODEL_3_WIDE)
 """Initial parameter vectors of appendix D, SI (table D.3, in italics)."""
 
-_MODEL_3B = STRUCTURES["3b"].free
-VARTHETA = MappingProxyType(
-    {
-        name: dict(zip(_MODEL_3B, values, strict=True))
-        for name, values in {
-            "vartheta_i1": (3.94, 3.98, 6.38, 10.72, 197.6, 109.5, 175.4, 12.9, 13.6, 19.7, -47.5, 10.8, 37.8),
-            "vartheta_i2": (3.94, 3.98, 6.38, 10.72, 197.6, 109.5, 175.4, 12.9, 13.6, 19.7, 10.0, 10.8, 37.8),
-            "vartheta_i3": (4.93, 4.97, 4.78, 13.41, 247.0, 82.1, 131.5, 16.1, 16.9, 24.6, 7.5, 13.5, 47.2),
-            "vartheta_i4": (2.96, 4.97, 4.78, 13.41, 148.2, 82.1, 131.5, 9.7, 10.2, 24.6, 12.5, 13.5, 28.3),
-            "vartheta_i5": (2.96, 2.98, 4.78, 13.41, 148.2, 82.1, 131.5, 9.7, 10.2, 14.8, 7.5, 8.1, 28.3),
-            "vartheta_i6": (4.93, 4.97, 4.78, 13.41, 148.2, 82.1, 219.2, 9.7, 16.9, 24.6, 12.5, 8.1, 47.2),
-        }.items()
-    }
-)
+VARTHETA = published_starts("E", STRUCTURES["3b"])
 """Initial parameter vectors of appendix E, SI (table E.3, in italics)."""

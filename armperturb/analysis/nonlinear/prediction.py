@@ -1,20 +1,28 @@
 """Pulses as a fitted person, linear or not, predicts them (thesis 2.8)."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.measures.pulse import WINDOWS, peak_norm
+from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, Indices
 from armperturb.planar_arm.lanes import lane_table
 from armperturb.planar_arm.simulation import Disturbances
+from armperturb.recording import LABELS
 from armperturb.subject import Subject
 
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
 
-class PulsePrediction(NamedTuple):
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PulsePrediction(Result):
     """The pulse of one trial, as recorded and as predicted.
 
     Attributes:
@@ -30,6 +38,39 @@ class PulsePrediction(NamedTuple):
     time: Array
     recorded: Array
     predicted: Array
+
+    def describe(self) -> Description:
+        """Which pulse, and how well it is predicted."""
+        return Description(
+            title=f"Pulse at {self.direction_deg:g} deg in {self.condition}: predicted over recorded peak "
+            f"{self.peak:.0f} %, VAF {self.vaf:.1f} %"
+        )
+
+    def to_frame(self) -> "pd.DataFrame":
+        """One row per sample: recorded and predicted displacement [m]."""
+        import pandas as pd
+
+        columns = {
+            f"{name}_{axis}_m": values[:, column]
+            for name, values in (("recorded", self.recorded), ("predicted", self.predicted))
+            for column, axis in enumerate(LABELS["axis"])
+        }
+        return pd.DataFrame({"time_s": self.time, **columns})
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw displacement along x and y, as recorded and as predicted.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (1, axis).
+        """
+        from armperturb.plots.pulses import PredictedPulse, plot_pulses
+
+        title = f"{self.condition}, pulse at {self.direction_deg:g} deg"
+        shown = PredictedPulse(title, self.time, self.recorded, {"predicted": self.predicted})
+        return plot_pulses([shown], figure)
 
     @property
     def peak(self) -> float:
@@ -84,11 +125,11 @@ def _with_window(recorded: ConditionTrials) -> tuple[list[int], Indices]:
 def _compared(recorded: ConditionTrials, trials: list[int], ends: Indices, responses: Array) -> list[PulsePrediction]:
     return [
         PulsePrediction(
-            recorded.label,
-            float(recorded.direction_deg[trial]),
-            np.arange(end - recorded.onset[trial]) / recorded.rate,
-            recorded.displacement[trial, recorded.onset[trial] : end],
-            response[recorded.onset[trial] : end],
+            condition=recorded.label,
+            direction_deg=float(recorded.direction_deg[trial]),
+            time=np.arange(end - recorded.onset[trial]) / recorded.rate,
+            recorded=recorded.displacement[trial, recorded.onset[trial] : end],
+            predicted=response[recorded.onset[trial] : end],
         )
         for trial, end, response in zip(trials, ends, responses, strict=True)
     ]

@@ -5,6 +5,7 @@ directions. Pulses that were left out of a fit are what it is judged by.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -205,9 +206,9 @@ def _left_out(
                     driven = mine["perturbation"].values[trial, : prepared.onset[trial] + len(pulse.time)]
                     onset = int(prepared.onset[trial])
                     path = simulate_linear(arm, environment, driven, prepared.rate).displacement[onset:]
-                    predicted["linear"] = pulse._replace(predicted=path)
+                    predicted["linear"] = replace(pulse, predicted=path)
                     path = simulate_skeletal(arm, environment, driven, prepared.rate, onset)
-                    predicted["skeletal"] = pulse._replace(predicted=path)
+                    predicted["skeletal"] = replace(pulse, predicted=path)
                 level = abs(float(mine["pulse_level"].values[trial]))
                 pulses.append(_with_predictions(LeftOutPulse(label, level, float(direction), {}, {}, {}), predicted))
     return pulses

@@ -70,7 +70,7 @@ def test_averages_are_over_trials_and_then_over_subjects(estimate):
     of_first, of_other = estimate.values[:3].mean(axis=0), estimate.values[3]
     np.testing.assert_allclose(mean, (of_first + of_other) / 2)
     np.testing.assert_allclose(sd, np.abs(of_first - of_other) / np.sqrt(2))
-    rows = {row["parameter"]: row for row in estimate.rows()}
+    rows = {row["parameter"]: row for row in estimate.to_frame().to_dict("records")}
     assert rows["k_s"]["value"] == pytest.approx(mean[estimate.parameters.index("k_s")])
     assert rows["k_s"]["sem_over_value"] == pytest.approx(rows["k_s"]["sem"] / rows["k_s"]["value"])
     assert estimate.means() == pytest.approx(dict(zip(estimate.parameters, mean, strict=True)))
