@@ -117,6 +117,7 @@ def test_fits_and_correlations_are_told(study):
     assert row["correlation"] == first.correlation[names.index("k_s"), names.index("kp_s")]
 
 
+@pytest.mark.slow(reason="identifies a person")
 def test_a_thesis_fit_that_fails_costs_nothing_else(relax_recording, tmp_path, monkeypatch):
     def failing(recording, model, **options):
         raise ValueError("no fit")

@@ -283,6 +283,7 @@ published_force = 1.8
 """
 
 
+@pytest.mark.slow(reason="analyses in several processes")
 def test_worker_processes_change_nothing_but_roundings(tmp_path):
     (tmp_path / "p.toml").write_text(LONG_ENOUGH)
     # A step at which this takes seconds; nothing here depends on it.
