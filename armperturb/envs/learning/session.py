@@ -10,7 +10,7 @@ from armperturb.envs.lab.simulation import Simulation, silent_simulator
 from armperturb.envs.lab.trial import Trial
 from armperturb.envs.learning.participants import Participants
 from armperturb.envs.learning.task import TaskSettings
-from armperturb.models import history_length
+from armperturb.models.rig import history_length
 
 
 class Session:
