@@ -71,8 +71,8 @@ class MuscleLaw:
     spindle_direction: PerElement = 0.0
 
     def __post_init__(self) -> None:
+        require_number("MuscleLaw", "parts", self.parts, at_least=1, at_most=MAX_PARTS)
         require_whole("MuscleLaw", "parts", self.parts, at_least=1)
-        require_number("MuscleLaw", "parts", self.parts, at_most=MAX_PARTS)
         for field, bounds in _RANGES.items():
             value = getattr(self, field)
             values = tuple(value) if isinstance(value, tuple | list) else (value,) * 3

@@ -61,7 +61,7 @@ class Session:
         people, simulation = self.people, self.simulation
         changed, strength = people.decide(actions)
         if len(changed):
-            simulation.set_muscles(changed, strength.k_groups, strength.b_groups)
+            simulation.set_muscles(changed, strength["k_groups"], strength["b_groups"])
         with silent_simulator():
             for _ in range(people.settings.steps_per_decision):
                 simulation.step(*people.drive(simulation.angle, simulation.velocity))
