@@ -113,14 +113,9 @@ class Result:
         said = self.describe()
         parts = [f"<p><strong>{escape(said.title)}</strong>{''.join(f'<br>{escape(fact)}' for fact in said.facts)}</p>"]
         if said.table.rows:
-            head = "".join(
-                f'<th style="text-align:{_side(i)}">{escape(c)}</th>' for i, c in enumerate(said.table.columns)
-            )
-            rows = "".join(
-                f"<tr>{''.join(f'<td style=text-align:{_side(i)}>{escape(c)}</td>' for i, c in enumerate(row))}</tr>"
-                for row in said.table.rows
-            )
-            parts.append(f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>")
+            head = _row("th", said.table.columns)
+            rows = "".join(_row("td", row) for row in said.table.rows)
+            parts.append(f"<table><thead>{head}</thead><tbody>{rows}</tbody></table>")
         if said.remarks:
             parts.append(f"<ul>{''.join(f'<li>{escape(remark)}</li>' for remark in said.remarks)}</ul>")
         return f"<div>{''.join(parts)}</div>"
@@ -289,5 +284,11 @@ def _shortened(lines: list[str], most: int) -> list[str]:
     return [*lines[: most - 1], f"... {len(lines) - most + 1} more lines in summary()"]
 
 
-def _side(column: int) -> str:
-    return "right" if column else "left"
+def _row(tag: str, cells: Sequence[str]) -> str:
+    """A row of an HTML table."""
+    sides = ["left", *["right"] * (len(cells) - 1)]
+    styled = (
+        f'<{tag} style="text-align:{side};padding:0 0.6em">{escape(cell)}</{tag}>'
+        for side, cell in zip(sides, cells, strict=True)
+    )
+    return f"<tr>{''.join(styled)}</tr>"

@@ -13,7 +13,7 @@ from matplotlib.patches import FancyBboxPatch
 
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.envs.render.camera import render
-from armperturb.models import build_model
+from armperturb.models.rig import build_model
 from armperturb.plots.panels import AXES, FREQUENCY, label_frequency
 from armperturb.plots.style import COLOURS, in_style, new_figure, save_png
 from armperturb.study.recording.settings import StudySettings
