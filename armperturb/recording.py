@@ -17,7 +17,9 @@ every variable has its `units`. On disk it is netCDF4. EMG is in single precisio
 """
 
 import io
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -28,25 +30,13 @@ from numpy.typing import ArrayLike
 from armperturb.files import written_whole
 from armperturb.foreign import Refused, read_foreign
 
-MUSCLES = (
-    "pectoralis_major_clavicular",
-    "latissimus_dorsi",
-    "deltoideus_anterior",
-    "deltoideus_posterior",
-    "biceps_short_head",
-    "brachioradialis",
-    "triceps_lateralis",
-    "triceps_longum",
-)
+_TABLES = tomllib.loads(resources.files(__package__).joinpath("recording.toml").read_text(encoding="utf-8"))
+
+MUSCLES: tuple[str, ...] = tuple(_TABLES["muscles"])
 """Muscles whose EMG is recorded (thesis 2.3)."""
 
-SIGNALS = {
-    "perturbation": (("time", "axis"), "N", "disturbance force d on the manipulator"),
-    "force": (("time", "axis"), "N", "reaction force f that the handle exerts on the hand"),
-    "displacement": (("time", "axis"), "m", "displacement of the handle from its start"),
-    "joint_angle": (("time", "joint"), "rad", "joint angle"),
-    "shoulder_marker": (("time", "axis"), "m", "displacement of the shoulder marker from its start"),
-    "emg": (("emg_time", "muscle"), "V", "surface electromyogram"),
+SIGNALS: Mapping[str, tuple[tuple[str, str], str, str]] = {
+    name: (tuple(dims), unit, description) for name, (dims, unit, description) in _TABLES["signals"].items()
 }
 """Variable name to dimensions after trial, unit and description."""
 
@@ -58,21 +48,7 @@ LABELS = {"axis": ("x", "y"), "joint": ("shoulder", "elbow"), "muscle": MUSCLES}
 CLOCKS = {"time": "rate", "emg_time": "emg_rate"}
 """Dimension to the attribute that holds its sampling rate [Hz]."""
 
-TRIAL_COORDINATES = {
-    "subject": ("", "who was perturbed"),
-    "task": ("", "PT position task, RT relax task"),
-    "condition": ("", "condition of the protocol, e.g. PT7.5"),
-    "repetition": ("", "repetition of the condition, from 0"),
-    "order": ("", "place of the trial in the session, from 0"),
-    "pulse_level": ("", "multiple of the unit pulse; 0 without pulse"),
-    "pulse_direction": ("deg", "direction of the pulse from the x axis"),
-    "pulse_onset": ("s", "onset of the pulse; NaN without pulse"),
-    "l_h": ("m", "length of the humerus"),
-    "l_f": ("m", "length of the forearm to the middle of the grip"),
-    "theta_s_deg": ("deg", "shoulder angle of the start posture"),
-    "theta_e_deg": ("deg", "elbow angle of the start posture"),
-    "limit_time": ("s", "first instant at the workspace limit; NaN if never"),
-}
+TRIAL_COORDINATES: Mapping[str, tuple[str, str]] = {name: tuple(row) for name, row in _TABLES["coordinates"].items()}
 """Coordinate along `trial` to unit and description."""
 
 OPTIONAL_COORDINATES = ("order",)

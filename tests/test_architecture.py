@@ -14,8 +14,8 @@ ROOT = Path(armperturb.__file__).parent
 BASE = {"arrays", "validation", "extras", "seeds", "files", "foreign", "recording"}
 BASE |= {"muscle_law", "subject", "environment"}
 ARM = BASE | {
-    "analysis.defaults", "analysis.arm", "analysis.force_balance", "analysis.trials", "analysis.numerics",
-    "analysis.results", "plots",
+    "analysis.cuts", "analysis.defaults", "analysis.arm", "analysis.force_balance", "analysis.trials",
+    "analysis.numerics", "analysis.results", "plots",
 }  # fmt: skip
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear"}
 LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
@@ -38,6 +38,7 @@ ARROWS = {
     "controllers": BASE,
     "planar_arm": ARM | {"controllers", "perturbations"},
     "models": BASE,
+    "analysis.cuts": BASE,
     "analysis.defaults": BASE,
     "analysis.numerics": BASE,
     "analysis.arm": BASE,

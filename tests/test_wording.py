@@ -12,9 +12,6 @@ PHRASES = re.compile(
 )
 NAMES = frozenset({"one", "found", "own", "told", "kept", "crew"})
 
-# Paths that still have some of them; to be emptied.
-PENDING = ("armperturb/analysis/",)
-
 
 def pages():
     """Every file that has text for users, as paths relative to the root."""
@@ -61,7 +58,7 @@ def names(path):
 
 
 def remarks(find, paths):
-    return sorted({remark for path in paths if not path.startswith(PENDING) for remark in find(path)})
+    return sorted({remark for path in paths for remark in find(path)})
 
 
 def test_text_has_the_words_of_the_field():

@@ -177,8 +177,8 @@ class Balance:
 
         first, second = np.maximum([np.quantile(power, 0.1), np.median(power / shapes[:, 1])], self._least**2)
         bounds = [(np.log(least**2), None) for least in self._least]
-        found = optimize.minimize(deviance, np.log([first, second]), jac=True, bounds=bounds, method="L-BFGS-B")
-        force, displacement = np.exp(0.5 * found.x)
+        solution = optimize.minimize(deviance, np.log([first, second]), jac=True, bounds=bounds, method="L-BFGS-B")
+        force, displacement = np.exp(0.5 * solution.x)
         return NoiseLevels(float(force), float(displacement))
 
     def skew(self, environment: Environment, levels: NoiseLevels) -> Skew:

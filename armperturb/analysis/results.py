@@ -112,7 +112,8 @@ class Result:
         said = self.describe()
         parts = [f"<p><strong>{escape(said.title)}</strong>{''.join(f'<br>{escape(fact)}' for fact in said.facts)}</p>"]
         if said.table.rows:
-            head, rows = _html_row("th", said.table.columns), "".join(_html_row("td", row) for row in said.table.rows)
+            head = _row("th", said.table.columns)
+            rows = "".join(_row("td", row) for row in said.table.rows)
             parts.append(f"<table><thead>{head}</thead><tbody>{rows}</tbody></table>")
         if said.remarks:
             parts.append(f"<ul>{''.join(f'<li>{escape(remark)}</li>' for remark in said.remarks)}</ul>")
@@ -266,9 +267,11 @@ def _shortened(lines: list[str], most: int) -> list[str]:
     return [*lines[: most - 1], f"... {len(lines) - most + 1} more lines in summary()"]
 
 
-def _html_row(tag: str, cells: Sequence[str]) -> str:
-    sides = ["left", *(len(cells) - 1) * ["right"]]
-    entries = (
-        f'<{tag} style="text-align:{side}">{escape(cell)}</{tag}>' for side, cell in zip(sides, cells, strict=True)
+def _row(tag: str, cells: Sequence[str]) -> str:
+    """A row of an HTML table."""
+    sides = ["left", *["right"] * (len(cells) - 1)]
+    styled = (
+        f'<{tag} style="text-align:{side};padding:0 0.6em">{escape(cell)}</{tag}>'
+        for side, cell in zip(sides, cells, strict=True)
     )
-    return f"<tr>{''.join(entries)}</tr>"
+    return f"<tr>{''.join(styled)}</tr>"

@@ -4,7 +4,7 @@ Every estimator takes `ConditionTrials`, or a recording that `prepare` turns int
 computed when it is first asked for, and kept with the trials (`per_trials`): manipulator and instrument noise, the
 period, spectra.
 
-A trial is used up to its pulse. `onset_samples` is the one place that says where that is.
+A trial is used up to its pulse; `cuts` says where that is.
 """
 
 import inspect
@@ -16,6 +16,7 @@ from typing import Concatenate, NamedTuple, ParamSpec, Self, TypeAlias, TypeVar
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.cuts import limit_samples, of_condition, onset_samples
 from armperturb.analysis.defaults import SETTLED
 from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
 from armperturb.analysis.numerics.periodicity import find_period
@@ -36,19 +37,6 @@ ONE_VALUED = ("subject", "task", "condition", "l_h", "l_f", "theta_s_deg", "thet
 
 P = ParamSpec("P")
 T = TypeVar("T")
-
-
-def onset_samples(recording: xr.Dataset) -> Indices:
-    """First sample of each trial's pulse, or the number of samples of a trial without one, (trial,)."""
-    n_samples, rate = recording.sizes["time"], float(recording.attrs["rate"])
-    onset = recording["pulse_onset"].values.astype(float) * rate
-    return np.minimum(np.round(np.where(np.isnan(onset), n_samples, onset)), n_samples).astype(np.intp)
-
-
-def limit_samples(recording: xr.Dataset) -> Array:
-    """When each trial met the workspace limit [samples], (trial,); infinite if it did not."""
-    limit = recording["limit_time"].values.astype(float) * float(recording.attrs["rate"])
-    return np.where(np.isnan(limit), np.inf, limit)
 
 
 class TrialRecord(NamedTuple):
@@ -197,20 +185,12 @@ class ConditionTrials:
 
     @cached_property
     def balance(self) -> Balance:
-        """Force balance of the manipulator.
-
-        Raises:
-          ValueError: the trials are too short.
-        """
+        """Force balance of the manipulator. Raises ValueError where the trials are too short."""
         return Balance(self.perturbation, self.force, self.recorded_displacement, self.rate)
 
     @cached_property
     def instruments(self) -> tuple[Environment, NoiseLevels]:
-        """The manipulator, and the noise of the instruments.
-
-        Raises:
-          ValueError: as `Balance.fit`, or the trials are too short.
-        """
+        """The manipulator, and the noise of the instruments. Raises ValueError as `balance` and `Balance.fit`."""
         if self.given is not None:
             return self.given
         return self.balance.fit() if self.whole is None else self.whole.instruments
@@ -423,11 +403,6 @@ def trials_by_condition(recording: xr.Dataset, *, is_checked: bool = False) -> d
         str(label): ConditionTrials.prepare(of_condition(recording, label), is_checked=True)
         for label in dict.fromkeys(recording["condition"].values.tolist())
     }
-
-
-def of_condition(recording: xr.Dataset, condition: str) -> xr.Dataset:
-    """Trials of the condition of that name."""
-    return recording.isel(trial=np.flatnonzero(recording["condition"].values == condition))
 
 
 def per_trials(

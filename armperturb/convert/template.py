@@ -18,6 +18,7 @@ from armperturb.convert.importer import import_trials
 from armperturb.convert.raw import trial_name
 from armperturb.convert.reading import C3D, MATLAB, TEXT, read_trials
 from armperturb.convert.sidecar import BODIES, FIRST, MEANINGS, OPEN, REQUIRED_LABELS, Dialect, Sidecar
+from armperturb.convert.tables import TABLES
 from armperturb.convert.units import UNITS
 from armperturb.environment import Environment
 from armperturb.files import written_whole
@@ -25,37 +26,18 @@ from armperturb.recording import REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TR
 from armperturb.subject import POSITION
 from armperturb.validation import require_one_of
 
-ROLES = {
-    "perturbation": "perturbation perturb pert disturbance disturb dist d motor mot m drive command cmd input",
-    "force": "force f gauge sensor loadcell load cell reaction interaction ft",
-    "displacement": "displacement disp x position pos p handle hand encoder path cursor endpoint",
-}
+ROLES: Mapping[str, str] = TABLES["roles"]
 """Signal to words of names that stand for it, in the order in which they decide; a bare x or y is displacement."""
 
-ALIASES = {"participant": "subject", "person": "subject", "subj": "subject", "sub": "subject", "id": "subject"}
-TIMES = ("t", "time", "times", "timestamp", "seconds")
-TRIALS = ("trial", "trial number", "trial no", "trial nr", "trial id", "run", "sweep")
-RATES = ("rate", "fs", "sampling rate", "sample rate")
-RELAXED = {"rt", "relax", "relaxed"}
+WORDS: Mapping[str, Sequence[str]] = TABLES["words"]
+"""Field of a sidecar to words of names that stand for it."""
 
 MOVEMENT = (0.003, 0.5)
 """Between which the handle's path usually extends [m]."""
 
-ORIGINS = {
-    "axes": "no data can show it; as seen by the seated person",
-    "subject": "no column says it",
-    "task": "no column says it",
-    "l_h": "the average person's",
-    "l_f": "the average person's",
-    "theta_s_deg": "that of the thesis",
-    "theta_e_deg": "that of the thesis",
-    "exerted_by": "physics does not show it",
-}
-"""Field that has to be filled in to why its value is a guess."""
-
 
 def _check(field: str) -> str:
-    return f"{MEANINGS[field]} ({ORIGINS[field]})"
+    return f"{MEANINGS[field]} ({TABLES['origins'][field]})"
 
 
 class SidecarTemplate(NamedTuple):
@@ -135,20 +117,20 @@ def _guess(
     for column in columns:
         words, unit = column.words()
         name = " ".join(words)
-        label = ALIASES.get(name, name.replace(" ", "_"))
+        label = TABLES["aliases"].get(name, name.replace(" ", "_"))
         label = f"{label}_{unit}" if f"{label}_{unit}" in TRIAL_COORDINATES else label
         if column.channel.lower() in TRIAL_COORDINATES or label in TRIAL_COORDINATES:
             labels[label if label in TRIAL_COORDINATES else column.channel.lower()] = column.values
         elif column.values.dtype.kind not in "fiu":
             continue
-        elif name in RATES and len(column.values) == 1 and "rate" not in content:
+        elif name in WORDS["rate"] and len(column.values) == 1 and "rate" not in content:
             content["rate"] = float(column.values[0])
-        elif words and words[-1] in TIMES and "time" not in content:
+        elif words and words[-1] in WORDS["time"] and "time" not in content:
             content["time"] = {"channel": column.channel, "unit": unit}
             if unit not in UNITS["s"]:
                 content["time"]["unit"] = _unit_of_times(column.values)
                 guessed["time.unit"] = "from the steps of the times"
-        elif name in TRIALS and trial is None:
+        elif name in WORDS["trial"] and trial is None:
             trial, content["trial"] = column, column.channel
         else:
             stem, axis = axis_of(words)
@@ -231,7 +213,7 @@ def _add_labels(
     lists = {name: values.tolist() for name, values in labels.items()}
     constant = {name: plain(name, values[0]) for name, values in lists.items() if len(set(values)) == 1}
     varying = {name: values for name, values in lists.items() if name not in constant}
-    is_relaxed = {word.lower() for word in WORD.findall(path.stem)} & RELAXED
+    is_relaxed = {word.lower() for word in WORD.findall(path.stem)} & {*WORDS["relaxed"]}
     defaults: dict[str, Any] = {"subject": "S01", "task": "RT" if is_relaxed else "PT"}
     defaults |= {name: getattr(POSITION, name) for name in REQUIRED_LABELS if name not in defaults}
     for name in REQUIRED_LABELS:

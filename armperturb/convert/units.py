@@ -3,19 +3,10 @@
 import math
 from collections.abc import Mapping
 
+from armperturb.convert.tables import TABLES
 from armperturb.validation import require_number
 
-UNITS: Mapping[str, Mapping[str, float]] = {
-    "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665, "lbf": 4.4482216152605},
-    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
-    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0},
-    "deg": {"deg": 1.0, "rad": 180.0 / math.pi},
-    "V": {"V": 1.0, "mV": 1e-3, "uV": 1e-6},
-    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
-    "Hz": {"Hz": 1.0, "kHz": 1e3},
-    "kg": {"kg": 1.0, "g": 1e-3},
-    "": {"": 1.0},
-}
+UNITS: Mapping[str, Mapping[str, float]] = TABLES["units"]
 """Our unit to the units that can be converted into it, with the factor."""
 
 

@@ -4,18 +4,13 @@ import numpy as np
 import pytest
 
 from armperturb.analysis import trials as module
+from armperturb.analysis.cuts import onset_samples
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.analysis.force_balance import Balance
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.spectra import averaged_spectra, line_spectra
-from armperturb.analysis.trials import (
-    ConditionTrials,
-    common_period,
-    onset_samples,
-    prepared_recordings,
-    trials_by_condition,
-)
+from armperturb.analysis.trials import ConditionTrials, common_period, prepared_recordings, trials_by_condition
 
 
 @pytest.fixture(scope="module")

@@ -173,7 +173,7 @@ DAMAGE = {
     "no force": (lambda r: r.drop_vars("force"), "variable 'force' is missing"),
     "rate": (lambda r: r.isel(time=slice(None, None, 4)), "rate = 200 Hz"),
     "too short": (lambda r: r.isel(time=slice(2000)), "of a shorter record state the period"),
-    "one direction": (lambda r: r.assign(perturbation=r["perturbation"] * [1.0, 0.0]), "cannot be told apart"),
+    "one direction": (lambda r: r.assign(perturbation=r["perturbation"] * [1.0, 0.0]), "are not independent"),
     "flipped": (lambda r: r.assign(force=-r["force"]), "force must be the reaction force"),
 }
 

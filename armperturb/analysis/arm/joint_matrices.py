@@ -33,7 +33,9 @@ class Environments(NamedTuple):
     @classmethod
     def of(cls, environments: Sequence[Environment]) -> Self:
         """The environment of each hand."""
-        return cls(*np.array([(one.m_env, one.b_env, one.k_env) for one in environments]).T)
+        return cls(
+            *np.array([(environment.m_env, environment.b_env, environment.k_env) for environment in environments]).T
+        )
 
     def take(self, index: NDArray[np.int64]) -> Self:
         """Some of them, in this order."""

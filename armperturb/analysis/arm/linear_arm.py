@@ -92,8 +92,10 @@ class LinearArm:
             jacobian, zeta, inertias = hand_jacobian(body), np.array(body.zeta_act), np.array(segment_inertias(body))
         else:
             # Trials of a person share a body; computing it once is worth it.
-            found = {one: (hand_jacobian(one), one.zeta_act, segment_inertias(one)) for one in dict.fromkeys(body)}
-            jacobian, zeta, inertias = (np.array([found[one][k] for one in body]) for k in range(3))
+            of_body = {
+                each: (hand_jacobian(each), each.zeta_act, segment_inertias(each)) for each in dict.fromkeys(body)
+            }
+            jacobian, zeta, inertias = (np.array([of_body[each][k] for each in body]) for k in range(3))
             inertias = inertias.swapaxes(0, 1)
         self.delay: Delay = delay
         f = np.asarray(frequency, dtype=float)
@@ -344,7 +346,7 @@ class LinearArm:
         s, s2 = self._s, self._s2
         if out.wants("m"):
             inertias = (matrix_first(inertia)[..., None] for inertia in self._inertias)
-            out.put("m", np.stack([out.weighted(s2 * product(product(left, one), right)) for one in inertias]))
+            out.put("m", np.stack([out.weighted(s2 * product(product(left, each), right)) for each in inertias]))
         left = product(left, joints.loop)
         changed = out.weighted(np.broadcast_to(right, (2, 1, *right.shape)))
         reflexive = left * (joints.delayed * joints.active)

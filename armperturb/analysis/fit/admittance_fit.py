@@ -216,7 +216,7 @@ def fit_admittances(
         row[: len(structure.free)] = _checked_initial(structure, initial)
     batch.require_identifiable(first)
     scale = np.where(first != 0, np.abs(first), 1.0)
-    found = minimise(
+    search = minimise(
         _Published(batch, scale, use_penalty),
         np.clip(first, problem.lower, problem.upper) / scale,
         problem.lower / scale,
@@ -226,8 +226,10 @@ def fit_admittances(
         max_nfev=PUBLISHED_EVALUATIONS // (1 + sizes),
         sizes=sizes,
     )
-    values = np.clip(found.x * scale, problem.lower, problem.upper)
-    return batch.judge(values, found.status, found.n_evaluations, use_penalty=use_penalty, n_starts=1, n_starts_agree=1)
+    values = np.clip(search.x * scale, problem.lower, problem.upper)
+    return batch.judge(
+        values, search.status, search.n_evaluations, use_penalty=use_penalty, n_starts=1, n_starts_agree=1
+    )
 
 
 def _named(structure: Structure | str) -> Structure:
@@ -259,11 +261,11 @@ class _Batch:
         """
         pairs = zip(targets, structures, strict=True)
         problems = [checked_problem(target, structure, delay) for target, structure in pairs]
-        if len(counts := {len(one.frequency) for one in problems}) > 1:
+        if len(counts := {len(each.frequency) for each in problems}) > 1:
             raise ValueError(
                 f"targets have {', '.join(map(str, sorted(counts)))} frequencies; expected the same number"
             )
-        n = max(one.mixing.shape[1] for one in problems)
+        n = max(each.mixing.shape[1] for each in problems)
 
         def filled(values: Array, missing: float) -> Array:
             width = [(0, 0)] * (values.ndim - 1) + [(0, n - values.shape[-1])]
@@ -271,17 +273,17 @@ class _Batch:
 
         bodies = tuple(target.body for target in targets)
         environments = Environments.of([target.environment for target in targets])
-        frequency = np.array([one.frequency for one in problems])
+        frequency = np.array([each.frequency for each in problems])
         problem = AdmittanceProblem(
             frequency,
-            frequency_last(np.array([one.admittance for one in problems])),
-            frequency_last(np.array([one.weight for one in problems])),
+            frequency_last(np.array([each.admittance for each in problems])),
+            frequency_last(np.array([each.weight for each in problems])),
             environments,
             LinearArm(bodies, frequency, delay),
-            np.array([filled(one.mixing, 0.0) for one in problems]),
-            np.array([one.constant for one in problems]),
-            np.array([filled(one.lower, -1.0) for one in problems]),
-            np.array([filled(one.upper, 1.0) for one in problems]),
+            np.array([filled(each.mixing, 0.0) for each in problems]),
+            np.array([each.constant for each in problems]),
+            np.array([filled(each.lower, -1.0) for each in problems]),
+            np.array([filled(each.upper, 1.0) for each in problems]),
         )
         return cls(bodies, tuple(structures), environments, problem)
 
@@ -377,7 +379,7 @@ class _Batch:
         near = np.minimum(values - lower, upper - values) <= AT_BOUND * (upper - lower)
         fits = []
         for i, (body, structure) in enumerate(zip(self.bodies, self.structures, strict=True)):
-            names, own = structure.free, values[i, : len(structure.free)]
+            names, estimates = structure.free, values[i, : len(structure.free)]
             sem = standard_error(modulus[i], slope[i, :, : len(names)])
             unidentified = tuple(name for name, value in zip(names, sem, strict=True) if not np.isfinite(value))
             why = _WHY_STOPPED[int(status[i])]
@@ -386,8 +388,8 @@ class _Batch:
             fits.append(
                 AdmittanceFit(
                     structure=structure.name,
-                    arm=structure.arm(body, own),
-                    values=dict(zip(names, own.tolist(), strict=True)),
+                    arm=structure.arm(body, estimates),
+                    values=dict(zip(names, estimates.tolist(), strict=True)),
                     sem=dict(zip(names, sem.tolist(), strict=True)),
                     unidentified=unidentified,
                     at_bound=tuple(name for name, hit in zip(names, near[i, : len(names)], strict=True) if hit),

@@ -127,7 +127,7 @@ class AdmittanceProblem:
     def modulus_and_slope(self, values: Array) -> tuple[Array, Array]:
         """Modulus of `log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter).
 
-        Errors are in another order than there.
+        Errors are ordered with frequency last, as they lie in memory.
         """
         modulus = np.empty(0)
 
@@ -189,7 +189,7 @@ def applied(matrix: Array, vector: Array) -> Array:
 
 
 def frequency_last(values: NDArray[Any]) -> NDArray[Any]:
-    """The same, (batch, frequency, output, input), with frequency last in memory, as `LinearArm` has it."""
+    """Values, (batch, frequency, output, input), stored with frequency last in memory, as by `LinearArm`."""
     return np.moveaxis(np.ascontiguousarray(np.moveaxis(values, (-2, -1), (0, 1))), (0, 1), (-2, -1))
 
 

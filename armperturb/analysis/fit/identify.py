@@ -367,60 +367,60 @@ def identify_conditions(
 
 
 def _thesis_fit(
-    found: ThesisEstimate, trials: ConditionTrials, structure: Structure, spectra: SpectralEstimate
+    result: ThesisEstimate, trials: ConditionTrials, structure: Structure, spectra: SpectralEstimate
 ) -> tuple[ArmFit, Environment]:
     """Means over trials, as published."""
-    names, n_trials = found.parameters, len(found.fits)
-    values, errors = found.values.mean(axis=0), found.sem.mean(axis=0)
+    names, n_trials = result.parameters, len(result.fits)
+    values, errors = result.values.mean(axis=0), result.sem.mean(axis=0)
     arm = structure.arm(trials.body, values)
-    pole = largest_real_pole(arm, found.environment)
-    remarks = [f"{name} sits on a bound in {count} of {n_trials} trials" for name, count in found.at_bound.items()]
-    if found.n_stable < n_trials:
-        remarks.append(f"{n_trials - found.n_stable} of {n_trials} trials give an unstable arm")
+    pole = largest_real_pole(arm, result.environment)
+    remarks = [f"{name} sits on a bound in {count} of {n_trials} trials" for name, count in result.at_bound.items()]
+    if result.n_stable < n_trials:
+        remarks.append(f"{n_trials - result.n_stable} of {n_trials} trials give an unstable arm")
     fit = ArmFit(
         estimator="thesis",
-        structure=found.structure,
+        structure=result.structure,
         condition=trials.label,
         arm=arm,
         mixing=structure.mixing,
         values=dict(zip(names, values.tolist(), strict=True)),
         standard_error=dict(zip(names, errors.tolist(), strict=True)),
-        at_bound=tuple(found.at_bound),
+        at_bound=tuple(result.at_bound),
         correlation=np.where(np.eye(len(names), dtype=bool), 1.0, np.nan),
-        message=", ".join(f"{count} of {n_trials} trials {word}" for word, count in found.status.items()),
-        converged=all(one.converged for one in found.fits),
+        message=", ".join(f"{count} of {n_trials} trials {word}" for word, count in result.status.items()),
+        converged=all(part.converged for part in result.fits),
         stable=pole < 0.0,
         largest_real_pole=pole,
         criterion=_criterion(arm, spectra),
         remarks=tuple(remarks),
-        detail=found,
+        detail=result,
     )
-    return fit, found.environment
+    return fit, result.environment
 
 
-def _likely_fit(found: Estimate, group: Group, spectra: SpectralEstimate) -> tuple[ArmFit, Environment]:
+def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> tuple[ArmFit, Environment]:
     """One condition's part of an estimate over several."""
-    label = {name: name if name in found.values else f"{name} [{group.label}]" for name in group.structure.free}
-    rows = [list(found.values).index(name) for name in label.values()]
-    arm = found.arms[group.label]
+    label = {name: name if name in result.values else f"{name} [{group.label}]" for name in group.structure.free}
+    rows = [list(result.values).index(name) for name in label.values()]
+    arm = result.arms[group.label]
     pole = largest_real_pole(arm, group.environment)
     fit = ArmFit(
-        estimator=found.method,
+        estimator=result.method,
         structure=group.structure.name,
         condition=group.label,
         arm=arm,
         mixing=group.structure.mixing,
-        values={name: found.values[label[name]] for name in label},
-        standard_error={name: found.standard_error[label[name]] for name in label},
-        at_bound=tuple(name for name in label if label[name] in found.at_bound),
-        correlation=found.correlation[np.ix_(rows, rows)],
-        message=found.message,
-        converged=found.converged,
+        values={name: result.values[label[name]] for name in label},
+        standard_error={name: result.standard_error[label[name]] for name in label},
+        at_bound=tuple(name for name in label if label[name] in result.at_bound),
+        correlation=result.correlation[np.ix_(rows, rows)],
+        message=result.message,
+        converged=result.converged,
         stable=pole < 0.0,
         largest_real_pole=pole,
         criterion=_criterion(arm, spectra),
-        remarks=found.remarks,
-        detail=found,
+        remarks=result.remarks,
+        detail=result,
     )
     return fit, group.environment
 

@@ -215,7 +215,7 @@ def shared_names(groups: Sequence[Group], share: Sequence[str]) -> set[str]:
     known = {name for group in groups for name in group.structure.free}
     shared: set[str] = set()
     for name in share:
-        names = [one for one in SHARES.get(name, (name,)) if one in known]
+        names = [member for member in SHARES.get(name, (name,)) if member in known]
         if not names:
             raise ValueError(f"share: {name!r} is no free parameter; expected {', '.join((*SHARES, *sorted(known)))}")
         shared.update(names)

@@ -1,9 +1,9 @@
-"""Arm parameters of greatest likelihood, from any number of trials, conditions and tasks of one person at once.
+"""Maximum likelihood estimates of arm parameters, from any number of trials, conditions and tasks of one person.
 
-The start comes from linear least squares (`linear_start`), so none has to be guessed; Gauss-Newton steps within the
-bounds follow, the noise being weighed anew before each (`likelihood`). Steps that lead to an unstable arm, or to a less
-likely one, are shortened. Standard errors are those of the Fisher information, which the Cramer-Rao bound says cannot
-be beaten.
+Initial values come from linear least squares (`linear_start`), so that none has to be guessed. Gauss-Newton steps
+within the bounds follow, iteratively reweighted: the noise spectra are estimated before each (`likelihood`). Steps that
+lead to an unstable arm or to a smaller likelihood are shortened. Standard errors are those of the Fisher information,
+the Cramer-Rao bound.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,9 +26,11 @@ from armperturb.arrays import Array
 from armperturb.subject import Subject
 
 MAX_ROUNDS = 60
+"""Gauss-Newton steps after which a search ends in any case."""
 
 WEIGHED_ROUNDS = 20
-"""A search that has not ended by then goes in circles, noise and arm changing in turn: from then on noise is held."""
+"""Steps before which the noise is re-estimated. A search that lasts longer alternates between two noise spectra: from
+then on the noise is held."""
 
 SETTLED = 0.01
 """A step this small in units of the standard error ends the search [-]."""
@@ -37,10 +39,10 @@ AT_BOUND = 1e-6
 """A parameter sits on a bound when it is closer to it than this share of the distance between its bounds."""
 
 SKEWED = 2e-4
-"""Skew between force and displacement that is remarked upon, if it is beyond three standard errors [s]."""
+"""Least skew between force and displacement that is reported, if it is beyond three standard errors [s]."""
 
 SUSPICIOUS, UNCERTAIN, ALIKE = 0.01, 0.5, 0.95
-"""From when on remarks are made: chance of the lack of fit, error over value, and correlation of errors [-]."""
+"""Limits beyond which a remark is made: p-value of the lack of fit, relative standard error, error correlation [-]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -176,28 +178,28 @@ def estimate(
     require_one_person(groups)
     problem = JointLikelihood(groups, "frequency", share)
     first = problem.stabilised(problem.initial(initial or {}))
-    found = _judge(problem, "frequency", _search(problem, first))
-    if not np.isfinite(list(found.standard_error.values())).all():
+    fitted = _judge(problem, "frequency", _search(problem, first))
+    if not np.isfinite(list(fitted.standard_error.values())).all():
         problem.require_identifiable(first)
-    if not found.converged or found.is_suspicious:
+    if not fitted.converged or fitted.is_suspicious:
         other = _judge(problem, "frequency", _search(problem, problem.stabilised(problem.published())))
-        if other.objective < found.objective:
-            found = other
+        if other.objective < fitted.objective:
+            fitted = other
     if method == "frequency":
-        return found
+        return fitted
     problem = JointLikelihood(groups, "record", share)
-    start_of_record = problem.stabilised(np.array(list(found.values.values())))
+    start_of_record = problem.stabilised(np.array(list(fitted.values.values())))
     return _judge(problem, "record", _search(problem, start_of_record))
 
 
 def profile(
-    groups: Sequence[Group], found: Estimate, name: str, points: Sequence[float], *, share: Sequence[str] = ()
+    groups: Sequence[Group], fitted: Estimate, name: str, points: Sequence[float], *, share: Sequence[str] = ()
 ) -> Array:
-    """Profile likelihood of a parameter: how much less likely the trials are if it is held, all others fitted anew.
+    """Profile likelihood of a parameter: the likelihood ratio where it is held and all others are fitted again.
 
     Args:
       groups: the trials.
-      found: the estimate around which to look.
+      fitted: the maximum likelihood estimate.
       name: of the parameter, as in `Estimate.values`.
       points: values at which to hold it, SI.
       share: as it was for the estimate.
@@ -209,11 +211,11 @@ def profile(
     Raises:
       ValueError: the parameter is unknown, or a point is outside its bounds.
     """
-    problem = JointLikelihood(groups, found.method, share)
+    problem = JointLikelihood(groups, fitted.method, share)
     if name not in problem.names:
         raise ValueError(f"no parameter {name!r}; expected one of {', '.join(problem.names)}")
     column = problem.names.index(name)
-    best = np.array([found.values[one] for one in problem.names])
+    best = np.array([fitted.values[label] for label in problem.names])
     problem.weigh(best)
     least = problem.cost(best)
     bounds = problem.lower.copy(), problem.upper.copy()
@@ -231,7 +233,7 @@ def profile(
 
 
 def _search(problem: JointLikelihood, values: Array, *, weigh: bool = True) -> _Search:
-    """Gauss-Newton steps within bounds, the noise being weighed anew before each unless told otherwise.
+    """Gauss-Newton steps within bounds; if `weigh`, the noise is re-estimated before each of the first steps.
 
     No step leads to an unstable arm, or from an unstable start to one that is less stable.
     """
@@ -242,7 +244,7 @@ def _search(problem: JointLikelihood, values: Array, *, weigh: bool = True) -> _
             problem.weigh(values)
         normal = problem.normal(values)
         room = problem.lower - values, problem.upper - values
-        reason = "no smaller step leads to more likely values"
+        reason = "no smaller step increases the likelihood"
         if _size(normal, _bounded_step(normal, 0.0, *room)) < SETTLED:
             return _Search(values, normal.information, "converged: steps are far below the errors", True, n_rounds)
         while True:

@@ -30,7 +30,7 @@ UNITS = {
 }
 GRIP_UNITS = {"b_h": "Ns/m", "k_h": "N/m"}
 
-_DEFAULTS = {one.name: one.default for one in fields(Subject) if isinstance(one.default, float)}
+_DEFAULTS = {each.name: each.default for each in fields(Subject) if isinstance(each.default, float)}
 _AT_LEAST_ZERO = ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e", "b_h")
 _ABOVE_ZERO = ("m_h", "m_f", "k_h", "Td_s", "Td_e", "fact_s", "fact_e")
 

@@ -139,10 +139,12 @@ class ThesisEstimate(Result):
 
     def mean_vaf(self) -> tuple[Array, Array]:
         """Mean and SD over trials with a positive VAF [%], (axis,) each; NaN without any (tables C.5 to E.5)."""
-        kept = self.vaf[self.positive]
-        if not len(kept):
+        positive = self.vaf[self.positive]
+        if not len(positive):
             return np.full(2, np.nan), np.full(2, np.nan)
-        return kept.mean(axis=0), np.asarray(kept.std(axis=0, ddof=1) if len(kept) > 1 else np.full(2, np.nan))
+        return positive.mean(axis=0), np.asarray(
+            positive.std(axis=0, ddof=1) if len(positive) > 1 else np.full(2, np.nan)
+        )
 
     def means(self) -> dict[str, float]:
         """Group means, from which another fit may start (step 2 of appendix C)."""
@@ -289,14 +291,14 @@ def join_estimates(estimates: Sequence[ThesisEstimate]) -> ThesisEstimate:
     Raises:
       ValueError: structures differ.
     """
-    structures = list(dict.fromkeys(one.structure for one in estimates))
+    structures = list(dict.fromkeys(estimate.structure for estimate in estimates))
     if len(structures) != 1:
         raise ValueError(f"estimates of structures {', '.join(structures) or 'none'}; expected one structure")
     return replace(
         estimates[0],
-        subjects=tuple(name for one in estimates for name in one.subjects),
-        fits=tuple(fit for one in estimates for fit in one.fits),
-        vaf=np.concatenate([one.vaf for one in estimates]),
+        subjects=tuple(name for estimate in estimates for name in estimate.subjects),
+        fits=tuple(fit for estimate in estimates for fit in estimate.fits),
+        vaf=np.concatenate([estimate.vaf for estimate in estimates]),
     )
 
 

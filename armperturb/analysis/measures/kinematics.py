@@ -158,8 +158,8 @@ def kinematics_error(recording: xr.Dataset, *, shoulder: ArrayLike | None = None
     time = np.arange(recording.sizes["time"]) / float(recording.attrs["rate"])
     counts = ~(time >= recording["limit_time"].values[:, None])[..., None]
     path = hand_path(recording, shoulder=shoulder)
-    found = _rotations(recording, np.where(counts, path, path[:, :1]))
-    error = np.where(counts, _shorter_way(found - true), 0.0)
+    rotation = _rotations(recording, np.where(counts, path, path[:, :1]))
+    error = np.where(counts, _shorter_way(rotation - true), 0.0)
     rms = np.sqrt(np.sum(error**2, axis=1) / counts.sum(axis=1))
     return KinematicsError(rms, np.abs(error).max(axis=1))
 

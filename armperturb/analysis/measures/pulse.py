@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from armperturb.analysis.arm.state_space import largest_real_pole, simulate_linear
+from armperturb.analysis.cuts import limit_samples, onset_samples
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -49,14 +50,16 @@ def pulse_span(recording: xr.Dataset, trial: int) -> slice:
     if task not in WINDOWS:
         raise ValueError(f"trial {trial}: task = {task!r}; expected one of {', '.join(WINDOWS)}")
     rate = float(recording.attrs["rate"])
-    first, last = round(onset * rate), round((onset + WINDOWS[task]) * rate)
+    first = int(onset_samples(recording)[trial])
+    last = first + round(WINDOWS[task] * rate)
     if last >= recording.sizes["time"]:
         raise ValueError(
             f"trial {trial} ends {recording.sizes['time'] / rate - onset:.3g} s after its pulse began; expected more "
             f"than {WINDOWS[task]:g} s in {task}"
         )
-    limit = float(recording["limit_time"].values[trial])
-    if limit * rate <= last:
+    limit_sample = float(limit_samples(recording)[trial])
+    if limit_sample <= last:
+        limit = limit_sample / rate
         raise ValueError(
             f"trial {trial} reached the workspace limit at {limit:.3f} s, {limit - onset:.3f} s after its pulse began; "
             f"expected it to stay inside for {WINDOWS[task]:g} s"

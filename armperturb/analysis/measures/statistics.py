@@ -177,7 +177,7 @@ def effect_of_condition(
         share = variance.epsilon if adjusted else 1.0
         test = "ANOVA, Greenhouse-Geisser" if adjusted else "ANOVA"
         statistic, p, size = variance.f, variance.p_adjusted if adjusted else variance.p, variance.eta2
-        dof = tuple(share * one for one in variance.dof)
+        dof = tuple(share * each for each in variance.dof)
     return Effect(test, statistic, dof, p, size, sphericity.p, variance.epsilon, normality, len(y))
 
 
@@ -275,14 +275,14 @@ def shapiro(values: ArrayLike) -> tuple[Normality, ...]:
       ValueError: as there.
     """
     y = _table(values)
-    found = []
+    outcome = []
     for column in y.T:
         spread = float(np.ptp(column))
         if spread > ROUNDING * np.abs(column).max():
-            found.append(Normality(*map(float, stats.shapiro(column / spread))))
+            outcome.append(Normality(*map(float, stats.shapiro(column / spread))))
         else:
-            found.append(Normality(1.0, 1.0))
-    return tuple(found)
+            outcome.append(Normality(1.0, 1.0))
+    return tuple(outcome)
 
 
 def paired_t(first: ArrayLike, second: ArrayLike) -> PairedT:

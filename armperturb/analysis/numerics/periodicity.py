@@ -44,7 +44,7 @@ def find_period(perturbation: Sequence[Array], rate: float, start: float = 0.0) 
     refusal = (
         f"the perturbation does not repeat within the {longest:.4g} s from {start:g} s on; expected a periodic one "
         f"that is recorded for at least {1 + OVERLAP:g} periods (for noise there is the method noise; of a shorter "
-        "record state the period)"
+        "record state the period: --period)"
     )
     apart = np.flatnonzero(difference > DIFFERENT)
     if not len(apart):
@@ -68,10 +68,10 @@ def find_period(perturbation: Sequence[Array], rate: float, start: float = 0.0) 
         best = int(np.argmin(bottom))
         if bottom[best] > APERIODIC or abs(offset[best]) < OFF_SAMPLE:
             raise ValueError(refusal)
-    found = dips[best] + offset[best]
+    samples = dips[best] + offset[best]
     raise ValueError(
-        f"rate = {rate:g} Hz; expected one at which the perturbation's period of {found / rate:.5g} s is a whole "
-        f"number of samples (it is {found:.2f}): resample the recording"
+        f"rate = {rate:g} Hz; expected one at which the perturbation's period of {samples / rate:.5g} s is a whole "
+        f"number of samples (it is {samples:.2f}): resample the recording"
     )
 
 

@@ -138,27 +138,28 @@ def _minimise(
     damping = np.zeros(len(x))
 
     index, n = np.arange(len(x)), 1
-    found = Minimum(x.copy(), cost.copy(), np.full(len(x), EVALUATIONS_REACHED), np.full(len(x), 1))
+    outcome = Minimum(x.copy(), cost.copy(), np.full(len(x), EVALUATIONS_REACHED), np.full(len(x), 1))
     ended = ~_finite(cost, hessian)
-    found.status[ended] = NOT_FINITE
+    outcome.status[ended] = NOT_FINITE
     while True:
         distance, sign = _distance(x, gradient, lower, upper)
         vanished = ~gradient.any(axis=1) & ~ended
         if vanished.any():
-            found.status[index[vanished]] = NO_GRADIENT
+            outcome.status[index[vanished]] = NO_GRADIENT
             ended |= vanished
         ended |= n >= limits
         if ended.any():
             gone = index[ended]
-            found.x[gone], found.cost[gone], found.n_evaluations[gone] = x[ended], cost[ended], n
-            kept = np.flatnonzero(~ended)
-            index = index[kept]
+            outcome.x[gone], outcome.cost[gone], outcome.n_evaluations[gone] = x[ended], cost[ended], n
+            remaining = np.flatnonzero(~ended)
+            index = index[remaining]
             if not len(index):
-                return found
-            problems = problems.take(kept)
-            limits, sizes = limits[kept], sizes[kept]
+                return outcome
+            problems = problems.take(remaining)
+            limits, sizes = limits[remaining], sizes[remaining]
             x, cost, gradient, hessian, radius, damping, lower, upper, distance, sign = (
-                values[kept] for values in (x, cost, gradient, hessian, radius, damping, lower, upper, distance, sign)
+                values[remaining]
+                for values in (x, cost, gradient, hessian, radius, damping, lower, upper, distance, sign)
             )
 
         model = _model(gradient, hessian, distance, sign)
@@ -183,7 +184,7 @@ def _minimise(
         ended = settled | short
         if ended.any():
             why = np.where(settled, np.where(short, BOTH_SETTLED, COST_SETTLED), STEP_SETTLED)
-            found.status[index[ended]] = why[ended]
+            outcome.status[index[ended]] = why[ended]
         better = reduction > 0
         if better.all():
             x, cost, gradient, hessian = there, new_cost, new_gradient, new_hessian

@@ -231,12 +231,12 @@ def best_linear(
     windows = [trials.windows(group) for group in trials.groups]
     around, own_fits = _own_forces(windows, fits, order)
     quiet = [
-        [_own_force(window.only(~window.excited), own) for window in near]
-        for near, own in zip(windows, around, strict=True)
+        [_own_force(window.only(~window.excited), of_arm) for window in near]
+        for near, of_arm in zip(windows, around, strict=True)
     ]
     noises = [
-        [_own_force(piece, own) for piece in _near(contrasts, near[0].frequency)]
-        for near, own in zip(windows, around, strict=True)
+        [_own_force(piece, of_arm) for piece in _near(contrasts, near[0].frequency)]
+        for near, of_arm in zip(windows, around, strict=True)
     ]
     uneven = _unevenness(n_periods)
     share = float(np.mean([trial.share for trial in trials.trials]))
@@ -244,7 +244,7 @@ def best_linear(
         trials.period * trials.rate
     )  # from |Z|^2 over the number of samples to the mean square of a sine wave
     linear, noise, distortion, error, excess, precision = [], [], [], [], [], []
-    for group, fit, impedance, own, near, quiet_uses, near_noises, noise_uses in zip(
+    for group, fit, impedance, of_arm, near, quiet_uses, near_noises, noise_uses in zip(
         trials.groups, fits, around, own_fits, quiet, _uses(quiet), noises, _uses(noises), strict=True
     ):
         arm = np.linalg.inv(impedance(np.array([fit.frequency])))[0]
@@ -256,15 +256,15 @@ def best_linear(
             return np.asarray(arm @ covariance @ arm.conj().T)
 
         of_noise, noise_dof = without(near_noises, NOISE_LEAKAGE)
-        on_lines = _Excess(moves(own.excited_noise), own.excited_dof / uneven, moves(of_noise), noise_dof, floor)
+        on_lines = _Excess(moves(of_arm.excited_noise), of_arm.excited_dof / uneven, moves(of_noise), noise_dof, floor)
         noise.append(scale * np.diagonal(on_lines.noise).real)
         distortion.append(scale * share * np.diagonal(on_lines.total - on_lines.noise).real)
         error.append(scale * share * np.sqrt(on_lines.variance) * np.diagonal(on_lines.pooled).real)
         # Distortion falls between the excited lines as well, and there it shows best. Each line counts once.
         of_quiet, quiet_dof = without(near, -1, quiet_uses)
         of_noise, noise_dof = without(near_noises, NOISE_LEAKAGE, noise_uses)
-        dof = own.excited_dof + quiet_dof
-        total = (own.excited_dof * own.excited_noise + quiet_dof * of_quiet) / dof
+        dof = of_arm.excited_dof + quiet_dof
+        total = (of_arm.excited_dof * of_arm.excited_noise + quiet_dof * of_quiet) / dof
         everywhere = _Excess(moves(total), dof / uneven, moves(of_noise), noise_dof, floor)
         excess.append(everywhere.relative)
         precision.append(1.0 / everywhere.relative_variance)
@@ -292,7 +292,8 @@ def _own_forces(
 
     That is little, as the impedance beside the middle of a cluster comes from its neighbours, and what is left is no
     larger for a polynomial that cannot follow the arm's response. What d does explain in the middle corrects the
-    impedance there. Where it is hardly known, it is taken for constant, and tells its neighbours nothing.
+    impedance there. Where it is poorly determined, it is taken to be constant, and has no
+    influence on its neighbours.
     """
     frequency = np.array([fit.frequency for fit in fits])
     impedance = np.linalg.inv([linearised(fit.answer, "arm").response for fit in fits])
@@ -307,15 +308,15 @@ def _own_forces(
             around = [spline if is_known else constant for is_known, constant in zip(known, around, strict=True)]
         own_fits = [
             fit_locally(
-                [_own_force(window.only(window.excited), own) for window in near],
+                [_own_force(window.only(window.excited), of_arm) for window in near],
                 fit.frequency,
                 order=order,
                 leakage_order=-1,
                 own_levels=True,
             )
-            for near, fit, own in zip(windows, fits, around, strict=True)
+            for near, fit, of_arm in zip(windows, fits, around, strict=True)
         ]
-        moved = [own.answer @ np.linalg.inv(fit.answer[2:]) for own, fit in zip(own_fits, fits, strict=True)]
+        moved = [of_arm.answer @ np.linalg.inv(fit.answer[2:]) for of_arm, fit in zip(own_fits, fits, strict=True)]
         impedance = impedance - np.array(moved)
     return around, own_fits
 

@@ -43,7 +43,7 @@ from armperturb.arrays import Array, ComplexArray
 from armperturb.validation import require_number
 
 Answer = Callable[[Array, ComplexArray, ComplexArray], ComplexArray]
-"""From frequency, D and (F, X) of lines to what takes the place of the latter."""
+"""Function mapping (frequency, D, Y) of lines to a replacement for Y = (F, X)."""
 
 HIGHEST_ORDER = 2
 """Of the response's polynomial over a cluster, unless asked otherwise."""
@@ -70,9 +70,8 @@ FADE = 2.0
 """Time over which the weights of samples of equal phase change [s]; less if a record is hardly longer than a period."""
 
 HALF_WIDTH = (0.2, 0.1)
-"""Least half of the band around a frequency that tells the response there: [Hz], and over the frequency [-].
-
-The former is for noise alone."""
+"""Least half width of the band around a frequency from which the response is estimated: [Hz], for noise alone, and
+relative to the frequency [-]."""
 
 N_POINTS = 40
 """Frequencies at which the response to noise is estimated, unless asked otherwise."""
@@ -82,9 +81,10 @@ class Periods(NamedTuple):
     """One trial of a periodic disturbance.
 
     Attributes:
-      perturbation: D of the mean period over the root of the noise's share in it, (line, axis).
-      answer: F and X likewise, (line, 4): so weighted, all trials have the same noise.
-      share: of the noise's power that is left in the mean period, one over the number of periods [-].
+      perturbation: FFT of the period-averaged d, divided by sqrt(1 / n_periods) so that noise has the same variance in
+        all trials, (line, axis).
+      answer: the same of F and X, (line, 4).
+      share: of the noise power that is left in the mean period, one over the number of periods [-].
       contrasts: f and x less the mean of the periods before, weighted so that they hold the noise as it is and nothing
         that is periodic; one of each further period, of which the last may be short; each (time, 4).
     """
@@ -148,7 +148,7 @@ class Periodic(NamedTuple):
                 _fit(
                     self.windows(group),
                     float(group.mean()) / self.period,
-                    orders=sorted({min(one, len(group) - 1) for one in chosen}),
+                    orders=sorted({min(choice, len(group) - 1) for choice in chosen}),
                     leakage_order=LEAKAGE_ORDER,
                     own_levels=own_levels,
                 )
@@ -156,7 +156,7 @@ class Periodic(NamedTuple):
         return fits
 
     def _orders(self, n_lines: int, width: float) -> tuple[int, ...]:
-        """Of the polynomial over a group of that width over its frequency; later ones if they fit clearly better."""
+        """Orders to try of the polynomial over a group of that relative width, in rising order."""
         equations = n_lines * len(self.trials) // N_INPUTS
         terms = equations - 1 if width > WIDE else equations // 2
         if n_lines > N_QUIET or (width > WIDE and terms > HIGHEST_ORDER + 1):
@@ -167,9 +167,9 @@ class Periodic(NamedTuple):
 def _fit(
     windows: Sequence[Window], centre: float, *, orders: Sequence[int], leakage_order: int, own_levels: bool = False
 ) -> LocalFit:
-    """The local fit of the first order, or of later ones as long as these are clearly better and can be told.
+    """Raise the order while a likelihood-ratio test favours it and 2 `LEAST_DOF` residual degrees of freedom remain.
 
-    Without need for it, a further complex coefficient of an output lowers the logarithm of its sum of squares, times
+    Where it is not needed, a further complex coefficient of an output lowers the logarithm of its sum of squares, times
     the number of lines, by about a gamma variable of shape one.
     """
     best = fit_locally(windows, centre, order=orders[0], leakage_order=leakage_order, own_levels=own_levels)
@@ -325,17 +325,17 @@ def estimate_multisine(
         require_number("estimate_multisine", "order", order, at_least=0)
     several = prepared_recordings(recordings)
     trials = periodic_trials(several, period=period, window_start=window_start, lines_per_average=lines_per_average)
-    found = find_balance(several) if balance and what != "environment" else None
-    if found is not None:
-        if holds(trials.replaced(found.left_over).fit(order)):
-            trials = trials.replaced(found.corrected)
+    balanced = find_balance(several) if balance and what != "environment" else None
+    if balanced is not None:
+        if holds(trials.replaced(balanced.left_over).fit(order)):
+            trials = trials.replaced(balanced.corrected)
         else:
-            found = None
+            balanced = None
     fits = trials.fit(order)
     noises = [
         (fit.excited_noise, fit.excited_dof) if fit.excited_dof >= LEAST_DOF else (fit.noise, fit.dof) for fit in fits
     ]
-    return frequency_response(fits, what, noises, None if found is None else found.environment)
+    return frequency_response(fits, what, noises, None if balanced is None else balanced.environment)
 
 
 def estimate_noise(
@@ -376,15 +376,15 @@ def estimate_noise(
             for centre in wanted
         ]
 
-    found = find_balance(several) if balance and what != "environment" else None
-    if found is not None:
-        if holds(fit([_replaced(window, found.left_over) for window in spectra])):
-            spectra = [_replaced(window, found.corrected) for window in spectra]
+    balanced = find_balance(several) if balance and what != "environment" else None
+    if balanced is not None:
+        if holds(fit([_replaced(window, balanced.left_over) for window in spectra])):
+            spectra = [_replaced(window, balanced.corrected) for window in spectra]
         else:
-            found = None
+            balanced = None
     fits = fit(spectra)
     return frequency_response(
-        fits, what, [(fit.noise, fit.dof) for fit in fits], None if found is None else found.environment
+        fits, what, [(fit.noise, fit.dof) for fit in fits], None if balanced is None else balanced.environment
     )
 
 

@@ -239,22 +239,22 @@ def _wanted(frequency: ArrayLike | None, records: Sequence[TrialRecord]) -> Arra
     return excited_frequencies(records) if frequency is None else require_frequencies(frequency, rate)
 
 
-def _at(found: FrequencyResponse, frequency: ArrayLike | None) -> FrequencyResponse:
+def _at(estimate: FrequencyResponse, frequency: ArrayLike | None) -> FrequencyResponse:
     """Some frequencies of a response; all for None."""
     if frequency is None:
-        return found
+        return estimate
     wanted = require_frequencies(frequency, np.inf)
-    nearest = np.abs(found.frequency - wanted[:, None]).argmin(axis=1)
-    off = np.abs(found.frequency[nearest] - wanted) > SAME_FREQUENCY * wanted
+    nearest = np.abs(estimate.frequency - wanted[:, None]).argmin(axis=1)
+    off = np.abs(estimate.frequency[nearest] - wanted) > SAME_FREQUENCY * wanted
     if off.any():
         raise ValueError(
             f"frequency = {wanted[off][0]:g} Hz; expected one of the averaged lines, of which "
-            f"{found.frequency[nearest[off][0]]:.6g} Hz is nearest (or another method)"
+            f"{estimate.frequency[nearest[off][0]]:.6g} Hz is nearest (or another method)"
         )
     return replace(
-        found,
+        estimate,
         frequency=wanted,
-        response=found.response[nearest],
-        covariance=None if found.covariance is None else found.covariance[nearest],
-        dof=None if found.dof is None else found.dof[nearest],
+        response=estimate.response[nearest],
+        covariance=None if estimate.covariance is None else estimate.covariance[nearest],
+        dof=None if estimate.dof is None else estimate.dof[nearest],
     )

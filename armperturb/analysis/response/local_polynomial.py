@@ -32,7 +32,7 @@ from armperturb.environment import Environment
 
 N_INPUTS = 2
 LARGEST_CONDITION = 1e6
-"""Condition number from which on the effects of two disturbances cannot be told apart [-]."""
+"""Condition number above which the effects of two disturbances are not separately identifiable [-]."""
 
 
 class Window(NamedTuple):
@@ -100,7 +100,8 @@ def fit_locally(
       own_levels: whether each record has its own constant term of the response: a person changes between trials.
 
     Raises:
-      ValueError: there are no more equations than unknowns, or the disturbances along x and y cannot be told apart.
+      ValueError: there are no more equations than unknowns, or the disturbances along x and y are not
+        independent.
     """
     offset = [window.frequency - centre for window in windows]
     scale = max(float(np.abs(values).max()) for values in offset) or 1.0
@@ -131,7 +132,7 @@ def fit_locally(
     orthonormal, triangle = np.linalg.qr(matrix / lengths)
     if np.linalg.cond(triangle) > LARGEST_CONDITION:
         raise ValueError(
-            f"the disturbances along x and y cannot be told apart at {centre:.3f} Hz; expected independent "
+            f"the disturbances along x and y are not independent at {centre:.3f} Hz; expected independent "
             "disturbances (other realisations, one trial for each direction, or more lines per average)"
         )
     answer = np.concatenate([window.answer for window in windows])

@@ -204,7 +204,7 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
       lines_per_average: 4 averages over the clusters of the thesis's multisine; 1 keeps every line.
 
     Raises:
-      ValueError: there are fewer averages than inputs, or the disturbances along x and y cannot be told apart.
+      ValueError: there are fewer averages than inputs, or the disturbances along x and y are not independent.
     """
     if lines_per_average < 1:
         raise ValueError(f"lines_per_average = {lines_per_average!r}; expected a whole number of at least 1")
@@ -269,6 +269,6 @@ def _require_two_directions(phi_dd: ComplexArray, frequency: Array) -> None:
     worst = int(np.argmin(independence))
     if independence[worst] < 1e-6:
         raise ValueError(
-            f"the disturbances along x and y cannot be told apart at {frequency[worst]:.3f} Hz; expected independent "
+            f"the disturbances along x and y are not independent at {frequency[worst]:.3f} Hz; expected independent "
             "disturbances (other realisations, or one trial for each direction)"
         )

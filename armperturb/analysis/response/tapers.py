@@ -104,8 +104,8 @@ def estimate_multitaper(
         if not 1.0 <= product < n / 2:
             return [], np.empty((0, n)), 0.0
         if n not in tapers:
-            found, inside = signal.windows.dpss(n, product, int(2 * product), return_ratios=True)
-            tapers[n] = np.asarray(found[1.0 - inside < LEAST_OUTSIDE], dtype=float)
+            sequences, inside = signal.windows.dpss(n, product, int(2 * product), return_ratios=True)
+            tapers[n] = np.asarray(sequences[1.0 - inside < LEAST_OUTSIDE], dtype=float)
         return [slice(0, n)], tapers[n], float(len(tapers[n]))
 
     return _estimate(records, what, frequency, pieces, f"a half bandwidth of {half_bandwidth:g} Hz")

@@ -188,8 +188,8 @@ def write_design(design: Design, folder: Path) -> None:
       OSError: a file cannot be written.
     """
     tables, figures, perturbations = (folder / name for name in ("tables", "figures", "perturbations"))
-    for folder in (tables, figures, perturbations):
-        folder.mkdir(parents=True, exist_ok=True)
+    for path in (tables, figures, perturbations):
+        path.mkdir(parents=True, exist_ok=True)
     for old in perturbations.glob("trial_*.csv"):  # of a plan with more trials
         old.unlink()
     write_csv(design.to_frame(), tables / "design.csv")

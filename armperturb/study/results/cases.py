@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.cuts import of_condition
 from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
 from armperturb.analysis.fit.identify import Identification, identify, identify_conditions
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.response.spectra import SpectralEstimate, single_trial_spectra
 from armperturb.analysis.results import Description, Result
-from armperturb.analysis.trials import ConditionTrials, of_condition
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.recording import load_recording

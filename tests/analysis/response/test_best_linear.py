@@ -124,7 +124,7 @@ def test_figures_show_what_was_found():
 
 
 def test_results_read_as_tables():
-    found = best_linear(known(1, 2, 1.5), start=0.0)
+    found = best_linear(known(1, 2, 1.5), window_start=0.0)
     for result in (found, found.response):
         assert len(repr(result).splitlines()) <= LINES
         assert result.describe().title in result.summary()

@@ -159,8 +159,8 @@ def hit(recording):
     ("recording", "options", "message"),
     [
         (synthetic(1)[0], {"lines_per_average": 1}, r"1 average at 0.586 Hz for 2 inputs; expected at least 2"),
-        (synthetic(3, directions=[(1, 0)] * 3)[0], {}, r"cannot be told apart at .* Hz; expected independent"),
-        (synthetic(3, directions=[(1, 2)] * 3)[0], {}, r"cannot be told apart at .* Hz; expected independent"),
+        (synthetic(3, directions=[(1, 0)] * 3)[0], {}, r"are not independent at .* Hz; expected independent"),
+        (synthetic(3, directions=[(1, 2)] * 3)[0], {}, r"are not independent at .* Hz; expected independent"),
         (hit(synthetic(3)[0]), {}, r"trial 1 reached the workspace limit at 3.500 s"),
         (synthetic(3)[0], {"start": 3.0}, r"holds 7.12 s before .*; expected a whole period of 5.12 s from 3 s on"),
         (synthetic(3)[0], {"period": 5.1234}, r"rate = 200 Hz; expected one at which the period of 5.1234 s"),

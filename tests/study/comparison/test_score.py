@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from armperturb.analysis.cuts import of_condition
 from armperturb.analysis.fit.thesis import fit_trials, join_estimates
 from armperturb.analysis.results import LINES
-from armperturb.analysis.trials import ConditionTrials, of_condition, trials_by_condition
+from armperturb.analysis.trials import ConditionTrials, trials_by_condition
 from armperturb.cli import main
 from armperturb.environment import Environment
 from armperturb.plots.style import new_figure

@@ -112,6 +112,7 @@ def test_rows_tell_responses_and_people(explained):
     assert people.keys() == whole.keys()
 
 
+@pytest.mark.slow(reason="simulates arms without mechanisms")
 def test_unstable_arms_are_told(monkeypatch):
     # Damping that thins at once leaves the reflexes alone with their delay, unless they saturate too.
     law = MuscleLaw(thinning_velocity=0.02, spindle_saturation=0.02)

@@ -462,7 +462,11 @@ def test_fits_of_an_earlier_version_are_named_and_made_anew_only_if_asked_for(fi
     assert not [line for line in again.missing if "nonlinear" in line]
 
 
-@pytest.mark.parametrize("content", [b"no archive", gzip.compress(b'{"key": "as written long ago", "value": 1}')])
+@pytest.mark.parametrize(
+    "content",
+    [b"no archive", gzip.compress(b'{"key": "as written long ago", "value": 1}')],
+    ids=["no archive", "another archive"],
+)
 def test_a_fit_that_cannot_be_read_is_named(fitted_folder, asked, content):
     (fitted_folder / "analysis" / "S02-nonlinear-RT-20.json.gz").write_bytes(content)
     found = analysed(fitted_folder)

@@ -7,8 +7,8 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
+from armperturb.analysis.cuts import of_condition
 from armperturb.analysis.measures.kinematics import hand_path, within_reach
-from armperturb.analysis.trials import of_condition
 from armperturb.recording import load_recording
 from armperturb.study.comparison.effects import AdmittanceEffect, Effects
 from armperturb.study.experiments.mechanisms import Yielding
