@@ -25,7 +25,7 @@ from typing import Any
 
 from filelock import AcquireReturnProxy, FileLock, Timeout
 
-from armperturb.files import sync_folder, write_durably
+from armperturb.files import sync, write_durably
 
 MANIFEST = "manifest.json"
 RECORDINGS = "recordings"
@@ -104,7 +104,7 @@ class StudyFolder:
         with _naming(path):
             write_durably(path.parent / SUMS, text.encode())
             os.replace(staged, path)
-            sync_folder(path.parent)
+            sync(path.parent)
         self._sums = sums
         return path
 
