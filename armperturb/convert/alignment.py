@@ -1,7 +1,6 @@
 """From channels to signals on even times, in SI and our axes, and from trials of all files to one recording."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -20,23 +19,6 @@ MOST_RESAMPLING = 20_000
 """Largest number in the ratio of two sampling rates [-]."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class AlignedTrial:
-    """A trial in SI and our axes.
-
-    Attributes:
-      where: file and trial, for messages.
-      signals: variable of a recording to values, (time, component).
-      rates: variable to sampling rate [Hz], the same for all but EMG.
-      labels: coordinate along `trial` to value.
-    """
-
-    where: str
-    signals: Mapping[str, Array]
-    rates: Mapping[str, float]
-    labels: Mapping[str, Any]
-
-
 def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, list[Fault]]:
     """Channels as signals on even times, still in the file's units and axes.
 
@@ -51,9 +33,11 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
     Raises:
       ValueError: lengths, rates or units contradict one another, or values are no signal.
     """
+    labels = meaning.labels_of(raw.name)
     signals: dict[str, Array] = {}
     rates: dict[str, float] = {}
     components = {}
+    faults: list[Fault] = []
     for name, of_signal in meaning.signals.items():
         components[name] = tuple(of_signal.channels.values())
         channels = [raw.channels[channel] for channel in components[name]]
@@ -82,26 +66,24 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
                 f"{meaning.path}: rate and time are missing; expected the sampling rate in Hz, a channel, or both"
             )
         rates |= {name: meaning.rate for name in without_rate if meaning.rate is not None}
-        return Timed(signals=signals, rates=rates, components=components), []
-    channel, factor = meaning.time
-    require_signal(where, channel, raw.channels[channel][:, None])
-    time = raw.channels[channel] * factor
-    finite = np.isfinite(time)
-    n_time = len(time) - int(np.argmax(finite[::-1])) if finite.any() else len(time)
-    if n_time < 2:
-        raise ValueError(f"{where}: {channel} has {n_time} samples; expected at least 2 times")
-    for name in without_rate:
-        if len(signals[name]) != len(time):
-            raise ValueError(
-                f"{where}: {name} has {len(signals[name])} samples and {channel} {len(time)}; expected as many"
-            )
-    try:
-        timed, faults = even_times(
-            {name: signals[name][:n_time] for name in without_rate}, components, time[:n_time], meaning.rate
-        )
-    except ValueError as error:
-        raise ValueError(f"{where}: {channel}: {error}") from None
-    return replace(timed, signals={**signals, **timed.signals}, rates={**rates, **timed.rates}), faults
+    else:
+        channel, factor = meaning.time
+        require_signal(where, channel, raw.channels[channel][:, None])
+        time = raw.channels[channel] * factor
+        for name in without_rate:
+            if len(signals[name]) != len(time):
+                raise ValueError(
+                    f"{where}: {name} has {len(signals[name])} samples and {channel} {len(time)}; expected as many"
+                )
+        finite = np.isfinite(time)
+        n_time = len(time) - int(np.argmax(finite[::-1])) if finite.any() else len(time)
+        if n_time < 2:
+            raise ValueError(f"{where}: {channel} has {n_time} samples; expected at least 2 times")
+        sampled = {name: signals[name][:n_time] for name in without_rate}
+        even, rate, faults = even_times(f"{where}: {channel}", sampled, time[:n_time], meaning.rate)
+        signals |= even
+        rates |= dict.fromkeys(even, rate)
+    return Timed(where=where, labels=labels, signals=signals, rates=rates, components=components), faults
 
 
 def in_si(values: Array, meaning: Signal) -> Array:
@@ -148,7 +130,7 @@ def resampled(
     return {name: values if name == "emg" else values[:n_time] for name, values in out.items()}, at
 
 
-def joined(trials: Sequence[AlignedTrial], repair: Collection[Repair], notes: list[str]) -> xr.Dataset:
+def joined(trials: Sequence[Timed], repair: Collection[Repair], notes: list[str]) -> xr.Dataset:
     """One recording of trials.
 
     Args:
