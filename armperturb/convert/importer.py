@@ -149,11 +149,10 @@ def _aligned(
         notes.append(f"{where} is left out: {left[0].text}{more}")
         return None
     notes += [f"{where}: {fault.text}: repaired" for fault in faults]
-    signals, rates = resampled(
-        where, {name: in_si(values, meaning.signals[name]) for name, values in timed.signals.items()}, timed.rates, rate
-    )
-    require_plausible(where, signals, rates, timed.labels)
-    return replace(timed, signals=signals, rates=rates)
+    in_ours = {name: in_si(values, meaning.signals[name]) for name, values in timed.signals.items()}
+    trial = resampled(replace(timed, signals=in_ours), rate)
+    require_plausible(trial)
+    return trial
 
 
 def _advice(fault: Fault) -> str:
