@@ -374,12 +374,12 @@ def _unevenness(n_periods: Array) -> float:
 
 def _contrasts(trials: Periodic) -> list[Window]:
     """Spectra of what differs between periods."""
-    pieces = []
-    for trial in trials.trials:
-        for values in trial.contrasts:
-            if len(values) >= SHORTEST * trials.rate:
-                pieces.append(whole_window(TrialRecord(values[:, :0], values, trials.rate)))
-    return pieces
+    return [
+        whole_window(TrialRecord(values[:, :0], values, trials.rate))
+        for trial in trials.trials
+        for values in trial.contrasts
+        if len(values) >= SHORTEST * trials.rate
+    ]
 
 
 def _near(contrasts: Sequence[Window], frequency: Array) -> list[Window]:

@@ -39,6 +39,7 @@ from armperturb.analysis.trials import (
     common_period,
     prepared_recordings,
     records_of,
+    samples_of_period,
 )
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
@@ -204,20 +205,13 @@ def periodic_trials(
       ValueError: as `records_of`; or a trial is shorter than a period, the disturbance is not periodic, or the period
         is not a whole number of samples.
     """
-    if period is not None:
-        require_number("periodic_trials", "period", period, above=0.0)
     require_number("periodic_trials", "lines_per_average", lines_per_average, at_least=1)
     several = prepared_recordings(recordings)
     rate = several[0].rate
     if period is None:
         period = common_period(several, window_start)
     records = records_of(several, window_start)
-    n = round(period * rate)
-    if abs(n - period * rate) > 1e-6 * n:
-        raise ValueError(
-            f"rate = {rate:g} Hz; expected one at which the period of {period:g} s is a whole number of samples "
-            f"(it is {period * rate:.6g})"
-        )
+    n = samples_of_period(period, rate)
     trials = []
     for number, record in enumerate(records):
         d = record.perturbation

@@ -4,9 +4,9 @@ A method is a function from a recording, or several, to a `FrequencyResponse`. A
 (`frequency`) and from when on (`window_start`); each has options of its own.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,7 +18,6 @@ from armperturb.analysis.response.frequency_response import (
     FrequencyResponse,
     System,
     require_frequencies,
-    require_system,
 )
 from armperturb.analysis.response.joint_records import (
     admittance_of,
@@ -33,6 +32,7 @@ from armperturb.analysis.response.tapers import estimate_multitaper, estimate_we
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.recording import join_recordings, named
+from armperturb.validation import require_one_of
 
 FEWEST_TRIALS = 4
 """Trials from which on their differences tell the covariance of a subspace estimate."""
@@ -105,8 +105,7 @@ def arx_response(
       TypeError: an order is not a whole number.
       ValueError: as `joint_records` and `fit_arx`, or a frequency is out of range.
     """
-    records = joint_records(recording, window_start)
-    wanted = _wanted(frequency, records)
+    records, wanted = _records_and_frequencies(recording, window_start, frequency)
     model = fit_arx(records, wanted, what=what, **options)
     joint, noise, spread = model.response(wanted)
     return FrequencyResponse(
@@ -144,8 +143,7 @@ def subspace_response(
       TypeError: an order is not a whole number.
       ValueError: as `joint_records` and `fit_subspace`, or a frequency is out of range.
     """
-    records = joint_records(recording, window_start)
-    wanted = _wanted(frequency, records)
+    records, wanted = _records_and_frequencies(recording, window_start, frequency)
     model = fit_subspace(records, wanted, what=what, **options)
     n_trials = len(records)
     covariance = dof = None
@@ -197,14 +195,16 @@ def response(
       TypeError: the method lacks an option.
       ValueError: the method is unknown, or as its function.
     """
-    if method not in METHODS:
-        raise ValueError(f"method = {method!r}; expected one of {', '.join(METHODS)}")
-    require_system(options.get("what", "arm"))
+    require_one_of("response", "method", method, list(METHODS))
+    require_one_of("response", "what", options.get("what", "arm"), get_args(System))
     several = prepared_recordings(recording)
     label = f"{named([trials.recording for trials in several])}, {method}"
     return replace(METHODS[method](several, frequency=frequency, **options), label=label)
 
 
-def _wanted(frequency: ArrayLike | None, records: Sequence[TrialRecord]) -> Array:
-    rate = records[0].rate
-    return excited_frequencies(records) if frequency is None else require_frequencies(frequency, rate)
+def _records_and_frequencies(
+    recording: SeveralTrials, window_start: float, frequency: ArrayLike | None
+) -> tuple[list[TrialRecord], Array]:
+    records = joint_records(recording, window_start)
+    wanted = excited_frequencies(records) if frequency is None else require_frequencies(frequency, records[0].rate)
+    return records, wanted

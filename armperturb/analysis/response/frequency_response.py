@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 import numpy as np
 import xarray as xr
@@ -242,13 +242,3 @@ def require_frequencies(frequency: ArrayLike, rate: float) -> Array:
     if wrong.any():
         raise ValueError(f"frequency = {wanted[wrong][0]:g} Hz; expected above 0 and below {0.5 * rate:g} Hz")
     return wanted
-
-
-def require_system(what: str) -> None:
-    """Refuse what is no `System`.
-
-    Raises:
-      ValueError: it is something else.
-    """
-    if what not in get_args(System):
-        raise ValueError(f"what = {what!r}; expected one of {', '.join(get_args(System))}")

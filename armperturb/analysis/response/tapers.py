@@ -63,11 +63,8 @@ def estimate_welch(
         firsts = range(0, len(record.perturbation) - n + 1, n // 2)
         count = max(len(firsts), 1)
         independent = count / (1 + 2 * NEIGHBOURS**2 * (1 - 1 / count))
-        return (
-            [slice(first, first + n) for first in firsts],
-            signal.windows.hann(n, sym=False)[None],
-            independent * bool(firsts),
-        )
+        tapers = signal.windows.hann(n, sym=False)[None]
+        return [slice(first, first + n) for first in firsts], tapers, independent * bool(firsts)
 
     return _estimate(recordings, pieces, f"{segment:g} s of Welch's segments", **options)
 
