@@ -25,7 +25,7 @@ from .envs.lab.instruments import Instruments as Instruments
 from .envs.lab.trial import Trial as Trial
 from .envs.learning.registration import load_dm_env as load_dm_env
 from .envs.render.video import write_video as write_video
-from .models import build_model as build_model
+from .models.rig import build_model as build_model
 from .muscle_law import MuscleLaw as MuscleLaw
 from .perturbations import Multisine as Multisine
 from .perturbations import MultisineThenPulse as MultisineThenPulse

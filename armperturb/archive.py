@@ -10,9 +10,8 @@ import gzip
 import importlib
 import io
 import json
-import math
-import zlib
-from collections.abc import Mapping
+import operator
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,11 +23,14 @@ PACKAGE = "armperturb"
 
 _KIND, _CONTENT = "kind", "content"
 
-_DAMAGED = (
-    *(OSError, EOFError, zlib.error, ValueError, KeyError, TypeError, AttributeError, ImportError),
-    RecursionError,
-)
-"""What reading raises if a file is damaged, or was not written by `write_archive`."""
+_MAKE: Mapping[str, Callable[[Any], Any]] = {
+    "complex": lambda parts: complex(*parts),
+    "array": lambda text: np.load(io.BytesIO(base64.b64decode(text)), allow_pickle=False),
+    "path": Path,
+    "tuple": tuple,
+    "mapping": dict,
+}
+"""Kind to what makes it of its content."""
 
 
 class Archive(NamedTuple):
@@ -73,31 +75,27 @@ def read_archive(path: Path) -> Archive:
         return Archive(content["source"], _restored(content["value"]))
     except FileNotFoundError:
         raise
-    except _DAMAGED as error:
+    except Exception as error:  # damage makes libraries fail in any way
         raise ValueError(f"{path}: {type(error).__name__}: {error}; expected what this version writes") from None
 
 
 def _plain(value: Any) -> Any:
     """What JSON can hold; everything that it does not know by itself is an object of kind and content."""
-    if value is None or isinstance(value, bool | str | int):
+    if value is None or isinstance(value, bool | str | int | float):
         return value
-    if isinstance(value, float):
-        return value if math.isfinite(value) else {_KIND: "float", _CONTENT: repr(value)}
     if isinstance(value, np.generic):
         return _plain(value.item())
     if isinstance(value, complex):
-        return {_KIND: "complex", _CONTENT: [_plain(value.real), _plain(value.imag)]}
+        return {_KIND: "complex", _CONTENT: [value.real, value.imag]}
     if isinstance(value, np.ndarray):
         buffer = io.BytesIO()
         np.save(buffer, value, allow_pickle=False)
         return {_KIND: "array", _CONTENT: base64.b64encode(buffer.getvalue()).decode("ascii")}
     if isinstance(value, Path):
         return {_KIND: "path", _CONTENT: str(value)}
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value) if field.init}
-        return {_KIND: _name(type(value)), _CONTENT: {name: _plain(entry) for name, entry in fields.items()}}
-    if isinstance(value, tuple) and hasattr(value, "_fields"):
-        return {_KIND: _name(type(value)), _CONTENT: {name: _plain(getattr(value, name)) for name in value._fields}}
+    if _is_record(type(value)):
+        names = getattr(value, "_fields", None) or [each.name for each in dataclasses.fields(value) if each.init]
+        return {_KIND: _name(type(value)), _CONTENT: {name: _plain(getattr(value, name)) for name in names}}
     if isinstance(value, tuple):
         return {_KIND: "tuple", _CONTENT: [_plain(entry) for entry in value]}
     if isinstance(value, list):
@@ -113,19 +111,14 @@ def _restored(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
     kind, content = value[_KIND], value[_CONTENT]
-    if kind == "float":
-        return float(content)
-    if kind == "complex":
-        return complex(*map(_restored, content))
-    if kind == "array":
-        return np.load(io.BytesIO(base64.b64decode(content)), allow_pickle=False)
-    if kind == "path":
-        return Path(content)
-    if kind == "tuple":
-        return tuple(_restored(entry) for entry in content)
-    if kind == "mapping":
-        return {_restored(key): _restored(entry) for key, entry in content}
+    if kind in _MAKE:
+        return _MAKE[kind](_restored(content))
     return _class(kind)(**{name: _restored(entry) for name, entry in content.items()})
+
+
+def _is_record(kind: type) -> bool:
+    """Whether it is a dataclass or a named tuple."""
+    return dataclasses.is_dataclass(kind) or (issubclass(kind, tuple) and hasattr(kind, "_fields"))
 
 
 def _name(kind: type) -> str:
@@ -138,10 +131,7 @@ def _class(name: str) -> Any:
     module, _, qualified = name.partition(":")
     if module.partition(".")[0] != PACKAGE:
         raise ValueError(f"class {name!r}; expected one of {PACKAGE}")
-    kind: Any = importlib.import_module(module)
-    for part in qualified.split("."):
-        kind = getattr(kind, part)
-    is_tuple = isinstance(kind, type) and issubclass(kind, tuple) and hasattr(kind, "_fields")
-    if not (is_tuple or (isinstance(kind, type) and dataclasses.is_dataclass(kind))):
+    kind = operator.attrgetter(qualified)(importlib.import_module(module))
+    if not (isinstance(kind, type) and _is_record(kind)):
         raise ValueError(f"{name!r}; expected a dataclass or a named tuple")
     return kind

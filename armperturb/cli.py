@@ -1,5 +1,6 @@
 """The command line: the list of commands, and `main`."""
 
+import importlib
 import importlib.metadata
 import sys
 from collections.abc import Callable, Sequence
@@ -16,39 +17,16 @@ from tyro.constructors import (
     StructTypeInfo,
 )
 
-from armperturb.commands.calibrate import Calibrate
 from armperturb.commands.command import Command, field_texts
-from armperturb.commands.convert import Convert
-from armperturb.commands.design import Design
-from armperturb.commands.identify import Identify
-from armperturb.commands.report import Report
-from armperturb.commands.response import Response
-from armperturb.commands.score import Score
-from armperturb.commands.sidecar import Sidecar
-from armperturb.commands.simulate import Simulate
-from armperturb.commands.study import Study
-from armperturb.commands.validate import Validate
-from armperturb.commands.video import Video
-from armperturb.commands.view import View
 from armperturb.envs.render.gl import require_simulator
 from armperturb.extras import naming_the_extra
 from armperturb.perturbations import Perturbation, load_perturbation
 from armperturb.subject import Subject
 
-COMMANDS: tuple[type[Command], ...] = (
-    Study,
-    Report,
-    Score,
-    Simulate,
-    Sidecar,
-    Convert,
-    Identify,
-    Response,
-    Validate,
-    Design,
-    Calibrate,
-    Video,
-    View,
+_NAMES = "study report score simulate sidecar convert identify response validate design calibrate video view"
+
+COMMANDS: tuple[type[Command], ...] = tuple(
+    getattr(importlib.import_module(f"armperturb.commands.{name}"), name.capitalize()) for name in _NAMES.split()
 )
 """In the order in which help and documentation show them; each is typed as its name in small letters."""
 

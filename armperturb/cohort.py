@@ -14,39 +14,9 @@ from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.environment import Environment
 from armperturb.seeds import random_stream
 from armperturb.subject import HUMERUS_MASS_SHARE, POSITION, PRESETS, RELAX, TASKS, Subject, at_level
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_one_of
 
-SPREAD = {
-    # Table C.18, model 1.
-    "relax": {
-        "m_h": 0.39,
-        "m_f": 0.42,
-        "b_s": 0.25,
-        "b_se": 0.19,
-        "b_e": 0.23,
-        "k_s": 2.6,
-        "k_se": 0.9,
-        "k_e": 2.0,
-        "b_h": 16.6,
-        "k_h": 1.77e3,
-    },
-    # Table E.3, start vartheta_i5; grip, delay and cut-off were fixed. m_tot is shared out as in eqs 2.14, 2.15.
-    "position": {
-        "m_tot": 0.53,
-        "b_s": 1.70,
-        "b_se": 3.14,
-        "b_e": 6.56,
-        "k_s": 42.2,
-        "k_se": 61.1,
-        "k_e": 120.2,
-        "kv_s": 1.8,
-        "kv_se": 2.2,
-        "kv_e": 8.0,
-        "kp_s": 11.8,
-        "kp_se": 19.9,
-        "kp_e": 47.7,
-    },
-}
+SPREAD = tomllib.loads(resources.files(__package__).joinpath("spread.toml").read_text(encoding="utf-8"))
 """Standard deviation over the thesis's subjects of each parameter of a preset, SI."""
 
 STABILITY_MARGIN = 0.5
@@ -173,8 +143,7 @@ def draw_subject(
 @functools.cache
 def average_person() -> Person:
     """The person around whom cohorts of nonlinear people are drawn, as `armperturb calibrate` found it."""
-    text = resources.files("armperturb").joinpath("average_person.toml").read_text(encoding="utf-8")
-    values = tomllib.loads(text)
+    values = tomllib.loads(resources.files(__package__).joinpath("average_person.toml").read_text(encoding="utf-8"))
     subjects = {task: Subject.from_dict(values[task], f"average_person.toml, {task}") for task in TASKS}
     height, mass = _average_build()
     return Person(name="average", height=height, mass=mass, subjects=subjects, levels=values["levels"])
@@ -228,8 +197,7 @@ def draw_person(
     """
     require_number("cohort", "seed", seed, at_least=0)
     require_number("cohort", "number", number, at_least=0)
-    if muscles not in MUSCLES:
-        raise ValueError(f"cohort: muscles = {muscles!r}; expected one of {', '.join(MUSCLES)}")
+    require_one_of("cohort", "muscles", muscles, MUSCLES)
     environment = environment or Environment()
     body_rng, *task_rngs, level_rng = (
         # A stream of its own for each purpose: the draws of one task do not move those of the other.

@@ -6,10 +6,9 @@ Equations, symbols and literature: docs/muscle.md.
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from numbers import Integral
 from typing import Any, Self
 
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_whole
 
 PerElement = float | tuple[float, float, float]
 """One number for all muscle elements, or three: single-joint shoulder, two-joint, single-joint elbow."""
@@ -73,8 +72,7 @@ class MuscleLaw:
 
     def __post_init__(self) -> None:
         require_number("MuscleLaw", "parts", self.parts, at_least=1, at_most=MAX_PARTS)
-        if not isinstance(self.parts, Integral):
-            raise TypeError(f"MuscleLaw: parts = {self.parts!r}; expected a whole number")
+        require_whole("MuscleLaw", "parts", self.parts, at_least=1)
         for field, bounds in _RANGES.items():
             value = getattr(self, field)
             values = tuple(value) if isinstance(value, tuple | list) else (value,) * 3

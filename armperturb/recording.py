@@ -17,7 +17,9 @@ every variable has its `units`. On disk it is netCDF4. EMG is in single precisio
 """
 
 import io
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -28,25 +30,13 @@ from numpy.typing import ArrayLike
 from armperturb.files import written_whole
 from armperturb.foreign import Refused, read_foreign
 
-MUSCLES = (
-    "pectoralis_major_clavicular",
-    "latissimus_dorsi",
-    "deltoideus_anterior",
-    "deltoideus_posterior",
-    "biceps_short_head",
-    "brachioradialis",
-    "triceps_lateralis",
-    "triceps_longum",
-)
+_TABLES = tomllib.loads(resources.files(__package__).joinpath("recording.toml").read_text(encoding="utf-8"))
+
+MUSCLES: tuple[str, ...] = tuple(_TABLES["muscles"])
 """Muscles whose EMG is recorded (thesis 2.3)."""
 
-SIGNALS = {
-    "perturbation": (("time", "axis"), "N", "disturbance force d on the manipulator"),
-    "force": (("time", "axis"), "N", "reaction force f that the handle exerts on the hand"),
-    "displacement": (("time", "axis"), "m", "displacement of the handle from its start"),
-    "joint_angle": (("time", "joint"), "rad", "joint angle"),
-    "shoulder_marker": (("time", "axis"), "m", "displacement of the shoulder marker from its start"),
-    "emg": (("emg_time", "muscle"), "V", "surface electromyogram"),
+SIGNALS: Mapping[str, tuple[tuple[str, str], str, str]] = {
+    name: (tuple(dims), unit, description) for name, (dims, unit, description) in _TABLES["signals"].items()
 }
 """Variable name to dimensions after trial, unit and description."""
 
@@ -58,21 +48,7 @@ LABELS = {"axis": ("x", "y"), "joint": ("shoulder", "elbow"), "muscle": MUSCLES}
 CLOCKS = {"time": "rate", "emg_time": "emg_rate"}
 """Dimension to the attribute that holds its sampling rate [Hz]."""
 
-TRIAL_COORDINATES = {
-    "subject": ("", "who was perturbed"),
-    "task": ("", "PT position task, RT relax task"),
-    "condition": ("", "condition of the protocol, e.g. PT7.5"),
-    "repetition": ("", "repetition of the condition, from 0"),
-    "order": ("", "place of the trial in the session, from 0"),
-    "pulse_level": ("", "multiple of the unit pulse; 0 without pulse"),
-    "pulse_direction": ("deg", "direction of the pulse from the x axis"),
-    "pulse_onset": ("s", "onset of the pulse; NaN without pulse"),
-    "l_h": ("m", "length of the humerus"),
-    "l_f": ("m", "length of the forearm to the middle of the grip"),
-    "theta_s_deg": ("deg", "shoulder angle of the start posture"),
-    "theta_e_deg": ("deg", "elbow angle of the start posture"),
-    "limit_time": ("s", "first instant at the workspace limit; NaN if never"),
-}
+TRIAL_COORDINATES: Mapping[str, tuple[str, str]] = {name: tuple(row) for name, row in _TABLES["coordinates"].items()}
 """Coordinate along `trial` to unit and description."""
 
 OPTIONAL_COORDINATES = ("order",)
@@ -111,26 +87,18 @@ def make_recording(
         variables[name] = (("trial", *dims), array, _describe(units, description))
     if "emg" in variables and adc_step is not None:
         variables["emg"][2]["adc_step"] = float(adc_step)
-    rates = {"time": rate, "emg_time": emg_rate}
-    sizes = {dim: array.shape[1 + axis] for dims, array, _ in variables.values() for axis, dim in enumerate(dims[1:])}
+    rates = {dim: clock for dim, clock in (("time", rate), ("emg_time", emg_rate)) if clock is not None}
+    sizes = xr.Dataset(variables).sizes
     if "emg" in variables and emg_rate is None:
         raise ValueError("recording: emg_rate = None; expected the sampling rate of the EMG in Hz")
-    dataset = xr.Dataset(
-        variables,
-        coords={
-            **{
-                dim: (dim, np.arange(sizes[dim]) / clock, {"units": "s"})
-                for dim, clock in rates.items()
-                if dim in sizes and clock is not None
-            },
-            **{dim: (dim, list(labels)) for dim, labels in LABELS.items() if dim in sizes},
-            **{
-                name: ("trial", np.asarray(values), _describe(*TRIAL_COORDINATES[name]))
-                for name, values in trials.items()
-            },
-        },
-        attrs={CLOCKS[dim]: float(clock) for dim, clock in rates.items() if clock is not None} | attributes,
-    )
+    coords: dict[str, Any] = {
+        dim: (dim, np.arange(sizes[dim]) / clock, {"units": "s"}) for dim, clock in rates.items() if dim in sizes
+    }
+    coords |= {dim: (dim, list(labels)) for dim, labels in LABELS.items() if dim in sizes}
+    for name, values in trials.items():
+        coords[name] = "trial", np.asarray(values), _describe(*TRIAL_COORDINATES[name])
+    clocks = {CLOCKS[dim]: float(clock) for dim, clock in rates.items()}
+    dataset = xr.Dataset(variables, coords=coords, attrs=clocks | attributes)
     check_recording(dataset)
     return dataset
 
@@ -206,8 +174,7 @@ def check_recording(
             continue
         variable, last = recording[name], dims[-1]
         if variable.dims != ("trial", *dims):
-            expected = ", ".join(f"'{dim}'" for dim in ("trial", *dims))
-            raise ValueError(f"{source}: {name} has dims {variable.dims}; expected ({expected})")
+            raise ValueError(f"{source}: {name} has dims {variable.dims}; expected {('trial', *dims)}")
         if not isinstance(variable.attrs.get("units"), str) or variable.attrs["units"] != units:
             raise ValueError(f"{source}: {name} has units {variable.attrs.get('units')!r}; expected {units!r}")
         if last not in recording.coords or tuple(map(str, recording[last].values)) != LABELS[last]:
@@ -251,11 +218,10 @@ def _check_clock(recording: xr.Dataset, dim: str, source: str) -> None:
         raise ValueError(f"{source}: {dim} has {len(time)} samples; expected at least 2")
     off = np.abs(time - np.arange(len(time)) / rate)
     if off.max() > 0.01 / rate:
-        actual = 1.0 / np.median(np.diff(time))
+        at = int(np.argmax(off > 0.01 / rate))
         raise ValueError(
-            f"{source}: {dim} runs at {actual:.6g} Hz, or not evenly (sample {int(np.argmax(off > 0.01 / rate))} is at "
-            f"{time[np.argmax(off > 0.01 / rate)]:.6g} s); expected even steps from 0 s at {attribute} = "
-            f"{float(rate):.6g} Hz"
+            f"{source}: {dim} runs at {1.0 / np.median(np.diff(time)):.6g} Hz, or not evenly (sample {at} is at "
+            f"{time[at]:.6g} s); expected even steps from 0 s at {attribute} = {float(rate):.6g} Hz"
         )
 
 
@@ -314,9 +280,7 @@ def save_recording(recording: xr.Dataset, path: str | Path) -> None:
 
 def _guarded(path: Path) -> xr.Dataset:
     content = read_foreign(path)
-    variables = {
-        name: (of_one["dims"], of_one["values"], of_one["attrs"]) for name, of_one in content["variables"].items()
-    }
+    variables = {name: (each["dims"], each["values"], each["attrs"]) for name, each in content["variables"].items()}
     return xr.decode_cf(xr.Dataset(variables, attrs=content["attrs"]))
 
 
@@ -351,7 +315,7 @@ def load_recording(
     for name in TEXT_COORDINATES:
         if name in recording.coords:
             recording[name] = recording[name].astype(str)
-    if "emg" in recording.data_vars and recording["emg"].dtype != np.float32:
-        recording["emg"] = recording["emg"].astype(np.float32)
+    if "emg" in recording.data_vars:
+        recording["emg"] = recording["emg"].astype(np.float32, copy=False)
     check_recording(recording, source=str(path))
     return recording

@@ -4,6 +4,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
+from importlib import resources
 from pathlib import Path
 from typing import Any, Self
 
@@ -11,7 +12,7 @@ import numpy as np
 import tomli_w
 
 from armperturb.muscle_law import MuscleLaw
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_one_of
 
 TASKS = ("PT", "RT")
 """Position task (keep the handle in place) and relax task (do not react); thesis 2.5."""
@@ -111,8 +112,7 @@ class Subject:
     name: str = "subject"
 
     def __post_init__(self) -> None:
-        if self.task not in TASKS:
-            raise ValueError(f"Subject: task = {self.task!r}; expected one of {', '.join(TASKS)}")
+        require_one_of("Subject", "task", self.task, TASKS)
         if not isinstance(self.name, str) or not self.name or not self.name.isprintable():
             raise TypeError(f"Subject: name = {self.name!r}; expected a printable text that is not empty")
         for field in _POSITIVE:
@@ -252,44 +252,12 @@ def at_level(subject: Subject, level: float) -> Subject:
     return replace(subject, muscle=subject.muscle and subject.muscle.scaled(level), **changes)
 
 
-RELAX = Subject(
-    name="relax",
-    task="RT",
-    # Means of table C.18, model 1 (RT7.5, with penalty).
-    m_h=2.06,
-    m_f=1.86,
-    b_s=2.15,
-    b_se=1.40,
-    b_e=1.55,
-    k_s=7.3,
-    k_se=1.8,
-    k_e=5.4,
-    b_h=22.3,
-    k_h=8.2e3,
-)
+_PRESETS = tomllib.loads(resources.files(__package__).joinpath("presets.toml").read_text(encoding="utf-8"))
+
+RELAX = Subject(**_PRESETS["relax"])
 """The mean relaxed arm of the thesis: intrinsic and grip parameters only (table C.18, model 1)."""
 
-POSITION = Subject(
-    name="position",
-    task="PT",
-    # Means of table E.3, vartheta_i5 (PT7.5, model 3b): m_tot = 3.38 kg; grip, delay and cut-off fixed (section 2.7).
-    m_h=HUMERUS_MASS_SHARE * 3.38,
-    m_f=(1.0 - HUMERUS_MASS_SHARE) * 3.38,
-    b_s=5.78,
-    b_se=8.83,
-    b_e=17.53,
-    k_s=161.4,
-    k_se=115.4,
-    k_e=206.7,
-    b_h=57.0,
-    k_h=22.4e3,
-    kv_s=15.7,
-    kv_se=15.6,
-    kv_e=24.3,
-    kp_s=11.5,
-    kp_se=56.5,
-    kp_e=96.4,
-)
+POSITION = Subject(**_PRESETS["position"])
 """The mean position-task arm of the thesis, reflexes included (table E.3, start vartheta_i5)."""
 
 PRESETS = {"relax": RELAX, "position": POSITION}

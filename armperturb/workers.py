@@ -15,7 +15,7 @@ from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import resource_tracker
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 from loky import ProcessPoolExecutor
 from loky import cpu_count as cpu_count
@@ -40,25 +40,6 @@ TICK = 0.2
 """Time between two looks at the progress [s]."""
 
 
-class Workers(Protocol):
-    """Processes that compute units of work."""
-
-    remote: bool
-    """Whether they may lack this machine's file system."""
-
-    def submit(self, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
-        """Submit a unit, to processes that are started if there are none."""
-
-    def at_once(self) -> int:
-        """How many units to submit before the first is finished."""
-
-    def threads(self, number: int, n_units: int) -> int:
-        """Threads for one of `n_units` units, counted from 0 in the order in which they start."""
-
-    def stop(self) -> None:
-        """Give up everything that still runs, at once; more may be submitted later."""
-
-
 class LocalProcesses:
     """Fresh Python processes on this machine, through loky; they end with this one, however it ends.
 
@@ -67,6 +48,7 @@ class LocalProcesses:
     """
 
     remote = False
+    """Whether they may lack this machine's file system."""
 
     def __init__(self, count: int) -> None:
         self.count = count
@@ -107,6 +89,8 @@ class LocalProcesses:
                     # Cut off by the end of this process, it would leave a lock that the pool's helper complains about.
                     if thread.name == "QueueFeederThread":
                         thread.join(timeout=0.5)
+
+    close = stop
 
 
 class DaskCluster:
@@ -154,8 +138,13 @@ class DaskCluster:
             executor.shutdown(wait=False)
 
     def close(self) -> None:
-        """End the connection."""
+        """Give up what still runs there, and end the connection."""
+        self.stop()
         self._client.close(timeout=1)
+
+
+Workers = LocalProcesses | DaskCluster
+"""Processes that compute units of work."""
 
 
 @contextmanager
@@ -170,21 +159,12 @@ def workers_for(count: int, dask: str | None) -> Iterator[Workers | None]:
       MissingExtraError: Dask is not installed.
       OSError: no scheduler answers.
     """
-    if dask is not None:
-        cluster = DaskCluster(dask)
-        try:
-            yield cluster
-        finally:
-            cluster.stop()
-            cluster.close()
-    elif count == 1:
-        yield None
-    else:
-        processes = LocalProcesses(count)
-        try:
-            yield processes
-        finally:
-            processes.stop()
+    workers = DaskCluster(dask) if dask is not None else LocalProcesses(count) if count != 1 else None
+    try:
+        yield workers
+    finally:
+        if workers is not None:
+            workers.close()
 
 
 def completed(

@@ -13,7 +13,7 @@ from mujoco.batch import Batch
 
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
-from armperturb.models import build_model
+from armperturb.models.rig import build_model
 from armperturb.perturbations import Multisine
 from armperturb.subject import POSITION, RELAX, Subject
 

@@ -27,7 +27,7 @@ from armperturb.controllers.reflex import activate, initial_activation, reflex_g
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
-from armperturb.models import JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, build_model
+from armperturb.models.rig import JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, build_model
 from armperturb.study.protocol import THESIS
 from armperturb.study.recording.record import record_study
 from armperturb.study.recording.settings import StudySettings

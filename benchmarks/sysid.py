@@ -31,7 +31,7 @@ from armperturb.cohort import draw_person
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
-from armperturb.models import ANGLE_SENSORS, BIARTICULAR, GRIP, REFLEXES, SLIDES, STRAIN_GAUGE, build_spec
+from armperturb.models.rig import ANGLE_SENSORS, BIARTICULAR, GRIP, REFLEXES, SLIDES, STRAIN_GAUGE, build_spec
 from armperturb.perturbations import Multisine
 from armperturb.planar_arm.lanes import lane_table
 from armperturb.planar_arm.simulation import STEP, Disturbances

@@ -15,7 +15,7 @@ from mujoco.batch import Batch
 
 from armperturb.cohort import average_person
 from armperturb.envs.learning.gym_vector_env import ArmPerturbVectorEnv
-from armperturb.models import build_model
+from armperturb.models.rig import build_model
 
 NAME, N, TURNS = "ArmPerturb/Position-v0", 256, 7
 DECISIONS = {"bare Batch.step": 20, "vector": 20, "async": 4, "sync": 1}

@@ -23,6 +23,21 @@ from armperturb.study.results.analyse import run_study
 from armperturb.study.results.settings import AnalysisSettings
 from armperturb.subject import POSITION, RELAX
 
+SLOW_FIXTURES = {
+    **dict.fromkeys(("study", "thesis_study", "thesis_report", "ideal"), "simulates and analyses a small study"),
+    "explained": "simulates a person with and without each mechanism of the muscle law",
+    "forces": "simulates practice sessions",
+    "linear": "simulates a candidate of the calibration",
+    "moved": "simulates a moving shoulder",
+}
+"""Fixtures that take seconds, and why: tests that use them are marked as slow."""
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        for fixture in SLOW_FIXTURES.keys() & set(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.slow(reason=SLOW_FIXTURES[fixture]))
+
 
 @pytest.fixture(scope="session")
 def once(tmp_path_factory):

@@ -167,6 +167,7 @@ def formats():
     }
 
 
+@pytest.mark.slow("reads four formats")
 def test_data_are_read_without_a_note_and_are_what_their_readme_says(formats):
     person = draw_person(8, 0, muscles="linear").subjects["PT"]
     for imported in formats.values():
@@ -181,6 +182,7 @@ def test_data_are_read_without_a_note_and_are_what_their_readme_says(formats):
     assert sum(path.stat().st_size for path in DATA.iterdir() if path.is_file()) < 3e6
 
 
+@pytest.mark.slow("identifies the trials of four formats")
 def test_formats_that_hold_the_same_trials_give_the_same_estimates(formats):
     expected = formats["CSV"].recording
     fit = identify(expected, "3b").fit

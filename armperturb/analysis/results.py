@@ -16,13 +16,13 @@ from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy import stats
 
 from armperturb.arrays import Array, ComplexArray
 from armperturb.recording import LABELS
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 LINES, WIDTH = 25, 110
@@ -96,14 +96,13 @@ class Result:
     def summary(self) -> str:
         """The whole result as text for a terminal."""
         said = self.describe()
-        remarks = ["Remarks:", *(f"- {remark}" for remark in said.remarks)] if said.remarks else []
-        blocks = ([said.title, *said.facts], said.table.lines(), remarks, list(said.details))
+        blocks = ([said.title, *said.facts], said.table.lines(), _remarks(said.remarks), list(said.details))
         return "\n\n".join("\n".join(block) for block in blocks if block)
 
     def __repr__(self) -> str:
         said = self.describe()
-        head, table, remarks = _wrapped([said.title, *said.facts]), said.table.lines(), _remarks(said.remarks)
-        table = _shortened(table, max(LINES - len(head) - min(len(remarks), 5), 3))
+        head, remarks = _wrapped([said.title, *said.facts]), _wrapped(_remarks(said.remarks))
+        table = _shortened(said.table.lines(), max(LINES - len(head) - min(len(remarks), 5), 3))
         left = LINES - len(head) - len(table)
         if len(remarks) > left:
             remarks = [*remarks[: left - 1], "  ... summary() has the rest"]
@@ -113,14 +112,9 @@ class Result:
         said = self.describe()
         parts = [f"<p><strong>{escape(said.title)}</strong>{''.join(f'<br>{escape(fact)}' for fact in said.facts)}</p>"]
         if said.table.rows:
-            head = "".join(
-                f'<th style="text-align:{_side(i)}">{escape(c)}</th>' for i, c in enumerate(said.table.columns)
-            )
-            rows = "".join(
-                f"<tr>{''.join(f'<td style=text-align:{_side(i)}>{escape(c)}</td>' for i, c in enumerate(row))}</tr>"
-                for row in said.table.rows
-            )
-            parts.append(f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>")
+            head = _row("th", said.table.columns)
+            rows = "".join(_row("td", row) for row in said.table.rows)
+            parts.append(f"<table><thead>{head}</thead><tbody>{rows}</tbody></table>")
         if said.remarks:
             parts.append(f"<ul>{''.join(f'<li>{escape(remark)}</li>' for remark in said.remarks)}</ul>")
         return f"<div>{''.join(parts)}</div>"
@@ -166,10 +160,8 @@ class FitResult(Result):
         """Name of a parameter in tables, and the condition in which it holds; "" where it is not known."""
         return name, ""
 
-    def to_frame(self) -> "pd.DataFrame":
+    def to_frame(self) -> pd.DataFrame:
         """One row per free parameter, with its 95 % confidence interval; the columns are `PARAMETER_COLUMNS`."""
-        import pandas as pd
-
         rows = []
         for name, value in self.values.items():
             parameter, condition = self.place_of(name)
@@ -179,10 +171,8 @@ class FitResult(Result):
             )
         return pd.DataFrame(rows, columns=list(PARAMETER_COLUMNS))
 
-    def correlation_frame(self) -> "pd.DataFrame":
+    def correlation_frame(self) -> pd.DataFrame:
         """Correlation of the estimates' errors, one row and one column per parameter."""
-        import pandas as pd
-
         return pd.DataFrame(self.correlation, index=list(self.values), columns=list(self.values))
 
     def plot(self, figure: "Figure | None" = None) -> Any:
@@ -211,7 +201,7 @@ def normal_quantile(level: float) -> float:
     return float(stats.norm.ppf(0.5 + level / 2.0))
 
 
-def parameter_table(frame: "pd.DataFrame", *keys: str) -> Table:
+def parameter_table(frame: pd.DataFrame, *keys: str) -> Table:
     """Table as text of parameters and their 95 % intervals.
 
     Args:
@@ -228,28 +218,17 @@ def parameter_table(frame: "pd.DataFrame", *keys: str) -> Table:
     return Table(("parameter", "estimate", "95 % interval", "unit", *keys), tuple(rows))
 
 
-def response_frame(frequency: Array, response: ComplexArray) -> "pd.DataFrame":
+def response_frame(frequency: Array, response: ComplexArray) -> pd.DataFrame:
     """One row per frequency, output and input of a frequency response.
 
     Args:
       frequency: [Hz], (frequency,).
       response: [m/N], (frequency, output, input).
     """
-    import pandas as pd
-
-    axes = np.array(LABELS["axis"])
-    n, flat = len(frequency), np.asarray(response).ravel()
-    return pd.DataFrame(
-        {
-            "frequency_hz": np.repeat(frequency, 4),
-            "output": np.tile(np.repeat(axes, 2), n),
-            "input": np.tile(axes, 2 * n),
-            "real": flat.real,
-            "imag": flat.imag,
-            "gain_m_per_N": np.hypot(flat.real, flat.imag),
-            "phase_deg": np.degrees(np.angle(flat)),
-        }
-    )
+    keys = pd.MultiIndex.from_product([frequency, *2 * [LABELS["axis"]]], names=["frequency_hz", "output", "input"])
+    flat = np.asarray(response).ravel()
+    gain, phase = np.hypot(flat.real, flat.imag), np.degrees(np.angle(flat))
+    return keys.to_frame(index=False).assign(real=flat.real, imag=flat.imag, gain_m_per_N=gain, phase_deg=phase)
 
 
 def response_coordinates(frequency: Array) -> dict[str, Any]:
@@ -271,8 +250,7 @@ def _wrapped(lines: Iterable[str]) -> list[str]:
 
 
 def _remarks(remarks: Sequence[str]) -> list[str]:
-    said = [part for line in remarks for part in textwrap.wrap(f"- {line}", WIDTH, subsequent_indent="  ")]
-    return ["Remarks:", *said] if said else []
+    return ["Remarks:", *(f"- {remark}" for remark in remarks)] if remarks else []
 
 
 def _shortened(lines: list[str], most: int) -> list[str]:
@@ -289,5 +267,11 @@ def _shortened(lines: list[str], most: int) -> list[str]:
     return [*lines[: most - 1], f"... {len(lines) - most + 1} more lines in summary()"]
 
 
-def _side(column: int) -> str:
-    return "right" if column else "left"
+def _row(tag: str, cells: Sequence[str]) -> str:
+    """A row of an HTML table."""
+    sides = ["left", *["right"] * (len(cells) - 1)]
+    styled = (
+        f'<{tag} style="text-align:{side};padding:0 0.6em">{escape(cell)}</{tag}>'
+        for side, cell in zip(sides, cells, strict=True)
+    )
+    return f"<tr>{''.join(styled)}</tr>"

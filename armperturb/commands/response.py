@@ -54,11 +54,8 @@ class Response(Command):
             condition=self.condition,
             single_condition=True,
         )
-        options: dict[str, Any] = {
-            name: value
-            for name, value in (("window_start", self.window_start), ("period", self.period))
-            if value is not None
-        }
+        options: dict[str, Any] = {"window_start": self.window_start, "period": self.period}
+        options = {name: value for name, value in options.items() if value is not None}
         lines, distortion = [note for _, notes in imported for note in notes], None
         try:
             trials = prepared_recordings(recordings)
@@ -86,9 +83,7 @@ class Response(Command):
         return [*lines, f"results: {self.out}"]
 
 
-def write_response(
-    estimate: FrequencyResponse, distortion: BestLinear | None, folder: str | Path, condition: str
-) -> list[Path]:
+def write_response(estimate: FrequencyResponse, distortion: BestLinear | None, folder: Path, condition: str) -> None:
     """Write `response.csv` and `response.svg`, and `distortion.csv` and `.svg` if there are any, into a folder.
 
     Args:
@@ -97,23 +92,17 @@ def write_response(
       folder: where; it is made if needed.
       condition: for the last column of the tables.
 
-    Returns:
-      The paths written.
-
     Raises:
       OSError: the folder cannot be made or written to.
     """
     from armperturb.plots.style import save_plot
 
-    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / name for name in ("response.csv", "response.svg", "distortion.csv", "distortion.svg")]
-    write_csv(estimate.to_frame().assign(condition=condition), paths[0])
-    save_plot(estimate, paths[1])
-    if distortion is None:
-        for path in paths[2:]:
-            path.unlink(missing_ok=True)
-        return paths[:2]
-    write_csv(distortion.to_frame().assign(condition=condition), paths[2])
-    save_plot(distortion, paths[3])
-    return paths
+    for name, result in (("response", estimate), ("distortion", distortion)):
+        table, figure = folder / f"{name}.csv", folder / f"{name}.svg"
+        if result is None:
+            table.unlink(missing_ok=True)
+            figure.unlink(missing_ok=True)
+        else:
+            write_csv(result.to_frame().assign(condition=condition), table)
+            save_plot(result, figure)

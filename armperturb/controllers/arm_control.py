@@ -1,8 +1,6 @@
 """All that muscles and reflexes add to the springs and dampers of the model, once per step, for many arms at once."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Self
 
 import numpy as np
 
@@ -12,7 +10,6 @@ from armperturb.controllers.muscle import NonlinearMuscles
 from armperturb.controllers.reflex import (
     MemoryReflexes,
     NonlinearSpindles,
-    ReflexGains,
     activate,
     initial_activation,
     reflex_gains,
@@ -20,37 +17,14 @@ from armperturb.controllers.reflex import (
 )
 from armperturb.subject import Subject
 
+Strength = dict[str, Array]
+"""How much muscle and reflex there is in some trials, (trial, 3) each.
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Strength:
-    """How much muscle and reflex there is in some trials, as arrays of triples.
-
-    A name ending in `_groups` has the values of the muscle groups (single-joint shoulder, two-joint, single-joint
-    elbow, eq. 2.10), the others the entries (s, se, e) of the joint matrix that these make (eq. 2.9).
-
-    Attributes:
-      k: stiffness, (trial, entry) [Nm/rad].
-      k_groups: the same of the groups, (trial, element).
-      b: damping, (trial, entry) [Nms/rad].
-      b_groups: the same of the groups, (trial, element).
-      short_range_groups: short-range stiffness, (trial, element) [Nm/rad].
-      kv: velocity feedback, (trial, entry) [Nms/rad].
-      kv_groups: the same of the groups, (trial, element).
-      kp: position feedback, (trial, entry) [Nm/rad].
-    """
-
-    k: Array
-    k_groups: Array
-    b: Array
-    b_groups: Array
-    short_range_groups: Array
-    kv: Array
-    kv_groups: Array
-    kp: Array
-
-    def take(self, trials: Indices) -> Self:
-        """Some of the trials."""
-        return type(self)(**{field.name: getattr(self, field.name)[trials] for field in fields(self)})
+Stiffness `k` [Nm/rad], damping `b` [Nms/rad], and feedback of velocity `kv` [Nms/rad] and of position `kp` [Nm/rad] are
+the entries (s, se, e) of a joint matrix (eq. 2.9). Names ending in `_groups` have the values of the muscle groups
+(single-joint shoulder, two-joint, single-joint elbow, eq. 2.10) that make these, and `short_range_groups` has their
+short-range stiffness [Nm/rad].
+"""
 
 
 class ArmControl:
@@ -59,6 +33,7 @@ class ArmControl:
     Everything is elementwise: a trial has the same bits alone and beside others.
 
     Attributes:
+      gains: feedback gains and activation filters as they are now.
       excitation: reflexive excitation of the joints at the last step [Nm], (trial, joint); zero before the first.
     """
 
@@ -72,7 +47,7 @@ class ArmControl:
         """
         self.excitation = trials_adjacent(np.zeros((len(subjects), 2)), 0)
         self._timestep = timestep
-        self._gains = reflex_gains(subjects, timestep)
+        self.gains = reflex_gains(subjects, timestep)
         self._activation = initial_activation(len(subjects))
         self._spindles = NonlinearSpindles(subjects)
         self._muscles = NonlinearMuscles(subjects, timestep)
@@ -90,7 +65,7 @@ class ArmControl:
           The torque to apply [Nm], shaped as `noise` where no subject has a muscle law, and the controls of the reflex
           motors [Nm], (trial, joint), which the model delays.
         """
-        excitation = self.excitation = spindle_excitation(self._gains, angle, velocity)
+        excitation = self.excitation = spindle_excitation(self.gains, angle, velocity)
         if self._spindles.needed:
             self._spindles.correct_excitation(excitation, velocity)
         applied = noise
@@ -99,7 +74,7 @@ class ArmControl:
         if self._memory.needed:
             nonlinear = self._muscles.at_start if self._muscles.needed else None
             self._memory.add_excitation(excitation, angle, velocity, nonlinear)
-        active, self._activation = activate(self._gains, self._activation, excitation)
+        active, self._activation = activate(self.gains, self._activation, excitation)
         if self._memory.needed:
             self._memory.remember(active)
         return applied, -active
@@ -111,10 +86,10 @@ class ArmControl:
           trials: indices of those trials.
           strength: of as many.
         """
-        self._muscles.set_strength(trials, strength.short_range_groups, strength.b_groups)
-        self._spindles.set_gains(trials, strength.kv_groups)
-        self._memory.set_muscle(trials, _matrices(strength.k), _matrices(strength.b))
-        self._gains.velocity[trials], self._gains.position[trials] = _matrices(strength.kv), _matrices(strength.kp)
+        self._muscles.set_strength(trials, strength["short_range_groups"], strength["b_groups"])
+        self._spindles.set_gains(trials, strength["kv_groups"])
+        self._memory.set_muscle(trials, _matrices(strength["k"]), _matrices(strength["b"]))
+        self.gains.velocity[trials], self.gains.position[trials] = _matrices(strength["kv"]), _matrices(strength["kp"])
 
     def replace(self, trials: Indices, subjects: Sequence[Subject]) -> None:
         """Put other people, at rest, in the place of some trials.
@@ -130,14 +105,9 @@ class ArmControl:
         self._activation[:, trials] = 0.0
         self.excitation[trials] = 0.0
         for name in ("posture", "velocity", "position"):
-            getattr(self._gains, name)[trials] = getattr(fresh._gains, name)
+            getattr(self.gains, name)[trials] = getattr(fresh.gains, name)
         for name in ("numerator", "denominator"):
-            getattr(self._gains, name)[:, trials] = getattr(fresh._gains, name)
-
-    @property
-    def gains(self) -> ReflexGains:
-        """Feedback gains and activation filters as they are now."""
-        return self._gains
+            getattr(self.gains, name)[:, trials] = getattr(fresh.gains, name)
 
 
 def _matrices(triples: Array) -> Array:

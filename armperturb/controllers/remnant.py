@@ -7,9 +7,11 @@ Wolpert 2002, J. Neurophysiol. 88: its SD is proportional to the mean torque); w
 both PT2.5 and PT22.5 their published VAF (table C.12).
 """
 
+import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -127,10 +129,8 @@ class HumanNoise:
           ValueError: a cut-off is not below half the simulation's rate.
         """
         spectrum = np.zeros((np.size(frequency), 2))
-        for (order, field), rms in zip(_PARTS, self.rms(demand), strict=True):
-            cutoff = getattr(self, field)
-            require_number("HumanNoise", field, cutoff, above=0.0, below=0.5 / timestep)
-            _, response = signal.sosfreqz(_unit_lowpass(order, cutoff, timestep), frequency, fs=1.0 / timestep)
+        for part, rms in zip(_PARTS, self.rms(demand), strict=True):
+            _, response = signal.sosfreqz(self._lowpass(*part, timestep), frequency, fs=1.0 / timestep)
             spectrum += 2.0 * timestep * rms**2 * np.abs(response)[:, None] ** 2
         return spectrum
 
@@ -150,14 +150,15 @@ class HumanNoise:
         """
         torque = np.zeros((n_steps, 2))
         # One stream for each part: switching one off leaves the other as it was.
-        for (order, field), rms, stream in zip(_PARTS, self.rms(demand), rng.spawn(len(_PARTS)), strict=True):
-            if not rms.any():
-                continue
-            cutoff = getattr(self, field)
-            require_number("HumanNoise", field, cutoff, above=0.0, below=0.5 / timestep)
-            sections = _unit_lowpass(order, cutoff, timestep)
-            torque += rms * signal.sosfilt(sections, stream.standard_normal((n_steps, 2)), axis=0)
+        for part, rms, stream in zip(_PARTS, self.rms(demand), rng.spawn(len(_PARTS)), strict=True):
+            if rms.any():
+                white = stream.standard_normal((n_steps, 2))
+                torque += rms * signal.sosfilt(self._lowpass(*part, timestep), white, axis=0)
         return torque
+
+    def _lowpass(self, order: int, field: str, timestep: float) -> Array:
+        require_number("HumanNoise", field, getattr(self, field), above=0.0, below=0.5 / timestep)
+        return _unit_lowpass(order, getattr(self, field), timestep)
 
 
 @lru_cache(maxsize=64)
@@ -171,19 +172,9 @@ def _unit_lowpass(order: int, cutoff: float, timestep: float) -> Array:
     return sections
 
 
-_SPREADS = {f"spread_{quantity}": 0.08 for quantity in _VARIED}
+_NOISE = tomllib.loads(resources.files(__package__).joinpath("human_noise.toml").read_text(encoding="utf-8"))
 
-HUMAN_NOISE = {
-    "PT": HumanNoise(
-        remnant_share=0.40,
-        remnant_floor=0.25,
-        remnant_cutoff=1.5,
-        voluntary_share=0.16,
-        voluntary_floor=0.08,
-        **_SPREADS,
-    ),
-    "RT": HumanNoise(remnant_share=0.30, remnant_floor=0.05, remnant_cutoff=8.0, **_SPREADS),
-}
+HUMAN_NOISE = {task: HumanNoise(**values) for task, values in _NOISE.items()}
 """Task to how noisy people are in it; relaxed people make no slow corrections.
 
 Set on the VAF of the thesis's tables C.12 and C.22. Of the average person under the published forces, 8 trials per

@@ -2,28 +2,23 @@
 
 import io
 import json
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from scipy.io import savemat
 
+from armperturb.arrays import Array
+from armperturb.convert.tables import TABLES
 from armperturb.files import written_whole
 from armperturb.recording import LABELS, SIGNALS, TRIAL_COORDINATES, check_recording, save_recording
 from armperturb.validation import require_one_of
 
-COLUMNS = {
-    "perturbation": ("d_x_N", "d_y_N"),
-    "force": ("f_x_N", "f_y_N"),
-    "displacement": ("x_x_m", "x_y_m"),
-    "joint_angle": ("q_shoulder_rad", "q_elbow_rad"),
-    "shoulder_marker": ("marker_x_m", "marker_y_m"),
-    "emg": tuple(f"{name}_V" for name in LABELS["muscle"]),
-}
+COLUMNS = {**TABLES["columns"], "emg": [f"{name}_V" for name in LABELS["muscle"]]}
 """Variable to its columns in text. EMG, which has another sampling rate, goes to a separate file."""
 
 ENDINGS = (".nc", ".csv", ".mat")
@@ -55,7 +50,7 @@ def export_recording(recording: xr.Dataset, path: str | Path) -> list[Path]:
     files = {path: content}
     if path.suffix == ".csv" and "emg" in recording.data_vars:
         beside = path.with_name(f"{path.stem}_emg.csv")
-        files[beside] = _emg_text(recording)
+        files[beside] = _table(recording, ["emg"], float_format="%.9g")  # exact in single precision
         meaning["signals"]["emg"]["file"] = beside.name
     files[sidecar] = (json.dumps(meaning, indent=2, allow_nan=False) + "\n").encode()
     with ExitStack() as stack:  # files are moved to their places only after all were written
@@ -75,33 +70,23 @@ def require_ending(path: Path) -> None:
 
 
 def _text(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
-    names = [name for name in COLUMNS if name in recording.data_vars and name != "emg"]
-    file = io.StringIO()
-    file.write(",".join(("trial", "time_s", *(column for name in names for column in COLUMNS[name]))) + "\n")
-    time = recording["time"].values.tolist()
-    for trial in range(recording.sizes["trial"]):
-        values = np.concatenate([recording[name].values[trial] for name in names], axis=1).astype(float)
-        # The repr of a float is exact.
-        file.writelines(
-            f"{trial + 1},{at!r},{','.join(map(repr, row))}\n" for at, row in zip(time, values.tolist(), strict=True)
-        )
-    channels = {name: COLUMNS[name] for name in COLUMNS if name in recording.data_vars}
-    meaning = _sidecar(recording, channels)
-    return file.getvalue().encode(), {
-        **meaning,
-        "time": {"channel": "time_s", "unit": "s"},
-        "trial": "trial",
-        "trials": _trials(recording),
-    }
+    channels = {name: columns for name, columns in COLUMNS.items() if name in recording.data_vars}
+    meaning = _sidecar(recording, channels) | {"time": {"channel": "time_s", "unit": "s"}, "trial": "trial"}
+    content = _table(recording, [name for name in channels if name != "emg"], recording["time"].values)
+    return content, {**meaning, "trials": _trials(recording)}
 
 
-def _emg_text(recording: xr.Dataset) -> bytes:
-    file = io.StringIO()
-    file.write(",".join(("trial", *COLUMNS["emg"])) + "\n")
-    line = ",%.9g" * len(COLUMNS["emg"]) + "\n"  # nine digits are exact in single precision
-    for trial, values in enumerate(recording["emg"].values):
-        file.writelines(f"{trial + 1}{line % tuple(row)}" for row in values.tolist())
-    return file.getvalue().encode()
+def _table(
+    recording: xr.Dataset, names: Sequence[str], time: Array | None = None, float_format: str | None = None
+) -> bytes:
+    """Signals as text, one line per sample, below a line of names; numbers are exact by default."""
+    values = np.concatenate([recording[name].values for name in names], axis=2, dtype=float)
+    n_trials, n_time, n_columns = values.shape
+    table = pd.DataFrame(values.reshape(-1, n_columns), columns=[column for name in names for column in COLUMNS[name]])
+    if time is not None:
+        table.insert(0, "time_s", np.tile(time, n_trials))
+    table.insert(0, "trial", np.repeat(np.arange(1, n_trials + 1), n_time))
+    return bytes(table.to_csv(index=False, lineterminator="\n", float_format=float_format).encode())
 
 
 def _matlab(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
@@ -148,10 +133,8 @@ def _sidecar(recording: xr.Dataset, channels: Mapping[str, tuple[str, ...]]) -> 
 
 def _trials(recording: xr.Dataset) -> dict[str, dict[str, Any]]:
     """Labels of each trial; what does not exist is left out."""
-    rows = {}
-    for trial in range(recording.sizes["trial"]):
-        row = {name: recording[name].values[trial].item() for name in TRIAL_COORDINATES if name in recording.coords}
-        rows[str(trial + 1)] = {
-            name: value for name, value in row.items() if not (isinstance(value, float) and math.isnan(value))
-        }
-    return rows
+    labels = {name: recording[name].values for name in TRIAL_COORDINATES if name in recording.coords}
+    return {
+        str(number): {name: value for name, value in row.items() if value == value}  # NaN is not
+        for number, row in enumerate(pd.DataFrame(labels).to_dict("records"), start=1)
+    }

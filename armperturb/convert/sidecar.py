@@ -1,7 +1,7 @@
 """The sidecar: a JSON file that says what the columns of a laboratory's file mean (docs/recordings.md)."""
 
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, Self
@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, NoReturn, Self
 import numpy as np
 
 from armperturb.arrays import Array
+from armperturb.convert.tables import TABLES
 from armperturb.convert.units import factor_to, quantity
 from armperturb.recording import LABELS, REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES
 from armperturb.subject import TASKS
@@ -20,23 +21,13 @@ LARGEST = 2**20
 LONGEST_TEXT = 200
 """Characters of a label or of the name of a channel."""
 
-MEANINGS = {
-    "axes": "where x and y point: right, left, forward or backward",
-    "exerted_by": "handle (the force of the handle on the hand) or hand (the force of the hand on the handle)",
-    "unit": "the unit of the values, e.g. N or mm",
-    "subject": "a name or number of the person",
-    "task": "PT if the person kept the position, RT if relaxed",
-    "l_h": 'length of the humerus, e.g. "31 cm"',
-    "l_f": 'length of the forearm to the middle of the grip, e.g. "34 cm"',
-    "theta_s_deg": "shoulder angle of the start posture, from the x axis",
-    "theta_e_deg": "elbow angle of the start posture",
-}
+MEANINGS: Mapping[str, str] = TABLES["meanings"]
 """Field to what a person should know to fill it in."""
 
 OPEN = "?"
 """In the place of a value that a person has to fill in."""
 
-DIRECTIONS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "forward": (0.0, 1.0), "backward": (0.0, -1.0)}
+DIRECTIONS: Mapping[str, Sequence[float]] = TABLES["directions"]
 """Where an axis of the laboratory can point, in ours: x = right, y = forward."""
 
 BODIES = {"handle": 1.0, "hand": -1.0}
@@ -47,18 +38,7 @@ FIRST = "first"
 
 REQUIRED_LABELS = ("subject", "task", "l_h", "l_f", "theta_s_deg", "theta_e_deg")
 
-_RANGES: Mapping[str, tuple[float, float]] = {
-    "l_h": (0.1, 0.7),
-    "l_f": (0.1, 0.7),
-    "theta_s_deg": (-90.0, 180.0),
-    "theta_e_deg": (1.0, 179.0),
-    "repetition": (0.0, 1e6),
-    "order": (0.0, 1e6),
-    "pulse_level": (-1e3, 1e3),
-    "pulse_direction": (-360.0, 360.0),
-    "pulse_onset": (0.0, 1e5),
-    "limit_time": (0.0, 1e5),
-}
+_RANGES: Mapping[str, tuple[float, float]] = TABLES["ranges"]
 """What labels of people can be, in our units: beyond it is a slip, or another unit."""
 
 
@@ -152,15 +132,13 @@ class Sidecar:
             ("rate", "time", "trial", "axes", "signals", "labels", "trials", "environment", "csv", "guessed"),
             ("axes", "signals", "labels"),
         )
-        guessed = top.fields("guessed") if "guessed" in top else _Fields({}, str(path), "")
+        guessed = top.fields("guessed")
         _require_closed(top, {name: guessed.text(name) for name in guessed.content})
-        rate, time = top.rate("rate"), None
+        rate, time, mass = top.rate("rate"), None, None
         if "time" in top:
-            of_time = top.fields("time")
-            of_time.require_only(("channel", "unit"), ("channel", "unit"))
+            of_time = top.fields("time", ("channel", "unit"), ("channel", "unit"))
             time = of_time.text("channel"), factor_to("s", of_time["unit"], of_time.where("unit"))
-        of_signals = top.fields("signals")
-        of_signals.require_only(tuple(SIGNALS), REQUIRED_SIGNALS)
+        of_signals = top.fields("signals", SIGNALS, REQUIRED_SIGNALS)
         axes = _axes(top)
         signals = {name: _signal(of_signals.fields(name), name, axes) for name in SIGNALS if name in of_signals}
         owners: dict[str, str] = {}
@@ -172,17 +150,11 @@ class Sidecar:
                         "channel for each"
                     )
                 owners[channel] = name
-        labels = _labels(top.fields("labels"))
-        trials = {}
-        if "trials" in top:
-            of_trials = top.fields("trials")
-            trials = {name: _labels(of_trials.fields(name)) for name in of_trials.content}
-            if not trials:
-                raise ValueError(f"{path}: trials is empty; expected labels of each trial, or no such field")
-        mass = None
+        of_trials = top.fields("trials")
+        if "trials" in top and not of_trials.content:
+            raise ValueError(f"{path}: trials is empty; expected labels of each trial, or no such field")
         if "environment" in top:
-            of_environment = top.fields("environment")
-            of_environment.require_only(("m_env",), ("m_env",))
+            of_environment = top.fields("environment", ("m_env",), ("m_env",))
             mass = quantity(of_environment["m_env"], "kg", of_environment.where("m_env"))
             require_number(str(path), "environment.m_env", mass, above=0.0, at_most=1e3)
         return cls(
@@ -191,11 +163,16 @@ class Sidecar:
             time=time,
             trial=top.text("trial") if "trial" in top else None,
             signals=signals,
-            labels=labels,
-            trials=trials,
+            labels=_labels(top.fields("labels")),
+            trials={name: _labels(of_trials.fields(name)) for name in of_trials.content},
             mass=mass,
-            dialect=_dialect(top.fields("csv")) if "csv" in top else Dialect(),
-            notes=_unconfirmed(path, guessed.content),
+            dialect=_dialect(top.fields("csv", Dialect._fields)),
+            notes=(
+                f"{path}: guesses that nobody has confirmed: {', '.join(guessed.content)} (delete what you have "
+                "checked from guessed)",
+            )
+            if guessed.content
+            else (),
         )
 
     def labels_of(self, trial: str) -> dict[str, Any]:
@@ -243,8 +220,12 @@ class _Fields:
     def where(self, name: str) -> str:
         return f"{self.file}: {self.place_of(name)}"
 
-    def fields(self, name: str) -> "_Fields":
-        return _Fields(self.content[name], self.file, self.place_of(name))
+    def fields(self, name: str, known: Collection[str] = (), required: Collection[str] = ()) -> "_Fields":
+        """An object in this one, empty if it is missing; with `known`, refused if it has other fields."""
+        fields = _Fields(self.content.get(name, {}), self.file, self.place_of(name))
+        if known:
+            fields.require_only(known, required)
+        return fields
 
     def require_only(self, known: Collection[str], required: Collection[str] = ()) -> None:
         for name in self.content:
@@ -264,9 +245,10 @@ class _Fields:
             )
         return value
 
-    def choice(self, name: str, known: Collection[str]) -> str:
-        require_one_of(self.file, self.place_of(name), self.content[name], tuple(known))
-        return str(self.content[name])
+    def choice(self, name: str, known: Collection[str], default: str | None = None) -> str:
+        value = self.content.get(name, default)
+        require_one_of(self.file, self.place_of(name), value, tuple(known))
+        return str(value)
 
     def rate(self, name: str) -> float | None:
         if name not in self.content:
@@ -321,18 +303,9 @@ def _leaves(content: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, 
             yield where, value
 
 
-def _unconfirmed(path: Path, guessed: Collection[str]) -> tuple[str, ...]:
-    if not guessed:
-        return ()
-    return (
-        f"{path}: guesses that nobody has confirmed: {', '.join(guessed)} (delete what you have checked from guessed)",
-    )
-
-
 def _axes(fields: _Fields) -> Array:
     """Directions of the laboratory's x and y in our axes, (lab's axis, our axis)."""
-    of_axes = fields.fields("axes")
-    of_axes.require_only(("x", "y"), ("x", "y"))
+    of_axes = fields.fields("axes", ("x", "y"), ("x", "y"))
     directions = np.array([DIRECTIONS[of_axes.choice(name, DIRECTIONS)] for name in ("x", "y")])
     if abs(np.linalg.det(directions)) < 0.5:
         raise ValueError(
@@ -343,21 +316,16 @@ def _axes(fields: _Fields) -> Array:
 
 def _signal(fields: _Fields, name: str, axes: Array) -> Signal:
     dims, ours, _ = SIGNALS[name]
-    components, on_axes = LABELS[dims[1]], dims[1] == "axis"
-    known = ["channels", "unit"]
-    known += ["axes"] if on_axes else []
-    known += ["start"] if on_axes and ours == "m" else []
-    known += ["exerted_by"] if name == "force" else []
-    known += ["rate", "file"] if name == "emg" else []
+    components = LABELS[dims[1]]
+    known = TABLES["fields"][name]
     fields.require_only(known, [field for field in known if field in ("channels", "unit", "exerted_by")])
-    of_channels = fields.fields("channels")
-    of_channels.require_only(components, components)
+    of_channels = fields.fields("channels", components, components)
     channels = {component: of_channels.text(component) for component in components}
     for component, channel in channels.items():
         if list(channels.values()).count(channel) > 1:
             raise ValueError(f"{of_channels.where(component)} = {channel!r} twice; expected a channel for each")
     matrix = np.eye(len(components)) * factor_to(ours, fields["unit"], fields.where("unit"))
-    if on_axes:
+    if "axes" in known:
         matrix = matrix @ (_axes(fields) if "axes" in fields else axes)
     if name == "force":
         matrix = matrix * BODIES[fields.choice("exerted_by", BODIES)]
@@ -382,7 +350,7 @@ def _file(fields: _Fields) -> str:
 
 def _start(fields: _Fields, components: tuple[str, ...]) -> tuple[float, ...] | str:
     value = fields["start"]
-    if isinstance(value, str) and value == FIRST:
+    if value == FIRST:
         return FIRST
     if not isinstance(value, list) or len(value) != len(components):
         raise ValueError(f"{fields.where('start')} = {value!r:.60}; expected 'first', or [x, y] in the signal's unit")
@@ -417,9 +385,8 @@ def _labels(fields: _Fields) -> dict[str, Any]:
 
 
 def _dialect(fields: _Fields) -> Dialect:
-    fields.require_only(Dialect._fields)
-    delimiter = fields.choice("delimiter", (",", ";", "\t", " ")) if "delimiter" in fields else ","
-    decimal = fields.choice("decimal", (".", ",")) if "decimal" in fields else "."
+    delimiter = fields.choice("delimiter", (",", ";", "\t", " "), ",")
+    decimal = fields.choice("decimal", (".", ","), ".")
     if decimal == delimiter:
         raise ValueError(f"{fields.where('decimal')} = {decimal!r} as the delimiter; expected another one")
     skip = fields.content.get("skip_lines", 0)

@@ -3,7 +3,9 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
+from functools import reduce
 from itertools import product
+from operator import getitem
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
@@ -18,6 +20,7 @@ from armperturb.convert.importer import import_trials
 from armperturb.convert.raw import trial_name
 from armperturb.convert.reading import C3D, MATLAB, TEXT, read_trials
 from armperturb.convert.sidecar import BODIES, FIRST, MEANINGS, OPEN, REQUIRED_LABELS, Dialect, Sidecar
+from armperturb.convert.tables import TABLES
 from armperturb.convert.units import UNITS
 from armperturb.environment import Environment
 from armperturb.files import written_whole
@@ -25,37 +28,18 @@ from armperturb.recording import REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TR
 from armperturb.subject import POSITION
 from armperturb.validation import require_one_of
 
-ROLES = {
-    "perturbation": "perturbation perturb pert disturbance disturb dist d motor mot m drive command cmd input",
-    "force": "force f gauge sensor loadcell load cell reaction interaction ft",
-    "displacement": "displacement disp x position pos p handle hand encoder path cursor endpoint",
-}
+ROLES: Mapping[str, str] = TABLES["roles"]
 """Signal to words of names that stand for it, in the order in which they decide; a bare x or y is displacement."""
 
-ALIASES = {"participant": "subject", "person": "subject", "subj": "subject", "sub": "subject", "id": "subject"}
-TIMES = ("t", "time", "times", "timestamp", "seconds")
-TRIALS = ("trial", "trial number", "trial no", "trial nr", "trial id", "run", "sweep")
-RATES = ("rate", "fs", "sampling rate", "sample rate")
-RELAXED = {"rt", "relax", "relaxed"}
+WORDS: Mapping[str, Sequence[str]] = TABLES["words"]
+"""Field of a sidecar to words of names that stand for it."""
 
 MOVEMENT = (0.003, 0.5)
 """Between which the handle's path usually extends [m]."""
 
-ORIGINS = {
-    "axes": "no data can show it; as seen by the seated person",
-    "subject": "no column says it",
-    "task": "no column says it",
-    "l_h": "the average person's",
-    "l_f": "the average person's",
-    "theta_s_deg": "that of the thesis",
-    "theta_e_deg": "that of the thesis",
-    "exerted_by": "physics does not show it",
-}
-"""Field that has to be filled in to why its value is a guess."""
-
 
 def _check(field: str) -> str:
-    return f"{MEANINGS[field]} ({ORIGINS[field]})"
+    return f"{MEANINGS[field]} ({TABLES['origins'][field]})"
 
 
 class SidecarTemplate(NamedTuple):
@@ -104,20 +88,12 @@ def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: floa
     content["guessed"] = guessed
     with written_whole(target) as part:
         part.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    marked = [_marked(field, _value(content, field), text) for field, text in guessed.items()]
+    marked = []
+    for field, text in guessed.items():
+        value: Any = reduce(getitem, field.split("."), content)
+        what = "is left open" if value == OPEN else "is a guess"
+        marked.append(f"{field} = {json.dumps(value, ensure_ascii=False)} {what}: {text}")
     return SidecarTemplate(target, (*marked, *notes))
-
-
-def _value(content: Mapping[str, Any], field: str) -> Any:
-    value: Any = content
-    for name in field.split("."):
-        value = value[name]
-    return value
-
-
-def _marked(field: str, value: Any, text: str) -> str:
-    what = "is left open" if value == OPEN else "is a guess"
-    return f"{field} = {json.dumps(value, ensure_ascii=False)} {what}: {text}"
 
 
 # What it means.
@@ -135,20 +111,20 @@ def _guess(
     for column in columns:
         words, unit = column.words()
         name = " ".join(words)
-        label = ALIASES.get(name, name.replace(" ", "_"))
+        label = TABLES["aliases"].get(name, name.replace(" ", "_"))
         label = f"{label}_{unit}" if f"{label}_{unit}" in TRIAL_COORDINATES else label
         if column.channel.lower() in TRIAL_COORDINATES or label in TRIAL_COORDINATES:
             labels[label if label in TRIAL_COORDINATES else column.channel.lower()] = column.values
         elif column.values.dtype.kind not in "fiu":
             continue
-        elif name in RATES and len(column.values) == 1 and "rate" not in content:
+        elif name in WORDS["rate"] and len(column.values) == 1 and "rate" not in content:
             content["rate"] = float(column.values[0])
-        elif words and words[-1] in TIMES and "time" not in content:
+        elif words and words[-1] in WORDS["time"] and "time" not in content:
             content["time"] = {"channel": column.channel, "unit": unit}
             if unit not in UNITS["s"]:
                 content["time"]["unit"] = _unit_of_times(column.values)
                 guessed["time.unit"] = "from the steps of the times"
-        elif name in TRIALS and trial is None:
+        elif name in WORDS["trial"] and trial is None:
             trial, content["trial"] = column, column.channel
         else:
             stem, axis = axis_of(words)
@@ -231,7 +207,7 @@ def _add_labels(
     lists = {name: values.tolist() for name, values in labels.items()}
     constant = {name: plain(name, values[0]) for name, values in lists.items() if len(set(values)) == 1}
     varying = {name: values for name, values in lists.items() if name not in constant}
-    is_relaxed = {word.lower() for word in WORD.findall(path.stem)} & RELAXED
+    is_relaxed = {word.lower() for word in WORD.findall(path.stem)} & {*WORDS["relaxed"]}
     defaults: dict[str, Any] = {"subject": "S01", "task": "RT" if is_relaxed else "PT"}
     defaults |= {name: getattr(POSITION, name) for name in REQUIRED_LABELS if name not in defaults}
     for name in REQUIRED_LABELS:

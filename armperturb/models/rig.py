@@ -9,7 +9,7 @@ import numpy as np
 
 from armperturb.environment import Environment, Strap
 from armperturb.subject import Subject
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_one_of, require_whole
 
 ARM_XML, MANIPULATOR_XML, RIG_XML = (Path(__file__).parent / f"{name}.xml" for name in ("arm", "manipulator", "rig"))
 """The MJCF files; each loads on its own, `rig.xml` includes the other two."""
@@ -128,15 +128,11 @@ def build_spec(
 ) -> mujoco.MjSpec:
     """The rig before it is compiled, to read or change it; arguments and errors as in `build_model`."""
     needed = history_length(subject, timestep)
-    if rope not in ROPES:
-        raise ValueError(f"build_model: rope = {rope!r}; expected one of {', '.join(ROPES)}")
+    require_one_of("build_model", "rope", rope, ROPES)
     if strap is not None and not isinstance(strap, Strap):
         raise TypeError(f"build_model: strap = {strap!r}; expected Strap or None")
-    if n_history is None:
-        n_history = needed
-    if isinstance(n_history, bool) or not isinstance(n_history, int | np.integer):
-        raise TypeError(f"build_model: n_history = {n_history!r}; expected a whole number")
-    require_number("build_model", "n_history", int(n_history), at_least=needed)
+    n_history = needed if n_history is None else n_history
+    require_whole("build_model", "n_history", n_history, at_least=needed)
 
     spec = _parsed_rig().copy()
     spec.option.timestep = timestep
@@ -162,12 +158,8 @@ def _parsed_rig() -> mujoco.MjSpec:
 def _hand_position(subject: Subject) -> np.ndarray:
     """Position of the hand in the shoulder's frame at the start posture [m], (axis,) (thesis eq. B.28)."""
     theta_s, theta_e = subject.posture
-    return np.array(
-        [
-            subject.l_h * math.cos(theta_s) + subject.l_f * math.cos(theta_s + theta_e),
-            subject.l_h * math.sin(theta_s) + subject.l_f * math.sin(theta_s + theta_e),
-        ]
-    )
+    elbow = subject.l_h * np.array([math.cos(theta_s), math.sin(theta_s)])
+    return elbow + subject.l_f * np.array([math.cos(theta_s + theta_e), math.sin(theta_s + theta_e)])
 
 
 def _sling_position(subject: Subject) -> np.ndarray:

@@ -9,7 +9,7 @@ from scipy.fft import irfft
 
 from armperturb.perturbations.crest import N_STARTS, reduce_crest
 from armperturb.perturbations.perturbation import sample_times
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_one_of
 
 DESIGN_RATE = 200.0
 """Rate of the thesis's recordings [Hz]."""
@@ -79,8 +79,7 @@ class Multisine:
     def __post_init__(self) -> None:
         require_number("Multisine", "rms", self.rms, above=0.0)
         require_number("Multisine", "duration", self.duration, above=0.0)
-        if self.reduced not in REDUCED_RATIO:
-            raise ValueError(f"Multisine: reduced = {self.reduced!r}; expected one of {', '.join(REDUCED_RATIO)}")
+        require_one_of("Multisine", "reduced", self.reduced, tuple(REDUCED_RATIO))
         phases = np.array(self.phases, dtype=float)
         if phases.shape != (2, CLUSTERS.size) or not np.isfinite(phases).all():
             raise ValueError(

@@ -1,11 +1,10 @@
 """What every perturbation offers: a duration, a bandwidth and its force at any time."""
 
-from numbers import Integral
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_whole
 
 BANDWIDTH_SHARE = 0.45
 """A perturbation may reach up to this share of the simulation rate [-]: the Nyquist frequency with a margin."""
@@ -47,9 +46,7 @@ def sample_times(rate: float, n_samples: int, start: float) -> np.ndarray:
       ValueError: an argument is not finite, rate is not positive or n_samples is negative.
     """
     require_number("sample", "rate", rate, above=0.0)
-    require_number("sample", "n_samples", n_samples, at_least=0)
-    if not isinstance(n_samples, Integral):
-        raise TypeError(f"sample: n_samples = {n_samples!r}; expected a whole number")
+    require_whole("sample", "n_samples", n_samples, at_least=0)
     require_number("sample", "start", start)
     return start + np.arange(n_samples) / rate
 

@@ -60,26 +60,15 @@ class Sampled:
         return len(self.force) / self.rate
 
     @cached_property
-    def _spectrum(self) -> tuple[np.ndarray, np.ndarray]:
-        """Frequencies [Hz] and share of the power without the mean at each [-], both (frequency,)."""
+    def highest_frequency(self) -> float:
+        """Lowest frequency [Hz] with at most 0.5 % of the power above it, means removed; 0 for a constant force."""
         n_samples = len(self.force)
         power = np.sum(np.abs(np.fft.rfft(self.force - self.force.mean(axis=0), axis=0)) ** 2, axis=1)
         power[0] = 0.0
         power[1 : (n_samples + 1) // 2] *= 2.0  # all but the Nyquist frequency stand for two
-        total = power.sum()
-        return np.fft.rfftfreq(n_samples, 1.0 / self.rate), power / total if total > 0.0 else power
-
-    def content_above(self, frequency: float) -> float:
-        """Share of the power of both axes together, means removed, above a frequency [Hz]; between 0 and 1 [-]."""
-        frequencies, share = self._spectrum
-        return float(share[frequencies > frequency].sum())
-
-    @property
-    def highest_frequency(self) -> float:
-        """Lowest frequency [Hz] with at most 0.5 % of the power above it; 0 for a constant force."""
-        frequencies, share = self._spectrum
-        above = np.append(np.cumsum(share[:0:-1])[::-1], 0.0)  # above[i]: what lies above frequencies[i]
-        return float(frequencies[np.argmax(above <= INSIGNIFICANT_SHARE)])
+        above = np.append(np.cumsum(power[:0:-1])[::-1], 0.0)  # above[i]: what lies above the frequency i
+        lowest = np.argmax(above <= INSIGNIFICANT_SHARE * power.sum())
+        return float(np.fft.rfftfreq(n_samples, 1.0 / self.rate)[lowest])
 
     @cached_property
     def _spline(self) -> BSpline:

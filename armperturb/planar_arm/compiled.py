@@ -21,17 +21,7 @@ Lane = Any
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _slope(
-    p: Lane,
-    z: Array,
-    push_x: float,
-    push_y: float,
-    torque_s: float,
-    torque_e: float,
-    start_x: float,
-    start_y: float,
-    out: Array,
-) -> None:
+def _slope(p: Lane, z: Array, push: Array, active: Array, law: Array, origin: Array, out: Array) -> None:
     """Derivative of (q_s, q_e, x, y, their velocities), q from the posture and x from the start."""
     q_s, q_e, x, y, w_s, w_e, v_x, v_y = z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]
     upper, lower = p.posture[0] + q_s, p.posture[0] + p.posture[1] + q_s + q_e
@@ -39,21 +29,21 @@ def _slope(
     # Columns of the hand's Jacobian; turned by a right angle, that of the shoulder is the hand's position.
     e_x, e_y = -p.l_f * sin_l, p.l_f * cos_l
     s_x, s_y = e_x - p.l_h * sin_u, e_y + p.l_h * cos_u
-    f_x = p.k_h * (x + start_x - s_y) + p.b_h * (v_x - s_x * w_s - e_x * w_e)
-    f_y = p.k_h * (y + start_y + s_x) + p.b_h * (v_y - s_y * w_s - e_y * w_e)
+    f_x = p.k_h * (x + origin[0] - s_y) + p.b_h * (v_x - s_x * w_s - e_x * w_e)
+    f_y = p.k_h * (y + origin[1] + s_x) + p.b_h * (v_y - s_y * w_s - e_y * w_e)
     couple = p.inertia[2] * (cos_u * cos_l + sin_u * sin_l)
     swirl = p.inertia[2] * (cos_u * sin_l - sin_u * cos_l)
-    t_s = torque_s + s_x * f_x + s_y * f_y + swirl * w_e * (2.0 * w_s + w_e)
+    t_s = active[0] - law[0] + s_x * f_x + s_y * f_y + swirl * w_e * (2.0 * w_s + w_e)
     t_s -= p.k[0] * q_s + p.k[1] * q_e + p.b[0] * w_s + p.b[1] * w_e
-    t_e = torque_e + e_x * f_x + e_y * f_y - swirl * w_s * w_s
+    t_e = active[1] - law[1] + e_x * f_x + e_y * f_y - swirl * w_s * w_s
     t_e -= p.k[1] * q_s + p.k[2] * q_e + p.b[1] * w_s + p.b[2] * w_e
     m_s, m_se, m_e = p.inertia[0] + 2.0 * couple, p.inertia[1] + couple, p.inertia[1]
     determinant = m_s * m_e - m_se * m_se
     out[0], out[1], out[2], out[3] = w_s, w_e, v_x, v_y
     out[4] = (m_e * t_s - m_se * t_e) / determinant
     out[5] = (m_s * t_e - m_se * t_s) / determinant
-    out[6] = (push_x - f_x - p.b_env * v_x - p.k_env * x) / p.m_env
-    out[7] = (push_y - f_y - p.b_env * v_y - p.k_env * y) / p.m_env
+    out[6] = (push[0] - f_x - p.b_env * v_x - p.k_env * x) / p.m_env
+    out[7] = (push[1] - f_y - p.b_env * v_y - p.k_env * y) / p.m_env
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -128,8 +118,7 @@ def _advance(
         part = 0.5 * timestep if stage < 3 else timestep
         for i in range(8):
             moved[i] = state[i] if stage == 0 else state[i] + part * slope[i]
-        torque_s, torque_e = active[half, 0] - law[0], active[half, 1] - law[1]
-        _slope(p, moved, push[0], push[1], torque_s, torque_e, origin[0], origin[1], slope)
+        _slope(p, moved, push, active[half], law, origin, slope)
         weight = timestep / 6.0 if stage == 0 or stage == 3 else timestep / 3.0
         for i in range(8):
             total[i] = weight * slope[i] if stage == 0 else total[i] + weight * slope[i]

@@ -10,12 +10,11 @@ from armperturb.arrays import Array
 from armperturb.controllers.muscle import muscle_parameters
 from armperturb.controllers.reflex import reflex_gains
 from armperturb.environment import Environment
+from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import Subject
 
 MATRICES = ("k", "b", "kv", "kp")
-ELEMENTS = 3
-
-_SCALARS = ("l_h", "l_f", "k_h", "b_h")
+_SEGMENTS = ("m_h", "m_f", "l_h", "l_f")
 
 
 class Start(NamedTuple):
@@ -42,31 +41,8 @@ def at_rest(n_lanes: int, n_history: int) -> Start:
     return Start(np.zeros((n_lanes, 8)), np.zeros((n_lanes, 2, 2)), np.zeros((n_lanes, n_history, 2)))
 
 
-def lane_type(parts: int) -> np.dtype:
-    """Row of the table; names are those of `Subject`, `Environment`, `MuscleParameters` and `ReflexGains`."""
-    triple = (np.float64, (3,))
-    return np.dtype(
-        [
-            *((name, np.float64) for name in _SCALARS),
-            ("posture", np.float64, (2,)),
-            ("inertia", *triple),
-            *((name, *triple) for name in MATRICES),
-            ("kv_groups", *triple),
-            ("delay", np.float64, (2,)),
-            ("numerator", np.float64, (3, 2)),
-            ("denominator", np.float64, (3, 2)),
-            *((name, *triple) for name in ("part_stiffness", "loss", "persistence", "damping_groups", "thinning")),
-            ("limit", np.float64, (3, parts)),
-            ("limit_slope", np.float64, (3, parts)),
-            ("saturation", *triple),
-            ("direction", *triple),
-            *((name, np.float64) for name in ("m_env", "b_env", "k_env")),
-        ]
-    )
-
-
 def lane_table(subjects: Sequence[Subject], environments: Sequence[Environment], timestep: float) -> NDArray[np.void]:
-    """One row per subject and environment, (lane,).
+    """One row per subject and environment, (lane,); names are those of `Subject`, `Environment`, and their controllers.
 
     Args:
       subjects: one per lane.
@@ -88,31 +64,31 @@ def lane_table(subjects: Sequence[Subject], environments: Sequence[Environment],
                 f"step of {timestep:g} s"
             )
     muscles, gains = muscle_parameters(subjects, timestep), reflex_gains(subjects, timestep)
-    table = np.zeros(len(subjects), dtype=lane_type(len(muscles.limit)))
-    for name in _SCALARS:
-        table[name] = [getattr(subject, name) for subject in subjects]
-    for name in MATRICES:
-        table[name] = [subject.joint_triple(name) for subject in subjects]
-    for name in ("m_env", "b_env", "k_env"):
-        table[name] = [getattr(environment, name) for environment in environments]
-    table["posture"], table["delay"] = gains.posture, [(subject.Td_s, subject.Td_e) for subject in subjects]
-    m_h, m_f = (np.array([getattr(subject, name) for subject in subjects]) for name in ("m_h", "m_f"))
-    l_h, l_f = table["l_h"], table["l_f"]
+    laws = [subject.muscle or MuscleLaw() for subject in subjects]
+    m_h, m_f, l_h, l_f = (np.array([getattr(subject, name) for subject in subjects]) for name in _SEGMENTS)
     # Of both segments about the shoulder, of the forearm about the elbow, and what couples them (point masses).
-    table["inertia"] = np.stack(
-        [m_h * l_h**2 / 4 + m_f * (l_h**2 + l_f**2 / 4), m_f * l_f**2 / 4, m_f * l_h * l_f / 2], axis=1
-    )
-    table["numerator"], table["denominator"] = gains.numerator.swapaxes(0, 1), gains.denominator.swapaxes(0, 1)
-    table["kv_groups"] = [subject.muscle_groups("kv") for subject in subjects]
-    for name in ("loss", "persistence", "thinning"):
-        table[name] = getattr(muscles, name)
-    table["part_stiffness"], table["damping_groups"] = muscles.stiffness, muscles.damping
-    table["limit"] = muscles.limit.transpose(1, 2, 0)
-    if muscles.limit_slope is not None:
-        table["limit_slope"] = muscles.limit_slope.transpose(1, 2, 0)
-    table["saturation"], table["direction"] = np.inf, 0.0
-    for lane, subject in enumerate(subjects):
-        if subject.muscle is not None:
-            table["saturation"][lane] = subject.muscle.of_elements("spindle_saturation")
-            table["direction"][lane] = subject.muscle.of_elements("spindle_direction")
+    inertia = m_h * l_h**2 / 4 + m_f * (l_h**2 + l_f**2 / 4), m_f * l_f**2 / 4, m_f * l_h * l_f / 2
+    limit = muscles.limit.transpose(1, 2, 0)
+    slope = None if muscles.limit_slope is None else muscles.limit_slope.transpose(1, 2, 0)
+    columns = {
+        **{name: [getattr(subject, name) for subject in subjects] for name in ("l_h", "l_f", "k_h", "b_h")},
+        "posture": gains.posture,
+        "inertia": np.stack(inertia, axis=1),
+        **{name: [subject.joint_triple(name) for subject in subjects] for name in MATRICES},
+        "kv_groups": [subject.muscle_groups("kv") for subject in subjects],
+        "delay": [(subject.Td_s, subject.Td_e) for subject in subjects],
+        "numerator": gains.numerator.swapaxes(0, 1),
+        "denominator": gains.denominator.swapaxes(0, 1),
+        "part_stiffness": muscles.stiffness,
+        **{name: getattr(muscles, name) for name in ("loss", "persistence", "thinning")},
+        "damping_groups": muscles.damping,
+        "limit": limit,
+        "limit_slope": np.zeros_like(limit) if slope is None else slope,
+        "saturation": [law.of_elements("spindle_saturation") for law in laws],
+        "direction": [law.of_elements("spindle_direction") for law in laws],
+        **{name: [getattr(held, name) for held in environments] for name in ("m_env", "b_env", "k_env")},
+    }
+    table = np.zeros(len(subjects), [(name, float, np.shape(values)[1:]) for name, values in columns.items()])
+    for name, values in columns.items():
+        table[name] = values
     return table

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from mujoco.batch import Batch
 
-from armperturb import models
 from armperturb.environment import Environment
-from armperturb.models import build_model, history_length
+from armperturb.models import rig as models
+from armperturb.models.rig import build_model, history_length
 from armperturb.subject import POSITION, RELAX, Subject
 
 TALL = replace(RELAX, name="tall", m_h=2.9, m_f=2.3, l_h=0.37, l_f=0.41, theta_s_deg=35.0, theta_e_deg=61.0, Td_s=0.025)

@@ -171,7 +171,7 @@ class FrequencyResponse(Result):
 
         def cell(k: int, i: int, j: int) -> str:
             error = "" if limits is None else f" +/- {plain(limits[k, i, j], 2)}"
-            return f"{plain(gain[k, i, j], 3)}{error} {phase[k, i, j]:4.0f}"
+            return f"{plain(gain[k, i, j], 3)}{error} {phase[k, i, j]:4.0f}°"
 
         return Description(
             title=f"{title} ({self.label})" if self.label else title,

@@ -18,7 +18,16 @@ from numpy.typing import NDArray
 from armperturb.arrays import Array, Indices
 from armperturb.controllers.layout import trials_adjacent
 from armperturb.environment import Environment, Strap
-from armperturb.models import BIARTICULAR, JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE, STRAP, build_model, history_length
+from armperturb.models.rig import (
+    BIARTICULAR,
+    JOINTS,
+    REFLEXES,
+    SLIDES,
+    STRAIN_GAUGE,
+    STRAP,
+    build_model,
+    history_length,
+)
 from armperturb.subject import RELAX, Subject
 
 DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")]
@@ -32,43 +41,28 @@ def warning_handler() -> tuple[ctypes.c_void_p, int | None]:
     return handler, ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p).value
 
 
-class _Silence:
-    """Takes MuJoCo's warning handler out as long as any thread asks for it."""
+_HANDLERS: list[int | None] = []
+"""What was MuJoCo's handler when each of those began who keep it silent now: its own first, then what does nothing."""
 
-    def __init__(self) -> None:
-        self._lock, self._depth = threading.Lock(), 0
-        self._before: int | None = None
-
-    def begin(self) -> None:
-        handler, nothing = warning_handler()
-        with self._lock:
-            if not self._depth:
-                self._before, handler.value = handler.value, nothing
-            self._depth += 1
-
-    def end(self) -> None:
-        handler, _ = warning_handler()
-        with self._lock:
-            self._depth -= 1
-            if not self._depth:
-                handler.value = self._before
-
-
-_SILENCE = _Silence()
+_HANDLERS_LOCK = threading.Lock()
 
 
 @contextmanager
 def silent_simulator() -> Iterator[None]:
     """Keep MuJoCo from writing its warnings to the terminal and to MUJOCO_LOG.TXT; `Batch.warning` counts them anyway.
 
-    The batch calls the handler from its own threads, without Python. Until the end it is therefore a C function that
-    takes a text and does nothing with it.
+    The batch calls the handler from its own threads, without Python. Until the last thread that asks for silence ends
+    it, the handler is therefore a C function that takes a text and does nothing with it.
     """
-    _SILENCE.begin()
+    handler, nothing = warning_handler()
+    with _HANDLERS_LOCK:
+        _HANDLERS.append(handler.value)
+        handler.value = nothing
     try:
         yield
     finally:
-        _SILENCE.end()
+        with _HANDLERS_LOCK:
+            handler.value = _HANDLERS.pop()
 
 
 COMPILED = ("m_h", "m_f", "l_h", "l_f", "theta_s_deg", "theta_e_deg", "b_h", "k_h", "Td_s", "Td_e")
@@ -154,8 +148,18 @@ class Simulation:
         """
         self.timestep = timestep
         self.n_history = max(n_history, *(history_length(subject, timestep) for subject in subjects))
-        self._environment, self._rope, self._strap, self._n_threads = environment, rope, strap, n_threads
-        self._compiled: dict[Subject, mujoco.MjModel] = {}
+        self._n_threads = n_threads
+        compile_body = functools.partial(
+            build_model,
+            environment=environment,
+            timestep=timestep,
+            rope=rope,
+            strap=strap,
+            n_history=self.n_history,
+            visual=False,
+        )
+        # Room for everybody here and some who have been replaced.
+        self._compile = functools.lru_cache(2 * len(subjects) + 8)(compile_body)
         self._bodies = [body_of(subject) for subject in subjects]
         model = self._compile(self._bodies[0])
         self._hinge, self._slide = columns(model, JOINTS), columns(model, SLIDES)
@@ -264,8 +268,6 @@ class Simulation:
             self.set_muscles(np.arange(len(self._bodies)), *self._strength)
         self._set_muscles_of(trials, subjects)
         self._reset(trials)
-        if len(self._compiled) > 2 * len(self._bodies) + 8:  # of people who have been replaced
-            self._compiled = {body: self._compiled[body] for body in set(self._bodies)}
 
     def _set_muscles_of(self, trials: Indices, subjects: Sequence[Subject]) -> None:
         stiffness, damping = (np.array([subject.muscle_groups(name) for subject in subjects]) for name in ("k", "b"))
@@ -280,16 +282,3 @@ class Simulation:
 
     def _fields(self, model: mujoco.MjModel) -> MuscleFields:
         return MuscleFields([getattr(model, field) for field in MUSCLE_FIELDS], self._hinge, self._tendon)
-
-    def _compile(self, body: Subject) -> mujoco.MjModel:
-        if body not in self._compiled:
-            self._compiled[body] = build_model(
-                body,
-                self._environment,
-                timestep=self.timestep,
-                rope=self._rope,
-                strap=self._strap,
-                n_history=self.n_history,
-                visual=False,
-            )
-        return self._compiled[body]

@@ -1,7 +1,6 @@
 """One trial: a person under a perturbation, what is random about it, and what it puts into the simulation."""
 
 from dataclasses import dataclass
-from numbers import Integral
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from armperturb.environment import Environment, Strap
 from armperturb.perturbations import Perturbation, Pulse
 from armperturb.perturbations.hold import held_over_steps
 from armperturb.subject import Subject
-from armperturb.validation import require_number
+from armperturb.validation import require_whole
 
 HUMAN, MARKER, EMG = 1, 2, 3
 """What a trial's seed is extended by for each source of chance; the strain gauge takes the seed as it is."""
@@ -45,7 +44,7 @@ class Trial:
 
     Raises:
       TypeError: seed or order is not a whole number, or noise is something else.
-      ValueError: seed or order is not finite or negative.
+      ValueError: seed or order is negative.
     """
 
     subject: Subject
@@ -59,10 +58,7 @@ class Trial:
 
     def __post_init__(self) -> None:
         for field in ("order", "seed"):
-            value = getattr(self, field)
-            require_number("Trial", field, value, at_least=0)
-            if not isinstance(value, Integral):
-                raise TypeError(f"Trial: {field} = {value!r}; expected a whole number")
+            require_whole("Trial", field, getattr(self, field), at_least=0)
         if self.noise is not None and not isinstance(self.noise, HumanNoise):
             raise TypeError(f"Trial: noise = {self.noise!r}; expected HumanNoise or None")
 

@@ -170,7 +170,7 @@ class ArmPerturbTask(composer.Task):
         """
         changed, strength = self._people.decide(np.asarray(action)[np.newaxis])
         if len(changed):
-            self._muscles.write(strength.k_groups[0], strength.b_groups[0])
+            self._muscles.write(strength["k_groups"][0], strength["b_groups"][0])
         # What cannot be integrated ends the trial with its reward; composer would have none for it.
         self._tolerant.enter_context(physics.suppress_physics_errors())
 

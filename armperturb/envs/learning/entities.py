@@ -15,7 +15,7 @@ import numpy as np
 
 from armperturb.environment import Environment, Strap
 from armperturb.envs.learning.dm import composer, mjcf, observable
-from armperturb.models import (
+from armperturb.models.rig import (
     ARM_XML,
     BIARTICULAR,
     GRIP,

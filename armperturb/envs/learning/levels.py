@@ -10,11 +10,15 @@ from numpy.typing import ArrayLike
 from armperturb.arrays import Array
 from armperturb.controllers.arm_control import Strength
 from armperturb.envs.learning.task import TaskSettings
+from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import Subject
 from armperturb.validation import require_number
 
 GROUPS = ("shoulder", "two-joint", "elbow")
 """Muscle groups (eq. 2.10)."""
+
+LEVEL_OF = {"kv": 1, "kp": 2}
+"""Row of the levels that sets a kind of feedback; the first one, co-contraction, sets what muscles do."""
 
 
 def subject_at(settings: TaskSettings, levels: ArrayLike) -> Subject:
@@ -44,11 +48,11 @@ def subject_at(settings: TaskSettings, levels: ArrayLike) -> Subject:
     changes: dict[str, Any] = {
         f"{quantity}_{joint}": float(entry)
         for quantity in ("b", "k", "kv", "kp")
-        for joint, entry in zip(("s", "se", "e"), getattr(strength, quantity)[0], strict=True)
+        for joint, entry in zip(("s", "se", "e"), strength[quantity][0], strict=True)
     }
     subject = settings.subject
     if subject.muscle is not None:
-        short_range = tuple(strength.short_range_groups[0].tolist())
+        short_range = tuple(strength["short_range_groups"][0].tolist())
         changes["muscle"] = replace(subject.muscle, short_range_stiffness=short_range)
     return replace(subject, **changes)
 
@@ -56,23 +60,12 @@ def subject_at(settings: TaskSettings, levels: ArrayLike) -> Subject:
 def strength_of(subjects: Sequence[Subject]) -> Strength:
     """Muscles and reflexes of people as they are."""
 
-    def triples(quantity: str) -> Array:
-        return np.array([subject.joint_triple(quantity) for subject in subjects])
-
-    def groups(quantity: str) -> Array:
-        return np.array([subject.muscle_groups(quantity) for subject in subjects])
-
-    short_range = [s.muscle.of_elements("short_range_stiffness") if s.muscle else (0.0, 0.0, 0.0) for s in subjects]
-    return Strength(
-        k=triples("k"),
-        k_groups=groups("k"),
-        b=triples("b"),
-        b_groups=groups("b"),
-        short_range_groups=np.array(short_range),
-        kv=triples("kv"),
-        kv_groups=groups("kv"),
-        kp=triples("kp"),
-    )
+    laws = [subject.muscle or MuscleLaw() for subject in subjects]
+    strength = {"short_range_groups": np.array([law.of_elements("short_range_stiffness") for law in laws])}
+    for quantity in ("k", "b", "kv", "kp"):
+        strength[quantity] = np.array([subject.joint_triple(quantity) for subject in subjects])
+        strength[f"{quantity}_groups"] = np.array([subject.muscle_groups(quantity) for subject in subjects])
+    return strength
 
 
 def strength_between(relaxed: Strength, position: Strength, levels: Array) -> Strength:
@@ -80,28 +73,16 @@ def strength_between(relaxed: Strength, position: Strength, levels: Array) -> St
 
     Exact at levels of 0 and of 1.
     """
-    level = dict(zip(("muscle", "velocity", "position"), levels.swapaxes(0, 1), strict=True))
 
-    def groups(low: Array, high: Array, level: Array) -> Array:
-        return (1.0 - np.minimum(level, 1.0)) * low + level * high
+    def mixed(name: str, columns: slice, level: Array) -> Array:
+        return (1.0 - np.minimum(level, 1.0)) * relaxed[name][:, columns] + level * position[name][:, columns]
 
-    def triples(low: Array, high: Array, level: Array) -> Array:
-        mixed = groups(low, high, level)
-        # An entry of the diagonal has the two-joint group in it, whose level may be another.
-        two_joint = low[:, 1:2], high[:, 1:2]
-        mixed[:, ::2] += groups(*two_joint, level[:, 1:2]) - groups(*two_joint, level[:, ::2])
-        return mixed
-
-    parts = {
-        "k": (triples, "muscle"),
-        "k_groups": (groups, "muscle"),
-        "b": (triples, "muscle"),
-        "b_groups": (groups, "muscle"),
-        "short_range_groups": (groups, "muscle"),
-        "kv": (triples, "velocity"),
-        "kv_groups": (groups, "velocity"),
-        "kp": (triples, "position"),
-    }
-    return Strength(
-        **{name: mix(getattr(relaxed, name), getattr(position, name), level[of]) for name, (mix, of) in parts.items()}
-    )
+    strength = {}
+    for name in relaxed:
+        level = levels[:, LEVEL_OF.get(name.removesuffix("_groups"), 0)]
+        strength[name] = mixed(name, slice(None), level)
+        if not name.endswith("_groups"):
+            # An entry of the diagonal has the two-joint group in it, whose level may be another.
+            two_joint = slice(1, 2)
+            strength[name][:, ::2] += mixed(name, two_joint, level[:, 1:2]) - mixed(name, two_joint, level[:, ::2])
+    return strength

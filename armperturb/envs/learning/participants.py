@@ -100,8 +100,7 @@ class Participants:
         if settings.activation_time:
             decay = 1.0 / (settings.control_rate * settings.activation_time)
             self._left, self._left_on_average = np.exp(-decay), -np.expm1(-decay) / decay
-        ends = [strength_of([subject] * n) for subject in settings.people]
-        self._relaxed, self._position = ends
+        self._relaxed, self._position = (strength_of([subject] * n) for subject in settings.people)
         self._posture = np.zeros((n, 2))
         self._push, self._noise = np.zeros((2, n, self._every, 2))  # longer with the first trials
         self._recorded = np.zeros((n, 1, 2))
@@ -163,8 +162,8 @@ class Participants:
 
     def _put(self, people: Indices, subjects: Sequence[Subject]) -> None:
         strength = self._position if self.settings.task == "PT" else self._relaxed
-        for name, values in vars(strength_of(subjects)).items():
-            getattr(strength, name)[people] = values
+        for name, values in strength_of(subjects).items():
+            strength[name][people] = values
         self.control.replace(people, subjects)
         self.levels[people] = self.reached[people] = 1.0 if self.settings.task == "PT" else 0.0
         self._posture[people] = [subject.posture for subject in subjects]
@@ -209,7 +208,9 @@ class Participants:
         if settings.torque:
             self._command = trials_adjacent(actions[:, column:] * settings.highest_torque, 0)
         changed = np.flatnonzero((self.levels != before).any(axis=(1, 2)))
-        strength = strength_between(self._relaxed.take(changed), self._position.take(changed), self.levels[changed])
+        ends = self._relaxed, self._position
+        relaxed, position = ({name: values[changed] for name, values in end.items()} for end in ends)
+        strength = strength_between(relaxed, position, self.levels[changed])
         if len(changed):
             self.control.set_strength(changed, strength)
         # Where a trial is over, signals are zero until the next one begins.

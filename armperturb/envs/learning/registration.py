@@ -8,6 +8,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from armperturb.extras import naming_the_extra
+from armperturb.validation import require_one_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -78,8 +79,7 @@ def load_dm_env(
       TypeError: a setting is unknown or has the wrong type.
       ValueError: the name is unknown, or a setting out of its range.
     """
-    if name not in TASKS:
-        raise ValueError(f"load_dm_env: name = {name!r}; expected one of {', '.join(TASKS)}")
+    require_one_of("load_dm_env", "name", name, tuple(TASKS))
     with naming_the_extra("load_dm_env"):
         from armperturb.envs.learning.dm_task import compose
 

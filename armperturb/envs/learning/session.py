@@ -10,7 +10,7 @@ from armperturb.envs.lab.simulation import Simulation, silent_simulator
 from armperturb.envs.lab.trial import Trial
 from armperturb.envs.learning.participants import Participants
 from armperturb.envs.learning.task import TaskSettings
-from armperturb.models import history_length
+from armperturb.models.rig import history_length
 
 
 class Session:
@@ -61,7 +61,7 @@ class Session:
         people, simulation = self.people, self.simulation
         changed, strength = people.decide(actions)
         if len(changed):
-            simulation.set_muscles(changed, strength.k_groups, strength.b_groups)
+            simulation.set_muscles(changed, strength["k_groups"], strength["b_groups"])
         with silent_simulator():
             for _ in range(people.settings.steps_per_decision):
                 simulation.step(*people.drive(simulation.angle, simulation.velocity))

@@ -64,7 +64,7 @@ class Camera:
     textures in whatever context is current: closing one spoils the pictures of another.
 
     Args:
-      model: from `armperturb.models.build_model`, with its visuals.
+      model: from `armperturb.models.rig.build_model`, with its visuals.
       width: of the pictures [pixel].
       height: of the pictures [pixel].
 

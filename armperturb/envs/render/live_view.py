@@ -12,7 +12,7 @@ from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.envs.render.camera import TRAIL, Camera, force_arrows
 from armperturb.envs.render.viewer import open_window
-from armperturb.models import build_model
+from armperturb.models.rig import build_model
 from armperturb.subject import Subject
 
 

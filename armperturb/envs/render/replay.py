@@ -12,7 +12,7 @@ from scipy import signal
 from armperturb.analysis.measures.kinematics import joint_rotations, start_posture
 from armperturb.arrays import Array
 from armperturb.environment import Strap
-from armperturb.models import build_model
+from armperturb.models.rig import build_model
 from armperturb.subject import RELAX
 
 BODY = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")

@@ -8,7 +8,7 @@ import mujoco
 
 from armperturb.envs.render.gl import has_display
 from armperturb.envs.render.replay import Replay
-from armperturb.models import build_model
+from armperturb.models.rig import build_model
 from armperturb.subject import Subject
 
 

@@ -155,8 +155,8 @@ def write_validation(validation: Validation, folder: Path) -> None:
       OSError: a file cannot be written.
     """
     tables, figures = folder / "tables", folder / "figures"
-    for folder in (tables, figures):
-        folder.mkdir(parents=True, exist_ok=True)
+    for path in (tables, figures):
+        path.mkdir(parents=True, exist_ok=True)
     settings = validation.settings
     write_csv(validation.to_frame(), tables / "validation.csv")
     write_csv(validation.estimators_frame(), tables / "validation_summary.csv")

@@ -22,7 +22,7 @@ from armperturb.envs.lab.emg import Emg
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial, subject_in
-from armperturb.models import build_model
+from armperturb.models.rig import build_model
 from armperturb.perturbations import Multisine, MultisineThenPulse, Pulse, Sampled
 from armperturb.perturbations.multisine import PERIOD as MULTISINE_PERIOD
 from armperturb.subject import POSITION, RELAX, at_level

@@ -9,14 +9,14 @@ import pytest
 import xarray as xr
 from scipy import linalg
 
-from armperturb import models
 from armperturb.analysis.arm.state_space import fastest_pole, largest_real_pole, state_space, strapped_dynamics
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment, Strap
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import MARKER, Trial
-from armperturb.models import build_model, rig
+from armperturb.models import rig
+from armperturb.models.rig import build_model
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Pulse, Sampled
 from armperturb.subject import POSITION, RELAX, Subject
@@ -63,13 +63,13 @@ def farthest(path: xr.DataArray) -> float:
 
 
 @pytest.mark.parametrize("visual", [True, False])
-@pytest.mark.parametrize("rope", models.ROPES)
+@pytest.mark.parametrize("rope", rig.ROPES)
 def test_without_a_strap_the_model_is_that_of_files_without_its_slides(monkeypatch, rope, visual):
     built = build_model(POSITION, rope=rope, visual=visual)
-    arm, n_slides = re.subn(r' *<joint class="strap".*/>\n', "", models.ARM_XML.read_text())
+    arm, n_slides = re.subn(r' *<joint class="strap".*/>\n', "", rig.ARM_XML.read_text())
     assert n_slides == 2
-    files = {"arm.xml": arm.encode(), "manipulator.xml": models.MANIPULATOR_XML.read_bytes()}
-    spec = mujoco.MjSpec.from_string(models.RIG_XML.read_text(), files)
+    files = {"arm.xml": arm.encode(), "manipulator.xml": rig.MANIPULATOR_XML.read_bytes()}
+    spec = mujoco.MjSpec.from_string(rig.RIG_XML.read_text(), files)
     monkeypatch.setattr(rig, "_parsed_rig", lambda: spec)
     monkeypatch.setattr(rig, "_set_strap", lambda *_: None)
     assert content(built) == content(build_model(POSITION, rope=rope, visual=visual))
@@ -83,14 +83,14 @@ def test_without_a_strap_the_marker_shows_the_cameras_noise_and_the_truth_has_no
 
 
 @pytest.mark.parametrize("subject", [RELAX, POSITION], ids=lambda subject: subject.name)
-@pytest.mark.parametrize("rope", models.ROPES)
+@pytest.mark.parametrize("rope", rig.ROPES)
 def test_stands_in_equilibrium_at_the_start_posture(subject, rope):
     model = build_model(subject, ENVIRONMENT, rope=rope, strap=STRAP)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     start = {
-        **dict(zip(models.JOINTS, subject.posture, strict=True)),
-        **dict.fromkeys(models.STRAP + models.SLIDES, 0.0),
+        **dict(zip(rig.JOINTS, subject.posture, strict=True)),
+        **dict.fromkeys(rig.STRAP + rig.SLIDES, 0.0),
     }
     for name, value in start.items():
         assert data.joint(name).qpos[0] == value
@@ -178,7 +178,7 @@ def test_stability_is_asked_of_the_arm_on_its_strap():
 
 @pytest.mark.slow(reason="pulses on four straps for each of six cases")
 @pytest.mark.parametrize("subject", [POSITION, RELAX, YIELDING], ids=lambda subject: subject.name)
-@pytest.mark.parametrize("rope", models.ROPES)
+@pytest.mark.parametrize("rope", rig.ROPES)
 def test_a_very_stiff_strap_is_a_fixed_shoulder(subject, rope):
     fixed = pulsed(subject, None, rope=rope)
     off = []

@@ -19,7 +19,7 @@ def test_a_camera_that_is_left_open_says_nothing_at_exit(tmp_path):
     # dm_control ends EGL at exit, as MuJoCo does; whichever was imported last would do so first.
     code = (
         "from armperturb.envs.render.camera import Camera\n"
-        "from armperturb.models import build_model\nfrom armperturb.subject import RELAX\n"
+        "from armperturb.models.rig import build_model\nfrom armperturb.subject import RELAX\n"
         "camera = Camera(build_model(RELAX), width=16, height=16)\nimport armperturb.envs.learning.dm\n"
         "camera.circle = camera\nprint(camera.draw().shape)\n"
     )

@@ -10,7 +10,7 @@ from dm_control import composer, mjcf
 from armperturb.cohort import average_person
 from armperturb.environment import Environment, Strap
 from armperturb.envs.learning.entities import Rig
-from armperturb.models import build_model
+from armperturb.models.rig import build_model
 from armperturb.subject import POSITION, RELAX
 
 pytestmark = pytest.mark.slow(reason="imports dm_control and compiles its models")

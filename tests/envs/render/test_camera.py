@@ -10,7 +10,7 @@ import pytest
 
 from armperturb.envs.render import gl
 from armperturb.envs.render.camera import DISTURBANCE, REACTION, Arrow, Camera, force_arrows, render
-from armperturb.models import build_model
+from armperturb.models.rig import build_model
 from armperturb.subject import RELAX
 
 

@@ -94,6 +94,7 @@ def test_a_held_shoulder_leaves_the_grip_alone(moved):
         assert relaxed.fixed_shoulder == pytest.approx(relaxed.true, rel=0.02)
 
 
+@pytest.mark.slow(reason="simulates a moving shoulder")
 def test_small_movements_are_those_of_the_linear_arm_on_its_strap():
     """Rotations are then the inverse Jacobian times the path, of the hand or of the hand less the shoulder."""
     forces = {"PT22.5": 0.5, PULSE_UNIT: 1.0}

@@ -193,6 +193,7 @@ def test_optimum_is_that_of_a_general_method_and_keeps_the_limits(limits, held):
         assert (experiment.demand(found.power) <= held).all()
 
 
+@pytest.mark.slow(reason="optimises multisines")
 def test_no_random_rival_within_the_limits_is_better(plan):
     experiment = experiment_at(REFLEX, plan.optimised.frequency)
     n_clusters = len(cluster_starts())
@@ -217,6 +218,7 @@ def test_no_random_rival_within_the_limits_is_better(plan):
     assert least < criterion(experiment, plan.optimised.power, REFLEX.wanted(), held) < least + 0.1
 
 
+@pytest.mark.slow(reason="optimises multisines")
 def test_the_plan_banks_on_no_quieter_person(plan):
     usual = experiment_at(REFLEX, CLUSTERS.ravel() / PERIOD)
     best = experiment_at(REFLEX, plan.optimised.frequency)
@@ -261,6 +263,7 @@ def test_displacements_are_those_of_the_simulated_arm(plan):
     np.testing.assert_allclose(displacements(POSITION, plan.perturbations[0]), expected, rtol=2e-3)
 
 
+@pytest.mark.slow(reason="optimises multisines")
 def test_a_limit_of_the_peak_binds_both_signals(plan):
     weak = design(replace(REFLEX, peak=5.0, trials=1))
     assert weak.signal_frame()["peak_force_N"].max() == pytest.approx(5.0)
@@ -268,6 +271,7 @@ def test_a_limit_of_the_peak_binds_both_signals(plan):
         assert (getattr(weak, name).power.sum(axis=0) < getattr(plan, name).power.sum(axis=0)).all()
 
 
+@pytest.mark.slow(reason="optimises multisines")
 def test_simulated_records_hold_the_predicted_information_and_estimates_scatter_by_it(plan):
     """Both signals: the records' own Fisher information, and a chi2 of the estimates' errors."""
     structure = ValidateSettings(model="3b").structure()
@@ -373,6 +377,7 @@ def test_a_period_fits_into_the_duration(duration, period, start):
     assert (np.diff(starts) >= 7).all()
 
 
+@pytest.mark.slow(reason="optimises multisines")
 def test_a_short_plan_can_be_identified():
     plan = design(replace(REFLEX, force=5.4, displacement=7.5e-3, duration=10.0, trials=1))
     assert plan.factor < 1.0
@@ -411,6 +416,7 @@ def test_what_cannot_be_told_is_named():
         design(DesignSettings(subject=RELAX, goal="reflex", **LIMITS, model="3"))
 
 
+@pytest.mark.slow(reason="optimises multisines")
 def test_reflexes_that_are_not_there_can_be_looked_for():
     found = design(
         DesignSettings(subject=RELAX, goal="reflex", force=0.9, displacement=0.01, duration=32.0, model="3b", trials=1)
@@ -419,6 +425,7 @@ def test_reflexes_that_are_not_there_can_be_looked_for():
     assert not found.truth[[found.names.index(name) for name in found.settings.wanted()]].any()
 
 
+@pytest.mark.slow(reason="optimises multisines")
 def test_the_command_writes_what_simulate_plays(tmp_path, capsys):
     POSITION.save(tmp_path / "subject.toml")
     arguments = ["--subject", str(tmp_path / "subject.toml"), "--goal", "reflex", *LIMIT_OPTIONS]

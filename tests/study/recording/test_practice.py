@@ -65,6 +65,7 @@ def test_linear_people_move_as_far_as_intended(people, forces):
     assert np.abs(displacement(people, forces) - 1.0).max() < TOLERANCE
 
 
+@pytest.mark.slow(reason="simulates practice sessions")
 def test_noisy_people_move_as_far_as_intended(people):
     found = practise(people[:1], BOTH, SEED, noisy=True, timestep=COARSE)
     assert np.abs(displacement(people[:1], found, noisy=True) - 1.0).max() < TOLERANCE
@@ -80,6 +81,7 @@ def drifting(**fields):
     return replace(BOTH, conditions=tuple(replace(condition, **fields) for condition in BOTH.conditions))
 
 
+@pytest.mark.slow(reason="simulates practice sessions")
 def test_people_whose_muscles_yield_move_as_far_as_they_change_before_the_experiment(monkeypatch):
     moved = {}
 
@@ -120,6 +122,7 @@ def test_how_far_people_change_is_each_ones_and_each_conditions_own(monkeypatch)
     assert practise(crowd[7:8], protocol, SEED + 1) != found[7:8]
 
 
+@pytest.mark.slow(reason="simulates practice sessions")
 def test_conditions_that_differ_in_co_contraction_get_forces_of_their_own(people):
     half, whole, same = (
         replace(AS_INTENDED.condition("PT7.5"), name=name, co_contraction=level)
@@ -263,6 +266,7 @@ def test_linear_displacement_is_what_is_measured():
     assert measured_displacement([trial], Environment())[0] == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.slow(reason="simulates practice sessions")
 def test_the_step_hardly_matters(monkeypatch):
     """At 1 ms the displacement is the same to within half of what a round may be off."""
     (person,) = draw_cohort(1, 2)

@@ -473,6 +473,7 @@ def test_registry_holds_what_the_study_allows(recorded):
     assert not without_people.keys() & {"vaf", "penalty", "peak_displacement", "joint_parameters_PT"}
 
 
+@pytest.mark.slow(reason="draws all figures")
 def test_registry_draws_what_it_holds(recorded):
     for name, draw in drawings(recorded, NOTHING, None).items():
         # These need what the multisine trials of a recording hold.

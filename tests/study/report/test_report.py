@@ -451,6 +451,7 @@ def yielding(tmp_path_factory):
     return coarse_study(StudySettings(subjects=1, protocol=out / "p.toml"), out / "s")
 
 
+@pytest.mark.slow(reason="simulates and analyses a small study")
 def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path):
     assert all(case.identification is not None and case.truth.muscle is not None for case in yielding.cases)
     page = sketch(yielding, tmp_path, figures=("admittance_PT", "fit_PT"))

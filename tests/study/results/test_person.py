@@ -3,6 +3,8 @@
 from collections import Counter
 from pathlib import Path
 
+import pytest
+
 from armperturb import recording as recordings
 from armperturb.analysis import trials
 from armperturb.analysis.force_balance import Balance
@@ -15,6 +17,7 @@ from armperturb.study.results.settings import AnalysisSettings
 CONDITIONS = {"RT7.5": 0.0075, "RT22.5": 0.0225}
 
 
+@pytest.mark.slow(reason="analyses a person")
 def test_trials_are_checked_cut_and_identified_once(noisy_relax_recording, tmp_path, monkeypatch):
     save_recording(noisy_relax_recording, tmp_path / "S.nc")
     counts = Counter()

@@ -87,6 +87,10 @@ def asked(monkeypatch):
     return calls
 
 
+def refuse(*_):
+    raise ValueError("asked to analyse")
+
+
 def analysed(root, settings=FEW_FITS):
     return analyse_study(root, workers=1, settings=settings, show_progress=False)
 
@@ -119,7 +123,7 @@ def test_what_is_kept_is_what_was_computed(thesis_study, asked):
     assert len(again.appendices.starts) > 6
 
 
-def test_other_recordings_and_settings_are_analysed_anew(copied, asked):
+def test_other_recordings_and_settings_are_analysed_anew(copied, asked, monkeypatch):
     path = copied / "recordings" / "S02.nc"
     recording = load_recording(path)
     gone = recording["condition"].values == "RT22.5"
@@ -137,8 +141,9 @@ def test_other_recordings_and_settings_are_analysed_anew(copied, asked):
     asked.clear()
     analysed(copied)
     assert asked == []
-    analysed(copied, replace(FEW_FITS, structures=()))
-    assert len(asked) == 2 * len(COMPUTING)
+    monkeypatch.setattr(analyse, "analyse_person", refuse)
+    with pytest.raises(ValueError, match=r"S01\.nc: asked to analyse"):
+        analysed(copied, replace(FEW_FITS, structures=()))
 
 
 def test_people_without_a_whole_recording_are_told(study, copied, tmp_path):
@@ -278,6 +283,7 @@ published_force = 1.8
 """
 
 
+@pytest.mark.slow(reason="analyses in several processes")
 def test_worker_processes_change_nothing_but_roundings(tmp_path):
     (tmp_path / "p.toml").write_text(LONG_ENOUGH)
     # A step at which this takes seconds; nothing here depends on it.
@@ -317,10 +323,11 @@ def test_bad_numbers_of_workers_are_refused(folder):
         analyse_study(folder, workers="two")
 
 
-def test_a_person_in_two_files_is_refused_by_name(study, tmp_path):
+def test_a_person_in_two_files_is_refused_by_name(study, tmp_path, monkeypatch):
+    monkeypatch.setattr(person, "identify_person", lambda *_: ())  # takes seconds
     (tmp_path / "recordings").mkdir()
     recording = study.of("PT7.5")[0].recording
     for name in ("A.nc", "B.nc"):
         (tmp_path / "recordings" / name).symlink_to(recording)
     with pytest.raises(ValueError, match="2 recordings are of subject 'S01'; expected one per person"):
-        analyse_study(tmp_path, workers=1, show_progress=False)
+        analysed(tmp_path, replace(FEW_FITS, structures=()))

@@ -15,6 +15,8 @@ from armperturb.subject import POSITION
 
 RECORD = ValidateSettings(groups=4, trials=2, estimators=("record",))
 
+pytestmark = pytest.mark.slow(reason="repeats estimates on many simulated groups of trials")
+
 
 @pytest.fixture(scope="module")
 def right(once) -> Validation:

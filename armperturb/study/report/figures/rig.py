@@ -14,7 +14,7 @@ from armperturb.analysis.measures.kinematics import hand_position
 from armperturb.cohort import Person
 from armperturb.environment import Environment
 from armperturb.envs.render.camera import render
-from armperturb.models import build_model
+from armperturb.models.rig import build_model
 from armperturb.plots.panels import AXES, FREQUENCY, label_frequency
 from armperturb.plots.style import COLOURS, INK, in_style, new_figure
 from armperturb.study.results.study_result import StudyResult
