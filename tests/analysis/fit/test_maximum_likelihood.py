@@ -129,7 +129,7 @@ def test_a_shared_mass_is_one_value_and_better_known_than_from_either_condition_
     assert len(together.values) == 25
     assert len(apart.values) == 26
     assert together.arms["PT7.5"].m_f == together.arms["PT22.5"].m_f
-    assert together.standard_error["m_tot"] < min(apart.standard_error[f"m_tot [{one.label}]"] for one in groups)
+    assert together.standard_error["m_tot"] < min(apart.standard_error[f"m_tot [{one.trials.label}]"] for one in groups)
     assert abs(together.values["m_tot"] - 3.38) < 4 * together.standard_error["m_tot"]
     assert together.arms["PT22.5"].k_s == together.values["k_s [PT22.5]"]
     alone = [estimate([group]) for group in groups]
