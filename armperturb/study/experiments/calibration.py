@@ -92,8 +92,7 @@ def simulated_cells(
     noisy: bool = True,
     environment: Environment | None = None,
     timestep: float = QUICK_STEP,
-    n_threads: int = 0,
-    progress: Callable[[float], object] | None = None,
+    **options: Any,
 ) -> list[dict[Cell, float] | None]:
     """Cells of several candidates of one task, side by side and under the same multisines.
 
@@ -103,8 +102,7 @@ def simulated_cells(
       noisy: whether they are noisy, as people are, but with the same muscles in every trial.
       environment: what the hand holds; the thesis's manipulator if not given.
       timestep: of the simulation [s].
-      n_threads: 0 takes all cores.
-      progress: called with the simulated seconds since the last call.
+      **options: further ones of `run_experiment`.
 
     Returns:
       Per candidate its cells, SI; None for one that is unstable or leaves the workspace.
@@ -125,13 +123,8 @@ def simulated_cells(
                 ]
                 for person in people
             ]
-            recording = run_experiment(
-                [trial for of_person in trials for trial in of_person],
-                environment,
-                timestep=timestep,
-                n_threads=n_threads,
-                progress=progress,
-            )
+            everything = [trial for of_person in trials for trial in of_person]
+            recording = run_experiment(everything, environment, timestep=timestep, **options)
             n_own = len(trials[0])
             for place, number in enumerate(able):
                 cells_of[number].update(measured_cells(recording.isel(trial=slice(place * n_own, (place + 1) * n_own))))

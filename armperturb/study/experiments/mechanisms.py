@@ -222,8 +222,7 @@ def why_people_yield(
     seed: int = 0,
     n_multisines: int = 2,
     timestep: float = QUICK_STEP,
-    n_threads: int = 0,
-    progress: Callable[[float], object] | None = None,
+    **options: Any,
 ) -> Yielding:
     """Perturb a person with and without each mechanism, side by side.
 
@@ -233,8 +232,7 @@ def why_people_yield(
       seed: of the multisines.
       n_multisines: realisations behind each admittance.
       timestep: of the simulation [s].
-      n_threads: 0 takes all cores; no effect on the result.
-      progress: called with the simulated seconds (all trials together) since the last call.
+      **options: further ones of `run_experiment`.
 
     Raises:
       ValueError: the person has no muscle law.
@@ -258,7 +256,7 @@ def why_people_yield(
         if not trials:
             return
         everything = [trial for own_trials in trials.values() for trial in own_trials]
-        recording = run_experiment(everything, environment, timestep=timestep, n_threads=n_threads, progress=progress)
+        recording = run_experiment(everything, environment, timestep=timestep, **options)
         first = 0
         for (condition, subject), own_trials in trials.items():
             yield condition, subject, recording.isel(trial=slice(first, first + len(own_trials)))

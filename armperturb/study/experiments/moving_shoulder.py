@@ -8,7 +8,7 @@ There are no noise and no instruments, so that nothing but the shoulder and the 
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -110,8 +110,7 @@ def moving_shoulder(
     conditions: Sequence[str] = CONDITIONS,
     strap: Strap | None = None,
     seed: int = 0,
-    n_threads: int = 0,
-    progress: Callable[[float], object] | None = None,
+    **options: Any,
 ) -> MovingShoulder:
     """Perturb a person whose shoulder is held, and again with a belt that gives way.
 
@@ -125,8 +124,7 @@ def moving_shoulder(
       conditions: names of those to run.
       strap: the belt that gives way; `Strap()` if not given.
       seed: of the multisines.
-      n_threads: 0 takes all cores; no effect on the result.
-      progress: called with the simulated seconds (all trials together) since the last call.
+      **options: further ones of `run_experiment`.
 
     Raises:
       KeyError: the protocol lacks a condition, the forces one of them, or the person its task.
@@ -146,9 +144,7 @@ def moving_shoulder(
         short = _shortened(protocol, mine)
         trials = short.trials(person, short.given_forces() if forces is None else forces, seed, 0, noisy=False)
         for belt in (None, strap):
-            recording = run_experiment(
-                trials, environment, timestep=QUICK_STEP, strap=belt, n_threads=n_threads, progress=progress
-            )
+            recording = run_experiment(trials, environment, timestep=QUICK_STEP, strap=belt, **options)
             for condition in mine:
                 of_condition = recording.isel(trial=np.flatnonzero(recording["condition"].values == condition.name))
                 inside = np.isnan(of_condition["limit_time"].values)

@@ -23,7 +23,6 @@ PT7.5.
 import functools
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
@@ -133,7 +132,8 @@ def measure(
         raise ValueError(f"recordings of {', '.join(map(str, people))}; expected those of one person")
     inside, left_out = _cut_at_limits(recording[list(REQUIRED_SIGNALS)])
     rotation = true_rotations(recording) if simulated_joints else joint_rotations(inside)
-    path = _Path(recording=inside, rotation=rotation)
+    rate = float(inside.attrs["rate"])
+    path = _Path(inside, rate, rotation, joint_velocities(rotation, rate))
     wanted, pools = published_cells(), dict[Cell, dict[str, list[float]]]()
     for trial, condition in enumerate(inside["condition"].values.tolist()):
         parts: list[Callable[[], Iterator[_Value]]] = []
@@ -169,21 +169,13 @@ class _Value(NamedTuple):
     value: float
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Path:
-    """A recording and its joints' rotations [rad], (trial, time, joint)."""
+class _Path(NamedTuple):
+    """A recording, its rate [Hz], and its joints' rotations [rad] and velocities [rad/s], (trial, time, joint)."""
 
     recording: xr.Dataset
+    rate: float
     rotation: Array
-
-    @property
-    def rate(self) -> float:
-        return float(self.recording.attrs["rate"])
-
-    @functools.cached_property
-    def velocity(self) -> Array:
-        """[rad/s], (trial, time, joint)."""
-        return joint_velocities(self.rotation, self.rate)
+    velocity: Array
 
 
 def _cut_at_limits(recording: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
@@ -257,7 +249,7 @@ def _pulse_values(path: _Path, trial: int) -> Iterator[_Value]:
     direction = "right" if math.cos(angle) > 0.0 else "left"
     distance = peak_norm(recording["displacement"].values[trial, window])
     yield _Value(Cell("2.1", condition, f"peak_displacement_{named}"), direction, distance)
-    for joint, index in zip(JOINTS, range(2), strict=True):
+    for index, joint in enumerate(JOINTS):
         velocity, rotation = (float(np.abs(of[trial, window, index]).max()) for of in (path.velocity, path.rotation))
         yield _Value(Cell("F.3", condition, f"peak_velocity_{named}_{joint}"), direction, velocity)
         yield _Value(Cell("F.5", condition, f"peak_rotation_{named}_{joint}"), direction, rotation)

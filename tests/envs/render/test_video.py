@@ -10,8 +10,10 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import imageio_ffmpeg
+import matplotlib
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
 
 from armperturb import cli
 from armperturb.analysis.measures.kinematics import hand_position
@@ -277,7 +279,8 @@ def test_forces_of_the_scale_are_round(largest, expected):
 def test_colours_are_those_of_the_figures():
     assert {DISTURBANCE, REACTION} == set(style.COLOURS.values())
     assert (overlay.INK, overlay.GREY) == (style.INK, style.GREY)
-    assert style._SETTINGS["grid.color"] == overlay.RULE
+    with style.in_style():
+        assert to_hex(matplotlib.rcParams["grid.color"]) == overlay.RULE
 
 
 @pytest.fixture
