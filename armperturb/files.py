@@ -69,22 +69,17 @@ def write_durably(path: str | Path, content: bytes) -> None:
     path = Path(path)
     with written_whole(path) as temporary:
         temporary.write_bytes(content)
-        sync_file(temporary)
-    sync_folder(path.parent)
+        sync(temporary)
+    sync(path.parent)
 
 
-def sync_file(path: str | Path) -> None:
-    """Bring a file's content to disk."""
+def sync(path: str | Path) -> None:
+    """Bring a file's content, or a folder's entries, to disk: a new name lasts only then."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-def sync_folder(path: str | Path) -> None:
-    """Bring a folder's entries to disk: a new name lasts only then."""
-    sync_file(path)
 
 
 def write_csv(table: "pd.DataFrame | Iterable[Mapping[str, Any]]", path: str | Path) -> None:

@@ -87,26 +87,18 @@ def make_recording(
         variables[name] = (("trial", *dims), array, _describe(units, description))
     if "emg" in variables and adc_step is not None:
         variables["emg"][2]["adc_step"] = float(adc_step)
-    rates = {"time": rate, "emg_time": emg_rate}
-    sizes = {dim: array.shape[1 + axis] for dims, array, _ in variables.values() for axis, dim in enumerate(dims[1:])}
+    rates = {dim: clock for dim, clock in (("time", rate), ("emg_time", emg_rate)) if clock is not None}
+    sizes = xr.Dataset(variables).sizes
     if "emg" in variables and emg_rate is None:
         raise ValueError("recording: emg_rate = None; expected the sampling rate of the EMG in Hz")
-    dataset = xr.Dataset(
-        variables,
-        coords={
-            **{
-                dim: (dim, np.arange(sizes[dim]) / clock, {"units": "s"})
-                for dim, clock in rates.items()
-                if dim in sizes and clock is not None
-            },
-            **{dim: (dim, list(labels)) for dim, labels in LABELS.items() if dim in sizes},
-            **{
-                name: ("trial", np.asarray(values), _describe(*TRIAL_COORDINATES[name]))
-                for name, values in trials.items()
-            },
-        },
-        attrs={CLOCKS[dim]: float(clock) for dim, clock in rates.items() if clock is not None} | attributes,
-    )
+    coords: dict[str, Any] = {
+        dim: (dim, np.arange(sizes[dim]) / clock, {"units": "s"}) for dim, clock in rates.items() if dim in sizes
+    }
+    coords |= {dim: (dim, list(labels)) for dim, labels in LABELS.items() if dim in sizes}
+    for name, values in trials.items():
+        coords[name] = "trial", np.asarray(values), _describe(*TRIAL_COORDINATES[name])
+    clocks = {CLOCKS[dim]: float(clock) for dim, clock in rates.items()}
+    dataset = xr.Dataset(variables, coords=coords, attrs=clocks | attributes)
     check_recording(dataset)
     return dataset
 
@@ -182,8 +174,7 @@ def check_recording(
             continue
         variable, last = recording[name], dims[-1]
         if variable.dims != ("trial", *dims):
-            expected = ", ".join(f"'{dim}'" for dim in ("trial", *dims))
-            raise ValueError(f"{source}: {name} has dims {variable.dims}; expected ({expected})")
+            raise ValueError(f"{source}: {name} has dims {variable.dims}; expected {('trial', *dims)}")
         if not isinstance(variable.attrs.get("units"), str) or variable.attrs["units"] != units:
             raise ValueError(f"{source}: {name} has units {variable.attrs.get('units')!r}; expected {units!r}")
         if last not in recording.coords or tuple(map(str, recording[last].values)) != LABELS[last]:
@@ -227,11 +218,10 @@ def _check_clock(recording: xr.Dataset, dim: str, source: str) -> None:
         raise ValueError(f"{source}: {dim} has {len(time)} samples; expected at least 2")
     off = np.abs(time - np.arange(len(time)) / rate)
     if off.max() > 0.01 / rate:
-        actual = 1.0 / np.median(np.diff(time))
+        at = int(np.argmax(off > 0.01 / rate))
         raise ValueError(
-            f"{source}: {dim} runs at {actual:.6g} Hz, or not evenly (sample {int(np.argmax(off > 0.01 / rate))} is at "
-            f"{time[np.argmax(off > 0.01 / rate)]:.6g} s); expected even steps from 0 s at {attribute} = "
-            f"{float(rate):.6g} Hz"
+            f"{source}: {dim} runs at {1.0 / np.median(np.diff(time)):.6g} Hz, or not evenly (sample {at} is at "
+            f"{time[at]:.6g} s); expected even steps from 0 s at {attribute} = {float(rate):.6g} Hz"
         )
 
 
@@ -290,9 +280,7 @@ def save_recording(recording: xr.Dataset, path: str | Path) -> None:
 
 def _guarded(path: Path) -> xr.Dataset:
     content = read_foreign(path)
-    variables = {
-        name: (of_one["dims"], of_one["values"], of_one["attrs"]) for name, of_one in content["variables"].items()
-    }
+    variables = {name: (each["dims"], each["values"], each["attrs"]) for name, each in content["variables"].items()}
     return xr.decode_cf(xr.Dataset(variables, attrs=content["attrs"]))
 
 
@@ -327,7 +315,7 @@ def load_recording(
     for name in TEXT_COORDINATES:
         if name in recording.coords:
             recording[name] = recording[name].astype(str)
-    if "emg" in recording.data_vars and recording["emg"].dtype != np.float32:
-        recording["emg"] = recording["emg"].astype(np.float32)
+    if "emg" in recording.data_vars:
+        recording["emg"] = recording["emg"].astype(np.float32, copy=False)
     check_recording(recording, source=str(path))
     return recording

@@ -49,7 +49,7 @@ ARROWS = {
     "analysis.response": ARM,
     "analysis.measures": ARM,
     "analysis.fit": ARM | {"analysis.response", "analysis.measures"},
-    "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "planar_arm"},
+    "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "planar_arm", "archive"},
     "cohort": ARM,
     "convert": ARM,
     "envs.lab": LAB,

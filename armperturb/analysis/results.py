@@ -16,13 +16,13 @@ from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy import stats
 
 from armperturb.arrays import Array, ComplexArray
 from armperturb.recording import LABELS
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 LINES, WIDTH = 25, 110
@@ -96,14 +96,13 @@ class Result:
     def summary(self) -> str:
         """The whole result as text for a terminal."""
         said = self.describe()
-        remarks = ["Remarks:", *(f"- {remark}" for remark in said.remarks)] if said.remarks else []
-        blocks = ([said.title, *said.facts], said.table.lines(), remarks, list(said.details))
+        blocks = ([said.title, *said.facts], said.table.lines(), _remarks(said.remarks), list(said.details))
         return "\n\n".join("\n".join(block) for block in blocks if block)
 
     def __repr__(self) -> str:
         said = self.describe()
-        head, table, remarks = _wrapped([said.title, *said.facts]), said.table.lines(), _remarks(said.remarks)
-        table = _shortened(table, max(LINES - len(head) - min(len(remarks), 5), 3))
+        head, remarks = _wrapped([said.title, *said.facts]), _wrapped(_remarks(said.remarks))
+        table = _shortened(said.table.lines(), max(LINES - len(head) - min(len(remarks), 5), 3))
         left = LINES - len(head) - len(table)
         if len(remarks) > left:
             remarks = [*remarks[: left - 1], "  ... summary() has the rest"]
@@ -161,10 +160,8 @@ class FitResult(Result):
         """Name of a parameter in tables, and the condition in which it holds; "" where it is not known."""
         return name, ""
 
-    def to_frame(self) -> "pd.DataFrame":
+    def to_frame(self) -> pd.DataFrame:
         """One row per free parameter, with its 95 % confidence interval; the columns are `PARAMETER_COLUMNS`."""
-        import pandas as pd
-
         rows = []
         for name, value in self.values.items():
             parameter, condition = self.place_of(name)
@@ -174,10 +171,8 @@ class FitResult(Result):
             )
         return pd.DataFrame(rows, columns=list(PARAMETER_COLUMNS))
 
-    def correlation_frame(self) -> "pd.DataFrame":
+    def correlation_frame(self) -> pd.DataFrame:
         """Correlation of the estimates' errors, one row and one column per parameter."""
-        import pandas as pd
-
         return pd.DataFrame(self.correlation, index=list(self.values), columns=list(self.values))
 
     def plot(self, figure: "Figure | None" = None) -> Any:
@@ -206,7 +201,7 @@ def normal_quantile(level: float) -> float:
     return float(stats.norm.ppf(0.5 + level / 2.0))
 
 
-def parameter_table(frame: "pd.DataFrame", *keys: str) -> Table:
+def parameter_table(frame: pd.DataFrame, *keys: str) -> Table:
     """Table as text of parameters and their 95 % intervals.
 
     Args:
@@ -223,28 +218,17 @@ def parameter_table(frame: "pd.DataFrame", *keys: str) -> Table:
     return Table(("parameter", "estimate", "95 % interval", "unit", *keys), tuple(rows))
 
 
-def response_frame(frequency: Array, response: ComplexArray) -> "pd.DataFrame":
+def response_frame(frequency: Array, response: ComplexArray) -> pd.DataFrame:
     """One row per frequency, output and input of a frequency response.
 
     Args:
       frequency: [Hz], (frequency,).
       response: [m/N], (frequency, output, input).
     """
-    import pandas as pd
-
-    axes = np.array(LABELS["axis"])
-    n, flat = len(frequency), np.asarray(response).ravel()
-    return pd.DataFrame(
-        {
-            "frequency_hz": np.repeat(frequency, 4),
-            "output": np.tile(np.repeat(axes, 2), n),
-            "input": np.tile(axes, 2 * n),
-            "real": flat.real,
-            "imag": flat.imag,
-            "gain_m_per_N": np.hypot(flat.real, flat.imag),
-            "phase_deg": np.degrees(np.angle(flat)),
-        }
-    )
+    keys = pd.MultiIndex.from_product([frequency, *2 * [LABELS["axis"]]], names=["frequency_hz", "output", "input"])
+    flat = np.asarray(response).ravel()
+    gain, phase = np.hypot(flat.real, flat.imag), np.degrees(np.angle(flat))
+    return keys.to_frame(index=False).assign(real=flat.real, imag=flat.imag, gain_m_per_N=gain, phase_deg=phase)
 
 
 def response_coordinates(frequency: Array) -> dict[str, Any]:
@@ -266,8 +250,7 @@ def _wrapped(lines: Iterable[str]) -> list[str]:
 
 
 def _remarks(remarks: Sequence[str]) -> list[str]:
-    said = [part for line in remarks for part in textwrap.wrap(f"- {line}", WIDTH, subsequent_indent="  ")]
-    return ["Remarks:", *said] if said else []
+    return ["Remarks:", *(f"- {remark}" for remark in remarks)] if remarks else []
 
 
 def _shortened(lines: list[str], most: int) -> list[str]:

@@ -1,8 +1,6 @@
 """`armperturb identify`."""
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Literal
@@ -82,34 +80,36 @@ class Identify(Command):
             condition=self.condition,
             single_condition=False,
         )
-        lines = self._identify(recording) if linear else self._identify_nonlinear(recording)
+        if self.resumes and self.out.exists() and not self.out.is_dir():
+            raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
+        try:
+            lines = self._identify(recording) if linear else self._identify_nonlinear(recording)
+        except ValueError as error:
+            raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
         return [*imported.notes, *lines, f"results: {self.out}"]
 
     def _identify(self, recording: xr.Dataset) -> list[str]:
         from armperturb.analysis.fit.export import write_identification
         from armperturb.analysis.fit.identify import identify_conditions
 
-        with self._naming_the_files():
-            tasks = list(dict.fromkeys(recording["task"].values.tolist()))
-            if len(tasks) > 1:
-                raise ValueError(
-                    f"trials of the tasks {' and '.join(tasks)}; expected only one task (choose a --condition)"
-                )
-            results = identify_conditions(
-                recording,
-                self.model,
-                estimator=self.estimator,
-                share=self.share,
-                window_start=self.window_start,
-                period=self.period,
-                lines_per_average=self.lines_per_average,
+        tasks = list(dict.fromkeys(recording["task"].values.tolist()))
+        if len(tasks) > 1:
+            raise ValueError(
+                f"trials of the tasks {' and '.join(tasks)}; expected only one task (choose a --condition)"
             )
+        results = identify_conditions(
+            recording,
+            self.model,
+            estimator=self.estimator,
+            share=self.share,
+            window_start=self.window_start,
+            period=self.period,
+            lines_per_average=self.lines_per_average,
+        )
         write_identification(results, self.out)
         lines = []
         for condition, result in results.items():
-            lines.append(
-                f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %",
-            )
+            lines.append(f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %")
             lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
         return lines
 
@@ -120,22 +120,19 @@ class Identify(Command):
             from armperturb.workers import cpu_count
         from armperturb.plots.style import save_plot
 
-        if self.out.exists() and not self.out.is_dir():
-            raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         is_new = not self.out.exists()
         self.out.mkdir(parents=True, exist_ok=True)  # now, as checkpoints go there
         try:
-            with self._naming_the_files():
-                result = identify_nonlinear(
-                    recording,
-                    self.law or "full",
-                    pulse_directions_deg=self.pulses,
-                    window_start=self.window_start,
-                    period=self.period,
-                    folder=self.out,
-                    progress=lambda line: print(line, file=sys.stderr, flush=True),
-                    threads=cpu_count(),
-                )
+            result = identify_nonlinear(
+                recording,
+                self.law or "full",
+                pulse_directions_deg=self.pulses,
+                window_start=self.window_start,
+                period=self.period,
+                folder=self.out,
+                progress=lambda line: print(line, file=sys.stderr, flush=True),
+                threads=cpu_count(),
+            )
         except (ValueError, MissingExtraError):
             if is_new and not any(self.out.iterdir()):
                 self.out.rmdir()
@@ -144,10 +141,3 @@ class Identify(Command):
             save_plot(result, self.out / "pulses.svg")
         write_nonlinear(result, self.out)
         return result.summary().splitlines()
-
-    @contextmanager
-    def _naming_the_files(self) -> Iterator[None]:
-        try:
-            yield
-        except ValueError as error:
-            raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None

@@ -55,17 +55,15 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
     rates: dict[str, float] = {}
     components = {}
     for name, of_signal in meaning.signals.items():
-        channels = [raw.channels[channel] for channel in of_signal.channels.values()]
-        sizes = {len(channel) for channel in channels}
-        if len(sizes) > 1:
-            raise ValueError(
-                f"{where}: {name} has {' and '.join(map(str, sorted(sizes)))} samples; expected one length"
-            )
-        if sizes.pop() < 2:
-            raise ValueError(f"{where}: {name} has {len(channels[0])} samples; expected at least 2")
-        signals[name], components[name] = np.stack(channels, axis=1), tuple(of_signal.channels.values())
+        components[name] = tuple(of_signal.channels.values())
+        channels = [raw.channels[channel] for channel in components[name]]
+        sizes = sorted({len(channel) for channel in channels})
+        if len(sizes) > 1 or sizes[0] < 2:
+            expected = "one length" if len(sizes) > 1 else "at least 2"
+            raise ValueError(f"{where}: {name} has {' and '.join(map(str, sizes))} samples; expected {expected}")
+        signals[name] = np.stack(channels, axis=1)
         require_signal(where, name, signals[name])
-        stated = {raw.rates[channel] for channel in of_signal.channels.values() if channel in raw.rates}
+        stated = {raw.rates[channel] for channel in components[name] if channel in raw.rates}
         if of_signal.rate is not None:
             stated.add(of_signal.rate)
         if name == "displacement" and stated and meaning.rate is not None:
@@ -73,7 +71,7 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
         if len(stated) > 1:
             several = " and ".join(f"{rate:g}" for rate in sorted(stated))
             raise ValueError(f"{where}: {name} at {several} Hz; expected one rate")
-        for channel in of_signal.channels.values():
+        for channel in components[name]:
             require_consistent_unit(where, name, channel, of_signal.unit, raw.units.get(channel))
         if stated:
             rates[name] = stated.pop()

@@ -112,14 +112,12 @@ def even_times(
     missing = np.rint(steps / usual).astype(np.int64) - 1
     missing[steps < 1.5 * usual] = 0
     for at in np.flatnonzero(missing).tolist():
-        faults.append(
-            Fault(
-                "drops",
-                f"{missing[at]} samples are dropped at {time[at]:.6g} s (time steps by {1e3 * steps[at]:.4g} ms, "
-                f"usually by {1e3 * usual:.4g} ms)",
-                bool(steps[at] <= min(LONGEST_GAP.values()) + 0.1 * usual),  # all signals miss them
-            )
+        what = (
+            f"{missing[at]} samples are dropped at {time[at]:.6g} s (time steps by {1e3 * steps[at]:.4g} ms, usually "
+            f"by {1e3 * usual:.4g} ms)"
         )
+        can = bool(steps[at] <= min(LONGEST_GAP.values()) + 0.1 * usual)  # all signals miss them
+        faults.append(Fault("drops", what, can))
     index = np.concatenate([[0], np.cumsum(missing + 1)])
     off = np.abs(time - index / rate)
     if off.max() > ROUNDED / rate:
@@ -130,22 +128,13 @@ def even_times(
         what = f"time runs at {of_times:.6g} Hz" if drifts else "time does not run evenly"
         near = abs(of_times / rate - 1.0) < OFF
         unit = "" if near else " (a wrong unit of the times?)"
-        faults.append(
-            Fault(
-                "clock",
-                f"{what}: sample {index[at]} is at {time[at]:.6g} s, and off by up to {1e3 * off.max():.4g} ms; "
-                f"expected even steps at rate = {rate:.6g} Hz{unit}",
-                near,
-            )
-        )
-    if not all(fault.can for fault in faults):  # times may claim any length then
-        return Timed(signals=signals, rates=dict.fromkeys(signals, rate), components=components), faults
-    if off.max() > ROUNDED / rate:
-        grid = np.arange(math.floor(float(time[-1]) * rate * (1 + 1e-12)) + 1) / rate
-        signals = {name: _between(time, values, grid) for name, values in signals.items()}
-    elif len(faults):
-        grid = np.arange(index[-1] + 1, dtype=float)
-        signals = {name: _between(index.astype(float), values, grid) for name, values in signals.items()}
+        what += f": sample {index[at]} is at {time[at]:.6g} s, and off by up to {1e3 * off.max():.4g} ms"
+        faults.append(Fault("clock", f"{what}; expected even steps at rate = {rate:.6g} Hz{unit}", near))
+    if faults and all(fault.can for fault in faults):  # others may claim any length
+        there, grid = index.astype(float), np.arange(index[-1] + 1, dtype=float)
+        if off.max() > ROUNDED / rate:
+            there, grid = time, np.arange(math.floor(float(time[-1]) * rate * (1 + 1e-12)) + 1) / rate
+        signals = {name: _between(there, values, grid) for name, values in signals.items()}
     return Timed(signals=signals, rates=dict.fromkeys(signals, rate), components=components), faults
 
 
@@ -160,17 +149,12 @@ def _rate_of(time: Array, steps: Array, usual: float) -> float:
 
 def _between(at: Array, values: Array, grid: Array) -> Array:
     """Cubic spline through the finite samples; NaN where a gap was, so that it is found afterwards."""
-    out = np.empty((len(grid), values.shape[1]))
+    out = np.full((len(grid), values.shape[1]), np.nan)
     for column, of_one in enumerate(values.T):
         there = np.isfinite(of_one)
-        if there.sum() < 4:
-            out[:, column] = np.nan
-            continue
-        out[:, column] = interpolate.CubicSpline(at[there], of_one[there], extrapolate=False)(grid)
-        gone = ~there
-        if gone.any():
-            step = grid[1] - grid[0]
-            near = np.searchsorted(grid, at[gone] - 0.5 * step)
+        if there.sum() >= 4:
+            out[:, column] = interpolate.CubicSpline(at[there], of_one[there], extrapolate=False)(grid)
+            near = np.searchsorted(grid, at[~there] - 0.5 * (grid[1] - grid[0]))
             out[np.clip(near, 0, len(grid) - 1), column] = np.nan
     return out
 
@@ -185,9 +169,8 @@ def find_gaps(timed: Timed) -> tuple[Timed, list[Fault]]:
             there = np.isfinite(values[:, column])
             if there.all():
                 continue
-            runs = _runs(~there)
             n_there = int(there.sum())
-            for first, last in runs:
+            for first, last in _runs(~there):
                 length = (last - first) / rate
                 can = first > 0 and last < len(values) and length <= longest + 1e-9 and n_there >= 4
                 place = f"at {first / rate:.6g} s" if n_there else "everywhere"
@@ -224,15 +207,9 @@ def find_stuck(timed: Timed) -> list[Fault]:
             plateaus = [*_plateaus(samples), *(_plateaus(-samples))]
             if plateaus:
                 first, last = min(plateaus)
-                faults.append(
-                    Fault(
-                        "trials",
-                        f"{channel} ({name}) is clipped at {samples[first]:.6g} for {(last - first) / rate:.4g} s at "
-                        f"{first / rate:.6g} s, {len(plateaus)} times in all",
-                    )
-                )
-    faults += _held(timed)
-    return faults
+                clipped = f"clipped at {samples[first]:.6g} for {(last - first) / rate:.4g} s at {first / rate:.6g} s"
+                faults.append(Fault("trials", f"{channel} ({name}) is {clipped}, {len(plateaus)} times in all"))
+    return [*faults, *_held(timed)]
 
 
 def _plateaus(values: Array) -> list[tuple[int, int]]:
@@ -262,35 +239,23 @@ def _held(timed: Timed) -> list[Fault]:
     same = (np.diff(np.concatenate(parts, axis=1), axis=0) == 0.0).all(axis=1)
     changes = (np.diff(parts[0], axis=0) != 0.0).any(axis=1)
     rate = timed.rates["perturbation"]
-    faults = []
-    for first, last in _runs(same):
-        if last - first >= LEAST_RUN - 1 and first > 0 and last < len(same) and changes[first - 1] and changes[last]:
-            faults.append(
-                Fault(
-                    "trials", f"all channels hold their value for {(last - first) / rate:.4g} s at {first / rate:.6g} s"
-                )
-            )
-    return faults
+    return [
+        Fault("trials", f"all channels hold their value for {(last - first) / rate:.4g} s at {first / rate:.6g} s")
+        for first, last in _runs(same)
+        if last - first >= LEAST_RUN - 1 and first > 0 and last < len(same) and changes[first - 1] and changes[last]
+    ]
 
 
 def equal_lengths(timed: Timed, names: Collection[str]) -> tuple[Timed, list[Fault]]:
     """Signals of a trial cut to the shortest, and the fault that their lengths differed."""
     lengths = {name: len(timed.signals[name]) / timed.rates[name] for name in names}
-    shortest = min(lengths, key=lambda name: lengths[name])
-    longest = max(lengths, key=lambda name: lengths[name])
-    slack = 1.0 / min(timed.rates[name] for name in names) if len({timed.rates[n] for n in names}) > 1 else 0.0
-    if lengths[longest] - lengths[shortest] <= slack + 1e-9:
+    shortest, longest = min(names, key=lengths.__getitem__), max(names, key=lengths.__getitem__)
+    rates, end = {timed.rates[name] for name in names}, lengths[shortest]
+    if lengths[longest] - end <= (1.0 / min(rates) if len(rates) > 1 else 0.0) + 1e-9:
         return timed, []
-    fault = Fault(
-        "lengths",
-        f"{longest} lasts {lengths[longest]:.6g} s and {shortest} {lengths[shortest]:.6g} s; expected equal lengths",
-    )
-    end = lengths[shortest]
-    cut = {
-        name: values[: round(end * timed.rates[name])] if name in names else values
-        for name, values in timed.signals.items()
-    }
-    return replace(timed, signals=cut), [fault]
+    text = f"{longest} lasts {lengths[longest]:.6g} s and {shortest} {end:.6g} s; expected equal lengths"
+    cut = {name: timed.signals[name][: round(end * timed.rates[name])] for name in names}
+    return replace(timed, signals={**timed.signals, **cut}), [Fault("lengths", text)]
 
 
 def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:

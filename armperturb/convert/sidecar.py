@@ -136,11 +136,9 @@ class Sidecar:
         _require_closed(top, {name: guessed.text(name) for name in guessed.content})
         rate, time, mass = top.rate("rate"), None, None
         if "time" in top:
-            of_time = top.fields("time")
-            of_time.require_only(("channel", "unit"), ("channel", "unit"))
+            of_time = top.fields("time", ("channel", "unit"), ("channel", "unit"))
             time = of_time.text("channel"), factor_to("s", of_time["unit"], of_time.where("unit"))
-        of_signals = top.fields("signals")
-        of_signals.require_only(tuple(SIGNALS), REQUIRED_SIGNALS)
+        of_signals = top.fields("signals", SIGNALS, REQUIRED_SIGNALS)
         axes = _axes(top)
         signals = {name: _signal(of_signals.fields(name), name, axes) for name in SIGNALS if name in of_signals}
         owners: dict[str, str] = {}
@@ -156,8 +154,7 @@ class Sidecar:
         if "trials" in top and not of_trials.content:
             raise ValueError(f"{path}: trials is empty; expected labels of each trial, or no such field")
         if "environment" in top:
-            of_environment = top.fields("environment")
-            of_environment.require_only(("m_env",), ("m_env",))
+            of_environment = top.fields("environment", ("m_env",), ("m_env",))
             mass = quantity(of_environment["m_env"], "kg", of_environment.where("m_env"))
             require_number(str(path), "environment.m_env", mass, above=0.0, at_most=1e3)
         return cls(
@@ -169,7 +166,7 @@ class Sidecar:
             labels=_labels(top.fields("labels")),
             trials={name: _labels(of_trials.fields(name)) for name in of_trials.content},
             mass=mass,
-            dialect=_dialect(top.fields("csv")),
+            dialect=_dialect(top.fields("csv", Dialect._fields)),
             notes=(
                 f"{path}: guesses that nobody has confirmed: {', '.join(guessed.content)} (delete what you have "
                 "checked from guessed)",
@@ -223,8 +220,12 @@ class _Fields:
     def where(self, name: str) -> str:
         return f"{self.file}: {self.place_of(name)}"
 
-    def fields(self, name: str) -> "_Fields":
-        return _Fields(self.content.get(name, {}), self.file, self.place_of(name))
+    def fields(self, name: str, known: Collection[str] = (), required: Collection[str] = ()) -> "_Fields":
+        """An object in this one, empty if it is missing; with `known`, refused if it has other fields."""
+        fields = _Fields(self.content.get(name, {}), self.file, self.place_of(name))
+        if known:
+            fields.require_only(known, required)
+        return fields
 
     def require_only(self, known: Collection[str], required: Collection[str] = ()) -> None:
         for name in self.content:
@@ -304,8 +305,7 @@ def _leaves(content: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, 
 
 def _axes(fields: _Fields) -> Array:
     """Directions of the laboratory's x and y in our axes, (lab's axis, our axis)."""
-    of_axes = fields.fields("axes")
-    of_axes.require_only(("x", "y"), ("x", "y"))
+    of_axes = fields.fields("axes", ("x", "y"), ("x", "y"))
     directions = np.array([DIRECTIONS[of_axes.choice(name, DIRECTIONS)] for name in ("x", "y")])
     if abs(np.linalg.det(directions)) < 0.5:
         raise ValueError(
@@ -319,8 +319,7 @@ def _signal(fields: _Fields, name: str, axes: Array) -> Signal:
     components = LABELS[dims[1]]
     known = TABLES["fields"][name]
     fields.require_only(known, [field for field in known if field in ("channels", "unit", "exerted_by")])
-    of_channels = fields.fields("channels")
-    of_channels.require_only(components, components)
+    of_channels = fields.fields("channels", components, components)
     channels = {component: of_channels.text(component) for component in components}
     for component, channel in channels.items():
         if list(channels.values()).count(channel) > 1:
@@ -386,7 +385,6 @@ def _labels(fields: _Fields) -> dict[str, Any]:
 
 
 def _dialect(fields: _Fields) -> Dialect:
-    fields.require_only(Dialect._fields)
     delimiter = fields.choice("delimiter", (",", ";", "\t", " "), ",")
     decimal = fields.choice("decimal", (".", ","), ".")
     if decimal == delimiter:

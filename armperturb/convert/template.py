@@ -3,7 +3,9 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
+from functools import reduce
 from itertools import product
+from operator import getitem
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
@@ -86,20 +88,12 @@ def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: floa
     content["guessed"] = guessed
     with written_whole(target) as part:
         part.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    marked = [_marked(field, _value(content, field), text) for field, text in guessed.items()]
+    marked = []
+    for field, text in guessed.items():
+        value: Any = reduce(getitem, field.split("."), content)
+        what = "is left open" if value == OPEN else "is a guess"
+        marked.append(f"{field} = {json.dumps(value, ensure_ascii=False)} {what}: {text}")
     return SidecarTemplate(target, (*marked, *notes))
-
-
-def _value(content: Mapping[str, Any], field: str) -> Any:
-    value: Any = content
-    for name in field.split("."):
-        value = value[name]
-    return value
-
-
-def _marked(field: str, value: Any, text: str) -> str:
-    what = "is left open" if value == OPEN else "is a guess"
-    return f"{field} = {json.dumps(value, ensure_ascii=False)} {what}: {text}"
 
 
 # What it means.

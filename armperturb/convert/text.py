@@ -10,6 +10,7 @@ import numpy as np
 
 from armperturb.convert.raw import RawTrial, missing_channel, split_trials
 from armperturb.convert.sidecar import Dialect
+from armperturb.convert.units import parsed_number
 from armperturb.foreign import require_modest
 
 MARKS = {b"PK\x03\x04": "a zip archive", b"\x89HDF": "an HDF5 file", b"MATLAB": "a MATLAB file", b"\x1f\x8b": "gzip"}
@@ -84,13 +85,8 @@ def _number(path: Path, line: int, name: str, text: str, decimal: str) -> float:
     text = text.strip()
     if not text:
         return math.nan
-    plain = "_" not in text
-    if decimal == ",":
-        plain, text = plain and "." not in text, text.replace(",", ".")
-    try:
-        number = float(text) if plain else None
-    except ValueError:
-        number = None
+    other = "." if decimal == "," else ","
+    number = None if other in text else parsed_number(text.replace(decimal, "."))
     if number is None:
         raise ValueError(f"{path}, line {line}: {name} = {text[:40]!r}; expected a number with a decimal {decimal!r}")
     return number if math.isfinite(number) else math.nan

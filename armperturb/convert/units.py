@@ -30,6 +30,14 @@ def factor_to(ours: str, unit: object, where: str) -> float:
     return UNITS[ours][unit]
 
 
+def parsed_number(text: str) -> float | None:
+    """The number that a text is, without Python's separators of digits; None if it is none."""
+    try:
+        return float(text) if "_" not in text else None
+    except ValueError:
+        return None
+
+
 def quantity(value: object, ours: str, where: str) -> float:
     """A number in our unit, from a number or from text such as "31 cm".
 
@@ -48,15 +56,10 @@ def quantity(value: object, ours: str, where: str) -> float:
             raise ValueError(f"{where} has more than {LONGEST_NUMBER} digits; expected a number of a signal")
         require_number(owner, field, value)
         return float(value)  # type: ignore[arg-type]
-    if len(value) > LONGEST_NUMBER:
+    text, _, unit = value.strip().partition(" ")
+    number = parsed_number(text) if len(value) <= LONGEST_NUMBER else None
+    if number is None or not math.isfinite(number):
         raise ValueError(f"{where} = {value!r:.60}; expected a finite number, or one with its unit, e.g. '12 {ours}'")
-    number, _, unit = value.strip().partition(" ")
-    try:
-        number_of_text = float(number) if "_" not in number else math.nan
-    except ValueError:
-        number_of_text = math.nan
-    if not math.isfinite(number_of_text):
-        raise ValueError(f"{where} = {value!r}; expected a finite number, or one with its unit, e.g. '12 {ours}'")
     if unit.strip() not in UNITS[ours]:
         raise ValueError(f"{where} = {value!r}; expected a number with a unit: {', '.join(UNITS[ours])}")
-    return number_of_text * UNITS[ours][unit.strip()]
+    return number * UNITS[ours][unit.strip()]

@@ -86,7 +86,7 @@ def test_a_search_that_is_interrupted_goes_on_and_writes_what_it_found(path, cap
     said = capsys.readouterr().err.splitlines()
     assert said[-1] == "armperturb: interrupted; the same command continues from here"
     assert said[-2].startswith("step 2: cost ")
-    assert [file.name for file in out.iterdir()] == ["checkpoint.npz"]
+    assert [file.name for file in out.iterdir()] == ["checkpoint.json.gz"]
 
     assert run(path, "--law", "linear") == 0
     captured = capsys.readouterr()

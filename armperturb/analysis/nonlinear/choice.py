@@ -10,20 +10,14 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from armperturb.analysis.nonlinear.estimate import (
-    N_PAIRS,
-    N_PAIRS_OF_ERRORS,
-    fit,
-    free_parameters,
-    nearest_arms,
-)
+from armperturb.analysis.nonlinear.estimate import N_PAIRS, fit, free_parameters, nearest_arms
 from armperturb.analysis.nonlinear.model import Law, Model, bounds, stem
-from armperturb.analysis.nonlinear.prediction import PulsePrediction, median_peak, median_vaf, predict_pulses
+from armperturb.analysis.nonlinear.prediction import PulsePrediction, facts_of, predict_pulses
 from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem, State
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.results import Description, Result
@@ -156,13 +150,7 @@ class Choice(Result):
             f"these trials {'show' if gain.is_shown else 'do not show'} {name}: it {gain}"
             for name, gain in self.mechanisms.items()
         ]
-        for law, judged in self.judged.items():
-            if judged.pulses:
-                lines.append(
-                    f"{len(judged.pulses)} left-out pulses, {law} law: median peak {median_peak(judged.pulses):.0f} %, "
-                    f"median VAF {median_vaf(judged.pulses):.1f} %"
-                )
-        return tuple(lines)
+        return (*lines, *facts_of({f"{law} law": judged.pulses for law, judged in self.judged.items()}))
 
 
 def compare_laws(
@@ -174,11 +162,9 @@ def compare_laws(
     mechanisms: bool = False,
     n_pairs: int = N_PAIRS,
     n_pairs_of_folds: int = N_PAIRS_OF_FOLDS,
-    n_pairs_of_errors: int = N_PAIRS_OF_ERRORS,
-    seed: int = 0,
     checkpoint: Path | None = None,
     progress: Callable[[str], object] | None = None,
-    threads: int = 1,
+    **options: Any,
 ) -> Choice:
     """Compare laws by trials and pulses that they were not fitted to, and choose one.
 
@@ -194,11 +180,9 @@ def compare_laws(
       mechanisms: whether the mechanisms of the full law are judged singly, if it is chosen.
       n_pairs: pairs of draws of the noise in fits to all trials, see `fit`.
       n_pairs_of_folds: pairs of draws in the folds' fits.
-      n_pairs_of_errors: pairs of draws from which errors are estimated.
-      seed: of the draws.
       checkpoint: folder for the checkpoints of all fits; a comparison that was stopped there goes on.
       progress: called with a line after each step.
-      threads: how many simulate at a time; no effect on the result.
+      **options: further ones of `fit`.
 
     Raises:
       ValueError: as `fit`, or no condition has two trials.
@@ -207,14 +191,8 @@ def compare_laws(
     folds = _folds(sets)
     if not folds:
         raise ValueError("each condition has one trial; expected two in one at least, to leave one out")
-    fits = _Fits(
-        arms=nearest_arms(sets, arms),
-        n_pairs_of_errors=n_pairs_of_errors,
-        seed=seed,
-        checkpoint=checkpoint,
-        progress=progress,
-        threads=threads,
-    )
+    arms = nearest_arms(sets, arms)
+    fits = _Fits(arms, checkpoint, progress, options)
     judged: dict[Law, Judged] = {}
     in_folds: dict[Law, list[NonlinearEstimate]] = {}
     gains: dict[Law, Gain] = {}
@@ -251,16 +229,13 @@ Fold = tuple[list[ConditionTrials], list[ConditionTrials]]
 """Trials to fit and trials to leave out, set by set; a set may leave out nothing."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Fits:
+class _Fits(NamedTuple):
     """What all fits of a comparison share; attributes as in `compare_laws`."""
 
     arms: Mapping[str, Subject]
-    n_pairs_of_errors: int
-    seed: int
     checkpoint: Path | None
     progress: Callable[[str], object] | None
-    threads: int
+    options: Mapping[str, Any]
 
     def fit(
         self, trials: Sequence[ConditionTrials], model: Model, name: str, start: Mapping[str, float], n_pairs: int
@@ -274,12 +249,10 @@ class _Fits:
             model,
             initial={name: float(np.clip(value, *limits[name])) for name, value in start.items() if name in limits},
             n_pairs=n_pairs,
-            n_pairs_of_errors=self.n_pairs_of_errors,
-            seed=self.seed,
             checkpoint=self.checkpoint
-            and self.checkpoint / f"checkpoint_{name.replace(' ', '_').replace(',', '')}.npz",
+            and self.checkpoint / f"checkpoint_{name.replace(' ', '_').replace(',', '')}.json.gz",
             progress=report and (lambda line: report(f"{name}: {line}")),
-            threads=self.threads,
+            **self.options,
         )
 
     def judge(
@@ -290,9 +263,8 @@ class _Fits:
         for i, (train, test) in enumerate(folds):
             estimate = self.fit(train, model, f"{name}, fold {i + 1}", starts[i].values if starts else {}, n_pairs)
             estimates.append(estimate)
-            log_likelihood.append(
-                left_out_likelihood(estimate, test, self.arms, n_pairs=n_pairs, seed=self.seed, threads=self.threads)
-            )
+            draws = {name: self.options[name] for name in ("seed", "threads") if name in self.options}
+            log_likelihood.append(left_out_likelihood(estimate, test, self.arms, n_pairs=n_pairs, **draws))
             conditions += [trials.label for trials in test for _ in range(trials.n_trials)]
         judged = Judged(
             model=model,

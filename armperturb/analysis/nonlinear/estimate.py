@@ -18,9 +18,10 @@ from armperturb.analysis.nonlinear.draws import Deviations, lack_of_fit, score_v
 from armperturb.analysis.nonlinear.model import EFFECTS, Model, Parameters, value_at, value_per_coordinate
 from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem
 from armperturb.analysis.nonlinear.result import NonlinearEstimate, remarks_on
-from armperturb.analysis.nonlinear.search import CONVERGED, MAX_STEPS, Position, Search, Solution, inverse
+from armperturb.analysis.nonlinear.search import CONVERGED, MAX_STEPS, Position, Search, inverse
 from armperturb.analysis.nonlinear.start import best_start, start_values
 from armperturb.analysis.trials import ConditionTrials
+from armperturb.arrays import Array
 from armperturb.subject import Subject
 
 N_PAIRS = 6
@@ -77,9 +78,11 @@ def fit(
     if checkpoint is not None:
         digest = digest_of(problem, point.tolist(), sorted(everywhere.items()), n_pairs, seed)
         begin, save = load_position(checkpoint, digest), partial(save_position, checkpoint, digest)
-    begin = begin or Position.at_start(best_start(problem, point, initial or {}))
+    if begin is None:
+        state = best_start(problem, point, initial or {})
+        begin = Position(state=state, reference=state)
     search = Search(problem, begin, n_pairs=n_pairs, seed=seed, max_steps=max_steps, save=save, progress=progress)
-    return _estimate(problem, search.run(), n_pairs_of_errors, seed + 1)
+    return _estimate(problem, *search.run(), n_pairs_of_errors, seed + 1)
 
 
 def free_parameters(sets: Sequence[ConditionTrials], model: Model) -> Parameters:
@@ -136,17 +139,20 @@ def nearest_arms(sets: Sequence[ConditionTrials], arms: Mapping[str, Subject]) -
     return nearest
 
 
-def _estimate(problem: Problem, solution: Solution, n_pairs_of_errors: int, seed: int) -> NonlinearEstimate:
+def _estimate(
+    problem: Problem, position: Position, message: str, slopes: list[Array], n_pairs_of_errors: int, seed: int
+) -> NonlinearEstimate:
     """The solution with errors and tests.
 
     Args:
       problem: what was fitted.
-      solution: where the search ended.
+      position: where the search ended.
+      message: how, in words; `CONVERGED` at a maximum.
+      slopes: the derivatives of the last step, see `Problem.slopes`.
       n_pairs_of_errors: as in `fit`.
       seed: of these draws; another one than that of the predictions'.
     """
-    parameters, (position, message, slopes) = problem.parameters, solution
-    state, names = position.state, problem.parameters.names
+    parameters, state, names = problem.parameters, position.state, problem.parameters.names
     n = len(state.point)
     oscillating = problem.limit_cycles(state)
     if oscillating:

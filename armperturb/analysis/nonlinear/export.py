@@ -11,7 +11,7 @@ from armperturb.analysis.nonlinear.identify import NonlinearIdentification
 from armperturb.analysis.nonlinear.prediction import median_peak
 from armperturb.files import write_csv, written_whole
 
-CHECKPOINTS = "checkpoint*.npz"
+CHECKPOINTS = "checkpoint*.json.gz"
 """Files of searches that have not ended."""
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 
 from armperturb.analysis.defaults import WINDOW_START
@@ -15,8 +16,7 @@ from armperturb.analysis.nonlinear.estimate import N_PAIRS, N_PAIRS_OF_ERRORS, f
 from armperturb.analysis.nonlinear.model import Law, Model
 from armperturb.analysis.nonlinear.prediction import (
     PulsePrediction,
-    median_peak,
-    median_vaf,
+    facts_of,
     predict_pulses,
     predict_pulses_linearly,
 )
@@ -28,7 +28,6 @@ from armperturb.planar_arm.simulation import load_compiled_arm
 from armperturb.subject import Subject
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 
@@ -52,22 +51,15 @@ class NonlinearIdentification(Result):
     def describe(self) -> Description:
         """The estimate, why its law was chosen, and how well the models predict the left-out pulses."""
         estimate = self.estimate.describe()
-        pulses = tuple(
-            f"{len(pulses)} left-out pulses, {model} model: median peak {median_peak(pulses):.0f} %, median VAF "
-            f"{median_vaf(pulses):.1f} %"
-            for model, pulses in self.pulses.items()
-            if pulses
-        )
+        pulses = facts_of({f"{model} model": pulses for model, pulses in self.pulses.items()})
         return replace(estimate, facts=(*estimate.facts, *(self.choice.verdict() if self.choice else ()), *pulses))
 
-    def to_frame(self) -> "pd.DataFrame":
+    def to_frame(self) -> pd.DataFrame:
         """One row per free parameter, with the columns of `results.PARAMETER_COLUMNS`."""
         return self.estimate.to_frame()
 
-    def pulse_frame(self) -> "pd.DataFrame":
+    def pulse_frame(self) -> pd.DataFrame:
         """One row per left-out pulse and model: predicted over recorded peak, and variance accounted for [%]."""
-        import pandas as pd
-
         rows = [
             (pulse.condition, pulse.direction_deg, model, pulse.peak, pulse.vaf)
             for model, pulses in self.pulses.items()
@@ -153,7 +145,7 @@ def identify_nonlinear(
         choice = compare_laws(fitted, arms, left_out, mechanisms=True, checkpoint=folder, **options)
         estimate = choice.estimate
     else:
-        estimate = fit(fitted, arms, Model(law=law), checkpoint=folder and folder / "checkpoint.npz", **options)
+        estimate = fit(fitted, arms, Model(law=law), checkpoint=folder and folder / "checkpoint.json.gz", **options)
     pulses: dict[str, list[PulsePrediction]] = {"nonlinear": [], "linear": [], "skeletal": []}
     everywhere = nearest_arms(list(sets.values()), arms)
     for trials in left_out:

@@ -2,8 +2,10 @@
 
 import copy
 import math
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib import resources
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -32,26 +34,9 @@ COMMON = ("elastic_limit_spread", "loss_angle_deg", "recovery_time", "thinning_v
 FIXED: Mapping[str, float] = {"Td": 0.030, "fact": 3.5}
 """Delay [s] and cut-off of the activation [Hz] of both joints, unless they are set free (thesis 2.7)."""
 
-BOUNDS: Mapping[str, tuple[float, float]] = {
-    "m_h": (0.3, 8.0),
-    "m_f": (0.3, 8.0),
-    "k_h": (1e3, 1e5),
-    "b_h": (1.0, 500.0),
-    "k": (-1000.0, 1000.0),
-    "b": (-100.0, 100.0),
-    "kv": (-200.0, 200.0),
-    "kp": (-500.0, 500.0),
-    "Td": (0.01, 0.2),
-    "fact": (1.0, 20.0),
-    "short_range_stiffness": (0.05, 1000.0),
-    "elastic_limit_deg": (0.05, 30.0),
-    "elastic_limit_spread": (0.05, 2.0),
-    "loss_angle_deg": (2.0, 3000.0),
-    "recovery_time": (0.05, 50.0),
-    "thinning_velocity": (0.01, 50.0),
-    "spindle_saturation": (0.02, 50.0),
-    "level": (0.1, 5.0),
-}
+_TABLES = tomllib.loads(resources.files(__package__).joinpath("parameters.toml").read_text(encoding="utf-8"))
+
+BOUNDS: Mapping[str, tuple[float, float]] = {name: (low, high) for name, (low, high) in _TABLES["bounds"].items()}
 """Of each parameter, in its `unit`; a group's stands for its three elements."""
 
 LEAST_THINNING = 0.02
@@ -64,18 +49,6 @@ A single-joint group has what the joint has beyond the two-joint group (eq. 2.10
 thesis's people in the position task.
 """
 
-_UNITS: Mapping[str, str] = {
-    "short_range_stiffness": "Nm/rad",
-    "elastic_limit_deg": "deg",
-    "elastic_limit_spread": "-",
-    "loss_angle_deg": "deg",
-    "recovery_time": "s",
-    "thinning_velocity": "rad/s",
-    "spindle_saturation": "rad/s",
-    "level": "-",
-}
-"""Of parameters that linear arms do not have."""
-
 
 def stem(name: str) -> str:
     """Quantity that a parameter is of: "k.elbow [RT]" is of k."""
@@ -84,7 +57,7 @@ def stem(name: str) -> str:
 
 def unit(name: str) -> str:
     """Unit of a parameter; "-" if it has none."""
-    return _UNITS.get(stem(name)) or structures.unit(stem(name))
+    return _TABLES["units"].get(stem(name)) or structures.unit(stem(name))
 
 
 def bounds(name: str, law: Law) -> tuple[float, float]:

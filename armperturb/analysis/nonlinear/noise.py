@@ -51,14 +51,14 @@ class Noise:
         self.root = np.zeros((len(self._frequency), 2, 2), dtype=complex)
         self._white = self._to_force
 
-    def _force(self, residual: Array) -> ComplexArray:
-        """DFT of the hand force behind residuals (trial, time, axis), (trial, axis, frequency)."""
+    def _spectrum(self, mixing: ComplexArray, residual: Array) -> ComplexArray:
+        """DFT of residuals (trial, time, axis), mixed by (axis, axis, frequency), (trial, axis, frequency)."""
         faded = whitened(residual[:, : self._n], self._rate) * self._taper[:, None]
         spectrum = fft.rfft(faded, axis=1)[:, self._used].transpose(0, 2, 1)
-        return np.einsum("abf,tbf->taf", self._to_force, spectrum)
+        return np.einsum("abf,tbf->taf", mixing, spectrum)
 
     def _power(self, residual: Array) -> ComplexArray:
-        force = self._force(residual)
+        force = self._spectrum(self._to_force, residual)
         power = np.einsum("taf,tbf->fab", force, force.conj()) / len(force)
         return np.asarray(self._smoother @ power.reshape(-1, 4)).reshape(-1, 2, 2)
 
@@ -79,7 +79,7 @@ class Noise:
 
     def white(self, residual: Array) -> Array:
         """Residuals [m], (trial, time, axis), as numbers of unit variance if they are noise, (trial, number)."""
-        white = self._white_spectrum(residual).reshape(len(residual), -1)
+        white = self._spectrum(self._white, residual).reshape(len(residual), -1)
         return np.concatenate([white.real, white.imag], axis=1)
 
     def lack_of_fit(self, white: Array, perturbation: Array) -> tuple[Array, int]:
@@ -105,11 +105,6 @@ class Noise:
             chi2 += np.sum(np.abs(in_band @ basis.conj()) ** 2, axis=-1)
             n_bands += 1
         return chi2, 8 * n_bands
-
-    def _white_spectrum(self, residual: Array) -> ComplexArray:
-        faded = whitened(residual[:, : self._n], self._rate) * self._taper[:, None]
-        spectrum = fft.rfft(faded, axis=1)[:, self._used].transpose(0, 2, 1)
-        return np.einsum("abf,tbf->taf", self._white, spectrum)
 
     def force(self, root: ComplexArray, strength: Array, standard: Array) -> Array:
         """A draw of the hand force [N], (time, axis).

@@ -1,10 +1,11 @@
 """Pulses as a fitted person, linear or not, predicts them (thesis 2.8)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.measures.pulse import WINDOWS, peak_norm
@@ -17,7 +18,6 @@ from armperturb.recording import LABELS
 from armperturb.subject import Subject
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 
@@ -46,10 +46,8 @@ class PulsePrediction(Result):
             f"{self.peak:.0f} %, VAF {self.vaf:.1f} %"
         )
 
-    def to_frame(self) -> "pd.DataFrame":
+    def to_frame(self) -> pd.DataFrame:
         """One row per sample: recorded and predicted displacement [m]."""
-        import pandas as pd
-
         columns = {
             f"{name}_{axis}_m": values[:, column]
             for name, values in (("recorded", self.recorded), ("predicted", self.predicted))
@@ -140,6 +138,11 @@ def median_peak(predictions: Sequence[PulsePrediction]) -> float:
     return float(np.median([pulse.peak for pulse in predictions])) if predictions else float("nan")
 
 
-def median_vaf(predictions: Sequence[PulsePrediction]) -> float:
-    """Median of `PulsePrediction.vaf` [%]; NaN of none."""
-    return float(np.median([pulse.vaf for pulse in predictions])) if predictions else float("nan")
+def facts_of(predictions: Mapping[str, Sequence[PulsePrediction]]) -> tuple[str, ...]:
+    """A line per model, by its name, that predicts some left-out pulses."""
+    return tuple(
+        f"{len(pulses)} left-out pulses, {name}: median peak {median_peak(pulses):.0f} %, median VAF "
+        f"{np.median([pulse.vaf for pulse in pulses]):.1f} %"
+        for name, pulses in predictions.items()
+        if pulses
+    )

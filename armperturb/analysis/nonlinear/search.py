@@ -9,8 +9,7 @@ their own to the estimate. Its steps estimate the spread of the trials as well.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import Enum
-from typing import NamedTuple
+from typing import Literal
 
 import numpy as np
 from scipy import linalg
@@ -54,12 +53,8 @@ CONVERGED = "converged"
 """How a search ends that has found a maximum."""
 
 
-class Stage(Enum):
-    """Part of the search."""
-
-    NOISE_FREE = "noise-free"
-    NOISY = "noisy"
-    FINAL = "final"
+Stage = Literal["noise-free", "noisy", "final"]
+"""Part of the search."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,31 +70,12 @@ class Position:
       draws: of the noise in whose presence trials are predicted; None for none.
     """
 
-    stage: Stage
+    stage: Stage = "noise-free"
     state: State
     reference: State
     damping: float = 1.0
     n_steps: int = 0
     draws: NoiseDraws | None = None
-
-    @classmethod
-    def at_start(cls, state: State) -> "Position":
-        """Before the first step."""
-        return cls(stage=Stage.NOISE_FREE, state=state, reference=state)
-
-
-class Solution(NamedTuple):
-    """The end of a search.
-
-    Attributes:
-      position: where it ended.
-      message: how, in words; `CONVERGED` at a maximum.
-      slopes: the derivatives of the last step, see `Problem.slopes`.
-    """
-
-    position: Position
-    message: str
-    slopes: list[Array]
 
 
 class Search:
@@ -133,16 +109,16 @@ class Search:
         if begin.draws is not None:
             problem.predict_with(begin.draws)
 
-    def run(self) -> Solution:
+    def run(self) -> tuple[Position, str, list[Array]]:
         """Search on to the end."""
-        if self._at.stage is Stage.NOISE_FREE:
+        if self._at.stage == "noise-free":
             self._approach()
-            self._enter(Stage.NOISY if self._n_pairs else Stage.FINAL, self._drawn() if self._n_pairs else None)
-        if self._at.stage is Stage.NOISY:
+            self._enter("noisy" if self._n_pairs else "final", self._drawn() if self._n_pairs else None)
+        if self._at.stage == "noisy":
             self._approach()
-            self._enter(Stage.FINAL, self._at.draws)
+            self._enter("final", self._at.draws)
         message, slopes = self._finish()
-        return Solution(self._at, message, slopes)
+        return self._at, message, slopes
 
     def _enter(self, stage: Stage, draws: NoiseDraws | None) -> None:
         self._at = replace(self._at, stage=stage, damping=1.0, reference=self._at.state, draws=draws)

@@ -1,13 +1,16 @@
 """What is calibrated: the unknowns of each muscle law, and the average person that their values make."""
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib import resources
 from typing import Any, NamedTuple
 
 from armperturb.analysis.nonlinear.model import ELEMENTS
 from armperturb.cohort import Person, average_body
 from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
+from armperturb.validation import require_one_of
 
 PARTS = 8
 """Elasto-plastic parts per element."""
@@ -41,50 +44,8 @@ LAWS: dict[str, tuple[str, ...]] = {
 }
 """Laws to compare: name to the fields of `MuscleLaw` that are unknown, beside the parameters of the linear arm."""
 
-_TYPICAL: dict[str, tuple[Unknown, ...]] = {
-    "RT": (
-        Unknown("k.shoulder", 2.0, 2.0, start=2.38),
-        Unknown("k.two-joint", 1.0, 2.0, start=0.772),
-        Unknown("k.elbow", 2.0, 2.0, start=1.38),
-        Unknown("b.shoulder", 0.75, 2.0, start=0.885),
-        Unknown("b.two-joint", 1.4, 2.0, start=1.33),
-        Unknown("b.elbow", 0.5, 2.0, start=0.46),
-        Unknown("short_range_stiffness.shoulder", 11.0, 2.5, start=15.9),
-        Unknown("short_range_stiffness.two-joint", 11.0, 2.5, start=15.7),
-        Unknown("short_range_stiffness.elbow", 11.0, 2.5, start=9.83),
-        Unknown("elastic_limit_deg", 0.7, 2.5, start=0.805),
-        Unknown("elastic_limit_spread", 0.5, 2.0, start=0.463),
-        Unknown("loss_angle_deg", 30.0, 2.7, start=29.1),
-        Unknown("recovery_time", 1.7, 3.3, start=1.39),
-        Unknown("thinning_velocity", 0.13, 2.2, start=0.115),
-    ),
-    "PT": (
-        Unknown("k.shoulder", 30.0, 2.2, start=44.6),
-        Unknown("k.two-joint", 60.0, 2.2, start=23.7),
-        Unknown("k.elbow", 50.0, 2.2, start=37.2),
-        Unknown("b.shoulder", 2.5, 2.7, start=2.33),
-        Unknown("b.two-joint", 3.0, 2.7, start=1.38),
-        Unknown("b.elbow", 4.0, 2.7, start=4.95),
-        Unknown("kv.shoulder", 5.0, 2.2, start=2.95),
-        Unknown("kv.two-joint", 12.0, 2.2, start=12.5),
-        Unknown("kv.elbow", 10.0, 2.2, start=4.03),
-        Unknown("kp.shoulder", 5.0, 2.7, start=5.92),
-        Unknown("kp.two-joint", 15.0, 2.7, start=19.3),
-        Unknown("kp.elbow", 15.0, 2.7, start=10.4),
-        Unknown("short_range_stiffness.shoulder", 40.0, 2.2, start=41.9),
-        Unknown("short_range_stiffness.two-joint", 60.0, 2.2, start=75.2),
-        Unknown("short_range_stiffness.elbow", 40.0, 2.2, start=29.6),
-        Unknown("elastic_limit_deg", 0.8, 1.8, start=1.47),
-        Unknown("elastic_limit_spread", 0.5, 2.0, start=0.43),
-        Unknown("loss_angle_deg", 40.0, 2.7, start=42.5),
-        Unknown("recovery_time", 1.7, 2.7, start=1.82),
-        Unknown("thinning_velocity", 1.5, 2.7, start=1.24),
-        Unknown("spindle_saturation", 1.5, 2.7, start=1.1),
-        Unknown("level.PT0", 0.5, 1.6, start=0.395, slope_down=True),
-        Unknown("level.PT2.5", 0.5, 1.6, start=0.628, slope_down=True),
-        Unknown("level.PT22.5", 1.5, 1.4, start=1.61, slope_down=True),
-    ),
-}
+_TABLES = tomllib.loads(resources.files(__package__).joinpath("unknowns.toml").read_text(encoding="utf-8"))
+_TYPICAL = {task: tuple(Unknown(name, **numbers) for name, numbers in table.items()) for task, table in _TABLES.items()}
 
 
 def unknowns(task: str, law: str) -> tuple[Unknown, ...]:
@@ -93,10 +54,8 @@ def unknowns(task: str, law: str) -> tuple[Unknown, ...]:
     Raises:
       ValueError: the task or the law is unknown.
     """
-    if task not in TASKS:
-        raise ValueError(f"calibrate: task = {task!r}; expected one of {', '.join(TASKS)}")
-    if law not in LAWS:
-        raise ValueError(f"calibrate: law = {law!r}; expected one of {', '.join(LAWS)}")
+    require_one_of("calibrate", "task", task, TASKS)
+    require_one_of("calibrate", "law", law, tuple(LAWS))
     left_out = set(LAWS["full"]) - set(LAWS[law])
     return tuple(unknown for unknown in _TYPICAL[task] if unknown.name.partition(".")[0] not in left_out)
 

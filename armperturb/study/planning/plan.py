@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.fft import irfft, rfft
 
@@ -31,7 +32,6 @@ from armperturb.study.planning.settings import DesignSettings, NoiseLaw, noise_l
 from armperturb.subject import Subject
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 
@@ -147,10 +147,8 @@ class Design(Result):
 
         return plot_design(self, figure)
 
-    def to_frame(self) -> "pd.DataFrame":
+    def to_frame(self) -> pd.DataFrame:
         """Predicted standard errors per parameter, SI."""
-        import pandas as pd
-
         wanted, law = self.settings.wanted(), self.settings.noise
         thesis, optimised = self.thesis.standard_error[law], self.optimised.standard_error
         frame = pd.DataFrame(
@@ -169,10 +167,8 @@ class Design(Result):
         )
         return frame if self.proposed is None else frame.assign(sem_proposed=self.proposed.standard_error[law])
 
-    def spectrum_frame(self) -> "pd.DataFrame":
+    def spectrum_frame(self) -> pd.DataFrame:
         """RMS force of each line."""
-        import pandas as pd
-
         signals = (("thesis", self.thesis), ("optimised", self.optimised))
         return pd.concat(
             [
@@ -188,10 +184,8 @@ class Design(Result):
             ]
         )
 
-    def signal_frame(self) -> "pd.DataFrame":
+    def signal_frame(self) -> pd.DataFrame:
         """RMS and largest force, and RMS displacement of the handle, of each realisation and axis."""
-        import pandas as pd
-
         n_period = round(self.settings.period * DESIGN_RATE)
         return pd.DataFrame(
             [

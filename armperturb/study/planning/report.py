@@ -130,8 +130,7 @@ def plot_design(design: Design, figure: Figure | None = None) -> Any:
     against_trials.set_xlabel(f"trials of {duration:g} s")
     against_duration.set_ylabel("SEM [% of the value]" if known else "SEM [SI]")
     for ax in (against_duration, against_trials):
-        ax.set_xscale("log")
-        ax.set_yscale("log")
+        ax.set(xscale="log", yscale="log")
         ax.xaxis.set_minor_locator(NullLocator())
         _label_decades(ax)
     against_duration.set_xticks(*_ticks(durations))
@@ -139,13 +138,11 @@ def plot_design(design: Design, figure: Figure | None = None) -> Any:
     for column, (ax, axis) in enumerate(((on_x, "x"), (on_y, "y"))):
         for name, signal in _signals(design):
             _spectrum(ax, signal, column, **LOOKS[name])
-        ax.set_xscale("log")
-        ax.set_yscale("log")
+        ax.set(xscale="log", yscale="log", xlabel=f"frequency [Hz], {axis}")
         _label_decades(ax)
         ax.set_xticks([0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 40.0])
         ax.xaxis.set_minor_locator(NullLocator())
         ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        ax.set_xlabel(f"frequency [Hz], {axis}")
     on_x.set_ylabel("RMS force of a line [N]")
     handles, labels = against_duration.get_legend_handles_labels()
     figure.suptitle(

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from numbers import Integral, Real
+from numbers import Real
 from typing import NamedTuple
 
 from armperturb.cohort import Person
 from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
 from armperturb.subject import TASKS, Subject, at_level
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_one_of, require_whole
 
 PULSE_UNIT = "pulse_unit"
 """Key of the peak force of pulse level 1 [N] in a mapping of forces, beside the conditions' names."""
@@ -55,13 +55,10 @@ class Condition:
         owner = f"condition {self.name!r}"
         if self.name == PULSE_UNIT:
             raise ValueError(f"{owner}: name = {self.name!r}; expected another, this one means the unit of the pulses")
-        if self.task not in TASKS:
-            raise ValueError(f"{owner}: task = {self.task!r}; expected one of {', '.join(TASKS)}")
+        require_one_of(owner, "task", self.task, TASKS)
         require_number(owner, "rms_displacement", self.rms_displacement, at_least=0.0, at_most=LARGEST_RMS_DISPLACEMENT)
         require_number(owner, "published_force", self.published_force, at_least=0.0)
-        require_number(owner, "repetitions", self.repetitions, at_least=1)
-        if not isinstance(self.repetitions, Integral):
-            raise TypeError(f"{owner}: repetitions = {self.repetitions!r}; expected a whole number")
+        require_whole(owner, "repetitions", self.repetitions, at_least=1)
         require_number(owner, "co_contraction", self.co_contraction, above=0.0, at_most=MOST_CO_CONTRACTION)
         require_number(owner, "reached", self.reached, at_least=0.1, at_most=10.0)
         require_number(owner, "reached_spread", self.reached_spread, at_least=0.0, at_most=1.0)

@@ -5,7 +5,6 @@ import math
 import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from importlib import resources
 from pathlib import Path
 from typing import Any, Self
 
@@ -18,7 +17,7 @@ from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, draw_onset
 from armperturb.seeds import random_stream, trial_seed
 from armperturb.study.protocol.condition import PULSE_UNIT, Condition, PlannedTrial, numbers, require_different
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_one_of
 
 FORCES = ("practice", "published")
 """Where the forces come from: each person's practice session, or the protocol's own, the same for everyone."""
@@ -70,8 +69,7 @@ class Protocol:
         if not self.conditions:
             raise ValueError(f"{owner}: conditions = []; expected at least one")
         require_different(owner, "conditions", [condition.name for condition in self.conditions])
-        if self.forces not in FORCES:
-            raise ValueError(f"{owner}: forces = {self.forces!r}; expected one of {', '.join(FORCES)}")
+        require_one_of(owner, "forces", self.forces, FORCES)
         if self.strap is not None and not isinstance(self.strap, Strap):
             raise TypeError(f"{owner}: strap = {self.strap!r}; expected Strap or None")
         for name in ("pulse_unit", "pulse_unit_factor", "trial_duration", "multisine_duration"):
@@ -171,10 +169,10 @@ class Protocol:
         Raises:
           KeyError: there is none.
         """
-        for condition in self.conditions:
-            if condition.name == name:
-                return condition
-        raise KeyError(f"no condition {name!r}; there are {', '.join(c.name for c in self.conditions)}")
+        conditions = {condition.name: condition for condition in self.conditions}
+        if name not in conditions:
+            raise KeyError(f"no condition {name!r}; there are {', '.join(conditions)}")
+        return conditions[name]
 
     def planned_trials(self) -> tuple[PlannedTrial, ...]:
         """The trials of a person, in the order of the table."""
@@ -311,12 +309,7 @@ def _check_keys(cls: type, source: str, values: Mapping[str, Any]) -> None:
             raise ValueError(f"{source}: missing key {key!r}; expected keys are {', '.join(known)}")
 
 
-def _thesis() -> Protocol:
-    with resources.as_file(resources.files("armperturb.study.protocol").joinpath("thesis.toml")) as path:
-        return load_protocol(path)
-
-
-THESIS = _thesis()
+THESIS = load_protocol(Path(__file__).with_name("thesis.toml"))
 """The experiment of the thesis: eight conditions, 32 trials (table 2.1); `thesis.toml` beside this file."""
 
 

@@ -23,9 +23,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from filelock import FileLock, Timeout
+from filelock import AcquireReturnProxy, FileLock, Timeout
 
-from armperturb.files import sync_folder, write_durably
+from armperturb.files import sync, write_durably
 
 MANIFEST = "manifest.json"
 RECORDINGS = "recordings"
@@ -104,7 +104,7 @@ class StudyFolder:
         with _naming(path):
             write_durably(path.parent / SUMS, text.encode())
             os.replace(staged, path)
-            sync_folder(path.parent)
+            sync(path.parent)
         self._sums = sums
         return path
 
@@ -125,10 +125,7 @@ def open_study(root: Path, manifest: Mapping[str, Any]) -> Iterator[StudyFolder]
         of unknown origin.
       OSError: the folder cannot be written to.
     """
-    with _naming(root):
-        root.mkdir(parents=True, exist_ok=True)
-        lock = FileLock(root / LOCK, timeout=0)
-    with _locked(lock, root):
+    with _locked(root):
         _agree(root, manifest)
         with _naming(root):
             (root / RECORDINGS).mkdir(exist_ok=True)
@@ -176,21 +173,17 @@ def digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-@contextmanager
-def _locked(lock: FileLock, root: Path) -> Iterator[None]:
+def _locked(root: Path) -> AcquireReturnProxy:
     try:
         with _naming(root):
-            lock.acquire()
+            root.mkdir(parents=True, exist_ok=True)
+            return FileLock(root / LOCK, timeout=0).acquire()
     except Timeout:
         holder = root / STAGING / HOLDER
         process = holder.read_text(encoding="utf-8") if holder.is_file() else "unknown"
         raise RuntimeError(
             f"{root}: another run is at work in this folder ({process}); expected it to have ended, or another folder"
         ) from None
-    try:
-        yield
-    finally:
-        lock.release()
 
 
 def _agree(root: Path, manifest: Mapping[str, Any]) -> None:

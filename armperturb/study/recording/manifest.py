@@ -13,8 +13,8 @@ from armperturb.cohort import MUSCLES, Person, draw_cohort
 from armperturb.environment import Environment
 from armperturb.study.protocol import Protocol
 from armperturb.study.recording.folder import MANIFEST
-from armperturb.study.recording.settings import TIMESTEP
-from armperturb.validation import require_number
+from armperturb.study.recording.settings import TIMESTEP, StudySettings
+from armperturb.validation import require_number, require_one_of
 
 MOST_SUBJECTS = 100_000
 """More people than this are a slip in a manifest: drawing them would take hours."""
@@ -45,23 +45,14 @@ class Manifest:
     versions: Mapping[str, str]
 
     @classmethod
-    def of(
-        cls,
-        people: Sequence[Person],
-        protocol: Protocol,
-        *,
-        seed: int,
-        ideal: bool,
-        muscles: str,
-        timestep: float = TIMESTEP,
-    ) -> Self:
+    def of(cls, people: Sequence[Person], protocol: Protocol, settings: StudySettings) -> Self:
         """That of a study which begins now."""
         return cls(
             subjects=len(people),
-            seed=seed,
-            ideal=ideal,
-            muscles=muscles,
-            timestep=timestep,
+            seed=settings.seed,
+            ideal=settings.ideal,
+            muscles=settings.muscles,
+            timestep=settings.timestep,
             protocol=protocol,
             people=_digest(people),
             versions=current_versions(),
@@ -82,8 +73,7 @@ class Manifest:
             for name, least, most in (("subjects", 1, MOST_SUBJECTS), ("seed", 0, math.inf)):
                 require_number(source, name, values[name], at_least=least, at_most=most)
             require_number(source, "timestep", values.get("timestep", TIMESTEP), above=0.0)
-            if values["muscles"] not in MUSCLES:
-                raise ValueError(f"{source}: muscles = {values['muscles']!r}; expected one of {', '.join(MUSCLES)}")
+            require_one_of(source, "muscles", values["muscles"], MUSCLES)
             if not isinstance(values["protocol"], Mapping) or not isinstance(values["versions"], Mapping):
                 raise ValueError(f"{source}: protocol or versions is no table; expected what a run wrote")
             return cls(

@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from armperturb.analysis.arm.linear_arm import total_admittance
 from armperturb.arrays import Array
 from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import Environment, Strap
+from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
@@ -227,21 +227,19 @@ def linear_displacement(subject: Subject, environment: Environment, multisine: M
 
 
 def measured_displacement(
-    trials: Sequence[Trial],
-    environment: Environment,
-    *,
-    strap: Strap | None = None,
-    timestep: float = QUICK_STEP,
-    n_threads: int = 0,
-    progress: Callable[[float], object] | None = None,
+    trials: Sequence[Trial], environment: Environment, *, timestep: float = QUICK_STEP, **options: Any
 ) -> Array:
     """RMS displacement from the start, pooled over both axes, from 8 s to 28.48 s [m], (trial,).
 
     Infinite where the handle reached the workspace limit before the end, or the simulation diverged.
+
+    Args:
+      trials: of the practice multisine.
+      environment: what the hand holds.
+      timestep: of the simulation [s].
+      **options: further ones of `run_experiment`.
     """
-    recording = run_experiment(
-        trials, environment, timestep=timestep, strap=strap, n_threads=n_threads, progress=progress
-    )
+    recording = run_experiment(trials, environment, timestep=timestep, **options)
     first, last = (round(time * recording.attrs["rate"]) for time in (SETTLE, SETTLE + PERIOD))
     inside = recording["displacement"].values[:, first:last]
     rms = np.sqrt(np.mean(inside**2, axis=(1, 2)))

@@ -46,9 +46,7 @@ class _Unit:
     protocol: Protocol
     multisines: dict[int, Multisine]
     environment: Environment
-    seed: int
-    ideal: bool
-    timestep: float
+    settings: StudySettings
     block: int
     n_threads: int
     staging: Path | None  # where to leave the files; None to send them back
@@ -108,15 +106,7 @@ def record_study(
     protocol, environment = settings.load_protocol(), Environment()
     people = settings.draw_people(environment)
     names = [person.name for person in people]
-    made = Manifest.of(
-        people,
-        protocol,
-        seed=settings.seed,
-        ideal=settings.ideal,
-        muscles=settings.muscles,
-        timestep=settings.timestep,
-    )
-    with open_study(out, made.to_dict()) as folder:
+    with open_study(out, Manifest.of(people, protocol, settings).to_dict()) as folder:
         done, damaged = folder.check(names)
         for path in damaged:
             LOG.warning("%s does not match its checksum: set aside, and its subject is done again", path)
@@ -175,9 +165,7 @@ def _units(
             protocol=protocol,
             multisines=multisines,
             environment=environment,
-            seed=settings.seed,
-            ideal=settings.ideal,
-            timestep=settings.timestep,
+            settings=settings,
             block=block,
             n_threads=0 if pool is None else pool.threads(number, len(groups)),
             staging=None if pool is not None and pool.remote else folder.staging.resolve(),
@@ -245,21 +233,21 @@ def _do_numbered(unit: _Unit) -> tuple[int, list[_Finished]]:
 def _do(unit: _Unit, progress: Callable[[float], object] | None) -> list[_Finished]:
     """Let the people of a unit practise, perturb them, and write their files."""
     people = [person for _, person in unit.people]
-    forces = practise(people, unit.protocol, unit.seed, unit.environment, unit.n_threads)
+    settings = unit.settings
+    forces = practise(people, unit.protocol, settings.seed, unit.environment, unit.n_threads)
     trials = [
         trial
         for (number, person), of_person in zip(unit.people, forces, strict=True)
         for trial in unit.protocol.trials(
-            person, of_person, unit.seed, number, noisy=not unit.ideal, multisines=unit.multisines
+            person, of_person, settings.seed, number, noisy=not settings.ideal, multisines=unit.multisines
         )
     ]
     recording = _simulate(trials, unit, progress)
-    finished = []
-    for place, person in enumerate(people):
-        n_trials = len(trials) // len(people)
-        mine = recording.isel(trial=slice(place * n_trials, (place + 1) * n_trials))
-        finished.append(_write(mine, person.name, unit.staging))
-    return finished
+    n_trials = len(trials) // len(people)
+    return [
+        _write(recording.isel(trial=slice(place * n_trials, (place + 1) * n_trials)), person.name, unit.staging)
+        for place, person in enumerate(people)
+    ]
 
 
 def _simulate(trials: Sequence[Trial], unit: _Unit, progress: Callable[[float], object] | None) -> xr.Dataset:
@@ -268,9 +256,9 @@ def _simulate(trials: Sequence[Trial], unit: _Unit, progress: Callable[[float], 
         run_experiment(
             trials[first : first + unit.block],
             unit.environment,
-            timestep=unit.timestep,
+            timestep=unit.settings.timestep,
             strap=unit.protocol.strap,
-            instruments=None if unit.ideal else Instruments(),
+            instruments=None if unit.settings.ideal else Instruments(),
             n_threads=unit.n_threads,
             progress=progress,
         )

@@ -144,8 +144,7 @@ class _NonlinearUnit(NamedTuple):
     @property
     def checkpoint(self) -> Path:
         """Where a search is kept that is under way."""
-        path = self.cached.path
-        return path.with_name(path.name.removesuffix(".json.gz") + ".npz")
+        return self.cached.path.with_name(self.cached.path.name.replace(".json.gz", ".checkpoint.gz"))
 
     def with_pulses(self, first: NonlinearFit) -> list[Self]:
         """The same with pulses of all directions but one, starting from the fit without pulses."""

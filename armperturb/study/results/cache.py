@@ -5,7 +5,7 @@
 | `analysis/NAME.json.gz` | what a person's recording tells |
 | `analysis/NAME-step-2.json.gz` | step 2 of appendix C, which depends on everybody's recordings |
 | `analysis/NAME-nonlinear-TASK.json.gz` | a nonlinear fit, if one was asked for; `-20`: also to pulses at 20° |
-| `analysis/NAME-nonlinear-TASK.npz` | a nonlinear fit under way, from which an interrupted search continues |
+| `analysis/NAME-nonlinear-TASK.checkpoint.gz` | a nonlinear fit under way, from which an interrupted search continues |
 | `analysis/mechanisms.json.gz`, `analysis/moving-shoulder.json.gz` | further simulations of the first person |
 
 A result is used again as long as its source agrees: the checksums of the recordings, the settings, and the version of

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from armperturb.analysis import results
 from armperturb.cohort import Person
@@ -19,7 +20,6 @@ from armperturb.study.results.nonlinear_fits import NonlinearFit
 from armperturb.study.results.trial_measures import PersonMeasures
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 
@@ -70,10 +70,8 @@ class StudyResult(results.Result):
             remarks=(*self.missing, *self.remarks),
         )
 
-    def to_frame(self) -> "pd.DataFrame":
+    def to_frame(self) -> pd.DataFrame:
         """One row per person, condition and parameter: `subject`, and the columns of `results.PARAMETER_COLUMNS`."""
-        import pandas as pd
-
         parts = [
             case.identified.to_frame().assign(subject=case.name)
             for condition in self.conditions

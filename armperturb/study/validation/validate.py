@@ -10,6 +10,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
@@ -35,7 +36,6 @@ from armperturb.validation import require_number
 from armperturb.workers import completed, cpu_count, workers_for
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 RMS_FORCE = {"PT": 5.4, "RT": 0.9}
@@ -115,13 +115,11 @@ class Validation(Result):
 
         return plot_validation(self, figure)
 
-    def to_frame(self) -> "pd.DataFrame":
+    def to_frame(self) -> pd.DataFrame:
         """Bias, error, bound and coverage per estimator and parameter.
 
         Low and high are a 95 % interval of the RMS error over its bound, from the number of groups (chi2 distribution).
         """
-        import pandas as pd
-
         rows = []
         n = self.settings.groups
         spread = np.sqrt(n / stats.chi2.ppf([0.975, 0.025], n))
@@ -149,14 +147,12 @@ class Validation(Result):
                 )
         return pd.DataFrame(rows)
 
-    def estimators_frame(self) -> "pd.DataFrame":
+    def estimators_frame(self) -> pd.DataFrame:
         """How the fits went, per estimator.
 
         A run counts as biased if the mean error of some parameter, over all groups, is above `BIASED` of the standard
         errors that the run itself gives.
         """
-        import pandas as pd
-
         rows = []
         for estimator, judged in self.judged.items():
             deviation = np.array([judgement.values for judgement in judged]) - self.truth

@@ -8,7 +8,7 @@ from armperturb.analysis.nonlinear.checkpoint import digest_of, load_position, s
 from armperturb.analysis.nonlinear.estimate import free_parameters
 from armperturb.analysis.nonlinear.model import Model
 from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem, State
-from armperturb.analysis.nonlinear.search import Position, Stage
+from armperturb.analysis.nonlinear.search import Position
 from armperturb.subject import RELAX
 
 
@@ -22,23 +22,23 @@ def position():
     rng = np.random.default_rng(2)
     roots = tuple(rng.standard_normal((n, 2, 2)) + 1j * rng.standard_normal((n, 2, 2)) for n in (3, 5))
     draws = NoiseDraws(roots, (rng.random(3), rng.random(5)), 6, 7)
-    return Position(stage=Stage.FINAL, state=state(0), reference=state(1), damping=0.3, n_steps=9, draws=draws)
+    return Position(stage="final", state=state(0), reference=state(1), damping=0.3, n_steps=9, draws=draws)
 
 
 def test_what_was_saved_comes_back(position, tmp_path):
-    save_position(tmp_path / "c.npz", "a", position)
-    loaded = load_position(tmp_path / "c.npz", "a")
-    assert (loaded.stage, loaded.damping, loaded.n_steps) == (Stage.FINAL, 0.3, 9)
+    save_position(tmp_path / "c.json.gz", "a", position)
+    loaded = load_position(tmp_path / "c.json.gz", "a")
+    assert (loaded.stage, loaded.damping, loaded.n_steps) == ("final", 0.3, 9)
     assert loaded.draws[2:] == (6, 7)
     arrays = [(*of.state, *of.reference, *of.draws.roots, *of.draws.strengths) for of in (loaded, position)]
     for ours, theirs in zip(*arrays, strict=True):
         np.testing.assert_array_equal(ours, theirs)
-    save_position(tmp_path / "c.npz", "a", Position.at_start(state(0)))
-    assert load_position(tmp_path / "c.npz", "a").draws is None
+    save_position(tmp_path / "c.json.gz", "a", Position(state=state(0), reference=state(0)))
+    assert load_position(tmp_path / "c.json.gz", "a").draws is None
 
 
 def test_the_checkpoint_of_another_fit_or_a_damaged_one_is_none(position, tmp_path):
-    path = tmp_path / "c.npz"
+    path = tmp_path / "c.json.gz"
     assert load_position(path, "a") is None
     save_position(path, "a", position)
     assert load_position(path, "b") is None

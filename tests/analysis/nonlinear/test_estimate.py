@@ -135,8 +135,8 @@ def test_a_search_that_was_stopped_goes_on_to_the_same_result(noisy, tmp_path):
     stops = (2, len(whole))
     for _ in stops:
         with pytest.raises(Stopped):
-            fit(few, ARMS, FEW, **options, checkpoint=tmp_path / "c.npz", progress=stop)
-    found = fit(few, ARMS, FEW, **options, checkpoint=tmp_path / "c.npz", progress=lines.append)
+            fit(few, ARMS, FEW, **options, checkpoint=tmp_path / "c.json.gz", progress=stop)
+    found = fit(few, ARMS, FEW, **options, checkpoint=tmp_path / "c.json.gz", progress=lines.append)
     # Steps during which it was stopped are taken again.
     assert lines[:2] == whole[:2]
     assert lines[2] == whole[1]

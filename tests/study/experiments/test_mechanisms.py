@@ -26,6 +26,7 @@ from armperturb.study.experiments.mechanisms import (
 )
 from armperturb.study.protocol import THESIS
 from armperturb.study.recording.manifest import Manifest
+from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report import report
 from armperturb.study.report.figures import mechanisms as yielding_figures
 from armperturb.study.report.figures import rig as rig_figures
@@ -210,7 +211,7 @@ def test_example_draws_and_tells(explained, tmp_path, capsys, monkeypatch):
 def study_of(person):
     """A study of which nothing but who took part is known."""
     return StudyResult(
-        made=Manifest.of([person], THESIS, seed=3, ideal=False, muscles="nonlinear"),
+        made=Manifest.of([person], THESIS, StudySettings(seed=3)),
         protocol=THESIS,
         environment=Environment(),
         cohort=(person,),

@@ -8,12 +8,13 @@ from armperturb.cohort import draw_cohort
 from armperturb.environment import Environment
 from armperturb.study.protocol import THESIS
 from armperturb.study.recording.manifest import Manifest, read_manifest
+from armperturb.study.recording.settings import StudySettings
 
 
 @pytest.fixture(scope="module")
 def made():
     people = draw_cohort(2, 3, muscles="linear")
-    return Manifest.of(people, THESIS, seed=3, ideal=True, muscles="linear")
+    return Manifest.of(people, THESIS, StudySettings(seed=3, ideal=True, muscles="linear"))
 
 
 def test_comes_back_as_it_was_and_draws_its_people(made, tmp_path):

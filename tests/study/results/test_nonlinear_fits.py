@@ -403,12 +403,12 @@ def test_a_search_that_was_interrupted_goes_on(folder, asked, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         analyse_study(folder, workers=1, nonlinear=["RT"], show_progress=False)
     analyse_study(folder, workers=1, nonlinear=["RT"], show_progress=False)
-    first, last = (("S01-nonlinear-RT-200.npz", False), ("S02-nonlinear-RT-20.npz", False))
+    first, last = (("S01-nonlinear-RT-200.checkpoint.gz", False), ("S02-nonlinear-RT-20.checkpoint.gz", False))
     assert found[2] == first
     assert found[4] == (found[3][0], True)  # what was found before is not searched again
     assert found[-1] == last
     assert len(found) == 7
-    assert not list(folder.rglob("*.npz"))
+    assert not list(folder.rglob("*.checkpoint.gz"))
 
 
 def analysed(folder, nonlinear=()):

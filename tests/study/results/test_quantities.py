@@ -170,6 +170,16 @@ def test_a_handle_out_of_reach_is_told_and_harms_no_other_trial():
     assert "trial 1 reached the workspace limit" in left_out[1]
 
 
+def test_the_first_sample_out_of_reach_is_found_despite_rounding():
+    late = [n for n in range(round(ONSET * RATE), len(TIME)) if n / RATE * RATE > n]
+    assert late
+    for n in late[:: max(1, len(late) // 5)]:
+        trial = rotating("PT0", bump([0.1, 0.1]))
+        trial[1][n:] = 1.0
+        _, left_out = measure(recorded(trial))
+        assert left_out[0] == f"trial 0: the handle is out of the arm's reach at {n / RATE:.3f} s"
+
+
 def test_too_short_a_trial_is_told():
     short = recorded(rotating("RT7.5", swinging(0.01))).isel(time=slice(0, round(30.5 * RATE)))
     cells, left_out = measure(short)
