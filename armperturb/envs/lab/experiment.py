@@ -87,10 +87,10 @@ def run_experiment(
     truth = simulate(trials, subjects, setup, n_threads, progress)
     signals = {name: getattr(truth, name) for name in ("perturbation", "force", "displacement", "joint_angle")}
     clock: dict[str, float] = {}
-    if instruments is None:
-        signals |= {} if truth.shoulder is None else {"shoulder_marker": truth.shoulder}
-    else:
+    if instruments is not None:
         signals |= _readings(trials, instruments, truth)
+    elif truth.shoulder is not None:
+        signals["shoulder_marker"] = truth.shoulder
     if setup.emg is not None:
         clock = {"emg_rate": setup.emg.rate, "adc_step": setup.emg.adc_step}
         signals["emg"] = _voltages(setup.emg, trials, subjects, truth.excitation, rate, n_threads)
