@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import matplotlib.style
 import numpy as np
 from matplotlib.colors import to_hex, to_rgb
@@ -43,37 +42,6 @@ BESIDE: dict[str, Any] = {"color": GREY, "marker": "x", "linestyle": "", "marker
 PUBLISHED: dict[str, Any] = {"color": "#CC79A7"}
 """What the thesis printed (reddish purple)."""
 
-_SETTINGS: dict[Any, Any] = {
-    "font.size": 9,
-    "axes.titlesize": 9,
-    "axes.labelsize": 9,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": GREY,
-    "xtick.color": GREY,
-    "ytick.color": GREY,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "axes.grid": True,
-    "grid.color": "#e6e8eb",
-    "grid.linewidth": 0.7,
-    "lines.linewidth": 1.3,
-    "lines.markersize": 4,
-    "lines.solid_capstyle": "round",
-    "errorbar.capsize": 1.5,
-    # A figure looks the same without the fonts of this machine, and has the same bytes whenever it is drawn.
-    "svg.fonttype": "path",
-    "svg.hashsalt": "armperturb",
-}
-
 _LOCK = threading.RLock()
 
 
@@ -83,7 +51,7 @@ def in_style() -> Iterator[None]:
 
     Matplotlib's settings belong to the whole process: they are put back afterwards, and threads take turns.
     """
-    with _LOCK, matplotlib.style.context("default"), matplotlib.rc_context(_SETTINGS):
+    with _LOCK, matplotlib.style.context(["default", "armperturb.plots.armperturb"]):
         yield
 
 

@@ -2,10 +2,17 @@
 
 import math
 import re
+import tomllib
+from importlib import resources
 
 from markupsafe import Markup
 
 MISSING = "–"
+
+WORDS: dict[str, dict[str, str]] = tomllib.loads(
+    resources.files(__package__).joinpath("words.toml").read_text(encoding="utf-8")
+)
+"""What the report calls things, by kind and name."""
 
 
 def digits(value: float | None, n: int = 3) -> str:

@@ -1,36 +1,14 @@
 """Tables of nonlinear fits: beside the truth and the linear arms, and what all models predict of left-out pulses."""
 
 import math
-from collections.abc import Iterable
 
 import numpy as np
 
 from armperturb.analysis.nonlinear.model import BODY, ELEMENTS, GRIP, GROUPS, true_values, unit
-from armperturb.study.report.tables import Row, mean_sd_of
-from armperturb.study.results.nonlinear_fits import LeftOutPulse, NonlinearFit
+from armperturb.study.report.formats import WORDS
+from armperturb.study.report.tables import Row, coverage_percent, groups_of, mean_sd_of
+from armperturb.study.results.nonlinear_fits import NonlinearFit
 from armperturb.study.results.study_result import StudyResult
-
-QUANTITIES = {
-    "m_h": "mass of the upper arm",
-    "m_f": "mass of the forearm",
-    "k_h": "stiffness of the grip",
-    "b_h": "damping of the grip",
-    "k": "stiffness",
-    "b": "damping",
-    "kv": "velocity feedback",
-    "kp": "position feedback",
-    "Td": "delay",
-    "fact": "cut-off of the activation",
-    "short_range_stiffness": "short-range stiffness",
-    "elastic_limit_deg": "elastic limit",
-    "elastic_limit_spread": "spread of elastic limits",
-    "loss_angle_deg": "movement that wears stiffness off",
-    "recovery_time": "time of its recovery",
-    "thinning_velocity": "speed that halves damping",
-    "spindle_saturation": "speed that saturates spindles",
-    "level": "level of co-contraction",
-}
-"""What a parameter is of, in words."""
 
 SEES_NONE, SEES_OTHERS = "nonlinear", "nonlinear, other pulses"
 SHOWN_MODELS = ("linear", "skeletal", SEES_NONE, SEES_OTHERS)
@@ -40,7 +18,7 @@ SHOWN_MODELS = ("linear", "skeletal", SEES_NONE, SEES_OTHERS)
 def words_of(parameter: str) -> str:
     """A parameter in words."""
     what, _, of = parameter.partition(".")
-    return f"{QUANTITIES[what]}, {of}" if of else QUANTITIES[what]
+    return ", ".join(filter(None, (WORDS["nonlinear"][what], of)))
 
 
 def degrees(pulses: str) -> str:
@@ -118,34 +96,26 @@ def nonlinear_parameter_rows(study: StudyResult) -> list[Row]:
 def nonlinear_summary_rows(of_parameters: list[Row]) -> list[Row]:
     """Means over people, and how fits agree with the truth, per task, parameter and whether pulses were fitted."""
     rows = []
-    for task, pulses, name in dict.fromkeys(
-        (row["task"], bool(row["fitted_pulses_deg"]), row["parameter"]) for row in of_parameters
-    ):
-        mine = [
-            row
-            for row in of_parameters
-            if (row["task"], bool(row["fitted_pulses_deg"]), row["parameter"]) == (task, pulses, name)
-        ]
-        ratios = np.array([row["ratio"] for row in mine])
-        known = ratios[np.isfinite(ratios)]
-        held = [row["lower_95"] <= row["true"] <= row["upper_95"] for row in mine if math.isfinite(row["true"])]
+    marked = [{**row, "pulses": bool(row["fitted_pulses_deg"])} for row in of_parameters]
+    for (task, pulses, name), mine in groups_of(marked, "task", "pulses", "parameter"):
+        known = mine["ratio"][np.isfinite(mine["ratio"])]
+        width = (mine["upper_95"] - mine["lower_95"]) / mine["estimated"].abs()
         rows.append(
             {
                 "task": task,
                 "fitted_pulses": "others" if pulses else "none",
                 "parameter": name,
-                "unit": mine[0]["unit"],
+                "unit": mine["unit"].iloc[0],
                 "fits": len(mine),
-                **mean_sd_of("true", [row["true"] for row in mine if math.isfinite(row["true"])]),
-                **mean_sd_of("estimated", [row["estimated"] for row in mine]),
-                "linear_least_mean": _mean(row["linear_least"] for row in mine),
-                "linear_most_mean": _mean(row["linear_most"] for row in mine),
-                "median_ratio": float(np.median(known)) if len(known) else math.nan,
-                "median_abs_error_percent": 100.0 * float(np.median(np.abs(known - 1.0))) if len(known) else math.nan,
-                "coverage_95_percent": 100.0 * _mean(held),
-                "median_width_percent": 50.0
-                * float(np.median([(row["upper_95"] - row["lower_95"]) / abs(row["estimated"]) for row in mine])),
-                "at_bound": sum(row["at_bound"] == "true" for row in mine),
+                **mean_sd_of("true", mine["true"]),
+                **mean_sd_of("estimated", mine["estimated"]),
+                "linear_least_mean": mine["linear_least"].mean(skipna=False),
+                "linear_most_mean": mine["linear_most"].mean(skipna=False),
+                "median_ratio": known.median(),
+                "median_abs_error_percent": 100.0 * (known - 1.0).abs().median(),
+                "coverage_95_percent": coverage_percent(mine),
+                "median_width_percent": 50.0 * width.median(),
+                "at_bound": int((mine["at_bound"] == "true").sum()),
             }
         )
     return rows
@@ -157,15 +127,13 @@ def left_out_pulses(study: StudyResult, task: str) -> dict[tuple[str, float], di
     The linear and the skeletal model predict each trial by its own fit, and so need a multisine before the pulse.
     """
     of_pulse: dict[tuple[str, float], dict[str, list[tuple[float, float]]]] = {}
-    for pulses in (False, True):
-        for fit in fitted(study, task, pulses=pulses):
-            for pulse in fit.pulses:
-                of_model = of_pulse.setdefault((pulse.condition, pulse.level), {model: [] for model in SHOWN_MODELS})
-                for model in pulse.peak:
-                    if model == "nonlinear":
-                        of_model[SEES_OTHERS if pulses else SEES_NONE].append(_both(pulse, model))
-                    elif not pulses:
-                        of_model[model].append(_both(pulse, model))
+    for fit in (*fitted(study, task, pulses=False), *fitted(study, task, pulses=True)):
+        for pulse in fit.pulses:
+            of_model = of_pulse.setdefault((pulse.condition, pulse.level), {model: [] for model in SHOWN_MODELS})
+            for model, peak in pulse.peak.items():
+                if model == "nonlinear" or not fit.fitted_deg:
+                    name = SEES_OTHERS if fit.fitted_deg else model
+                    of_model[name].append((peak, pulse.vaf[model]))
     order = [condition.name for condition in study.protocol.conditions]
     order += [condition for condition, _ in of_pulse if condition not in order]
     return {key: of_pulse[key] for key in sorted(of_pulse, key=lambda key: (order.index(key[0]), key[1]))}
@@ -221,12 +189,3 @@ def nonlinear_tables(study: StudyResult) -> dict[str, list[Row]]:
         "nonlinear_summary": nonlinear_summary_rows(of_parameters),
         "nonlinear_pulses": nonlinear_pulse_rows(study),
     }
-
-
-def _both(pulse: LeftOutPulse, model: str) -> tuple[float, float]:
-    return pulse.peak[model], pulse.vaf[model]
-
-
-def _mean(values: Iterable[float]) -> float:
-    there = list(values)
-    return float(np.mean(there)) if there else math.nan

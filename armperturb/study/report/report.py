@@ -3,7 +3,9 @@
 import base64
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib import metadata
+from operator import call
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -11,8 +13,6 @@ import jinja2
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from armperturb.cohort import Person
-from armperturb.environment import Environment
 from armperturb.files import write_csv, written_whole
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.plots.style import save_svg
@@ -33,7 +33,6 @@ from armperturb.study.results.mean_admittance import by_task, main_conditions
 from armperturb.study.results.study_result import StudyResult
 from armperturb.workers import Workers, completed, workers_for
 
-Unit = TypeVar("Unit")
 Result = TypeVar("Result")
 
 MOST_WORKERS = 8
@@ -93,12 +92,12 @@ def write_report(
         yielding, shoulder = _simulated(study, out, pool, show_progress) if simulate else (None, None)
         (out / "figures").mkdir(exist_ok=True)
         units = [
-            _Figure(name, draw, out / "figures")
+            partial(_draw, name, draw, out / "figures")
             for name, draw in drawings(drawn, tested, yielding).items()
             if figures is None or name in figures
         ]
         pictures, not_drawn = {}, {}
-        for name, picture, reason in _each(_draw, units, pool, "figures", show_progress):
+        for name, picture, reason in _each(units, pool, "figures", show_progress):
             if picture is None:
                 not_drawn[name] = reason
             else:
@@ -131,24 +130,6 @@ def _score(study: StudyResult, out: Path) -> Score | None:
     return scored
 
 
-class _Simulation(NamedTuple):
-    """A simulation of the first person, whose result is kept.
-
-    Attributes:
-      function: takes the person, the environment and the seed.
-      cached: where the result is kept.
-      person: who.
-      environment: what the hand holds.
-      seed: of the multisines.
-    """
-
-    function: Callable[..., Any]
-    cached: CachedResult[Any]
-    person: Person
-    environment: Environment
-    seed: int
-
-
 def _simulated(
     study: StudyResult, out: Path, pool: Workers | None, show_progress: bool
 ) -> tuple[Yielding | None, MovingShoulder | None]:
@@ -160,57 +141,40 @@ def _simulated(
     if has_law(person):
         functions = {"mechanisms": (why_people_yield, Yielding), **functions}
     source = {"person": repr(person), "environment": repr(study.environment), "seed": study.seed}
-    units = [
-        _Simulation(
-            function,
-            CachedResult(path=out / ANALYSIS / f"{kind}.json.gz", kind=kind, result=result, settings=source),
-            person,
-            study.environment,
-            study.seed,
+    units = []
+    for kind, (function, result) in functions.items():
+        cached: CachedResult[Any] = CachedResult(
+            path=out / ANALYSIS / f"{kind}.json.gz", kind=kind, result=result, settings=source
         )
-        for kind, (function, result) in functions.items()
-    ]
-    results = dict(_each(_simulate, units, pool, "mechanisms", show_progress))
+        simulate = partial(function, person, environment=study.environment, seed=study.seed)
+        units.append(partial(_cached, kind, cached, simulate))
+    results = dict(_each(units, pool, "mechanisms", show_progress))
     return results.get("mechanisms"), results["moving-shoulder"]
 
 
-def _simulate(unit: _Simulation) -> tuple[str, Any]:
-    def simulate() -> Any:
-        return unit.function(unit.person, environment=unit.environment, seed=unit.seed)
-
-    return unit.cached.kind, unit.cached.get(simulate)
+def _cached(kind: str, cached: CachedResult[Result], simulate: Callable[[], Result]) -> tuple[str, Result]:
+    return kind, cached.get(simulate)
 
 
-class _Figure(NamedTuple):
-    """A figure to be drawn into a folder."""
-
-    name: str
-    draw: Callable[[], Figure]
-    folder: Path
-
-
-def _draw(unit: _Figure) -> tuple[str, Picture | None, str]:
-    """Name and picture, or why there is none."""
+def _draw(name: str, draw: Callable[[], Figure], folder: Path) -> tuple[str, Picture | None, str]:
+    """Name and picture, whose file is written too, or why there is none."""
     try:
-        return unit.name, _embed(unit.draw(), unit.folder / f"{unit.name}.svg"), ""
+        figure = draw()
     except RuntimeError as error:  # this machine cannot draw the rig
-        return unit.name, None, str(error)
-
-
-def _embed(figure: Figure, path: Path) -> Picture:
-    """Write a figure to a file, and return what the report shows of it."""
+        return name, None, str(error)
+    path = folder / f"{name}.svg"
     save_svg(figure, path)
     content = base64.b64encode(path.read_bytes()).decode("ascii")
     width, height = figure.get_size_inches()
-    return Picture(f"data:image/svg+xml;base64,{content}", float(width), float(height))
+    return name, Picture(f"data:image/svg+xml;base64,{content}", float(width), float(height)), ""
 
 
 def _each(
-    function: Callable[[Unit], Result], units: Sequence[Unit], pool: Workers | None, label: str, show_progress: bool
+    units: Sequence[Callable[[], Result]], pool: Workers | None, label: str, show_progress: bool
 ) -> Iterator[Result]:
-    """What a function gives of each unit, as it comes."""
+    """What each unit gives when it is called, as it comes."""
     with Progress(label, total=len(units), unit="units", show=show_progress) as bar:
-        for result in map(function, units) if pool is None else completed(function, units, pool, bar.refresh):
+        for result in map(call, units) if pool is None else completed(call, units, pool, bar.refresh):
             bar.update()
             yield result
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from armperturb.study.comparison.score import Score, missing_cells, shares
 from armperturb.study.experiments.mechanisms import PULSES, Yielding
 from armperturb.study.experiments.moving_shoulder import MovingShoulder
 from armperturb.study.protocol import Condition
-from armperturb.study.report.formats import digits, fixed
+from armperturb.study.report.formats import WORDS, digits, fixed
 from armperturb.study.report.nonlinear_tables import SHOWN_MODELS, nonlinear_tables, words_of
 from armperturb.study.report.published_tables import published_tables
 from armperturb.study.report.tables import Row, mean_sd_of
@@ -32,28 +32,6 @@ MOST_NAMED = 5
 PULSES_DRAWN = {"peak_displacement", "pulse_admittance", "pulse_prediction", "trajectories_PT", "trajectories_RT"}
 """Figures of pulse responses."""
 
-FACTORS = {
-    "admittance_ratio_rt7.5_pt7.5": "admittance ratio, relaxing over holding position",
-    "admittance_amplitude_factor_pt": "decrease with amplitude, holding position",
-    "admittance_amplitude_factor_rt": "increase with amplitude, relaxing",
-    "pulse_underprediction_factor": "peak after a pulse over its prediction",
-    "pulse_prediction_low": "smallest predicted share of a peak [%]",
-    "pulse_prediction_high": "largest predicted share of a peak [%]",
-    "peak_displacement_ratio_rt_pt_min_level": "peak after a pulse, relaxing over holding",
-    "pulse_admittance_ratio_max_min_pt0": "pulse admittance, level 2 over 1, PT0",
-    "pulse_admittance_ratio_max_min_pt7.5": "pulse admittance, level 2 over 1, PT7.5",
-}
-"""Headline numbers of the summary, in words."""
-
-GROUPS = {
-    "2.1 and F": "movements: 2.1, F.2 to F.6",
-    "C": "six structures: C.3 to C.22",
-    "D": "six starts: D.3 to D.5",
-    "E": "final structure: E.3 to E.5",
-    "total": "all",
-}
-"""Groups of tables of the summary, in words."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
@@ -67,7 +45,7 @@ class Section:
 
     title: str
     template: str
-    context: Mapping[str, Any] = field(default_factory=dict)
+    context: Mapping[str, Any]
 
 
 class Factor(NamedTuple):
@@ -113,58 +91,45 @@ def sections(
       shoulder: what it does if the first person's shoulder moves; None of people who were not simulated.
       drawn: names of the figures that are there.
     """
-    present = [
-        Section(title="Summary", template="summary", context={"rows": rows["summary"], **_summary(score)}),
-        Section(title="Method", template="method"),
-        Section(
-            title="Conditions", template="conditions", context={"rows": rows["conditions"], "drifting": drifting(study)}
-        ),
-        Section(title="Admittance", template="admittance", context={"effects": effects}),
-        Section(
-            title="Fits",
-            template="fits",
-            context={"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study)},
-        ),
-        Section(title="Parameters", template="parameters", context={"rows": rows["parameters_summary"]}),
-    ]
+    contexts: dict[str, dict[str, Any]] = {
+        "summary": {"rows": rows["summary"], **_summary(score)},
+        "method": {},
+        "conditions": {"rows": rows["conditions"], "drifting": drifting(study)},
+        "admittance": {"effects": effects},
+        "fits": {"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study)},
+        "parameters": {"rows": rows["parameters_summary"]},
+        "left_out": {"lists": left_out(study, rows["fits"], study.remarks if score is None else score.remarks)},
+    }
     if PULSES_DRAWN & set(drawn):
-        present.append(
-            Section(title="Pulse response", template="pulses", context={"headlines": score and _of_pulses(score)})
-        )
+        contexts["pulses"] = {"headlines": score and _of_pulses(score)}
     if study.nonlinear:
-        present.append(Section(title="Nonlinear identification", template="nonlinear", context=_nonlinear(study)))
+        contexts["nonlinear"] = _nonlinear(study)
     if effects.rows or effects.admittance:
-        present.append(Section(title="Statistics", template="statistics", context={"effects": effects}))
+        contexts["statistics"] = {"effects": effects}
     if score is not None or "joint_rotations" in drawn:
-        context: dict[str, Any] = {
+        contexts["kinematics"] = {
             "joints": joint_rows(study),
             "limits": elastic_rows(_means(study)),
             "printed_limits": elastic_rows({cell: printed.mean for cell, printed in published_cells().items()}),
             "shoulder": shoulder,
             "names": NAMES,
         }
-        present.append(Section(title="Kinematics", template="kinematics", context=context))
     if "stills" in drawn:
-        present.append(Section(title="Videos, as stills", template="stills"))
+        contexts["stills"] = {}
     if yielding is not None:
-        context = {"person": yielding.person, "rows": yielding.rows(), "pulses": PULSES, "unstable": yielding.unstable}
-        present.append(Section(title="Mechanisms of the muscle law", template="yielding", context=context))
+        contexts["yielding"] = {
+            "person": yielding.person,
+            "rows": yielding.rows(),
+            "pulses": PULSES,
+            "unstable": yielding.unstable,
+        }
     if score is not None:
-        present.append(
-            Section(
-                title="Comparison with the thesis",
-                template="published",
-                context={"tables": published_tables(score), "score": score, "missing": missing_cells(score)},
-            )
-        )
-    present.append(
-        Section(
-            title="What was left out",
-            template="left_out",
-            context={"lists": left_out(study, rows["fits"], score.remarks if score is not None else study.remarks)},
-        )
-    )
-    return present
+        contexts["published"] = {"tables": published_tables(score), "score": score, "missing": missing_cells(score)}
+    return [
+        Section(title=title, template=template, context=contexts[template])
+        for template, title in WORDS["sections"].items()
+        if template in contexts
+    ]
 
 
 def _nonlinear(study: StudyResult) -> dict[str, Any]:
@@ -229,10 +194,10 @@ def _summary(score: Score | None) -> dict[str, Any]:
     by_name = {line.name: line for line in score.headlines}
     factors = [
         Factor(label, line.published, line.ours, line.remark)
-        for name, label in FACTORS.items()
+        for name, label in WORDS["headlines"].items()
         if (line := by_name.get(name))
     ]
-    of_group = {label: shares(score)[name] for name, label in GROUPS.items()}
+    of_group = {label: shares(score)[name] for name, label in WORDS["groups"].items()}
     return {"factors": factors, "shares": of_group, "differs": _differs(score, factors)}
 
 

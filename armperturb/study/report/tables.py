@@ -1,16 +1,18 @@
 """Tables of a study: estimated against true against published."""
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import pandas as pd
 
 from armperturb.analysis.fit.export import fit_summary
 from armperturb.analysis.fit.structures import unit
 from armperturb.files import write_csv
 from armperturb.study.published import tables as published
+from armperturb.study.results.cases import Case
 from armperturb.study.results.study_result import StudyResult
 from armperturb.subject import Subject
 
@@ -30,96 +32,79 @@ def true_value(subject: Subject | None, parameter: str) -> float:
 def parameter_rows(study: StudyResult) -> list[Row]:
     """Every estimated parameter of every subject beside its truth (if any), and what the thesis's estimator gives."""
     rows = []
-    for condition in study.conditions:
-        for case in study.of(condition.name):
-            fit, thesis = case.identified.fit, case.thesis.fit if case.thesis else None
-            for name, estimate in fit.values.items():
-                truth = true_value(case.truth, name)
-                interval = fit.interval(name)
-                of_thesis = thesis.values[name] if thesis else math.nan
-                rows.append(
-                    {
-                        "condition": condition.name,
-                        "subject": case.name,
-                        "parameter": name,
-                        "unit": unit(name),
-                        "true": truth,
-                        "estimated": estimate,
-                        "standard_error": fit.standard_error[name],
-                        "lower_95": interval.lower,
-                        "upper_95": interval.upper,
-                        "error_percent": 100.0 * (estimate / truth - 1.0),
-                        "at_bound": str(name in fit.at_bound).lower(),
-                        "thesis_estimated": of_thesis,
-                        "thesis_sem": thesis.standard_error[name] if thesis else math.nan,
-                        "thesis_error_percent": 100.0 * (of_thesis / truth - 1.0),
-                    }
-                )
+    for case in _identified(study):
+        fit, thesis = case.identified.fit, case.thesis.fit if case.thesis else None
+        for name, estimate in fit.values.items():
+            truth = true_value(case.truth, name)
+            interval = fit.interval(name)
+            of_thesis = thesis.values[name] if thesis else math.nan
+            rows.append(
+                {
+                    "condition": case.condition.name,
+                    "subject": case.name,
+                    "parameter": name,
+                    "unit": unit(name),
+                    "true": truth,
+                    "estimated": estimate,
+                    "standard_error": fit.standard_error[name],
+                    "lower_95": interval.lower,
+                    "upper_95": interval.upper,
+                    "error_percent": 100.0 * (estimate / truth - 1.0),
+                    "at_bound": str(name in fit.at_bound).lower(),
+                    "thesis_estimated": of_thesis,
+                    "thesis_sem": thesis.standard_error[name] if thesis else math.nan,
+                    "thesis_error_percent": 100.0 * (of_thesis / truth - 1.0),
+                }
+            )
     return rows
 
 
 def parameter_summary_rows(of_subjects: list[Row]) -> list[Row]:
     """Published mean (SD), true and estimated mean (SD) over subjects, and how well they agree, per parameter."""
     rows = []
-    for condition in dict.fromkeys(row["condition"] for row in of_subjects):
-        mine = [row for row in of_subjects if row["condition"] == condition]
-        for name in dict.fromkeys(row["parameter"] for row in mine):
-            values = [row for row in mine if row["parameter"] == name]
-            printed = published_or_nan(published.parameter, condition, name)
-            rows.append(
-                {
-                    "condition": condition,
-                    "parameter": name,
-                    "unit": unit(name),
-                    "published_mean": printed.mean,
-                    "published_sd": printed.sd,
-                    **mean_sd_of("true", [row["true"] for row in values]),
-                    **mean_sd_of("estimated", [row["estimated"] for row in values]),
-                    **mean_sd_of("thesis", _existing(row["thesis_estimated"] for row in values)),
-                    **_judgement(values),
-                }
-            )
+    for (condition, name), values in groups_of(of_subjects, "condition", "parameter"):
+        printed = published_or_nan(published.parameter, condition, name)
+        rows.append(
+            {
+                "condition": condition,
+                "parameter": name,
+                "unit": unit(name),
+                "published_mean": printed.mean,
+                "published_sd": printed.sd,
+                **mean_sd_of("true", values["true"]),
+                **mean_sd_of("estimated", values["estimated"]),
+                **mean_sd_of("thesis", values["thesis_estimated"]),
+                **_judgement(values),
+            }
+        )
     return rows
 
 
 def correlation_rows(study: StudyResult) -> list[Row]:
     """How the errors of each pair of parameters of every subject correlate, as the likelihood has it."""
-    rows = []
-    for condition in study.conditions:
-        for case in study.of(condition.name):
-            estimate = case.estimate
-            names = tuple(estimate.values)
-            rows += [
-                {
-                    "condition": condition.name,
-                    "subject": case.name,
-                    "parameter": names[i],
-                    "other": names[j],
-                    "correlation": float(estimate.correlation[i, j]),
-                }
-                for i, j in zip(*np.triu_indices(len(names), 1), strict=True)
-            ]
-    return rows
+    return [
+        {
+            "condition": case.condition.name,
+            "subject": case.name,
+            "parameter": parameter,
+            "other": other,
+            "correlation": float(case.estimate.correlation[i, j]),
+        }
+        for case in _identified(study)
+        for (i, parameter), (j, other) in itertools.combinations(enumerate(case.estimate.values), 2)
+    ]
 
 
 def fit_rows(study: StudyResult) -> list[Row]:
     """How each fit went, and in the columns that begin with thesis_ how that of the thesis's estimator did."""
     rows = []
-    for condition in study.conditions:
-        for case in study.of(condition.name):
-            summary = _flat(fit_summary(case.identified))
-            del summary["correlation"]
-            environment = summary.pop("environment")
-            beside = _flat(fit_summary(case.thesis)) if case.thesis else {}
-            rows.append(
-                {
-                    "condition": condition.name,
-                    "subject": case.name,
-                    **summary,
-                    **{f"thesis_{name}": beside.get(name) for name in _BESIDE},
-                    **environment,
-                }
-            )
+    for case in _identified(study):
+        summary = _flat(fit_summary(case.identified))
+        del summary["correlation"]
+        environment = summary.pop("environment")
+        thesis = _flat(fit_summary(case.thesis)) if case.thesis else {}
+        beside = {f"thesis_{name}": thesis.get(name) for name in _BESIDE}
+        rows.append({"condition": case.condition.name, "subject": case.name, **summary, **beside, **environment})
     return rows
 
 
@@ -175,9 +160,9 @@ def summary_rows(study: StudyResult, of_parameters: list[Row], of_fits: list[Row
                 "trials": study.n_trials(condition.name),
                 "trials_used": used,
                 "model": study.of(condition.name)[0].model,
-                **_judgement([row for row in of_parameters if row["condition"] == condition.name]),
+                **_judgement(pd.DataFrame([row for row in of_parameters if row["condition"] == condition.name])),
                 **{
-                    f"{name}_mean": _mean(row[name] for row in fits)
+                    f"{name}_mean": pd.Series([row[name] for row in fits], dtype=float).mean()
                     for name in ("VAF_x", "VAF_y", "thesis_VAF_x", "thesis_VAF_y", "criterion", "thesis_criterion")
                 },
                 **{
@@ -222,34 +207,32 @@ def published_or_nan(source: Callable[..., published.MeanSD], *names: str) -> pu
         return published.MeanSD(math.nan, math.nan)
 
 
-def _judgement(values: list[Row]) -> Row:
+def groups_of(rows: list[Row], *columns: str) -> Iterable[tuple[Any, pd.DataFrame]]:
+    """Values of these columns, and the rows that have them; in the order in which they first appear."""
+    return pd.DataFrame(rows).groupby(list(columns), sort=False) if rows else ()
+
+
+def mean_sd_of(name: str, values: Sequence[float] | pd.Series) -> Row:
+    """Two columns of a table, mean and SD of the values that are numbers; NaN where there are too few."""
+    series = pd.Series(values, dtype=float)
+    return {f"{name}_mean": series.mean(), f"{name}_sd": series.std()}
+
+
+def coverage_percent(values: pd.DataFrame) -> float:
+    """In how many of the rows with a truth the 95 % interval holds it [%]; NaN if none has one."""
+    known = values[values["true"].notna()]
+    return 100.0 * float(known["true"].between(known["lower_95"], known["upper_95"]).mean())
+
+
+def _judgement(values: pd.DataFrame) -> Row:
     """How rows of parameters agree with the truth; NaN where there is none."""
-    held = [float(row["lower_95"] <= row["true"] <= row["upper_95"]) for row in values if not math.isnan(row["true"])]
     return {
-        "median_abs_error_percent": _median(abs(row["error_percent"]) for row in values),
-        "thesis_median_abs_error_percent": _median(abs(row["thesis_error_percent"]) for row in values),
-        "coverage_95_percent": 100.0 * _mean(held),
+        "median_abs_error_percent": values["error_percent"].abs().median(),
+        "thesis_median_abs_error_percent": values["thesis_error_percent"].abs().median(),
+        "coverage_95_percent": coverage_percent(values),
     }
 
 
-def mean_sd_of(name: str, values: Sequence[float]) -> Row:
-    """Two columns of a table, mean and SD of values; NaN where there are too few."""
-    sd = float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
-    return {f"{name}_mean": _mean(values), f"{name}_sd": sd}
-
-
-def _existing(values: Iterable[float | None]) -> list[float]:
-    """The values that are numbers."""
-    return [value for value in values if value is not None and not math.isnan(value)]
-
-
-def _mean(values: Iterable[float | None]) -> float:
-    """Mean of the values that exist; NaN if none does."""
-    there = _existing(values)
-    return float(np.mean(there)) if there else math.nan
-
-
-def _median(values: Iterable[float | None]) -> float:
-    """Median of the values that exist; NaN if none does."""
-    there = _existing(values)
-    return float(np.median(there)) if there else math.nan
+def _identified(study: StudyResult) -> list[Case]:
+    """Cases with a fit, by condition."""
+    return [case for condition in study.conditions for case in study.of(condition.name)]

@@ -2,24 +2,24 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from armperturb.plots.style import FITTED, INK, PUBLISHED, SKELETAL
+from armperturb.plots.panels import legend
+from armperturb.plots.style import FITTED, GREY, INK, PUBLISHED, SKELETAL, new_figure
 from armperturb.study.comparison.headlines import PULSED
-from armperturb.study.published.tables import MeanSD
+from armperturb.study.published.tables import MeanSD, headline
 
 CONDITIONS = {task: tuple(dict.fromkeys(condition for condition, _ in pulses)) for task, pulses in PULSED.items()}
 """Task to the thesis's conditions, the smallest multisine first."""
 
 MODELS: dict[str, dict[str, Any]] = {"linear": FITTED, "skeletal": SKELETAL}
 """Model to its look in figures: the linear arm, and the nonlinear skeletal one."""
-
-UNKNOWN = MeanSD(math.nan, math.nan)
 
 ERROR: dict[str, Any] = {"linestyle": "", "elinewidth": 0.9, "capsize": 1.5}
 
@@ -34,23 +34,52 @@ class Bar(NamedTuple):
 
     Attributes:
       ours: mean and SD that the bar and its whisker show; a NaN mean draws no bar, a NaN SD no whisker.
-      printed: what the thesis has of it; likewise.
       colour: of the bar.
+      printed: what the thesis has of it; likewise.
     """
 
     ours: MeanSD
-    printed: MeanSD
     colour: str
+    printed: MeanSD = MeanSD(math.nan, math.nan)
+
+    @classmethod
+    def of(cls, values: Iterable[float], *others: Any) -> Self:
+        """The bar of the finite ones of these values, with the other attributes."""
+        there = [value for value in values if math.isfinite(value)]
+        mean = float(np.mean(there)) if there else math.nan
+        return cls(MeanSD(mean, float(np.std(there, ddof=1)) if len(there) > 1 else math.nan), *others)
 
 
-def mean_sd(values: Iterable[float]) -> MeanSD:
-    """Mean and SD of the finite values; NaN where there are too few."""
-    there = [value for value in values if math.isfinite(value)]
-    mean = float(np.mean(there)) if there else math.nan
-    return MeanSD(mean, float(np.std(there, ddof=1)) if len(there) > 1 else math.nan)
+Groups = Mapping[str, Sequence[Bar]]
+"""Label of a group of bars to these."""
 
 
-def draw_groups(ax: Axes, groups: Mapping[str, Sequence[Bar]], scale: float = 1.0) -> dict[str, float]:
+def task_panels(height: float, groups: Mapping[str, Groups], *, shared: bool = True) -> tuple[Figure, dict[str, Axes]]:
+    """One panel per task side by side, as wide as its groups of bars need."""
+    figure = new_figure(height)
+    widths = [len(of_task) for of_task in groups.values()]
+    panels = figure.subplots(1, len(groups), sharey=shared, squeeze=False, width_ratios=widths)
+    return figure, dict(zip(groups, panels.flat, strict=True))
+
+
+def draw_predictions(height: float, groups: Mapping[str, Groups], handles: Iterable[Patch], n_columns: int) -> Figure:
+    """Predicted over recorded peaks, a panel per task, and the range of the thesis's means."""
+    figure, panels = task_panels(height, groups)
+    low, high = (headline(f"pulse_prediction_{end}") for end in ("low", "high"))
+    for task, ax in panels.items():
+        ax.axhspan(low, high, color=PUBLISHED["color"], alpha=0.18, linewidth=0)
+        ax.axhline(100.0, color=GREY, linewidth=0.9)
+        draw_groups(ax, groups[task])
+    # Not before all are drawn: panels share their axis, which then no longer grows.
+    first = next(iter(panels.values()))
+    first.set_ylim(bottom=0)
+    first.set_ylabel("predicted / recorded peak [%]")
+    band = Patch(color=PUBLISHED["color"], alpha=0.25, linewidth=0, label=f"published range, {low:g} to {high:g} %")
+    legend(figure, *handles, band, n_columns=n_columns)
+    return figure
+
+
+def draw_groups(ax: Axes, groups: Groups, scale: float = 1.0) -> dict[str, float]:
     """Draw groups of bars, and beside each bar what is printed.
 
     Args:
@@ -98,7 +127,7 @@ def stars(p: float) -> str:
     return "**" if p < 0.01 else "*" if p < 0.05 else ""
 
 
-def printed_handles(groups: Iterable[Mapping[str, Sequence[Bar]]], **label: str) -> list[Line2D]:
+def printed_handles(groups: Iterable[Groups], **label: str) -> list[Line2D]:
     """`printed_handle`, if the thesis printed anything of the bars that are drawn."""
     shown = any(
         math.isfinite(bar.ours.mean) and math.isfinite(bar.printed.mean)

@@ -16,29 +16,13 @@ from armperturb.plots.panels import AXES, FREQUENCY, admittance_panels, legend, 
 from armperturb.plots.style import COLOURS, FITTED, INK, PUBLISHED, RECORDED, in_style, new_figure
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures.axes import plot_truth
-from armperturb.study.report.figures.bars import (
-    CONDITIONS,
-    MODELS,
-    UNKNOWN,
-    Bar,
-    draw_groups,
-    mean_sd,
-    model_handles,
-    printed_handles,
-)
+from armperturb.study.report.figures.bars import CONDITIONS, MODELS, Bar, draw_groups, model_handles, printed_handles
 from armperturb.study.results.cases import Case
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import TrialMeasures
 
-VAF_TABLES = {
-    "PT2.5": ("C.12", "3", ""),
-    "PT7.5": ("E.5", "3b", "vartheta_i5"),
-    "PT22.5": ("C.12", "3", ""),
-    "RT2.5": ("C.22", "1", ""),
-    "RT7.5": ("C.22", "1", ""),
-    "RT22.5": ("C.22", "1", ""),
-}
-"""Condition to table, model and start of the printed VAF; model 3b was fitted in PT7.5 alone."""
+VAF_TABLES = {"PT7.5": ("E.5", "3b", "vartheta_i5"), "PT": ("C.12", "3", ""), "RT": ("C.22", "1", "")}
+"""Condition, or task of the others, to table, model and start of the printed VAF; PT7.5 alone has a fit of model 3b."""
 
 
 @in_style()
@@ -111,10 +95,10 @@ def vaf(study: StudyResult) -> Figure:
         for axis, ax in enumerate(column):
             groups = {
                 condition: [
-                    Bar(
-                        mean_sd(_positive([getattr(trial, f"vaf_{model}") for trial in trials])[:, axis]),
-                        _printed_vaf(condition, axis) if model == "linear" else UNKNOWN,
+                    Bar.of(
+                        _positive([getattr(trial, f"vaf_{model}") for trial in trials])[:, axis],
                         look["color"],
+                        *([_printed_vaf(condition, axis)] if model == "linear" else []),
                     )
                     for model, look in MODELS.items()
                 ]
@@ -149,14 +133,9 @@ def _positive(vaf: Sequence[tuple[float, float]]) -> Array:
 
 
 def _printed_vaf(condition: str, axis: int) -> published.MeanSD:
-    quantity = f"VAF_{AXES[axis]}"
-    table, model, start = VAF_TABLES[condition]
-    return next(
-        entry.value
-        for entry in published.fit_entries()
-        if (entry.table, entry.condition, entry.model, entry.start, entry.quantity)
-        == (table, condition, model, start, quantity)
-    )
+    table, *fit = VAF_TABLES.get(condition, VAF_TABLES[condition[:2]])
+    wanted = (table, condition, *fit, f"VAF_{AXES[axis]}")
+    return next(entry.value for entry in published.fit_entries() if entry[:5] == wanted)
 
 
 @in_style()

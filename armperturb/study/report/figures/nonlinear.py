@@ -11,10 +11,9 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from armperturb.analysis.measures.pulse import WINDOWS
 from armperturb.plots.panels import AXES, legend
-from armperturb.plots.style import GREY, INK, PUBLISHED, RECORDED, in_style, new_figure, shades
-from armperturb.study.published import tables as published
+from armperturb.plots.style import GREY, INK, RECORDED, in_style, new_figure, shades
 from armperturb.study.report.figures.bars import MODELS as LINEAR_MODELS
-from armperturb.study.report.figures.bars import UNKNOWN, Bar, draw_groups, mean_sd
+from armperturb.study.report.figures.bars import Bar, draw_predictions
 from armperturb.study.report.nonlinear_tables import (
     SEES_NONE,
     SEES_OTHERS,
@@ -37,12 +36,11 @@ LOOKS: dict[str, dict[str, Any]] = {
 """Model to its look."""
 
 NAMES = {
-    "linear": "linear",
-    "skeletal": "skeletal",
+    **{name: name for name in ("recorded", *LINEAR_MODELS)},
     SEES_NONE: "nonlinear, from multisines",
     SEES_OTHERS: "nonlinear, with the other direction",
 }
-"""Model to its entry in legends."""
+"""What is drawn to its entry in legends."""
 
 RATIOS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
 
@@ -53,29 +51,15 @@ def prediction(study: StudyResult) -> Figure:
     groups = {
         task: {
             f"{condition}\n\u00d7{level:g}": [
-                Bar(mean_sd(peak for peak, _ in of_model[model]), UNKNOWN, LOOKS[model]["color"])
-                for model in SHOWN_MODELS
+                Bar.of((peak for peak, _ in of_model[model]), LOOKS[model]["color"]) for model in SHOWN_MODELS
             ]
-            for (condition, level), of_model in left_out_pulses(study, task).items()
+            for (condition, level), of_model in of_pulses.items()
         }
         for task in tasks_fitted(study)
+        if (of_pulses := left_out_pulses(study, task))
     }
-    groups = {task: bars for task, bars in groups.items() if bars}
-    figure = new_figure(3.6)
-    panels = figure.subplots(1, len(groups), sharey=True, squeeze=False, width_ratios=list(map(len, groups.values())))
-    low, high = (published.headline(f"pulse_prediction_{end}") for end in ("low", "high"))
-    for ax, bars in zip(panels.flat, groups.values(), strict=True):
-        ax.axhspan(low, high, color=PUBLISHED["color"], alpha=0.18, linewidth=0)
-        ax.axhline(100.0, color=GREY, linewidth=0.9)
-        draw_groups(ax, bars)
-    # Not before all are drawn: panels share their axis, which then no longer grows.
-    panels[0, 0].set_ylim(bottom=0)
-    panels[0, 0].set_ylabel("predicted / recorded peak [%]")
-    band = Patch(color=PUBLISHED["color"], alpha=0.25, linewidth=0, label=f"published range, {low:g} to {high:g} %")
-    legend(
-        figure, *(Patch(color=LOOKS[model]["color"], label=NAMES[model]) for model in SHOWN_MODELS), band, n_columns=3
-    )
-    return figure
+    handles = [Patch(color=LOOKS[model]["color"], label=NAMES[model]) for model in SHOWN_MODELS]
+    return draw_predictions(3.6, groups, handles, 3)
 
 
 @in_style()
@@ -157,17 +141,13 @@ def trajectories(study: StudyResult, task: str) -> Figure:
     above = figure.add_subplot(grid[:, 0])
     over_time = [figure.add_subplot(grid[row, 1]) for row in range(2)]
     used: list[str] = []
-    condition = PATHS[task][0]
+    looks = {"recorded": RECORDED, **LOOKS}
     for of_fit in drawn_pulses(study, task).values():
         first = next(iter(of_fit.values()))
-        lines = [("recorded", first.paths["recorded"], RECORDED)]
-        lines += [(model, first.paths[model], LOOKS[model]) for model in LINEAR_MODELS if model in first.paths]
-        lines += [
-            (model, pulse.paths["nonlinear"], LOOKS[model])
-            for model, pulse in of_fit.items()
-            if "nonlinear" in pulse.paths
-        ]
-        for name, path, look in lines:
+        paths = {name: path for name, path in first.paths.items() if name in ("recorded", *LINEAR_MODELS)}
+        paths |= {model: pulse.paths["nonlinear"] for model, pulse in of_fit.items() if "nonlinear" in pulse.paths}
+        for name, path in paths.items():
+            look = looks[name]
             x, y = 100.0 * path.T
             above.plot(x, y, **look)
             above.plot(x[0], y[0], "o", color=look["color"], markersize=3)
@@ -176,12 +156,10 @@ def trajectories(study: StudyResult, task: str) -> Figure:
                 ax.plot(time, along, **look)
             used.append(name)
     above.set_aspect("equal", adjustable="datalim")
-    above.set(xlabel="x, to the right [cm]", ylabel="y, forward [cm]", title=f"{condition}, from above")
+    above.set(xlabel="x, to the right [cm]", ylabel="y, forward [cm]", title=f"{PATHS[task][0]}, from above")
     for ax, axis in zip(over_time, AXES, strict=True):
         ax.set_ylabel(f"{axis} [cm]")
     over_time[0].tick_params(labelbottom=False)
     over_time[1].set_xlabel("time after the onset [s]")
-    looks = {"recorded": RECORDED, **LOOKS}
-    names = {"recorded": "recorded", **NAMES}
-    legend(figure, *(Line2D([], [], label=names[n], **look) for n, look in looks.items() if n in used), n_columns=3)
+    legend(figure, *(Line2D([], [], label=NAMES[n], **look) for n, look in looks.items() if n in used), n_columns=3)
     return figure

@@ -19,14 +19,7 @@ from armperturb.plots.style import BESIDE, COLOURS, GREY, PALE, PUBLISHED, TRUE,
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.report.figures.axes import looks
-from armperturb.study.report.figures.bars import (
-    CONDITIONS,
-    Bar,
-    draw_groups,
-    mean_sd,
-    printed_handles,
-    stars,
-)
+from armperturb.study.report.figures.bars import CONDITIONS, Bar, Groups, draw_groups, printed_handles, stars
 from armperturb.study.report.tables import published_or_nan, true_value
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import muscle_parameter, stable_mean
@@ -131,13 +124,9 @@ def joint_parameters(study: StudyResult, task: str, p: Mapping[str, float] | Non
     drawn = []
     for row, quantity in zip(panels, quantities, strict=True):
         for ax, sem in zip(row, (False, True), strict=True):
-            names = {place: f"{quantity}_{joint}" for joint, place in JOINTS.items()}
-            ours = partial(stable_mean, sem=sem)
             printed = partial(published_or_nan, _printed_sem if sem else published.parameter)
-            groups = {place: _bars(task, estimates, name, ours, printed) for place, name in names.items()}
-            drawn.append(groups)
-            _draw(ax, groups, names, {} if sem or p is None else p)
-            ax.set_ylabel(f"{QUANTITIES[quantity]} [{unit(quantity)}]")
+            draw = partial(_draw, ax, task, estimates, quantity, JOINTS)
+            drawn.append(draw(partial(stable_mean, sem=sem), printed, {} if sem or p is None else p))
     for ax, title in zip(panels[0], ("estimate", "SEM"), strict=True):
         ax.set_title(title)
     legend(figure, *_handles(task, estimates), *printed_handles(drawn))
@@ -163,13 +152,8 @@ def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] |
     drawn = []
     for column, (task, estimates) in zip(panels.T, tasks.items(), strict=True):
         for ax, quantity in zip(column, rows[task], strict=False):
-            names = {place: f"{quantity}_{muscles}" for muscles, place in MUSCLES.items()}
-            groups = {
-                place: _bars(task, estimates, name, _muscle_mean, _printed_muscle) for place, name in names.items()
-            }
-            drawn.append(groups)
-            _draw(ax, groups, names, (p or {}).get(task, {}))
-            ax.set_ylabel(f"{QUANTITIES[quantity]} [{unit(quantity)}]")
+            of_task = (p or {}).get(task, {})
+            drawn.append(_draw(ax, task, estimates, quantity, MUSCLES, _muscle_mean, _printed_muscle, of_task))
         for ax in column[len(rows[task]) :]:
             ax.set_visible(False)
     handles = [handle for task, estimates in tasks.items() for handle in _handles(task, estimates)]
@@ -216,28 +200,32 @@ def _handles(task: str, estimates: Estimates) -> list[Patch]:
     return [Patch(color=colour, label=condition) for condition, colour in _colours(task, estimates)]
 
 
-def _bars(
+def _draw(
+    ax: Axes,
     task: str,
     estimates: Estimates,
-    name: str,
+    quantity: str,
+    places: Mapping[str, str],
     ours: Callable[[ThesisEstimate, str], float],
     printed: Callable[[str, str], MeanSD],
-) -> list[Bar]:
-    """A bar of a parameter for each condition, from the estimates of each person."""
-    return [
-        Bar(mean_sd(ours(estimate, name) for estimate in estimates[condition]), printed(condition, name), colour)
-        for condition, colour in _colours(task, estimates)
-    ]
-
-
-def _draw(ax: Axes, groups: Mapping[str, Sequence[Bar]], names: Mapping[str, str], p: Mapping[str, float]) -> None:
-    """Groups of bars, with stars above those whose parameter, that of its name, has a small p."""
-    tops = draw_groups(ax, groups)
-    for group, (label, top) in enumerate(tops.items()):
-        ax.text(group, top, stars(p.get(names[label], 1.0)), ha="center", va="bottom", fontsize=11)
+    p: Mapping[str, float],
+) -> Groups:
+    """A group of bars for each place, a bar for each condition; with stars where the parameter has a small p."""
+    names = {place: f"{quantity}_{letters}" for letters, place in places.items()}
+    groups = {
+        place: [
+            Bar.of((ours(estimate, name) for estimate in estimates[condition]), colour, printed(condition, name))
+            for condition, colour in _colours(task, estimates)
+        ]
+        for place, name in names.items()
+    }
+    for group, (place, top) in enumerate(draw_groups(ax, groups).items()):
+        ax.text(group, top, stars(p.get(names[place], 1.0)), ha="center", va="bottom", fontsize=11)
     ax.axhline(0.0, color=GREY, linewidth=0.8)
     ax.margins(y=0.16)
     ax.yaxis.set_major_locator(MaxNLocator(4))
+    ax.set_ylabel(f"{QUANTITIES[quantity]} [{unit(quantity)}]")
+    return groups
 
 
 def parameter_symbol(name: str) -> str:

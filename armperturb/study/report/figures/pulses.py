@@ -1,7 +1,8 @@
 """Figures of the responses to pulses: peaks and their prediction (thesis figures 3.15, 3.16, 3.19)."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,19 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from armperturb.plots.panels import legend
-from armperturb.plots.style import COLOURS, PUBLISHED, in_style, new_figure, shades
+from armperturb.plots.style import COLOURS, PUBLISHED, in_style, shades
 from armperturb.study.published import tables as published
-from armperturb.study.report.figures.bars import (
-    CONDITIONS,
-    MODELS,
-    UNKNOWN,
-    Bar,
-    draw_groups,
-    mean_sd,
-    model_handles,
-    printed_handles,
-    stars,
-)
+from armperturb.study.published.tables import MeanSD
+from armperturb.study.report.figures import bars
 from armperturb.study.report.tables import published_or_nan
 from armperturb.study.results.quantities import LEVELS
 from armperturb.study.results.study_result import StudyResult
@@ -65,48 +57,37 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
         for group, (condition, levels) in enumerate(by_task[task].items()):
             if len(levels) < len(LEVELS):
                 continue
-            ratio = mean_sd(levels["max"]).mean / mean_sd(levels["min"]).mean
-            text = f"× {ratio:.2f} {stars((p or {}).get(condition, 1.0))}".strip()
-            ax.annotate(text, (group, tops[condition]), (0, 15), textcoords="offset points", ha="center", va="bottom")
-            name = f"pulse_admittance_ratio_max_min_{condition.lower()}"
+            stars = bars.stars((p or {}).get(condition, 1.0))
+            printed = published.headline(f"pulse_admittance_ratio_max_min_{condition.lower()}")
+            place: dict[str, Any] = {
+                "xy": (group, tops[condition]),
+                "textcoords": "offset points",
+                "ha": "center",
+                "va": "bottom",
+            }
             ax.annotate(
-                f"× {published.headline(name):g} published",
-                *((group, tops[condition]), (0, 4)),
-                textcoords="offset points",
-                ha="center",
-                va="bottom",
-                color=PUBLISHED["color"],
-                fontsize=8,
+                f"× {np.mean(levels['max']) / np.mean(levels['min']):.2f} {stars}".strip(), xytext=(0, 15), **place
             )
+            ax.annotate(f"× {printed:g} published", xytext=(0, 4), **place, color=PUBLISHED["color"], fontsize=8)
     return figure
 
 
 @in_style()
 def pulse_prediction(study: StudyResult) -> Figure:
     """Predicted over recorded peak displacement of both models, mean and SD over trials (thesis fig. 3.19)."""
-    by_model = {model: pulsed_trials(study, partial(predicted_share, model=model)) for model in MODELS}
+    by_model = {model: pulsed_trials(study, partial(predicted_share, model=model)) for model in bars.MODELS}
     groups = {
         task: {
             f"{condition}\n{level}": [
-                Bar(mean_sd(by_model[model].get(task, {}).get(condition, {}).get(level, ())), UNKNOWN, look["color"])
-                for model, look in MODELS.items()
+                bars.Bar.of(by_model[model].get(task, {}).get(condition, {}).get(level, ()), look["color"])
+                for model, look in bars.MODELS.items()
             ]
             for condition, levels in conditions.items()
             for level in levels
         }
         for task, conditions in by_model["linear"].items()
     }
-    figure, panels = _panels(3.4, {task: len(bars) for task, bars in groups.items()})
-    low, high = (published.headline(f"pulse_prediction_{end}") for end in ("low", "high"))
-    for task, ax in panels.items():
-        ax.axhspan(low, high, color=PUBLISHED["color"], alpha=0.18, linewidth=0)
-        ax.axhline(100.0, color=PUBLISHED["color"], linewidth=0)
-        draw_groups(ax, groups[task])
-        ax.set_ylim(bottom=0)
-    next(iter(panels.values())).set_ylabel("predicted / recorded peak [%]")
-    band = Patch(color=PUBLISHED["color"], alpha=0.25, linewidth=0, label=f"published range, {low:g} to {high:g} %")
-    legend(figure, *model_handles(), band)
-    return figure
+    return bars.draw_predictions(3.4, groups, bars.model_handles(), 6)
 
 
 def predicted_share(trial: TrialMeasures, model: str) -> float:
@@ -134,7 +115,7 @@ def pulsed_trials(study: StudyResult, quantity: Callable[[TrialMeasures], float]
 def _by_level(values_of: Callable[[str, str], list[float]]) -> dict[str, Levels]:
     """Task, condition and level to the finite ones of their values; only those that have any."""
     by_task: dict[str, Levels] = {}
-    for task, conditions in CONDITIONS.items():
+    for task, conditions in bars.CONDITIONS.items():
         for condition in conditions:
             for level in LEVELS:
                 values = [value for value in values_of(condition, level) if np.isfinite(value)]
@@ -147,47 +128,37 @@ def _draw_levels(
     by_task: Mapping[str, Levels],
     label: str,
     scale: float,
-    source: Callable[..., published.MeanSD] | None = None,
+    source: Callable[..., MeanSD] | None = None,
     *,
     shared: bool = True,
 ) -> tuple[Figure, dict[str, tuple[Axes, dict[str, float]]]]:
     """Bars of both pulse levels in each condition, a panel per task; and the panels with where each group ends."""
+
+    def bar(task: str, condition: str, level: str, values: Sequence[float]) -> bars.Bar:
+        printed = [published_or_nan(source, condition, level)] if source else []
+        return bars.Bar.of(values, _colour(task, level), *printed)
+
     groups = {
         task: {
-            condition: [
-                Bar(
-                    mean_sd(values),
-                    published_or_nan(source, condition, level) if source else UNKNOWN,
-                    _colour(task, level),
-                )
-                for level, values in levels.items()
-            ]
+            condition: [bar(task, condition, level, values) for level, values in levels.items()]
             for condition, levels in conditions.items()
         }
         for task, conditions in by_task.items()
     }
-    figure, panels = _panels(3.3, {task: len(bars) for task, bars in groups.items()}, shared=shared)
-    tops = {task: draw_groups(ax, groups[task], scale) for task, ax in panels.items()}
-    next(iter(panels.values())).set_ylabel(label)
+    figure, panels = bars.task_panels(3.3, groups, shared=shared)
+    tops = {task: (ax, bars.draw_groups(ax, groups[task], scale)) for task, ax in panels.items()}
     handles = [
         Patch(color=_colour(task, level), label=f"{task}, {name}")
         for task, conditions in by_task.items()
         for level, name in NAMES.items()
         if any(level in levels for levels in conditions.values())
     ]
-    legend(figure, *handles, *printed_handles(groups.values()))
-    for ax in panels.values():
+    legend(figure, *handles, *bars.printed_handles(groups.values()))
+    for number, ax in enumerate(panels.values()):
         ax.set_ylim(bottom=0)
-        if not shared:
+        if number == 0 or not shared:
             ax.set_ylabel(label)
-    return figure, {task: (ax, tops[task]) for task, ax in panels.items()}
-
-
-def _panels(height: float, n_groups: Mapping[str, int], *, shared: bool = True) -> tuple[Figure, dict[str, Axes]]:
-    """One panel per task side by side, as wide as its groups of bars need."""
-    figure = new_figure(height)
-    panels = figure.subplots(1, len(n_groups), sharey=shared, squeeze=False, width_ratios=list(n_groups.values()))
-    return figure, dict(zip(n_groups, panels.flat, strict=True))
+    return figure, tops
 
 
 def _colour(task: str, level: str) -> str:
