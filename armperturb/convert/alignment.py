@@ -1,7 +1,7 @@
 """From channels to signals on even times, in SI and our axes, and from trials of all files to one recording."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -20,23 +20,6 @@ MOST_RESAMPLING = 20_000
 """Largest number in the ratio of two sampling rates [-]."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class AlignedTrial:
-    """A trial in SI and our axes.
-
-    Attributes:
-      where: file and trial, for messages.
-      signals: variable of a recording to values, (time, component).
-      rates: variable to sampling rate [Hz], the same for all but EMG.
-      labels: coordinate along `trial` to value.
-    """
-
-    where: str
-    signals: Mapping[str, Array]
-    rates: Mapping[str, float]
-    labels: Mapping[str, Any]
-
-
 def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, list[Fault]]:
     """Channels as signals on even times, still in the file's units and axes.
 
@@ -51,9 +34,11 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
     Raises:
       ValueError: lengths, rates or units contradict one another, or values are no signal.
     """
+    labels = meaning.labels_of(raw.name)
     signals: dict[str, Array] = {}
     rates: dict[str, float] = {}
     components = {}
+    faults: list[Fault] = []
     for name, of_signal in meaning.signals.items():
         components[name] = tuple(of_signal.channels.values())
         channels = [raw.channels[channel] for channel in components[name]]
@@ -82,26 +67,24 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
                 f"{meaning.path}: rate and time are missing; expected the sampling rate in Hz, a channel, or both"
             )
         rates |= {name: meaning.rate for name in without_rate if meaning.rate is not None}
-        return Timed(signals=signals, rates=rates, components=components), []
-    channel, factor = meaning.time
-    require_signal(where, channel, raw.channels[channel][:, None])
-    time = raw.channels[channel] * factor
-    finite = np.isfinite(time)
-    n_time = len(time) - int(np.argmax(finite[::-1])) if finite.any() else len(time)
-    if n_time < 2:
-        raise ValueError(f"{where}: {channel} has {n_time} samples; expected at least 2 times")
-    for name in without_rate:
-        if len(signals[name]) != len(time):
-            raise ValueError(
-                f"{where}: {name} has {len(signals[name])} samples and {channel} {len(time)}; expected as many"
-            )
-    try:
-        timed, faults = even_times(
-            {name: signals[name][:n_time] for name in without_rate}, components, time[:n_time], meaning.rate
-        )
-    except ValueError as error:
-        raise ValueError(f"{where}: {channel}: {error}") from None
-    return replace(timed, signals={**signals, **timed.signals}, rates={**rates, **timed.rates}), faults
+    else:
+        channel, factor = meaning.time
+        require_signal(where, channel, raw.channels[channel][:, None])
+        time = raw.channels[channel] * factor
+        for name in without_rate:
+            if len(signals[name]) != len(time):
+                raise ValueError(
+                    f"{where}: {name} has {len(signals[name])} samples and {channel} {len(time)}; expected as many"
+                )
+        finite = np.isfinite(time)
+        n_time = len(time) - int(np.argmax(finite[::-1])) if finite.any() else len(time)
+        if n_time < 2:
+            raise ValueError(f"{where}: {channel} has {n_time} samples; expected at least 2 times")
+        sampled = {name: signals[name][:n_time] for name in without_rate}
+        even, rate, faults = even_times(f"{where}: {channel}", sampled, time[:n_time], meaning.rate)
+        signals |= even
+        rates |= dict.fromkeys(even, rate)
+    return Timed(where=where, labels=labels, signals=signals, rates=rates, components=components), faults
 
 
 def in_si(values: Array, meaning: Signal) -> Array:
@@ -110,45 +93,39 @@ def in_si(values: Array, meaning: Signal) -> Array:
     return np.asarray((values - start) @ meaning.matrix)
 
 
-def resampled(
-    where: str, signals: Mapping[str, Array], rates: Mapping[str, float], rate: float | None
-) -> tuple[dict[str, Array], dict[str, float]]:
-    """All signals but EMG at one rate.
+def resampled(trial: Timed, rate: float | None) -> Timed:
+    """A trial with all signals but EMG at one rate.
 
     Args:
-      where: file and trial, for messages.
-      signals: name to values, (time, component).
-      rates: name to sampling rate [Hz].
+      trial: with signals at any rates.
       rate: that is wanted [Hz]; None for that of the file.
-
-    Returns:
-      The signals, and their rates.
 
     Raises:
       ValueError: rates differ and none is wanted, or the ratio is not one of whole numbers.
     """
-    present = {rates[name] for name in signals if name != "emg"}
+    rates = {name: trial.rates[name] for name in trial.signals if name != "emg"}
+    present = {*rates.values()}
     if rate is None and len(present) > 1:
-        several = ", ".join(f"{name} at {rates[name]:g} Hz" for name in signals if name != "emg")
-        raise ValueError(f"{where}: {several}; expected one rate (choose it with --rate)")
+        several = ", ".join(f"{name} at {of_signal:g} Hz" for name, of_signal in rates.items())
+        raise ValueError(f"{trial.where}: {several}; expected one rate (choose it with --rate)")
     target = present.pop() if rate is None else rate
-    out, at = dict(signals), dict(rates)
-    for name in signals:
-        if name == "emg" or rates[name] == target:
+    signals = {name: trial.signals[name] for name in rates}
+    for name, of_signal in rates.items():
+        if of_signal == target:
             continue
-        values, ratio = signals[name], Fraction(target / rates[name]).limit_denominator(MOST_RESAMPLING)
-        off = abs(float(ratio) / (target / rates[name]) - 1.0) * len(values)
+        values, ratio = signals[name], Fraction(target / of_signal).limit_denominator(MOST_RESAMPLING)
+        off = abs(float(ratio) / (target / of_signal) - 1.0) * len(values)
         if ratio.numerator > MOST_RESAMPLING or off > 0.01:
             raise ValueError(
-                f"{where}: rate = {target:g} Hz from {rates[name]:g} Hz; expected a ratio of whole numbers"
+                f"{trial.where}: rate = {target:g} Hz from {of_signal:g} Hz; expected a ratio of whole numbers"
             )
-        out[name] = signal.resample_poly(values, ratio.numerator, ratio.denominator, axis=0, padtype="line")
-        at[name] = target
-    n_time = min(len(out[name]) for name in out if name != "emg")
-    return {name: values if name == "emg" else values[:n_time] for name, values in out.items()}, at
+        signals[name] = signal.resample_poly(values, ratio.numerator, ratio.denominator, axis=0, padtype="line")
+    n_time = min(map(len, signals.values()))
+    cut = {name: values[:n_time] for name, values in signals.items()}
+    return replace(trial, signals={**trial.signals, **cut}, rates={**trial.rates, **dict.fromkeys(rates, target)})
 
 
-def joined(trials: Sequence[AlignedTrial], repair: Collection[Repair], notes: list[str]) -> xr.Dataset:
+def joined(trials: Sequence[Timed], repair: Collection[Repair], notes: list[str]) -> xr.Dataset:
     """One recording of trials.
 
     Args:

@@ -59,13 +59,16 @@ class _Explained(NamedTuple):
     mass: float
 
 
-def check_balance(recording: xr.Dataset, mass: float | None = None, names: Sequence[str] = ()) -> list[str]:
+def check_balance(
+    recording: xr.Dataset, mass: float | None = None, names: Sequence[str] = (), source: str = "recording"
+) -> list[str]:
     """Refuse a recording whose force, displacement and perturbation do not belong together.
 
     Args:
       recording: the trials. Those that reached the workspace limit count only if there are no others, up to the limit.
       mass: that the manipulator was set to [kg]; None if unknown.
       names: of the trials, for the message; by default their numbers, from 1.
+      source: where the recording comes from, for the message.
 
     Returns:
       Notes for the reader, one sentence each.
@@ -75,7 +78,7 @@ def check_balance(recording: xr.Dataset, mass: float | None = None, names: Seque
         what change of sign, axes or unit would put it right, if any does.
     """
     rate = float(recording.attrs["rate"])
-    grams = require_signs(recording, names)
+    grams = require_signs(recording, names, source)
     trials, n_time = _before_limit(recording, rate)
     d, f, x = (recording[name].values[trials, :n_time] for name in REQUIRED_SIGNALS)
     if grams is None:
@@ -92,17 +95,17 @@ def check_balance(recording: xr.Dataset, mass: float | None = None, names: Seque
         environment = None
     if environment is None or declared.left > TOO_MUCH:
         raise ValueError(
-            f"d - f does not move a mass, spring and damper ({_in_numbers(declared)}); expected a positive mass and "
-            "the force that the handle exerts on the hand, and no change of signs, axes or scale of the force puts it "
-            "right (a sensor that failed, dropped samples, two recordings in one?)"
+            f"{source}: d - f does not move a mass, spring and damper ({_in_numbers(declared)}); expected a positive "
+            "mass and the force that the handle exerts on the hand, and no change of signs, axes or scale of the force "
+            "puts it right (a sensor that failed, dropped samples, two recordings in one?)"
         )
     lower, upper = (LIGHTEST, HEAVIEST) if mass is None else (mass / SET_TO, mass * SET_TO)
     if not lower <= environment.m_env <= upper:
         raise ValueError(
-            f"d - f moves a mass of {environment.m_env:.4g} kg; expected {lower:.3g} to {upper:.3g} kg (a wrong unit "
-            "of displacement, or of both forces?)"
+            f"{source}: d - f moves a mass of {environment.m_env:.4g} kg; expected {lower:.3g} to {upper:.3g} kg (a "
+            "wrong unit of displacement, or of both forces?)"
         )
-    notes = _skews(d, f, x, rate)
+    notes = _skews(d, f, x, rate, source)
     if declared.left > UNBALANCED and not notes:  # which a skew would explain
         notes.append(f"{_in_numbers(declared)}; expected less than {UNBALANCED:g} of it")
     # Rows 0 and 1 of the products are d, 2 and 3 are f.
@@ -112,12 +115,13 @@ def check_balance(recording: xr.Dataset, mass: float | None = None, names: Seque
     return notes
 
 
-def require_signs(recording: xr.Dataset, names: Sequence[str] = ()) -> Array | None:
+def require_signs(recording: xr.Dataset, names: Sequence[str] = (), source: str = "recording") -> Array | None:
     """Refuse a recording that other signs, axes or scales would explain far better.
 
     Args:
       recording: the trials.
       names: of the trials, for the message; by default their numbers, from 1.
+      source: where the recording comes from, for the message.
 
     Returns:
       Inner products of the signals of each trial, see `_grams`; None if the recording is too short or its sampling rate
@@ -139,9 +143,9 @@ def require_signs(recording: xr.Dataset, names: Sequence[str] = ()) -> Array | N
         if remedy is not None:
             where = f" in {names[trial]}" if names[trial] else ""
             raise ValueError(
-                f"d - f does not move a mass, spring and damper{where} ({_in_numbers(declared)}); expected signs, axes "
-                "and units with which it does (force must be the reaction force that the handle exerts on the hand), "
-                f"as it would if {remedy}"
+                f"{source}: d - f does not move a mass, spring and damper{where} ({_in_numbers(declared)}); expected "
+                "signs, axes and units with which it does (force must be the reaction force that the handle exerts on "
+                f"the hand), as it would if {remedy}"
             )
     return grams
 
@@ -159,7 +163,7 @@ def _in_numbers(explained: _Explained) -> str:
     return f"its mass comes out at {explained.mass:.3g} kg, and {explained.left:.2g} of the load is left unexplained"
 
 
-def _skews(d: Array, f: Array, x: Array, rate: float) -> list[str]:
+def _skews(d: Array, f: Array, x: Array, rate: float, source: str) -> list[str]:
     """Refuse clocks of force and displacement that drift apart; a note if they differ."""
     half = d.shape[1] // 2
     halves = (slice(half), slice(half, 2 * half)) if half >= 10 * round(EDGE * rate) else ()
@@ -178,8 +182,8 @@ def _skews(d: Array, f: Array, x: Array, rate: float) -> list[str]:
     error = math.hypot(*(part.standard_error for part in parts))
     if abs(change) > max(DRIFT, 3.0 * error):
         raise ValueError(
-            f"force drifts against displacement by {1e3 * change:.2f} ms from the first to the second half of "
-            f"{d.shape[1] / rate:.4g} s (standard error {1e3 * error:.2f} ms); expected clocks that run alike"
+            f"{source}: force drifts against displacement by {1e3 * change:.2f} ms from the first to the second half "
+            f"of {d.shape[1] / rate:.4g} s (standard error {1e3 * error:.2f} ms); expected clocks that run alike"
         )
     if abs(whole.time) > max(2e-4, 3.0 * whole.standard_error):
         return [
@@ -222,26 +226,17 @@ def _row(place: int, of_signal: Array | None = None) -> Array:
 def _explained(gram: Array, of_force: Array, of_displacement: Array) -> _Explained:
     """Share of the load that mass, damping and stiffness leave, with other axes of force and displacement."""
     terms = [_row(0) - _row(1, of_force), *(_row(place, of_displacement) for place in (2, 3, 4))]
-    inner = np.array([[np.sum((a @ gram) * b) for b in terms] for a in terms])
-    weights, left = _regression(inner)
+    weights, left, _ = _regression(gram, terms)
     return _Explained(left, float(weights[0]))
 
 
 def _remedy(gram: Array, least: float) -> str | None:
     """The smallest change of signs, axes or scale of the force that leaves at most so much, in words; None if none."""
-    changes = []
-    for of_force, of_displacement in product(_SIGNED, repeat=2):
-        change, explained = _in_words(of_force, of_displacement), _explained(gram, of_force, of_displacement)
-        if change and explained.mass > 0.0 and explained.left < least:
-            changes.append((change, explained.left))
+    tried = [(_in_words(*turned), _explained(gram, *turned)) for turned in product(_SIGNED, repeat=2)]
     gain, explained = _rescaled(gram)
-    if (
-        gain > 0.0
-        and abs(np.log(gain)) > np.log(RESCALED)
-        and explained.mass > 0.0
-        and explained.left < min(least, UNBALANCED)
-    ):
-        changes.append((f"force were multiplied by {gain:.4g} (the unit of one of the two forces)", explained.left))
+    if gain > 0.0 and abs(np.log(gain)) > np.log(RESCALED) and explained.left < UNBALANCED:
+        tried.append((f"force were multiplied by {gain:.4g} (the unit of one of the two forces)", explained))
+    changes = [(change, left) for change, (left, mass) in tried if change and mass > 0.0 and left < least]
     best = min((left for _, left in changes), default=0.0)
     good = [entry for entry in changes if entry[1] <= 2.0 * best + 1e-3]
     return min(good, key=lambda entry: (entry[0].count(" and "), entry[1]))[0] if good else None
@@ -270,18 +265,18 @@ def _change(name: str, matrix: Array) -> str | None:
 def _rescaled(gram: Array) -> tuple[float, _Explained]:
     """Factor on the force that explains the perturbation best, and how well it does."""
     terms = [_row(place) for place in (0, 2, 3, 4, 1)]
-    inner = np.array([[np.sum((a @ gram) * b) for b in terms] for a in terms])
-    weights, left = _regression(inner)
+    weights, left, inner = _regression(gram, terms)
     gain = float(weights[-1])
     load = inner[0, 0] - 2.0 * gain * inner[0, 4] + gain**2 * inner[4, 4]
     return gain, _Explained(left * float(inner[0, 0] / load) if load > 0.0 else 1.0, float(weights[0]))
 
 
-def _regression(inner: Array) -> tuple[Array, float]:
-    """Weights with which the other terms explain the first, and the share of it that they leave."""
+def _regression(gram: Array, terms: Sequence[Array]) -> tuple[Array, float, Array]:
+    """Weights with which the other terms explain the first, the share of it that they leave, and inner products."""
+    inner = np.array([[np.sum((a @ gram) * b) for b in terms] for a in terms])
     scale = np.sqrt(np.diag(inner))
     if not (scale > 0.0).all():
-        return np.zeros(len(inner) - 1), 1.0
+        return np.zeros(len(inner) - 1), 1.0, inner
     scaled = inner / np.outer(scale, scale)
     weights = np.linalg.lstsq(scaled[1:, 1:], scaled[1:, 0], rcond=None)[0]
-    return np.asarray(weights * scale[0] / scale[1:]), max(1.0 - float(weights @ scaled[1:, 0]), 0.0)
+    return np.asarray(weights * scale[0] / scale[1:]), max(1.0 - float(weights @ scaled[1:, 0]), 0.0), inner

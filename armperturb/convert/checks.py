@@ -1,11 +1,9 @@
 """Refuses what no arm and manipulator do, as a wrong unit or start makes them do."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from armperturb.arrays import Array
+from armperturb.convert.faults import Timed
 from armperturb.convert.units import UNITS
 from armperturb.recording import SIGNALS
 
@@ -59,20 +57,16 @@ def require_consistent_unit(where: str, name: str, channel: str, unit: str, of_f
         )
 
 
-def require_plausible(
-    where: str, signals: Mapping[str, Array], rates: Mapping[str, float], labels: Mapping[str, Any]
-) -> None:
+def require_plausible(trial: Timed) -> None:
     """Refuse forces, paths and instants that are out of range.
 
     Args:
-      where: file and trial, for the message.
-      signals: variable to values in SI and our axes, (time, component).
-      rates: variable to sampling rate [Hz].
-      labels: of the trial.
+      trial: in SI and our axes.
 
     Raises:
       ValueError: a signal is too large, displacement is not from its start, or an instant lies outside the trial.
     """
+    where, signals, rates, labels = trial.where, trial.signals, trial.rates, trial.labels
     reach = REACH * (labels["l_h"] + labels["l_f"])
     limits = {"perturbation": LARGEST_FORCE, "force": LARGEST_FORCE, "displacement": reach, "shoulder_marker": reach}
     limits |= {"joint_angle": 2 * np.pi, "emg": 100.0}

@@ -15,7 +15,7 @@ from scipy.io import savemat
 from armperturb.arrays import Array
 from armperturb.convert.tables import TABLES
 from armperturb.files import written_whole
-from armperturb.recording import LABELS, SIGNALS, TRIAL_COORDINATES, check_recording, save_recording
+from armperturb.recording import LABELS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES, check_recording, save_recording
 from armperturb.validation import require_one_of
 
 COLUMNS = {**TABLES["columns"], "emg": [f"{name}_V" for name in LABELS["muscle"]]}
@@ -97,11 +97,8 @@ def _matlab(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
     content |= {dim: recording[dim].values[:, None] for dim in ("time", "emg_time") if dim in recording.dims}
     content["units"] = {name: SIGNALS[name][1] for name in names}
     content["labels"] = {
-        name: np.array([str(v) for v in recording[name].values], dtype=object)[:, None]
-        if recording[name].dtype.kind in "UO"
-        else recording[name].values[:, None]
-        for name in TRIAL_COORDINATES
-        if name in recording.coords
+        name: (values.astype(str).astype(object) if name in TEXT_COORDINATES else values)[:, None]
+        for name, values in _labels(recording).items()
     }
     content["rate"] = float(recording.attrs["rate"])
     file = io.BytesIO()
@@ -131,10 +128,13 @@ def _sidecar(recording: xr.Dataset, channels: Mapping[str, tuple[str, ...]]) -> 
     }
 
 
+def _labels(recording: xr.Dataset) -> dict[str, Array]:
+    return {name: recording[name].values for name in TRIAL_COORDINATES if name in recording.coords}
+
+
 def _trials(recording: xr.Dataset) -> dict[str, dict[str, Any]]:
     """Labels of each trial; what does not exist is left out."""
-    labels = {name: recording[name].values for name in TRIAL_COORDINATES if name in recording.coords}
     return {
         str(number): {name: value for name, value in row.items() if value == value}  # NaN is not
-        for number, row in enumerate(pd.DataFrame(labels).to_dict("records"), start=1)
+        for number, row in enumerate(pd.DataFrame(_labels(recording)).to_dict("records"), start=1)
     }

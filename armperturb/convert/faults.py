@@ -15,7 +15,7 @@ are always refused.
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,46 +65,51 @@ class Fault(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Timed:
-    """Signals of a trial on even times.
+    """A trial on even times.
 
     Attributes:
-      signals: name to values in the file's units and axes, (time, component).
+      where: file and trial, for messages.
+      labels: coordinate along `trial` to value.
+      signals: name to values, (time, component), in the file's units and axes until they are repaired, then in ours.
       rates: name to sampling rate [Hz].
       components: name to what its components are called in the file.
     """
 
+    where: str
+    labels: Mapping[str, Any]
     signals: Mapping[str, Array]
     rates: Mapping[str, float]
     components: Mapping[str, tuple[str, ...]]
 
 
 def even_times(
-    signals: Mapping[str, Array], components: Mapping[str, tuple[str, ...]], time: Array, stated: float | None
-) -> tuple[Timed, list[Fault]]:
+    where: str, signals: Mapping[str, Array], time: Array, stated: float | None
+) -> tuple[Mapping[str, Array], float, list[Fault]]:
     """Signals on even times, and what was wrong with the times.
 
     Args:
+      where: file, trial and channel of the times, for messages.
       signals: name to values, (time, component), NaN where there is none.
-      components: what they are called in the file.
       time: of the samples [s], (time,).
       stated: sampling rate that the sidecar states [Hz]; None to take it from the times.
 
     Returns:
-      The signals, unchanged if the times are even and otherwise repaired as far as possible, and the faults.
+      The signals, unchanged if the times are even and otherwise repaired as far as possible, their rate [Hz], and the
+      faults.
 
     Raises:
       ValueError: times are missing or do not increase.
     """
     if not np.isfinite(time).all():
         at = int(np.argmin(np.isfinite(time)))
-        raise ValueError(f"the time of sample {at} is missing; expected a number")
+        raise ValueError(f"{where}: the time of sample {at} is missing; expected a number")
     time = time - time[0]
     steps = np.diff(time)
     if (steps <= 0.0).any():
         at = int(np.argmax(steps <= 0.0))
         raise ValueError(
-            f"time steps back from {time[at]:.6g} s to {time[at + 1]:.6g} s at sample {at + 1}; expected increasing "
-            "times (two recordings in one file need a channel 'trial' that numbers them)"
+            f"{where}: time steps back from {time[at]:.6g} s to {time[at + 1]:.6g} s at sample {at + 1}; expected "
+            "increasing times (two recordings in one file need a channel 'trial' that numbers them)"
         )
     usual = float(np.median(steps))
     rate = stated if stated is not None else _rate_of(time, steps, usual)
@@ -135,7 +140,7 @@ def even_times(
         if off.max() > ROUNDED / rate:
             there, grid = time, np.arange(math.floor(float(time[-1]) * rate * (1 + 1e-12)) + 1) / rate
         signals = {name: _between(there, values, grid) for name, values in signals.items()}
-    return Timed(signals=signals, rates=dict.fromkeys(signals, rate), components=components), faults
+    return signals, rate, faults
 
 
 def _rate_of(time: Array, steps: Array, usual: float) -> float:

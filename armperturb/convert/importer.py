@@ -1,16 +1,17 @@
 """From a laboratory's files to a recording: read, aligned, repaired as asked, and checked against physics."""
 
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, get_args
 
 import numpy as np
 import xarray as xr
 
-from armperturb.convert.alignment import AlignedTrial, in_si, joined, resampled, timed_signals
+from armperturb.convert.alignment import in_si, joined, resampled, timed_signals
 from armperturb.convert.balance import check_balance, require_signs
 from armperturb.convert.checks import require_plausible
-from armperturb.convert.faults import Fault, Repair, equal_lengths, find_gaps, find_stuck, without_padding
+from armperturb.convert.faults import Fault, Repair, Timed, equal_lengths, find_gaps, find_stuck, without_padding
 from armperturb.convert.raw import RawTrial
 from armperturb.convert.reading import C3D, MATLAB, TEXT, read_trials
 from armperturb.convert.sidecar import Sidecar
@@ -80,17 +81,10 @@ def import_recording(
     for name, value in (("sidecar", sidecar), ("repair", repair), ("rate", rate)):
         if value:
             raise ValueError(f"{ours[0]}: {name} = {value!r}; expected none with netCDF, which is complete itself")
-    recordings = [_checked(path) for path in ours]
+    recordings = [load_recording(path, guarded=True) for path in ours]
+    for path, recording in zip(ours, recordings, strict=True):
+        require_signs(recording, source=str(path))
     return Imported(recordings[0] if len(ours) == 1 else join_recordings(recordings, ", ".join(map(str, ours))), ())
-
-
-def _checked(path: Path) -> xr.Dataset:
-    recording = load_recording(path, guarded=True)
-    try:
-        require_signs(recording)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-    return recording
 
 
 def _read(files: Sequence[Path], sidecar: str | Path | None) -> Iterable[tuple[Path, Sidecar, Sequence[RawTrial]]]:
@@ -115,7 +109,7 @@ def import_trials(
       ValueError: as `import_recording`.
     """
     notes: list[str] = []
-    trials: list[AlignedTrial] = []
+    trials: list[Timed] = []
     paths, guesses, masses = [], [], set()
     for path, meaning, raw_trials in files:
         paths.append(path)
@@ -133,19 +127,14 @@ def import_trials(
     if len(masses) > 1:
         raise ValueError(f"{named}: environment.m_env differs between sidecars; expected one manipulator")
     names = [trial.where.removeprefix(named).removeprefix(": ") for trial in trials]
-    try:
-        notes += check_balance(recording, masses.pop(), names)
-    except ValueError as error:
-        raise ValueError(f"{named}: {error}") from None
-    return Imported(recording, (*notes, *guesses))
+    return Imported(recording, (*notes, *check_balance(recording, masses.pop(), names, named), *guesses))
 
 
 def _aligned(
     path: Path, raw: RawTrial, meaning: Sidecar, repair: Collection[Repair], rate: float | None, notes: list[str]
-) -> AlignedTrial | None:
+) -> Timed | None:
     """A trial in SI, repaired as asked; None if it is left out."""
     where = f"{path}: trial {raw.name!r}" if raw.name != path.name else str(path)
-    labels = meaning.labels_of(raw.name)
     timed, faults = timed_signals(where, raw, meaning)
     timed, gaps = find_gaps(without_padding(timed))
     timed, lengths = equal_lengths(timed, [name for name in timed.signals if name != "emg"])
@@ -160,11 +149,10 @@ def _aligned(
         notes.append(f"{where} is left out: {left[0].text}{more}")
         return None
     notes += [f"{where}: {fault.text}: repaired" for fault in faults]
-    signals, rates = resampled(
-        where, {name: in_si(values, meaning.signals[name]) for name, values in timed.signals.items()}, timed.rates, rate
-    )
-    require_plausible(where, signals, rates, labels)
-    return AlignedTrial(where=where, signals=signals, rates=rates, labels=labels)
+    in_ours = {name: in_si(values, meaning.signals[name]) for name, values in timed.signals.items()}
+    trial = resampled(replace(timed, signals=in_ours), rate)
+    require_plausible(trial)
+    return trial
 
 
 def _advice(fault: Fault) -> str:

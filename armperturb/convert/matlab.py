@@ -8,7 +8,7 @@ structures and `force{trial}(time,2)` of a cell array. A bare name is a vector o
 import re
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,13 +17,7 @@ from armperturb.convert.raw import RawTrial, missing_channel, split_trials
 from armperturb.foreign import read_foreign
 
 _ADDRESS = re.compile(r"(?P<path>[A-Za-z]\w*(?:\.[A-Za-z]\w*)*)(?:\((?P<index>[^()]*)\))?")
-
-
-class _Address(NamedTuple):
-    """Where a channel stands: fields from the variable down, and the meaning of each dimension."""
-
-    fields: tuple[str, ...]
-    dims: tuple[str | int, ...]
+_Dims = list[str | int]
 
 
 def read_matlab(path: Path, names: Collection[str], number: str | None) -> Sequence[RawTrial]:
@@ -39,8 +33,8 @@ def read_matlab(path: Path, names: Collection[str], number: str | None) -> Seque
       OSError: it cannot be read.
     """
     addresses = {name: _address(path, name) for name in names}
-    content = read_foreign(path, {address.fields[0] for address in addresses.values()})
-    channels = {name: _of_trials(path, name, address, content) for name, address in addresses.items()}
+    content = read_foreign(path, {fields[0] for fields, _ in addresses.values()})
+    channels = {name: _of_trials(path, name, *address, content) for name, address in addresses.items()}
     counts = {name: len(parts) for name, parts in channels.items() if len(parts) != 1}
     n_trials = max(counts.values(), default=1)
     for name, count in counts.items():
@@ -64,10 +58,11 @@ def read_matlab(path: Path, names: Collection[str], number: str | None) -> Seque
     return split_trials(path, trials[0].channels, number)
 
 
-def _address(path: Path, name: str) -> _Address:
+def _address(path: Path, name: str) -> tuple[list[str], _Dims]:
+    """Where a channel stands: fields from the variable down, and the meaning of each dimension."""
     plain = name.replace("(trial)", "").replace("{trial}", "")
     match = _ADDRESS.fullmatch(plain)
-    index: list[str | int] = []
+    index: _Dims = []
     if match is not None:
         for part in (match["index"] or "time").split(","):
             part = part.strip()
@@ -77,13 +72,13 @@ def _address(path: Path, name: str) -> _Address:
         raise ValueError(
             f"{path}: channel {name!r}; expected a variable or field and its dimensions, e.g. 'data.force(time,1)'"
         )
-    return _Address(tuple(match["path"].split(".")), tuple(index))
+    return match["path"].split("."), index
 
 
-def _of_trials(path: Path, name: str, address: _Address, content: Mapping[str, Any]) -> list[Array]:
+def _of_trials(path: Path, name: str, fields: list[str], dims: _Dims, content: Mapping[str, Any]) -> list[Array]:
     """Values of a channel in each trial; of a single one if there is no dimension for trials."""
     value: Any = content
-    for field in address.fields:
+    for field in fields:
         if isinstance(value, list):
             value = [part.get(field) if isinstance(part, dict) else None for part in value]
             continue
@@ -91,13 +86,13 @@ def _of_trials(path: Path, name: str, address: _Address, content: Mapping[str, A
             raise missing_channel(path, name, list(value) if isinstance(value, dict) else [])
         value = value[field]
     if not isinstance(value, list):
-        return _sliced(path, name, value, address.dims)
-    if "trial" in address.dims:
+        return _sliced(path, name, value, dims)
+    if "trial" in dims:
         raise ValueError(f"{path}: channel {name!r} has its trials in a list; expected no dimension 'trial'")
-    return [values for part in value for values in _sliced(path, name, part, address.dims)]
+    return [values for part in value for values in _sliced(path, name, part, dims)]
 
 
-def _sliced(path: Path, name: str, array: Any, index: tuple[str | int, ...]) -> list[Array]:
+def _sliced(path: Path, name: str, array: Any, index: _Dims) -> list[Array]:
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub":
         what = f"values of type {array.dtype}" if isinstance(array, np.ndarray) else f"{array!r:.40}"
         raise ValueError(f"{path}: channel {name!r} holds {what}; expected an array of numbers")

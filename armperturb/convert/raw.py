@@ -64,8 +64,8 @@ def split_trials(path: Path, channels: Mapping[str, Array], number: str | None) 
             raise ValueError(
                 f"{path}: {number} = {name} again at sample {int(cuts[place - 1])}; expected each trial in one piece"
             )
-    bounds = [0, *cuts.tolist(), len(numbers)]
+    parts = {key: np.split(values, cuts) for key, values in channels.items() if key != number}
     return [
-        RawTrial(name=name, channels={key: values[first:last] for key, values in channels.items() if key != number})
-        for name, first, last in zip(names, bounds[:-1], bounds[1:], strict=True)
+        RawTrial(name=name, channels={key: of_trials[place] for key, of_trials in parts.items()})
+        for place, name in enumerate(names)
     ]

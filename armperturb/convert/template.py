@@ -38,8 +38,8 @@ MOVEMENT = (0.003, 0.5)
 """Between which the handle's path usually extends [m]."""
 
 
-def _check(field: str) -> str:
-    return f"{MEANINGS[field]} ({TABLES['origins'][field]})"
+CHECKS = {field: f"{MEANINGS[field]} ({origin})" for field, origin in TABLES["origins"].items()}
+"""Field that has to be filled in to what it means, and why its value is a guess."""
 
 
 class SidecarTemplate(NamedTuple):
@@ -107,7 +107,7 @@ def _guess(
     guessed: dict[str, str] = {}
     pairs: dict[str, dict[tuple[str, ...], dict[str, Column]]] = {name: {} for name in REQUIRED_SIGNALS}
     labels: dict[str, NDArray[Any]] = {}
-    trial = None
+    trial: NDArray[Any] | None = None
     for column in columns:
         words, unit = column.words()
         name = " ".join(words)
@@ -125,7 +125,7 @@ def _guess(
                 content["time"]["unit"] = _unit_of_times(column.values)
                 guessed["time.unit"] = "from the steps of the times"
         elif name in WORDS["trial"] and trial is None:
-            trial, content["trial"] = column, column.channel
+            trial, content["trial"] = column.values, column.channel
         else:
             stem, axis = axis_of(words)
             role = next(
@@ -138,14 +138,13 @@ def _guess(
             {"rate": OPEN, **content},
             {"rate": "the sampling rate in Hz, or instead of it the field time", **guessed},
         )
-    content["axes"], guessed["axes"] = {"x": "right", "y": "forward"}, _check("axes")
+    content["axes"], guessed["axes"] = {"x": "right", "y": "forward"}, CHECKS["axes"]
     others = ", ".join(column.channel for column in columns)
     content["signals"] = {
         name: _signal(name, [pair for pair in stems.values() if len(pair) == 2], others, guessed)
         for name, stems in pairs.items()
     }
-    numbers = None if trial is None else trial.values
-    _add_labels(path, labels, numbers, content, guessed)
+    _add_labels(path, labels, trial, content, guessed)
     if dialect != Dialect():
         content["csv"] = dialect._asdict()
     return content, guessed
@@ -212,7 +211,7 @@ def _add_labels(
     defaults |= {name: getattr(POSITION, name) for name in REQUIRED_LABELS if name not in defaults}
     for name in REQUIRED_LABELS:
         if name not in labels:
-            guessed[f"labels.{name}"] = _check(name)
+            guessed[f"labels.{name}"] = CHECKS[name]
     content["labels"] = {name: constant.get(name, value) for name, value in defaults.items() if name not in varying}
     content["labels"] |= constant
     if varying and numbers is not None:
@@ -234,7 +233,7 @@ def _settled(
     try:
         raw = read_trials(path, Sidecar.of(content, target))
     except ValueError as error:
-        guessed["signals.force.exerted_by"] = _check("exerted_by")
+        guessed["signals.force.exerted_by"] = CHECKS["exerted_by"]
         return [f"units and signs are unchecked: {error}"]
     units = [displacement["unit"]]
     if "signals.displacement.unit" in guessed:
@@ -260,5 +259,5 @@ def _settled(
         _, displacement["unit"], force["exerted_by"], note = min(passed)
         return [note]
     displacement["unit"], force["exerted_by"] = units[0], "handle"
-    guessed["signals.force.exerted_by"] = _check("exerted_by")
+    guessed["signals.force.exerted_by"] = CHECKS["exerted_by"]
     return [f"units and signs are unchecked{f': as guessed, {refused[0]}' if refused else ''}"]

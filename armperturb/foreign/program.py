@@ -347,11 +347,8 @@ def _limit(largest: int, seconds: float) -> None:
         return
     import resource
 
-    for what, limit in (
-        (resource.RLIMIT_AS, 4 * largest),
-        (resource.RLIMIT_CPU, math.ceil(seconds) + 1),
-        (resource.RLIMIT_CORE, 0),
-    ):
+    limits = {resource.RLIMIT_AS: 4 * largest, resource.RLIMIT_CPU: math.ceil(seconds) + 1, resource.RLIMIT_CORE: 0}
+    for what, limit in limits.items():
         hard = resource.getrlimit(what)[1]
         resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
