@@ -133,8 +133,7 @@ def draw_subject(
       ValueError: the preset is unknown.
       RuntimeError: no stable person was found, which only an odd environment can cause.
     """
-    if preset not in PRESETS:
-        raise ValueError(f"preset = {preset!r}; expected one of {', '.join(PRESETS)}")
+    require_one_of("draw_subject", "preset", preset, tuple(PRESETS))
     mean = PRESETS[preset]
     start = replace(mean, name=name or mean.name)
     return _draw_around(start, SPREAD[preset], np.random.default_rng(seed), environment or Environment())

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from armperturb.analysis.fit.thesis import VARTHETA, ThesisEstimate, appendix_e, fit_trials
+from armperturb.analysis.fit.thesis import VARTHETA, ThesisEstimate, fit_starts, fit_trials
 from armperturb.cohort import draw_cohort
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
@@ -54,7 +54,7 @@ def goodness(quantity: str, start: str) -> float:
 
 def main() -> None:
     recording = recordings()
-    as_published = appendix_e(recording)
+    as_published = fit_starts(recording, VARTHETA)
     to_the_end = {
         name: fit_trials(recording, "3b", initial=initial, as_published=False)
         for name, initial in VARTHETA.items()

@@ -46,9 +46,6 @@ def fitted(names, rng, stable=True):
         penalty=1.0,
         stable=stable,
         largest_real_pole=-1.0 if stable else 0.1,
-        n_starts=1,
-        n_starts_agree=1,
-        n_evaluations=1,
     )
 
 

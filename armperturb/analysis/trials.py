@@ -24,7 +24,7 @@ from armperturb.arrays import Array, Indices
 from armperturb.environment import Environment
 from armperturb.recording import check_recording
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_one_of
 
 APERIODIC = 1e-2
 """Share of its power by which a disturbance may differ from one period to the next [-]."""
@@ -108,8 +108,7 @@ class ConditionTrials:
                     "one person in one condition and posture"
                 )
             values[name] = distinct[0]
-        if values["task"] not in TASKS:
-            raise ValueError(f"recording: task = {values['task']!r}; expected one of {', '.join(TASKS)}")
+        require_one_of("recording", "task", values["task"], TASKS)
         del values["condition"]
         name = values.pop("subject")
         return replace(POSITION if values["task"] == "PT" else RELAX, name=name, **values)
@@ -334,14 +333,7 @@ class ConditionTrials:
           ValueError: there is no whole period, or a period is not a whole number of samples.
         """
         require_number("window", "window_start", window_start, at_least=0.0)
-        require_number("window", "period", period, above=0.0)
-        samples = period * self.rate
-        if abs(samples - round(samples)) > 1e-6 * samples:
-            raise ValueError(
-                f"rate = {self.rate:g} Hz; expected one at which the period of {period:g} s is a whole number of "
-                f"samples (it is {samples:.6g})"
-            )
-        n_period, first = round(samples), round(window_start * self.rate)
+        n_period, first = samples_of_period(period, self.rate), round(window_start * self.rate)
         n_periods = (self.first_onset - first) // n_period
         if n_periods < 1:
             raise ValueError(
@@ -356,6 +348,26 @@ Trials: TypeAlias = ConditionTrials | xr.Dataset
 
 SeveralTrials: TypeAlias = Trials | Sequence[Trials]
 """Trials of one person in one condition that may differ in length from recording to recording."""
+
+
+def samples_of_period(period: float, rate: float) -> int:
+    """Number of samples of a period.
+
+    Args:
+      period: [s].
+      rate: of the samples [Hz].
+
+    Raises:
+      ValueError: it is no whole number, or the period is not above 0.
+    """
+    require_number("analysis", "period", period, above=0.0)
+    samples = period * rate
+    if abs(samples - round(samples)) > 1e-6 * samples:
+        raise ValueError(
+            f"rate = {rate:g} Hz; expected one at which the period of {period:g} s is a whole number of samples "
+            f"(it is {samples:.6g})"
+        )
+    return round(samples)
 
 
 def prepared(trials: Trials) -> ConditionTrials:

@@ -39,9 +39,8 @@ def draw_multisine(
     if lines.ndim != 1 or lines.dtype.kind not in "iu" or len(np.unique(lines)) < len(lines):
         raise ValueError(f"draw_multisine: lines = {lines!r}; expected distinct whole numbers")
     if power.shape != (len(lines), 2) or not (np.isfinite(power).all() and (power >= 0.0).all()):
-        raise ValueError(
-            f"draw_multisine: power of shape {power.shape}; expected ({len(lines)}, 2) numbers of at least 0"
-        )
+        expected = f"({len(lines)}, 2) numbers of at least 0"
+        raise ValueError(f"draw_multisine: power of shape {power.shape}; expected {expected}")
     if not power.any(axis=0).all():
         raise ValueError("draw_multisine: power of an axis is zero at all lines; expected some")
     highest = n_period // 4 - 1

@@ -127,9 +127,7 @@ def load_perturbation(path: str | Path) -> Sampled:
       OSError: the file cannot be read.
     """
     values, line_numbers = _read_numbers(path)
-    times = values[:, 0]
-    rate = _uniform_rate(path, times, line_numbers)
-    return Sampled(force=values[:, 1:], rate=rate)
+    return Sampled(force=values[:, 1:], rate=_uniform_rate(path, values[:, 0], line_numbers))
 
 
 def _read_numbers(path: str | Path) -> tuple[np.ndarray, list[int]]:
@@ -146,14 +144,11 @@ def _read_numbers(path: str | Path) -> tuple[np.ndarray, list[int]]:
     if not lines:
         raise ValueError(f"{path}: the file is empty; expected the columns {expected}")
     header = [name.strip() for name in lines[0][1]]
-    for name in header:
-        if name not in COLUMNS:
-            raise ValueError(f"{path}, line {lines[0][0]}: unknown column {name!r}; expected the columns {expected}")
-        if header.count(name) > 1:
-            raise ValueError(f"{path}, line {lines[0][0]}: column {name!r} twice; expected the columns {expected}")
-    for name in COLUMNS:
-        if name not in header:
-            raise ValueError(f"{path}, line {lines[0][0]}: missing column {name!r}; expected the columns {expected}")
+    wrong = [f"unknown column {name!r}" for name in header if name not in COLUMNS]
+    wrong += [f"column {name!r} twice" for name in header if header.count(name) > 1]
+    wrong += [f"missing column {name!r}" for name in COLUMNS if name not in header]
+    if wrong:
+        raise ValueError(f"{path}, line {lines[0][0]}: {wrong[0]}; expected the columns {expected}")
     if len(lines) < 3:
         raise ValueError(f"{path}: rows = {len(lines) - 1}; expected at least 2 below the header")
 

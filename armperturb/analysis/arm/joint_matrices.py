@@ -9,10 +9,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armperturb.analysis.arm.parameters import (
-    GROUPS,
-    MATRIX,
-)
+from armperturb.analysis.arm.parameters import GROUPS, MATRIX
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 

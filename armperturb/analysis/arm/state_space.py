@@ -112,14 +112,8 @@ def largest_real_pole(subject: Subject, environment: Environment, strap: Strap |
 
     Source: sigma_max of eq. 2.21.
     """
-    if strap is not None:
-        return max(
-            float(np.linalg.eigvals(strapped_dynamics(arm, environment, strap)).real.max())
-            for arm in subject.linear_arms
-        )
-    return max(
-        float(LinearArm(arm, ()).poles(parameter_vector(arm), environment).real.max()) for arm in subject.linear_arms
-    )
+    dynamics = (_dynamics(arm, environment, strap) for arm in subject.linear_arms)
+    return max(float(np.linalg.eigvals(a).real.max()) for a in dynamics)
 
 
 def require_stable(subject: Subject, environment: Environment, strap: Strap | None = None) -> None:
@@ -142,15 +136,13 @@ def fastest_pole(subject: Subject, environment: Environment, strap: Strap | None
 
     Of a nonlinear arm, the largest among its `Subject.linear_arms`. With a strap, also of its poles.
     """
-    if strap is not None:
-        passive = np.r_[:8, N_STATES : N_STATES + 4]
-        return max(
-            float(np.abs(np.linalg.eigvals(strapped_dynamics(arm, environment, strap)[np.ix_(passive, passive)])).max())
-            for arm in subject.linear_arms
-        )
-    return max(
-        float(np.abs(np.linalg.eigvals(state_space(arm, environment).a[:8, :8])).max()) for arm in subject.linear_arms
-    )
+    dynamics = [_dynamics(arm, environment, strap) for arm in subject.linear_arms]
+    passive = np.r_[:8, N_STATES : len(dynamics[0])]
+    return max(float(np.abs(np.linalg.eigvals(a[np.ix_(passive, passive)])).max()) for a in dynamics)
+
+
+def _dynamics(arm: Subject, environment: Environment, strap: Strap | None) -> Array:
+    return state_space(arm, environment).a if strap is None else strapped_dynamics(arm, environment, strap)
 
 
 def _accumulated(added: Array, step: Array) -> Array:

@@ -27,7 +27,7 @@ from armperturb.analysis.fit.admittance_problem import (
     standard_error,
 )
 from armperturb.analysis.fit.linear_start import with_linear_part
-from armperturb.analysis.fit.structures import STRUCTURES, Structure, unit
+from armperturb.analysis.fit.structures import Structure, structure_of, unit
 from armperturb.analysis.numerics.trust_region import NOT_FINITE, minimise
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array
@@ -42,9 +42,6 @@ AT_BOUND = 1e-6
 
 PERFECT = 1e-16
 """A fit whose squared error per frequency is below this cannot be improved, and needs no other start."""
-
-SAME_MINIMUM = 1e-6
-"""Starts agree when their criteria differ by less than this share (or this much, for a perfect fit)."""
 
 _WHY_STOPPED = {
     NOT_FINITE: "not converged: the criterion is not finite at the start",
@@ -74,9 +71,6 @@ class AdmittanceFit(Result):
       penalty: factor p of eq. 2.21 at the estimate; one means that it did not act.
       stable: whether arm and environment are stable together.
       largest_real_pole: of arm and environment [1/s].
-      n_starts: how many starts were tried.
-      n_starts_agree: how many of them ended in the best minimum.
-      n_evaluations: of the model, all starts together.
     """
 
     structure: str
@@ -92,9 +86,6 @@ class AdmittanceFit(Result):
     penalty: float
     stable: bool
     largest_real_pole: float
-    n_starts: int
-    n_starts_agree: int
-    n_evaluations: int
 
     def describe(self) -> Description:
         """Estimates with the SEM of eq. 2.22, and how the search ended."""
@@ -152,7 +143,7 @@ def fit_admittance(
     target = Target(frequency=frequency, admittance=admittance, body=body, environment=environment, coherence=coherence)
     if as_published:
         return fit_admittances([target], [structure], initials=[initial], use_penalty=use_penalty, delay=delay)[0]
-    structure = _named(structure)
+    structure = structure_of(structure)
     batch = _Batch.of([target], [structure], delay)
     problem = checked_problem(target, structure, delay)
     first = _checked_initial(structure, initial)
@@ -163,22 +154,14 @@ def fit_admittance(
     if use_penalty and problem.penalty(best.x) > 1.0 + 1e-6:
         # An unstable start has no use for a criterion that its penalty dwarfs; a stable optimum competes, whatever its
         # penalty: without noise it is the minimum all the same.
-        stable = [values for values in starts if problem.penalty(values) < 1e3] or [_published(structure)]
+        stable = [values for values in starts if problem.penalty(values) < 1e3] or [_checked_initial(structure, None)]
         if problem.penalty(best.x) < penalty_factor(0.0):
             stable.insert(0, best.x)
         solutions = [least_squares(problem, stable[0], with_penalty=True)]
         if solutions[0].cost > PERFECT * len(problem.frequency):
             solutions += [least_squares(problem, values, with_penalty=True) for values in stable[1:]]
         best = min(solutions, key=lambda solution: solution.cost)
-    tolerance = SAME_MINIMUM * (best.cost + len(problem.frequency) * SAME_MINIMUM)
-    return batch.judge(
-        best.x[None],
-        [best.status],
-        [sum(solution.nfev for solution in solutions)],
-        use_penalty=use_penalty,
-        n_starts=len(solutions),
-        n_starts_agree=sum(bool(solution.cost - best.cost <= tolerance) for solution in solutions),
-    )[0]
+    return batch.judge(best.x[None], [best.status], use_penalty)[0]
 
 
 def fit_admittances(
@@ -209,7 +192,7 @@ def fit_admittances(
     """
     if not targets:
         return []
-    batch = _Batch.of(targets, [_named(structure) for structure in structures], delay)
+    batch = _Batch.of(targets, [structure_of(structure) for structure in structures], delay)
     problem, sizes = batch.problem, batch.sizes
     first = np.zeros_like(problem.lower)
     for row, structure, initial in zip(first, batch.structures, initials, strict=True):
@@ -227,17 +210,7 @@ def fit_admittances(
         sizes=sizes,
     )
     values = np.clip(search.x * scale, problem.lower, problem.upper)
-    return batch.judge(
-        values, search.status, search.n_evaluations, use_penalty=use_penalty, n_starts=1, n_starts_agree=1
-    )
-
-
-def _named(structure: Structure | str) -> Structure:
-    if not isinstance(structure, str):
-        return structure
-    if structure not in STRUCTURES:
-        raise ValueError(f"model = {structure!r}; expected one of {', '.join(STRUCTURES)}")
-    return STRUCTURES[structure]
+    return batch.judge(values, search.status, use_penalty)
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,7 +222,6 @@ class _Batch:
 
     bodies: tuple[Subject, ...]
     structures: tuple[Structure, ...]
-    environments: Environments
     problem: AdmittanceProblem
 
     @classmethod
@@ -272,20 +244,19 @@ class _Batch:
             return np.pad(values, width, constant_values=missing)
 
         bodies = tuple(target.body for target in targets)
-        environments = Environments.of([target.environment for target in targets])
         frequency = np.array([each.frequency for each in problems])
         problem = AdmittanceProblem(
             frequency,
             frequency_last(np.array([each.admittance for each in problems])),
             frequency_last(np.array([each.weight for each in problems])),
-            environments,
+            Environments.of([target.environment for target in targets]),
             LinearArm(bodies, frequency, delay),
             np.array([filled(each.mixing, 0.0) for each in problems]),
             np.array([each.constant for each in problems]),
             np.array([filled(each.lower, -1.0) for each in problems]),
             np.array([filled(each.upper, 1.0) for each in problems]),
         )
-        return cls(bodies, tuple(structures), environments, problem)
+        return cls(bodies, tuple(structures), problem)
 
     @property
     def sizes(self) -> NDArray[np.int64]:
@@ -294,20 +265,8 @@ class _Batch:
 
     def take(self, index: NDArray[np.int64]) -> Self:
         """Some of the problems, in this order."""
-        whole, environments = self.problem, self.environments.take(index)
-        problem = AdmittanceProblem(
-            whole.frequency[index],
-            frequency_last(whole.admittance[index]),
-            frequency_last(whole.weight[index]),
-            environments,
-            whole.model.take(index),
-            whole.mixing[index],
-            whole.constant[index],
-            whole.lower[index],
-            whole.upper[index],
-        )
         bodies, structures = (tuple(all_[i] for i in index) for all_ in (self.bodies, self.structures))
-        return type(self)(bodies, structures, environments, problem)
+        return type(self)(bodies, structures, self.problem.take(index))
 
     def require_identifiable(self, starts: Array) -> None:
         """Refuse a structure in which some direction of the parameters changes no response of a batch.
@@ -351,25 +310,13 @@ class _Batch:
             f"{', '.join(parts)} change no response; expected fewer free parameters"
         )
 
-    def judge(
-        self,
-        values: Array,
-        status: Sequence[int] | NDArray[np.int64],
-        n_evaluations: Sequence[int] | NDArray[np.int64],
-        *,
-        use_penalty: bool,
-        n_starts: int,
-        n_starts_agree: int,
-    ) -> list[AdmittanceFit]:
+    def judge(self, values: Array, status: Sequence[int] | NDArray[np.int64], use_penalty: bool) -> list[AdmittanceFit]:
         """The fits of a batch at its solutions, with all that a reader must know to trust them or not.
 
         Args:
           values: solutions, (batch, parameter).
           status: why each search stopped, see `trust_region`.
-          n_evaluations: of each.
           use_penalty: whether the criterion has one.
-          n_starts: of each.
-          n_starts_agree: of each.
         """
         lower, upper = self.problem.lower, self.problem.upper
         modulus, slope = self.problem.modulus_and_slope(values)
@@ -400,9 +347,6 @@ class _Batch:
                     penalty=float(factors[i]),
                     stable=bool(poles[i] < 0),
                     largest_real_pole=float(poles[i]),
-                    n_starts=n_starts,
-                    n_starts_agree=n_starts_agree,
-                    n_evaluations=int(n_evaluations[i]),
                 )
             )
         return fits
@@ -434,10 +378,6 @@ class _Published:
             return modulus * factor[:, None], slope
         slope *= self.scale[:, None]
         return modulus, slope
-
-
-def _published(structure: Structure) -> Array:
-    return np.array([structure.initial[name] for name in structure.free])
 
 
 def _checked_initial(structure: Structure, initial: Mapping[str, float] | None) -> Array:

@@ -1,8 +1,8 @@
 """Error of an arm model against an admittance, with its derivative and the penalty on instability (eqs 2.18-2.21)."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, get_args
+from typing import Any, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,7 @@ from armperturb.analysis.fit.structures import Structure
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 from armperturb.subject import Subject
+from armperturb.validation import require_one_of
 
 MAX_EVALUATIONS = 1000
 
@@ -93,6 +94,14 @@ class AdmittanceProblem:
         """Groups of arm parameters that any free parameter acts through, and the indices of theirs."""
         acting = np.abs(self.mixing).reshape(-1, *self.mixing.shape[-2:]).sum(axis=(0, 2)) > 0
         return groups_of(acting)
+
+    def take(self, index: NDArray[np.int64]) -> Self:
+        """Some of a batch, in this order."""
+        assert isinstance(self.environment, Environments)
+        rows = {name: getattr(self, name)[index] for name in ("frequency", "mixing", "constant", "lower", "upper")}
+        rows |= {name: frequency_last(getattr(self, name)[index]) for name in ("admittance", "weight")}
+        environment, model = self.environment.take(index), self.model.take(index)
+        return replace(self, environment=environment, model=model, latest_pole={}, **rows)
 
     def parameters(self, values: Array) -> Array:
         """Parameters of the arm from the free ones, (..., parameter)."""
@@ -252,8 +261,7 @@ def checked_problem(target: Target, structure: Structure, delay: Delay) -> Admit
         raise ValueError(f"admittance at {f[np.argwhere(h == 0)[0][0]]:g} Hz is 0; expected a response to fit")
     if (c < 0).any() or (c > 1).any():
         raise ValueError(f"coherence from {c.min():g} to {c.max():g}; expected 0 to 1")
-    if delay not in get_args(Delay):
-        raise ValueError(f"delay = {delay!r}; expected one of {', '.join(get_args(Delay))}")
+    require_one_of("fit_admittance", "delay", delay, get_args(Delay))
     if 8 * f.size <= len(structure.free):
         raise ValueError(f"{f.size} frequencies for {len(structure.free)} parameters; expected more frequencies")
     weight = np.broadcast_to(np.sqrt(c)[:, :, None], h.shape)

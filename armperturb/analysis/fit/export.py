@@ -14,14 +14,14 @@ from armperturb.files import write_csv, written_whole
 
 def fit_summary(identification: Identification) -> dict[str, Any]:
     """How the fit went, ready for JSON; a number that does not exist is None."""
-    fit = identification.fit
-    vaf_x, vaf_y = (float(v) if math.isfinite(v) else None for v in identification.vaf)
+    fit, environment = identification.fit, identification.environment
+    vaf_x, vaf_y, criterion = (float(v) if math.isfinite(v) else None for v in (*identification.vaf, fit.criterion))
     return {
         "model": fit.structure,
         "estimator": fit.estimator,
         "status": fit.message,
         "converged": fit.converged,
-        "criterion": fit.criterion if math.isfinite(fit.criterion) else None,
+        "criterion": criterion,
         "VAF_x": vaf_x,
         "VAF_y": vaf_y,
         "stable": fit.stable,
@@ -30,9 +30,9 @@ def fit_summary(identification: Identification) -> dict[str, Any]:
         "remarks": list(fit.remarks),
         **_estimator_summary(fit.detail),
         "environment": {
-            "m_env_kg": identification.environment.m_env,
-            "b_env_Ns_per_m": identification.environment.b_env,
-            "k_env_N_per_m": identification.environment.k_env,
+            "m_env_kg": environment.m_env,
+            "b_env_Ns_per_m": environment.b_env,
+            "k_env_N_per_m": environment.k_env,
         },
     }
 

@@ -7,20 +7,13 @@ from typing import Literal, Self
 import numpy as np
 
 from armperturb.analysis.defaults import WINDOW_START
-from armperturb.analysis.fit.likelihood import (
-    Likelihood,
-    PeriodLikelihood,
-    RecordLikelihood,
-    whitened,
-)
+from armperturb.analysis.fit.likelihood import Likelihood, PeriodLikelihood, RecordLikelihood, Signals, whitened
 from armperturb.analysis.fit.linear_start import linear_start
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.force_balance import EDGE
 from armperturb.analysis.response.spectra import averaged_spectra, line_spectra
 from armperturb.analysis.trials import ConditionTrials, Trials, per_trials, prepared
 from armperturb.arrays import Array
-from armperturb.environment import Environment
-from armperturb.subject import Subject
 from armperturb.validation import require_number
 
 Method = Literal["frequency", "record"]
@@ -53,21 +46,6 @@ class Group:
     initial: Array
     period: Likelihood
     record: Likelihood
-
-    @property
-    def label(self) -> str:
-        """The condition."""
-        return self.trials.label
-
-    @property
-    def body(self) -> Subject:
-        """Task, segment lengths and posture."""
-        return self.trials.body
-
-    @property
-    def environment(self) -> Environment:
-        """What the hand held, as identified from these trials."""
-        return self.trials.environment
 
     @classmethod
     def prepare(
@@ -107,12 +85,16 @@ class Group:
         require_number("Group", "settle", settle, at_least=0.0, at_most=end / rate - period)
         top = min(1.1 * float(lines.frequency[-1]), 0.45 * rate)
         last = first + n_period * max(1, (end - first) // n_period)
+
+        def signals(window: slice) -> Signals:
+            return Signals(d[:, window], white[:, window], body, environment, rate)
+
         return cls(
             trials=trials,
             structure=structure,
             initial=linear_start(spectra.frequency, spectra.arm, body, structure),
-            period=PeriodLikelihood(d[:, first:last], white[:, first:last], body, environment, rate, n_period, top),
-            record=RecordLikelihood(d[:, :end], white[:, :end], body, environment, rate, top, settle),
+            period=PeriodLikelihood(signals(slice(first, last)), n_period, top),
+            record=RecordLikelihood(signals(slice(end)), top, settle),
         )
 
 
@@ -122,9 +104,9 @@ def require_one_person(groups: Sequence[Group]) -> None:
     Raises:
       ValueError: there are such.
     """
-    labels = [group.label for group in groups]
+    labels = [group.trials.label for group in groups]
     for field in ("name", "l_h", "l_f", "theta_s_deg", "theta_e_deg"):
-        values = {getattr(group.body, field) for group in groups}
+        values = {getattr(group.trials.body, field) for group in groups}
         if len(values) > 1:
             raise ValueError(
                 f"the conditions {', '.join(labels)} differ in {field} ({', '.join(map(str, sorted(values)))}); "

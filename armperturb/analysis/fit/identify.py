@@ -15,7 +15,7 @@ from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
-from armperturb.analysis.fit.structures import STRUCTURES, Structure, unit
+from armperturb.analysis.fit.structures import Structure, structure_of, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, Wanted, fit_wanted
 from armperturb.analysis.measures.vaf import prediction_vaf
 from armperturb.analysis.response.frequency_response import Bands
@@ -324,9 +324,7 @@ def identify_conditions(
       ValueError: as `identify`; or the thesis's estimator is to share parameters, but fits each trial alone.
     """
     require_one_of("identify", "estimator", estimator, get_args(Estimator))
-    if isinstance(model, str):
-        require_one_of("identify", "model", model, list(STRUCTURES))
-        model = STRUCTURES[model]
+    model = structure_of(model)
     if estimator == "thesis" and share:
         raise ValueError(
             f"identify: share = {', '.join(share)}; expected nothing with estimator = 'thesis', which fits each trial "
@@ -351,80 +349,74 @@ def identify_conditions(
     else:
         groups = [Group.prepare(part, model, window_start=window_start, period=period) for part in conditions.values()]
         joint = estimate(groups, estimator, share=share)
-        fits = {group.label: _likely_fit(joint, group, spectra[group.label]) for group in groups}
+        fits = {group.trials.label: _likely_fit(joint, group, spectra[group.trials.label]) for group in groups}
     return Identifications(
         {
             label: Identification(
                 n_trials=conditions[label].n_trials,
                 spectra=spectra[label],
-                environment=environment,
+                environment=conditions[label].environment,
                 fit=fit,
-                vaf=prediction_vaf(conditions[label], fit.arm, environment).mean(axis=0),
+                vaf=prediction_vaf(conditions[label], fit.arm, conditions[label].environment).mean(axis=0),
             )
-            for label, (fit, environment) in fits.items()
+            for label, fit in fits.items()
         }
     )
 
 
 def _thesis_fit(
     result: ThesisEstimate, trials: ConditionTrials, structure: Structure, spectra: SpectralEstimate
-) -> tuple[ArmFit, Environment]:
+) -> ArmFit:
     """Means over trials, as published."""
     names, n_trials = result.parameters, len(result.fits)
     values, errors = result.values.mean(axis=0), result.sem.mean(axis=0)
-    arm = structure.arm(trials.body, values)
-    pole = largest_real_pole(arm, result.environment)
     remarks = [f"{name} sits on a bound in {count} of {n_trials} trials" for name, count in result.at_bound.items()]
     if result.n_stable < n_trials:
         remarks.append(f"{n_trials - result.n_stable} of {n_trials} trials give an unstable arm")
-    fit = ArmFit(
+    return ArmFit(
         estimator="thesis",
-        structure=result.structure,
-        condition=trials.label,
-        arm=arm,
-        mixing=structure.mixing,
         values=dict(zip(names, values.tolist(), strict=True)),
         standard_error=dict(zip(names, errors.tolist(), strict=True)),
         at_bound=tuple(result.at_bound),
         correlation=np.where(np.eye(len(names), dtype=bool), 1.0, np.nan),
         message=", ".join(f"{count} of {n_trials} trials {word}" for word, count in result.status.items()),
         converged=all(part.converged for part in result.fits),
-        stable=pole < 0.0,
-        largest_real_pole=pole,
-        criterion=_criterion(arm, spectra),
         remarks=tuple(remarks),
         detail=result,
+        **_about(structure.arm(trials.body, values), structure, trials, spectra),
     )
-    return fit, result.environment
 
 
-def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> tuple[ArmFit, Environment]:
+def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> ArmFit:
     """One condition's part of an estimate over several."""
-    label = {name: name if name in result.values else f"{name} [{group.label}]" for name in group.structure.free}
+    condition, names = group.trials.label, group.structure.free
+    label = {name: name if name in result.values else f"{name} [{condition}]" for name in names}
     rows = [list(result.values).index(name) for name in label.values()]
-    arm = result.arms[group.label]
-    pole = largest_real_pole(arm, group.environment)
-    fit = ArmFit(
+    return ArmFit(
         estimator=result.method,
-        structure=group.structure.name,
-        condition=group.label,
-        arm=arm,
-        mixing=group.structure.mixing,
-        values={name: result.values[label[name]] for name in label},
-        standard_error={name: result.standard_error[label[name]] for name in label},
-        at_bound=tuple(name for name in label if label[name] in result.at_bound),
+        values={name: result.values[label[name]] for name in names},
+        standard_error={name: result.standard_error[label[name]] for name in names},
+        at_bound=tuple(name for name in names if label[name] in result.at_bound),
         correlation=result.correlation[np.ix_(rows, rows)],
         message=result.message,
         converged=result.converged,
-        stable=pole < 0.0,
-        largest_real_pole=pole,
-        criterion=_criterion(arm, spectra),
         remarks=result.remarks,
         detail=result,
+        **_about(result.arms[condition], group.structure, group.trials, spectra),
     )
-    return fit, group.environment
 
 
-def _criterion(arm: Subject, spectra: SpectralEstimate) -> float:
+def _about(arm: Subject, structure: Structure, trials: ConditionTrials, spectra: SpectralEstimate) -> dict[str, Any]:
+    """What any estimator's `ArmFit` holds of an arm."""
+    pole = largest_real_pole(arm, trials.environment)
     error = np.abs(np.log(spectra.arm / arm_admittance(arm, spectra.frequency))) ** 2
-    return float(np.mean(spectra.coherence[:, :, None] * error)) if np.isfinite(error).all() else math.inf
+    criterion = float(np.mean(spectra.coherence[:, :, None] * error)) if np.isfinite(error).all() else math.inf
+    return {
+        "structure": structure.name,
+        "condition": trials.label,
+        "arm": arm,
+        "mixing": structure.mixing,
+        "stable": pole < 0.0,
+        "largest_real_pole": pole,
+        "criterion": criterion,
+    }

@@ -7,11 +7,8 @@ from numpy.typing import ArrayLike
 
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.fit.group import Group, Method
-from armperturb.analysis.fit.likelihood import (
-    LackOfFit,
-    Normal,
-)
-from armperturb.analysis.fit.structures import unit
+from armperturb.analysis.fit.likelihood import LackOfFit, Normal
+from armperturb.analysis.fit.structures import PUBLISHED, unit
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -24,18 +21,7 @@ SINGULAR = 1e-12
 PART_OF = 1e-3
 """Share of a direction of parameters from which on a parameter belongs to it [-]."""
 
-SHARES: Mapping[str, tuple[str, ...]] = {
-    "mass": ("m_h", "m_f", "m_tot"),
-    "damping": ("b_s", "b_se", "b_e"),
-    "stiffness": ("k_s", "k_se", "k_e"),
-    "velocity": ("kv_s", "kv_se", "kv_e"),
-    "position": ("kp_s", "kp_se", "kp_e"),
-    "acceleration": ("ka_s", "ka_se", "ka_e"),
-    "force": ("kf_s", "kf_se", "kf_e"),
-    "delay": ("Td_s", "Td_e"),
-    "cutoff": ("fact_s", "fact_e"),
-    "grip": ("b_h", "k_h"),
-}
+SHARES: Mapping[str, list[str]] = PUBLISHED["shares"]
 """Names for parameters that are shared together; single ones are named as they are."""
 
 
@@ -51,7 +37,7 @@ class JointLikelihood:
         for group in self.groups:
             mine = []
             for name in group.structure.free:
-                label = name if len(self.groups) == 1 or name in shared else f"{name} [{group.label}]"
+                label = name if len(self.groups) == 1 or name in shared else f"{name} [{group.trials.label}]"
                 if label not in self.names:
                     self.names.append(label)
                 mine.append(self.names.index(label))
@@ -90,21 +76,21 @@ class JointLikelihood:
     def parameters(self, values: Array) -> list[Array]:
         """Parameters of the arm in each group."""
         return [
-            group.structure.parameters(group.body.task, values[columns])
+            group.structure.parameters(group.trials.body.task, values[columns])
             for group, columns in zip(self.groups, self.columns, strict=True)
         ]
 
     def arms(self, values: Array) -> list[Subject]:
         """The arm of each group."""
         return [
-            group.structure.arm(group.body, values[columns])
+            group.structure.arm(group.trials.body, values[columns])
             for group, columns in zip(self.groups, self.columns, strict=True)
         ]
 
     def pole(self, values: Array) -> float:
         """Largest real part of a pole of any arm on its environment [1/s]."""
         arms = zip(self.arms(values), self.groups, strict=True)
-        return max(largest_real_pole(arm, group.environment) for arm, group in arms)
+        return max(largest_real_pole(arm, group.trials.environment) for arm, group in arms)
 
     def weigh(self, values: Array) -> None:
         """Estimate the noise at these parameters; it holds until the next call."""
@@ -215,7 +201,7 @@ def shared_names(groups: Sequence[Group], share: Sequence[str]) -> set[str]:
     known = {name for group in groups for name in group.structure.free}
     shared: set[str] = set()
     for name in share:
-        names = [member for member in SHARES.get(name, (name,)) if member in known]
+        names = [member for member in SHARES.get(name, [name]) if member in known]
         if not names:
             raise ValueError(f"share: {name!r} is no free parameter; expected {', '.join((*SHARES, *sorted(known)))}")
         shared.update(names)

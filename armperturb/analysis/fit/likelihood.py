@@ -60,6 +60,24 @@ class Normal(NamedTuple):
     information: Array
 
 
+class Signals(NamedTuple):
+    """What trials of one condition hold, and what the hand holds in them.
+
+    Attributes:
+      perturbation: d [N], (trial, time, axis).
+      displacement: whitened, of the same time, (trial, time, axis).
+      body: gives segment lengths, posture and damping of the activation filter.
+      environment: what the hand holds.
+      rate: of the samples [Hz].
+    """
+
+    perturbation: Array
+    displacement: Array
+    body: Subject
+    environment: Environment
+    rate: float
+
+
 class LackOfFit(NamedTuple):
     """What is left in the residual that the disturbance explains.
 
@@ -100,10 +118,8 @@ class Likelihood:
     Values are the parameters of an arm in the order of `arm_model.PARAMETERS`.
 
     Args:
-      body: gives segment lengths, posture and damping of the activation filter.
-      environment: what the hand holds.
+      signals: of the trials.
       frequency: of the residual, evenly spaced [Hz], (frequency,).
-      rate: of the samples [Hz].
       force: DFT of d at these frequencies, (trial, axis, frequency).
       observed: DFT of the whitened displacement, (trial, axis, frequency).
       answering: indices of the frequencies at which an arm answers at all; the others hold noise alone, and tell how
@@ -112,16 +128,14 @@ class Likelihood:
 
     def __init__(
         self,
-        body: Subject,
-        environment: Environment,
+        signals: Signals,
         frequency: Array,
-        rate: float,
         force: ComplexArray,
         observed: ComplexArray,
         answering: Indices | slice,
     ) -> None:
-        self._arm, self._environment = LinearArm(body, frequency), environment
-        self._filter = whitening(frequency, rate)
+        self._arm, self._environment = LinearArm(signals.body, frequency), signals.environment
+        self._filter = whitening(frequency, signals.rate)
         self._answering = answering
         self._force, self._observed = force[..., answering], observed[..., answering]
         self._quiet = np.ones(len(frequency), dtype=bool)
@@ -213,39 +227,26 @@ class PeriodLikelihood(Likelihood):
     """Likelihood of the mean of whole periods, in which the response to the disturbance is periodic.
 
     Args:
-      perturbation: d over whole periods [N], (trial, time, axis).
-      displacement: whitened, of the same time, (trial, time, axis).
-      body: gives segment lengths, posture and damping of the activation filter.
-      environment: what the hand holds.
-      rate: of the samples [Hz].
+      signals: of whole periods.
       n_period: samples of a period.
       top: highest frequency that counts [Hz].
     """
 
-    def __init__(
-        self,
-        perturbation: Array,
-        displacement: Array,
-        body: Subject,
-        environment: Environment,
-        rate: float,
-        n_period: int,
-        top: float,
-    ) -> None:
-        frequency = fft.rfftfreq(n_period, 1.0 / rate)
+    def __init__(self, signals: Signals, n_period: int, top: float) -> None:
+        frequency = fft.rfftfreq(n_period, 1.0 / signals.rate)
         used = slice(1, int(np.searchsorted(frequency, top)))
 
         def spectrum(values: Array) -> ComplexArray:
             mean = values.reshape(len(values), -1, n_period, 2).mean(axis=1)
             return np.asarray(fft.rfft(mean, axis=1)[:, used].swapaxes(1, 2))
 
-        force = spectrum(perturbation)
+        force = spectrum(signals.perturbation)
         power = np.sum(np.abs(force) ** 2, axis=(0, 1))
         # Lines without disturbance hold noise alone, which is why they are here.
         excited = np.flatnonzero(power > EXCITED_POWER * power.max())
         force[..., power <= EXCITED_POWER * power.max()] = 0.0
-        super().__init__(body, environment, frequency[used], rate, force, spectrum(displacement), excited)
-        self._model = LinearArm(body, frequency[used][excited])
+        super().__init__(signals, frequency[used], force, spectrum(signals.displacement), excited)
+        self._model = LinearArm(signals.body, frequency[used][excited])
         self._load = force[..., excited] * self._filter[excited]
 
     def _predicted(self, values: Array) -> ComplexArray:
@@ -261,29 +262,17 @@ class RecordLikelihood(Likelihood):
     """Likelihood of the whole record.
 
     Args:
-      perturbation: d [N], (trial, time, axis).
-      displacement: whitened, (trial, time, axis).
-      body: gives segment lengths, posture and damping of the activation filter.
-      environment: what the hand holds.
-      rate: of the samples [Hz].
+      signals: of the whole record.
       top: highest frequency that counts [Hz].
       settle: time at the start that is not judged [s]; 0 for records that start at rest. A response to what came before
         the record must have died away by then.
     """
 
-    def __init__(
-        self,
-        perturbation: Array,
-        displacement: Array,
-        body: Subject,
-        environment: Environment,
-        rate: float,
-        top: float,
-        settle: float,
-    ) -> None:
+    def __init__(self, signals: Signals, top: float, settle: float) -> None:
+        rate, force = signals.rate, signals.perturbation.swapaxes(1, 2)
         n_taper = round(TAPER * rate)
-        self._judged = slice(round(settle * rate), perturbation.shape[1])
-        self._n_padded = fft.next_fast_len(2 * perturbation.shape[1], real=True)
+        self._judged = slice(round(settle * rate), force.shape[-1])
+        self._n_padded = fft.next_fast_len(2 * force.shape[-1], real=True)
         fade = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_taper) + 0.5) / n_taper)
         self._taper = np.ones(self._judged.stop - self._judged.start)
         self._taper[-n_taper:] = fade[::-1]
@@ -291,20 +280,13 @@ class RecordLikelihood(Likelihood):
             self._taper[:n_taper] *= fade
         frequency = fft.rfftfreq(len(self._taper), 1.0 / rate)
         self._used = slice(1, int(np.searchsorted(frequency, top)))
-        super().__init__(
-            body,
-            environment,
-            frequency[self._used],
-            rate,
-            self._spectrum(perturbation.swapaxes(1, 2)),
-            self._spectrum(displacement.swapaxes(1, 2)),
-            slice(None),
-        )
+        observed = self._spectrum(signals.displacement.swapaxes(1, 2))
+        super().__init__(signals, frequency[self._used], self._spectrum(force), observed, slice(None))
         fine = fft.rfftfreq(self._n_padded, 1.0 / rate)
         fine = fine[: np.searchsorted(fine, min(1.3 * top, 0.5 * rate))]
         # A model cannot be asked at zero frequency, where powers of it stand in denominators.
-        self._model = LinearArm(body, np.maximum(fine, 1e-6))
-        load = fft.rfft(perturbation.swapaxes(1, 2), self._n_padded, axis=-1)[..., : len(fine)]
+        self._model = LinearArm(signals.body, np.maximum(fine, 1e-6))
+        load = fft.rfft(force, self._n_padded, axis=-1)[..., : len(fine)]
         self._load = load * whitening(fine, rate)
 
     def _spectrum(self, values: Array) -> ComplexArray:

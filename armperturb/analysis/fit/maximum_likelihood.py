@@ -15,15 +15,13 @@ from scipy import optimize
 
 from armperturb.analysis.fit.group import Group, Method, require_one_person
 from armperturb.analysis.fit.joint_likelihood import PART_OF, SINGULAR, JointLikelihood, scaled_information
-from armperturb.analysis.fit.likelihood import (
-    LackOfFit,
-    Normal,
-)
+from armperturb.analysis.fit.likelihood import LackOfFit, Normal
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.force_balance import Skew
 from armperturb.analysis.results import Description, FitResult, parameter_table
 from armperturb.arrays import Array
 from armperturb.subject import Subject
+from armperturb.validation import require_one_of
 
 MAX_ROUNDS = 60
 """Gauss-Newton steps after which a search ends in any case."""
@@ -171,8 +169,7 @@ def estimate(
       ValueError: there is no group, groups differ in person or posture, a shared name is unknown, an initial value is
         unknown or outside its bounds, or no data identify the structure; the message names the direction.
     """
-    if method not in get_args(Method):
-        raise ValueError(f"method = {method!r}; expected one of {', '.join(get_args(Method))}")
+    require_one_of("estimate", "method", method, get_args(Method))
     if not groups:
         raise ValueError("groups is empty; expected the trials of at least one condition")
     require_one_person(groups)
@@ -300,7 +297,7 @@ def _judge(problem: JointLikelihood, method: Method, search: _Search) -> Estimat
         standard_error=dict(zip(names, error.tolist(), strict=True)),
         correlation=correlation,
         at_bound=tuple(name for name, hit in zip(names, near, strict=True) if hit),
-        arms={group.label: arm for group, arm in zip(problem.groups, problem.arms(values), strict=True)},
+        arms={group.trials.label: arm for group, arm in zip(problem.groups, problem.arms(values), strict=True)},
         message=search.status,
         remarks=(),
         converged=search.converged,
@@ -310,6 +307,6 @@ def _judge(problem: JointLikelihood, method: Method, search: _Search) -> Estimat
         dof=fit.dof,
         objective=objective,
         n_rounds=search.n_rounds,
-        skew={group.label: group.trials.skew for group in problem.groups},
+        skew={group.trials.label: group.trials.skew for group in problem.groups},
     )
     return replace(result, remarks=_remarks(result))

@@ -14,22 +14,12 @@ from numpy.typing import ArrayLike
 from armperturb.analysis.arm.parameters import PARAMETERS, parameter_vector
 from armperturb.arrays import Array
 from armperturb.subject import TASKS, Subject
+from armperturb.validation import require_one_of
 
 Bounds = tuple[float, float]
 
-UNITS = {
-    "m": "kg",
-    "b": "Nms/rad",
-    "k": "Nm/rad",
-    "kv": "Nms/rad",
-    "kp": "Nm/rad",
-    "ka": "Nms^2/rad",
-    "kf": "-",
-    "Td": "s",
-    "fact": "Hz",
-}
-GRIP_UNITS = {"b_h": "Ns/m", "k_h": "N/m"}
-
+PUBLISHED = tomllib.loads(resources.files(__package__).joinpath("structures.toml").read_text(encoding="utf-8"))
+"""Tables of the file beside this module."""
 _DEFAULTS = {each.name: each.default for each in fields(Subject) if isinstance(each.default, float)}
 _AT_LEAST_ZERO = ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e", "b_h")
 _ABOVE_ZERO = ("m_h", "m_f", "k_h", "Td_s", "Td_e", "fact_s", "fact_e")
@@ -37,7 +27,8 @@ _ABOVE_ZERO = ("m_h", "m_f", "k_h", "Td_s", "Td_e", "fact_s", "fact_e")
 
 def unit(parameter: str) -> str:
     """SI unit of a parameter."""
-    return GRIP_UNITS.get(parameter) or UNITS[parameter.partition("_")[0]]
+    units = PUBLISHED["units"]
+    return str(units.get(parameter) or units[parameter.partition("_")[0]])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -254,12 +245,9 @@ class Structure:
         }
 
 
-_PUBLISHED = tomllib.loads(resources.files(__package__).joinpath("structures.toml").read_text(encoding="utf-8"))
-
-
 def _published(name: str) -> Structure:
     """A structure of the file beside this module."""
-    table = _PUBLISHED["structures"][name]
+    table = PUBLISHED["structures"][name]
     return Structure(
         name=name,
         bounds={parameter: (lower, upper) for parameter, (lower, _, upper) in table["free"].items()},
@@ -272,12 +260,22 @@ def _published(name: str) -> Structure:
 MODEL_3_WIDE = _published("3 (D.2)")
 """Model 3 with the bounds of table D.2."""
 
-STRUCTURES = MappingProxyType(
-    {name: _published(name) for name in _PUBLISHED["structures"] if name != MODEL_3_WIDE.name}
-)
+STRUCTURES = MappingProxyType({name: _published(name) for name in PUBLISHED["structures"] if name != MODEL_3_WIDE.name})
 """Structures by name. 1 to 6 are those of table C.1: intrinsic and grip (1), with velocity (2), velocity and position
 (3) feedback, and with force (4), acceleration (5) or both (6) beside these. 3a and 3b are those of appendix E: total
 mass, velocity and position feedback, with (3a) and without (3b) negative gains; grip, delay and cut-off fixed."""
+
+
+def structure_of(model: Structure | str) -> Structure:
+    """A structure, or the one of that name.
+
+    Raises:
+      ValueError: there is none of that name.
+    """
+    if isinstance(model, str):
+        require_one_of("structure", "model", model, list(STRUCTURES))
+        return STRUCTURES[model]
+    return model
 
 
 def published_starts(appendix: str, structure: Structure) -> Mapping[str, Mapping[str, float]]:
@@ -287,7 +285,7 @@ def published_starts(appendix: str, structure: Structure) -> Mapping[str, Mappin
       appendix: "D" or "E".
       structure: whose free parameters the file lists.
     """
-    starts = _PUBLISHED["starts"][appendix].items()
+    starts = PUBLISHED["starts"][appendix].items()
     return MappingProxyType({name: dict(zip(structure.free, values, strict=True)) for name, values in starts})
 
 

@@ -11,9 +11,8 @@ the start. With `as_published=False` all starts of appendix E end in the same mi
 two (`benchmarks.thesis_sem`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -133,18 +132,13 @@ class ThesisEstimate(Result):
           per_trial: e.g. `values` or `sem`, (trial, ...).
         """
         subjects = np.array(self.subjects)
-        means = np.array([per_trial[subjects == name].mean(axis=0) for name in dict.fromkeys(self.subjects)])
-        spread = means.std(axis=0, ddof=1) if len(means) > 1 else np.full(means.shape[1:], np.nan)
-        return means.mean(axis=0), np.asarray(spread)
+        return _mean_and_sd(
+            np.array([per_trial[subjects == name].mean(axis=0) for name in dict.fromkeys(self.subjects)])
+        )
 
     def mean_vaf(self) -> tuple[Array, Array]:
         """Mean and SD over trials with a positive VAF [%], (axis,) each; NaN without any (tables C.5 to E.5)."""
-        positive = self.vaf[self.positive]
-        if not len(positive):
-            return np.full(2, np.nan), np.full(2, np.nan)
-        return positive.mean(axis=0), np.asarray(
-            positive.std(axis=0, ddof=1) if len(positive) > 1 else np.full(2, np.nan)
-        )
+        return _mean_and_sd(self.vaf[self.positive])
 
     def means(self) -> dict[str, float]:
         """Group means, from which another fit may start (step 2 of appendix C)."""
@@ -166,6 +160,13 @@ class ThesisEstimate(Result):
                 "sem_over_value": np.divide(np.abs(sem), np.abs(mean), out=np.full_like(sem, np.inf), where=mean != 0),
             }
         )
+
+
+def _mean_and_sd(values: Array) -> tuple[Array, Array]:
+    """Over the first axis; NaN where there are too few for one."""
+    unknown = np.full(values.shape[1:], np.nan)
+    spread = values.std(axis=0, ddof=1) if len(values) > 1 else unknown
+    return values.mean(axis=0) if len(values) else unknown, np.asarray(spread)
 
 
 @per_trials
@@ -239,12 +240,8 @@ def fit_wanted(
         else:
             fitted = [
                 fit_admittance(
-                    target.frequency,
-                    target.admittance,
-                    target.body,
-                    wanted[i].structure,
-                    target.environment,
-                    coherence=target.coherence,
+                    **vars(target),
+                    structure=wanted[i].structure,
                     initial=wanted[i].initial,
                     use_penalty=use_penalty,
                     delay=delay,
@@ -302,80 +299,35 @@ def join_estimates(estimates: Sequence[ThesisEstimate]) -> ThesisEstimate:
     )
 
 
-def appendix_c(
-    first: Trials,
-    conditions: Mapping[str, Trials],
-    models: Sequence[Structure | str] = tuple("123456"),
-    **options: Any,
-) -> dict[str, tuple[ThesisEstimate, dict[str, ThesisEstimate]]]:
-    """Six structures in two steps (appendix C, tables C.3 to C.22).
-
-    Step 1 fits every trial of one condition without penalty; step 2 fits every trial of every condition with penalty,
-    from the group means of step 1. Where step 1 started, "realistic values obtained from the literature", is not
-    printed; here it starts from the structure's own start.
-
-    Args:
-      first: trials of the condition of step 1: PT7.5 for the position task, RT7.5 for the relax task.
-      conditions: name to trials of each condition of step 2, of the same task.
-      models: structures, or their names.
-      **options: of `fit_wanted`, but for use_penalty.
-
-    Returns:
-      Name of the structure to step 1, and to step 2 by condition.
-
-    Raises:
-      ValueError: a recording is refused, or as `fit_wanted`.
-    """
-    start = prepared(first)
-    ready = {name: start if part is first else prepared(part) for name, part in conditions.items()}
-    ones = fit_wanted([Wanted(start, model) for model in models], use_penalty=False, **options)
-    of_step_2 = [
-        Wanted(part, model, estimate.means())
-        for model, estimate in zip(models, ones, strict=True)
-        for part in ready.values()
-    ]
-    twos = iter(fit_wanted(of_step_2, **options))
-    return {step_1.structure: (step_1, dict(zip(ready, islice(twos, len(ready)), strict=True))) for step_1 in ones}
-
-
-def appendix_d(trials: Trials, **options: Any) -> dict[str, ThesisEstimate]:
-    """Model 3 with the bounds of table D.2 from theta_i1 to theta_i6, with penalty (appendix D, tables D.3 to D.5).
-
-    Args:
-      trials: of PT7.5, or their recording.
-      **options: of `fit_wanted`.
-
-    Returns:
-      Name of the start to its estimate.
-
-    Raises:
-      ValueError: the recording is refused, or as `fit_wanted`.
-    """
-    ready = prepared(trials)
-    fitted = fit_wanted([Wanted(ready, MODEL_3_WIDE, initial) for initial in THETA.values()], **options)
-    return dict(zip(THETA, fitted, strict=True))
-
-
-def appendix_e(trials: Trials, **options: Any) -> dict[str, ThesisEstimate]:
-    """Model 3a from vartheta_i1 and model 3b from vartheta_i2 to vartheta_i6 (appendix E, tables E.3 to E.5).
-
-    Args:
-      trials: of PT7.5, or their recording.
-      **options: of `fit_wanted`.
-
-    Returns:
-      Name of the start to its estimate.
-
-    Raises:
-      ValueError: the recording is refused, or as `fit_wanted`.
-    """
-    ready = prepared(trials)
-    wanted = [Wanted(ready, "3a" if name == "vartheta_i1" else "3b", initial) for name, initial in VARTHETA.items()]
-    return dict(zip(VARTHETA, fit_wanted(wanted, **options), strict=True))
-
-
 THETA = published_starts("D", MODEL_3_WIDE)
 """Initial parameter vectors of appendix D, SI (table D.3, in italics)."""
 
 VARTHETA = published_starts("E", STRUCTURES["3b"])
 """Initial parameter vectors of appendix E, SI (table E.3, in italics)."""
+
+STARTS: Mapping[str, tuple[Structure | str, Mapping[str, float]]] = {
+    **{name: (MODEL_3_WIDE, initial) for name, initial in THETA.items()},
+    **{name: ("3a" if name == "vartheta_i1" else "3b", initial) for name, initial in VARTHETA.items()},
+}
+"""Start of appendix D or E to the structure that is fitted from it, and the start."""
+
+
+def fit_starts(trials: Trials, starts: Iterable[str], **options: Any) -> dict[str, ThesisEstimate]:
+    """Fits from the published starts, with penalty.
+
+    From `THETA` that is model 3 with the bounds of table D.2 (appendix D, tables D.3 to D.5); from `VARTHETA` model 3a
+    from the first start and model 3b from the others (appendix E, tables E.3 to E.5).
+
+    Args:
+      trials: of PT7.5, or their recording.
+      starts: names in `STARTS`.
+      **options: of `fit_wanted`.
+
+    Returns:
+      Name of the start to its estimate.
+
+    Raises:
+      ValueError: the recording is refused, or as `fit_wanted`.
+    """
+    ready, names = prepared(trials), list(starts)
+    return dict(zip(names, fit_wanted([Wanted(ready, *STARTS[name]) for name in names], **options), strict=True))

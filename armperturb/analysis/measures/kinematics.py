@@ -17,8 +17,6 @@ to 160 deg/s that are measured. So the cut-off may be where the perturbation end
 lose 0.4 % at 5 Hz and 1.6 % at 10 Hz, little as joints move mostly below.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
@@ -32,18 +30,6 @@ CUTOFF = 40.0
 
 ORDER = 4
 """Order of the Butterworth low-pass, which is run forth and back."""
-
-
-class KinematicsError(NamedTuple):
-    """How far rotations from the handle's path are from the joints' own.
-
-    Attributes:
-      rms: root mean square over the trial [rad], (trial, joint).
-      peak: largest size [rad], (trial, joint).
-    """
-
-    rms: Array
-    peak: Array
 
 
 def hand_position(angle: ArrayLike, l_h: ArrayLike, l_f: ArrayLike) -> Array:
@@ -142,26 +128,6 @@ def joint_rotations(recording: xr.Dataset, *, shoulder: ArrayLike | None = None)
       ValueError: a handle is out of reach, or shoulder has another shape.
     """
     return _rotations(recording, hand_path(recording, shoulder=shoulder))
-
-
-def kinematics_error(recording: xr.Dataset, *, shoulder: ArrayLike | None = None) -> KinematicsError:
-    """How far `joint_rotations` are from the true rotations, up to where a trial reaches the workspace limit.
-
-    Args:
-      recording: simulated trials, with `joint_angle`.
-      shoulder: as in `hand_path`.
-
-    Raises:
-      ValueError: there are no true angles, a handle is out of reach before any limit, or shoulder has another shape.
-    """
-    true = true_rotations(recording)
-    time = np.arange(recording.sizes["time"]) / float(recording.attrs["rate"])
-    counts = ~(time >= recording["limit_time"].values[:, None])[..., None]
-    path = hand_path(recording, shoulder=shoulder)
-    rotation = _rotations(recording, np.where(counts, path, path[:, :1]))
-    error = np.where(counts, _shorter_way(rotation - true), 0.0)
-    rms = np.sqrt(np.sum(error**2, axis=1) / counts.sum(axis=1))
-    return KinematicsError(rms, np.abs(error).max(axis=1))
 
 
 def true_rotations(recording: xr.Dataset) -> Array:

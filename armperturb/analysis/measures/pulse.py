@@ -4,6 +4,7 @@ Displacement and force are taken as they are recorded, from the start of the tri
 so are those of the model: a multisine's last movement is part of both.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from armperturb.analysis.cuts import limit_samples, onset_samples
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
+from armperturb.validation import require_one_of
 
 WINDOWS = {"PT": 0.3, "RT": 1.0}
 """Task to the time after a pulse's onset in which the peaks are looked for [s]."""
@@ -47,8 +49,7 @@ def pulse_span(recording: xr.Dataset, trial: int) -> slice:
     if np.isnan(onset):
         raise ValueError(f"trial {trial} has no pulse; expected one with a pulse_onset")
     task = str(recording["task"].values[trial])
-    if task not in WINDOWS:
-        raise ValueError(f"trial {trial}: task = {task!r}; expected one of {', '.join(WINDOWS)}")
+    require_one_of(f"trial {trial}", "task", task, list(WINDOWS))
     rate = float(recording.attrs["rate"])
     first = int(onset_samples(recording)[trial])
     last = first + round(WINDOWS[task] * rate)
@@ -72,14 +73,20 @@ def peak_norm(vectors: Array) -> float:
     return float(np.linalg.norm(vectors, axis=-1).max())
 
 
-def pulse_peaks(recording: xr.Dataset) -> PulsePeaks:
-    """Peak displacement and peak hand reaction force after each pulse. Source: thesis 2.8."""
-    peaks = np.full((2, recording.sizes["trial"]), np.nan)
+def _spans(recording: xr.Dataset) -> Iterator[tuple[int, slice]]:
+    """Trials that have a `pulse_span`, and that."""
     for trial in range(recording.sizes["trial"]):
         try:
             span = pulse_span(recording, trial)
         except ValueError:
             continue
+        yield trial, span
+
+
+def pulse_peaks(recording: xr.Dataset) -> PulsePeaks:
+    """Peak displacement and peak hand reaction force after each pulse. Source: thesis 2.8."""
+    peaks = np.full((2, recording.sizes["trial"]), np.nan)
+    for trial, span in _spans(recording):
         for row, name in zip(peaks, ("displacement", "force"), strict=True):
             row[trial] = peak_norm(recording[name].values[trial, span])
     return PulsePeaks(*peaks)
@@ -102,11 +109,7 @@ def predicted_peaks(recording: xr.Dataset, arm: Subject, environment: Environmen
     """
     peaks = np.full(recording.sizes["trial"], np.nan)
     stable = largest_real_pole(arm, environment) < 0
-    for trial in range(len(peaks)):
-        try:
-            samples = pulse_span(recording, trial)
-        except ValueError:
-            continue
+    for trial, samples in _spans(recording):
         if not stable:
             peaks[trial] = np.inf
             continue

@@ -14,12 +14,7 @@ from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.nonlinear.choice import Choice, compare_laws
 from armperturb.analysis.nonlinear.estimate import N_PAIRS, N_PAIRS_OF_ERRORS, fit, nearest_arms
 from armperturb.analysis.nonlinear.model import Law, Model
-from armperturb.analysis.nonlinear.prediction import (
-    PulsePrediction,
-    facts_of,
-    predict_pulses,
-    predict_pulses_linearly,
-)
+from armperturb.analysis.nonlinear.prediction import PulsePrediction, facts_of, predict_pulses, predict_pulses_linearly
 from armperturb.analysis.nonlinear.result import NonlinearEstimate
 from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets

@@ -81,6 +81,7 @@ class _Model(NamedTuple):
     step_back: Array
 
 
+@np.errstate(all="ignore")  # what overflows or divides by zero is dealt with where it is used
 def minimise(
     problems: Problems,
     start: ArrayLike,
@@ -114,23 +115,8 @@ def minimise(
         where = tuple(np.argwhere(~(lower < upper))[0])
         raise ValueError(f"bounds = {lower[where]:g} to {upper[where]:g}; expected a lower below an upper bound")
     limits = np.broadcast_to(np.asarray(max_nfev), len(first))
-    used = np.broadcast_to(first.shape[1] if sizes is None else np.asarray(sizes), len(first))
-    # What overflows or divides by zero is dealt with where it is used.
-    with np.errstate(all="ignore"):
-        return _minimise(problems, first, lower, upper, ftol, xtol, limits, used)
-
-
-def _minimise(
-    problems: Problems,
-    start: Array,
-    lower: Array,
-    upper: Array,
-    ftol: float,
-    xtol: float,
-    limits: NDArray[np.int64],
-    sizes: NDArray[np.int64],
-) -> Minimum:
-    x = _inside(start, lower, upper, INSIDE)
+    sizes = np.broadcast_to(first.shape[1] if sizes is None else np.asarray(sizes), len(first))
+    x = _inside(first, lower, upper, INSIDE)
     cost, gradient, hessian = _squares(*problems.evaluate(x))
     distance, _ = _distance(x, gradient, lower, upper)
     radius = _norm(x / np.sqrt(distance))

@@ -36,7 +36,7 @@ from armperturb.analysis.response.joint_records import admittance_of, variance_o
 from armperturb.analysis.response.local_polynomial import N_INPUTS
 from armperturb.analysis.trials import TrialRecord
 from armperturb.arrays import Array, ComplexArray
-from armperturb.validation import require_number
+from armperturb.validation import require_whole
 
 HIGHEST_ORDER = 40
 """Lags of the highest order that is tried: 0.2 s at 200 Hz, several times the reflex delay."""
@@ -120,7 +120,7 @@ class Regression:
     """
 
     def __init__(self, records: Sequence[TrialRecord], highest: int) -> None:
-        require_order("highest order", highest)
+        require_whole("ARX and subspace models", "highest order", highest, at_least=1)
         self.highest, self.rate = highest, records[0].rate
         trials = [np.concatenate([record.response, record.perturbation], axis=1) for record in records]
         n_samples = sum(map(len, trials))
@@ -194,7 +194,7 @@ def fit_arx(
       ValueError: an order is below 1, or the records are too short for it.
     """
     if order is not None:
-        require_order("order", order)
+        require_whole("ARX and subspace models", "order", order, at_least=1)
         return Regression(records, order).model(order)
     regression = Regression(records, highest_order)
     models = [regression.model(n) for n in range(1, highest_order + 1)]
@@ -217,15 +217,3 @@ def error_over_size(response: ComplexArray, variance: Array, best: ComplexArray,
     of_this, of_best = variance.sum(axis=(1, 2)), most.sum(axis=(1, 2))
     bias = np.maximum(distance - np.maximum(of_best - of_this, 0.0), 0.0)
     return float(np.mean((bias + of_this) / size))
-
-
-def require_order(name: str, order: int) -> None:
-    """Refuse an order that is no whole number of at least 1.
-
-    Raises:
-      TypeError: it is no whole number.
-      ValueError: it is below 1.
-    """
-    require_number("ARX and subspace models", name, order, at_least=1)
-    if not isinstance(order, int | np.integer):
-        raise TypeError(f"ARX and subspace models: {name} = {order!r}; expected a whole number")

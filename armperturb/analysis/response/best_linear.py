@@ -38,20 +38,18 @@ import xarray as xr
 from scipy import interpolate, stats
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, SETTLED
-from armperturb.analysis.response.closed_loop import HIGHEST_ORDER, Periodic, periodic_trials
+from armperturb.analysis.response.closed_loop import HIGHEST_ORDER, Periodic, periodic_trials, whole_window
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.analysis.response.local_polynomial import (
     ComplexArray,
     LocalFit,
     Window,
-    element_variance,
     fit_locally,
     frequency_response,
-    linearised,
     without,
 )
 from armperturb.analysis.results import Description, Result, Table, plain
-from armperturb.analysis.trials import SeveralTrials, prepared_recordings
+from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.recording import LABELS, named
 
@@ -229,7 +227,8 @@ def best_linear(
     order = ORDER.get(len(trials.trials), HIGHEST_ORDER)
     fits = trials.fit(order, own_levels=True)
     windows = [trials.windows(group) for group in trials.groups]
-    around, own_fits = _own_forces(windows, fits, order)
+    response = frequency_response(fits, "arm", [(fit.excited_noise, fit.excited_dof) for fit in fits])
+    around, own_fits = _own_forces(windows, fits, response, order)
     quiet = [
         [_own_force(window.only(~window.excited), of_arm) for window in near]
         for near, of_arm in zip(windows, around, strict=True)
@@ -240,9 +239,8 @@ def best_linear(
     ]
     uneven = _unevenness(n_periods)
     share = float(np.mean([trial.share for trial in trials.trials]))
-    scale = 2.0 / (
-        trials.period * trials.rate
-    )  # from |Z|^2 over the number of samples to the mean square of a sine wave
+    # From |Z|^2 over the number of samples to the mean square of a sine wave.
+    scale = 2.0 / (trials.period * trials.rate)
     linear, noise, distortion, error, excess, precision = [], [], [], [], [], []
     for group, fit, impedance, of_arm, near, quiet_uses, near_noises, noise_uses in zip(
         trials.groups, fits, around, own_fits, quiet, _uses(quiet), noises, _uses(noises), strict=True
@@ -272,10 +270,7 @@ def best_linear(
     speed = np.array([fit.frequency * np.sqrt(of_one.sum()) for fit, of_one in zip(fits, linear, strict=True)])
     weight = speed * precision
     return BestLinear(
-        response=replace(
-            frequency_response(fits, "arm", [(fit.excited_noise, fit.excited_dof) for fit in fits]),
-            label=named([part.recording for part in several]),
-        ),
+        response=replace(response, label=named([part.recording for part in several])),
         linear=np.array(linear),
         noise=np.array(noise),
         distortion=np.array(distortion),
@@ -286,7 +281,7 @@ def best_linear(
 
 
 def _own_forces(
-    windows: Sequence[Sequence[Window]], fits: Sequence[LocalFit], order: int
+    windows: Sequence[Sequence[Window]], fits: Sequence[LocalFit], arm: FrequencyResponse, order: int
 ) -> tuple[list[Impedance], list[LocalFit]]:
     """The arm's impedance H^-1 [N/m] around each cluster, and what d explains of the arm's own force there.
 
@@ -295,9 +290,9 @@ def _own_forces(
     impedance there. Where it is poorly determined, it is taken to be constant, and has no
     influence on its neighbours.
     """
-    frequency = np.array([fit.frequency for fit in fits])
-    impedance = np.linalg.inv([linearised(fit.answer, "arm").response for fit in fits])
-    known = np.array([_relative_error(fit) < LARGEST_ERROR for fit in fits])
+    frequency, covariance = arm.frequency, np.asarray(arm.covariance)
+    impedance = np.linalg.inv(arm.response)
+    known = np.sqrt(np.sum(covariance, axis=(1, 2)) / np.sum(np.abs(arm.response) ** 2, axis=(1, 2))) < LARGEST_ERROR
     # A real system at -f is the conjugate of that at f, so that nothing is extrapolated towards zero.
     knots = np.concatenate([-frequency[known][::-1], frequency[known]])
     for _ in range(ROUNDS):
@@ -319,13 +314,6 @@ def _own_forces(
         moved = [of_arm.answer @ np.linalg.inv(fit.answer[2:]) for of_arm, fit in zip(own_fits, fits, strict=True)]
         impedance = impedance - np.array(moved)
     return around, own_fits
-
-
-def _relative_error(fit: LocalFit) -> float:
-    """Root mean square error of the arm's response over its size."""
-    arm = linearised(fit.answer, "arm")
-    variance = element_variance(arm, fit.factor, fit.excited_noise).sum()
-    return float(np.sqrt(variance / np.sum(np.abs(arm.response) ** 2)))
 
 
 def _constant(values: ComplexArray) -> Impedance:
@@ -386,15 +374,12 @@ def _unevenness(n_periods: Array) -> float:
 
 def _contrasts(trials: Periodic) -> list[Window]:
     """Spectra of what differs between periods."""
-    pieces = []
-    for trial in trials.trials:
-        for values in trial.contrasts:
-            n = len(values)
-            if n >= SHORTEST * trials.rate:
-                spectrum = np.fft.rfft(values, axis=0)[1:] / np.sqrt(n)
-                frequency = np.asarray(np.fft.rfftfreq(n, 1.0 / trials.rate)[1:], dtype=float)
-                pieces.append(Window(frequency, spectrum[:, :0], spectrum, np.zeros(len(frequency), dtype=bool)))
-    return pieces
+    return [
+        whole_window(TrialRecord(values[:, :0], values, trials.rate))
+        for trial in trials.trials
+        for values in trial.contrasts
+        if len(values) >= SHORTEST * trials.rate
+    ]
 
 
 def _near(contrasts: Sequence[Window], frequency: Array) -> list[Window]:

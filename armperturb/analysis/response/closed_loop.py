@@ -33,13 +33,16 @@ from armperturb.analysis.response.local_polynomial import (
 from armperturb.analysis.response.spectra import EXCITED_LINE
 from armperturb.analysis.trials import (
     APERIODIC,
+    ConditionTrials,
     SeveralTrials,
     TrialRecord,
     common_period,
     prepared_recordings,
     records_of,
+    samples_of_period,
 )
 from armperturb.arrays import Array, ComplexArray
+from armperturb.environment import Environment
 from armperturb.validation import require_number
 
 Answer = Callable[[Array, ComplexArray, ComplexArray], ComplexArray]
@@ -202,20 +205,13 @@ def periodic_trials(
       ValueError: as `records_of`; or a trial is shorter than a period, the disturbance is not periodic, or the period
         is not a whole number of samples.
     """
-    if period is not None:
-        require_number("periodic_trials", "period", period, above=0.0)
     require_number("periodic_trials", "lines_per_average", lines_per_average, at_least=1)
     several = prepared_recordings(recordings)
     rate = several[0].rate
     if period is None:
         period = common_period(several, window_start)
     records = records_of(several, window_start)
-    n = round(period * rate)
-    if abs(n - period * rate) > 1e-6 * n:
-        raise ValueError(
-            f"rate = {rate:g} Hz; expected one at which the period of {period:g} s is a whole number of samples "
-            f"(it is {period * rate:.6g})"
-        )
+    n = samples_of_period(period, rate)
     trials = []
     for number, record in enumerate(records):
         d = record.perturbation
@@ -294,6 +290,7 @@ def _groups(excited: NDArray[np.int64], n_trials: int, size: int) -> tuple[NDArr
 def estimate_multisine(
     recordings: SeveralTrials,
     *,
+    frequency: ArrayLike | None = None,
     what: System = "arm",
     period: float | None = None,
     window_start: float = 2.0,
@@ -309,6 +306,7 @@ def estimate_multisine(
 
     Args:
       recordings: trials of one subject in one condition; the same or different multisines of one period.
+      frequency: some of those at which there are estimates [Hz], (frequency,); None gives all.
       what: "arm" (from f to x), "environment" (from d - f to x) or "total" (from d to x).
       period: of the disturbance [s]; None finds it in what was recorded, for at least 1.1 periods.
       window_start: start of what is used [s].
@@ -319,23 +317,22 @@ def estimate_multisine(
         `line_balance`; not of what="environment", which then would be what was put in.
 
     Raises:
-      ValueError: as `periodic_trials` and `fit_locally`, or `what` is something else.
+      ValueError: as `periodic_trials` and `fit_locally`, `what` is something else, or there is no estimate at a
+        frequency.
     """
     if order is not None:
         require_number("estimate_multisine", "order", order, at_least=0)
     several = prepared_recordings(recordings)
     trials = periodic_trials(several, period=period, window_start=window_start, lines_per_average=lines_per_average)
-    balanced = find_balance(several) if balance and what != "environment" else None
-    if balanced is not None:
-        if holds(trials.replaced(balanced.left_over).fit(order)):
-            trials = trials.replaced(balanced.corrected)
-        else:
-            balanced = None
-    fits = trials.fit(order)
+
+    def fit(answer: Answer) -> list[LocalFit]:
+        return trials.replaced(answer).fit(order)
+
+    fits, environment = _balanced(fit, several if balance and what != "environment" else None)
     noises = [
         (fit.excited_noise, fit.excited_dof) if fit.excited_dof >= LEAST_DOF else (fit.noise, fit.dof) for fit in fits
     ]
-    return frequency_response(fits, what, noises, None if balanced is None else balanced.environment)
+    return frequency_response(fits, what, noises, environment).at(frequency)
 
 
 def estimate_noise(
@@ -367,32 +364,36 @@ def estimate_noise(
     orders: tuple[int, ...] = HIGH_ORDERS if order is None else (order,)
     several = prepared_recordings(recordings)
     records = records_of(several, window_start)
-    spectra = [_whole(record) for record in records]
+    spectra = [whole_window(record) for record in records]
     wanted = excited_band(records) if frequency is None else require_frequencies(frequency, records[0].rate)
 
-    def fit(windows: Sequence[Window]) -> list[LocalFit]:
+    def fit(answer: Answer) -> list[LocalFit]:
+        windows = [part._replace(answer=answer(part.frequency, part.perturbation, part.answer)) for part in spectra]
         return [
             _fit(_around(windows, float(centre), orders[0]), float(centre), orders=orders, leakage_order=LEAKAGE_ORDER)
             for centre in wanted
         ]
 
-    balanced = find_balance(several) if balance and what != "environment" else None
-    if balanced is not None:
-        if holds(fit([_replaced(window, balanced.left_over) for window in spectra])):
-            spectra = [_replaced(window, balanced.corrected) for window in spectra]
-        else:
-            balanced = None
-    fits = fit(spectra)
-    return frequency_response(
-        fits, what, [(fit.noise, fit.dof) for fit in fits], None if balanced is None else balanced.environment
-    )
+    fits, environment = _balanced(fit, several if balance and what != "environment" else None)
+    return frequency_response(fits, what, [(fit.noise, fit.dof) for fit in fits], environment)
 
 
-def _replaced(window: Window, answer: Answer) -> Window:
-    return window._replace(answer=answer(window.frequency, window.perturbation, window.answer))
+def _balanced(
+    fit: Callable[[Answer], list[LocalFit]], trials: Sequence[ConditionTrials] | None
+) -> tuple[list[LocalFit], Environment | None]:
+    """Fits of signals made better by the force balance of these trials, and the environment; as recorded if none holds.
+
+    Args:
+      fit: the fits with what a function makes of the signals.
+      trials: from which the balance is found; None to use none.
+    """
+    balance = None if trials is None else find_balance(trials)
+    if balance is not None and holds(fit(balance.left_over)):
+        return fit(balance.corrected), balance.environment
+    return fit(lambda frequency, perturbation, answer: answer), None
 
 
-def _whole(record: TrialRecord) -> Window:
+def whole_window(record: TrialRecord) -> Window:
     """DFT of a whole record, without the mean."""
     n = len(record.perturbation)
     d, z = (np.fft.rfft(values, axis=0)[1:] / np.sqrt(n) for values in (record.perturbation, record.response))
@@ -406,7 +407,7 @@ def excited_band(records: Sequence[TrialRecord]) -> Array:
     They share out the band that holds all but 1 % of its power evenly on a logarithmic scale, as far as there is power.
     """
     excited = excited_frequencies(records)
-    longest = _whole(max(records, key=lambda record: len(record.perturbation)))
+    longest = whole_window(max(records, key=lambda record: len(record.perturbation)))
     power = np.cumsum(np.sum(np.abs(longest.perturbation) ** 2, axis=1))
     low, high = np.interp([0.005, 0.995], power / power[-1], longest.frequency)
     even = np.geomspace(low, high, N_POINTS)

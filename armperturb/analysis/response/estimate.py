@@ -4,21 +4,20 @@ A method is a function from a recording, or several, to a `FrequencyResponse`. A
 (`frequency`) and from when on (`window_start`); each has options of its own.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
-from armperturb.analysis.response.arx import HIGHEST_ORDER, fit_arx
+from armperturb.analysis.response.arx import fit_arx
 from armperturb.analysis.response.closed_loop import estimate_multisine, estimate_noise
 from armperturb.analysis.response.frequency_response import (
     FrequencyResponse,
     System,
     require_frequencies,
-    require_system,
 )
 from armperturb.analysis.response.joint_records import (
     admittance_of,
@@ -27,34 +26,16 @@ from armperturb.analysis.response.joint_records import (
     variance_of,
 )
 from armperturb.analysis.response.local_polynomial import N_INPUTS, Window, fit_locally, frequency_response
-from armperturb.analysis.response.spectra import LineSpectra, SpectralEstimate, averaged_spectra, line_spectra
-from armperturb.analysis.response.subspace import PAST, fit_subspace
+from armperturb.analysis.response.spectra import averaged_spectra, line_spectra
+from armperturb.analysis.response.subspace import fit_subspace
 from armperturb.analysis.response.tapers import estimate_multitaper, estimate_welch
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.recording import join_recordings, named
-
-SAME_FREQUENCY = 1e-6
-"""Difference of frequencies that are the same, over their size [-]."""
+from armperturb.validation import require_one_of
 
 FEWEST_TRIALS = 4
 """Trials from which on their differences tell the covariance of a subspace estimate."""
-
-
-def multisine_response(
-    recording: SeveralTrials, *, frequency: ArrayLike | None = None, **options: Any
-) -> FrequencyResponse:
-    """Response by `closed_loop.estimate_multisine`, with covariance.
-
-    Args:
-      recording: trials of one person in one condition, of any lengths.
-      frequency: some of those at which there are estimates [Hz], (frequency,); None gives all.
-      **options: of `estimate_multisine`.
-
-    Raises:
-      ValueError: as `estimate_multisine`, or there is no estimate at a frequency.
-    """
-    return _at(estimate_multisine(recording, **options), frequency)
 
 
 def spectral_response(
@@ -82,19 +63,13 @@ def spectral_response(
     Raises:
       ValueError: as `line_spectra`, `estimate_spectra` and `join_recordings`; or there is no estimate at a frequency.
     """
-    require_system(what)
     several = prepared_recordings(recording)
     trials = several[0] if len(several) == 1 else prepared(join_recordings([part.recording for part in several]))
     lines = line_spectra(trials, window_start=window_start, period=period)
     spectra = averaged_spectra(trials, window_start=window_start, period=period, lines_per_average=lines_per_average)
-    return _at(_averaged(lines, spectra, what), frequency)
-
-
-def _averaged(lines: LineSpectra, spectra: SpectralEstimate, what: System) -> FrequencyResponse:
-    """The estimate, with the covariance that lines and trials of each average tell."""
     if spectra.n_averages.min() <= N_INPUTS:
-        values = {"arm": spectra.arm, "environment": spectra.environment, "total": spectra.total}[what]
-        return FrequencyResponse(frequency=spectra.frequency, response=values, covariance=None, what=what)
+        values = getattr(spectra, what)
+        return FrequencyResponse(frequency=spectra.frequency, response=values, covariance=None, what=what).at(frequency)
     answer = np.concatenate([lines.force, lines.displacement], axis=-1)
     ends = np.cumsum(spectra.n_averages // len(answer))
     fits = []
@@ -105,7 +80,7 @@ def _averaged(lines: LineSpectra, spectra: SpectralEstimate, what: System) -> Fr
             for d, z in zip(lines.perturbation, answer, strict=True)
         ]
         fits.append(fit_locally(windows, float(centre), order=0, leakage_order=-1))
-    return frequency_response(fits, what, [(fit.noise, fit.dof) for fit in fits])
+    return frequency_response(fits, what, [(fit.noise, fit.dof) for fit in fits]).at(frequency)
 
 
 def arx_response(
@@ -114,8 +89,7 @@ def arx_response(
     frequency: ArrayLike | None = None,
     what: System = "arm",
     window_start: float = 0.0,
-    order: int | None = None,
-    highest_order: int = HIGHEST_ORDER,
+    **options: Any,
 ) -> FrequencyResponse:
     """Response by a multivariable ARX model from d to (f, x), with covariance, see `arx`.
 
@@ -125,16 +99,14 @@ def arx_response(
       frequency: where the response is wanted [Hz], (frequency,); None takes those that the disturbance excites.
       what: "arm" (x over f), "environment" (x over d - f) or "total" (x over d) [m/N].
       window_start: start of what is used [s].
-      order: number of lags; None chooses the one with the least estimated error at these frequencies.
-      highest_order: among which is chosen.
+      **options: `order` and `highest_order` of `fit_arx`.
 
     Raises:
       TypeError: an order is not a whole number.
       ValueError: as `joint_records` and `fit_arx`, or a frequency is out of range.
     """
-    records = joint_records(recording, window_start)
-    wanted = _wanted(frequency, records)
-    model = fit_arx(records, wanted, what=what, order=order, highest_order=highest_order)
+    records, wanted = _records_and_frequencies(recording, window_start, frequency)
+    model = fit_arx(records, wanted, what=what, **options)
     joint, noise, spread = model.response(wanted)
     return FrequencyResponse(
         frequency=wanted,
@@ -150,8 +122,7 @@ def subspace_response(
     frequency: ArrayLike | None = None,
     what: System = "arm",
     window_start: float = 0.0,
-    order: int | None = None,
-    past: int = PAST,
+    **options: Any,
 ) -> FrequencyResponse:
     """Response by a state-space model from d to (f, x), see `subspace`.
 
@@ -163,8 +134,7 @@ def subspace_response(
       frequency: as for `arx_response`.
       what: as for `arx_response`.
       window_start: as for `arx_response`.
-      order: number of states; None chooses the stable model with the least estimated error at these frequencies.
-      past: lags of the past window.
+      **options: `order` and `past` of `fit_subspace`.
 
     Warns:
       RuntimeWarning: the model is unstable.
@@ -173,16 +143,15 @@ def subspace_response(
       TypeError: an order is not a whole number.
       ValueError: as `joint_records` and `fit_subspace`, or a frequency is out of range.
     """
-    records = joint_records(recording, window_start)
-    wanted = _wanted(frequency, records)
-    model = fit_subspace(records, wanted, what=what, order=order, past=past)
+    records, wanted = _records_and_frequencies(recording, window_start, frequency)
+    model = fit_subspace(records, wanted, what=what, **options)
     n_trials = len(records)
     covariance = dof = None
     if n_trials >= FEWEST_TRIALS:
         without = []
         for left_out in range(n_trials):
             others = [record for number, record in enumerate(records) if number != left_out]
-            fewer = fit_subspace(others, wanted, what=what, order=model.order, past=past)
+            fewer = fit_subspace(others, wanted, what=what, **options | {"order": model.order})
             without.append(admittance_of(what, fewer.response(wanted)))
         covariance = (n_trials - 1) * np.var(without, axis=0)
         dof = np.full(len(wanted), n_trials - 1.0)
@@ -196,7 +165,7 @@ def subspace_response(
 
 
 METHODS: dict[str, Callable[..., FrequencyResponse]] = {
-    "multisine": multisine_response,
+    "multisine": estimate_multisine,
     "noise": estimate_noise,
     "welch": estimate_welch,
     "multitaper": estimate_multitaper,
@@ -226,35 +195,16 @@ def response(
       TypeError: the method lacks an option.
       ValueError: the method is unknown, or as its function.
     """
-    if method not in METHODS:
-        raise ValueError(f"method = {method!r}; expected one of {', '.join(METHODS)}")
-    require_system(options.get("what", "arm"))
+    require_one_of("response", "method", method, list(METHODS))
+    require_one_of("response", "what", options.get("what", "arm"), get_args(System))
     several = prepared_recordings(recording)
     label = f"{named([trials.recording for trials in several])}, {method}"
     return replace(METHODS[method](several, frequency=frequency, **options), label=label)
 
 
-def _wanted(frequency: ArrayLike | None, records: Sequence[TrialRecord]) -> Array:
-    rate = records[0].rate
-    return excited_frequencies(records) if frequency is None else require_frequencies(frequency, rate)
-
-
-def _at(estimate: FrequencyResponse, frequency: ArrayLike | None) -> FrequencyResponse:
-    """Some frequencies of a response; all for None."""
-    if frequency is None:
-        return estimate
-    wanted = require_frequencies(frequency, np.inf)
-    nearest = np.abs(estimate.frequency - wanted[:, None]).argmin(axis=1)
-    off = np.abs(estimate.frequency[nearest] - wanted) > SAME_FREQUENCY * wanted
-    if off.any():
-        raise ValueError(
-            f"frequency = {wanted[off][0]:g} Hz; expected one of the averaged lines, of which "
-            f"{estimate.frequency[nearest[off][0]]:.6g} Hz is nearest (or another method)"
-        )
-    return replace(
-        estimate,
-        frequency=wanted,
-        response=estimate.response[nearest],
-        covariance=None if estimate.covariance is None else estimate.covariance[nearest],
-        dof=None if estimate.dof is None else estimate.dof[nearest],
-    )
+def _records_and_frequencies(
+    recording: SeveralTrials, window_start: float, frequency: ArrayLike | None
+) -> tuple[list[TrialRecord], Array]:
+    records = joint_records(recording, window_start)
+    wanted = excited_frequencies(records) if frequency is None else require_frequencies(frequency, records[0].rate)
+    return records, wanted

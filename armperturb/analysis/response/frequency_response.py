@@ -1,8 +1,8 @@
 """A frequency response with the uncertainty of each of its elements, whichever method estimated it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 import numpy as np
 import xarray as xr
@@ -28,6 +28,10 @@ SYSTEMS: Mapping[str, str] = {
     "total": "of arm and environment, from d to x",
 }
 """What each system is called where people read it."""
+
+
+SAME_FREQUENCY = 1e-6
+"""Difference of frequencies that are the same, over their size [-]."""
 
 
 class Bands(NamedTuple):
@@ -87,6 +91,30 @@ class FrequencyResponse(Result):
             )
         if self.dof is not None and self.dof.shape != (n,):
             raise ValueError(f"FrequencyResponse: dof of shape {self.dof.shape}; expected ({n},)")
+
+    def at(self, frequency: ArrayLike | None) -> Self:
+        """The estimates at some of the frequencies [Hz], (frequency,); all for None.
+
+        Raises:
+          ValueError: there is no estimate at one of them.
+        """
+        if frequency is None:
+            return self
+        wanted = require_frequencies(frequency, np.inf)
+        nearest = np.abs(self.frequency - wanted[:, None]).argmin(axis=1)
+        off = np.abs(self.frequency[nearest] - wanted) > SAME_FREQUENCY * wanted
+        if off.any():
+            raise ValueError(
+                f"frequency = {wanted[off][0]:g} Hz; expected one of the averaged lines, of which "
+                f"{self.frequency[nearest[off][0]]:.6g} Hz is nearest (or another method)"
+            )
+        return replace(
+            self,
+            frequency=wanted,
+            response=self.response[nearest],
+            covariance=None if self.covariance is None else self.covariance[nearest],
+            dof=None if self.dof is None else self.dof[nearest],
+        )
 
     def radius(self, level: float = 0.95) -> Array:
         """Radius of the circle about each element in which the true one lies [m/N], (frequency, output, input).
@@ -214,13 +242,3 @@ def require_frequencies(frequency: ArrayLike, rate: float) -> Array:
     if wrong.any():
         raise ValueError(f"frequency = {wanted[wrong][0]:g} Hz; expected above 0 and below {0.5 * rate:g} Hz")
     return wanted
-
-
-def require_system(what: str) -> None:
-    """Refuse what is no `System`.
-
-    Raises:
-      ValueError: it is something else.
-    """
-    if what not in get_args(System):
-        raise ValueError(f"what = {what!r}; expected one of {', '.join(get_args(System))}")

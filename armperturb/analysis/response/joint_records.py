@@ -19,13 +19,15 @@ continuous system: nothing is held between samples, and x responds to d within t
 """
 
 from collections.abc import Sequence
+from typing import get_args
 
 import numpy as np
 from scipy import signal
 
-from armperturb.analysis.response.frequency_response import System, require_system
+from armperturb.analysis.response.frequency_response import System
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared_recordings, records_of
 from armperturb.arrays import Array, ComplexArray
+from armperturb.validation import require_one_of
 
 MODEL_RATE = 200.0
 """Records that are sampled more than 1.5 times as fast are resampled to about this rate [Hz]: more samples of the same
@@ -136,6 +138,6 @@ def variance_of(what: System, joint: ComplexArray, noise: ComplexArray, spread: 
 
 def _to_disturbance(what: System, joint: ComplexArray) -> ComplexArray:
     """W^-1: from the system's input to d."""
-    require_system(what)
+    require_one_of("response", "what", what, get_args(System))
     a, b = _WEIGHTS[what]
     return np.asarray(np.linalg.inv(a * np.eye(2) + b * joint[:, :2]))

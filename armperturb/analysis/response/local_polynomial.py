@@ -26,7 +26,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_system
+from armperturb.analysis.response.frequency_response import FrequencyResponse, System
+from armperturb.analysis.response.joint_records import admittance_of, variance_of
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 
@@ -185,44 +186,6 @@ def without(
     return np.asarray(total / max(dof, 1e-12), dtype=complex), dof
 
 
-class Linearised(NamedTuple):
-    """A system that T gives, and how an error of T shows in it: error = left dT right.
-
-    Attributes:
-      response: [m/N], (output, input).
-      left: (output, 4).
-      right: (input, input).
-    """
-
-    response: ComplexArray
-    left: ComplexArray
-    right: ComplexArray
-
-
-def linearised(answer: ComplexArray, what: System) -> Linearised:
-    """A system from T, (4, input).
-
-    Raises:
-      ValueError: `what` is something else than a `System`.
-    """
-    require_system(what)
-    eye = np.eye(N_INPUTS, dtype=complex)
-    force, displacement = answer[:2], answer[2:]
-    if what == "total":
-        return Linearised(displacement, np.hstack([0 * eye, eye]), eye)
-    sign = 1.0 if what == "arm" else -1.0
-    right = np.asarray(np.linalg.inv(force if what == "arm" else eye - force), dtype=complex)
-    response = displacement @ right
-    return Linearised(response, np.hstack([-sign * response, eye]), right)
-
-
-def element_variance(system: Linearised, factor: ComplexArray, noise: ComplexArray) -> Array:
-    """Variance of each element of a response [(m/N)^2], (output, input); arguments as in `LocalFit`."""
-    of_output = np.einsum("oa,ab,ob->o", system.left, noise, system.left.conj()).real
-    of_input = np.einsum("ij,ik,kj->j", system.right, factor, system.right.conj()).real
-    return np.asarray(np.outer(of_output, of_input))
-
-
 def frequency_response(
     fits: Sequence[LocalFit],
     what: System,
@@ -230,16 +193,11 @@ def frequency_response(
     environment: Environment | None = None,
 ) -> FrequencyResponse:
     """One system at all frequencies, with the covariance of the noise and its degrees of freedom at each."""
-    systems = [linearised(fit.answer, what) for fit in fits]
+    joint, factor = np.array([fit.answer for fit in fits]), np.array([fit.factor for fit in fits])
     return FrequencyResponse(
         frequency=np.array([fit.frequency for fit in fits]),
-        response=np.array([system.response for system in systems]),
-        covariance=np.array(
-            [
-                element_variance(system, fit.factor, noise)
-                for system, fit, (noise, _) in zip(systems, fits, noises, strict=True)
-            ]
-        ),
+        response=admittance_of(what, joint),
+        covariance=variance_of(what, joint, np.array([noise for noise, _ in noises]), factor),
         what=what,
         dof=np.array([dof for _, dof in noises]),
         environment=environment,

@@ -20,6 +20,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
+from armperturb.analysis.response.local_polynomial import N_INPUTS
 from armperturb.analysis.results import Description, Result, Table, plain, response_coordinates, response_frame
 from armperturb.analysis.trials import ConditionTrials, per_trials
 from armperturb.arrays import Array, ComplexArray
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-N_INPUTS = 2
 EXCITED_LINE = 1e-4
 """Share of the strongest line's power from which on a line counts as excited."""
 
@@ -121,12 +121,8 @@ class LineSpectra:
 
     def of_trial(self, trial: int) -> "LineSpectra":
         """The coefficients of one trial."""
-        return replace(
-            self,
-            perturbation=self.perturbation[[trial]],
-            force=self.force[[trial]],
-            displacement=self.displacement[[trial]],
-        )
+        signals = ("perturbation", "force", "displacement")
+        return replace(self, **{name: getattr(self, name)[[trial]] for name in signals})
 
 
 @per_trials
@@ -226,7 +222,8 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
     def cross(y: ComplexArray) -> ComplexArray:
         return np.array([np.einsum("tki,tkj->ij", d[:, g].conj(), y[:, g]) / (len(g) * len(d)) for g in groups])
 
-    phi_dd, phi_df, phi_dx, phi_xx = cross(d), cross(f), cross(x), _auto(x, groups)
+    phi_dd, phi_df, phi_dx = cross(d), cross(f), cross(x)
+    phi_xx = np.array([np.mean(np.abs(x[:, group]) ** 2, axis=(0, 1)) for group in groups])
     _require_two_directions(phi_dd, frequency)
     total = _transposed_solve(phi_dd, phi_dx)
     # Eq. 2.4 with the conjugate that it lacks: P Phi_dd P^H over Phi_xx.
@@ -253,19 +250,14 @@ def _adjacent_groups(lines: NDArray[np.int64], size: int) -> list[NDArray[np.int
     return [group for run in runs for group in np.array_split(run, max(1, len(run) // size))]
 
 
-def _auto(x: ComplexArray, groups: list[NDArray[np.int64]]) -> Array:
-    return np.array([np.mean(np.abs(x[:, group]) ** 2, axis=(0, 1)) for group in groups])
-
-
 def _transposed_solve(phi_du: ComplexArray, phi_dx: ComplexArray) -> ComplexArray:
     return np.asarray(np.linalg.solve(phi_du, phi_dx).swapaxes(-1, -2), dtype=np.complex128)
 
 
 def _require_two_directions(phi_dd: ComplexArray, frequency: Array) -> None:
     scale = (np.einsum("fii->f", phi_dd).real / N_INPUTS) ** 2
-    independence = (
-        np.linalg.det(phi_dd).real / scale
-    )  # one for equal and unrelated disturbances, zero for one direction
+    # One for equal and unrelated disturbances, zero for one direction.
+    independence = np.linalg.det(phi_dd).real / scale
     worst = int(np.argmin(independence))
     if independence[worst] < 1e-6:
         raise ValueError(

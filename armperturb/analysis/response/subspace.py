@@ -23,12 +23,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armperturb.analysis.response.arx import Regression, error_over_size, require_order
+from armperturb.analysis.response.arx import Regression, error_over_size
 from armperturb.analysis.response.frequency_response import System
 from armperturb.analysis.response.joint_records import admittance_of, variance_of
 from armperturb.analysis.response.local_polynomial import N_INPUTS
 from armperturb.analysis.trials import TrialRecord
 from armperturb.arrays import Array, ComplexArray
+from armperturb.validation import require_whole
 
 PAST = 24
 """Lags of the past window, and samples of the future one: 0.12 s at 200 Hz, four times the reflex delay."""
@@ -97,9 +98,9 @@ def fit_subspace(
       TypeError: an order is not a whole number.
       ValueError: an order is below 1, or higher than the past window bears, or the records are too short for it.
     """
-    require_order("past", past)
+    require_whole("ARX and subspace models", "past", past, at_least=1)
     if order is not None:
-        require_order("order", order)
+        require_whole("ARX and subspace models", "order", order, at_least=1)
     regression = Regression(records, past)
     states = _States(regression)
     if order is not None:

@@ -11,6 +11,7 @@ overlap by half; under Hann's window neighbours correlate by 1/6, which costs de
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,62 +41,53 @@ power of those below 1 Hz, which would leak into them [-]."""
 def estimate_welch(
     recordings: SeveralTrials,
     *,
-    what: System = "arm",
-    window_start: float = 0.0,
-    frequency: ArrayLike | None = None,
     segment: float = SEGMENT,
+    **options: Any,
 ) -> FrequencyResponse:
     """Frequency response by Welch's method: segments under Hann's window that overlap by half.
 
     Args:
       recordings: trials of one subject in one condition; their lengths may differ.
-      what: "arm" (from f to x), "environment" (from d - f to x) or "total" (from d to x).
-      window_start: start of what is used [s].
-      frequency: where the response is wanted [Hz], (frequency,); None takes up to 40 of those that the disturbance
-        excites.
       segment: length of the segments [s]. Trials that are shorter are left out.
+      **options: `what`: "arm" (from f to x), "environment" (from d - f to x) or "total" (from d to x); `window_start`
+        of what is used [s]; `frequency` where the response is wanted [Hz], (frequency,), which by default are up to 40
+        of those that the disturbance excites.
 
     Raises:
       ValueError: as `records_of` and `fit_locally`, the records hold too few segments, or a frequency is out of range.
     """
     require_number("estimate_welch", "segment", segment, above=0.0)
-    records = records_of(prepared_recordings(recordings), window_start)
-    n = round(segment * records[0].rate)
-    window = signal.windows.hann(n, sym=False)
 
     def pieces(record: TrialRecord) -> tuple[list[slice], Array, float]:
+        n = round(segment * record.rate)
         firsts = range(0, len(record.perturbation) - n + 1, n // 2)
         count = max(len(firsts), 1)
         independent = count / (1 + 2 * NEIGHBOURS**2 * (1 - 1 / count))
-        return [slice(first, first + n) for first in firsts], window[None], independent * bool(firsts)
+        tapers = signal.windows.hann(n, sym=False)[None]
+        return [slice(first, first + n) for first in firsts], tapers, independent * bool(firsts)
 
-    return _estimate(records, what, frequency, pieces, f"{segment:g} s of Welch's segments")
+    return _estimate(recordings, pieces, f"{segment:g} s of Welch's segments", **options)
 
 
 def estimate_multitaper(
     recordings: SeveralTrials,
     *,
-    what: System = "arm",
-    window_start: float = 0.0,
-    frequency: ArrayLike | None = None,
     half_bandwidth: float = HALF_BANDWIDTH,
+    **options: Any,
 ) -> FrequencyResponse:
     """Frequency response by multitapers: the discrete prolate spheroidal sequences of each whole record.
 
     Args:
       recordings: as in `estimate_welch`.
-      what: as in `estimate_welch`.
-      window_start: start of what is used [s].
-      frequency: as in `estimate_welch`.
       half_bandwidth: half of the band that the tapers average over [Hz]: W. A record of length T has 2 T W tapers,
         of which the last few are left out, see `LEAST_OUTSIDE`.
+      **options: as in `estimate_welch`.
 
     Raises:
       ValueError: as `records_of` and `fit_locally`, the records are too short for tapers of that bandwidth, or a
         frequency is out of range.
     """
     require_number("estimate_multitaper", "half_bandwidth", half_bandwidth, above=0.0)
-    records = records_of(prepared_recordings(recordings), window_start)
     tapers: dict[int, Array] = {}
 
     def pieces(record: TrialRecord) -> tuple[list[slice], Array, float]:
@@ -108,17 +100,20 @@ def estimate_multitaper(
             tapers[n] = np.asarray(sequences[1.0 - inside < LEAST_OUTSIDE], dtype=float)
         return [slice(0, n)], tapers[n], float(len(tapers[n]))
 
-    return _estimate(records, what, frequency, pieces, f"a half bandwidth of {half_bandwidth:g} Hz")
+    return _estimate(recordings, pieces, f"a half bandwidth of {half_bandwidth:g} Hz", **options)
 
 
 def _estimate(
-    records: list[TrialRecord],
-    what: System,
-    frequency: ArrayLike | None,
+    recordings: SeveralTrials,
     pieces: Callable[[TrialRecord], tuple[list[slice], Array, float]],
     asked: str,
+    *,
+    what: System = "arm",
+    window_start: float = 0.0,
+    frequency: ArrayLike | None = None,
 ) -> FrequencyResponse:
     """ComplexArray from pieces of records, tapers of each piece, and how many independent spectra that is worth."""
+    records = records_of(prepared_recordings(recordings), window_start)
     rate = records[0].rate
     wanted = excited_band(records) if frequency is None else require_frequencies(frequency, rate)
     spectra: list[ComplexArray] = []

@@ -126,6 +126,10 @@ class Emg:
             activation[row] = self._cocontraction(subject, joints) + np.maximum(stretch, 0.0) / self.reflex_torque
         return np.minimum(activation, 1.0)
 
+    def n_samples(self, n_excitation: int, rate: float) -> int:
+        """How many samples the converter reads beside so many of the excitation at a rate [Hz]."""
+        return round(n_excitation * self.rate / rate)
+
     def _cocontraction(self, subject: Subject, joints: tuple[str, ...]) -> float:
         """Activation without reflexes [-]; stiffness grows in proportion with it."""
         field = f"k_{''.join(joints)}"
@@ -144,7 +148,7 @@ class Emg:
           rng: what the noise is drawn from.
         """
         amplitude = self.gain * self.activation(subject, excitation, rate)
-        n_samples = round(len(excitation) * self.rate / rate)
+        n_samples = self.n_samples(len(excitation), rate)
         # Held between the samples of the excitation: a straight line would need the one to come. The small number keeps
         # instants that coincide from falling a sample back by rounding.
         held = np.minimum((np.arange(n_samples) * (rate / self.rate) + 1e-9).astype(int), len(excitation) - 1)

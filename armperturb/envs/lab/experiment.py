@@ -17,7 +17,7 @@ from armperturb.envs.lab.multibody_trials import simulate_multibody
 from armperturb.envs.lab.setup import Progress, Setup, Truth, in_threads
 from armperturb.envs.lab.trial import EMG, MARKER, MAX_DURATION, Trial, pulse_of, require_integrable, subject_in
 from armperturb.perturbations import check_bandwidth
-from armperturb.recording import make_recording
+from armperturb.recording import MUSCLES, make_recording
 from armperturb.subject import Subject
 from armperturb.validation import require_number
 
@@ -87,10 +87,10 @@ def run_experiment(
     truth = simulate(trials, subjects, setup, n_threads, progress)
     signals = {name: getattr(truth, name) for name in ("perturbation", "force", "displacement", "joint_angle")}
     clock: dict[str, float] = {}
-    if instruments is None:
-        signals |= {} if truth.shoulder is None else {"shoulder_marker": truth.shoulder}
-    else:
+    if instruments is not None:
         signals |= _readings(trials, instruments, truth)
+    elif truth.shoulder is not None:
+        signals["shoulder_marker"] = truth.shoulder
     if setup.emg is not None:
         clock = {"emg_rate": setup.emg.rate, "adc_step": setup.emg.adc_step}
         signals["emg"] = _voltages(setup.emg, trials, subjects, truth.excitation, rate, n_threads)
@@ -115,24 +115,16 @@ def _require_sound(trials: Sequence[Trial], setup: Setup) -> None:
 
 def _readings(trials: Sequence[Trial], instruments: Instruments, truth: Truth) -> dict[str, NDArray]:
     """What encoders, strain gauge and camera make of the truth."""
+    streams = [np.random.default_rng(trial.seed) for trial in trials]
     readings = {
         "displacement": instruments.read_displacement(truth.displacement),
-        "force": np.stack(
-            [
-                instruments.read_force(force, np.random.default_rng(trial.seed))
-                for force, trial in zip(truth.force, trials, strict=True)
-            ]
-        ),
+        "force": np.stack([*map(instruments.read_force, truth.force, streams)]),
     }
     if instruments.marker_noise is not None:
         # Where the belt holds the shoulder, what the movies show is the camera's noise.
         shoulder = np.zeros_like(truth.displacement) if truth.shoulder is None else truth.shoulder
-        readings["shoulder_marker"] = np.stack(
-            [
-                instruments.read_marker(position, trial.generator(MARKER))
-                for position, trial in zip(shoulder, trials, strict=True)
-            ]
-        )
+        streams = [trial.generator(MARKER) for trial in trials]
+        readings["shoulder_marker"] = np.stack([*map(instruments.read_marker, shoulder, streams)])
     return readings
 
 
@@ -141,15 +133,12 @@ def _voltages(
 ) -> NDArray[np.float32]:
     """What the converter reads of the muscles [V], (trial, emg_time, muscle); never all of it twice in memory."""
 
-    def read(i: int) -> NDArray[np.float32]:
-        return emg.read(subjects[i], excitation[i], rate, trials[i].generator(EMG))
+    volts = np.empty((len(trials), emg.n_samples(excitation.shape[1], rate), len(MUSCLES)), dtype=np.float32)
 
-    readings = in_threads(read, len(trials), n_threads)
-    first = next(readings)
-    volts = np.empty((len(trials), *first.shape), dtype=first.dtype)
-    volts[0] = first
-    for i, reading in enumerate(readings, start=1):
-        volts[i] = reading
+    def read(i: int) -> None:
+        volts[i] = emg.read(subjects[i], excitation[i], rate, trials[i].generator(EMG))
+
+    list(in_threads(read, len(trials), n_threads))
     return volts
 
 

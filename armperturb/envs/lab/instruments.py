@@ -59,13 +59,12 @@ class Instruments:
         require_number("Instruments", "encoder_bits", self.encoder_bits, at_least=1, at_most=32)
         if self.encoder_bits != int(self.encoder_bits):
             raise ValueError(f"Instruments: encoder_bits = {self.encoder_bits!r}; expected a whole number")
-        for name in ("link_lengths", "base"):
-            if len(getattr(self, name)) != 2:
-                raise ValueError(f"Instruments: {name} = {getattr(self, name)!r}; expected two numbers")
-        for length in self.link_lengths:
-            require_number("Instruments", "link_lengths", length, above=0.0)
-        for coordinate in self.base:
-            require_number("Instruments", "base", coordinate)
+        for name, least in (("link_lengths", 0.0), ("base", -np.inf)):
+            values = getattr(self, name)
+            if len(values) != 2:
+                raise ValueError(f"Instruments: {name} = {values!r}; expected two numbers")
+            for value in values:
+                require_number("Instruments", name, value, above=least)
         if not abs(self.link_lengths[0] - self.link_lengths[1]) < np.hypot(*self.base) < sum(self.link_lengths):
             raise ValueError(f"Instruments: base = {self.base}; expected the handle's start within reach of the links")
         if self.marker_noise is not None:

@@ -120,6 +120,7 @@ class Simulation:
       velocity: of the joints [rad/s], (trial, joint).
       handle: displacement of the handle [m], (trial, axis).
       shoulder: its displacement [m], (trial, axis); without a strap, (trial, 0).
+      force: what the handle exerted on the hand at the start of the last step [N], (trial, axis).
       timestep: of the simulation [s].
       n_history: past steps that the delays of reflexes can reach.
     """
@@ -194,12 +195,7 @@ class Simulation:
         self._torque, self._push = applied[:, self._hinge], applied[:, self._slide]
         motor, gauge = models[0].actuator(REFLEXES[0]).id, models[0].sensor(STRAIN_GAUGE).adr[0]
         self._control = batch.bind("ctrl")[:, motor : motor + len(REFLEXES)]
-        self._force = batch.bind("sensordata")[:, gauge : gauge + 2]
-
-    @property
-    def force(self) -> Array:
-        """What the handle exerted on the hand at the start of the last step [N], (trial, axis)."""
-        return self._force
+        self.force = batch.bind("sensordata")[:, gauge : gauge + 2]
 
     @property
     def diverged(self) -> NDArray[np.bool_]:

@@ -12,7 +12,7 @@ from armperturb.environment import Environment, Strap
 from armperturb.perturbations import Perturbation, Pulse
 from armperturb.perturbations.hold import held_over_steps
 from armperturb.subject import Subject
-from armperturb.validation import require_whole
+from armperturb.validation import require_number, require_whole
 
 HUMAN, MARKER, EMG = 1, 2, 3
 """What a trial's seed is extended by for each source of chance; the strain gauge takes the seed as it is."""
@@ -44,7 +44,7 @@ class Trial:
 
     Raises:
       TypeError: seed or order is not a whole number, or noise is something else.
-      ValueError: seed or order is negative.
+      ValueError: seed or order is not finite or negative.
     """
 
     subject: Subject
@@ -58,6 +58,7 @@ class Trial:
 
     def __post_init__(self) -> None:
         for field in ("order", "seed"):
+            require_number("Trial", field, getattr(self, field), at_least=0)
             require_whole("Trial", field, getattr(self, field), at_least=0)
         if self.noise is not None and not isinstance(self.noise, HumanNoise):
             raise TypeError(f"Trial: noise = {self.noise!r}; expected HumanNoise or None")

@@ -19,7 +19,6 @@ from armperturb.models.rig import (
     ARM_XML,
     BIARTICULAR,
     GRIP,
-    HAND_SITE,
     JOINTS,
     MANIPULATOR_XML,
     REFLEXES,
@@ -81,11 +80,6 @@ class ArmEntity(_Part):
     def reflexes(self) -> list[mjcf.Element]:
         """Motors of both joints; `ctrl` is the torque [Nm], which acts after the neural delay."""
         return [self._mjcf_model.find("actuator", name) for name in REFLEXES]
-
-    @property
-    def hand(self) -> mjcf.Element:
-        """Site in the middle of the grip."""
-        return self._mjcf_model.find("site", HAND_SITE)
 
     @property
     def grip(self) -> list[mjcf.Element]:
@@ -165,7 +159,12 @@ class ManipulatorObservables(composer.Observables):
 
 
 class Rig(composer.Arena):
-    """The room, and in it a person's arm that grips the manipulator, at rest at the start posture."""
+    """The room, and in it a person's arm that grips the manipulator, at rest at the start posture.
+
+    Attributes:
+      arm: the person.
+      manipulator: what the hand holds.
+    """
 
     def _build(
         self,
@@ -191,20 +190,10 @@ class Rig(composer.Arena):
         for section in ("tendon", "actuator", "sensor"):
             for element in getattr(self._mjcf_root, section).all_children():
                 element.remove()  # the entities have them
-        self._arm, self._manipulator = ArmEntity(spec), ManipulatorEntity(spec)
-        self.attach(self._arm)
-        self.attach(self._manipulator)
-        self._arm.hold(self._manipulator, spec)
-
-    @property
-    def arm(self) -> ArmEntity:
-        """The person."""
-        return self._arm
-
-    @property
-    def manipulator(self) -> ManipulatorEntity:
-        """What the hand holds."""
-        return self._manipulator
+        self.arm, self.manipulator = ArmEntity(spec), ManipulatorEntity(spec)
+        self.attach(self.arm)
+        self.attach(self.manipulator)
+        self.arm.hold(self.manipulator, spec)
 
 
 def _observable(read: Callable[[mjcf.Physics], np.ndarray]) -> observable.Generic:
@@ -220,10 +209,8 @@ def _room() -> mjcf.RootElement:
     return mjcf.from_xml_string(ElementTree.tostring(tree, encoding="unicode"))
 
 
-@functools.cache
-def _template() -> mjcf.RootElement:
-    """A room to copy from."""
-    return _room()
+_template = functools.cache(_room)
+"""A room to copy from."""
 
 
 def _model(path: Path, spec: mujoco.MjSpec) -> mjcf.RootElement:

@@ -12,13 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armperturb.arrays import Array, Indices
 from armperturb.envs.lab.trial import Trial
-from armperturb.envs.learning.gym_env import (
-    WATCHED,
-    ArmPerturbEnv,
-    checked_picture,
-    live_view,
-    spaces,
-)
+from armperturb.envs.learning.gym_env import WATCHED, ArmPerturbEnv, checked_picture, live_view, spaces
 from armperturb.envs.learning.participants import own_action
 from armperturb.envs.learning.session import Session
 from armperturb.envs.learning.task import task_settings
@@ -68,20 +62,17 @@ class ArmPerturbVectorEnv(VectorEnv):
           TypeError: a setting is unknown or has the wrong type.
           ValueError: a setting is out of its range.
         """
-        for name, value, least in (
-            ("num_envs", num_envs, 1),
-            ("max_episode_steps", max_episode_steps, 1),
-            ("n_threads", n_threads, 0),
-        ):
-            if name != "max_episode_steps" or value is not None:
-                require_whole("ArmPerturbVectorEnv", name, value, at_least=least)
+        owner = "ArmPerturbVectorEnv"
+        require_whole(owner, "num_envs", num_envs, at_least=1)
+        if max_episode_steps is not None:
+            require_whole(owner, "max_episode_steps", max_episode_steps, at_least=1)
+        require_whole(owner, "n_threads", n_threads, at_least=0)
         self.settings = task_settings(settings)
         self.num_envs, self.max_episode_steps = num_envs, max_episode_steps
-        require_one_of("ArmPerturbVectorEnv", "render_mode", render_mode, (None, "rgb_array"))
+        require_one_of(owner, "render_mode", render_mode, (None, "rgb_array"))
         self.render_mode = render_mode
-        modes = tuple(mode.value for mode in AutoresetMode)
         if not isinstance(autoreset_mode, AutoresetMode):
-            require_one_of("ArmPerturbVectorEnv", "autoreset_mode", autoreset_mode, modes)
+            require_one_of(owner, "autoreset_mode", autoreset_mode, tuple(mode.value for mode in AutoresetMode))
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {
             "render_modes": ["rgb_array"],

@@ -220,10 +220,8 @@ class Camera:
         # From the newest backwards, so that the trail ends at the handle.
         points = self.handle(trail[:: -max(1, math.ceil(len(trail) / MAX_SEGMENTS))])
         points[:, 2] -= 0.01  # under the arrows
-        colour, width = (
-            _rgb(PATH),
-            max(1.5, self.height / 130),
-        )  # of a line, in pixels: tubes would cost more than all else
+        # Lines, whose width is in pixels: tubes would cost more than all else.
+        colour, width = _rgb(PATH), max(1.5, self.height / 130)
         for i in range(len(points) - 1):
             if np.linalg.norm(points[i] - points[i + 1]) > 1e-5:
                 opacity = 1.0 - i / len(points)

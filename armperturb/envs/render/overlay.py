@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from armperturb.arrays import Array
-from armperturb.envs.render.camera import DISTURBANCE, PATH, REACTION
+from armperturb.envs.render.camera import DISTURBANCE, PATH, REACTION, TRAIL
+from armperturb.envs.render.replay import Replay
+from armperturb.plots.style import INK, in_style
 
 Picture = NDArray[np.uint8]
-
-INK, GREY, RULE = "#262a30", "#8b929c", "#e6e8eb"
-"""Text, frames and grid, as in the figures of a study."""
 
 PAPER = (255, 255, 255, 205)
 """Behind text on a picture: nearly opaque white."""
@@ -113,28 +112,15 @@ class StripChart:
     """Forces and displacement against time, drawn once; `at` adds where the video is.
 
     Args:
-      time: [s], (time,).
-      disturbance: d [N], (time, axis).
-      reaction: f [N], (time, axis).
-      displacement: of the handle [m], (time, axis).
+      shown: what it is drawn of.
       width: of the chart [pixel].
       height: of the chart [pixel].
       unit: size of its text [pixel].
-      trail: how long a path the pictures show [s], for the legend.
     """
 
-    def __init__(
-        self,
-        time: Array,
-        disturbance: Array,
-        reaction: Array,
-        displacement: Array,
-        *,
-        width: int,
-        height: int,
-        unit: int,
-        trail: float,
-    ) -> None:
+    @in_style()
+    def __init__(self, shown: Replay, *, width: int, height: int, unit: int) -> None:
+        self._span = float(shown.time[0]), float(shown.time[-1])
         dots_per_inch = 100
         points = 72 / dots_per_inch  # per pixel
         figure = Figure(figsize=(width / dots_per_inch, height / dots_per_inch), dpi=dots_per_inch, facecolor="white")
@@ -148,41 +134,29 @@ class StripChart:
             hspace=0.16,
         )
         rows = (
-            ("force [N]", ((disturbance, DISTURBANCE, "d"), (reaction, REACTION, "f"))),
-            ("x, y [cm]", ((100 * displacement, INK, ""),)),
+            ("force [N]", ((shown.disturbance, DISTURBANCE, "d"), (shown.reaction, REACTION, "f"))),
+            ("x, y [cm]", ((100 * shown.displacement, INK, ""),)),
         )
-        line = 0.13 * unit * points
+        line, size = 0.13 * unit * points, unit * points
         for ax, (units, signals) in zip(panels, rows, strict=True):
             for values, colour, name in signals:
                 for axis, style in enumerate(("-", (0, (2.5, 1.2)))):
                     label = f"${name}_{'xy'[axis]}$" if name else f"${'xy'[axis]}$"
-                    ax.plot(time, values[:, axis], color=colour, linewidth=line, linestyle=style, label=label)
-            ax.set_ylabel(units, fontsize=unit * points, color=INK, labelpad=2)
-            ax.set_xlim(time[0], time[-1])
+                    ax.plot(shown.time, values[:, axis], color=colour, linewidth=line, linestyle=style, label=label)
+            ax.set_ylabel(units, fontsize=size, labelpad=2)
+            ax.set_xlim(*self._span)
             ax.margins(y=0.08)
             ax.locator_params(axis="y", nbins=4)
-            ax.grid(color=RULE, linewidth=line / 2)
-            ax.tick_params(labelsize=0.85 * unit * points, labelcolor=INK, color=GREY, length=2, pad=2)
-            ax.legend(
-                loc="center left",
-                bbox_to_anchor=(1.0, 0.5),
-                fontsize=unit * points,
-                frameon=False,
-                labelspacing=0.1,
-                handlelength=1.4,
-                handletextpad=0.4,
-                borderaxespad=0.3,
-            )
-            for side in ("top", "right"):
-                ax.spines[side].set_visible(False)
-            for side in ("left", "bottom"):
-                ax.spines[side].set_color(GREY)
+            ax.grid(linewidth=line / 2)
+            ax.tick_params(labelsize=0.85 * size, length=2, pad=2)
+            narrow = {"labelspacing": 0.1, "handlelength": 1.4, "handletextpad": 0.4, "borderaxespad": 0.3}
+            ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=size, **narrow)
         panels[0].tick_params(labelbottom=False)
-        panels[1].set_xlabel("time [s]", fontsize=unit * points, color=INK, labelpad=1)
+        panels[1].set_xlabel("time [s]", fontsize=size, labelpad=1)
         figure.align_ylabels(panels)
         canvas.draw()
         self._drawn: Picture = np.asarray(canvas.buffer_rgba())[..., :3].copy()
-        self._drawn = _with_legend(self._drawn, unit, trail)
+        self._drawn = _with_legend(self._drawn, unit)
         self._pale = self._drawn.copy()
         self._boxes = []
         for ax in panels:
@@ -191,7 +165,6 @@ class StripChart:
             inside = self._pale[rows_of, left + 2 : right + 2]
             inside[:] = 255 - (255 - inside) // 3
             self._boxes.append((rows_of, left + 2, right + 2))
-        self._span = float(time[0]), float(time[-1])
 
     def at(self, time: float) -> Picture:
         """The chart with what is still to come paler, and a line at a time, (height, width, 3).
@@ -208,11 +181,11 @@ class StripChart:
         return chart
 
 
-def _with_legend(chart: Picture, unit: int, trail: float) -> Picture:
+def _with_legend(chart: Picture, unit: int) -> Picture:
     """A chart with what the colours in chart and pictures mean, along its upper edge."""
     picture, font = Image.fromarray(chart), _font(unit)
     draw = ImageDraw.Draw(picture)
-    entries = ((DISTURBANCE, "disturbance d"), (REACTION, "force f on the hand"), (PATH, f"handle, last {trail:g} s"))
+    entries = ((DISTURBANCE, "disturbance d"), (REACTION, "force f on the hand"), (PATH, f"handle, last {TRAIL:g} s"))
     column = 4.6 * unit
     for colour, text in entries:
         draw.line((column, 0.95 * unit, column + 1.2 * unit, 0.95 * unit), fill=colour, width=max(2, unit // 4))

@@ -124,6 +124,14 @@ class Replay:
         """Until when there is something to see [s]: the end of the trial, or the limit of the workspace before it."""
         return self.duration if self.limit_time is None else min(self.limit_time, self.duration)
 
+    def between(self, start: float, stop: float) -> Self:
+        """The part of the trial from `start` to `stop` [s]; all of it if fewer than two samples lie between them."""
+        inside = (self.time >= start) & (self.time <= stop)
+        if inside.sum() < 2:
+            return self
+        names = ("time", "qpos", "displacement", "disturbance", "reaction")
+        return replace(self, **{name: getattr(self, name)[inside] for name in names})
+
     def at(self, values: Array, times: ArrayLike) -> Array:
         """Values of one of the signals at other times, linearly between samples, (..., column).
 

@@ -66,28 +66,14 @@ def frames(replay: Replay, clip: Clip, times: Array) -> Iterator[Picture]:
       RuntimeError: this machine cannot draw; the message names what to install.
     """
     views, (width, height) = VIEWS[clip.view], clip.size
-    start, stop = clip.window(replay)
-    shown = (replay.time >= start) & (replay.time <= stop)
-    if shown.sum() < 2:  # between two samples
-        shown = np.ones_like(shown)
+    shown = replay.between(*clip.window(replay))
     qpos, d, f, displacement = (
         replay.at(values, times) for values in (replay.qpos, replay.disturbance, replay.reaction, replay.displacement)
     )
     _simplify(replay.model, height)
-    chart = StripChart(
-        replay.time[shown],
-        replay.disturbance[shown],
-        replay.reaction[shown],
-        replay.displacement[shown],
-        width=width * len(views),
-        height=height // 2,
-        unit=text_size(height),
-        trail=TRAIL,
-    )
+    chart = StripChart(shown, width=width * len(views), height=height // 2, unit=text_size(height))
     with Camera(replay.model, width=width, height=height) as camera:
-        scale = arrow_scale(
-            camera, views, replay.disturbance[shown], replay.reaction[shown], replay.displacement[shown]
-        )
+        scale = arrow_scale(camera, views, shown)
         layers = [
             label_layer(clip.size, replay.title if i == 0 else "", *scale_axes(camera, view, scale))
             for i, view in enumerate(views)
@@ -96,13 +82,8 @@ def frames(replay: Replay, clip: Clip, times: Array) -> Iterator[Picture]:
             past = replay.displacement[(replay.time > now - TRAIL) & (replay.time < now)]
             pictures = []
             for view, layer in zip(views, layers, strict=True):
-                drawn = camera.draw(
-                    qpos[i],
-                    view,
-                    arrows=force_arrows(d[i], f[i], scale),
-                    trail=np.vstack([past, displacement[i]]),
-                )
-                picture = Image.fromarray(drawn)
+                arrows, trail = force_arrows(d[i], f[i], scale), np.vstack([past, displacement[i]])
+                picture = Image.fromarray(camera.draw(qpos[i], view, arrows=arrows, trail=trail))
                 picture.paste(layer, mask=layer)
                 if view == views[0]:
                     draw_clock(picture, float(now), clip.slow)
@@ -127,23 +108,19 @@ def scale_axes(camera: Camera, view: str, scale: float) -> tuple[float, Array]:
         force = nice_force(2.5 * force)  # the next one
 
 
-def arrow_scale(
-    camera: Camera, views: tuple[str, ...], disturbance: Array, reaction: Array, displacement: Array
-) -> float:
+def arrow_scale(camera: Camera, views: tuple[str, ...], shown: Replay) -> float:
     """Length per force of arrows that stay within the pictures [m/N].
 
     Args:
       camera: that draws them.
       views: that are drawn.
-      disturbance: d [N], (time, axis).
-      reaction: f [N], (time, axis).
-      displacement: of the handle [m], (time, axis).
+      shown: what they are drawn of.
     """
-    forces = np.concatenate([disturbance, reaction])
+    forces = np.concatenate([shown.disturbance, shown.reaction])
     largest = float(np.linalg.norm(forces, axis=1).max())
     if largest == 0.0:
         return LONGEST_ARROW
-    starts = camera.handle(np.concatenate([displacement, displacement]))
+    starts = camera.handle(np.concatenate([shown.displacement, shown.displacement]))
     flat = np.pad(forces, ((0, 0), (0, 1)))
     margin = 0.03 * camera.height
     limits = np.array([camera.width, camera.height]) - margin

@@ -365,9 +365,8 @@ def _response(recording: xr.Dataset, subject: Subject) -> Response:
     if pulse_onset < WINDOW_START:
         return response
     spectra = estimate_spectra(line_spectra(recording, window_start=WINDOW_START))
-    rotation = true_rotations(recording)
     window = slice(round(WINDOW_START * rate), round((WINDOW_START + PERIOD) * rate))
-    stretch = element_motion(rotation[:, window].reshape(-1, 2))
+    stretch = element_motion(true_rotations(recording)[:, window].reshape(-1, 2))
     return replace(
         response,
         frequency=spectra.frequency,

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, rfft
 
 from armperturb.analysis.arm.linear_arm import total_admittance
-from armperturb.analysis.fit.structures import GRIP_UNITS, true_values, unit
+from armperturb.analysis.fit.joint_likelihood import SHARES
+from armperturb.analysis.fit.structures import true_values, unit
 from armperturb.analysis.results import Description, Result
 from armperturb.arrays import Array
 from armperturb.controllers.remnant import HUMAN_NOISE
@@ -123,7 +124,7 @@ class Design(Result):
         """
         human = HUMAN_NOISE[self.settings.subject.task]
         shares = [
-            getattr(human, f"spread_{name.partition('_')[0]}", 0.0) if name not in GRIP_UNITS else 0.0
+            getattr(human, f"spread_{name.partition('_')[0]}", 0.0) if name not in SHARES["grip"] else 0.0
             for name in self.names
         ]
         return np.abs(self.truth) * np.array(shares) / np.sqrt(self.settings.trials)

@@ -7,7 +7,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from armperturb.analysis.arm.state_space import require_stable
-from armperturb.analysis.fit.structures import GRIP_UNITS, STRUCTURES, Structure, at_truth
+from armperturb.analysis.fit.joint_likelihood import SHARES
+from armperturb.analysis.fit.structures import STRUCTURES, Structure, at_truth
 from armperturb.analysis.force_balance import NoiseLevels
 from armperturb.environment import Environment
 from armperturb.envs.lab.instruments import Instruments
@@ -154,9 +155,9 @@ class DesignSettings:
         if self.goal == "all":
             return free
         if self.goal == "grip":
-            return tuple(name for name in free if name in GRIP_UNITS)
+            return tuple(name for name in free if name in SHARES["grip"])
         quantities = _QUANTITIES[self.goal]
-        return tuple(name for name in free if name not in GRIP_UNITS and name.partition("_")[0] in quantities)
+        return tuple(name for name in free if name not in SHARES["grip"] and name.partition("_")[0] in quantities)
 
 
 def noise_levels(instruments: Instruments) -> NoiseLevels:

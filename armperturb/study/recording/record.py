@@ -11,7 +11,9 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -58,8 +60,7 @@ class _Unit:
         return len(self.people) * len(self.protocol.planned_trials()) * self.protocol.trial_duration
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Finished:
+class _Finished(NamedTuple):
     """A subject's file that a worker has written."""
 
     name: str
@@ -179,16 +180,11 @@ def _draw_multisines(protocol: Protocol, seed: int, pool: Workers | None) -> dic
     """`Protocol.draw_multisines`, shared out: some seconds' work that everybody's trials wait for."""
     if pool is None:
         return protocol.draw_multisines(seed)
-    numbers = [number for number, planned in enumerate(protocol.planned_trials()) if planned.condition.has_multisine]
+    numbers = [[number] for number, trial in enumerate(protocol.planned_trials()) if trial.condition.has_multisine]
     drawn: dict[int, Multisine] = {}
-    for some in completed(_draw_multisine, [(protocol, seed, number) for number in numbers], pool):
+    for some in completed(partial(protocol.draw_multisines, seed), numbers, pool):
         drawn.update(some)
     return drawn
-
-
-def _draw_multisine(unit: tuple[Protocol, int, int]) -> dict[int, Multisine]:
-    protocol, seed, number = unit
-    return protocol.draw_multisines(seed, [number])
 
 
 def _work(units: Sequence[_Unit], pool: Workers | None, bar: "_Progress") -> Generator[_Finished]:

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from armperturb.analysis.fit.thesis import (
+    THETA,
+    VARTHETA,
     ThesisEstimate,
     Wanted,
-    appendix_d,
-    appendix_e,
+    fit_starts,
     fit_wanted,
     join_estimates,
 )
@@ -89,7 +90,7 @@ def fit_person(conditions: Mapping[str, ConditionTrials], settings: AnalysisSett
         )
         if settings.starts_of in prepared:
             trials = prepared[settings.starts_of]
-            starts = appendix_d(trials) | appendix_e(trials)
+            starts = fit_starts(trials, THETA) | fit_starts(trials, VARTHETA)
     except ValueError as error:
         left_out.append(f"{name} was not fitted as in appendices C to E: {error}")
     return Fits(name, first, starts, tuple(left_out))

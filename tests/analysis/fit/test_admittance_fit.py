@@ -210,7 +210,6 @@ def test_as_published_is_lsqnonlin_on_the_modulus_from_one_start(use_penalty):
     result = fit_admittance(
         FREQUENCY, admittance, POSITION, "3b", ENVIRONMENT, as_published=True, use_penalty=use_penalty, delay="pade"
     )
-    assert (result.n_starts, result.n_starts_agree) == (1, 1)
     assert result.criterion * 72 == pytest.approx(2 * expected.cost, rel=1e-3)
     best = fit_admittance(FREQUENCY, admittance, POSITION, "3b", ENVIRONMENT, use_penalty=use_penalty, delay="pade")
     assert best.criterion <= result.criterion

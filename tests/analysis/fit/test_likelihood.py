@@ -6,7 +6,7 @@ import pytest
 from armperturb.analysis.arm.linear_arm import total_admittance
 from armperturb.analysis.arm.parameters import parameter_vector
 from armperturb.analysis.arm.state_space import simulate_linear
-from armperturb.analysis.fit.likelihood import PeriodLikelihood, RecordLikelihood, whitened, whitening
+from armperturb.analysis.fit.likelihood import PeriodLikelihood, RecordLikelihood, Signals, whitened, whitening
 from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.environment import Environment
 from armperturb.perturbations import Multisine
@@ -30,11 +30,11 @@ def moved(arm, n_samples, n_trials=1):
 
 def by_period(d, x, arm):
     steady = slice(8 * 200, 8 * 200 + 2 * N_PERIOD)
-    return PeriodLikelihood(d[:, steady], whitened(x, RATE)[:, steady], arm, ENVIRONMENT, RATE, N_PERIOD, TOP)
+    return PeriodLikelihood(Signals(d[:, steady], whitened(x, RATE)[:, steady], arm, ENVIRONMENT, RATE), N_PERIOD, TOP)
 
 
 def by_record(d, x, arm, settle=0.0):
-    return RecordLikelihood(d, whitened(x, RATE), arm, ENVIRONMENT, RATE, TOP, settle)
+    return RecordLikelihood(Signals(d, whitened(x, RATE), arm, ENVIRONMENT, RATE), TOP, settle)
 
 
 def unexplained(likelihood, arm):
@@ -55,9 +55,8 @@ def noisy(arm, seed, kind=None, n_trials=4, shake=0.05):
     path = np.einsum("fij,tfj->tfi", total_admittance(arm, ENVIRONMENT, frequency), force)
     x = np.fft.irfft(path, n_padded, axis=1)[:, :n]
     white = whitened(np.concatenate([x[:, -2:], x], axis=1), RATE)[:, 2:] if kind is by_period else whitened(x, RATE)
-    if kind is by_period:
-        return PeriodLikelihood(d, white, arm, ENVIRONMENT, RATE, N_PERIOD, TOP)
-    return RecordLikelihood(d, white, arm, ENVIRONMENT, RATE, TOP, 0.0)
+    signals = Signals(d, white, arm, ENVIRONMENT, RATE)
+    return PeriodLikelihood(signals, N_PERIOD, TOP) if kind is by_period else RecordLikelihood(signals, TOP, 0.0)
 
 
 @pytest.fixture(scope="module", params=[RELAX, POSITION], ids=lambda arm: arm.task)

@@ -129,13 +129,15 @@ def test_a_shared_mass_is_one_value_and_better_known_than_from_either_condition_
     assert len(together.values) == 25
     assert len(apart.values) == 26
     assert together.arms["PT7.5"].m_f == together.arms["PT22.5"].m_f
-    assert together.standard_error["m_tot"] < min(apart.standard_error[f"m_tot [{one.label}]"] for one in groups)
+    assert together.standard_error["m_tot"] < min(apart.standard_error[f"m_tot [{one.trials.label}]"] for one in groups)
     assert abs(together.values["m_tot"] - 3.38) < 4 * together.standard_error["m_tot"]
     assert together.arms["PT22.5"].k_s == together.values["k_s [PT22.5]"]
     alone = [estimate([group]) for group in groups]
     for group, one in zip(groups, alone, strict=True):
         for name, value in one.values.items():
-            assert apart.values[f"{name} [{group.label}]"] == pytest.approx(value, abs=0.1 * one.standard_error[name])
+            assert apart.values[f"{name} [{group.trials.label}]"] == pytest.approx(
+                value, abs=0.1 * one.standard_error[name]
+            )
     started = estimate(groups, share=["m_tot", "velocity"], initial={"m_tot": 4.0, "kv_s": 12.0, "k_e [PT7.5]": 150.0})
     assert started.converged
     assert "kv_s" in started.values

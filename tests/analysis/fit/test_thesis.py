@@ -13,9 +13,7 @@ from armperturb.analysis.fit.thesis import (
     THETA,
     VARTHETA,
     Wanted,
-    appendix_c,
-    appendix_d,
-    appendix_e,
+    fit_starts,
     fit_trials,
     fit_wanted,
     join_estimates,
@@ -89,16 +87,13 @@ def test_only_positive_vaf_counts(estimate):
         estimate.vaf[:] = kept
 
 
-def test_appendix_c_goes_from_the_first_step_to_the_second(first):
+def test_a_second_step_from_the_means_of_the_first_is_penalised_where_it_is_unstable(first):
     one = first.isel(trial=[0, 2])
-    (step_1, step_2), *others = appendix_c(one, {"PT7.5": one, "again": one.isel(trial=[1])}, ["3"]).values()
-    assert not others
+    step_1 = fit_trials(one, "3", use_penalty=False)
     assert all(fit.penalty == 1.0 for fit in step_1.fits)
-    assert list(step_2) == ["PT7.5", "again"]
-    repeated = fit_trials(one, "3", initial=step_1.means())
-    np.testing.assert_array_equal(step_2["PT7.5"].values, repeated.values)
-    assert repeated.n_stable == 2
-    assert repeated.fits[0].penalty == pytest.approx(penalty_factor(repeated.fits[0].largest_real_pole))
+    step_2 = fit_trials(one, "3", initial=step_1.means())
+    assert step_2.n_stable == 2
+    assert step_2.fits[0].penalty == pytest.approx(penalty_factor(step_2.fits[0].largest_real_pole))
 
 
 def test_wanted_fits_are_those_of_each_alone(first, other):
@@ -121,7 +116,7 @@ def test_wanted_fits_are_those_of_each_alone(first, other):
 
 def test_appendix_d_and_e_take_every_published_start(other):
     one = ConditionTrials.prepare(other)
-    d, e = appendix_d(one), appendix_e(one)
+    d, e = fit_starts(one, THETA), fit_starts(one, VARTHETA)
     assert list(d) == [f"theta_i{i}" for i in range(1, 7)]
     assert {estimate.structure for estimate in d.values()} == {"3 (D.2)"}
     assert [e[f"vartheta_i{i}"].structure for i in range(1, 7)] == ["3a", *["3b"] * 5]

@@ -14,8 +14,8 @@ from armperturb.analysis.measures.kinematics import (
     joint_angles,
     joint_rotations,
     joint_velocities,
-    kinematics_error,
     start_posture,
+    true_rotations,
     within_reach,
 )
 from armperturb.environment import Strap
@@ -102,49 +102,30 @@ def test_rotations_are_those_of_the_joints_but_for_the_grip(recording, trial):
 
 def test_error_is_that_of_the_grip(recording):
     """At most the deflection of the grip, times what the inverse of the Jacobian makes of it anywhere on the way."""
-    error = kinematics_error(recording)
-    true = recording["joint_angle"].values - start_posture(recording)[:, None]
-    difference = joint_rotations(recording) - true
-    np.testing.assert_allclose(error.rms, np.sqrt(np.mean(difference**2, axis=1)))
-    np.testing.assert_allclose(error.peak, np.abs(difference).max(axis=1))
+    peak = np.abs(joint_rotations(recording) - true_rotations(recording)).max(axis=1)
     for trial, subject in enumerate((POSITION, RELAX)):
         deflection = np.linalg.norm(recording["force"].values[trial], axis=-1).max() / subject.k_h
         postures = np.degrees(recording["joint_angle"].values[trial, ::20])
         jacobians = [hand_jacobian(replace(subject, theta_s_deg=s, theta_e_deg=e)) for s, e in postures]
         stretch = 1.0 / min(np.linalg.svd(jacobian)[1][-1] for jacobian in jacobians)
-        assert 0.1 * stretch * deflection < error.peak[trial].max() < 1.1 * stretch * deflection
+        assert 0.1 * stretch * deflection < peak[trial].max() < 1.1 * stretch * deflection
 
 
 def test_the_marker_puts_a_moving_shoulder_right(recording):
     moving = run_experiment([pulsed(POSITION), pulsed(RELAX)], strap=Strap())
     marker = moving["shoulder_marker"].values
     np.testing.assert_allclose(hand_path(moving) - hand_path(moving, shoulder=marker), marker, atol=1e-12)
-    held, fixed, put_right = (
-        kinematics_error(recording),
-        kinematics_error(moving),
-        kinematics_error(moving, shoulder=marker),
-    )
-    assert (put_right.rms < 1.1 * held.rms).all()
-    assert (put_right.peak < 1.1 * held.peak).all()
-    assert (fixed.rms > [[2.0, 2.0], [1.3, 1.3]] * put_right.rms).all()
-
-
-def test_error_stops_where_the_trial_reaches_its_limit(recording):
-    """What comes later means nothing, and may be out of reach."""
-    rate, last = RATE, 600
-    cut = recording.isel(time=slice(0, last))
-    limited = recording.assign_coords(limit_time=("trial", [last / rate, np.nan]))
-    broken = limited.assign(displacement=limited["displacement"].copy())
-    broken["displacement"][0, last:] = 9.0
-    found, expected = kinematics_error(broken), kinematics_error(cut)
-    np.testing.assert_allclose(found.rms[0], expected.rms[0])
-    np.testing.assert_allclose(found.peak[0], expected.peak[0])
-    np.testing.assert_allclose(found.rms[1], kinematics_error(recording).rms[1])
+    held = joint_rotations(recording) - true_rotations(recording)
+    fixed, put_right = (joint_rotations(moving, shoulder=path) - true_rotations(moving) for path in (None, marker))
+    rms = [np.sqrt(np.mean(error**2, axis=1)) for error in (held, fixed, put_right)]
+    assert (rms[2] < 1.1 * rms[0]).all()
+    assert (np.abs(put_right).max(axis=1) < 1.1 * np.abs(held).max(axis=1)).all()
+    assert (rms[1] > [[2.0, 2.0], [1.3, 1.3]] * rms[2]).all()
 
 
 def test_refuses_no_truth_and_another_shoulder(recording):
     with pytest.raises(ValueError, match="no joint_angle; expected one that was simulated"):
-        kinematics_error(recording.drop_vars("joint_angle"))
+        true_rotations(recording.drop_vars("joint_angle"))
     with pytest.raises(ValueError, match=r"shoulder of shape \(2,\); expected \(2, 1100, 2\)"):
         joint_rotations(recording, shoulder=[0.0, 0.0])
 
