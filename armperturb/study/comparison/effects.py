@@ -1,7 +1,8 @@
 """What amplitude does to people: the thesis's tests (2.9) on a study, beside the p values that it prints."""
 
+import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -22,7 +23,7 @@ from armperturb.study.comparison.headlines import POST_HOC, PULSED
 from armperturb.study.published import tables as published
 from armperturb.study.results.mean_admittance import by_task
 from armperturb.study.results.study_result import StudyResult
-from armperturb.study.results.trial_measures import PersonMeasures, PulseMeans, muscle_parameter, stable_mean
+from armperturb.study.results.trial_measures import PersonMeasures, muscle_parameter, stable_mean
 
 Row = dict[str, Any]
 
@@ -54,6 +55,15 @@ LEVELS_OF = ("PT0", "PT7.5")
 """Conditions with pulses of both levels."""
 
 
+PRINTED_TESTS = {
+    ("pulse admittance", "PT"): "p_pulse_admittance_anova_pt",
+    ("pulse admittance", "RT"): "p_pulse_admittance_anova_rt",
+    ("pulse prediction", "PT"): "p_pulse_prediction_pt",
+    ("pulse prediction", "RT"): "p_pulse_prediction_anova_rt",
+}
+"""Quantity and task to the printed p of an effect of the conditions."""
+
+
 class AdmittanceEffect(NamedTuple):
     """Whether the gain differs between the amplitudes of a task.
 
@@ -76,18 +86,6 @@ class AdmittanceEffect(NamedTuple):
         return [f"{frequency:.2g}" for frequency in self.frequency[self.p[:, output, input_] < ALPHA]]
 
 
-class Agreement(NamedTuple):
-    """How many tests are as in the thesis.
-
-    Attributes:
-      told: tests and pairs of which the thesis tells whether they are significant.
-      agree: of these, those that are, or are not, in both.
-    """
-
-    judged: int
-    agree: int
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Effects:
     """All tests of a study.
@@ -107,12 +105,12 @@ class Effects:
     remarks: tuple[str, ...]
 
     @property
-    def agreement(self) -> Agreement:
-        """With the thesis, on what is significant."""
+    def agreement(self) -> tuple[int, int]:
+        """Tests and pairs of which the thesis tells whether they are significant, and those in which both agree."""
         judged = [(row["p"], row["published_p"]) for row in self.rows if row["published_p"]]
         judged += [(row["p_bonferroni"], row["published_p"]) for row in self.pairs if row["published_p"]]
         # A printed p is always of a difference that is called significant.
-        return Agreement(len(judged), sum((p < ALPHA) == (printed != "ns") for p, printed in judged))
+        return len(judged), sum((p < ALPHA) == (printed != "ns") for p, printed in judged)
 
 
 class _Tests:
@@ -200,10 +198,7 @@ class _Tests:
                 "dof": str(test.dof),
                 "p": test.p,
                 "published_p": printed,
-                "effect_size": math.nan,
-                "mauchly_p": math.nan,
-                "epsilon": math.nan,
-                "shapiro_p_min": math.nan,
+                **dict.fromkeys(("effect_size", "mauchly_p", "epsilon", "shapiro_p_min"), math.nan),
             }
         )
 
@@ -214,26 +209,26 @@ def effects(study: StudyResult) -> Effects:
     admittance = {task: effect for task in AMPLITUDES if (effect := admittance_effect(study, task)) is not None}
     parameters: dict[tuple[str, str], float] = {}
     for task, conditions in AMPLITUDES.items():
-        for name in (f"{kind}_{place}" for kind in TRIPLES[task] for place in PLACES):
+        for kind, place in itertools.product(TRIPLES[task], PLACES):
+            name = f"{kind}_{place}"
             values = {person.name: [_parameter(person, c, name) for c in conditions] for person in study.people}
             parameters[task, name] = tests.effect(name, task, values, conditions, _printed_parameter(name, task))
-    pulses: dict[str, tuple[Callable[[PulseMeans], float], Mapping[str, tuple[tuple[str, str], ...]]]] = {
-        "peak displacement": (lambda pulse: pulse.displacement, PULSED),
-        "pulse admittance": (lambda pulse: pulse.admittance, PULSED),
-        "pulse prediction": (lambda pulse: pulse.prediction, PREDICTED),
-    }
-    for what, (value, of_task) in pulses.items():
-        for task, pairs in of_task.items():
-            values = {person.name: [_pulse(person, pair, value) for pair in pairs] for person in study.people}
-            of_pulses = tuple(condition for condition, _ in pairs)
-            tests.effect(what, task, values, of_pulses, _printed(what, task), _printed_pairs(what, task))
-    for condition in LEVELS_OF:
-        values = {
-            person.name: [
-                _pulse(person, (condition, level), lambda pulse: pulse.admittance) for level in ("max", "min")
-            ]
+
+    def pulses(quantity: str, of: Sequence[tuple[str, str]]) -> dict[str, list[float]]:
+        return {
+            person.name: [getattr(person.pulses.get(pulse), quantity, math.nan) for pulse in of]
             for person in study.people
         }
+
+    for quantity, of_task in (("displacement", PULSED), ("admittance", PULSED), ("prediction", PREDICTED)):
+        what = "peak displacement" if quantity == "displacement" else f"pulse {quantity}"
+        for task, pairs in of_task.items():
+            compared = tuple(condition for condition, _ in pairs)
+            printed = PRINTED_TESTS.get((what, task))
+            text = published.headline_text(printed) if printed else ""
+            tests.effect(what, task, pulses(quantity, pairs), compared, text, _printed_pairs(what, task))
+    for condition in LEVELS_OF:
+        values = pulses("admittance", [(condition, level) for level in ("max", "min")])
         tests.levels(condition, values, published.headline_text(f"p_pulse_admittance_level_{condition.lower()}"))
     return Effects(
         admittance=admittance,
@@ -270,26 +265,12 @@ def _parameter(person: PersonMeasures, condition: str, name: str) -> float:
     return math.nan if estimate is None else muscle_parameter(name, partial(stable_mean, estimate))
 
 
-def _pulse(person: PersonMeasures, pulse: tuple[str, str], value: Callable[[PulseMeans], float]) -> float:
-    return value(person.pulses[pulse]) if pulse in person.pulses else math.nan
-
-
 def _printed_parameter(name: str, task: str) -> str:
     if name.endswith("*"):
         return "< 0.01" if task == "PT" and name in STARRED_MUSCLES else ""
     if task == "RT":
         return published.headline_text("p_all_parameters_rt")
     return published.headline_text(PRINTED_PARAMETERS[name]) if name in PRINTED_PARAMETERS else "ns"
-
-
-def _printed(what: str, task: str) -> str:
-    names = {
-        ("pulse admittance", "PT"): "p_pulse_admittance_anova_pt",
-        ("pulse admittance", "RT"): "p_pulse_admittance_anova_rt",
-        ("pulse prediction", "PT"): "p_pulse_prediction_pt",
-        ("pulse prediction", "RT"): "p_pulse_prediction_anova_rt",
-    }
-    return published.headline_text(names[what, task]) if (what, task) in names else ""
 
 
 def _printed_pairs(what: str, task: str) -> dict[tuple[int, int], str]:

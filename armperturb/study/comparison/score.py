@@ -28,6 +28,7 @@ from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.study.results.settings import STARTS_OF
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import PersonMeasures
+from armperturb.subject import TASKS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -116,9 +117,7 @@ class Score(Result):
         return pd.DataFrame(
             [
                 {
-                    "table": scored.cell.table,
-                    "condition": scored.cell.condition,
-                    "quantity": scored.cell.quantity,
+                    **scored.cell._asdict(),
                     "published_mean": scored.published.mean,
                     "published_sd": scored.published.sd,
                     "ours": scored.ours.mean,
@@ -225,10 +224,9 @@ def _estimate(entry: FitEntry, fits: Appendices) -> ThesisEstimate | None:
 
 def _fitted_value(entry: FitEntry, estimate: ThesisEstimate) -> MeanSD:
     stable = estimate.stable
-    if entry.quantity == "N_pos":
-        return MeanSD(estimate.n_positive / len(estimate.fits), math.nan)
-    if entry.quantity == "N_stab":
-        return MeanSD(estimate.n_stable / len(estimate.fits), math.nan)
+    if entry.quantity in ("N_pos", "N_stab"):
+        n = estimate.n_positive if entry.quantity == "N_pos" else estimate.n_stable
+        return MeanSD(n / len(estimate.fits), math.nan)
     if entry.quantity.startswith("VAF"):
         mean, sd = estimate.mean_vaf()
         axis = "xy".index(entry.quantity[-1])
@@ -278,13 +276,11 @@ def shares(result: Score) -> dict[str, Share]:
     of = {table: share(scored for scored in result.cells if scored.cell.table == table) for table in tables}
     measured = [scored for scored in result.cells if scored.cell.table.startswith(("2", "F"))]
     groups = {
-        "2.1 and F, PT": [scored for scored in measured if scored.cell.condition.startswith("PT")],
-        "2.1 and F, RT": [scored for scored in measured if scored.cell.condition.startswith("RT")],
-        "2.1 and F": measured,
         **{
-            appendix: [scored for scored in result.cells if scored.cell.table.startswith(appendix)]
-            for appendix in ("C", "D", "E")
+            f"2.1 and F, {task}": [scored for scored in measured if scored.cell.condition[:2] == task] for task in TASKS
         },
+        "2.1 and F": measured,
+        **{appendix: [scored for scored in result.cells if scored.cell.table[0] == appendix] for appendix in "CDE"},
         "total": list(result.cells),
     }
     return of | {name: share(cells) for name, cells in groups.items()}

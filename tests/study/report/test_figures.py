@@ -340,19 +340,19 @@ def test_paths_of_unstable_fits_are_not_predicted():
     recording = pulsed(POSITION, "PT7.5")
     estimate = estimate_of(POSITION, stable=(True, False))
     found = trajectory_figures.responses(recording, estimate, 2.0)
-    assert [(one.direction_deg, list(one.paths)) for one in found] == [
-        (20.0, ["recorded"]),
-        (200.0, ["recorded", "linear", "skeletal"]),
-    ]
+    assert {direction: list(paths) for direction, paths in found.items()} == {
+        20.0: ["recorded"],
+        200.0: ["recorded", "linear", "skeletal"],
+    }
     # The same two pulses again, of which the second 20 degrees is predicted: it goes first.
     again = recording.isel(trial=[0, 1, 0, 1])
     again["displacement"] = again["displacement"] * np.array([1, 1, 2, 2])[:, None, None]
     found = trajectory_figures.responses(again, estimate_of(POSITION, (True, False, True, True)), 2.0)
-    assert [list(one.paths) for one in found] == [["recorded", "linear", "skeletal"]] * 2
-    first, second = (one.paths["recorded"] for one in found)
+    assert [list(paths) for paths in found.values()] == [["recorded", "linear", "skeletal"]] * 2
+    first, second = (paths["recorded"] for paths in found.values())
     assert first == pytest.approx(2 * recording["displacement"].values[1, 200:261])
     assert second == pytest.approx(recording["displacement"].values[0, 200:261])
-    assert trajectory_figures.responses(recording, None, 1.0) == []
+    assert trajectory_figures.responses(recording, None, 1.0) == {}
 
 
 def test_joint_rotations_and_their_peaks():

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -54,18 +54,6 @@ NAMES = {level: name for name, level in LEVELS.items()}
 """Pulse level to its name in the published tables."""
 
 
-class Response(NamedTuple):
-    """Paths of the handle after a pulse.
-
-    Attributes:
-      direction_deg: of the pulse from the x axis [degree].
-      paths: "recorded", "linear" and "skeletal" to the displacement from the onset on [m], (time, axis).
-    """
-
-    direction_deg: float
-    paths: dict[str, Array]
-
-
 def first_pulses(
     recording: xr.Dataset, level: float | None = None, preferred: Collection[int] = ()
 ) -> dict[float, int]:
@@ -88,8 +76,8 @@ def first_pulses(
     return dict(sorted(first.items()))
 
 
-def responses(recording: xr.Dataset, estimate: ThesisEstimate | None, level: float) -> list[Response]:
-    """The first response to a pulse of each direction, and what the models make of it.
+def responses(recording: xr.Dataset, estimate: ThesisEstimate | None, level: float) -> dict[float, dict[str, Array]]:
+    """Direction of pulses [degree] to paths of the handle after the first: "recorded", "linear" and "skeletal".
 
     A trial whose fit is stable goes before one that cannot be predicted. The displacement is that from the start of the
     trial, as of peaks.
@@ -104,7 +92,7 @@ def responses(recording: xr.Dataset, estimate: ThesisEstimate | None, level: flo
         fitted = ConditionTrials.prepare(recording, is_checked=True).multisine.numbers
         fits = {int(trial): fit for trial, fit in zip(fitted, estimate.fits, strict=True) if fit.stable}
     rate = float(recording.attrs["rate"])
-    results = []
+    results = {}
     for direction, trial in first_pulses(recording, level, fits).items():
         span = pulse_span(recording, trial)
         paths = {"recorded": recording["displacement"].values[trial, span]}
@@ -113,7 +101,7 @@ def responses(recording: xr.Dataset, estimate: ThesisEstimate | None, level: flo
             driven = recording["perturbation"].values[trial, : span.stop]
             paths["linear"] = simulate_linear(arm, environment, driven, rate).displacement[span]
             paths["skeletal"] = simulate_skeletal(arm, environment, driven, rate, span.start)
-        results.append(Response(direction, paths))
+        results[direction] = paths
     return results
 
 
@@ -136,8 +124,8 @@ def trajectories(recording: xr.Dataset, estimate: ThesisEstimate | None, level: 
     figure = new_figure(4.2)
     ax = figure.subplots()
     drawn = set()
-    for response in first:
-        for name, path in response.paths.items():
+    for paths in first.values():
+        for name, path in paths.items():
             x, y = 100.0 * path.T
             ax.plot(x, y, **lines[name])
             ax.plot(x[::step], y[::step], "o", color=lines[name]["color"], markersize=3.2)
@@ -146,9 +134,8 @@ def trajectories(recording: xr.Dataset, estimate: ThesisEstimate | None, level: 
                 peak = int(np.argmax(np.linalg.norm(path, axis=1)))
                 to_peak = {**PEAK, "color": lines[name]["color"]}
                 ax.annotate("", (x[peak], y[peak]), (0.0, 0.0), arrowprops=to_peak)
-    reach = 100.0 * max(np.linalg.norm(response.paths["recorded"], axis=1).max() for response in first)
-    for response in first:
-        angle = math.radians(response.direction_deg)
+    reach = 100.0 * max(np.linalg.norm(paths["recorded"], axis=1).max() for paths in first.values())
+    for angle in map(math.radians, first):
         tip = (0.4 * reach * math.cos(angle), 0.4 * reach * math.sin(angle))
         ax.annotate("", tip, (0.0, 0.0), arrowprops=PUSHED, zorder=0.5)
     ax.set_aspect("equal", adjustable="datalim")
