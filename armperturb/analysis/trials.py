@@ -19,7 +19,7 @@ import xarray as xr
 from armperturb.analysis.cuts import limit_samples, of_condition, onset_samples
 from armperturb.analysis.defaults import SETTLED
 from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
-from armperturb.analysis.numerics.periodicity import find_period
+from armperturb.analysis.numerics.periodicity import find_period, samples_of_period
 from armperturb.arrays import Array, Indices
 from armperturb.environment import Environment
 from armperturb.recording import check_recording
@@ -348,26 +348,6 @@ Trials: TypeAlias = ConditionTrials | xr.Dataset
 
 SeveralTrials: TypeAlias = Trials | Sequence[Trials]
 """Trials of one person in one condition that may differ in length from recording to recording."""
-
-
-def samples_of_period(period: float, rate: float) -> int:
-    """Number of samples of a period.
-
-    Args:
-      period: [s].
-      rate: of the samples [Hz].
-
-    Raises:
-      ValueError: it is no whole number, or the period is not above 0.
-    """
-    require_number("analysis", "period", period, above=0.0)
-    samples = period * rate
-    if abs(samples - round(samples)) > 1e-6 * samples:
-        raise ValueError(
-            f"rate = {rate:g} Hz; expected one at which the period of {period:g} s is a whole number of samples "
-            f"(it is {samples:.6g})"
-        )
-    return round(samples)
 
 
 def prepared(trials: Trials) -> ConditionTrials:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy import signal
 
 from armperturb.arrays import Array
+from armperturb.validation import require_number
 
 OVERLAP = 0.1
 """Share of a lag that a record has to go on beyond it, for that lag to be judged [-]."""
@@ -87,3 +88,23 @@ def _differences(perturbation: Sequence[Array]) -> Array:
         for axis in d.T:
             products[:n] += signal.correlate(axis, axis, mode="full", method="fft")[len(d) - 1 :][:n]
     return np.asarray(np.maximum(1.0 - 2 * products / np.maximum(power, 1e-300), 0.0))
+
+
+def samples_of_period(period: float, rate: float) -> int:
+    """Number of samples of a period.
+
+    Args:
+      period: [s].
+      rate: of the samples [Hz].
+
+    Raises:
+      ValueError: it is no whole number, or the period is not above 0.
+    """
+    require_number("analysis", "period", period, above=0.0)
+    samples = period * rate
+    if abs(samples - round(samples)) > 1e-6 * samples:
+        raise ValueError(
+            f"rate = {rate:g} Hz; expected one at which the period of {period:g} s is a whole number of samples "
+            f"(it is {samples:.6g})"
+        )
+    return round(samples)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import signal
 
+from armperturb.analysis.numerics.periodicity import samples_of_period
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
 from armperturb.analysis.response.joint_records import excited_frequencies
 from armperturb.analysis.response.line_balance import find_balance, holds
@@ -39,7 +40,6 @@ from armperturb.analysis.trials import (
     common_period,
     prepared_recordings,
     records_of,
-    samples_of_period,
 )
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment

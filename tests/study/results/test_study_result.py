@@ -77,7 +77,8 @@ def asked(monkeypatch):
 
     def watched(name, function):
         def call(recording, *rest):
-            calls.append((name, str(recording["subject"].values[0])))
+            trials = next(iter(recording.values())).recording if isinstance(recording, dict) else recording
+            calls.append((name, str(trials["subject"].values[0])))
             return function(recording, *rest)
 
         return call
@@ -265,7 +266,7 @@ def test_a_recording_of_two_people_is_named(copied, monkeypatch):
     names = ["S01"] * (recording.sizes["trial"] - 1) + ["S09"]
     replaced(path, recording.assign_coords(subject=("trial", names)))
     monkeypatch.setattr(person, "identify_person", lambda *_: ())  # takes seconds
-    with pytest.raises(ValueError, match=r"S01\.nc: recordings of S01, S09; expected those of one person"):
+    with pytest.raises(ValueError, match=r"S01\.nc: recording: subject = S01, S09; expected one person"):
         analysed(copied)
 
 
