@@ -186,7 +186,7 @@ def compare_laws(
 
     Raises:
       ValueError: as `fit`, or no condition has two trials.
-      OSError: a checkpoint cannot be read or written.
+      OSError: a checkpoint cannot be written.
     """
     folds = _folds(sets)
     if not folds:

@@ -66,7 +66,7 @@ def fit(
     Raises:
       ValueError: trials are of several people or rates, there are none, `initial` or `model` names what is not free, or
         the arm at the start is unstable.
-      OSError: the checkpoint cannot be read or written.
+      OSError: the checkpoint cannot be written.
       ModuleNotFoundError: numba is not installed.
     """
     model = model or Model()

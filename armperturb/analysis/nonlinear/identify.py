@@ -119,7 +119,7 @@ def identify_nonlinear(
 
     Raises:
       ValueError: the recording is refused or cannot be identified, or the law is unknown.
-      OSError: a checkpoint cannot be read or written.
+      OSError: a checkpoint cannot be written.
       ModuleNotFoundError: numba is not installed.
     """
     load_compiled_arm()  # refused before anything that takes time

@@ -131,7 +131,7 @@ def fit_nonlinear(
       checkpoint: file in which the search is kept after each step; one that was stopped there goes on.
 
     Raises:
-      OSError: the checkpoint cannot be read or written.
+      OSError: the checkpoint cannot be written.
     """
     # Here, as compiling loads slowly, and few reports have anything to fit.
     from armperturb.analysis.nonlinear.estimate import fit
