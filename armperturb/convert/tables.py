@@ -1,6 +1,5 @@
 """The tables of `tables.toml`: units, fields of the sidecar, and the words of names."""
 
-import tomllib
-from importlib import resources
+from armperturb.files import packaged_table
 
-TABLES = tomllib.loads(resources.files(__package__).joinpath("tables.toml").read_text(encoding="utf-8"))
+TABLES = packaged_table(__package__, "tables.toml")
