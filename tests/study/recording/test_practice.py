@@ -276,7 +276,7 @@ def test_the_step_hardly_matters(monkeypatch):
         for condition in THESIS.conditions
         if condition.has_multisine
     ]
-    monkeypatch.setattr(practice, "SETTLE", 1.0)
+    monkeypatch.setattr(practice, "WINDOW_START", 1.0)
     monkeypatch.setattr(practice, "PERIOD", 3.0)
     quick, fine = (measured_displacement(trials, Environment(), timestep=step) for step in (QUICK_STEP, 1e-3))
     np.testing.assert_allclose(quick, fine, rtol=practice.AIM / 2)
