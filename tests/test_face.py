@@ -50,18 +50,13 @@ def test_importing_is_quick_and_loads_no_heavy_library():
     assert loaded == "set()"
 
 
+@pytest.mark.slow(reason="a process for each")
 @pytest.mark.parametrize(
     "lines",
     [
-        pytest.param(
-            ("import gymnasium as gym", "import armperturb", VECTOR),
-            marks=pytest.mark.slow(reason="a process for each"),
-        ),
+        ("import gymnasium as gym", "import armperturb", VECTOR),
         ("import armperturb", "import gymnasium as gym", VECTOR),
-        pytest.param(
-            ("import gymnasium as gym", VECTOR.replace("Arm", "armperturb:Arm", 1)),
-            marks=pytest.mark.slow(reason="a process for each"),
-        ),
+        ("import gymnasium as gym", VECTOR.replace("Arm", "armperturb:Arm", 1)),
     ],
     ids=["gymnasium first", "armperturb first", "by gymnasium"],
 )

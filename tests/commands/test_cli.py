@@ -256,6 +256,7 @@ def test_what_cannot_be_identified_together_is_refused(two_recordings, recording
     assert not (tmp_path / "r").exists()
 
 
+@pytest.mark.slow(reason="identifies a recording")
 def test_a_result_that_cannot_be_written_leaves_the_others_as_they_were(tmp_path, capsys):
     (tmp_path / "results" / "parameters.csv").mkdir(parents=True)
     line = refused(capsys, "identify", RECORDING, "--model", "1", "--out", tmp_path / "results")
