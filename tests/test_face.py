@@ -64,11 +64,12 @@ def test_gymnasium_knows_the_environments(lines):
     in_python(*lines)
 
 
-def test_a_missing_library_is_an_error_that_names_the_extra():
+def test_a_missing_simulator_is_an_error_that_names_the_extra_and_analysis_does_without():
     message = in_python(
-        "import sys, armperturb",
-        "sys.modules['mujoco'] = None",
-        "try: armperturb.run_experiment",
+        "import sys, armperturb as ap",
+        "sys.modules.update(dict.fromkeys(('mujoco', 'gymnasium', 'dm_control')))",
+        "ap.identify, ap.response, ap.best_linear, ap.import_recording, ap.load_protocol",
+        "try: ap.run_experiment",
         "except ModuleNotFoundError as error: print(error)",
     )
     assert message == (
