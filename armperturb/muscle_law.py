@@ -5,10 +5,10 @@ Equations, symbols and literature: docs/muscle.md.
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
-from armperturb.validation import require_number, require_whole
+from armperturb.validation import require_keys, require_number, require_whole
 
 PerElement = float | tuple[float, float, float]
 """One number for all muscle elements, or three: single-joint shoulder, two-joint, single-joint elbow."""
@@ -104,12 +104,5 @@ class MuscleLaw:
         """
         if not isinstance(values, Mapping):
             raise TypeError(f"MuscleLaw = {values!r}; expected a table of parameters by name")
-        known = [field.name for field in fields(cls)]
-        unknown = [key for key in values if key not in known]
-        if unknown:
-            raise ValueError(f"MuscleLaw: unknown key {unknown[0]!r}; expected keys are {', '.join(known)}")
+        require_keys("MuscleLaw", values, [field.name for field in fields(cls)])
         return cls(**values)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Parameter name to value, as `from_dict` reads it."""
-        return asdict(self)

@@ -27,7 +27,7 @@ ARROWS = {
     "extras": set(),
     "seeds": set(),
     "muscle_law": {"validation"},
-    "subject": {"validation", "muscle_law"},
+    "subject": {"files", "validation", "muscle_law"},
     "environment": {"validation"},
     "foreign": {"extras"},
     "recording": {"files", "foreign"},

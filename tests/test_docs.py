@@ -126,7 +126,8 @@ def test_commands_that_are_shown_can_be_typed(arguments, monkeypatch, capsys):
         monkeypatch.setattr(kind, "run", understood)
     monkeypatch.setattr(cli, "require_simulator", lambda: None)
     samples = {Subject: POSITION, Perturbation: Multisine.draw(seed=0, rms=1.0, crested=False)}
-    monkeypatch.setattr(cli, "FILES", {kind: lambda _, sample=sample: sample for kind, sample in samples.items()})
+    readers = {kind: lambda _, sample=sample: sample for kind, sample in samples.items()}
+    monkeypatch.setattr(cli, "files", lambda: readers)
     assert cli.main(arguments) == 1
     assert capsys.readouterr().err == "armperturb: error: understood\n"
 

@@ -2,6 +2,10 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Literal
+
+Estimator = Literal["thesis", "frequency", "record"]
+"""The thesis's (each trial alone, averaged), or maximum likelihood of mean periods, or of whole records."""
 
 WINDOW_START = 8.0
 """Start of the window of whole periods [s]: the transient has died away by then."""

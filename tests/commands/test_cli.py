@@ -348,3 +348,15 @@ def test_usage_errors_leave_with_a_status(capsys):
             cli.main(arguments)
         assert caught.value.code != 0
     capsys.readouterr()
+
+
+@pytest.mark.parametrize("arguments", [["--version"], ["--help"], ["identify", "--help"]], ids=" ".join)
+def test_help_loads_no_heavy_library(arguments):
+    code = (
+        "import sys\nfrom armperturb.cli import main\n"
+        f"try:\n    main({arguments!r})\nexcept SystemExit:\n    pass\n"
+        "print(sorted({'numpy', 'scipy', 'pandas', 'xarray', 'matplotlib'} & {*sys.modules}), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "armperturb" in done.stdout
+    assert done.stderr == "[]\n"

@@ -7,7 +7,7 @@ import pytest
 from test_cli import refused, run
 from test_frequency_response import TRUE, multisine, noise, recorded
 
-from armperturb.convert import export_recording
+from armperturb.convert.exporter import export_recording
 from armperturb.recording import save_recording
 
 

@@ -18,7 +18,7 @@ from scipy.io import savemat
 from test_convert import v73, write_c3d
 
 from armperturb import cli
-from armperturb.convert import import_recording
+from armperturb.convert.importer import import_recording
 from armperturb.foreign import LARGEST
 from armperturb.foreign.program import parse
 from armperturb.recording import MUSCLES, encode_recording

@@ -2,16 +2,15 @@
 
 import copy
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import resources
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from armperturb.analysis.fit import structures
 from armperturb.arrays import Array
+from armperturb.files import packaged_table
 from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import Subject, at_level
 
@@ -34,7 +33,7 @@ COMMON = ("elastic_limit_spread", "loss_angle_deg", "recovery_time", "thinning_v
 FIXED: Mapping[str, float] = {"Td": 0.030, "fact": 3.5}
 """Delay [s] and cut-off of the activation [Hz] of both joints, unless they are set free (thesis 2.7)."""
 
-_TABLES = tomllib.loads(resources.files(__package__).joinpath("parameters.toml").read_text(encoding="utf-8"))
+_TABLES = packaged_table(__package__, "parameters.toml")
 
 BOUNDS: Mapping[str, tuple[float, float]] = {name: (low, high) for name, (low, high) in _TABLES["bounds"].items()}
 """Of each parameter, in its `unit`; a group's stands for its three elements."""

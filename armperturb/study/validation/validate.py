@@ -15,8 +15,8 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
 
+from armperturb.analysis.defaults import Estimator
 from armperturb.analysis.fit.group import Group, Method
-from armperturb.analysis.fit.identify import Estimator
 from armperturb.analysis.fit.maximum_likelihood import estimate
 from armperturb.analysis.fit.structures import Structure, at_truth, true_values, unit
 from armperturb.analysis.fit.thesis import fit_trials
