@@ -30,7 +30,7 @@ def require_number(
       TypeError: value is not a number.
       ValueError: value is not finite or out of bounds.
     """
-    if isinstance(value, bool) or not isinstance(value, Real):
+    if isinstance(value, bool) or not isinstance(value, (float, Real)):  # asking for a float is many times faster
         raise TypeError(f"{owner}: {field} = {value!r}; expected a number")
     try:
         number = float(value)

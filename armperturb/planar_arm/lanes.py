@@ -13,6 +13,9 @@ from armperturb.environment import Environment
 from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import Subject
 
+GROUP = 8
+"""Lanes that are simulated side by side, as the vector instructions of processors have it."""
+
 MATRICES = ("k", "b", "kv", "kp")
 _SEGMENTS = ("m_h", "m_f", "l_h", "l_f")
 

@@ -175,7 +175,9 @@ def person(
         law_values: dict[str, Any] = {
             name: tuple(values[f"{name}.{element}"] for element in ELEMENTS) for name in SHORT_RANGE
         } | {name: values[name] for name in COMMON if name in values}
-        changes["muscle"] = MuscleLaw(**law_values).scaled(math.exp(effects.get("k", 0.0)))
+        factor = math.exp(effects.get("k", 0.0))
+        law_values["short_range_stiffness"] = tuple(factor * k for k in law_values["short_range_stiffness"])
+        changes["muscle"] = MuscleLaw(**law_values)
     subject = replace(body, **changes)
     level = values.get(f"level.{condition}", 1.0)
     return subject if level == 1.0 else at_level(subject, level)
@@ -262,7 +264,6 @@ class Parameters:
             for name, place in self._of_task[task]
         }
 
-    def person(self, task: str, point: Array, condition: str, effects: Sequence[float] | Array = ()) -> Subject:
-        """The person in one trial, see `person`."""
-        named = dict(zip(EFFECTS[task], effects, strict=False))
-        return person(self.bodies[task], self.model.law, self.values(task, point), condition, named)
+    def person(self, task: str, point: Array, condition: str) -> Subject:
+        """The person in a condition, see `person`."""
+        return person(self.bodies[task], self.model.law, self.values(task, point), condition, {})

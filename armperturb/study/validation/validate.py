@@ -115,6 +115,22 @@ class Validation(Result):
 
         return plot_validation(self, figure)
 
+    def to_xarray(self) -> xr.Dataset:
+        """What every group yields: `estimate`, `standard_error` and `covered` (estimator, group, parameter).
+
+        Beside them `true` and `bound`, the Cramer-Rao bound of a group (parameter).
+        """
+        parts = {"estimate": "values", "standard_error": "error", "covered": "covered"}
+        each = {
+            name: np.array([[getattr(one_group, field) for one_group in judged] for judged in self.judged.values()])
+            for name, field in parts.items()
+        }
+        variables: dict[str, Any] = {
+            name: (("estimator", "group", "parameter"), values) for name, values in each.items()
+        }
+        variables |= {"true": ("parameter", self.truth), "bound": ("parameter", self.bound)}
+        return xr.Dataset(variables, coords={"estimator": list(self.judged), "parameter": list(self.names)})
+
     def to_frame(self) -> pd.DataFrame:
         """Bias, error, bound and coverage per estimator and parameter.
 
