@@ -121,14 +121,10 @@ class Validation(Result):
         Beside them `true` and `bound`, the Cramer-Rao bound of a group (parameter).
         """
         parts = {"estimate": "values", "standard_error": "error", "covered": "covered"}
-        each = {
-            name: np.array([[getattr(one_group, field) for one_group in judged] for judged in self.judged.values()])
-            for name, field in parts.items()
-        }
-        variables: dict[str, Any] = {
-            name: (("estimator", "group", "parameter"), values) for name, values in each.items()
-        }
-        variables |= {"true": ("parameter", self.truth), "bound": ("parameter", self.bound)}
+        variables: dict[str, Any] = {"true": ("parameter", self.truth), "bound": ("parameter", self.bound)}
+        for name, field in parts.items():
+            values = [[getattr(judgement, field) for judgement in judged] for judged in self.judged.values()]
+            variables[name] = ("estimator", "group", "parameter"), np.array(values)
         return xr.Dataset(variables, coords={"estimator": list(self.judged), "parameter": list(self.names)})
 
     def to_frame(self) -> pd.DataFrame:
