@@ -82,7 +82,7 @@ def write_report(
         "statistics_pairs": list(tested.pairs),
         "joints": joint_rows(study),
         "yielding": yielding.rows() if yielding else [],
-        "moving_shoulder": shoulder.table() if shoulder else [],
+        "moving_shoulder": shoulder.rows if shoulder else [],
         **nonlinear_tables(study),
     }
     for name, lines in more.items():
