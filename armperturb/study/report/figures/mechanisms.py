@@ -29,9 +29,9 @@ def loops(yielding: Yielding) -> Figure:
             response = yielding.responses.get((WHOLE, condition))
             if response is None:
                 continue
-            loop = intrinsic_loop(response.subject, np.sqrt(2.0) * response.stretch)
+            stretch, torque = intrinsic_loop(response.subject, np.sqrt(2.0) * response.stretch)
             for element, ax in enumerate(row):
-                ax.plot(np.degrees(loop.stretch[:, element]), loop.torque[:, element], color=colour)
+                ax.plot(np.degrees(stretch[:, element]), torque[:, element], color=colour)
         handles += [Line2D([], [], color=c, label=name) for name, c in zip(conditions, colours, strict=True)]
         row[0].set_ylabel("torque [Nm]")
     for ax, name in zip(panels[0], ELEMENTS, strict=True):
