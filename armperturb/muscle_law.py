@@ -28,7 +28,9 @@ _RANGES: dict[str, dict[str, float]] = {
     "spindle_direction": {"at_least": -1.0, "at_most": 1.0},
 }
 _MAY_BE_INFINITE = ("elastic_limit_deg", "loss_angle_deg", "recovery_time", "thinning_velocity", "spindle_saturation")
-_ELEMENTS = ("shoulder", "two-joint", "elbow")
+
+ELEMENTS = ("shoulder", "two-joint", "elbow")
+"""Muscle groups of eq. 2.10, in the order of all triples."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +80,7 @@ class MuscleLaw:
             values = tuple(value) if isinstance(value, tuple | list) else (value,) * 3
             if len(values) != 3:
                 raise TypeError(
-                    f"MuscleLaw: {field} = {value!r}; expected a number, or three for {', '.join(_ELEMENTS)}"
+                    f"MuscleLaw: {field} = {value!r}; expected a number, or three for {', '.join(ELEMENTS)}"
                 )
             for element in values:
                 if not (field in _MAY_BE_INFINITE and element == math.inf):

@@ -240,6 +240,7 @@ def test_recording_of_ones_own_is_one(tmp_path, monkeypatch):
     assert np.allclose(load_recording("S01.nc")["force"], 0.1 * load_recording("S01.nc")["perturbation"])
 
 
+@pytest.mark.slow(reason="runs a block of the documentation")
 def test_first_files_are_written(tmp_path, monkeypatch):
     from armperturb import load_perturbation
 

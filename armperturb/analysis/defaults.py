@@ -10,6 +10,9 @@ Estimator = Literal["thesis", "frequency", "record"]
 WINDOW_START = 8.0
 """Start of the window of whole periods [s]: the transient has died away by then."""
 
+SETTLING = 4.0
+"""Least start of that window where records are too short for the usual one [s]."""
+
 SETTLED = 2.0
 """Time from which on a disturbance is periodic [s]; the response to it need not be."""
 

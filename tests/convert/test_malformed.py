@@ -482,6 +482,7 @@ SPLICES = st.lists(
 )
 
 
+@pytest.mark.slow(reason="reads sixty drawn files")
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(changes=st.lists(st.tuples(PLACES, JSON), max_size=3), splices=SPLICES, repair=st.booleans())
 def test_no_text_and_no_sidecar_ends_in_a_traceback(tmp_path, changes, splices, repair):

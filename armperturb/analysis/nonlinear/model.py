@@ -11,19 +11,16 @@ import numpy as np
 from armperturb.analysis.fit import structures
 from armperturb.arrays import Array
 from armperturb.files import packaged_table
-from armperturb.muscle_law import MuscleLaw
+from armperturb.muscle_law import ELEMENTS, MuscleLaw
 from armperturb.subject import Subject, at_level
 
 Law = Literal["linear", "short-range", "full"]
 """No muscle law; short-range stiffness with yielding; also thixotropy, shear-thinning damping, spindle saturation."""
 
-ELEMENTS = ("shoulder", "two-joint", "elbow")
-"""Muscle groups of eq. 2.10, as in `MuscleLaw`."""
-
-GROUPS = ("k", "b", "kv", "kp")
+QUANTITIES = ("k", "b", "kv", "kp")
 """Quantities of which each muscle group has its own."""
 
-EFFECTS: Mapping[str, tuple[str, ...]] = {"PT": GROUPS, "RT": GROUPS[:2]}
+EFFECTS: Mapping[str, tuple[str, ...]] = {"PT": QUANTITIES, "RT": QUANTITIES[:2]}
 """Task to the quantities that differ from trial to trial, each by one factor on all muscle groups."""
 
 BODY, GRIP = ("m_h", "m_f"), ("k_h", "b_h")
@@ -187,7 +184,7 @@ def true_values(subject: Subject, levels: Mapping[str, float]) -> dict[str, floa
     """Parameters of a known person, by the names of `Model`; those of `COMMON` must be the same in all elements."""
     values: dict[str, float] = {name: getattr(subject, name) for name in (*BODY, *GRIP)}
     values |= {"Td": subject.Td_s, "fact": subject.fact_s}
-    for group in GROUPS:
+    for group in QUANTITIES:
         values |= {f"{group}.{e}": v for e, v in zip(ELEMENTS, subject.muscle_groups(group), strict=True)}
     if subject.muscle is not None:
         for name in SHORT_RANGE:

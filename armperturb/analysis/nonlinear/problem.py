@@ -23,7 +23,7 @@ from armperturb.planar_arm.lanes import lane_table
 from armperturb.planar_arm.simulation import Disturbances
 from armperturb.subject import Subject
 
-STEP = 1e-4
+COORDINATE_STEP = 1e-4
 """Change of a coordinate in finite differences [-]."""
 
 PAIRS_OF_SLOPES = 1
@@ -263,15 +263,15 @@ class Problem:
         states = []
         for column in range(len(state.point)):
             point = state.point.copy()
-            point[column] += STEP
+            point[column] += COORDINATE_STEP
             states.append(state._replace(point=point))
         for effect in range(max(places.stop - places.start for places in self.effects_of)):
             effects = state.effects.copy()
             for places in self.effects_of:
                 if places.start + effect < places.stop:
-                    effects[places.start + effect] += STEP
+                    effects[places.start + effect] += COORDINATE_STEP
             states.append(state._replace(effects=effects))
-        changes = (self.predict(states, n_draws=n_draws) - self.predict([state], n_draws=n_draws)[0]) / STEP
+        changes = (self.predict(states, n_draws=n_draws) - self.predict([state], n_draws=n_draws)[0]) / COORDINATE_STEP
         slopes = []
         for rows, noise in zip(self.rows, self.noises, strict=True):
             for trial in range(rows.start, rows.stop):

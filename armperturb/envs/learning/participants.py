@@ -14,8 +14,9 @@ from armperturb.controllers.arm_control import ArmControl, Strength
 from armperturb.controllers.layout import trials_adjacent
 from armperturb.controllers.reflex import activate, initial_activation
 from armperturb.envs.lab.trial import Trial, held_force, noise_torque, subject_in
-from armperturb.envs.learning.levels import GROUPS, strength_between, strength_of
+from armperturb.envs.learning.levels import strength_between, strength_of
 from armperturb.envs.learning.task import TaskSettings
+from armperturb.muscle_law import ELEMENTS
 from armperturb.subject import Subject
 
 SENSES = (
@@ -36,11 +37,11 @@ def action_names(settings: TaskSettings) -> tuple[str, ...]:
     """What each number of an action sets."""
     names: list[str] = []
     if settings.co_contraction == "groups":
-        names += [f"co-contraction, {group}" for group in GROUPS]
+        names += [f"co-contraction, {group}" for group in ELEMENTS]
     elif settings.co_contraction == "common":
         names.append("co-contraction")
     if settings.reflexes:
-        names += [f"{kind} feedback, {group}" for kind in ("velocity", "position") for group in GROUPS]
+        names += [f"{kind} feedback, {group}" for kind in ("velocity", "position") for group in ELEMENTS]
     if settings.torque:
         names += ["torque, shoulder", "torque, elbow"]
     return tuple(names)

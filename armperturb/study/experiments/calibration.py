@@ -29,7 +29,7 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.files import written_whole
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study.experiments.candidates import Candidate, Unknown, unknowns
-from armperturb.study.protocol import QUICK_STEP, THESIS, Protocol, with_published_forces
+from armperturb.study.protocol import PULSE_LEAD, QUICK_STEP, THESIS, Protocol, with_published_forces
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.results.quantities import Cell, measured_cells, published_cells
 from armperturb.subject import TASKS
@@ -83,7 +83,7 @@ def schedules(task: str) -> tuple[Protocol, Protocol]:
     """
     after = WINDOWS[task] + 0.1
     both = []
-    for with_multisine, onset in ((True, WINDOW_START + PERIOD), (False, 0.5)):
+    for with_multisine, onset in ((True, WINDOW_START + PERIOD), (False, PULSE_LEAD)):
         conditions = [
             replace(condition, repetitions=2 // len(condition.pulse_levels) if with_multisine else 1)
             for condition in THESIS.conditions

@@ -4,10 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-from armperturb.analysis.nonlinear.model import ELEMENTS
 from armperturb.cohort import Person, average_body
 from armperturb.files import packaged_table
-from armperturb.muscle_law import MuscleLaw
+from armperturb.muscle_law import ELEMENTS, MuscleLaw
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import require_one_of
 

@@ -31,6 +31,9 @@ displacement of nonlinear people 0.05 % larger on average over conditions, and 0
 PULSE_WIDTH = 0.08
 """Duration of a pulse [s] (thesis 2.4)."""
 
+PULSE_LEAD = 0.5
+"""Time before a pulse that comes alone, in experiments beside a study [s]."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Protocol:

@@ -7,7 +7,6 @@ import pytest
 
 from armperturb.analysis.nonlinear.model import (
     BOUNDS,
-    ELEMENTS,
     Model,
     Parameters,
     coordinate,
@@ -16,6 +15,7 @@ from armperturb.analysis.nonlinear.model import (
     value_at,
 )
 from armperturb.cohort import draw_person
+from armperturb.muscle_law import ELEMENTS
 from armperturb.subject import POSITION, RELAX, at_level
 
 CONDITIONS = {"PT": ("PT7.5", "PT2.5"), "RT": ("RT7.5",)}

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armperturb.analysis.nonlinear.model import ELEMENTS
 from armperturb.cohort import average_body, average_person
 from armperturb.environment import Environment
 from armperturb.files import read_toml
+from armperturb.muscle_law import ELEMENTS
 from armperturb.study.experiments import calibration as module
 from armperturb.study.experiments.calibration import (
     CALIBRATED,
