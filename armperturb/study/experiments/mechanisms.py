@@ -26,6 +26,7 @@ from armperturb.controllers.muscle import element_motion, muscle_parameters, mus
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
+from armperturb.files import packaged_table
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study.protocol import PULSE_LEAD, QUICK_STEP, THESIS, Protocol, with_published_forces
@@ -37,15 +38,7 @@ Row = dict[str, Any]
 
 WHOLE, LINEAR, ONE_LEVEL = "whole law", "linear muscle", "same co-contraction in all conditions"
 
-MECHANISMS: dict[str, dict[str, float]] = {
-    "no short-range stiffness": {"short_range_stiffness": 0.0},
-    "one elastic limit": {"elastic_limit_spread": 0.0},
-    "elastic limit of any speed": {"elastic_limit_slope": 0.0},
-    "no thixotropy": {"loss_angle_deg": math.inf},
-    "damping does not thin": {"thinning_velocity": math.inf},
-    "spindles do not saturate": {"spindle_saturation": math.inf},
-    "spindles of both directions": {"spindle_direction": 0.0},
-}
+MECHANISMS: dict[str, dict[str, float]] = packaged_table(__package__, "mechanisms.toml")
 """What an arm without one mechanism is called, to the fields of its law that are changed, and their values."""
 
 AMPLITUDES = {"RT": ("RT2.5", "RT7.5", "RT22.5"), "PT": ("PT2.5", "PT7.5", "PT22.5")}
