@@ -267,14 +267,9 @@ def why_people_yield(
     for condition, subject, recording in recorded(_continuous(n_multisines), moved):
         results[condition, subject] = _left_workspace(recording) or _response(recording, subject)
 
-    responses: dict[tuple[str, str], Response] = {}
-    unstable: dict[tuple[str, str], str] = {}
-    for key, subject in subjects.items():
-        answer = wrong[subject] if subject in wrong else results[key[1], subject]
-        if isinstance(answer, Response):
-            responses[key] = answer
-        else:
-            unstable[key] = answer
+    answers = {key: wrong.get(subject) or results[key[1], subject] for key, subject in subjects.items()}
+    responses = {key: answer for key, answer in answers.items() if isinstance(answer, Response)}
+    unstable = {key: answer for key, answer in answers.items() if isinstance(answer, str)}
     return Yielding(person=person, variants=tuple(arms), responses=responses, unstable=unstable)
 
 
