@@ -22,9 +22,9 @@ LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
 STUDY = LAB | ANALYSIS | {"envs.lab", "archive", "workers", "progress", "study.protocol", "study.published"}
 ARROWS = {
     "arrays": set(),
-    "validation": set(),
+    "validation": {"files"},
     "files": set(),
-    "extras": set(),
+    "extras": {"files"},
     "seeds": set(),
     "muscle_law": {"validation"},
     "subject": {"files", "validation", "muscle_law"},

@@ -159,7 +159,7 @@ class _Tests:
         """Dependent t-test of the two levels of pulses."""
         table = self.table(f"pulse admittance, levels of {condition}", values, ("level 2", "level 1"))
         if table is not None:
-            test, none = statistics.paired_t(table[:, 0], table[:, 1]), math.nan
+            test, none = statistics.post_hoc(table)[0, 1], math.nan
             effect = Effect("dependent t", test.t, (test.dof,), test.p, none, none, none, (none,), len(table))
             compared = f"{condition}, level 2 against 1"
             self.rows.append(_row("pulse admittance", condition[:2], compared, effect, printed))
