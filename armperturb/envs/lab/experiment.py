@@ -16,6 +16,7 @@ from armperturb.envs.lab.linear_trials import simulate_linear_arms
 from armperturb.envs.lab.multibody_trials import simulate_multibody
 from armperturb.envs.lab.setup import Progress, Setup, Truth, in_threads
 from armperturb.envs.lab.trial import EMG, MARKER, MAX_DURATION, Trial, pulse_of, require_integrable, subject_in
+from armperturb.models.rig import TIMESTEP
 from armperturb.perturbations import check_bandwidth
 from armperturb.recording import MUSCLES, make_recording
 from armperturb.subject import Subject
@@ -26,7 +27,7 @@ def run_experiment(
     trials: Sequence[Trial],
     environment: Environment | None = None,
     *,
-    timestep: float = 1e-3,
+    timestep: float = TIMESTEP,
     rate: float = 200.0,
     rope: str = "ideal",
     strap: Strap | None = None,

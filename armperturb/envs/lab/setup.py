@@ -10,6 +10,7 @@ from armperturb.environment import Environment, Strap
 from armperturb.envs.lab.emg import Emg
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
+from armperturb.models.rig import TIMESTEP
 from armperturb.validation import require_number
 
 T = TypeVar("T")
@@ -28,7 +29,7 @@ class Setup:
     """
 
     environment: Environment = field(default_factory=Environment)
-    timestep: float = 1e-3
+    timestep: float = TIMESTEP
     rate: float = 200.0
     rope: str = "ideal"
     strap: Strap | None = None
