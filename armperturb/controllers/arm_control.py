@@ -129,7 +129,5 @@ def stretched(subjects: Sequence[Subject], stretch: Array, velocity: Array, time
     """
     control = ArmControl(subjects, timestep)
     torque = np.zeros(np.shape(stretch))
-    shape = np.broadcast(torque, stretch, velocity).shape
-    stretch, velocity = (np.ascontiguousarray(np.broadcast_to(motion, shape), dtype=float) for motion in (stretch, velocity))
-    stretch_all(control.table, control.memory, stretch, velocity, torque)
+    stretch_all(control.table, control.memory, np.ascontiguousarray(stretch), np.ascontiguousarray(velocity), torque)
     return torque, control.memory

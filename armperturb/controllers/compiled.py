@@ -109,9 +109,9 @@ def delayed(sent: Array, joint: int, step: int, back: float) -> float:
       step: of the newest sample.
       back: how many steps ago, >= 1.
     """
-    n, whole = len(sent), math.floor(back)
+    n, whole = len(sent), math.floor(back + 1e-6)
     newer = sent[(step - whole) % n, joint]
-    if back == whole:
+    if back - whole < 1e-6:
         return newer
     older = sent[(step - whole - 1) % n, joint]
     t = 1.0 - (back - whole)
@@ -169,8 +169,8 @@ def act(
 ) -> None:
     """What muscles and reflexes do over a step, beside the springs and dampers of the model.
 
-    A torque that is held over a step acts at its middle: the muscle law sees the motion drawn on to there. Being linear,
-    delay and activation commute, so the filter comes here and the delay in the motors.
+    A torque that is held over a step acts at its middle: the muscle law sees the motion drawn on to there. Delay and
+    activation commute, as both are linear, so the filter comes here and the delay in the motors.
 
     Args:
       p: the person.

@@ -48,7 +48,8 @@ def activation_filter(cutoff: float, damping_ratio: float, timestep: float) -> t
     denominator = np.poly(np.exp(np.roots([1.0, 2 * damping_ratio * omega, omega**2]))).real
     # Powers of s timestep in z^-j, and in 1 / H, up to the second.
     shifts = np.array([[1.0, -j, j**2 / 2.0] for j in range(3)]).T
-    inverse = np.array([[1.0, 0.0, 0.0], [2 * damping_ratio / omega, 1.0, 0.0], [1.0 / omega**2, 2 * damping_ratio / omega, 1.0]])
+    first, second = 2 * damping_ratio / omega, 1.0 / omega**2
+    inverse = np.array([[1.0, 0.0, 0.0], [first, 1.0, 0.0], [second, first, 1.0]])
     return np.linalg.solve(shifts, np.linalg.solve(inverse, shifts @ denominator)), denominator
 
 
@@ -123,11 +124,12 @@ def table_of(columns: Mapping[str, Any]) -> Table:
 def control_memory(n_lanes: int, n_parts: int, n_history: int) -> Table:
     """What muscles and reflexes remember from step to step, of arms that have been at rest for long, (lane,).
 
-    `bond` is the torque of each elasto-plastic part over its stiffness [rad], (element, part); `intact` the share of the
-    short-range stiffness that is intact [-] and `stretch` that of the last step [rad], (element,); `law` and
-    `law_before` are the torques of the muscle law in the last two steps, `velocity` [rad/s] and its `slope` [rad/s^2]
-    those of the last step, `excitation` is that of the reflexes and `command` that of the person's will [Nm], (joint,);
-    `filters` and `command_filters` are the states of their activation filters, (2, joint), and `sent` the active torques of the last steps, as a ring, (step, joint) [Nm].
+    Of the muscle elements: `bond`, torque of each elasto-plastic part over its stiffness [rad], (element, part);
+    `intact`, share of the short-range stiffness that is intact [-], and `stretch` at the last step [rad], (element,).
+    Of the joints, (joint,): `law` and `law_before`, torques of the muscle law in the last two steps [Nm]; `velocity`
+    [rad/s] and its `slope` [rad/s^2] at the last step; `excitation` of the reflexes and `command` of the person's will
+    [Nm]. `filters` and `command_filters` are the states of their activation filters, (2, joint), and `sent` is the ring
+    of the active torques of the last steps, (step, joint) [Nm].
 
     Args:
       n_lanes: how many arms.
@@ -155,4 +157,3 @@ def control_memory(n_lanes: int, n_parts: int, n_history: int) -> Table:
 def history_of(table: Table, timestep: float) -> int:
     """Steps to remember so that `compiled.delayed` can look back by these people's delays."""
     return int(np.ceil(table["delay"].max() / timestep)) + 3
-

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from armperturb.arrays import Array
-from armperturb.environment import Environment, Strap
+from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.subject import Subject
 from armperturb.validation import require_number, require_one_of, require_whole
 
@@ -28,13 +28,10 @@ REFLEXES = ("reflex_shoulder", "reflex_elbow")
 """Motors: ctrl is the torque added at the joint [Nm], which acts after the neural delay of that joint."""
 
 KNOWN = ("torque_shoulder", "torque_elbow", "push_x", "push_y")
-"""Motors of what is known ahead: ctrl is the torque at the joint [Nm] or force on the handle [N] `AHEAD` steps later."""
+"""Motors of what is known ahead: ctrl is the torque on the joint [Nm], force on the handle [N], `AHEAD` steps later."""
 
 AHEAD = 3
 """Steps that MuJoCo must know ahead to interpolate a control by a cubic; no neural delay is shorter."""
-
-TIMESTEP = 2.5e-3
-"""Step of the simulation [s], by default."""
 
 ANGLE_SENSORS = ("shoulder_angle", "elbow_angle")
 """Joint angles [rad]."""
@@ -164,17 +161,18 @@ def build_spec(
     return spec
 
 
-def start_motors(model: mujoco.MjModel, data: mujoco.MjData, known: Array) -> None:
+def start_motors(model: mujoco.MjModel, data: mujoco.MjData, first: int, known: Array) -> None:
     """Tell the motors of `KNOWN` what they do in the first steps.
 
     Args:
       model: of the rig.
       data: at rest, at time zero.
+      first: index of the first of these motors.
       known: torques [Nm] and forces [N] one step before time zero, at it, and in the two steps that follow, (4, motor).
     """
     times = np.arange(-len(known), 0) * model.opt.timestep
-    for name, values in zip(KNOWN, np.transpose(known), strict=True):
-        mujoco.mj_initCtrlHistory(model, data, model.actuator(name).id, times, np.ascontiguousarray(values))
+    for motor, values in enumerate(np.transpose(known), start=first):
+        mujoco.mj_initCtrlHistory(model, data, motor, times, np.ascontiguousarray(values))
 
 
 @functools.cache

@@ -67,6 +67,6 @@ def lane_table(subjects: Sequence[Subject], environments: Sequence[Environment],
         **{name: np.array([getattr(held, name) for held in environments]) for name in ("m_env", "b_env", "k_env")},
     }
     # Springs that act before anything yields: those of the muscles, and the short-range stiffness of a muscle law.
-    groups = columns["short_range"]
-    columns["spring"] = columns["k"] + np.stack([groups[:, 0] + groups[:, 1], groups[:, 1], groups[:, 1] + groups[:, 2]], axis=1)
+    shoulder, two_joint, elbow = columns["short_range"].T
+    columns["spring"] = columns["k"] + np.stack([shoulder + two_joint, two_joint, two_joint + elbow], axis=1)
     return table_of(columns)

@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.arm.state_space import require_stable
 from armperturb.arrays import Array
-from armperturb.environment import Environment, Strap
+from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.envs.lab.emg import Emg
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.linear_trials import simulate_linear_arms
 from armperturb.envs.lab.multibody_trials import simulate_multibody
 from armperturb.envs.lab.setup import Progress, Setup, Truth, in_threads
 from armperturb.envs.lab.trial import EMG, MARKER, MAX_DURATION, Trial, pulse_of, require_integrable, subject_in
-from armperturb.models.rig import TIMESTEP
 from armperturb.perturbations import check_bandwidth
 from armperturb.recording import MUSCLES, make_recording
 from armperturb.subject import Subject

@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from armperturb.arrays import Array
-from armperturb.environment import Environment, Strap
+from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.envs.lab.emg import Emg
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
-from armperturb.models.rig import TIMESTEP
 from armperturb.validation import require_number
 
 T = TypeVar("T")

@@ -18,18 +18,15 @@ from armperturb.arrays import Array, Indices
 from armperturb.controllers.arm_control import ArmControl, Strength
 from armperturb.environment import Environment, Strap
 from armperturb.envs.lab.stepping import (
-    ANGLE,
     FORCE,
-    HANDLE,
     SHOULDER,
-    VELOCITY,
     advance,
     arm_table,
     library,
     set_muscles,
     step_address,
 )
-from armperturb.models.rig import AHEAD, JOINTS, SLIDES, build_model, history_length, start_motors
+from armperturb.models.rig import JOINTS, REFLEXES, SLIDES, build_model, history_length, start_motors
 from armperturb.subject import RELAX, Subject
 
 DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")]
@@ -69,6 +66,7 @@ def silent_simulator() -> Iterator[None]:
 COMPILED = ("m_h", "m_f", "l_h", "l_f", "theta_s_deg", "theta_e_deg", "b_h", "k_h", "Td_s", "Td_e")
 """Fields of a subject that only a new compilation changes in a model."""
 
+
 def body_of(subject: Subject) -> Subject:
     """The preset RELAX with this body: equal for people who can share a compiled model.
 
@@ -82,9 +80,7 @@ def _compiled(
     body: Subject, environment: Environment, timestep: float, rope: str, strap: Strap | None, n_history: int
 ) -> mujoco.MjModel:
     """The rig without what only draws, to be copied."""
-    return build_model(
-        body, environment, timestep=timestep, rope=rope, strap=strap, n_history=n_history, visual=False
-    )
+    return build_model(body, environment, timestep=timestep, rope=rope, strap=strap, n_history=n_history, visual=False)
 
 
 class Simulation:
@@ -152,7 +148,7 @@ class Simulation:
             after it, (trial, 4, motor).
         """
         for trial, values in zip(trials.tolist(), known, strict=True):
-            start_motors(self._models[trial], self._datas[trial], values)
+            start_motors(self._models[trial], self._datas[trial], self._arms["motor"][trial] + len(REFLEXES), values)
 
     def advance(self, known: Array) -> None:
         """Take some steps.
@@ -182,8 +178,11 @@ class Simulation:
             list(self._pool.map(run, self._blocks))
 
     def state(self) -> dict[str, Array]:
-        """Joint `angle` [rad] and `velocity` [rad/s], `displacement` of the handle [m] now; `force` that it exerted on the
-        hand at the start of the last step [N]; (trial, 2) each."""
+        """What is now, (trial, 2) each.
+
+        Joint `angle` [rad] and `velocity` [rad/s], `displacement` of the handle [m], and `force` that it exerted on the
+        hand at the start of the last step [N].
+        """
         hinge = self._arms["hinge"][0]
         qpos = np.array([data.qpos for data in self._datas])
         qvel = np.array([data.qvel for data in self._datas])
@@ -229,7 +228,7 @@ class Simulation:
             if body != self._bodies[trial]:
                 self._bodies[trial], self._models[trial] = body, copy.copy(self._model(body))
                 self._datas[trial] = mujoco.MjData(self._models[trial])
-                self._arms[trial : trial + 1] = arm_table(self._models[trial : trial + 1], self._datas[trial : trial + 1])
+                self._arms[trial] = arm_table([self._models[trial]], [self._datas[trial]])[0]
             mujoco.mj_resetData(self._models[trial], self._datas[trial])
         self.control.replace(trials, subjects)
         self._set_muscles(trials, *(np.array([s.muscle_groups(name) for s in subjects]) for name in ("k", "b")))

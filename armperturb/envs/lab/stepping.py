@@ -11,12 +11,11 @@ import numpy as np
 from llvmlite import ir
 from numba import carray, njit, types
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
 from armperturb.arrays import Array, Indices
 from armperturb.controllers.compiled import act
 from armperturb.controllers.lanes import Table
-from armperturb.models.rig import AHEAD, BIARTICULAR, JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE
+from armperturb.models.rig import BIARTICULAR, JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE
 
 ARRAYS = ("qpos", "qvel", "ctrl", "qfrc_applied", "sensordata")
 """Fields of `MjData` that the loop reads and writes."""
@@ -63,10 +62,10 @@ def arm_table(models: Sequence[mujoco.MjModel], datas: Sequence[mujoco.MjData]) 
 
 
 @intrinsic
-def _step(typing_context: Any, address: Any, model: Any, data: Any) -> Any:  # noqa: ARG001
+def _step(typing_context: Any, address: Any, model: Any, data: Any) -> Any:
     """Call the C function at an address with a model and its data."""
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = ir.IntType(8).as_pointer()
         function = ir.FunctionType(ir.VoidType(), [pointer, pointer]).as_pointer()
         where, *objects = arguments
@@ -77,7 +76,7 @@ def _step(typing_context: Any, address: Any, model: Any, data: Any) -> Any:  # n
 
 
 @intrinsic
-def _numbers(typing_context: Any, address: Any) -> Any:  # noqa: ARG001
+def _numbers(typing_context: Any, address: Any) -> Any:
     """The address of an array of numbers as a pointer that `carray` takes."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -136,8 +135,9 @@ def set_muscles(arms: Table, which: Indices, stiffness: Array, damping: Array) -
     """
     for i in range(len(which)):
         a = arms[which[i]]
-        spring, damper = carray(_numbers(a.jnt_stiffness), (a.n_jnt_stiffness,)), carray(_numbers(a.dof_damping), (a.n_dof_damping,))
-        spring[a.hinge], spring[a.hinge + 1] = stiffness[i, 0], stiffness[i, 2]
-        damper[a.hinge], damper[a.hinge + 1] = damping[i, 0], damping[i, 2]
-        spring, damper = carray(_numbers(a.tendon_stiffness), (a.n_tendon_stiffness,)), carray(_numbers(a.tendon_damping), (a.n_tendon_damping,))
-        spring[a.two_joint], damper[a.two_joint] = stiffness[i, 1], damping[i, 1]
+        for joints, n_joints, tendons, n_tendons, groups in (
+            (a.jnt_stiffness, a.n_jnt_stiffness, a.tendon_stiffness, a.n_tendon_stiffness, stiffness[i]),
+            (a.dof_damping, a.n_dof_damping, a.tendon_damping, a.n_tendon_damping, damping[i]),
+        ):
+            of_joints, of_tendons = carray(_numbers(joints), (n_joints,)), carray(_numbers(tendons), (n_tendons,))
+            of_joints[a.hinge], of_joints[a.hinge + 1], of_tendons[a.two_joint] = groups[0], groups[2], groups[1]
