@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from armperturb.controllers.muscle import MuscleState
 
 from armperturb import POSITION, Environment, Multisine, MuscleLaw, Strap, Subject, cli, load_recording
-from armperturb.controllers.muscle import MuscleState
 from armperturb.perturbations import Perturbation
 from armperturb.recording import MUSCLES, SIGNALS, TRIAL_COORDINATES
 

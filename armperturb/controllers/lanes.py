@@ -50,7 +50,8 @@ def activation_filter(cutoff: float, damping_ratio: float, timestep: float) -> t
     shifts = np.array([[1.0, -j, j**2 / 2.0] for j in range(3)]).T
     first, second = 2 * damping_ratio / omega, 1.0 / omega**2
     inverse = np.array([[1.0, 0.0, 0.0], [first, 1.0, 0.0], [second, first, 1.0]])
-    return np.linalg.solve(shifts, np.linalg.solve(inverse, shifts @ denominator)), denominator
+    numerator: Array = np.linalg.solve(shifts, np.linalg.solve(inverse, shifts @ denominator))
+    return numerator, denominator
 
 
 def control_columns(subjects: Sequence[Subject], timestep: float, n_parts: int = 0) -> dict[str, Any]:

@@ -5,12 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tones import PERIOD, Tones
-
-from armperturb.analysis.arm.geometry import mass_matrix
-from armperturb.analysis.arm.linear_arm import arm_admittance, environment_admittance, joint_impedance
-from armperturb.analysis.arm.state_space import largest_real_pole, require_stable
-from armperturb.analysis.response.spectra import line_spectra
 from armperturb.controllers.muscle import (
     element_motion,
     joint_torque,
@@ -19,6 +13,12 @@ from armperturb.controllers.muscle import (
     rested,
 )
 from armperturb.controllers.reflex import NonlinearSpindles, velocity_response
+from tones import PERIOD, Tones
+
+from armperturb.analysis.arm.geometry import mass_matrix
+from armperturb.analysis.arm.linear_arm import arm_admittance, environment_admittance, joint_impedance
+from armperturb.analysis.arm.state_space import largest_real_pole, require_stable
+from armperturb.analysis.response.spectra import line_spectra
 from armperturb.controllers.remnant import HumanNoise
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment

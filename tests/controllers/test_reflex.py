@@ -4,11 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import signal
-from tones import PERIOD, Tones
-
-from armperturb.analysis.arm.linear_arm import arm_admittance
-from armperturb.analysis.response.spectra import line_spectra
 from armperturb.controllers.reflex import (
     MemoryReflexes,
     activate,
@@ -16,6 +11,11 @@ from armperturb.controllers.reflex import (
     reflex_gains,
     spindle_excitation,
 )
+from scipy import signal
+from tones import PERIOD, Tones
+
+from armperturb.analysis.arm.linear_arm import arm_admittance
+from armperturb.analysis.response.spectra import line_spectra
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine

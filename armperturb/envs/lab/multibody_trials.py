@@ -12,6 +12,9 @@ from armperturb.envs.lab.stepping import ANGLE, EXCITATION, FORCE, HANDLE, SHOUL
 from armperturb.envs.lab.trial import Trial, known_ahead
 from armperturb.subject import Subject
 
+LEAP = 10.0
+"""Displacement over the workspace limit [-] to which only an arm that diverges gets within a sample."""
+
 
 def simulate_multibody(
     trials: Sequence[Trial], subjects: Sequence[Subject], setup: Setup, n_threads: int, progress: Progress | None
@@ -39,8 +42,10 @@ def simulate_multibody(
         [log] = simulation.log
         reached = np.flatnonzero(np.abs(log[::decimation, HANDLE]).max(axis=1) >= setup.environment.workspace)
         limit_time = reached[0] * decimation * timestep if len(reached) else np.nan
-        # MuJoCo resets a state that it cannot integrate; beyond the workspace limit nothing counts any more.
-        if simulation.diverged[0] and not len(reached):
+        # MuJoCo resets a state that it cannot integrate; beyond the workspace limit nothing counts any more, but no arm
+        # gets far beyond it within a sample.
+        far = LEAP * setup.environment.workspace
+        if simulation.diverged[0] and not (len(reached) and np.abs(log[reached[0] * decimation, HANDLE]).max() < far):
             raise RuntimeError(
                 f"trial {i} of subject {trials[i].subject.name!r} could not be integrated; expected finite motion (a "
                 "weaker perturbation or a smaller step)"

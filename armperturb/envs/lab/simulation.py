@@ -29,7 +29,7 @@ from armperturb.envs.lab.stepping import (
 from armperturb.models.rig import JOINTS, REFLEXES, SLIDES, build_model, history_length, start_motors
 from armperturb.subject import RELAX, Subject
 
-DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")]
+DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL")]
 
 
 @functools.cache

@@ -118,7 +118,7 @@ def advance(mj_step: int, arms: Table, table: Table, memory: Table, known: Array
                 applied[a.hinge + i], ctrl[a.motor + i] = held[i], sent[i]
             for i in range(4):
                 ctrl[a.motor + 2 + i] = known[lane, step, i]
-            _step(mj_step, a.model, a.data)
+            _step(mj_step, a.model, a.data)  # type: ignore[call-arg]
             for i in range(2):
                 row[8 + i] = sensors[a.gauge + i]
 

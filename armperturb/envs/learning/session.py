@@ -66,14 +66,9 @@ class Session:
         with silent_simulator():
             simulation.advance(people.known(people.everybody, START, people.settings.steps_per_decision))
         state, log = simulation.state(), simulation.log
-        for step in range(log.shape[1]):
-            after = log[:, step + 1] if step + 1 < log.shape[1] else None
-            moved = (
-                [state[name] for name in ("angle", "velocity", "displacement")]
-                if after is None
-                else [after[:, columns] for columns in (ANGLE, VELOCITY, HANDLE)]
-            )
-            people.sense(*moved, log[:, step, FORCE])
+        for step in range(1, log.shape[1]):
+            people.sense(*(log[:, step, columns] for columns in (ANGLE, VELOCITY, HANDLE)), log[:, step - 1, FORCE])
+        people.sense(*(state[name] for name in ("angle", "velocity", "displacement", "force")))
         diverged = self._diverged = simulation.diverged
         verdict = people.judge(state["displacement"], diverged)
         if diverged.any():
