@@ -125,8 +125,8 @@ def delayed(sent: Array, joint: int, step: int, back: float) -> float:
 def _add_memory_reflexes(p: Lane, m: Memory, q: Array, w: Array, muscle: Array, timestep: float) -> None:
     """Add Ka q'' + Kf tau to the excitation (the law of `analysis.arm.linear_arm`).
 
-    The acceleration is the backward difference of the velocities, drawn on over the half step that it lags. The torque
-    that acts now left the activation filter one neural delay ago.
+    The acceleration is the backward difference of fourth order of the velocities. The torque that acts now left the
+    activation filter one neural delay ago.
 
     Args:
       p: the person.
@@ -140,9 +140,8 @@ def _add_memory_reflexes(p: Lane, m: Memory, q: Array, w: Array, muscle: Array, 
         muscle[joint] += delayed(m.sent, joint, m.step, p.delay[joint] / timestep)
         muscle[joint] += p.b[joint] * w[0] + p.b[joint + 1] * w[1] + p.k[joint] * q[0] + p.k[joint + 1] * q[1]
     for other in range(2):
-        slope = (w[other] - m.velocity[other]) / timestep
-        acceleration = 1.5 * slope - 0.5 * m.slope[other]
-        m.slope[other] = slope
+        v = m.velocity[:, other]
+        acceleration = (25.0 * w[other] - 48.0 * v[0] + 36.0 * v[1] - 16.0 * v[2] + 3.0 * v[3]) / (12.0 * timestep)
         for joint in range(2):
             m.excitation[joint] += p.ka[joint + other] * acceleration + p.kf[joint + other] * muscle[other]
 
@@ -187,8 +186,8 @@ def act(
     held[0] = held[1] = 0.0
     if p.lawful != 0.0:
         stretch[0], stretch[2] = q[0] + 0.5 * timestep * velocity[0], q[1] + 0.5 * timestep * velocity[1]
-        middle[0] = 1.5 * velocity[0] - 0.5 * m.velocity[0]
-        middle[2] = 1.5 * velocity[1] - 0.5 * m.velocity[1]
+        middle[0] = 1.5 * velocity[0] - 0.5 * m.velocity[0, 0]
+        middle[2] = 1.5 * velocity[1] - 0.5 * m.velocity[0, 1]
         stretch[1], middle[1] = stretch[0] + stretch[2], middle[0] + middle[2]
         law_torque(p, m, stretch, middle, torque)
         for joint in range(2):
@@ -209,7 +208,10 @@ def act(
     if p.commanded != 0.0:
         for joint in range(2):
             held[joint] += activated(p, m.command_filters, joint, m.command[joint])
-    m.velocity[0], m.velocity[1] = velocity[0], velocity[1]
+    for joint in range(2):
+        for age in range(3, 0, -1):
+            m.velocity[age, joint] = m.velocity[age - 1, joint]
+        m.velocity[0, joint] = velocity[joint]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -127,17 +127,17 @@ def control_memory(n_lanes: int, n_parts: int, n_history: int) -> Table:
 
     Of the muscle elements: `bond`, torque of each elasto-plastic part over its stiffness [rad], (element, part);
     `intact`, share of the short-range stiffness that is intact [-], and `stretch` at the last step [rad], (element,).
-    Of the joints, (joint,): `law` and `law_before`, torques of the muscle law in the last two steps [Nm]; `velocity`
-    [rad/s] and its `slope` [rad/s^2] at the last step; `excitation` of the reflexes and `command` of the person's will
-    [Nm]. `filters` and `command_filters` are the states of their activation filters, (2, joint), and `sent` is the ring
-    of the active torques of the last steps, (step, joint) [Nm].
+    Of the joints, (joint,): `law` and `law_before`, torques of the muscle law in the last two steps, `excitation` of
+    the reflexes and `command` of the person's will [Nm]. `velocity` is that of the joints in the last four steps, the
+    last one first, (step, joint) [rad/s]; `filters` and `command_filters` are the states of the activation filters,
+    (2, joint); `sent` is the ring of the active torques of the last steps, (step, joint) [Nm].
 
     Args:
       n_lanes: how many arms.
       n_parts: elasto-plastic parts of each element.
       n_history: active torques to remember.
     """
-    two = [(name, float, (2,)) for name in ("law", "law_before", "velocity", "slope", "excitation", "command")]
+    two = [(name, float, (2,)) for name in ("law", "law_before", "excitation", "command")]
     memory = np.zeros(
         n_lanes,
         [
@@ -145,6 +145,7 @@ def control_memory(n_lanes: int, n_parts: int, n_history: int) -> Table:
             ("intact", float, (3,)),
             ("stretch", float, (3,)),
             *two,
+            ("velocity", float, (4, 2)),
             ("filters", float, (2, 2)),
             ("command_filters", float, (2, 2)),
             ("sent", float, (n_history, 2)),

@@ -69,6 +69,11 @@ def simulate_skeletal(
         raise ValueError("simulate_skeletal: perturbation is not finite; expected finite forces")
     require_whole("simulate_skeletal", "onset", onset, at_least=0)
     require_number("simulate_skeletal", "onset", onset, at_most=len(force) - 2)
+    if any(arm.joint_triple("ka") + arm.joint_triple("kf")):
+        raise ValueError(
+            f"simulate_skeletal: subject {arm.name!r} has acceleration or force feedback; expected velocity and position "
+            "feedback only"
+        )
     require_stable(arm, environment)
     step = min(longest_step, STEP_LIMIT / fastest_pole(arm, environment))
     disturbance = Disturbances(force[None, onset:], rate, longest_step=step, straight=True)
@@ -98,4 +103,4 @@ def _take_over(
         sent, memory["filters"][:, joint] = signal.lfilter(*coefficients, excitation[:, joint], zi=np.zeros(2))
         recent = sent[-n_history:]
         memory["sent"][n_history - len(recent) :, joint] = recent
-    memory["velocity"], memory["step"] = states[-1, 0:2], n_history
+    memory["step"] = n_history

@@ -230,5 +230,6 @@ class Simulation:
                 self._datas[trial] = mujoco.MjData(self._models[trial])
                 self._arms[trial] = arm_table([self._models[trial]], [self._datas[trial]])[0]
             mujoco.mj_resetData(self._models[trial], self._datas[trial])
+        self.log[trials] = 0.0
         self.control.replace(trials, subjects)
         self._set_muscles(trials, *(np.array([s.muscle_groups(name) for s in subjects]) for name in ("k", "b")))
