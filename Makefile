@@ -3,8 +3,11 @@ PYTHON ?= python3
 OUT ?= results
 BIN := .venv/bin
 LATEST := .venv-latest/bin
-PYTEST := -m pytest -n auto --dist worksteal
+# A file's tests share a process, and with it what they are made from; tests/conftest.py puts the long files first.
+PYTEST := -m pytest -n auto --dist loadfile --no-loadscope-reorder
 export OMP_NUM_THREADS ?= 1
+# Without bytecode every process that a test starts would compile the package again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: run quick test test-core test-latest check docs tutorials bench clean
 .DELETE_ON_ERROR:

@@ -15,9 +15,9 @@ from .cohort import draw_cohort as draw_cohort
 from .cohort import draw_person as draw_person
 from .controllers.remnant import HUMAN_NOISE as HUMAN_NOISE
 from .controllers.remnant import HumanNoise as HumanNoise
-from .convert import export_recording as export_recording
-from .convert import import_recording as import_recording
-from .convert import write_sidecar as write_sidecar
+from .convert.exporter import export_recording as export_recording
+from .convert.importer import import_recording as import_recording
+from .convert.template import write_sidecar as write_sidecar
 from .environment import Environment as Environment
 from .environment import Strap as Strap
 from .envs.lab.experiment import run_experiment as run_experiment

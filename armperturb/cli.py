@@ -1,10 +1,12 @@
 """The command line: the list of commands, and `main`."""
 
+import ast
 import importlib
 import importlib.metadata
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass, make_dataclass
+from pathlib import Path
 from typing import Any, Union, get_type_hints
 
 import tyro
@@ -20,18 +22,11 @@ from tyro.constructors import (
 from armperturb.commands.command import Command, field_texts
 from armperturb.envs.render.gl import require_simulator
 from armperturb.extras import naming_the_extra
-from armperturb.perturbations import Perturbation, load_perturbation
-from armperturb.subject import Subject
 
 _NAMES = "study report score simulate sidecar convert identify response validate design calibrate video view"
 
-COMMANDS: tuple[type[Command], ...] = tuple(
-    getattr(importlib.import_module(f"armperturb.commands.{name}"), name.capitalize()) for name in _NAMES.split()
-)
-"""In the order in which help and documentation show them; each is typed as its name in small letters."""
-
-FILES: dict[Any, Callable[[str], Any]] = {Subject: Subject.load, Perturbation: load_perturbation}
-"""Type of an option whose value is read from the file that is named."""
+COMMANDS = tuple(_NAMES.split())
+"""The commands as they are typed, in the order in which help and documentation show them."""
 
 REFUSED = (ValueError, TypeError, OSError, RuntimeError, ArithmeticError, MemoryError, ImportError)
 """What an invalid input, or this machine, makes a command raise."""
@@ -39,6 +34,20 @@ REFUSED = (ValueError, TypeError, OSError, RuntimeError, ArithmeticError, Memory
 
 class _Invalid(RuntimeError):
     """An option's value was refused by its type: tyro would turn a ValueError into its own error of several lines."""
+
+
+def command_class(name: str) -> type[Command]:
+    """The dataclass of a command; its module is imported only now, as it may need much."""
+    kind: type[Command] = getattr(importlib.import_module(f"armperturb.commands.{name}"), name.capitalize())
+    return kind
+
+
+def files() -> dict[Any, Callable[[str], Any]]:
+    """Type of an option whose value is read from the file that is named, to what reads it."""
+    from armperturb.perturbations import Perturbation, load_perturbation
+    from armperturb.subject import Subject
+
+    return {Subject: Subject.load, Perturbation: load_perturbation}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -74,7 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parse(arguments: Sequence[str]) -> Command:
-    any_command: Any = Union[COMMANDS]  # noqa: UP007
+    kinds = [command_class(name) if name in arguments[:1] else _without_options(name) for name in COMMANDS]
+    any_command: Any = Union[tuple(kinds)]  # noqa: UP007
     registry = ConstructorRegistry()
     registry.primitive_rule(_from_file)
     registry.struct_rule(_settings)
@@ -88,6 +98,14 @@ def _parse(arguments: Sequence[str]) -> Command:
         registry=registry,
     )
     return command
+
+
+def _without_options(name: str) -> type:
+    """A command that is not typed: what the list of commands shows of it, without its module."""
+    source = Path(__file__).with_name("commands") / f"{name}.py"
+    body = ast.parse(source.read_text(encoding="utf-8")).body
+    text = next(ast.get_docstring(node) for node in body if isinstance(node, ast.ClassDef))
+    return make_dataclass(name.capitalize(), (), namespace={"__doc__": text})
 
 
 def _settings(of: StructTypeInfo) -> StructConstructorSpec | None:
@@ -112,14 +130,15 @@ def _settings(of: StructTypeInfo) -> StructConstructorSpec | None:
 
 def _from_file(of: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
     """An option whose value is read from the file that is named."""
-    if of.type not in FILES:
+    readers = files() if str(getattr(of.type, "__module__", "")).startswith("armperturb.") else {}
+    if of.type not in readers:
         return None
-    read = _refusing(FILES[of.type])
+    read = _refusing(readers[of.type])
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar="PATH",
         instance_from_str=lambda typed: read(typed[0]),
-        is_instance=lambda value: isinstance(value, Subject) == (of.type is Subject),
+        is_instance=lambda value: isinstance(value, of.type),
         str_from_instance=lambda value: [str(value)],
     )
 

@@ -2,21 +2,20 @@
 
 import functools
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from importlib import resources
 from typing import Any
 
 import numpy as np
 
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.environment import Environment
+from armperturb.files import packaged_table
 from armperturb.seeds import random_stream
 from armperturb.subject import HUMERUS_MASS_SHARE, POSITION, PRESETS, RELAX, TASKS, Subject, at_level
 from armperturb.validation import require_number, require_one_of
 
-SPREAD = tomllib.loads(resources.files(__package__).joinpath("spread.toml").read_text(encoding="utf-8"))
+SPREAD = packaged_table(__package__, "spread.toml")
 """Standard deviation over the thesis's subjects of each parameter of a preset, SI."""
 
 STABILITY_MARGIN = 0.5
@@ -142,7 +141,7 @@ def draw_subject(
 @functools.cache
 def average_person() -> Person:
     """The person around whom cohorts of nonlinear people are drawn, as `armperturb calibrate` found it."""
-    values = tomllib.loads(resources.files(__package__).joinpath("average_person.toml").read_text(encoding="utf-8"))
+    values = packaged_table(__package__, "average_person.toml")
     subjects = {task: Subject.from_dict(values[task], f"average_person.toml, {task}") for task in TASKS}
     height, mass = _average_build()
     return Person(name="average", height=height, mass=mass, subjects=subjects, levels=values["levels"])

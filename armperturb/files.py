@@ -1,15 +1,39 @@
-"""Files that are there whole or not at all."""
+"""Files that are there whole or not at all, and tables that lie beside the code."""
 
 import csv
 import os
 import tempfile
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+def packaged_table(package: str, name: str) -> dict[str, Any]:
+    """Content of a TOML file that lies beside the modules of a package."""
+    return tomllib.loads(resources.files(package).joinpath(name).read_text(encoding="utf-8"))
+
+
+def read_toml(path: str | Path, example: str) -> dict[str, Any]:
+    """Content of a TOML file of the user's.
+
+    Args:
+      path: of the file.
+      example: a line as the file should have, for the message.
+
+    Raises:
+      ValueError: the file is no TOML.
+      OSError: the file cannot be read.
+    """
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not a TOML file ({error}); expected lines such as '{example}'") from None
 
 
 def require_folder_of(path: Path) -> None:

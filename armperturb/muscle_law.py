@@ -5,10 +5,10 @@ Equations, symbols and literature: docs/muscle.md.
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
-from armperturb.validation import require_number, require_whole
+from armperturb.validation import require_keys, require_number, require_whole
 
 PerElement = float | tuple[float, float, float]
 """One number for all muscle elements, or three: single-joint shoulder, two-joint, single-joint elbow."""
@@ -28,7 +28,9 @@ _RANGES: dict[str, dict[str, float]] = {
     "spindle_direction": {"at_least": -1.0, "at_most": 1.0},
 }
 _MAY_BE_INFINITE = ("elastic_limit_deg", "loss_angle_deg", "recovery_time", "thinning_velocity", "spindle_saturation")
-_ELEMENTS = ("shoulder", "two-joint", "elbow")
+
+ELEMENTS = ("shoulder", "two-joint", "elbow")
+"""Muscle groups of eq. 2.10, in the order of all triples."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +80,7 @@ class MuscleLaw:
             values = tuple(value) if isinstance(value, tuple | list) else (value,) * 3
             if len(values) != 3:
                 raise TypeError(
-                    f"MuscleLaw: {field} = {value!r}; expected a number, or three for {', '.join(_ELEMENTS)}"
+                    f"MuscleLaw: {field} = {value!r}; expected a number, or three for {', '.join(ELEMENTS)}"
                 )
             for element in values:
                 if not (field in _MAY_BE_INFINITE and element == math.inf):
@@ -104,12 +106,5 @@ class MuscleLaw:
         """
         if not isinstance(values, Mapping):
             raise TypeError(f"MuscleLaw = {values!r}; expected a table of parameters by name")
-        known = [field.name for field in fields(cls)]
-        unknown = [key for key in values if key not in known]
-        if unknown:
-            raise ValueError(f"MuscleLaw: unknown key {unknown[0]!r}; expected keys are {', '.join(known)}")
+        require_keys("MuscleLaw", values, [field.name for field in fields(cls)])
         return cls(**values)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Parameter name to value, as `from_dict` reads it."""
-        return asdict(self)

@@ -17,9 +17,7 @@ every variable has its `units`. On disk it is netCDF4. EMG is in single precisio
 """
 
 import io
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +25,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from armperturb.files import written_whole
+from armperturb.files import packaged_table, written_whole
 from armperturb.foreign import Refused, read_foreign
 
-_TABLES = tomllib.loads(resources.files(__package__).joinpath("recording.toml").read_text(encoding="utf-8"))
+_TABLES = packaged_table(__package__, "recording.toml")
 
 MUSCLES: tuple[str, ...] = tuple(_TABLES["muscles"])
 """Muscles whose EMG is recorded (thesis 2.3)."""

@@ -1,18 +1,17 @@
 """A person in one task: the parameters of the linear arm model (thesis 2.7, appendix B)."""
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
-from importlib import resources
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 import tomli_w
 
+from armperturb.files import packaged_table, read_toml
 from armperturb.muscle_law import MuscleLaw
-from armperturb.validation import require_number, require_one_of
+from armperturb.validation import require_keys, require_number, require_one_of
 
 TASKS = ("PT", "RT")
 """Position task (keep the handle in place) and relax task (do not react); thesis 2.5."""
@@ -190,12 +189,7 @@ class Subject:
           TypeError: a value has the wrong type.
         """
         known = [field.name for field in fields(cls)]
-        unknown = [key for key in values if key not in known]
-        if unknown:
-            raise ValueError(f"{source}: unknown key {unknown[0]!r}; expected keys are {', '.join(known)}")
-        missing = [key for key in known if key not in values and key not in _OPTIONAL]
-        if missing:
-            raise ValueError(f"{source}: missing key {missing[0]!r}; expected keys are {', '.join(known)}")
+        require_keys(source, values, known, [key for key in known if key not in _OPTIONAL])
         try:
             if values.get("muscle") is not None:
                 values = {**values, "muscle": MuscleLaw.from_dict(values["muscle"])}
@@ -218,11 +212,7 @@ class Subject:
           ValueError: the file is no TOML, or a key or value is refused.
           OSError: the file cannot be read.
         """
-        try:
-            values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path}: not a TOML file ({error}); expected lines such as 'm_h = 2.06'") from None
-        return cls.from_dict(values, source=str(path))
+        return cls.from_dict(read_toml(path, "m_h = 2.06"), source=str(path))
 
     def save(self, path: str | Path) -> None:
         """Write the subject to a TOML file that `load` reads back exactly."""
@@ -252,7 +242,7 @@ def at_level(subject: Subject, level: float) -> Subject:
     return replace(subject, muscle=subject.muscle and subject.muscle.scaled(level), **changes)
 
 
-_PRESETS = tomllib.loads(resources.files(__package__).joinpath("presets.toml").read_text(encoding="utf-8"))
+_PRESETS = packaged_table(__package__, "presets.toml")
 
 RELAX = Subject(**_PRESETS["relax"])
 """The mean relaxed arm of the thesis: intrinsic and grip parameters only (table C.18, model 1)."""

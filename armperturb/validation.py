@@ -1,7 +1,7 @@
 """Checks of values; each message names the owner, the field, its value, and what was expected."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from numbers import Integral, Real
 
 
@@ -30,7 +30,7 @@ def require_number(
       TypeError: value is not a number.
       ValueError: value is not finite or out of bounds.
     """
-    if isinstance(value, bool) or not isinstance(value, Real):
+    if isinstance(value, bool) or not isinstance(value, (float, Real)):  # asking for a float is many times faster
         raise TypeError(f"{owner}: {field} = {value!r}; expected a number")
     try:
         number = float(value)
@@ -79,3 +79,20 @@ def require_one_of(owner: str, field: str, value: object, known: Sequence[str | 
     # Not by `in` alone: an array has no single answer to that.
     if not (value is None or isinstance(value, str)) or value not in known:
         raise ValueError(f"{owner}: {field} = {value!r:.60}; expected one of {', '.join(map(str, known))}")
+
+
+def require_keys(owner: str, keys: Collection[str], known: Sequence[str], required: Collection[str] = ()) -> None:
+    """Refuse a table with a key that is not known, or without one that is required.
+
+    Args:
+      owner: what the table is, for the message.
+      keys: of the table.
+      known: all that it may have.
+      required: those that it must have.
+
+    Raises:
+      ValueError: a key is unknown or missing.
+    """
+    unknown, missing = [key for key in keys if key not in known], [key for key in required if key not in keys]
+    for problem, key in [("unknown", key) for key in unknown] + [("missing", key) for key in missing]:
+        raise ValueError(f"{owner}: {problem} key {key!r}; expected keys are {', '.join(known)}")

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 
 import tyro
 
-from armperturb.cli import COMMANDS, FILES
+from armperturb.cli import COMMANDS, command_class, files
 from armperturb.commands.command import Command, field_texts
 
 PLACE = "<!-- commands -->"
@@ -93,7 +93,7 @@ def reference() -> str:
 
 def commands() -> dict[str, type[Command]]:
     """Name of each command, as typed, to the dataclass of its options."""
-    return {kind.__name__.lower(): kind for kind in COMMANDS}
+    return {name: command_class(name) for name in COMMANDS}
 
 
 def arguments(kind: type) -> Iterator[Argument]:
@@ -103,7 +103,7 @@ def arguments(kind: type) -> Iterator[Argument]:
         hint = hints[field.name]
         positional = get_origin(hint) is Annotated and tyro.conf.Positional in hint.__metadata__
         hint = get_args(hint)[0] if get_origin(hint) is Annotated else hint
-        if is_dataclass(hint) and hint not in FILES:
+        if is_dataclass(hint) and hint not in files():
             yield from arguments(hint)
             continue
         name = field.name.upper() if positional else "--" + field.name.replace("_", "-")
@@ -144,7 +144,7 @@ def _values(hint: Any) -> str:
     if get_origin(hint) is tuple:
         each, *others = get_args(hint)
         return f"{'one or more' if others == [...] else len(others) + 1}: {_values(each)}"
-    if hint in FILES:
+    if hint in files():
         return "path"
     return {int: "whole number", float: "number", str: "text", Path: "path"}[hint]
 

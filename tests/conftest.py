@@ -3,6 +3,7 @@
 import fcntl
 import os
 import pickle
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +26,7 @@ from armperturb.subject import POSITION, RELAX
 
 SLOW_FIXTURES = {
     **dict.fromkeys(("study", "thesis_study", "thesis_report", "ideal"), "simulates and analyses a small study"),
+    "fitted_folder": "analyses a folder several times",
     "explained": "simulates a person with and without each mechanism of the muscle law",
     "forces": "simulates practice sessions",
     "linear": "simulates a candidate of the calibration",
@@ -34,9 +36,12 @@ SLOW_FIXTURES = {
 
 
 def pytest_collection_modifyitems(items):
+    slow_tests = Counter()
     for item in items:
         for fixture in SLOW_FIXTURES.keys() & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.slow(reason=SLOW_FIXTURES[fixture]))
+        slow_tests[item.path] += item.get_closest_marker("slow") is not None
+    items.sort(key=lambda item: -slow_tests[item.path])  # so that no process ends long after the others
 
 
 @pytest.fixture(scope="session")
@@ -231,9 +236,10 @@ def thesis_report(thesis_study, once):
     return once("thesis report", make)
 
 
-def sketch(study, out, figures=()):
+def sketch(study, out, figures=(), workers=1):
     """The text of a report without figures but these, and without further simulations."""
-    return write_report(study, out, figures=figures, simulate=False, show_progress=False).read_text(encoding="utf-8")
+    path = write_report(study, out, figures=figures, simulate=False, workers=workers, show_progress=False)
+    return path.read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")

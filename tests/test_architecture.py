@@ -27,7 +27,7 @@ ARROWS = {
     "extras": set(),
     "seeds": set(),
     "muscle_law": {"validation"},
-    "subject": {"validation", "muscle_law"},
+    "subject": {"files", "validation", "muscle_law"},
     "environment": {"validation"},
     "foreign": {"extras"},
     "recording": {"files", "foreign"},
@@ -120,6 +120,7 @@ def test_the_table_has_no_circle():
         reach(name)
 
 
+@pytest.mark.slow(reason="a process of its own")
 def test_importing_what_needs_none_loads_no_simulator():
     modules = ("armperturb", "armperturb.analysis", "armperturb.analysis.fit.identify", "armperturb.cli")
     code = f"import sys\nfor name in {modules}:\n    __import__(name)\n    assert 'mujoco' not in sys.modules, name"

@@ -126,7 +126,8 @@ def test_commands_that_are_shown_can_be_typed(arguments, monkeypatch, capsys):
         monkeypatch.setattr(kind, "run", understood)
     monkeypatch.setattr(cli, "require_simulator", lambda: None)
     samples = {Subject: POSITION, Perturbation: Multisine.draw(seed=0, rms=1.0, crested=False)}
-    monkeypatch.setattr(cli, "FILES", {kind: lambda _, sample=sample: sample for kind, sample in samples.items()})
+    readers = {kind: lambda _, sample=sample: sample for kind, sample in samples.items()}
+    monkeypatch.setattr(cli, "files", lambda: readers)
     assert cli.main(arguments) == 1
     assert capsys.readouterr().err == "armperturb: error: understood\n"
 
@@ -239,6 +240,7 @@ def test_recording_of_ones_own_is_one(tmp_path, monkeypatch):
     assert np.allclose(load_recording("S01.nc")["force"], 0.1 * load_recording("S01.nc")["perturbation"])
 
 
+@pytest.mark.slow(reason="runs a block of the documentation")
 def test_first_files_are_written(tmp_path, monkeypatch):
     from armperturb import load_perturbation
 

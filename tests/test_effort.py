@@ -33,6 +33,7 @@ def test_effort_that_costs_all_or_nothing_ends_at_the_last_level():
     assert chosen_level(LEVELS, displacement, 1e-12) == pytest.approx(LEVELS[-1], rel=1e-3)
 
 
+@pytest.mark.slow(reason="optimises levels in simulations")
 def test_more_force_asks_for_more_co_contraction():
     conditions = tuple(
         Condition(name=name, task="PT", rms_displacement=0.0075, published_force=force)
@@ -47,6 +48,7 @@ def test_more_force_asks_for_more_co_contraction():
     assert levels["PT7.5"] == pytest.approx(1.0, rel=0.02)
 
 
+@pytest.mark.slow(reason="optimises levels in simulations")
 def test_unstable_levels_are_not_tried():
     tried, moved = displacement_at_levels(POSITION, 1.2, levels=(0.5, 1.0, 6.0))
     assert tried.tolist() == [0.5, 1.0]

@@ -157,6 +157,7 @@ def test_a_failed_save_leaves_the_old_file_and_nothing_else(recording, tmp_path,
     assert [p.name for p in tmp_path.iterdir()] == ["r.nc"]
 
 
+@pytest.mark.slow(reason="writes and reads long recordings")
 def test_optional_signals_are_read_where_wanted(whole_recording, tmp_path):
     path = tmp_path / "r.nc"
     save_recording(whole_recording, path)

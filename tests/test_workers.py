@@ -54,6 +54,7 @@ def test_all_units_are_done_once():
     assert ticks
 
 
+@pytest.mark.slow(reason="processes that are killed")
 def test_units_of_a_killed_worker_are_done_again_and_none_doubled(tmp_path, caplog):
     units = [(n, str(tmp_path / str(n // 4))) for n in range(8)]
     with caplog.at_level(logging.WARNING), workers_for(2, None) as pool:
@@ -86,6 +87,7 @@ def ctrl_c_is_blocked(_):
     return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
+@pytest.mark.slow(reason="a process of its own")
 def test_ctrl_c_does_not_reach_the_processes():
     # In a process of its own: what the pool leaves running in this one would hide how the first one starts.
     code = (

@@ -2,9 +2,16 @@
 
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Literal
+
+Estimator = Literal["thesis", "frequency", "record"]
+"""The thesis's (each trial alone, averaged), or maximum likelihood of mean periods, or of whole records."""
 
 WINDOW_START = 8.0
 """Start of the window of whole periods [s]: the transient has died away by then."""
+
+SETTLING = 4.0
+"""Least start of that window where records are too short for the usual one [s]."""
 
 SETTLED = 2.0
 """Time from which on a disturbance is periodic [s]; the response to it need not be."""

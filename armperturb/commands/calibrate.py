@@ -28,7 +28,7 @@ class Calibrate(Command):
 
     def run(self) -> list[str]:
         """Calibrate, and write the average person."""
-        from armperturb.study.experiments.calibration import calibrate, save_calibrations, summary
+        from armperturb.study.experiments.calibration import calibrate, save_calibrations
 
         if "full" not in self.laws:
             raise ValueError(f"laws = {self.laws!r}; expected 'full' among them, as its person is written")
@@ -47,10 +47,5 @@ class Calibrate(Command):
                 )
                 bar.update(number * self.iterations - bar.n)
         save_calibrations(self.out, calibrations)
-        lines = [
-            f"{row['law']}, {row['task']}, {row['n']} cells {row['cells']}: {row['within_0.5_sd']:.0%} within 0.5, "
-            f"{row['within_1_sd']:.0%} within 1, {row['within_2_sd']:.0%} within 2 SD; "
-            f"RMS {row['rms_deviation']:.2f} SD"
-            for row in summary(calibrations)
-        ]
+        lines = [f"{each.law}, {each.task}, {fact}" for each in calibrations for fact in each.describe().facts]
         return [*lines, f"average person: {self.out}"]

@@ -7,9 +7,7 @@ from typing import Annotated
 import tyro
 
 from armperturb.commands.command import Command
-from armperturb.convert import export_recording, import_recording
-from armperturb.convert.exporter import require_ending
-from armperturb.convert.faults import Repair
+from armperturb.convert.tables import Repair
 from armperturb.files import require_folder_of
 
 
@@ -32,6 +30,9 @@ class Convert(Command):
 
     def run(self) -> list[str]:
         """Read the files and write their trials in the other format."""
+        from armperturb.convert.exporter import export_recording, require_ending
+        from armperturb.convert.importer import import_recording
+
         require_ending(self.out)  # before long recordings are read
         require_folder_of(self.out)
         imported = import_recording(self.files, sidecar=self.sidecar, repair=self.repair, rate=self.rate)

@@ -3,17 +3,16 @@
 import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
-import xarray as xr
 
-from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
-from armperturb.analysis.fit.identify import Estimator
+from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.commands.command import Command
-from armperturb.commands.selection import select_trials
-from armperturb.convert import import_recording
 from armperturb.extras import MissingExtraError, naming_the_extra
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average")
 OF_THE_NONLINEAR_MODEL = ("law", "pulses")
@@ -64,6 +63,9 @@ class Identify(Command):
 
     def run(self) -> list[str]:
         """Identify the arm and write the results."""
+        from armperturb.commands.selection import select_trials
+        from armperturb.convert.importer import import_recording
+
         linear = self.model != "nonlinear"
         for field in fields(self):
             value = getattr(self, field.name)
@@ -88,7 +90,7 @@ class Identify(Command):
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
         return [*imported.notes, *lines, f"results: {self.out}"]
 
-    def _identify(self, recording: xr.Dataset) -> list[str]:
+    def _identify(self, recording: "xr.Dataset") -> list[str]:
         from armperturb.analysis.fit.export import write_identification
         from armperturb.analysis.fit.identify import identify_conditions
 
@@ -113,7 +115,7 @@ class Identify(Command):
             lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
         return lines
 
-    def _identify_nonlinear(self, recording: xr.Dataset) -> list[str]:
+    def _identify_nonlinear(self, recording: "xr.Dataset") -> list[str]:
         with naming_the_extra("identify --model nonlinear"):
             from armperturb.analysis.nonlinear.export import write_nonlinear
             from armperturb.analysis.nonlinear.identify import identify_nonlinear

@@ -2,19 +2,17 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from armperturb.analysis.defaults import SETTLED
-from armperturb.analysis.response.best_linear import BestLinear, best_linear
-from armperturb.analysis.response.estimate import response
-from armperturb.analysis.response.frequency_response import FrequencyResponse
-from armperturb.analysis.trials import common_period, prepared_recordings
 from armperturb.commands.command import Command
-from armperturb.commands.selection import select_trials
-from armperturb.convert import import_recording
 from armperturb.files import write_csv
+
+if TYPE_CHECKING:
+    from armperturb.analysis.response.best_linear import BestLinear
+    from armperturb.analysis.response.frequency_response import FrequencyResponse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +42,12 @@ class Response(Command):
 
     def run(self) -> list[str]:
         """Estimate the response and write it."""
+        from armperturb.analysis.response.best_linear import best_linear
+        from armperturb.analysis.response.estimate import response
+        from armperturb.analysis.trials import common_period, prepared_recordings
+        from armperturb.commands.selection import select_trials
+        from armperturb.convert.importer import import_recording
+
         if self.period is not None and self.method not in ("multisine", "spectral"):
             raise ValueError(f"response: period = {self.period:g}; expected none with the method {self.method}")
         imported = [import_recording([path], sidecar=self.sidecar) for path in self.recordings]
@@ -83,7 +87,9 @@ class Response(Command):
         return [*lines, f"results: {self.out}"]
 
 
-def write_response(estimate: FrequencyResponse, distortion: BestLinear | None, folder: Path, condition: str) -> None:
+def write_response(
+    estimate: "FrequencyResponse", distortion: "BestLinear | None", folder: Path, condition: str
+) -> None:
     """Write `response.csv` and `response.svg`, and `distortion.csv` and `.svg` if there are any, into a folder.
 
     Args:

@@ -7,7 +7,6 @@ from typing import Annotated
 import tyro
 
 from armperturb.commands.command import Command
-from armperturb.convert import write_sidecar
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,5 +22,7 @@ class Sidecar(Command):
 
     def run(self) -> list[str]:
         """Guess what the columns are and write the sidecar."""
+        from armperturb.convert.template import write_sidecar
+
         path, notes = write_sidecar(self.file, self.out, rate=self.rate)
         return [*notes, f"sidecar: {path}"]

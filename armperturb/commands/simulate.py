@@ -4,14 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from armperturb.commands.command import Command
-from armperturb.environment import Environment
 from armperturb.files import require_folder_of
-from armperturb.perturbations import load_perturbation
-from armperturb.recording import save_recording
-from armperturb.subject import Subject
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,9 +31,15 @@ class Simulate(Command):
 
     def run(self) -> list[str]:
         """Simulate the trial and write the recording."""
+        import numpy as np
+
+        from armperturb.environment import Environment
         from armperturb.envs.lab.experiment import run_experiment
         from armperturb.envs.lab.instruments import Instruments
         from armperturb.envs.lab.trial import Trial
+        from armperturb.perturbations import load_perturbation
+        from armperturb.recording import save_recording
+        from armperturb.subject import Subject
 
         person, perturbation = Subject.load(self.subject), load_perturbation(self.perturbation)
         require_folder_of(self.out)

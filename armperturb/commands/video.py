@@ -9,7 +9,6 @@ import tyro
 from armperturb.commands.command import Command
 from armperturb.envs.render.clip import Clip
 from armperturb.progress import Progress
-from armperturb.recording import load_recording
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +29,7 @@ class Video(Command):
         """Draw the frames and write the video."""
         from armperturb.envs.render.replay import SIGNALS, Replay
         from armperturb.envs.render.video import require_ending, write_video
+        from armperturb.recording import load_recording
 
         require_ending(self.out)
         recording = load_recording(self.recording, optional=SIGNALS)

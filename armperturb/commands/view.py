@@ -7,8 +7,6 @@ from typing import Annotated
 import tyro
 
 from armperturb.commands.command import Command
-from armperturb.recording import load_recording
-from armperturb.subject import RELAX, Subject
 from armperturb.validation import require_number
 
 
@@ -31,6 +29,8 @@ class View(Command):
         """Show the window until it is closed."""
         from armperturb.envs.render.replay import SIGNALS, Replay
         from armperturb.envs.render.viewer import require_display, watch_rig, watch_trial
+        from armperturb.recording import load_recording
+        from armperturb.subject import RELAX, Subject
 
         require_display()  # before a long recording is read
         require_number("view", "slow", self.slow, above=0.0)

@@ -7,11 +7,9 @@ Wolpert 2002, J. Neurophysiol. 88: its SD is proportional to the mean torque); w
 both PT2.5 and PT22.5 their published VAF (table C.12).
 """
 
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -19,6 +17,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from armperturb.arrays import Array
+from armperturb.files import packaged_table
 from armperturb.subject import Subject
 from armperturb.validation import require_number
 
@@ -172,7 +171,7 @@ def _unit_lowpass(order: int, cutoff: float, timestep: float) -> Array:
     return sections
 
 
-_NOISE = tomllib.loads(resources.files(__package__).joinpath("human_noise.toml").read_text(encoding="utf-8"))
+_NOISE = packaged_table(__package__, "human_noise.toml")
 
 HUMAN_NOISE = {task: HumanNoise(**values) for task, values in _NOISE.items()}
 """Task to how noisy people are in it; relaxed people make no slow corrections.

@@ -11,9 +11,10 @@ from scipy import signal
 
 from armperturb.arrays import Array
 from armperturb.convert.checks import require_consistent_unit, require_signal
-from armperturb.convert.faults import Fault, Repair, Timed, even_times
+from armperturb.convert.faults import Fault, Timed, even_times
 from armperturb.convert.raw import RawTrial
 from armperturb.convert.sidecar import FIRST, Sidecar, Signal
+from armperturb.convert.tables import Repair
 from armperturb.recording import TRIAL_COORDINATES, make_recording
 
 MOST_RESAMPLING = 20_000

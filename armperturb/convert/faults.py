@@ -15,17 +15,15 @@ are always refused.
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import interpolate
 
 from armperturb.arrays import Array
+from armperturb.convert.tables import Repair
 from armperturb.recording import REQUIRED_SIGNALS
-
-Repair = Literal["gaps", "drops", "clock", "lengths", "trials"]
-"""Faults that can be repaired, see above."""
 
 LONGEST_GAP = {"perturbation": 0.025, "force": 0.025}
 """Longest gap that is filled in a signal [s]: a quarter period of its highest frequency of substantial power."""

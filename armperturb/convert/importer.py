@@ -11,10 +11,11 @@ import xarray as xr
 from armperturb.convert.alignment import in_si, joined, resampled, timed_signals
 from armperturb.convert.balance import check_balance, require_signs
 from armperturb.convert.checks import require_plausible
-from armperturb.convert.faults import Fault, Repair, Timed, equal_lengths, find_gaps, find_stuck, without_padding
+from armperturb.convert.faults import Fault, Timed, equal_lengths, find_gaps, find_stuck, without_padding
 from armperturb.convert.raw import RawTrial
 from armperturb.convert.reading import C3D, MATLAB, TEXT, read_trials
 from armperturb.convert.sidecar import Sidecar
+from armperturb.convert.tables import Repair
 from armperturb.recording import join_recordings, load_recording
 from armperturb.validation import require_number, require_one_of
 

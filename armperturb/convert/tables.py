@@ -1,6 +1,10 @@
-"""The tables of `tables.toml`: units, fields of the sidecar, and the words of names."""
+"""The tables of `tables.toml`: units, fields of the sidecar, and the words of names; and which faults have a repair."""
 
-import tomllib
-from importlib import resources
+from typing import Literal
 
-TABLES = tomllib.loads(resources.files(__package__).joinpath("tables.toml").read_text(encoding="utf-8"))
+from armperturb.files import packaged_table
+
+Repair = Literal["gaps", "drops", "clock", "lengths", "trials"]
+"""Faults that can be repaired, see `armperturb.convert.faults`."""
+
+TABLES = packaged_table(__package__, "tables.toml")

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from armperturb.analysis.force_balance import Balance
 from armperturb.convert.checks import AWAY, LARGEST_FORCE
 from armperturb.convert.columns import WORD, Column, axis_of, columns_of, dialect_of
-from armperturb.convert.faults import Repair
 from armperturb.convert.importer import import_trials
 from armperturb.convert.raw import trial_name
 from armperturb.convert.reading import C3D, MATLAB, TEXT, read_trials
 from armperturb.convert.sidecar import BODIES, FIRST, MEANINGS, OPEN, REQUIRED_LABELS, Dialect, Sidecar
-from armperturb.convert.tables import TABLES
+from armperturb.convert.tables import TABLES, Repair
 from armperturb.convert.units import UNITS
 from armperturb.environment import Environment
 from armperturb.files import written_whole

@@ -14,104 +14,167 @@ from numba import njit
 from armperturb.arrays import Array, Indices
 from armperturb.controllers.compiled import Lane, Memory, act, delayed
 from armperturb.controllers.lanes import Table
-from armperturb.planar_arm.lanes import Start
+from armperturb.planar_arm.lanes import GROUP, Start
+
+State = tuple[float, ...]
+
+(Q_S, Q_E, X, Y, W_S, W_E, V_X, V_Y) = range(8)
+PUSH, TORQUE = 8, 14
+(UPPER, LOWER, L_H, L_F, K_H, B_H, HAND_X, HAND_Y, INERTIA_S, INERTIA_E, COUPLING) = range(20, 31)
+(K_S, K_SE, K_E, B_S, B_SE, B_E, M_ENV, B_ENV, K_ENV) = range(31, 40)
+ROWS = 40
+"""Rows of a group's numbers: state, force and torque at the start, middle and end of a step (x and y, or shoulder and
+elbow, of each), constants."""
+
+PI_REMAINDER = 1.2246467991473532e-16
+"""What pi has beyond its nearest number."""
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _slope(p: Lane, z: Array, push: Array, torque: Array, held: Array, origin: Array, out: Array) -> None:
+def _sine_and_cosine(angle: float) -> tuple[float, float]:
+    """Both by their series about the nearest multiple of pi, to rounding: library calls are not vectorised."""
+    turns = np.floor(angle * (1.0 / math.pi) + 0.5)
+    x = (angle - turns * math.pi) - turns * PI_REMAINDER
+    sign = 1.0 - 2.0 * (turns - 2.0 * np.floor(0.5 * turns))
+    z = x * x
+    sine = 1.0 - z * (1.0 / 272.0) * (1.0 - z * (1.0 / 342.0))
+    sine = 1.0 - z * (1.0 / 110.0) * (1.0 - z * (1.0 / 156.0) * (1.0 - z * (1.0 / 210.0) * sine))
+    sine = 1.0 - z * (1.0 / 6.0) * (1.0 - z * (1.0 / 20.0) * (1.0 - z * (1.0 / 42.0) * (1.0 - z * (1.0 / 72.0) * sine)))
+    cosine = 1.0 - z * (1.0 / 240.0) * (1.0 - z * (1.0 / 306.0))
+    cosine = 1.0 - z * (1.0 / 90.0) * (1.0 - z * (1.0 / 132.0) * (1.0 - z * (1.0 / 182.0) * cosine))
+    cosine = 1.0 - z * (1.0 / 12.0) * (1.0 - z * (1.0 / 30.0) * (1.0 - z * (1.0 / 56.0) * cosine))
+    return sign * x * sine, sign * (1.0 - 0.5 * z * cosine)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _turned(sine: float, cosine: float, by: float) -> tuple[float, float]:
+    """Sine and cosine of an angle that has grown by less than 0.1 rad, to rounding."""
+    z = by * by
+    grown = by * (1.0 - z * (1.0 / 6.0) * (1.0 - z * (1.0 / 20.0) * (1.0 - z * (1.0 / 42.0))))
+    left = 1.0 - 0.5 * z * (1.0 - z * (1.0 / 12.0) * (1.0 - z * (1.0 / 30.0) * (1.0 - z * (1.0 / 56.0))))
+    return sine * left + cosine * grown, cosine * left - sine * grown
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _moved(z: State, slope: State, time: float) -> State:
+    """The state after a time with that slope."""
+    return (
+        z[0] + time * slope[0],
+        z[1] + time * slope[1],
+        z[2] + time * slope[2],
+        z[3] + time * slope[3],
+        z[4] + time * slope[4],
+        z[5] + time * slope[5],
+        z[6] + time * slope[6],
+        z[7] + time * slope[7],
+    )
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _slope(w: Array, i: int, z: State, upper: State, lower: State, stage: int) -> State:
     """Derivative of (q_s, q_e, x, y, their velocities), q from the posture and x from the start.
 
     Args:
-      p: the person and what the hand holds.
-      z: where to take it.
-      push: force on the handle [N], (axis,).
-      torque: of reflexes and noise on the joints [Nm], (joint,).
-      held: torque that is held over the step [Nm], (joint,).
-      origin: where the hand is at the start [m], (axis,).
-      out: to fill.
+      w: work, see `ROWS`.
+      i: lane.
+      z: the state.
+      upper: sine and cosine of the upper arm's angle.
+      lower: of the forearm's.
+      stage: 0 at the start of the step, 2 in the middle, 4 at the end.
     """
-    q_s, q_e, x, y, w_s, w_e, v_x, v_y = z[0], z[1], z[2], z[3], z[4], z[5], z[6], z[7]
-    upper, lower = p.posture[0] + q_s, p.posture[0] + p.posture[1] + q_s + q_e
-    sin_u, cos_u, sin_l, cos_l = math.sin(upper), math.cos(upper), math.sin(lower), math.cos(lower)
+    q_s, q_e, x, y, w_s, w_e, v_x, v_y = z
+    (sin_u, cos_u), (sin_l, cos_l) = upper, lower
     # Columns of the hand's Jacobian; turned by a right angle, that of the shoulder is the hand's position.
-    e_x, e_y = -p.l_f * sin_l, p.l_f * cos_l
-    s_x, s_y = e_x - p.l_h * sin_u, e_y + p.l_h * cos_u
-    f_x = p.k_h * (x + origin[0] - s_y) + p.b_h * (v_x - s_x * w_s - e_x * w_e)
-    f_y = p.k_h * (y + origin[1] + s_x) + p.b_h * (v_y - s_y * w_s - e_y * w_e)
-    couple = p.inertia[2] * (cos_u * cos_l + sin_u * sin_l)
-    swirl = p.inertia[2] * (cos_u * sin_l - sin_u * cos_l)
-    t_s = torque[0] + held[0] + s_x * f_x + s_y * f_y + swirl * w_e * (2.0 * w_s + w_e)
-    t_s -= p.spring[0] * q_s + p.spring[1] * q_e + p.b[0] * w_s + p.b[1] * w_e
-    t_e = torque[1] + held[1] + e_x * f_x + e_y * f_y - swirl * w_s * w_s
-    t_e -= p.spring[1] * q_s + p.spring[2] * q_e + p.b[1] * w_s + p.b[2] * w_e
-    m_s, m_se, m_e = p.inertia[0] + 2.0 * couple, p.inertia[1] + couple, p.inertia[1]
-    determinant = m_s * m_e - m_se * m_se
-    out[0], out[1], out[2], out[3] = w_s, w_e, v_x, v_y
-    out[4] = (m_e * t_s - m_se * t_e) / determinant
-    out[5] = (m_s * t_e - m_se * t_s) / determinant
-    out[6] = (push[0] - f_x - p.b_env * v_x - p.k_env * x) / p.m_env
-    out[7] = (push[1] - f_y - p.b_env * v_y - p.k_env * y) / p.m_env
+    e_x, e_y = -w[L_F, i] * sin_l, w[L_F, i] * cos_l
+    s_x, s_y = e_x - w[L_H, i] * sin_u, e_y + w[L_H, i] * cos_u
+    f_x = w[K_H, i] * (x + w[HAND_X, i] - s_y) + w[B_H, i] * (v_x - s_x * w_s - e_x * w_e)
+    f_y = w[K_H, i] * (y + w[HAND_Y, i] + s_x) + w[B_H, i] * (v_y - s_y * w_s - e_y * w_e)
+    couple = w[COUPLING, i] * (cos_u * cos_l + sin_u * sin_l)
+    swirl = w[COUPLING, i] * (cos_u * sin_l - sin_u * cos_l)
+    t_s = w[TORQUE + stage, i] + s_x * f_x + s_y * f_y + swirl * w_e * (2.0 * w_s + w_e)
+    t_s -= w[K_S, i] * q_s + w[K_SE, i] * q_e + w[B_S, i] * w_s + w[B_SE, i] * w_e
+    t_e = w[TORQUE + stage + 1, i] + e_x * f_x + e_y * f_y - swirl * w_s * w_s
+    t_e -= w[K_SE, i] * q_s + w[K_E, i] * q_e + w[B_SE, i] * w_s + w[B_E, i] * w_e
+    m_e = w[INERTIA_E, i]
+    m_s, m_se = w[INERTIA_S, i] + 2.0 * couple, m_e + couple
+    share = 1.0 / (m_s * m_e - m_se * m_se)
+    return (
+        w_s,
+        w_e,
+        v_x,
+        v_y,
+        (m_e * t_s - m_se * t_e) * share,
+        (m_s * t_e - m_se * t_s) * share,
+        (w[PUSH + stage, i] - f_x - w[B_ENV, i] * v_x - w[K_ENV, i] * x) / w[M_ENV, i],
+        (w[PUSH + stage + 1, i] - f_y - w[B_ENV, i] * v_y - w[K_ENV, i] * y) / w[M_ENV, i],
+    )
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _grip(p: Lane, z: Array, origin: Array, out: Array) -> None:
-    """Force that the handle exerts on the hand [N], (axis,)."""
-    upper, lower = p.posture[0] + z[0], p.posture[0] + p.posture[1] + z[0] + z[1]
-    e_x, e_y = -p.l_f * math.sin(lower), p.l_f * math.cos(lower)
-    s_x, s_y = e_x - p.l_h * math.sin(upper), e_y + p.l_h * math.cos(upper)
-    out[0] = p.k_h * (z[2] + origin[0] - s_y) + p.b_h * (z[6] - s_x * z[4] - e_x * z[5])
-    out[1] = p.k_h * (z[3] + origin[1] + s_x) + p.b_h * (z[7] - s_y * z[4] - e_y * z[5])
+def _advance(w: Array, timestep: float) -> None:
+    """One step of Runge-Kutta 4 of all lanes of a group; NaN where an arm diverges.
 
-
-@njit(cache=True, inline="always", error_model="numpy")
-def _arrive(p: Lane, m: Memory, timestep: float, torque: Array) -> None:
-    """Torque of the reflexes at the start, middle and end of a step, (3, joint), added to what is there."""
-    for joint in range(2):
-        back = p.delay[joint] / timestep
-        for stage in range(3):
-            torque[stage, joint] -= delayed(m.sent, joint, m.step - 1, back - 0.5 * stage)
-
-
-@njit(cache=True, inline="always", error_model="numpy")
-def _advance(
-    p: Lane, state: Array, work: Array, push: Array, torque: Array, held: Array, origin: Array, timestep: float
-) -> None:
-    """One step of Runge-Kutta 4; NaN if the arm diverges.
-
-    Args:
-      p: the person and what the hand holds.
-      state: to change.
-      work: room for intermediate results, (3, 8).
-      push: force on the handle at the start, middle and end of the step [N], (3, axis).
-      torque: of reflexes and noise on the joints, likewise [Nm], (3, joint).
-      held: torque that is held over the step [Nm], (joint,).
-      origin: where the hand is at the start [m], (axis,).
-      timestep: of the simulation [s].
+    The compiler makes one vector instruction of the lanes' scalar ones, as long as all that they touch is one array.
     """
-    moved, slope, total = work[0], work[1], work[2]
-    for stage in range(4):
-        half = (stage + 1) // 2
-        part = 0.5 * timestep if stage < 3 else timestep
-        for i in range(8):
-            moved[i] = state[i] if stage == 0 else state[i] + part * slope[i]
-        _slope(p, moved, push[half], torque[half], held, origin, slope)
-        weight = timestep / 6.0 if stage == 0 or stage == 3 else timestep / 3.0
-        for i in range(8):
-            total[i] = weight * slope[i] if stage == 0 else total[i] + weight * slope[i]
-    for i in range(8):
-        state[i] += total[i]
-    if not abs(state[0]) + abs(state[1]) < 1e3:
-        state[:] = np.nan
+    half = 0.5 * timestep
+    for i in range(GROUP):
+        z: State = (w[Q_S, i], w[Q_E, i], w[X, i], w[Y, i], w[W_S, i], w[W_E, i], w[V_X, i], w[V_Y, i])
+        upper = _sine_and_cosine(w[UPPER, i] + z[0])
+        lower = _sine_and_cosine(w[LOWER, i] + z[0] + z[1])
+        first = _slope(w, i, z, upper, lower, 0)
+        d_u, d_l = half * z[4], half * (z[4] + z[5])
+        there = _moved(z, first, half)
+        turned = _turned(upper[0], upper[1], d_u), _turned(lower[0], lower[1], d_l)
+        second = _slope(w, i, there, turned[0], turned[1], 2)
+        d_u, d_l = half * there[4], half * (there[4] + there[5])
+        there = _moved(z, second, half)
+        turned = _turned(upper[0], upper[1], d_u), _turned(lower[0], lower[1], d_l)
+        third = _slope(w, i, there, turned[0], turned[1], 2)
+        d_u, d_l = timestep * there[4], timestep * (there[4] + there[5])
+        there = _moved(z, third, timestep)
+        turned = _turned(upper[0], upper[1], d_u), _turned(lower[0], lower[1], d_l)
+        fourth = _slope(w, i, there, turned[0], turned[1], 4)
+        z = _moved(z, first, timestep / 6.0)
+        z = _moved(z, second, timestep / 3.0)
+        z = _moved(z, third, timestep / 3.0)
+        z = _moved(z, fourth, timestep / 6.0)
+        finite = 1.0 if abs(z[0]) + abs(z[1]) < 1e3 else np.nan
+        w[Q_S, i], w[Q_E, i], w[X, i], w[Y, i] = finite * z[0], finite * z[1], finite * z[2], finite * z[3]
+        w[W_S, i], w[W_E, i], w[V_X, i], w[V_Y, i] = finite * z[4], finite * z[5], finite * z[6], finite * z[7]
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _hand(p: Lane) -> Array:
-    """Where the hand is at the start posture [m], (axis,), so that the grip is at rest there."""
-    lower = p.posture[0] + p.posture[1]
-    origin = np.zeros(2)
-    origin[0] = p.l_h * math.cos(p.posture[0]) + p.l_f * math.cos(lower)
-    origin[1] = p.l_h * math.sin(p.posture[0]) + p.l_f * math.sin(lower)
-    return origin
+def _load(lanes: Table, start: Start, first: int, w: Array) -> None:
+    """Put a group's states and constants where `_advance` wants them; the last group is filled with its last lane."""
+    for i in range(GROUP):
+        lane = min(first + i, len(lanes) - 1)
+        p = lanes[lane]
+        for j in range(3):
+            w[K_S + j, i], w[B_S + j, i] = p.spring[j], p.b[j]
+        lower = p.posture[0] + p.posture[1]
+        w[UPPER, i], w[LOWER, i] = p.posture[0], lower
+        w[L_H, i], w[L_F, i], w[K_H, i], w[B_H, i] = p.l_h, p.l_f, p.k_h, p.b_h
+        w[INERTIA_S, i], w[INERTIA_E, i], w[COUPLING, i] = p.inertia[0], p.inertia[1], p.inertia[2]
+        w[M_ENV, i], w[B_ENV, i], w[K_ENV, i] = p.m_env, p.b_env, p.k_env
+        # The shoulder's column of the Jacobian has (-y, x) of the hand: so the grip is at rest at the start.
+        w[HAND_X, i] = p.l_h * math.cos(p.posture[0]) + p.l_f * math.cos(lower)
+        w[HAND_Y, i] = p.l_h * math.sin(p.posture[0]) + p.l_f * math.sin(lower)
+        w[: V_Y + 1, i] = start.state[lane]
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _act(p: Lane, m: Memory, w: Array, i: int, timestep: float, room: Array) -> None:
+    """Put torques of muscles and reflexes into a lane's row; `room` is (8, 3) for intermediate results."""
+    angle, velocity, held, sent = room[4], room[5], room[6], room[7]
+    for joint in range(2):
+        angle[joint], velocity[joint] = p.posture[joint] + w[Q_S + joint, i], w[W_S + joint, i]
+    act(p, m, angle, velocity, timestep, room, held, sent)
+    for joint in range(2):
+        for stage in range(3):
+            torque = held[joint]
+            if p.reflexive != 0.0:
+                torque -= delayed(m.sent, joint, m.step - 1, p.delay[joint] / timestep - 0.5 * stage)
+            w[TORQUE + 2 * stage + joint, i] = torque
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -129,7 +192,7 @@ def simulate_lanes(
 
     Args:
       lanes: from `lanes.lane_table`.
-      start: of each lane.
+      start: of each lane; where they end, too.
       force: on the handle at the start and middle of each step [N], (trial, 2 step + 1, axis).
       of_lane: which trial each lane is of, (lane,).
       n_samples: how many samples each lane wants, (lane,).
@@ -137,22 +200,27 @@ def simulate_lanes(
       timestep: of the simulation [s].
       displacement: to fill, (lane, time, axis); NaN from where a lane diverges.
     """
-    work, room, torque = np.zeros((3, 8)), np.zeros((4, 3)), np.zeros((3, 2))
-    held, sent, angle = np.zeros(2), np.zeros(2), np.zeros(2)
-    for lane in range(len(lanes)):
-        p, m, state = lanes[lane], start.memory[lane], start.state[lane]
-        push, origin = force[of_lane[lane]], _hand(p)
-        displacement[lane, 0, 0], displacement[lane, 0, 1] = state[2], state[3]
-        for step in range((n_samples[lane] - 1) * decimation):
-            angle[0], angle[1] = p.posture[0] + state[0], p.posture[1] + state[1]
-            act(p, m, angle, state[4:6], timestep, room, held, sent)
-            if p.reflexive != 0.0:
-                torque[:] = 0.0
-                _arrive(p, m, timestep, torque)
-            _advance(p, state, work, push[2 * step : 2 * step + 3], torque, held, origin, timestep)
+    w, room = np.zeros((ROWS, GROUP)), np.zeros((8, 3))
+    for first in range(0, len(lanes), GROUP):
+        n = min(GROUP, len(lanes) - first)
+        _load(lanes, start, first, w)
+        for i in range(n):
+            displacement[first + i, 0] = start.state[first + i, 2:4]
+        for step in range((n_samples[first : first + n].max() - 1) * decimation):
+            for i in range(n):
+                _act(lanes[first + i], start.memory[first + i], w, i, timestep, room)
+                push = force[of_lane[first + i]]
+                for stage in range(3):
+                    for axis in range(2):
+                        w[PUSH + 2 * stage + axis, i] = push[2 * step + stage, axis]
+            _advance(w, timestep)
             if (step + 1) % decimation == 0:
                 sample = (step + 1) // decimation
-                displacement[lane, sample, 0], displacement[lane, sample, 1] = state[2], state[3]
+                for i in range(n):
+                    if sample < n_samples[first + i]:
+                        displacement[first + i, sample, 0], displacement[first + i, sample, 1] = w[X, i], w[Y, i]
+        for i in range(n):
+            start.state[first + i] = w[: V_Y + 1, i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -161,25 +229,35 @@ def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Ar
 
     Args:
       lanes: from `lanes.lane_table`.
-      start: of each lane.
+      start: of each lane; where they end, too.
       known: torque on the joints [Nm] and force on the handle [N] at the start and middle of each step, (lane, 2 step +
         1, motor).
       timestep: of the simulation [s].
       log: reflexive excitation, joint velocity, displacement of the handle, joint angle, and force of the handle on the
         hand, to fill, (lane, step, 10).
     """
-    work, room, torque = np.zeros((3, 8)), np.zeros((4, 3)), np.zeros((3, 2))
-    held, sent, angle = np.zeros(2), np.zeros(2), np.zeros(2)
-    for lane in range(len(lanes)):
-        p, m, state, origin = lanes[lane], start.memory[lane], start.state[lane], _hand(lanes[lane])
+    w, room = np.zeros((ROWS, GROUP)), np.zeros((8, 3))
+    for first in range(0, len(lanes), GROUP):
+        n = min(GROUP, len(lanes) - first)
+        _load(lanes, start, first, w)
         for step in range(log.shape[1]):
-            row, now = log[lane, step], known[lane, 2 * step : 2 * step + 3]
-            angle[0], angle[1] = p.posture[0] + state[0], p.posture[1] + state[1]
-            act(p, m, angle, state[4:6], timestep, room, held, sent)
-            for i in range(2):
-                row[i], row[2 + i], row[4 + i], row[6 + i] = m.excitation[i], state[4 + i], state[2 + i], angle[i]
-            _grip(p, state, origin, row[8:10])
-            torque[:] = now[:, :2]
-            if p.reflexive != 0.0:
-                _arrive(p, m, timestep, torque)
-            _advance(p, state, work, now[:, 2:], torque, held, origin, timestep)
+            for i in range(n):
+                p, m, row = lanes[first + i], start.memory[first + i], log[first + i, step]
+                _act(p, m, w, i, timestep, room)
+                for stage in range(3):
+                    for j in range(2):
+                        w[TORQUE + 2 * stage + j, i] += known[first + i, 2 * step + stage, j]
+                        w[PUSH + 2 * stage + j, i] = known[first + i, 2 * step + stage, 2 + j]
+                for j in range(2):
+                    row[j], row[2 + j], row[4 + j] = m.excitation[j], w[W_S + j, i], w[X + j, i]
+                    row[6 + j] = p.posture[j] + w[Q_S + j, i]
+                upper = w[UPPER, i] + w[Q_S, i]
+                lower = w[LOWER, i] + w[Q_S, i] + w[Q_E, i]
+                e_x, e_y = -p.l_f * math.sin(lower), p.l_f * math.cos(lower)
+                s_x, s_y = e_x - p.l_h * math.sin(upper), e_y + p.l_h * math.cos(upper)
+                slip_x, slip_y = w[X, i] + w[HAND_X, i] - s_y, w[Y, i] + w[HAND_Y, i] + s_x
+                row[8] = p.k_h * slip_x + p.b_h * (w[V_X, i] - s_x * w[W_S, i] - e_x * w[W_E, i])
+                row[9] = p.k_h * slip_y + p.b_h * (w[V_Y, i] - s_y * w[W_S, i] - e_y * w[W_E, i])
+            _advance(w, timestep)
+        for i in range(n):
+            start.state[first + i] = w[: V_Y + 1, i]

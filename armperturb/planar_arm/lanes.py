@@ -10,6 +10,9 @@ from armperturb.controllers.lanes import Table, control_columns, control_memory,
 from armperturb.environment import Environment
 from armperturb.subject import Subject
 
+GROUP = 8
+"""Lanes that are simulated side by side, as the vector instructions of processors have it."""
+
 _SEGMENTS = ("m_h", "m_f", "l_h", "l_f")
 
 

@@ -9,7 +9,7 @@ from scipy import interpolate
 from armperturb.arrays import Array, Indices
 from armperturb.controllers.lanes import Table
 from armperturb.extras import naming_the_extra
-from armperturb.planar_arm.lanes import Start, at_rest
+from armperturb.planar_arm.lanes import GROUP, Start, at_rest
 
 STEP = 2.5e-3
 """Longest step of the simulation [s]."""
@@ -89,7 +89,7 @@ class Disturbances:
         if self._threads == 1:
             simulate(slice(None))
         else:
-            size = max(1, len(lanes) // (PARTS_PER_THREAD * self._threads))
+            size = GROUP * max(1, len(lanes) // (PARTS_PER_THREAD * self._threads * GROUP))
             with ThreadPoolExecutor(self._threads) as pool:
                 list(pool.map(simulate, (slice(lane, lane + size) for lane in range(0, len(lanes), size))))
         return displacement

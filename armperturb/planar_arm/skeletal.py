@@ -71,8 +71,8 @@ def simulate_skeletal(
     require_number("simulate_skeletal", "onset", onset, at_most=len(force) - 2)
     if any(arm.joint_triple("ka") + arm.joint_triple("kf")):
         raise ValueError(
-            f"simulate_skeletal: subject {arm.name!r} has acceleration or force feedback; expected velocity and position "
-            "feedback only"
+            f"simulate_skeletal: subject {arm.name!r} has acceleration or force feedback; expected velocity and "
+            "position feedback only"
         )
     require_stable(arm, environment)
     step = min(longest_step, STEP_LIMIT / fastest_pole(arm, environment))

@@ -166,6 +166,7 @@ def test_axes_are_labelled(identified):
     np.testing.assert_array_equal(part["model"], arm_admittance(result.fit.arm, result.spectra.frequency))
 
 
+@pytest.mark.slow(reason="draws figures")
 def test_the_plot_draws_estimate_model_and_bands(identified):
     result = identified["RT7.5"]
     axes = result.plot(figure=new_figure(1.0))

@@ -256,6 +256,7 @@ def test_what_cannot_be_identified_together_is_refused(two_recordings, recording
     assert not (tmp_path / "r").exists()
 
 
+@pytest.mark.slow(reason="identifies a recording")
 def test_a_result_that_cannot_be_written_leaves_the_others_as_they_were(tmp_path, capsys):
     (tmp_path / "results" / "parameters.csv").mkdir(parents=True)
     line = refused(capsys, "identify", RECORDING, "--model", "1", "--out", tmp_path / "results")
@@ -288,42 +289,41 @@ def test_calibrations_that_could_not_be_written_are_refused_before_they_run(tmp_
     assert not list(tmp_path.iterdir())
 
 
-def in_a_process(folder, backend, *arguments):
-    """Exit status and stderr of a command that is run in a folder with a value of MUJOCO_GL and no display."""
+def in_a_process(folder, backend, *commands):
+    """Stderr of commands that fail in a folder with a value of MUJOCO_GL and no display."""
     unset = ("DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM")
     clean = {name: value for name, value in os.environ.items() if name not in unset} | {"MUJOCO_GL": backend}
     # As on a machine without OSMesa, whether or not it is there.
     hide = "import ctypes.util as u; f = u.find_library; u.find_library = lambda n: None if n == 'OSMesa' else f(n)"
-    code = f"{hide}\nimport sys; from armperturb.cli import main; sys.exit(main({list(map(str, arguments))!r}))"
+    code = f"{hide}\nfrom armperturb.cli import main\nprint([main(command) for command in {commands}])"
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=clean, cwd=folder, check=False
+        [sys.executable, "-c", code], capture_output=True, text=True, env=clean, cwd=folder, check=True
     )
-    return done.returncode, done.stderr
+    assert done.stdout == f"{[1] * len(commands)}\n"
+    assert not list(folder.iterdir())
+    return done.stderr
 
 
-@pytest.mark.slow(reason="a process for each library")
-@pytest.mark.skipif(sys.platform != "linux", reason="OSMesa is for Linux")
-@pytest.mark.parametrize(
-    ("backend", "message"),
-    [
-        ("osmesa", "with MUJOCO_GL=osmesa; on Debian or Ubuntu: apt-get install libosmesa6"),
-        ("foo", "MUJOCO_GL = 'foo'; expected egl, osmesa, glfw or off, or unset"),
-    ],
-)
-def test_a_library_that_does_not_load_is_one_line(tmp_path, backend, message):
-    status, said = in_a_process(tmp_path, backend, "study", "--out", tmp_path / "s", "--subjects", 1)
-    assert status == 1
-    assert said.startswith("armperturb: error: ")
-    assert said.endswith(f"{message}\n")
-    assert said.count("\n") == 1
-    assert not list(tmp_path.iterdir())
+STUDY = ("study", "--out", "s", "--subjects", "1")
 
 
 @pytest.mark.slow(reason="a process of its own")
-def test_identify_needs_no_simulator(tmp_path):
-    status, said = in_a_process(tmp_path, "foo", "identify", "none.nc", "--model", "1", "--out", "r")
-    assert status == 1
-    assert said.startswith("armperturb: error: none.nc: no such file")
+@pytest.mark.skipif(sys.platform != "linux", reason="OSMesa is for Linux")
+def test_a_library_that_does_not_load_is_one_line(tmp_path):
+    said = in_a_process(tmp_path, "osmesa", STUDY)
+    assert said.startswith("armperturb: error: ")
+    assert said.endswith("with MUJOCO_GL=osmesa; on Debian or Ubuntu: apt-get install libosmesa6\n")
+    assert said.count("\n") == 1
+
+
+@pytest.mark.slow(reason="a process of its own")
+def test_an_unknown_library_is_one_line_and_identify_needs_none(tmp_path):
+    analysis, study = in_a_process(
+        tmp_path, "foo", ("identify", "none.nc", "--model", "1", "--out", "r"), STUDY
+    ).splitlines()
+    assert analysis.startswith("armperturb: error: none.nc: no such file")
+    assert study.startswith("armperturb: error: ")
+    assert study.endswith("MUJOCO_GL = 'foo'; expected egl, osmesa, glfw or off, or unset")
 
 
 def test_a_file_that_cannot_be_written_is_named_as_the_user_did(tmp_path, monkeypatch):
@@ -348,3 +348,15 @@ def test_usage_errors_leave_with_a_status(capsys):
             cli.main(arguments)
         assert caught.value.code != 0
     capsys.readouterr()
+
+
+@pytest.mark.parametrize("arguments", [["--version"], ["--help"], ["identify", "--help"]], ids=" ".join)
+def test_help_loads_no_heavy_library(arguments):
+    code = (
+        "import sys\nfrom armperturb.cli import main\n"
+        f"try:\n    main({arguments!r})\nexcept SystemExit:\n    pass\n"
+        "print(sorted({'numpy', 'scipy', 'pandas', 'xarray', 'matplotlib'} & {*sys.modules}), file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "armperturb" in done.stdout
+    assert done.stderr == "[]\n"

@@ -7,7 +7,7 @@ import pytest
 from test_cli import refused, run
 from test_frequency_response import TRUE, multisine, noise, recorded
 
-from armperturb.convert import export_recording
+from armperturb.convert.exporter import export_recording
 from armperturb.recording import save_recording
 
 
@@ -26,6 +26,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow(reason="draws figures")
 def test_multisines_give_tables_figures_and_the_distortion(folder, tmp_path, capsys):
     assert run("response", folder / "multisine.nc", "--out", tmp_path) == 0
     said = capsys.readouterr().out
@@ -87,6 +88,7 @@ def test_an_earlier_distortion_goes(folder, tmp_path, capsys):
     assert not (tmp_path / "distortion.csv").exists()
 
 
+@pytest.mark.slow(reason="reads long records many times")
 def test_it_refuses_in_one_line(folder, tmp_path, capsys):
     out = ("--out", tmp_path / "out")
     assert "does not repeat" in refused(capsys, "response", folder / "noise.nc", *out)

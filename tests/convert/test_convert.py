@@ -25,8 +25,9 @@ from scipy.io import savemat
 
 from armperturb import cli, foreign
 from armperturb.analysis.force_balance import Balance
-from armperturb.convert import export_recording, import_recording
 from armperturb.convert.balance import check_balance
+from armperturb.convert.exporter import export_recording
+from armperturb.convert.importer import import_recording
 from armperturb.convert.sidecar import Sidecar
 from armperturb.recording import REQUIRED_SIGNALS, load_recording, make_recording, save_recording
 

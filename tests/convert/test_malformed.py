@@ -18,7 +18,7 @@ from scipy.io import savemat
 from test_convert import v73, write_c3d
 
 from armperturb import cli
-from armperturb.convert import import_recording
+from armperturb.convert.importer import import_recording
 from armperturb.foreign import LARGEST
 from armperturb.foreign.program import parse
 from armperturb.recording import MUSCLES, encode_recording
@@ -482,6 +482,7 @@ SPLICES = st.lists(
 )
 
 
+@pytest.mark.slow(reason="reads sixty drawn files")
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(changes=st.lists(st.tuples(PLACES, JSON), max_size=3), splices=SPLICES, repair=st.booleans())
 def test_no_text_and_no_sidecar_ends_in_a_traceback(tmp_path, changes, splices, repair):

@@ -12,7 +12,8 @@ from test_convert import in_matlab, truth, v73, write_c3d
 
 from armperturb import cli
 from armperturb.analysis.fit.identify import identify
-from armperturb.convert import import_recording, write_sidecar
+from armperturb.convert.importer import import_recording
+from armperturb.convert.template import write_sidecar
 from armperturb.recording import REQUIRED_SIGNALS
 from armperturb.subject import POSITION
 

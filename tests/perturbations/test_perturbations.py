@@ -91,6 +91,7 @@ def test_axes_and_seeds_are_independent(multisines):
     assert alignment < 0.03
 
 
+@pytest.mark.slow(reason="lowers the peaks of multisines")
 def test_seed_decides(multisine):
     again = Multisine.draw(seed=1, rms=1.0).phases
     np.testing.assert_array_equal(multisine.phases, again)  # whatever the RMS force

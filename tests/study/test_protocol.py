@@ -90,6 +90,7 @@ def test_forces_reach_multisines_and_pulses(people, multisines):
             assert 5.0 <= _pulse(trial).onset <= 20.0
 
 
+@pytest.mark.slow(reason="lowers the peaks of multisines")
 def test_every_trial_has_a_disturbance_of_its_own():
     # Two realisations are enough to see it, as lowering the peaks takes its time.
     conditions = (replace(THESIS.condition("RT2.5"), pulse_levels=(1,)), THESIS.condition("RT0"))
@@ -132,6 +133,7 @@ def test_ideal_people_have_no_noise(people, multisines):
     assert [trial.seed for trial in ideal] == [trial.seed for trial in noisy]
 
 
+@pytest.mark.slow(reason="lowers the peaks of multisines")
 def test_multisine_without_pulse_lasts_the_whole_trial(people):
     protocol = Protocol(conditions=(Condition(name="A", task="RT", rms_displacement=0.01, repetitions=2),))
     trials = protocol.trials(people[0], {"A": 1.5, PULSE_UNIT: 1.0}, 0, 0)

@@ -266,6 +266,11 @@ def test_a_study_reads_as_a_table_and_plots(study, tmp_path):
     case = study.of("PT7.5")[0]
     mine = frame[(frame["subject"] == case.name) & (frame["condition"] == "PT7.5")]
     assert mine.set_index("parameter")["value"].to_dict() == dict(case.identified.fit.values)
+    array = study.to_xarray()
+    mine = array.isel(case=(array["subject"] == case.name) & (array["condition"] == "PT7.5")).squeeze("case")
+    mine = mine.sel(frequency=case.identified.spectra.frequency)
+    np.testing.assert_array_equal(mine["arm"], case.identified.spectra.arm)
+    assert array.sizes["case"] == len(frame[["subject", "condition"]].drop_duplicates())
     axes = study.plot(figure=new_figure(1.0))
     mean = mean_admittance(study, study.conditions[0].name)
     np.testing.assert_allclose(axes[0, 1, 0].get_lines()[0].get_ydata(), mean.gain[:, 0, 1])

@@ -49,8 +49,8 @@ from armperturb.analysis.arm.parameters import (
 from armperturb.analysis.arm.states import (
     ACTIVE,
     ACTIVE_DOT,
+    BOTH_JOINTS,
     INTEGRATORS,
-    JOINTS,
     N_STATES,
     PADE,
     POSITIONS,
@@ -224,7 +224,7 @@ class LinearArm:
         """Hand reaction force f, (..., 2, 18), and matrix A, (..., 18, 18), of `StateSpace`."""
         muscle = np.zeros((*values.shape[:-1], 2, N_STATES))
         muscle[..., Q_DOT], muscle[..., Q] = values[..., MATRIX["b"]], values[..., MATRIX["k"]]
-        muscle[..., JOINTS, ACTIVE] = 1.0
+        muscle[..., BOTH_JOINTS, ACTIVE] = 1.0
         force = np.zeros_like(muscle)
         force[..., VELOCITIES] = values[..., GRIP_DAMPING, None, None] * self._deflection
         force[..., POSITIONS] = values[..., GRIP_STIFFNESS, None, None] * self._deflection
@@ -244,16 +244,16 @@ class LinearArm:
         a[..., third, first] -= 120 / delay**3
         a[..., third, second] -= 60 / delay**2
         a[..., third, third] -= 12 / delay
-        excitation[..., JOINTS, first] -= 240 / delay**3
-        excitation[..., JOINTS, third] -= 24 / delay
+        excitation[..., BOTH_JOINTS, first] -= 240 / delay**3
+        excitation[..., BOTH_JOINTS, third] -= 24 / delay
         a[..., ACTIVE_DOT, :] = -(omega**2)[..., None] * excitation
         a[..., ACTIVE_DOT, ACTIVE_DOT] -= 2 * self._zeta[..., None] * omega
         a[..., ACTIVE_DOT, ACTIVE] -= omega**2
         a[..., Q_DOT, :] = acceleration
         m_env, b_env, k_env = columns_of(environment)
         a[..., X_DOT, :] = -force / m_env[..., None]
-        a[..., JOINTS + 4, JOINTS + 4] -= b_env / m_env
-        a[..., JOINTS + 4, JOINTS + 6] -= k_env / m_env
+        a[..., BOTH_JOINTS + 4, BOTH_JOINTS + 4] -= b_env / m_env
+        a[..., BOTH_JOINTS + 4, BOTH_JOINTS + 6] -= k_env / m_env
         return force, a
 
     def _held(self, environment: Environment | Environments) -> ComplexArray:

@@ -17,7 +17,7 @@ PADE = np.array([[8, 11], [9, 12], [10, 13]])
 ACTIVE_DOT, ACTIVE = np.array([14, 16]), np.array([15, 17])
 """Activation states, (joint,)."""
 
-JOINTS = np.array([0, 1])
+BOTH_JOINTS = np.array([0, 1])
 
 INTEGRATORS = np.zeros((N_STATES, N_STATES))
 """The part of the system matrix that makes one state the integral of another."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 import xarray as xr
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from armperturb.analysis.arm.linear_arm import LinearArm, arm_admittance
 from armperturb.analysis.arm.parameters import parameter_vector
 from armperturb.analysis.arm.state_space import largest_real_pole
-from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
+from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.structures import Structure, structure_of, unit
@@ -30,9 +30,6 @@ from armperturb.validation import require_one_of
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-Estimator = Literal["thesis", "frequency", "record"]
-"""The thesis's (each trial alone, averaged), or maximum likelihood of mean periods, or of whole records."""
 
 ESTIMATOR_NAMES: Mapping[Estimator, str] = {
     "thesis": "the thesis's estimator, trial by trial",

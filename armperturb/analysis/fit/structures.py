@@ -1,10 +1,8 @@
 """Arm model structures: which parameters are estimated, within which bounds, and what the others are (table C.1)."""
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from importlib import resources
 from types import MappingProxyType
 from typing import Any, NoReturn, Self
 
@@ -13,12 +11,13 @@ from numpy.typing import ArrayLike
 
 from armperturb.analysis.arm.parameters import PARAMETERS, parameter_vector
 from armperturb.arrays import Array
+from armperturb.files import packaged_table
 from armperturb.subject import TASKS, Subject
 from armperturb.validation import require_one_of
 
 Bounds = tuple[float, float]
 
-PUBLISHED = tomllib.loads(resources.files(__package__).joinpath("structures.toml").read_text(encoding="utf-8"))
+PUBLISHED = packaged_table(__package__, "structures.toml")
 """Tables of the file beside this module."""
 _DEFAULTS = {each.name: each.default for each in fields(Subject) if isinstance(each.default, float)}
 _AT_LEAST_ZERO = ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e", "b_h")

@@ -2,29 +2,25 @@
 
 import copy
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import resources
 from typing import Any, Literal, get_args
 
 import numpy as np
 
 from armperturb.analysis.fit import structures
 from armperturb.arrays import Array
-from armperturb.muscle_law import MuscleLaw
+from armperturb.files import packaged_table
+from armperturb.muscle_law import ELEMENTS, MuscleLaw
 from armperturb.subject import Subject, at_level
 
 Law = Literal["linear", "short-range", "full"]
 """No muscle law; short-range stiffness with yielding; also thixotropy, shear-thinning damping, spindle saturation."""
 
-ELEMENTS = ("shoulder", "two-joint", "elbow")
-"""Muscle groups of eq. 2.10, as in `MuscleLaw`."""
-
-GROUPS = ("k", "b", "kv", "kp")
+QUANTITIES = ("k", "b", "kv", "kp")
 """Quantities of which each muscle group has its own."""
 
-EFFECTS: Mapping[str, tuple[str, ...]] = {"PT": GROUPS, "RT": GROUPS[:2]}
+EFFECTS: Mapping[str, tuple[str, ...]] = {"PT": QUANTITIES, "RT": QUANTITIES[:2]}
 """Task to the quantities that differ from trial to trial, each by one factor on all muscle groups."""
 
 BODY, GRIP = ("m_h", "m_f"), ("k_h", "b_h")
@@ -34,7 +30,7 @@ COMMON = ("elastic_limit_spread", "loss_angle_deg", "recovery_time", "thinning_v
 FIXED: Mapping[str, float] = {"Td": 0.030, "fact": 3.5}
 """Delay [s] and cut-off of the activation [Hz] of both joints, unless they are set free (thesis 2.7)."""
 
-_TABLES = tomllib.loads(resources.files(__package__).joinpath("parameters.toml").read_text(encoding="utf-8"))
+_TABLES = packaged_table(__package__, "parameters.toml")
 
 BOUNDS: Mapping[str, tuple[float, float]] = {name: (low, high) for name, (low, high) in _TABLES["bounds"].items()}
 """Of each parameter, in its `unit`; a group's stands for its three elements."""
@@ -176,7 +172,9 @@ def person(
         law_values: dict[str, Any] = {
             name: tuple(values[f"{name}.{element}"] for element in ELEMENTS) for name in SHORT_RANGE
         } | {name: values[name] for name in COMMON if name in values}
-        changes["muscle"] = MuscleLaw(**law_values).scaled(math.exp(effects.get("k", 0.0)))
+        factor = math.exp(effects.get("k", 0.0))
+        law_values["short_range_stiffness"] = tuple(factor * k for k in law_values["short_range_stiffness"])
+        changes["muscle"] = MuscleLaw(**law_values)
     subject = replace(body, **changes)
     level = values.get(f"level.{condition}", 1.0)
     return subject if level == 1.0 else at_level(subject, level)
@@ -186,7 +184,7 @@ def true_values(subject: Subject, levels: Mapping[str, float]) -> dict[str, floa
     """Parameters of a known person, by the names of `Model`; those of `COMMON` must be the same in all elements."""
     values: dict[str, float] = {name: getattr(subject, name) for name in (*BODY, *GRIP)}
     values |= {"Td": subject.Td_s, "fact": subject.fact_s}
-    for group in GROUPS:
+    for group in QUANTITIES:
         values |= {f"{group}.{e}": v for e, v in zip(ELEMENTS, subject.muscle_groups(group), strict=True)}
     if subject.muscle is not None:
         for name in SHORT_RANGE:
@@ -263,7 +261,6 @@ class Parameters:
             for name, place in self._of_task[task]
         }
 
-    def person(self, task: str, point: Array, condition: str, effects: Sequence[float] | Array = ()) -> Subject:
-        """The person in one trial, see `person`."""
-        named = dict(zip(EFFECTS[task], effects, strict=False))
-        return person(self.bodies[task], self.model.law, self.values(task, point), condition, named)
+    def person(self, task: str, point: Array, condition: str) -> Subject:
+        """The person in a condition, see `person`."""
+        return person(self.bodies[task], self.model.law, self.values(task, point), condition, {})

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armperturb.analysis.nonlinear.model import EFFECTS, Parameters
+from armperturb.analysis.nonlinear.model import EFFECTS, Parameters, person
 from armperturb.analysis.nonlinear.noise import Noise
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, ComplexArray
@@ -23,7 +23,7 @@ from armperturb.planar_arm.lanes import lane_table
 from armperturb.planar_arm.simulation import Disturbances
 from armperturb.subject import Subject
 
-STEP = 1e-4
+COORDINATE_STEP = 1e-4
 """Change of a coordinate in finite differences [-]."""
 
 PAIRS_OF_SLOPES = 1
@@ -168,29 +168,35 @@ class Problem:
     def odd_and_even(self, state: State, draws: NoiseDraws) -> Iterator[tuple[Array, Array]]:
         """Parts of the response to each pair of draws [m] that change sign with the noise, and that do not."""
         for pair in self._disturbed(draws):
-            plus, minus = (self._responses([state], disturbances)[0] for disturbances in pair)
+            (plus,), (minus,) = self._responses([state], pair)
             yield 0.5 * (plus - minus), 0.5 * (plus + minus)
 
     def subjects(self, state: State) -> list[Subject]:
         """The person in each trial."""
+        bodies, law = self.parameters.bodies, self.parameters.model.law
+        values = {task: self.parameters.values(task, state.point) for task in bodies}
+        effects = [state.effects[places].tolist() for places in self.effects_of]
         return [
-            self.parameters.person(task, state.point, condition, state.effects[effects])
-            for task, condition, effects in zip(self._tasks, self.conditions, self.effects_of, strict=True)
+            person(bodies[task], law, values[task], condition, dict(zip(EFFECTS[task], of_trial, strict=True)))
+            for task, condition, of_trial in zip(self._tasks, self.conditions, effects, strict=True)
         ]
 
-    def _responses(self, states: Sequence[State], disturbances: Disturbances) -> Array:
+    def _responses(self, states: Sequence[State], disturbed: Sequence[Disturbances]) -> Iterator[Array]:
+        """Displacement [m] with each of the disturbances, (state, trial, time, axis)."""
         subjects = [subject for state in states for subject in self.subjects(state)]
-        lanes = lane_table(subjects, self._environments * len(states), disturbances.timestep)
+        lanes = lane_table(subjects, self._environments * len(states), disturbed[0].timestep)
         trials = np.tile(np.arange(self.n_trials), len(states))
-        responses = disturbances.responses(lanes, trials, self._ends[trials])
-        return responses.reshape(len(states), self.n_trials, *responses.shape[1:])
+        for disturbances in disturbed:
+            responses = disturbances.responses(lanes, trials, self._ends[trials])
+            yield responses.reshape(len(states), self.n_trials, *responses.shape[1:])
 
     def predict(self, states: Sequence[State], *, n_draws: int | None = None) -> Array:
         """Displacement [m], (state, trial, time, axis)."""
         averaged = self._averaged[:n_draws]
-        total = self._responses(states, averaged[0])
-        for disturbances in averaged[1:]:
-            total += self._responses(states, disturbances)
+        responses = self._responses(states, averaged)
+        total = next(responses)
+        for response in responses:
+            total += response
         return total / len(averaged)
 
     def limit_cycles(self, state: State) -> tuple[str, ...]:
@@ -257,15 +263,15 @@ class Problem:
         states = []
         for column in range(len(state.point)):
             point = state.point.copy()
-            point[column] += STEP
+            point[column] += COORDINATE_STEP
             states.append(state._replace(point=point))
         for effect in range(max(places.stop - places.start for places in self.effects_of)):
             effects = state.effects.copy()
             for places in self.effects_of:
                 if places.start + effect < places.stop:
-                    effects[places.start + effect] += STEP
+                    effects[places.start + effect] += COORDINATE_STEP
             states.append(state._replace(effects=effects))
-        changes = (self.predict(states, n_draws=n_draws) - self.predict([state], n_draws=n_draws)[0]) / STEP
+        changes = (self.predict(states, n_draws=n_draws) - self.predict([state], n_draws=n_draws)[0]) / COORDINATE_STEP
         slopes = []
         for rows, noise in zip(self.rows, self.noises, strict=True):
             for trial in range(rows.start, rows.stop):

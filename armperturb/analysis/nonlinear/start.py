@@ -7,10 +7,11 @@ import numpy as np
 
 from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
 from armperturb.analysis.fit.identify import identify_conditions
-from armperturb.analysis.nonlinear.model import ELEMENTS, GROUPS, Parameters, bounds, coordinate, stem
+from armperturb.analysis.nonlinear.model import QUANTITIES, Parameters, bounds, coordinate, stem
 from armperturb.analysis.nonlinear.problem import Problem, State
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
+from armperturb.muscle_law import ELEMENTS
 from armperturb.subject import Subject
 
 LEAST: Mapping[str, float] = {"k": 0.5, "b": 0.3, "kv": 1.0, "kp": 1.0}
@@ -30,7 +31,7 @@ TRIED: Mapping[str, tuple[float, ...]] = {
 }
 """Factors on the start of these parameters; all combinations are simulated."""
 
-LEVELS = (0.3, 0.45, 0.65, 1.0, 1.5)
+TRIED_LEVELS = (0.3, 0.45, 0.65, 1.0, 1.5)
 """Levels of co-contraction that are tried in each condition; from one far too high, a search does not find back."""
 
 SPREAD = 0.08
@@ -101,7 +102,7 @@ def start_values(
     for task in parameters.bodies:
         labels = dict.fromkeys(trials.label for trials in sets if trials.body.task == task)
         of_task = [arms[label] for label in labels]
-        groups = {group: np.array([arm.muscle_groups(group) for arm in of_task]) for group in GROUPS}
+        groups = {group: np.array([arm.muscle_groups(group) for arm in of_task]) for group in QUANTITIES}
         softest = groups["k"].sum(axis=1).argmin()
         initial: dict[str, float] = {
             name: float(np.mean([getattr(arm, name) for arm in of_task])) for name in ("m_h", "m_f", "k_h", "b_h")
@@ -169,7 +170,7 @@ def _best_levels(problem: Problem, state: State, given: Mapping[str, float]) -> 
     if not levels:
         return point
     tried = []
-    for level in LEVELS:
+    for level in TRIED_LEVELS:
         moved = point.copy()
         moved[levels] = np.log(level)
         tried.append(_objectives(problem, state._replace(point=moved)))
@@ -177,7 +178,7 @@ def _best_levels(problem: Problem, state: State, given: Mapping[str, float]) -> 
         of_level = [f"level.{condition}" == names[i].partition(" ")[0] for condition in problem.conditions]
         best = int(np.argmin([objective[of_level].sum() for objective in tried]))
         if np.isfinite(tried[best][of_level].sum()):
-            point[i] = np.log(LEVELS[best])
+            point[i] = np.log(TRIED_LEVELS[best])
     return point
 
 

@@ -61,8 +61,7 @@ def arm_table(models: Sequence[mujoco.MjModel], datas: Sequence[mujoco.MjData]) 
     return table
 
 
-@intrinsic
-def _step(typing_context: Any, address: Any, model: Any, data: Any) -> Any:
+def _call_step(typing_context: Any, address: Any, model: Any, data: Any) -> Any:
     """Call the C function at an address with a model and its data."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -75,14 +74,17 @@ def _step(typing_context: Any, address: Any, model: Any, data: Any) -> Any:
     return types.void(types.intp, types.intp, types.intp), generate
 
 
-@intrinsic
-def _numbers(typing_context: Any, address: Any) -> Any:
+def _point(typing_context: Any, address: Any) -> Any:
     """The address of an array of numbers as a pointer that `carray` takes."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
 
     return types.CPointer(types.float64)(types.intp), generate
+
+
+_step: Any = intrinsic(_call_step)
+_numbers: Any = intrinsic(_point)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -118,7 +120,7 @@ def advance(mj_step: int, arms: Table, table: Table, memory: Table, known: Array
                 applied[a.hinge + i], ctrl[a.motor + i] = held[i], sent[i]
             for i in range(4):
                 ctrl[a.motor + 2 + i] = known[lane, step, i]
-            _step(mj_step, a.model, a.data)  # type: ignore[call-arg]
+            _step(mj_step, a.model, a.data)
             for i in range(2):
                 row[8 + i] = sensors[a.gauge + i]
 

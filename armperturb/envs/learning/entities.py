@@ -6,8 +6,9 @@ have that of the entity before them, as in "arm/shoulder"; the room's own, such 
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any, ClassVar
 from xml.etree import ElementTree
 
 import mujoco
@@ -44,6 +45,9 @@ class _Part(composer.Entity):
 
     FILE: Path
 
+    SENSES: ClassVar[Mapping[str, Callable[[Any, mjcf.Physics], np.ndarray]]]
+    """Name of each observable to what reads it, (component,)."""
+
     def _build(self, spec: mujoco.MjSpec) -> None:
         """Build the entity.
 
@@ -52,6 +56,14 @@ class _Part(composer.Entity):
         """
         self._mjcf_model = _model(self.FILE, spec)
 
+    def _build_observables(self) -> composer.Observables:
+        observables = composer.Observables(self)
+        for name, read in self.SENSES.items():
+            # Copies: what pads a buffer would otherwise be a view of the moving state.
+            copied = observable.Generic(lambda physics, read=read: np.array(read(self, physics)))
+            observables.add_observable(name, copied, enabled=False)
+        return observables
+
     @property
     def mjcf_model(self) -> mjcf.RootElement:
         """The model."""
@@ -59,12 +71,16 @@ class _Part(composer.Entity):
 
 
 class ArmEntity(_Part):
-    """A seated person: the arm with its muscles, the motors of its reflexes and the sensors of its joint angles."""
+    """A seated person: the arm with its muscles, the motors of its reflexes and the sensors of its joint angles.
+
+    Its observables are the angles [rad] and angular velocities [rad/s] of shoulder and elbow.
+    """
 
     FILE = ARM_XML
-
-    def _build_observables(self) -> "ArmObservables":
-        return ArmObservables(self)
+    SENSES: ClassVar = {
+        "joint_angles": lambda arm, physics: physics.bind(arm.joints).qpos,
+        "joint_velocities": lambda arm, physics: physics.bind(arm.joints).qvel,
+    }
 
     @property
     def joints(self) -> list[mjcf.Element]:
@@ -102,27 +118,20 @@ class ArmEntity(_Part):
         _set_numbers(self._mjcf_model, spec)
 
 
-class ArmObservables(composer.Observables):
-    """What can be seen of an arm."""
-
-    @composer.observable
-    def joint_angles(self) -> observable.Generic:
-        """Angles of shoulder and elbow [rad], (joint,)."""
-        return _observable(lambda physics: physics.bind(self._entity.joints).qpos)
-
-    @composer.observable
-    def joint_velocities(self) -> observable.Generic:
-        """Angular velocities of shoulder and elbow [rad/s], (joint,)."""
-        return _observable(lambda physics: physics.bind(self._entity.joints).qvel)
-
-
 class ManipulatorEntity(_Part):
-    """The manipulator with its table, the sensors of its displacement and the strain gauge."""
+    """The manipulator with its table, the sensors of its displacement and the strain gauge.
+
+    Its observables are the displacement of the handle from its start [m], its velocity [m/s], and the force that it
+    exerts on the hand [N] at the start of the last physics step: MuJoCo has it on the way to the next state only.
+    """
 
     FILE = MANIPULATOR_XML
-
-    def _build_observables(self) -> "ManipulatorObservables":
-        return ManipulatorObservables(self)
+    SENSES: ClassVar = {
+        "handle_displacement": lambda manipulator, physics: physics.bind(manipulator.slides).qpos,
+        "handle_velocity": lambda manipulator, physics: physics.bind(manipulator.slides).qvel,
+        # Through a binding, dm_control might compute it anew for the next state with the controls of the last step.
+        "hand_force": lambda manipulator, physics: physics.data.sensordata[physics.bind(manipulator.gauge).adr :][:2],
+    }
 
     @property
     def slides(self) -> list[mjcf.Element]:
@@ -133,29 +142,6 @@ class ManipulatorEntity(_Part):
     def gauge(self) -> mjcf.Element:
         """Force sensor: what the handle exerts on the hand [N], world axes (x, y, z)."""
         return self._mjcf_model.find("sensor", STRAIN_GAUGE)
-
-
-class ManipulatorObservables(composer.Observables):
-    """What can be seen of a manipulator."""
-
-    @composer.observable
-    def handle_displacement(self) -> observable.Generic:
-        """Displacement of the handle from its start [m], (axis,)."""
-        return _observable(lambda physics: physics.bind(self._entity.slides).qpos)
-
-    @composer.observable
-    def handle_velocity(self) -> observable.Generic:
-        """Velocity of the handle [m/s], (axis,)."""
-        return _observable(lambda physics: physics.bind(self._entity.slides).qvel)
-
-    @composer.observable
-    def hand_force(self) -> observable.Generic:
-        """Force that the handle exerts on the hand at the start of the last physics step [N], (axis,).
-
-        MuJoCo has it on the way from one state to the next only.
-        """
-        # Through a binding, dm_control might compute it anew for the next state with the controls of the last step.
-        return _observable(lambda physics: physics.data.sensordata[physics.bind(self._entity.gauge).adr :][:2])
 
 
 class Rig(composer.Arena):
@@ -194,11 +180,6 @@ class Rig(composer.Arena):
         self.attach(self.arm)
         self.attach(self.manipulator)
         self.arm.hold(self.manipulator, spec)
-
-
-def _observable(read: Callable[[mjcf.Physics], np.ndarray]) -> observable.Generic:
-    """An observable of copies: with MJCFFeature, what pads a buffer would be a view of the moving state."""
-    return observable.Generic(lambda physics: np.array(read(physics)))
 
 
 def _room() -> mjcf.RootElement:

@@ -10,12 +10,9 @@ from numpy.typing import ArrayLike
 from armperturb.arrays import Array
 from armperturb.controllers.arm_control import Strength
 from armperturb.envs.learning.task import TaskSettings
-from armperturb.muscle_law import MuscleLaw
+from armperturb.muscle_law import ELEMENTS, MuscleLaw
 from armperturb.subject import Subject
 from armperturb.validation import require_number
-
-GROUPS = ("shoulder", "two-joint", "elbow")
-"""Muscle groups (eq. 2.10)."""
 
 LEVEL_OF = {"kv": 1, "kp": 2}
 """Row of the levels that sets a kind of feedback; the first one, co-contraction, sets what muscles do."""
@@ -38,10 +35,10 @@ def subject_at(settings: TaskSettings, levels: ArrayLike) -> Subject:
     values = np.asarray(levels)
     if values.dtype.kind not in "fiub":
         raise TypeError(f"subject_at: levels of type {values.dtype}; expected numbers")
-    if values.shape != (3, len(GROUPS)):
-        raise ValueError(f"subject_at: levels of shape {values.shape}; expected (3, {len(GROUPS)})")
+    if values.shape != (3, len(ELEMENTS)):
+        raise ValueError(f"subject_at: levels of shape {values.shape}; expected (3, {len(ELEMENTS)})")
     for kind, row in zip(("co-contraction", "velocity feedback", "position feedback"), values.tolist(), strict=True):
-        for group, level in zip(GROUPS, row, strict=True):
+        for group, level in zip(ELEMENTS, row, strict=True):
             require_number("subject_at", f"level of {kind}, {group}", level, at_least=0.0)
     relaxed, position = (strength_of([subject]) for subject in settings.people)
     strength = strength_between(relaxed, position, values.astype(float)[None])

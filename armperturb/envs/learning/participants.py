@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from armperturb.arrays import Array, Indices
 from armperturb.controllers.arm_control import ArmControl, Strength
 from armperturb.envs.lab.trial import Trial, known_ahead, subject_in
-from armperturb.envs.learning.levels import GROUPS, strength_between, strength_of
+from armperturb.envs.learning.levels import strength_between, strength_of
 from armperturb.envs.learning.task import TaskSettings
 from armperturb.models.rig import AHEAD, KNOWN
+from armperturb.muscle_law import ELEMENTS
 from armperturb.subject import Subject
 
 SENSES = (
@@ -38,11 +39,11 @@ def action_names(settings: TaskSettings) -> tuple[str, ...]:
     """What each number of an action sets."""
     names: list[str] = []
     if settings.co_contraction == "groups":
-        names += [f"co-contraction, {group}" for group in GROUPS]
+        names += [f"co-contraction, {group}" for group in ELEMENTS]
     elif settings.co_contraction == "common":
         names.append("co-contraction")
     if settings.reflexes:
-        names += [f"{kind} feedback, {group}" for kind in ("velocity", "position") for group in GROUPS]
+        names += [f"{kind} feedback, {group}" for kind in ("velocity", "position") for group in ELEMENTS]
     if settings.torque:
         names += ["torque, shoulder", "torque, elbow"]
     return tuple(names)

@@ -67,8 +67,9 @@ class Session:
             simulation.advance(people.known(people.everybody, START, people.settings.steps_per_decision))
         state, log = simulation.state(), simulation.log
         for step in range(1, log.shape[1]):
-            people.sense(*(log[:, step, columns] for columns in (ANGLE, VELOCITY, HANDLE)), log[:, step - 1, FORCE])
-        people.sense(*(state[name] for name in ("angle", "velocity", "displacement", "force")))
+            now = log[:, step]
+            people.sense(now[:, ANGLE], now[:, VELOCITY], now[:, HANDLE], log[:, step - 1, FORCE])
+        people.sense(state["angle"], state["velocity"], state["displacement"], state["force"])
         diverged = self._diverged = simulation.diverged
         verdict = people.judge(state["displacement"], diverged)
         if diverged.any():

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from armperturb.arrays import Array
 from armperturb.study.published import tables as published
-from armperturb.study.results.quantities import JOINTS, LEVELS, Cell
+from armperturb.study.results.quantities import JOINT_LETTERS, PULSE_LEVELS, Cell
 from armperturb.validation import require_number
 
 NAMES = {"s": "shoulder", "e": "elbow"}
@@ -17,7 +17,7 @@ NAMES = {"s": "shoulder", "e": "elbow"}
 
 PAIRS = (
     *(("multisine", "F.4", f"{kind}_rotation", "F.2", f"{kind}_velocity") for kind in ("rms", "max")),
-    *((f"pulse, {level}", "F.5", f"peak_rotation_{level}", "F.3", f"peak_velocity_{level}") for level in LEVELS),
+    *((f"pulse, {level}", "F.5", f"peak_rotation_{level}", "F.3", f"peak_velocity_{level}") for level in PULSE_LEVELS),
 )
 """Perturbation, table and quantity of a rotation, and of the velocity that goes with it."""
 
@@ -75,7 +75,7 @@ def elastic_rows(cells: Mapping[Cell, float]) -> tuple[ElasticRow, ...]:
     rows = []
     for condition in published.conditions():
         for perturbation, table, rotation, beside, velocity in PAIRS:
-            for joint in JOINTS:
+            for joint in JOINT_LETTERS:
                 pair = Cell(table, condition, f"{rotation}_{joint}"), Cell(beside, condition, f"{velocity}_{joint}")
                 angle, speed = (cells.get(cell, math.nan) for cell in pair)
                 if math.isnan(angle) or math.isnan(speed):

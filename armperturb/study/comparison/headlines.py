@@ -10,7 +10,7 @@ import numpy as np
 from armperturb.analysis.measures.statistics import FEWEST, effect_of_condition, paired_t, post_hoc
 from armperturb.arrays import Array
 from armperturb.study.published import tables as published
-from armperturb.study.results.quantities import JOINTS, Cell
+from armperturb.study.results.quantities import JOINT_LETTERS, Cell
 from armperturb.study.results.trial_measures import PersonMeasures, PulseMeans
 
 PULSED = {
@@ -191,7 +191,7 @@ def _largest_displacement(people: Sequence[PersonMeasures]) -> Headline:
 def _rotation_ratio(people: Sequence[PersonMeasures]) -> Headline:
     """Peak rotation of a joint at the maximum over that at the minimum level (appendix F.3)."""
     name, ratios = "peak_rotation_ratio_max_min", []
-    for condition, joint in itertools.product(("PT0", "PT7.5"), JOINTS):
+    for condition, joint in itertools.product(("PT0", "PT7.5"), JOINT_LETTERS):
         cells = [Cell("F.5", condition, f"peak_rotation_{level}_{joint}") for level in ("max", "min")]
         means = [[person.cells[cell] for person in people if cell in person.cells] for cell in cells]
         if not all(means):

@@ -10,15 +10,17 @@ by trust regions (Gauss-Newton); all slopes of an iteration are one batch.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 import tomli_w
 from scipy import optimize
 
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.measures.pulse import WINDOWS
+from armperturb.analysis.results import Description, Result, Table
 from armperturb.arrays import Array
 from armperturb.cohort import STABILITY_MARGIN
 from armperturb.controllers.remnant import HUMAN_NOISE
@@ -27,14 +29,20 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.files import written_whole
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study.experiments.candidates import Candidate, Unknown, unknowns
-from armperturb.study.protocol import THESIS, Protocol, with_published_forces
+from armperturb.study.protocol import PULSE_LEAD, THESIS, Protocol, with_published_forces
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.results.quantities import Cell, measured_cells, published_cells
 from armperturb.subject import TASKS
 from armperturb.validation import require_number
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 CALIBRATED = ("2.1", "F.2", "F.3", "F.4")
 """Tables that the calibration sees."""
+
+LIMITS = (0.5, 1.0, 2.0)
+"""Distances from the published mean within which cells are counted [published SD]."""
 
 HELD_OUT = ("F.5", "F.6")
 """Tables of the same kind that it does not see."""
@@ -75,7 +83,7 @@ def schedules(task: str) -> tuple[Protocol, Protocol]:
     """
     after = WINDOWS[task] + 0.1
     both = []
-    for with_multisine, onset in ((True, WINDOW_START + PERIOD), (False, 0.5)):
+    for with_multisine, onset in ((True, WINDOW_START + PERIOD), (False, PULSE_LEAD)):
         conditions = [
             replace(condition, repetitions=2 // len(condition.pulse_levels) if with_multisine else 1)
             for condition in THESIS.conditions
@@ -155,8 +163,8 @@ def _cells(task: str, tables: Sequence[str]) -> dict[Cell, MeanSD]:
     }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Calibration:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Calibration(Result):
     """The average person in one task under one law.
 
     Attributes:
@@ -182,14 +190,44 @@ class Calibration:
             for cell, published in _cells(self.task, tables).items()
         }
 
-    def rows(self) -> list[dict[str, Any]]:
-        """All cells as rows of a table."""
+    def agreement(self) -> list[dict[str, Any]]:
+        """How near the calibrated cells are to the published ones, and those that were held out; a row each."""
+        rows = []
+        for kind, tables in (("calibrated", CALIBRATED), ("held out", HELD_OUT)):
+            deviation = np.abs(list(self.deviations(tables).values()))
+            rows.append(
+                {
+                    "law": self.law,
+                    "task": self.task,
+                    "cells": kind,
+                    "n": len(deviation),
+                    **{f"within_{limit:g}_sd": float(np.mean(deviation <= limit)) for limit in LIMITS},
+                    "rms_deviation": float(np.sqrt(np.mean(deviation**2))),
+                    "unknowns": len(self.values),
+                    "objective": self.objective,
+                }
+            )
+        return rows
+
+    def describe(self) -> Description:
+        """How near its cells are to the published ones, and its values."""
+        return Description(
+            title=f"Average person in {self.task}, {self.law} law: {len(self.values)} unknowns, objective "
+            f"{self.objective:.4g}",
+            facts=tuple(
+                f"{row['n']} cells {row['cells']}: {row['within_0.5_sd']:.0%} within 0.5, {row['within_1_sd']:.0%} "
+                f"within 1, {row['within_2_sd']:.0%} within 2 SD; RMS {row['rms_deviation']:.2f} SD"
+                for row in self.agreement()
+            ),
+            table=Table(("unknown", "value"), tuple((name, f"{value:.4g}") for name, value in self.values.items())),
+        )
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row per published cell, beside that of the person."""
         published = _cells(self.task, CALIBRATED + HELD_OUT)
-        return [
+        rows = [
             {
-                "table": cell.table,
-                "condition": cell.condition,
-                "quantity": cell.quantity,
+                **cell._asdict(),
                 "calibrated": cell.table in CALIBRATED,
                 "published_mean": published[cell].mean,
                 "published_sd": published[cell].sd,
@@ -198,6 +236,22 @@ class Calibration:
             }
             for cell, deviation in self.deviations(CALIBRATED + HELD_OUT).items()
         ]
+        return pd.DataFrame(rows)
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw how far each cell is from the published one, in published SDs, one row per table.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, a single one.
+        """
+        from armperturb.plots.scores import plot_scores
+
+        frame = self.to_frame()
+        tables = {str(table): cells["z"].to_numpy(float) for table, cells in frame.groupby("table", sort=False)}
+        return plot_scores(tables, LIMITS, figure)
 
 
 def calibrate(
@@ -326,27 +380,6 @@ class _Search:
         return slopes
 
 
-def summary(calibrations: Sequence[Calibration]) -> list[dict[str, Any]]:
-    """Per law, task and kind of table: shares of cells within 0.5, 1 and 2 published SDs [-] and RMS deviation [SD]."""
-    rows = []
-    for calibration in calibrations:
-        for kind, tables in (("calibrated", CALIBRATED), ("held out", HELD_OUT)):
-            deviation = np.abs(list(calibration.deviations(tables).values()))
-            rows.append(
-                {
-                    "law": calibration.law,
-                    "task": calibration.task,
-                    "cells": kind,
-                    "n": len(deviation),
-                    **{f"within_{limit:g}_sd": float(np.mean(deviation <= limit)) for limit in (0.5, 1.0, 2.0)},
-                    "rms_deviation": float(np.sqrt(np.mean(deviation**2))),
-                    "unknowns": len(calibration.values),
-                    "objective": calibration.objective,
-                }
-            )
-    return rows
-
-
 def save_calibrations(path: str | Path, calibrations: Sequence[Calibration]) -> None:
     """Write the average person, its cells, and how well it and the persons of other laws fit, to a TOML file.
 
@@ -371,8 +404,8 @@ def save_calibrations(path: str | Path, calibrations: Sequence[Calibration]) -> 
         "held_out": list(HELD_OUT),
         **person,
         "levels": levels,
-        "summary": summary(calibrations),
-        "cells": [row for calibration in full.values() for row in calibration.rows()],
+        "summary": [row for calibration in calibrations for row in calibration.agreement()],
+        "cells": [row for calibration in full.values() for row in calibration.to_frame().to_dict("records")],
     }
     with written_whole(path) as temporary:
         temporary.write_text(tomli_w.dumps(_rounded(document)), encoding="utf-8")

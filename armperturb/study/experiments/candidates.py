@@ -1,14 +1,12 @@
 """What is calibrated: the unknowns of each muscle law, and the average person that their values make."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib import resources
 from typing import Any, NamedTuple
 
-from armperturb.analysis.nonlinear.model import ELEMENTS
 from armperturb.cohort import Person, average_body
-from armperturb.muscle_law import MuscleLaw
+from armperturb.files import packaged_table
+from armperturb.muscle_law import ELEMENTS, MuscleLaw
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import require_one_of
 
@@ -44,7 +42,7 @@ LAWS: dict[str, tuple[str, ...]] = {
 }
 """Laws to compare: name to the fields of `MuscleLaw` that are unknown, beside the parameters of the linear arm."""
 
-_TABLES = tomllib.loads(resources.files(__package__).joinpath("unknowns.toml").read_text(encoding="utf-8"))
+_TABLES = packaged_table(__package__, "unknowns.toml")
 _TYPICAL = {task: tuple(Unknown(name, **numbers) for name, numbers in table.items()) for task, table in _TABLES.items()}
 
 

@@ -28,7 +28,7 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.study.protocol import THESIS, Protocol, with_published_forces
+from armperturb.study.protocol import PULSE_LEAD, THESIS, Protocol, with_published_forces
 from armperturb.study.published import tables as published
 from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.subject import Subject
@@ -59,9 +59,6 @@ CONDITIONS = ("RT0", *(condition for conditions in AMPLITUDES.values() for condi
 
 NEEDED = ("RT0", "RT2.5", "RT22.5", "PT2.5", "PT7.5", "PT22.5")
 """Conditions that are simulated for all arms."""
-
-REST = 0.5
-"""Time before a pulse that comes alone [s]."""
 
 CALM = 8.0
 """Time after a pulse that comes alone, in which an arm has to come to rest [s]."""
@@ -300,7 +297,7 @@ def _alone() -> Protocol:
         )
         for name in CONDITIONS
     ]
-    return with_published_forces(conditions, REST, REST + CALM)
+    return with_published_forces(conditions, PULSE_LEAD, PULSE_LEAD + CALM)
 
 
 def _continuous(n_multisines: int) -> Protocol:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.defaults import SETTLING
 from armperturb.analysis.measures.kinematics import joint_rotations, joint_velocities, true_rotations
 from armperturb.analysis.measures.pulse import WINDOWS, pulse_span
 from armperturb.arrays import Array
@@ -22,8 +23,8 @@ from armperturb.cohort import Person
 from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.study.protocol import THESIS, Condition, Protocol
-from armperturb.study.results.quantities import JOINTS
+from armperturb.study.protocol import PULSE_LEAD, THESIS, Condition, Protocol
+from armperturb.study.results.quantities import JOINT_LETTERS
 
 Row = dict[str, Any]
 
@@ -33,14 +34,8 @@ CONDITIONS = ("PT0", "PT7.5", "PT22.5", "RT0", "RT22.5")
 MEASURES = ("true", "fixed_shoulder", "with_shoulder", "translation")
 """Fields of a row that are measured."""
 
-SETTLE = 4.0
-"""Start of the stretch of multisine that is measured [s]: the start has died out."""
-
 STRETCH = PERIOD / 2
 """Its length [s]. Half a period is enough, as what is compared is compared over the same stretch."""
-
-REST = 0.5
-"""Time before a pulse that comes alone [s]."""
 
 AFTER = max(WINDOWS.values()) + 0.1
 """Time after the onset of a pulse [s]."""
@@ -160,7 +155,7 @@ def moving_shoulder(
 
 def _shortened(protocol: Protocol, conditions: Sequence[Condition]) -> Protocol:
     """These conditions, all with or all without a multisine, in trials no longer than what is measured."""
-    onset = SETTLE + STRETCH if conditions[0].has_multisine else REST
+    onset = SETTLING + STRETCH if conditions[0].has_multisine else PULSE_LEAD
     return replace(
         protocol,
         conditions=tuple(
@@ -190,14 +185,14 @@ def _rows(recording: xr.Dataset, condition: Condition, strap: bool) -> Iterator[
     for trial in range(recording.sizes["trial"]):
         windows: dict[str, slice] = {}
         if condition.has_multisine:
-            stretch = slice(round(SETTLE * rate), round((SETTLE + STRETCH) * rate))
+            stretch = slice(round(SETTLING * rate), round((SETTLING + STRETCH) * rate))
             windows |= {"rms": stretch, "max": stretch}
         if condition.pulse_levels:
             windows["peak"] = pulse_span(recording, trial)
         for kind, window in windows.items():
             measure = _rms if kind == "rms" else _largest
             for name, paths in signals.items():
-                for joint in range(len(JOINTS)):
+                for joint in range(len(JOINT_LETTERS)):
                     values[f"{kind}_{name}", joint].append(
                         [*(measure(path[trial, window, joint]) for path in paths), measure(moved[trial, window])]
                     )
@@ -206,7 +201,7 @@ def _rows(recording: xr.Dataset, condition: Condition, strap: bool) -> Iterator[
         pooled = _rms(np.array(of_trials)) if quantity.startswith("rms") else np.mean(of_trials, axis=0)
         yield ShoulderRow(
             condition=condition.name,
-            joint=JOINTS[joint],
+            joint=JOINT_LETTERS[joint],
             quantity=quantity,
             strap=strap,
             **dict(zip(MEASURES, pooled.tolist(), strict=True)),

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 from numpy.typing import NDArray
 from scipy.fft import irfft, rfft
 
@@ -165,22 +166,41 @@ class Design(Result):
         )
         return frame if self.proposed is None else frame.assign(sem_proposed=self.proposed.standard_error[law])
 
+    def to_xarray(self) -> xr.Dataset:
+        """What each signal has and yields, along a dimension `signal`.
+
+        Variables `power` [N^2] of each line (frequency, axis), NaN at frequencies that are no lines of a signal;
+        `standard_error` (noise, parameter), in the unit of the parameter; `displacement`, its RMS [m] (axis).
+        """
+        signals = {"thesis": self.thesis, "optimised": self.optimised, "proposed": self.proposed}
+        there = {name: signal for name, signal in signals.items() if signal is not None}
+        parts = [
+            xr.Dataset(
+                {
+                    "power": (("frequency", "axis"), signal.power, {"units": "N2"}),
+                    "standard_error": (("noise", "parameter"), np.array([*signal.standard_error.values()])),
+                    "displacement": ("axis", signal.displacement, {"units": "m"}),
+                },
+                coords={
+                    "frequency": ("frequency", signal.frequency, {"units": "Hz"}),
+                    "axis": ["x", "y"],
+                    "noise": list(signal.standard_error),
+                    "parameter": list(self.names),
+                },
+            )
+            for signal in there.values()
+        ]
+        return xr.concat(parts, dim=xr.DataArray(list(there), dims="signal", name="signal"), join="outer")
+
     def spectrum_frame(self) -> pd.DataFrame:
         """RMS force of each line."""
-        signals = (("thesis", self.thesis), ("optimised", self.optimised))
-        return pd.concat(
-            [
-                pd.DataFrame(
-                    {
-                        "signal": name,
-                        "frequency_hz": signal.frequency,
-                        "force_x_N": np.sqrt(signal.power[:, 0]),
-                        "force_y_N": np.sqrt(signal.power[:, 1]),
-                    }
-                )
-                for name, signal in signals
-            ]
-        )
+        parts = []
+        for name, signal in (("thesis", self.thesis), ("optimised", self.optimised)):
+            force = pd.DataFrame(np.sqrt(signal.power), columns=["force_x_N", "force_y_N"])
+            force.insert(0, "frequency_hz", signal.frequency)
+            force.insert(0, "signal", name)
+            parts.append(force)
+        return pd.concat(parts)
 
     def signal_frame(self) -> pd.DataFrame:
         """RMS and largest force, and RMS displacement of the handle, of each realisation and axis."""

@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from armperturb.analysis.defaults import SETTLING, WINDOW_START
 from armperturb.analysis.results import Description, Table
 from armperturb.arrays import Array
 from armperturb.files import write_csv, write_durably
@@ -19,7 +20,7 @@ from armperturb.perturbations.multisine import PERIOD
 from armperturb.plots.style import COLOURS, INK, PUBLISHED, figure_for, in_style, save_plot
 from armperturb.study.planning.information import effective_duration
 from armperturb.study.planning.plan import Design, Signal
-from armperturb.study.planning.settings import SETTLING, USUAL_START, NoiseLaw
+from armperturb.study.planning.settings import NoiseLaw
 
 LOOKS = {
     "thesis's multisine": {"color": PUBLISHED["color"]},
@@ -74,7 +75,7 @@ def describe(design: Design) -> Description:
         *signals,
         f"largest force of the realisations: {design.signal_frame()['peak_force_N'].max():.1f} N",
     ]
-    if settings.period < PERIOD or settings.start < USUAL_START:
+    if settings.period < PERIOD or settings.start < WINDOW_START:
         details.append(
             f"period {settings.period:g} s, for which there is time: identify with --period {settings.period:g} "
             f"--window-start {settings.start:g}"

@@ -7,6 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from armperturb.analysis.arm.state_space import require_stable
+from armperturb.analysis.defaults import SETTLING, WINDOW_START
 from armperturb.analysis.fit.joint_likelihood import SHARES
 from armperturb.analysis.fit.structures import STRUCTURES, Structure, at_truth
 from armperturb.analysis.force_balance import NoiseLevels
@@ -40,12 +41,6 @@ a person who differs from the assumed one badly. A fifth costs little (docs/desi
 
 SHORTEST_PERIOD = PERIOD / 4
 """Of a multisine [s]; its clusters are 0.8 Hz wide."""
-
-SETTLING = 4.0
-"""Time that a record must leave before the window of a period, in which spectra are estimated [s]."""
-
-USUAL_START = 8.0
-"""Of that window where the record is long enough [s]."""
 
 MOST_TRIALS = 1000
 
@@ -138,7 +133,7 @@ class DesignSettings:
     @property
     def start(self) -> float:
         """Of the window of whole periods in which `identify` estimates spectra [s]."""
-        return min(USUAL_START, self.duration - self.period)
+        return min(WINDOW_START, self.duration - self.period)
 
     def model_name(self) -> str:
         """Name of the structure that will be fitted."""

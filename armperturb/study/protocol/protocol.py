@@ -2,11 +2,10 @@
 
 import functools
 import math
-import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -14,16 +13,22 @@ from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Strap
 from armperturb.envs.lab.trial import Trial
+from armperturb.files import read_toml
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, draw_onset
 from armperturb.seeds import random_stream, trial_seed
 from armperturb.study.protocol.condition import PULSE_UNIT, Condition, PlannedTrial, numbers, require_different
-from armperturb.validation import require_number, require_one_of
+from armperturb.validation import require_keys, require_number, require_one_of
+
+Made = TypeVar("Made")
 
 FORCES = ("practice", "published")
 """Where the forces come from: each person's practice session, or the protocol's own, the same for everyone."""
 
 PULSE_WIDTH = 0.08
 """Duration of a pulse [s] (thesis 2.4)."""
+
+PULSE_LEAD = 0.5
+"""Time before a pulse that comes alone, in experiments beside a study [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,29 +131,22 @@ class Protocol:
           TypeError: a value has the wrong type.
           ValueError: a key is unknown or missing, or a value is refused.
         """
-        _check_keys(cls, source, values)
+        require_keys(source, values, [field.name for field in fields(cls)], ("conditions",))
         tables = values["conditions"]
         if not isinstance(tables, Sequence) or not all(isinstance(table, Mapping) for table in tables):
             raise TypeError(f"{source}: conditions = {tables!r}; expected tables that begin with [[conditions]]")
-        conditions = []
-        for number, table in enumerate(tables, start=1):
-            place = f"{source}, condition {number}"
-            _check_keys(Condition, place, table)
-            try:
-                conditions.append(Condition(**table))
-            except (TypeError, ValueError) as error:
-                raise type(error)(f"{place}: {error}") from None
-        given = {**values, "conditions": tuple(conditions)}
+        given = {
+            **values,
+            "conditions": tuple(
+                _made(Condition, f"{source}, condition {number}", table, ("name", "task"))
+                for number, table in enumerate(tables, start=1)
+            ),
+        }
         if "strap" in values:
             if not isinstance(values["strap"], Mapping):
                 raise TypeError(f"{source}: strap = {values['strap']!r}; expected a table that begins with [strap]")
-            _check_keys(Strap, f"{source}, strap", values["strap"])
-        try:
-            if "strap" in values:
-                given["strap"] = Strap(**values["strap"])
-            return cls(**given)
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"{source}: {error}") from None
+            given["strap"] = _made(Strap, f"{source}, strap", values["strap"])
+        return _made(cls, source, given)
 
     def to_dict(self) -> dict[str, Any]:
         """Field name to value, as `from_dict` reads it; numbers, texts, lists and tables only."""
@@ -277,11 +275,7 @@ def load_protocol(path: str | Path) -> Protocol:
         expected.
       OSError: the file cannot be read.
     """
-    try:
-        values = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not a TOML file ({error}); expected lines such as 'trial_duration = 36.0'") from None
-    return Protocol.from_dict(values, source=str(path))
+    return Protocol.from_dict(read_toml(path, "trial_duration = 36.0"), source=str(path))
 
 
 def _generator(seed: int, purpose: str, *numbers: int) -> np.random.Generator:
@@ -294,15 +288,12 @@ def _realisation(seed: int, number: int) -> Multisine:
     return Multisine.draw(seed=_generator(seed, "multisine", number), rms=1.0)
 
 
-def _check_keys(cls: type, source: str, values: Mapping[str, Any]) -> None:
-    known = [field.name for field in fields(cls)]
-    required = {Protocol: ("conditions",), Condition: ("name", "task")}.get(cls, ())
-    for key in values:
-        if key not in known:
-            raise ValueError(f"{source}: unknown key {key!r}; expected keys are {', '.join(known)}")
-    for key in required:
-        if key not in values:
-            raise ValueError(f"{source}: missing key {key!r}; expected keys are {', '.join(known)}")
+def _made(cls: type[Made], source: str, values: Mapping[str, Any], required: Sequence[str] = ()) -> Made:
+    require_keys(source, values, [field.name for field in fields(cls)], required)  # type: ignore[arg-type]
+    try:
+        return cls(**values)
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{source}: {error}") from None
 
 
 THESIS = load_protocol(Path(__file__).with_name("thesis.toml"))

@@ -3,6 +3,7 @@
 import csv
 import functools
 import math
+from collections.abc import Mapping
 from importlib import resources
 from typing import NamedTuple
 
@@ -28,8 +29,21 @@ class MeanSD(NamedTuple):
 
 @functools.cache
 def _rows(name: str) -> tuple[dict[str, str], ...]:
-    text = resources.files("armperturb.study.published").joinpath(f"{name}.csv").read_text(encoding="utf-8")
+    text = resources.files(__package__).joinpath(f"{name}.csv").read_text(encoding="utf-8")
     return tuple(csv.DictReader(text.splitlines()))
+
+
+def _row(csv_name: str, missing: str, /, **wanted: str) -> dict[str, str]:
+    """The first row whose columns have the wanted entries; KeyError with the words of `missing` if there is none."""
+    for row in _rows(csv_name):
+        if all(row[column] == entry for column, entry in wanted.items()):
+            return row
+    raise KeyError(missing)
+
+
+def _mean_sd(row: Mapping[str, str], factor: float, column: str = "") -> MeanSD:
+    mean, sd = (row[f"{column}{name}"] for name in ("mean", "sd"))
+    return MeanSD(factor * float(mean), factor * float(sd or "nan"))
 
 
 def parameter(condition: str, name: str) -> MeanSD:
@@ -56,12 +70,9 @@ def estimate(name: str, table: str, *, model: str, start: str = "", quantity: st
     Raises:
       KeyError: there is none.
     """
-    wanted = {"parameter": name, "table": table, "model": model, "start": start, "quantity": quantity}
-    for row in _rows("parameters"):
-        if all(row[key] == value for key, value in wanted.items()):
-            factor = SI.get(row["unit"], 1.0)
-            return MeanSD(factor * float(row["mean"]), factor * float(row["sd"] or "nan"))
-    raise KeyError(f"table {table} has no {quantity} of {name} for model {model} {start}".rstrip())
+    missing = f"table {table} has no {quantity} of {name} for model {model} {start}".rstrip()
+    row = _row("parameters", missing, parameter=name, table=table, model=model, start=start, quantity=quantity)
+    return _mean_sd(row, SI.get(row["unit"], 1.0))
 
 
 def bounds(name: str, table: str) -> tuple[float, float]:
@@ -70,11 +81,12 @@ def bounds(name: str, table: str) -> tuple[float, float]:
     Raises:
       KeyError: there are none.
     """
-    for row in _rows("bounds"):
-        if (row["table"], row["parameter"]) == (table, name) and row["lower"]:
-            factor = SI.get(row["unit"], 1.0)
-            return factor * float(row["lower"]), factor * float(row["upper"])
-    raise KeyError(f"table {table} has no bounds of {name}")
+    missing = f"table {table} has no bounds of {name}"
+    row = _row("bounds", missing, table=table, parameter=name)
+    if not row["lower"]:
+        raise KeyError(missing)
+    factor = SI.get(row["unit"], 1.0)
+    return factor * float(row["lower"]), factor * float(row["upper"])
 
 
 def goodness_of_fit(quantity: str, table: str, *, model: str, start: str = "", condition: str = "PT7.5") -> float:
@@ -91,10 +103,8 @@ def goodness_of_fit(quantity: str, table: str, *, model: str, start: str = "", c
       KeyError: there is none.
     """
     wanted = {"quantity": quantity, "table": table, "model": model, "start": start, "condition": condition}
-    for row in _rows("goodness_of_fit"):
-        if all(row[key] == value for key, value in wanted.items()):
-            return float(row["mean"])
-    raise KeyError(f"table {table} has no {quantity} for model {model} {start} in {condition}")
+    missing = f"table {table} has no {quantity} for model {model} {start} in {condition}"
+    return float(_row("goodness_of_fit", missing, **wanted)["mean"])
 
 
 def applied_force(condition: str) -> MeanSD:
@@ -133,12 +143,9 @@ def joint_motion(condition: str, joint: str, quantity: str, pulse: str = "none")
     Raises:
       KeyError: the thesis prints none.
     """
-    wanted = {"condition": condition, "joint": joint, "quantity": quantity, "pulse": pulse}
-    for row in _rows("joint_kinematics"):
-        if all(row[key] == value for key, value in wanted.items()):
-            factor = SI[row["unit"]]
-            return MeanSD(factor * float(row["mean"]), factor * float(row["sd"]))
-    raise KeyError(f"tables F.2 to F.6 have no {quantity} of joint {joint} in {condition} with pulse {pulse}")
+    missing = f"tables F.2 to F.6 have no {quantity} of joint {joint} in {condition} with pulse {pulse}"
+    row = _row("joint_kinematics", missing, condition=condition, joint=joint, quantity=quantity, pulse=pulse)
+    return _mean_sd(row, SI[row["unit"]])
 
 
 class FitEntry(NamedTuple):
@@ -172,9 +179,8 @@ def fit_entries() -> tuple[FitEntry, ...]:
         if row["quantity"] == "initial":  # where a fit started is no result
             continue
         factor = 1.0 / float(row["max_count"]) if row.get("max_count") else SI.get(row["unit"], 1.0)
-        value = MeanSD(factor * float(row["mean"]), factor * float(row["sd"] or "nan"))
         names = {name: row.get(name) or "" for name in FitEntry._fields[:-1]}
-        entries.append(FitEntry(**names, value=value))
+        entries.append(FitEntry(**names, value=_mean_sd(row, factor)))
 
     def place(entry: FitEntry) -> tuple[str, int]:
         appendix, _, number = entry.table.partition(".")
@@ -189,10 +195,7 @@ def headline_text(name: str) -> str:
     Raises:
       KeyError: there is none of that name.
     """
-    for row in _rows("headline"):
-        if row["name"] == name:
-            return row["value"]
-    raise KeyError(f"no headline number {name!r}")
+    return _row("headline", f"no headline number {name!r}", name=name)["value"]
 
 
 def headline(name: str) -> float:
@@ -229,11 +232,9 @@ def peak_displacement(condition: str, level: str) -> MeanSD:
     Raises:
       KeyError: the thesis prints none.
     """
-    for row in _rows("conditions"):
-        if (row["condition"], row["pulse_level_name"]) == (condition, level):
-            mean, sd = (1e-2 * float(row[f"pulse_peak_displacement_cm_{name}"]) for name in ("mean", "sd"))
-            return MeanSD(mean, sd)
-    raise KeyError(f"table 2.1 has no peak displacement of level {level} in {condition}")
+    missing = f"table 2.1 has no peak displacement of level {level} in {condition}"
+    row = _row("conditions", missing, condition=condition, pulse_level_name=level)
+    return _mean_sd(row, 1e-2, "pulse_peak_displacement_cm_")
 
 
 class JointMotion(NamedTuple):
@@ -272,7 +273,8 @@ def moment_arms() -> dict[str, float]:
 
 
 def _condition(condition: str, column: str, factor: float) -> MeanSD:
-    for row in _rows("conditions"):
-        if row["condition"] == condition and row[f"{column}_mean"] and row[f"{column}_sd"]:
-            return MeanSD(factor * float(row[f"{column}_mean"]), factor * float(row[f"{column}_sd"]))
-    raise KeyError(f"table 2.1 has no {column} in {condition}")
+    missing = f"table 2.1 has no {column} in {condition}"
+    row = _row("conditions", missing, condition=condition)
+    if not (row[f"{column}_mean"] and row[f"{column}_sd"]):
+        raise KeyError(missing)
+    return _mean_sd(row, factor, f"{column}_")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from armperturb.analysis.arm.linear_arm import total_admittance
+from armperturb.analysis.defaults import WINDOW_START
 from armperturb.arrays import Array
 from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
@@ -35,9 +36,6 @@ AIM = 0.01
 
 MAX_ROUNDS = 6
 """Rounds that a practice session may take."""
-
-SETTLE = 8.0
-"""Time before the window of the displacement [s], in which the transient decays, as in the analysis."""
 
 TRIALS_PER_BATCH = 240
 """Number of practice trials that are simulated side by side; limits the memory, no effect on the result."""
@@ -205,7 +203,7 @@ def practice_multisine(seed: int) -> Multisine:
     1 % is left (SD over people). The phase of each cluster is free, and chosen for a low peak.
     """
     rng = np.random.default_rng(random_stream(seed, "practice"))
-    multisine = Multisine.draw(seed=rng, rms=1.0, duration=SETTLE + PERIOD)
+    multisine = Multisine.draw(seed=rng, rms=1.0, duration=WINDOW_START + PERIOD)
     n_clusters, n_lines = multisine.clusters.shape
     turned = multisine.phases[0].reshape(n_clusters, n_lines) + np.pi * np.array([0.0, 1.0, 1.0, 0.0])
     best, lowest = multisine, np.inf
@@ -240,10 +238,10 @@ def measured_displacement(
       **options: further ones of `run_experiment`.
     """
     recording = run_experiment(trials, environment, timestep=timestep, **options)
-    first, last = (round(time * recording.attrs["rate"]) for time in (SETTLE, SETTLE + PERIOD))
+    first, last = (round(time * recording.attrs["rate"]) for time in (WINDOW_START, WINDOW_START + PERIOD))
     inside = recording["displacement"].values[:, first:last]
     rms = np.sqrt(np.mean(inside**2, axis=(1, 2)))
-    return np.where((recording["limit_time"].values < SETTLE + PERIOD) | ~np.isfinite(rms), np.inf, rms)
+    return np.where((recording["limit_time"].values < WINDOW_START + PERIOD) | ~np.isfinite(rms), np.inf, rms)
 
 
 def adjust(

@@ -9,11 +9,11 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Generator, Sequence
-from contextlib import AbstractContextManager, closing
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -116,7 +116,7 @@ def record_study(
             n_trials = len(protocol.planned_trials())
             with (
                 workers_for(worker_count(workers, len(missing)), dask) as pool,
-                _Progress(len(people) * n_trials, len(done) * n_trials, protocol.trial_duration, show_progress) as bar,
+                _Bar(len(people) * n_trials, len(done) * n_trials, protocol.trial_duration, show_progress) as bar,
             ):
                 units = _units(missing, settings, protocol, environment, folder, pool, block)
                 with closing(_work(units, pool, bar)) as finished:
@@ -181,13 +181,11 @@ def _draw_multisines(protocol: Protocol, seed: int, pool: Workers | None) -> dic
     if pool is None:
         return protocol.draw_multisines(seed)
     numbers = [[number] for number, trial in enumerate(protocol.planned_trials()) if trial.condition.has_multisine]
-    drawn: dict[int, Multisine] = {}
-    for some in completed(partial(protocol.draw_multisines, seed), numbers, pool):
-        drawn.update(some)
-    return drawn
+    drawn = completed(partial(protocol.draw_multisines, seed), numbers, pool)
+    return {number: multisine for some in drawn for number, multisine in some.items()}
 
 
-def _work(units: Sequence[_Unit], pool: Workers | None, bar: "_Progress") -> Generator[_Finished]:
+def _work(units: Sequence[_Unit], pool: Workers | None, bar: "_Bar") -> Generator[_Finished]:
     """Do the units and give each subject's file as it comes."""
     if pool is None:
         for unit in units:
@@ -280,7 +278,7 @@ def _stage(content: bytes, staging: Path, name: str) -> Path:
     return path
 
 
-class _Progress(AbstractContextManager["_Progress"]):
+class _Bar(Progress):
     """A bar that shows trials done, speed as a multiple of real time, and time left.
 
     Args:
@@ -292,20 +290,11 @@ class _Progress(AbstractContextManager["_Progress"]):
 
     def __init__(self, n_trials: int, n_before: int, duration: float, show: bool) -> None:
         self._n_trials, self._n_before, self._duration = n_trials, n_before, duration
-        self._seconds = 0.0
-        self._start = self._next = time.monotonic()
-        self._bar = Progress(
-            "recording",
-            total=n_trials,
-            initial=n_before,
-            unit="trials",
-            show=show,
-            bar_format="{l_bar}{bar}| {remaining} left{postfix}",
-        )
-
-    def __exit__(self, *_: object) -> None:
-        self._draw()
-        self._bar.close()
+        self._seconds, self._begin = 0.0, time.monotonic()
+        # Without smoothing, the time left is based on the mean speed.
+        options: dict[str, Any] = {"smoothing": 0, "miniters": 0, "mininterval": PROGRESS_INTERVAL}
+        options["bar_format"] = "{l_bar}{bar}| {remaining} left{postfix}"
+        super().__init__("recording", total=n_trials, initial=n_before, unit="trials", show=show, **options)
 
     def add(self, seconds: float) -> None:
         """So many simulated seconds more have been done."""
@@ -314,15 +303,8 @@ class _Progress(AbstractContextManager["_Progress"]):
     def reach(self, seconds: float) -> None:
         """So many simulated seconds have been done in this run."""
         self._seconds = seconds
-        now = time.monotonic()
-        if now >= self._next:
-            self._next = now + PROGRESS_INTERVAL
-            self._draw()
-
-    def _draw(self) -> None:
         # Not a rounding error more than all, which tqdm would complain about.
-        n_done = min(self._n_before + self._seconds / self._duration, self._n_trials)
-        speed = self._seconds / (time.monotonic() - self._start)
-        # Set by hand, as tqdm's own counts are whole numbers; it then bases the time left on the mean speed.
-        self._bar.n = n_done
-        self._bar.set_postfix_str(f"{int(n_done + 1e-6)}/{self._bar.total} trials, {speed:.0f} x real time")
+        n_done = min(self._n_before + seconds / self._duration, self._n_trials)
+        speed = seconds / (time.monotonic() - self._begin)
+        self.set_postfix_str(f"{int(n_done + 1e-6)}/{self._n_trials} trials, {speed:.0f} x real time", refresh=False)
+        self.update(n_done - self.n)

@@ -2,16 +2,14 @@
 
 import math
 import re
-import tomllib
-from importlib import resources
 
 from markupsafe import Markup
 
+from armperturb.files import packaged_table
+
 MISSING = "–"
 
-WORDS: dict[str, dict[str, str]] = tomllib.loads(
-    resources.files(__package__).joinpath("words.toml").read_text(encoding="utf-8")
-)
+WORDS: dict[str, dict[str, str]] = packaged_table(__package__, "words.toml")
 """What the report calls things, by kind and name."""
 
 

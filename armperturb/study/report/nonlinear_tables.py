@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from armperturb.analysis.nonlinear.model import BODY, ELEMENTS, GRIP, GROUPS, true_values, unit
+from armperturb.analysis.nonlinear.model import BODY, GRIP, QUANTITIES, true_values, unit
+from armperturb.muscle_law import ELEMENTS
 from armperturb.study.report.formats import WORDS
 from armperturb.study.report.tables import Row, coverage_percent, groups_of, mean_sd_of
 from armperturb.study.results.nonlinear_fits import NonlinearFit
@@ -59,7 +60,7 @@ def linear_parameters(study: StudyResult, name: str, task: str) -> dict[str, lis
         if case.name == name and condition.task == task
     ]
     values = {name: [float(getattr(arm, name)) for arm in arms] for name in (*BODY, *GRIP)}
-    for group in GROUPS:
+    for group in QUANTITIES:
         for place, element in enumerate(ELEMENTS):
             values[f"{group}.{element}"] = [float(arm.muscle_groups(group)[place]) for arm in arms]
     return values

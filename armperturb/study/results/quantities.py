@@ -45,10 +45,10 @@ from armperturb.recording import REQUIRED_SIGNALS, check_recording
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
 
-JOINTS = ("s", "e")
+JOINT_LETTERS = ("s", "e")
 """Shoulder and elbow, in the order of a recording."""
 
-LEVELS = {"min": 1.0, "max": 2.0}
+PULSE_LEVELS = {"min": 1.0, "max": 2.0}
 """Name of a pulse level to the level [-]."""
 
 
@@ -231,7 +231,7 @@ def _multisine_values(path: _Path, trial: int, window_start: float, period: floa
     for name, signal in (("rms_force", "perturbation"), ("rms_displacement", "displacement")):
         yield _Value(Cell("2.1", condition, name), "", float(np.mean(recording[signal].values[trial, window] ** 2)))
     for table, name, values in (("F.2", "velocity", path.velocity), ("F.4", "rotation", path.rotation)):
-        for joint, of_joint in zip(JOINTS, values[trial, window].T, strict=True):
+        for joint, of_joint in zip(JOINT_LETTERS, values[trial, window].T, strict=True):
             yield _Value(Cell(table, condition, f"rms_{name}_{joint}"), "", float(np.mean(of_joint**2)))
             yield _Value(Cell(table, condition, f"max_{name}_{joint}"), "", float(np.abs(of_joint).max()))
 
@@ -240,16 +240,16 @@ def _pulse_values(path: _Path, trial: int) -> Iterator[_Value]:
     recording = path.recording
     window = pulse_span(recording, trial)
     condition, level = str(recording["condition"].values[trial]), abs(float(recording["pulse_level"].values[trial]))
-    named = next((name for name, value in LEVELS.items() if value == level), None)
+    named = next((name for name, value in PULSE_LEVELS.items() if value == level), None)
     if named is None:
         raise ValueError(
-            f"trial {trial}: pulse_level = {level:g}; expected one of {', '.join(map(str, LEVELS.values()))}"
+            f"trial {trial}: pulse_level = {level:g}; expected one of {', '.join(map(str, PULSE_LEVELS.values()))}"
         )
     angle = math.radians(float(recording["pulse_direction"].values[trial]))
     direction = "right" if math.cos(angle) > 0.0 else "left"
     distance = peak_norm(recording["displacement"].values[trial, window])
     yield _Value(Cell("2.1", condition, f"peak_displacement_{named}"), direction, distance)
-    for index, joint in enumerate(JOINTS):
+    for index, joint in enumerate(JOINT_LETTERS):
         velocity, rotation = (float(np.abs(of[trial, window, index]).max()) for of in (path.velocity, path.rotation))
         yield _Value(Cell("F.3", condition, f"peak_velocity_{named}_{joint}"), direction, velocity)
         yield _Value(Cell("F.5", condition, f"peak_rotation_{named}_{joint}"), direction, rotation)

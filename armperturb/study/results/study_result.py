@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 
 from armperturb.analysis import results
 from armperturb.cohort import Person
@@ -78,6 +79,13 @@ class StudyResult(results.Result):
             for case in self.of(condition.name)
         ]
         return pd.concat(parts, ignore_index=True)[["subject", *results.PARAMETER_COLUMNS]]
+
+    def to_xarray(self) -> xr.Dataset:
+        """`Identification.to_xarray` of every case along a dimension `case`, with its `subject` and `condition`."""
+        cases = [case for condition in self.conditions for case in self.of(condition.name)]
+        labels = {"subject": [case.name for case in cases], "condition": [case.condition.name for case in cases]}
+        joined = xr.concat([case.identified.to_xarray() for case in cases], dim="case", join="outer")
+        return joined.assign_coords({name: ("case", label) for name, label in labels.items()})
 
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw the mean admittance over people in each condition, with one SD over people to either side.

@@ -18,7 +18,7 @@ from armperturb.environment import Environment
 from armperturb.planar_arm.skeletal import simulate_skeletal
 from armperturb.study.published import tables as published
 from armperturb.study.results.cases import Case
-from armperturb.study.results.quantities import LEVELS, Cell, measure
+from armperturb.study.results.quantities import PULSE_LEVELS, Cell, measure
 from armperturb.subject import Subject
 
 N_LOW = 2
@@ -108,7 +108,7 @@ class PersonMeasures:
         """Condition and level ("min", "max") to the means over the trials whose pulse tells something."""
         means = {}
         for condition in dict.fromkeys(trial.condition for trial in self.trials):
-            for name, level in LEVELS.items():
+            for name, level in PULSE_LEVELS.items():
                 its = [
                     trial
                     for trial in self.trials

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
-from armperturb.analysis.fit.identify import Estimator
+from armperturb.analysis.defaults import Estimator
 from armperturb.analysis.fit.structures import STRUCTURES, Structure, at_truth, true_values, unit
 from armperturb.analysis.fit.thesis import MODEL_3_WIDE
 from armperturb.subject import POSITION, RELAX, TASKS, Subject

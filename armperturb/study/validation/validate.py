@@ -15,8 +15,8 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
 
+from armperturb.analysis.defaults import Estimator
 from armperturb.analysis.fit.group import Group, Method
-from armperturb.analysis.fit.identify import Estimator
 from armperturb.analysis.fit.maximum_likelihood import estimate
 from armperturb.analysis.fit.structures import Structure, at_truth, true_values, unit
 from armperturb.analysis.fit.thesis import fit_trials
@@ -114,6 +114,18 @@ class Validation(Result):
         from armperturb.study.validation.report import plot_validation
 
         return plot_validation(self, figure)
+
+    def to_xarray(self) -> xr.Dataset:
+        """What every group yields: `estimate`, `standard_error` and `covered` (estimator, group, parameter).
+
+        Beside them `true` and `bound`, the Cramer-Rao bound of a group (parameter).
+        """
+        parts = {"estimate": "values", "standard_error": "error", "covered": "covered"}
+        variables: dict[str, Any] = {"true": ("parameter", self.truth), "bound": ("parameter", self.bound)}
+        for name, field in parts.items():
+            values = [[getattr(judgement, field) for judgement in judged] for judged in self.judged.values()]
+            variables[name] = ("estimator", "group", "parameter"), np.array(values)
+        return xr.Dataset(variables, coords={"estimator": list(self.judged), "parameter": list(self.names)})
 
     def to_frame(self) -> pd.DataFrame:
         """Bias, error, bound and coverage per estimator and parameter.

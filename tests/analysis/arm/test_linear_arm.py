@@ -220,6 +220,7 @@ def test_poles_move_as_their_gradient_says(subject):
         np.testing.assert_allclose(gradient[column], slope, rtol=1e-4, atol=1e-6 * size, err_msg=name)
 
 
+@pytest.mark.slow(reason="integrates differential equations adaptively")
 @PEOPLE
 def test_time_response_equals_an_adaptive_integration(subject):
     rate = 200.0

@@ -35,6 +35,7 @@ def worst_error(result, truth):
     return max(abs(result.values[name] / value - 1) for name, value in truth.items())
 
 
+@pytest.mark.slow(reason="fits from twelve starts")
 @pytest.mark.parametrize("delay", ["exact", "pade"])
 @CASES
 def test_own_response_gives_every_parameter_back_from_starts_25_percent_off(model, arm, delay):
@@ -53,6 +54,7 @@ def test_own_response_gives_every_parameter_back_from_starts_25_percent_off(mode
         assert result.at_bound == ()
 
 
+@pytest.mark.slow(reason="fits drawn people")
 @pytest.mark.parametrize(("model", "preset"), [("1", "relax"), ("3b", "position")])
 def test_drawn_people_are_given_back_from_the_published_start(model, preset):
     for seed in range(8):
@@ -126,6 +128,7 @@ def test_fits_at_the_border_of_stability_converge():
     assert result.criterion < 0.0395  # without the penalty's curvature: 0.043 after 1000 evaluations
 
 
+@pytest.mark.slow(reason="fits forty noisy responses")
 def test_standard_errors_cover_the_truth_of_noisy_responses():
     rng, truth, ratios = np.random.default_rng(3), truth_of(RELAX, "1"), []
     for _ in range(40):
@@ -192,6 +195,7 @@ def test_what_the_data_say_nothing_about_is_said_and_has_an_infinite_error():
     assert np.isfinite(result.sem["k_s"])
 
 
+@pytest.mark.slow(reason="fits with SciPy's differences")
 @pytest.mark.parametrize("use_penalty", [False, True])
 def test_as_published_is_lsqnonlin_on_the_modulus_from_one_start(use_penalty):
     rng, structure = np.random.default_rng(8), STRUCTURES["3b"]
@@ -215,6 +219,7 @@ def test_as_published_is_lsqnonlin_on_the_modulus_from_one_start(use_penalty):
     assert best.criterion <= result.criterion
 
 
+@pytest.mark.slow(reason="fits alone and in batches")
 @pytest.mark.parametrize("use_penalty", [False, True])
 def test_fits_of_a_batch_are_those_of_each_alone(use_penalty):
     rng, targets = np.random.default_rng(9), []

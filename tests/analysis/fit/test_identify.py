@@ -34,6 +34,7 @@ def test_parameters_that_were_put_in_come_out(model, arm, estimator, request):
     assert result.environment.k_env == pytest.approx(Environment().k_env, rel=0.001)
 
 
+@pytest.mark.slow(reason="fits each trial")
 def test_the_thesis_estimator_is_the_mean_over_trials(relax_recording):
     recording = relax_recording.isel(trial=[0, 1])
     result = identify(recording, "1", estimator="thesis")

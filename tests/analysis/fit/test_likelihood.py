@@ -123,6 +123,7 @@ def test_slope_and_information_are_the_derivatives_that_differences_show(kind):
     assert found.cost == likelihood.cost(parameters(free))
 
 
+@pytest.mark.slow(reason="repeats estimates on drawn records")
 @pytest.mark.parametrize("kind", [by_period, by_record])
 def test_residual_of_the_right_arm_is_white_and_its_lack_of_fit_chi_square(kind):
     fits, costs, wrong = [], [], []

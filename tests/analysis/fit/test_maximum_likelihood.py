@@ -72,6 +72,7 @@ def relax_group(relax):
     return group_of(relax, "1")
 
 
+@pytest.mark.slow(reason="fits six groups of trials, by both methods")
 @pytest.mark.parametrize(("subject", "model"), [(POSITION, "3b"), (RELAX, "1")], ids=["PT", "RT"])
 def test_intervals_hold_the_truth_as_often_as_they_say(subject, model):
     recording = record(subject, 24, seed=77)
@@ -91,6 +92,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(subject, model):
         assert np.mean([found.chi2 / found.dof for found in every]) == pytest.approx(1.0, abs=0.12)
 
 
+@pytest.mark.slow(reason="fits three structures")
 @METHODS
 def test_a_right_structure_raises_no_doubt_and_a_wrong_one_does(position, position_group, method):
     right = estimate([position_group], method)
@@ -103,6 +105,7 @@ def test_a_right_structure_raises_no_doubt_and_a_wrong_one_does(position, positi
         assert any("differs from trial to trial" in remark for remark in wrong.remarks)
 
 
+@pytest.mark.slow(reason="simulates laboratories and fits by both methods")
 @pytest.mark.parametrize("n_trials", [1, 2])
 @pytest.mark.parametrize(("subject", "model"), [(POSITION, "3b"), (RELAX, "1")], ids=["PT", "RT"])
 def test_ideal_recordings_give_the_arm_back(subject, model, n_trials):
@@ -120,6 +123,7 @@ def test_ideal_recordings_give_the_arm_back(subject, model, n_trials):
                     assert value == pytest.approx(true_value(subject, name), rel=error), (name, linear, instruments)
 
 
+@pytest.mark.slow(reason="five fits of eight trials")
 def test_a_shared_mass_is_one_value_and_better_known_than_from_either_condition_alone():
     small = record(POSITION, 4, seed=1, condition="PT7.5")
     stiffer = replace(POSITION, k_s=140.0, k_e=180.0)
@@ -143,6 +147,7 @@ def test_a_shared_mass_is_one_value_and_better_known_than_from_either_condition_
     assert "kv_s" in started.values
 
 
+@pytest.mark.slow(reason="fits again for each point of a profile")
 def test_profile_is_zero_at_the_estimate_and_384_at_the_limits_of_the_interval(position_group):
     for method in ("frequency", "record"):
         found = estimate([position_group], method)
@@ -190,8 +195,11 @@ def loud(once):
     )
 
 
+LARGE = pytest.mark.slow(reason="fits many parameters to one trial")
+
+
 @METHODS
-@pytest.mark.parametrize("model", ["1", "3b", "4", "6"])
+@pytest.mark.parametrize("model", ["1", "3b", pytest.param("4", marks=LARGE), pytest.param("6", marks=LARGE)])
 @pytest.mark.parametrize("task", ["PT", "RT"])
 def test_whatever_is_fitted_to_one_loud_trial_ends_with_a_status(loud, task, model, method):
     group = group_of(loud[task], model)

@@ -46,6 +46,7 @@ def estimate(first, other, once):
     return once("estimate of the thesis", lambda _: join_estimates([fit_trials(part, "3b") for part in (first, other)]))
 
 
+@pytest.mark.slow(reason="simulates and fits trials")
 def test_ideal_trials_give_the_person_back_and_are_predicted(estimate):
     truth = [true_value(POSITION, name) for name in estimate.parameters]
     for name, found, true in zip(estimate.parameters, estimate.values.mean(axis=0), truth, strict=True):
@@ -87,6 +88,7 @@ def test_only_positive_vaf_counts(estimate):
         estimate.vaf[:] = kept
 
 
+@pytest.mark.slow(reason="fits trials in two steps")
 def test_a_second_step_from_the_means_of_the_first_is_penalised_where_it_is_unstable(first):
     one = first.isel(trial=[0, 2])
     step_1 = fit_trials(one, "3", use_penalty=False)
@@ -96,6 +98,7 @@ def test_a_second_step_from_the_means_of_the_first_is_penalised_where_it_is_unst
     assert step_2.fits[0].penalty == pytest.approx(penalty_factor(step_2.fits[0].largest_real_pole))
 
 
+@pytest.mark.slow(reason="fits trials together and alone")
 def test_wanted_fits_are_those_of_each_alone(first, other):
     one, two = ConditionTrials.prepare(other), ConditionTrials.prepare(first.isel(trial=[1, 2]))
     two = replace(two, given=(Environment(m_env=3.0), two.noise))
@@ -114,6 +117,7 @@ def test_wanted_fits_are_those_of_each_alone(first, other):
     assert fit_wanted([]) == []
 
 
+@pytest.mark.slow(reason="fits from every published start")
 def test_appendix_d_and_e_take_every_published_start(other):
     one = ConditionTrials.prepare(other)
     d, e = fit_starts(one, THETA), fit_starts(one, VARTHETA)
@@ -122,6 +126,7 @@ def test_appendix_d_and_e_take_every_published_start(other):
     assert [e[f"vartheta_i{i}"].structure for i in range(1, 7)] == ["3a", *["3b"] * 5]
 
 
+@pytest.mark.slow(reason="fits from every published start")
 def test_the_published_optimisation_stops_on_the_way_to_a_minimum_that_all_starts_share():
     trial = Trial(
         subject=POSITION,

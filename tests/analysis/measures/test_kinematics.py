@@ -70,6 +70,7 @@ def test_small_rotations_are_those_of_the_jacobian(recording):
     np.testing.assert_allclose(joint_rotations(small), expected, atol=1e-3 * np.abs(expected).max())
 
 
+@pytest.mark.slow(reason="simulates trials")
 def test_each_trial_has_a_body_of_its_own():
     bodies = [pulsed(POSITION), pulsed(POSITION, l_h=0.25, theta_s_deg=40.0, theta_e_deg=60.0)]
     recording = run_experiment(bodies)
@@ -111,6 +112,7 @@ def test_error_is_that_of_the_grip(recording):
         assert 0.1 * stretch * deflection < peak[trial].max() < 1.1 * stretch * deflection
 
 
+@pytest.mark.slow(reason="simulates trials")
 def test_the_marker_puts_a_moving_shoulder_right(recording):
     moving = run_experiment([pulsed(POSITION), pulsed(RELAX)], strap=Strap())
     marker = moving["shoulder_marker"].values
@@ -130,6 +132,7 @@ def test_refuses_no_truth_and_another_shoulder(recording):
         joint_rotations(recording, shoulder=[0.0, 0.0])
 
 
+@pytest.mark.slow(reason="simulates trials")
 def test_velocities_are_those_of_the_joints():
     """With a grip that hardly gives, encoders and filter alone are left."""
     stiff = [pulsed(POSITION, k_h=400e3, b_h=600.0), pulsed(RELAX, k_h=400e3, b_h=600.0)]

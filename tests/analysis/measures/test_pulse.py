@@ -79,6 +79,7 @@ def test_a_limit_after_the_window_does_no_harm(growing):
     assert np.isfinite(pulse_peaks(recorded("PT", *growing, limit=4.4)).force).all()
 
 
+@pytest.mark.slow(reason="integrates the equations directly")
 def test_prediction_is_that_of_a_direct_integration():
     """Two segments, grip and environment written down once more, pushed by a sine and then by a pulse."""
     arm, environment = RELAX, Environment()

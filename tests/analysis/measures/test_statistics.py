@@ -265,6 +265,7 @@ def test_pairs_pay_for_their_number(values):
         assert test.p_bonferroni == pytest.approx(min(1.0, 6 * expected.pvalue))
 
 
+@pytest.mark.slow(reason="repeats tests on drawn samples")
 def test_false_alarms_are_as_rare_as_said():
     """Without effect, spherical or not, what is significant is 5 % of designs."""
     draw = np.random.default_rng(11)

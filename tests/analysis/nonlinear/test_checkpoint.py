@@ -48,6 +48,7 @@ def test_the_checkpoint_of_another_fit_or_a_damaged_one_is_none(position, tmp_pa
         assert load_position(path, "a") is None
 
 
+@pytest.mark.slow(reason="simulates trials")
 def test_another_structure_other_trials_and_another_start_have_other_digests():
     def problem(model, seed):
         push = made.push(seed, 0.5, duration=6.0)

@@ -9,7 +9,7 @@ import pytest
 from armperturb.analysis.nonlinear.choice import Choice, Gain, Judged, compare_laws
 from armperturb.analysis.nonlinear.draws import lack_of_fit, predict_with_noise, simulate_deviations
 from armperturb.analysis.nonlinear.estimate import fit, free_parameters, nearest_arms
-from armperturb.analysis.nonlinear.model import ELEMENTS, Model, true_values
+from armperturb.analysis.nonlinear.model import Model, true_values
 from armperturb.analysis.nonlinear.prediction import predict_pulses, predict_pulses_linearly
 from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem, State
 from armperturb.analysis.nonlinear.result import remarks_on
@@ -17,6 +17,7 @@ from armperturb.analysis.nonlinear.start import best_start
 from armperturb.analysis.nonlinear.trials import fitted_conditions
 from armperturb.analysis.results import PARAMETER_COLUMNS
 from armperturb.cohort import average_person, draw_person
+from armperturb.muscle_law import ELEMENTS
 from armperturb.recording import stack_trials
 from armperturb.subject import RELAX, at_level
 

@@ -1,13 +1,12 @@
 """What is free, fixed, tied and shared, and whom the values make."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 from armperturb.analysis.nonlinear.model import (
     BOUNDS,
-    ELEMENTS,
     Model,
     Parameters,
     coordinate,
@@ -16,6 +15,7 @@ from armperturb.analysis.nonlinear.model import (
     value_at,
 )
 from armperturb.cohort import draw_person
+from armperturb.muscle_law import ELEMENTS
 from armperturb.subject import POSITION, RELAX, at_level
 
 CONDITIONS = {"PT": ("PT7.5", "PT2.5"), "RT": ("RT7.5",)}
@@ -95,8 +95,8 @@ def test_a_person_is_made_again_from_their_true_values(task):
     expected = at_level(subject, truth.levels.get(f"{task}2.5", 1.0))
     for quantity in ("k", "b", "kv", "kp"):
         np.testing.assert_allclose(made.joint_triple(quantity), expected.joint_triple(quantity), rtol=1e-12)
-    for field, value in expected.muscle.to_dict().items():
-        np.testing.assert_allclose(made.muscle.to_dict()[field], value, rtol=1e-12)
+    for field, value in asdict(expected.muscle).items():
+        np.testing.assert_allclose(getattr(made.muscle, field), value, rtol=1e-12)
     for name in ("m_h", "m_f", "k_h", "b_h", "Td_s", "Td_e", "fact_s", "fact_e"):
         assert getattr(made, name) == pytest.approx(getattr(expected, name))
 

@@ -1,6 +1,7 @@
 """Intervals of ARX models whose order was chosen: as wide as the errors of repeated records."""
 
 import numpy as np
+import pytest
 from scipy import signal
 
 from armperturb.analysis.response.arx import fit_arx
@@ -41,6 +42,7 @@ def truth():
     return np.concatenate([force, total], axis=1)
 
 
+@pytest.mark.slow(reason="repeats estimates on drawn records")
 def test_circles_of_95_percent_hold_the_true_response():
     right = admittance_of("arm", truth())
     inside, orders = [], []

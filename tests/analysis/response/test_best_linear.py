@@ -35,6 +35,7 @@ def known(seed, n_trials, n_periods, *, noise=NOISE, distortion=0.0, spread=0.0)
     return make_recording({"perturbation": d, "force": d, "displacement": x}, labels(n_trials), RATE)
 
 
+@pytest.mark.slow(reason="repeats estimates on drawn records")
 @pytest.mark.parametrize("n_periods", [1.5, 3])
 def test_levels_are_those_put_in(n_periods):
     found = [best_linear(known(seed, 4, n_periods, distortion=DISTORTION), window_start=0.0) for seed in range(6)]
@@ -47,6 +48,7 @@ def test_levels_are_those_put_in(n_periods):
     assert np.mean([one.response.covers(truth).mean() for one in found]) == pytest.approx(0.95, abs=0.04)
 
 
+@pytest.mark.slow(reason="repeats estimates on drawn records")
 @pytest.mark.parametrize(("n_trials", "n_periods", "spread"), [(2, 1.5, 0.0), (4, 1.5, 0.1), (2, 3, 0.1)])
 def test_linear_loads_are_linear(n_trials, n_periods, spread):
     # Loads that differ between trials as well, by their constant.
@@ -58,6 +60,7 @@ def test_linear_loads_are_linear(n_trials, n_periods, spread):
     assert np.mean([np.abs(one.share) <= 1.96 * one.share_error for one in found]) >= 0.85
 
 
+@pytest.mark.slow(reason="repeats estimates on drawn records")
 @pytest.mark.parametrize(("n_trials", "duration"), [(1, 32.0), (4, 32.0), (2, 2 * PERIOD)])
 def test_noise_of_a_loop_is_no_distortion(n_trials, duration):
     # The loop colours the noise; periods that fade into one another leave more of it at the edges of a record.
@@ -82,6 +85,7 @@ def test_nearly_without_noise_a_linear_load_is_linear(n_trials, duration, noise)
     assert np.all(np.abs(found.share) < 1e-5)
 
 
+@pytest.mark.slow(reason="repeats estimates on drawn records")
 def test_one_realisation_tells_distortion_from_noise():
     found = [best_linear(known(seed, 1, 3, distortion=2 * DISTORTION), window_start=0.0) for seed in range(8)]
     assert np.mean([one.noise for one in found]) == pytest.approx(2 * NOISE**2 / N_PERIOD, rel=0.1)

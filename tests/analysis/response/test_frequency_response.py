@@ -202,6 +202,7 @@ def test_the_period_and_the_lines_are_found_in_the_recording(excited):
     np.testing.assert_allclose(found.frequency * PERIOD, CLUSTERS.reshape(-1, 4).mean(axis=1))
 
 
+@pytest.mark.slow(reason="repeats estimates on drawn records")
 @pytest.mark.parametrize("method", ["welch", "multitaper"])
 def test_tapers_of_unequal_records(method):
     # Of a load that pushes: its own force is what their covariance is for.
@@ -235,6 +236,7 @@ def test_tapers_against_scipy():
     np.testing.assert_allclose(response(recording, "welch", own).response, arm, rtol=1e-9)
 
 
+@pytest.mark.slow(reason="repeats estimates on drawn records")
 @pytest.mark.parametrize(("draw", "estimate"), [(multisine, estimate_multisine), (noise, estimate_noise)])
 def test_coverage(draw, estimate):
     # Over 200 seeds: `benchmarks.frequency_response`.

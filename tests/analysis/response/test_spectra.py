@@ -115,6 +115,7 @@ def test_coherence_is_the_share_that_regression_explains():
     assert (explained < 0.999).all()
 
 
+@pytest.mark.slow(reason="repeats estimates on drawn records")
 @pytest.mark.parametrize("n_trials", [1, 4])
 def test_coherence_of_pure_noise_is_inputs_over_averages(n_trials):
     values = []

@@ -121,6 +121,7 @@ def test_a_load_is_recovered_from_noise_at_another_rate(method):
     assert relative_error(found.response, load_admittance(BELOW_20)).max() < 0.02
 
 
+@pytest.mark.slow(reason="simulates a laboratory and fits models")
 @pytest.mark.parametrize("method", ["arx", "subspace"])
 def test_an_arm_with_delayed_reflexes_is_recovered(method):
     trials = [Trial(subject=POSITION, perturbation=Multisine.draw(seed=seed, rms=5.4)) for seed in range(2)]
@@ -131,6 +132,7 @@ def test_an_arm_with_delayed_reflexes_is_recovered(method):
     assert relative_error(found.response, arm_admittance(POSITION, frequency)).max() < 0.01
 
 
+@pytest.mark.slow(reason="simulates noisy trials")
 @pytest.mark.parametrize("method", ["arx", "subspace"])
 def test_of_a_noisy_arm_models_err_less_than_spectra(noisy_arm, method):
     spectra = estimate_spectra(line_spectra(noisy_arm))
@@ -148,6 +150,7 @@ def test_of_a_noisy_arm_models_err_less_than_spectra(noisy_arm, method):
         assert found.covariance is None  # three trials are too few
 
 
+@pytest.mark.slow(reason="simulates noisy trials")
 @pytest.mark.parametrize("fit", [fit_arx, fit_subspace])
 def test_models_of_a_noisy_arm_are_stable_and_as_slow_as_it(noisy_arm, fit):
     slowest = np.exp(largest_real_pole(POSITION, ENVIRONMENT) / noisy_arm.attrs["rate"])
@@ -188,6 +191,7 @@ def test_as_many_averages_as_inputs_tell_no_covariance(load):
     assert found.covariance is None
 
 
+@pytest.mark.slow(reason="repeats estimates on drawn records")
 def test_circles_hold_a_load_whose_force_is_noisy(load):
     wanted = response(load, "spectral").frequency
     wanted = wanted[(wanted > 4.0) & (wanted < 16.0)]
@@ -268,6 +272,7 @@ def test_one_factor_holds_the_least_squares_of_every_order():
         np.testing.assert_allclose(np.diag(model.noise), squares / (394 - phi.shape[1]), rtol=1e-6)
 
 
+@pytest.mark.slow(reason="repeats estimates on drawn records")
 def test_the_covariance_is_that_of_repetitions():
     frequency = np.array([1.0, 8.0, 20.0, 40.0])
     truth = {what: admittance_of(what, arx_response(frequency, 100.0)) for what in ("arm", "environment", "total")}

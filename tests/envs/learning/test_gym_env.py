@@ -395,6 +395,7 @@ def test_torque_moves_the_hand_as_statics_say():
     np.testing.assert_allclose(info["displacement"], expected, rtol=0.03)
 
 
+@pytest.mark.slow(reason="simulates trials")
 def test_options_change_one_trial():
     env = made(duration=2.0, onset_window=(0.5, 1.0), noise=False)
     env.reset(seed=0, options={"perturbation": "none"})

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armperturb.analysis.nonlinear.model import ELEMENTS
 from armperturb.cohort import average_body, average_person
 from armperturb.environment import Environment
+from armperturb.files import read_toml
+from armperturb.muscle_law import ELEMENTS
 from armperturb.study.experiments import calibration as module
 from armperturb.study.experiments.calibration import (
     CALIBRATED,
@@ -19,7 +20,6 @@ from armperturb.study.experiments.calibration import (
     save_calibrations,
     schedules,
     simulated_cells,
-    summary,
 )
 from armperturb.study.experiments.candidates import LAWS, Candidate, unknowns
 from armperturb.study.recording.practice import linear_displacement
@@ -167,8 +167,8 @@ def test_search_finds_the_person_behind_the_cells(monkeypatch):
     assert max(map(abs, found.deviations(CALIBRATED).values())) < 1.0
 
 
-def test_summary_counts_cells(calibrations):
-    rows = {(row["task"], row["cells"]): row for row in summary(calibrations)}
+def test_agreement_counts_cells(calibrations):
+    rows = {(row["task"], row["cells"]): row for found in calibrations for row in found.agreement()}
     assert rows["RT", "calibrated"]["within_0.5_sd"] == 1.0
     assert rows["RT", "held out"]["n"] == 16
     assert rows["RT", "held out"]["within_1_sd"] == pytest.approx(15 / 16)
@@ -177,15 +177,28 @@ def test_summary_counts_cells(calibrations):
     assert rows["PT", "calibrated"]["n"] + rows["RT", "calibrated"]["n"] == 84
 
 
+def test_it_describes_itself(calibrations):
+    (relaxed,) = (found for found in calibrations if found.task == "RT")
+    said = repr(relaxed).splitlines()
+    assert len(said) <= 25
+    assert said[0] == "Average person in RT, full law: 14 unknowns, objective 1"
+    assert said[2].startswith("16 cells held out: 94% within 0.5, 94% within 1, 100% within 2 SD; RMS 0.37")
+    frame = relaxed.to_frame().set_index(["table", "condition", "quantity"])
+    assert frame["z"].drop(("F.5", "RT0", "peak_rotation_min_s")).abs().max() < 1e-9
+    assert frame.loc[("F.5", "RT0", "peak_rotation_min_s"), "z"] == pytest.approx(1.5)
+    axes = relaxed.plot()
+    assert [text.get_text() for text in axes.get_yticklabels()] == list(dict.fromkeys(relaxed.to_frame()["table"]))
+
+
 def test_person_is_written_and_read_back(calibrations, tmp_path, monkeypatch):
     path = tmp_path / "average_person.toml"
     save_calibrations(path, calibrations)
-    monkeypatch.setattr("armperturb.cohort.resources.files", lambda package: tmp_path)
+    monkeypatch.setattr("armperturb.cohort.packaged_table", lambda _, name: read_toml(tmp_path / name, ""))
     person = average_person.__wrapped__()
     for found in calibrations:
         expected = replace(found.candidate.subject, name="average")
         assert person.subjects[found.task].to_dict()["k_s"] == pytest.approx(expected.k_s, rel=1e-6)
-        assert person.subjects[found.task].muscle.to_dict().keys() == expected.muscle.to_dict().keys()
+        assert person.subjects[found.task].to_dict().keys() == expected.to_dict().keys()
     assert person.levels == calibrations[TASKS.index("PT")].candidate.levels
     written = tomllib.loads(path.read_text())
     assert {(row["table"], row["calibrated"]) for row in written["cells"]} == {

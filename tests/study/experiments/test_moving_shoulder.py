@@ -6,13 +6,14 @@ from scipy import linalg
 
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.arm.state_space import state_space, strapped_dynamics
+from armperturb.analysis.defaults import SETTLING
 from armperturb.cohort import Person
-from armperturb.environment import Environment, Strap
+from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Pulse
-from armperturb.study.experiments.moving_shoulder import AFTER, REST, SETTLE, STRETCH, _shortened, moving_shoulder
-from armperturb.study.protocol import PULSE_UNIT, QUICK_STEP, THESIS
+from armperturb.study.experiments.moving_shoulder import AFTER, STRETCH, _shortened, moving_shoulder
+from armperturb.study.protocol import PULSE_LEAD, PULSE_UNIT, THESIS
 from armperturb.subject import POSITION, RELAX
 
 PERSON = Person(name="P", height=1.8, mass=75.0, subjects={"PT": POSITION, "RT": RELAX})
@@ -59,14 +60,14 @@ def test_peaks_of_rotations_are_those_of_the_trials(moved, strap):
     trials = [
         Trial(
             subject=POSITION,
-            perturbation=Pulse(peak=2 * 53.9, direction_deg=direction, onset=REST, duration=REST + AFTER),
+            perturbation=Pulse(peak=2 * 53.9, direction_deg=direction, onset=PULSE_LEAD, duration=PULSE_LEAD + AFTER),
         )
         for direction in (20.0, 200.0)
     ]
-    recording = run_experiment(trials, timestep=QUICK_STEP, strap=strap)
+    recording = run_experiment(trials, timestep=TIMESTEP, strap=strap)
     handle = recording["displacement"].values
     shoulder = recording["shoulder_marker"].values if strap else np.zeros(handle.shape)
-    window = slice(round(REST * 200), round((REST + 0.3) * 200) + 1)
+    window = slice(round(PULSE_LEAD * 200), round((PULSE_LEAD + 0.3) * 200) + 1)
     expected = {
         "true": recording["joint_angle"].values - POSITION.posture,
         "fixed_shoulder": rotations(recording, handle),
@@ -102,7 +103,7 @@ def test_small_movements_are_those_of_the_linear_arm_on_its_strap():
     trials = _shortened(THESIS, [THESIS.condition("PT22.5")]).trials(PERSON, forces, 3, 0, noisy=False)
     a = strapped_dynamics(POSITION, Environment(), Strap())
     b = np.vstack([state_space(POSITION, Environment()).b, np.zeros((4, 2))])
-    n, rate, last = len(a), 400.0, SETTLE + STRETCH
+    n, rate, last = len(a), 400.0, SETTLING + STRETCH
     step = linalg.expm(np.block([[a, b], [np.zeros((2, n + 2))]]) / rate)[:n]
     states = np.zeros((round(last * rate), len(trials), n))
     force = np.stack([trial.perturbation.sample(rate, len(states), 0.5 / rate) for trial in trials], axis=1)
@@ -118,9 +119,9 @@ def test_small_movements_are_those_of_the_linear_arm_on_its_strap():
     for index, joint in enumerate("se"):
         found = row(result, "PT22.5", "rms_rotation", joint, True)
         for name, path in expected.items():
-            rms = np.sqrt(np.mean(path[round(SETTLE * rate) :, :, index] ** 2))
+            rms = np.sqrt(np.mean(path[round(SETTLING * rate) :, :, index] ** 2))
             assert getattr(found, name) == pytest.approx(rms, rel=0.01)
-        rms = np.sqrt(np.mean(np.sum(shoulder[round(SETTLE * rate) :] ** 2, axis=-1)))
+        rms = np.sqrt(np.mean(np.sum(shoulder[round(SETTLING * rate) :] ** 2, axis=-1)))
         assert found.translation == pytest.approx(rms, rel=0.01)
 
 

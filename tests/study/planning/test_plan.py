@@ -461,6 +461,10 @@ def test_a_plan_reads_as_a_table_and_plots(plan):
     for row in frame.to_dict("records"):
         assert f"{100.0 * row['sem_optimised'] / abs(row['value']):.3g} %" in lines[row["parameter"]]
     assert "<table>" in plan._repr_html_()
+    array = plan.to_xarray()
+    optimised = array.sel(signal="optimised")
+    np.testing.assert_array_equal(optimised["power"].dropna("frequency"), plan.optimised.power)
+    np.testing.assert_array_equal(optimised["standard_error"].sel(noise="held"), frame["sem_noise_held"])
     axes = plan.plot(figure=new_figure(1.0))
     assert axes.shape == (2, 2)
     spectrum = axes[1, 0].get_lines()[1]

@@ -14,7 +14,7 @@ from armperturb.environment import Environment, Strap
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.seeds import trial_seed
-from armperturb.study.protocol import PULSE_UNIT, QUICK_STEP, THESIS
+from armperturb.study.protocol import PULSE_UNIT, THESIS
 from armperturb.study.recording import practice
 from armperturb.study.recording.practice import (
     MAX_ROUNDS,
@@ -103,6 +103,7 @@ def test_people_whose_muscles_yield_move_as_far_as_they_change_before_the_experi
     assert found[1]["RT7.5"] == found[0]["RT7.5"]
 
 
+@pytest.mark.slow(reason="practice of forty people, twice")
 def test_how_far_people_change_is_each_ones_and_each_conditions_own(monkeypatch):
     def measure(trials, environment, **_):
         return np.array([linear_displacement(trial.subject, environment, trial.perturbation) for trial in trials])
@@ -258,6 +259,7 @@ def test_practice_multisine_moves_people_as_realisations_do_on_average():
     np.testing.assert_allclose(of_practice.crest_factor(), [1.7, 2.7], atol=0.2)
 
 
+@pytest.mark.slow(reason="simulates trials")
 def test_linear_displacement_is_what_is_measured():
     subject = draw_cohort(1, 4, muscles="linear")[0].subjects["PT"]
     multisine = Multisine.draw(seed=3, rms=2.0, crested=False)
@@ -276,7 +278,7 @@ def test_the_step_hardly_matters(monkeypatch):
         for condition in THESIS.conditions
         if condition.has_multisine
     ]
-    monkeypatch.setattr(practice, "SETTLE", 1.0)
+    monkeypatch.setattr(practice, "WINDOW_START", 1.0)
     monkeypatch.setattr(practice, "PERIOD", 3.0)
-    quick, fine = (measured_displacement(trials, Environment(), timestep=step) for step in (QUICK_STEP, 1e-3))
+    quick, fine = (measured_displacement(trials, Environment(), timestep=step) for step in (1e-3))
     np.testing.assert_allclose(quick, fine, rtol=practice.AIM / 2)

@@ -145,8 +145,8 @@ def test_files_hold_every_trial_in_order(settings, undisturbed, tmp_path):
     assert recording["order"].values.tolist() == list(range(N_TRIALS))
 
 
-def test_workers_and_blocks_change_no_file(settings, undisturbed, tmp_path):
-    record_study(settings, tmp_path, show_progress=False, workers=3, block=1)
+def test_blocks_change_no_file(settings, undisturbed, tmp_path):
+    record_study(settings, tmp_path, show_progress=False, block=1)
     assert_same_content(tmp_path, undisturbed)
 
 
@@ -176,7 +176,7 @@ def a_worker():
     return next(child for child in children if any("LokyProcess" in word for word in child.cmdline()))
 
 
-def test_a_killed_worker_costs_nothing(settings, undisturbed, tmp_path, caplog):
+def test_workers_change_no_file_though_one_is_killed(settings, undisturbed, tmp_path, caplog):
     thread, on_the_way = killing(tmp_path, a_worker)
     with caplog.at_level(logging.WARNING):
         record_study(settings, tmp_path, workers=2, show_progress=False)
@@ -201,52 +201,45 @@ def test_a_dask_cluster_gives_the_same_files_though_a_worker_is_killed(settings,
     assert_same_content(tmp_path, undisturbed)
 
 
-@pytest.mark.parametrize("workers", ["2"])
-def test_killed_and_started_again_it_ends_the_same(protocol, undisturbed, tmp_path, workers, capfd):
-    rng = np.random.default_rng(int(workers))
-    for n_files in (0, rng.integers(1, N_SUBJECTS - 1)):  # ten times: `benchmarks.study_kills`
-        killed = command(tmp_path, protocol, "--workers", workers, "--block", "4")
-        # What a killed run's helpers say at their end is not the next one's.
-        with subprocess.Popen(killed, stderr=subprocess.DEVNULL) as run:
-            wait_for(lambda n=n_files: count(tmp_path) > n or (run.poll() is not None))
-            time.sleep(rng.uniform(0.0, 0.2))
-            run.kill()
-    capfd.readouterr()
-    assert main(arguments(tmp_path, protocol, "--workers", "1")) == 0
-    assert capfd.readouterr().err == ""
-    assert_same_content(tmp_path, undisturbed)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "manifest.json", "recordings"]
-
-
-def stop_by_ctrl_c(out, protocol, workers):
-    """Seconds that a study takes to stop, once its first file is there."""
+def started(out, protocol, *options):
+    """A study in processes of its own, which Ctrl-C reaches as in a terminal, and its workers once a file is there."""
+    before = count(out)
     run = subprocess.Popen(
-        command(out, protocol, "--workers", workers, "--block", "4"),
-        stdout=subprocess.PIPE,
+        command(out, protocol, "--block", "4", *options),
+        stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
         # Where the tests run in the background, Ctrl-C may be ignored; a study would inherit that.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
-    wait_for(lambda: count(out) > 0)
-    workers_then = psutil.Process(run.pid).children(recursive=True)
+    wait_for(lambda: count(out) > before or run.poll() is not None)
+    return run, psutil.Process(run.pid).children(recursive=True)
+
+
+def assert_ended(processes):
+    _, alive = psutil.wait_procs(processes, timeout=10.0)
+    assert not [process for process in alive if process.status() != "zombie"]
+
+
+def interrupted(out, protocol, *options):
+    """Seconds that a study takes to stop at a Ctrl-C."""
+    run, workers = started(out, protocol, *options)
     start = time.monotonic()
     os.killpg(run.pid, signal.SIGINT)  # as a terminal does: to all processes
     _, errors = run.communicate(timeout=PATIENCE)
     took = time.monotonic() - start
     assert run.returncode == 130, errors
     assert errors == "armperturb: interrupted; the same command continues from here\n"
-    psutil.wait_procs(workers_then, timeout=5.0)
-    assert not [process for process in workers_then if process.is_running() and process.status() != "zombie"]
+    assert_ended(workers)
     return took
 
 
-@pytest.mark.parametrize("workers", ["1", "2"])
-def test_ctrl_c_stops_soon_and_keeps_what_is_finished(protocol, settings, undisturbed, tmp_path, workers):
+def stopped_soon(tmp_path, protocol, *options):
+    """The folder of a study that was interrupted and stopped soon."""
     for attempt in range(3):
         out = tmp_path / str(attempt)
-        took = stop_by_ctrl_c(out, protocol, workers)
+        took = interrupted(out, protocol, *options)
         if took < 2.0:  # where other tests hold the processors, it waits for them, too
             break
     assert took < 2.0
@@ -255,17 +248,30 @@ def test_ctrl_c_stops_soon_and_keeps_what_is_finished(protocol, settings, undist
     assert all(
         hashlib.sha256(kept[name]).hexdigest() in kept["SHA256SUMS"].decode() for name in kept if name.endswith(".nc")
     )
+    return out
+
+
+def test_ctrl_c_stops_soon_and_keeps_what_is_finished(protocol, settings, undisturbed, tmp_path):
+    out = stopped_soon(tmp_path, protocol, "--workers", "1")
     record_study(settings, out, show_progress=False)
     assert_same_content(out, undisturbed)
 
 
-def test_workers_of_a_killed_study_end_too(protocol, tmp_path):
-    with subprocess.Popen(command(tmp_path, protocol, "--workers", "2", "--block", "4")) as run:
-        wait_for(lambda: count(tmp_path) > 0)
-        children = psutil.Process(run.pid).children(recursive=True)
-        run.kill()
-    _, alive = psutil.wait_procs(children, timeout=10.0)
-    assert not [process for process in alive if process.status() != "zombie"]
+def test_interrupted_and_killed_with_its_workers_and_started_again_it_ends_the_same(
+    protocol, undisturbed, tmp_path, capfd
+):
+    out = stopped_soon(tmp_path, protocol, "--workers", "2")
+    # At any other time: ten times in `benchmarks.study_kills`. What a killed run's helpers say is not the next one's.
+    run, workers = started(out, protocol, "--workers", "2")
+    time.sleep(np.random.default_rng(2).uniform(0.0, 0.2))
+    run.kill()
+    run.communicate()
+    assert_ended(workers)
+    capfd.readouterr()
+    assert main(arguments(out, protocol, "--workers", "1")) == 0
+    assert capfd.readouterr().err == ""
+    assert_same_content(out, undisturbed)
+    assert sorted(path.name for path in out.iterdir()) == [".lock", "manifest.json", "recordings"]
 
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b[:5000] + b"?" + b[5001:]])

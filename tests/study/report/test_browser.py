@@ -20,9 +20,12 @@ FLAGS = (
 PATIENCE = 60.0  # [s]; far more than anything here takes
 HEIGHT = 900
 
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None, reason="no chromium, chromium-browser or google-chrome on PATH: the report is not seen"
-)
+pytestmark = [
+    pytest.mark.slow(reason="starts a browser"),
+    pytest.mark.skipif(
+        CHROMIUM is None, reason="no chromium, chromium-browser or google-chrome on PATH: the report is not seen"
+    ),
+]
 
 
 class Browser:

@@ -168,6 +168,7 @@ def of_people(study, condition, value):
     return mean_sd(means)
 
 
+@pytest.mark.slow(reason="draws figures")
 def test_joint_parameters_are_means_over_people_of_stable_trials(invented):
     p = {"k_s": 0.002, "kv_se": 0.03, "kp_e": 0.3}
     panels = np.array(parameter_figures.joint_parameters(invented, "PT", p).axes).reshape(4, 2)
@@ -496,6 +497,7 @@ def test_registry_draws_one_person_in_one_task(recorded):
         assert len(draw().axes) <= 4, name
 
 
+@pytest.mark.slow(reason="draws figures")
 def test_registry_marks_significant_effects(recorded):
     p = np.full((18, 2, 2), 0.5)
     p[:5] = 0.03

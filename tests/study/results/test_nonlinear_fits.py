@@ -353,6 +353,7 @@ def section(page):
     return found
 
 
+@pytest.mark.slow(reason="writes three reports")
 def test_fits_are_kept_and_shown_later_without_being_asked_for(folder, asked, tmp_path):
     page = sketch(analyse_study(folder, workers=1, show_progress=False), tmp_path / "before", ("peak_displacement",))
     assert asked == []

@@ -28,7 +28,7 @@ from armperturb.study.results.mean_admittance import by_task, main_conditions, m
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import N_LOW
 
-ELEMENTS: tuple[Element, ...] = ((0, 0), (1, 1), (0, 1), (1, 0))
+MATRIX_ELEMENTS: tuple[Element, ...] = ((0, 0), (1, 1), (0, 1), (1, 0))
 """Diagonal first: it is what the thesis's factors are about."""
 
 HIGHEST = 10.0
@@ -130,7 +130,7 @@ def gain_linear_scale(study: StudyResult, marks: Mapping[str, Marks] | None = No
     """
     tasks = list(by_task(study))
     figure = new_figure(2.3 * len(tasks) + 0.6)
-    panels = figure.subplots(len(tasks), len(ELEMENTS), sharex=True, sharey="row", squeeze=False)
+    panels = figure.subplots(len(tasks), len(MATRIX_ELEMENTS), sharex=True, sharey="row", squeeze=False)
     named: list[list[Line2D]] = []
     expected = []
     for row, task in zip(panels, tasks, strict=True):
@@ -140,7 +140,7 @@ def gain_linear_scale(study: StudyResult, marks: Mapping[str, Marks] | None = No
         ends = (drawn[0][0].name, drawn[-1][0].name)
         shown = means[0].frequency <= HIGHEST
         frequency, gain = means[0].frequency[shown], 1e3 * np.array([mean.gain[shown] for mean in means])
-        for ax, element in zip(row, ELEMENTS, strict=True):
+        for ax, element in zip(row, MATRIX_ELEMENTS, strict=True):
             of_element = gain[:, :, *element]
             for values, (_, look) in zip(of_element, drawn, strict=True):
                 ax.plot(frequency, values, **{**look, "markersize": 3})
@@ -152,7 +152,7 @@ def gain_linear_scale(study: StudyResult, marks: Mapping[str, Marks] | None = No
                 expected.append(ax.plot(frequency[:N_LOW], FACTORS[task] * of_element[0, :N_LOW], **EXPECTED))
         row[0].set_ylabel(f"gain in {task} [mm/N]")
         row[0].set_ylim(0, 1.16 * gain.max())
-    for ax, (output, input_) in zip(panels[0], ELEMENTS, strict=True):
+    for ax, (output, input_) in zip(panels[0], MATRIX_ELEMENTS, strict=True):
         ax.set_title(f"$|H_{{{AXES[output]}{AXES[input_]}}}|$")
     for ax in panels[-1]:
         ax.set_xscale("log")

@@ -18,7 +18,7 @@ from armperturb.study.published.tables import MeanSD, headline
 CONDITIONS = {task: tuple(dict.fromkeys(condition for condition, _ in pulses)) for task, pulses in PULSED.items()}
 """Task to the thesis's conditions, the smallest multisine first."""
 
-MODELS: dict[str, dict[str, Any]] = {"linear": FITTED, "skeletal": SKELETAL}
+MODEL_LOOKS: dict[str, dict[str, Any]] = {"linear": FITTED, "skeletal": SKELETAL}
 """Model to its look in figures: the linear arm, and the nonlinear skeletal one."""
 
 ERROR: dict[str, Any] = {"linestyle": "", "elinewidth": 0.9, "capsize": 1.5}
@@ -139,5 +139,5 @@ def printed_handles(groups: Iterable[Groups], **label: str) -> list[Line2D]:
 
 
 def model_handles() -> list[Patch]:
-    """Entries in a legend of the bars of each of `MODELS`."""
-    return [Patch(color=look["color"], label=f"{name} model") for name, look in MODELS.items()]
+    """Entries in a legend of the bars of each of `MODEL_LOOKS`."""
+    return [Patch(color=look["color"], label=f"{name} model") for name, look in MODEL_LOOKS.items()]

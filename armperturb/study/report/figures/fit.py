@@ -16,7 +16,14 @@ from armperturb.plots.panels import AXES, FREQUENCY, admittance_panels, legend, 
 from armperturb.plots.style import COLOURS, FITTED, INK, PUBLISHED, RECORDED, in_style, new_figure
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures.axes import plot_truth
-from armperturb.study.report.figures.bars import CONDITIONS, MODELS, Bar, draw_groups, model_handles, printed_handles
+from armperturb.study.report.figures.bars import (
+    CONDITIONS,
+    MODEL_LOOKS,
+    Bar,
+    draw_groups,
+    model_handles,
+    printed_handles,
+)
 from armperturb.study.results.cases import Case
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import TrialMeasures
@@ -100,7 +107,7 @@ def vaf(study: StudyResult) -> Figure:
                         look["color"],
                         *([_printed_vaf(condition, axis)] if model == "linear" else []),
                     )
-                    for model, look in MODELS.items()
+                    for model, look in MODEL_LOOKS.items()
                 ]
                 for condition in CONDITIONS[task]
                 if (trials := _trials(study, (condition,)))

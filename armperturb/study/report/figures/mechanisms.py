@@ -7,11 +7,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from armperturb.muscle_law import ELEMENTS
 from armperturb.plots.panels import AXES, label_frequency, legend
 from armperturb.plots.style import COLOURS, GREY, INK, in_style, new_figure, shades
 from armperturb.study.experiments.mechanisms import AMPLITUDES, LINEAR, PULSES, WHOLE, Yielding, intrinsic_loop
-
-ELEMENTS = ("shoulder", "two-joint", "elbow")
 
 SWITCHED_OFF: tuple[dict[str, Any], ...] = (
     {"color": "#0072B2", "linestyle": "-"},

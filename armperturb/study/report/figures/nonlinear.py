@@ -12,8 +12,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from armperturb.analysis.measures.pulse import WINDOWS
 from armperturb.plots.panels import AXES, legend
 from armperturb.plots.style import GREY, INK, RECORDED, in_style, new_figure, shades
-from armperturb.study.report.figures.bars import MODELS as LINEAR_MODELS
-from armperturb.study.report.figures.bars import Bar, draw_predictions
+from armperturb.study.report.figures.bars import MODEL_LOOKS, Bar, draw_predictions
 from armperturb.study.report.nonlinear_tables import (
     SEES_NONE,
     SEES_OTHERS,
@@ -29,14 +28,14 @@ from armperturb.study.results.nonlinear_fits import PATHS, LeftOutPulse
 from armperturb.study.results.study_result import StudyResult
 
 LOOKS: dict[str, dict[str, Any]] = {
-    **LINEAR_MODELS,
+    **MODEL_LOOKS,
     SEES_NONE: {"color": "#009E73", "linewidth": 1.3},
     SEES_OTHERS: {"color": "#56B4E9", "linewidth": 1.3, "linestyle": (0, (1.5, 1.2))},
 }
 """Model to its look."""
 
 NAMES = {
-    **{name: name for name in ("recorded", *LINEAR_MODELS)},
+    **{name: name for name in ("recorded", *MODEL_LOOKS)},
     SEES_NONE: "nonlinear, from multisines",
     SEES_OTHERS: "nonlinear, with the other direction",
 }
@@ -144,7 +143,7 @@ def trajectories(study: StudyResult, task: str) -> Figure:
     looks = {"recorded": RECORDED, **LOOKS}
     for of_fit in drawn_pulses(study, task).values():
         first = next(iter(of_fit.values()))
-        paths = {name: path for name, path in first.paths.items() if name in ("recorded", *LINEAR_MODELS)}
+        paths = {name: path for name, path in first.paths.items() if name in ("recorded", *MODEL_LOOKS)}
         paths |= {model: pulse.paths["nonlinear"] for model, pulse in of_fit.items() if "nonlinear" in pulse.paths}
         for name, path in paths.items():
             look = looks[name]

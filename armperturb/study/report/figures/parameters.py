@@ -27,8 +27,8 @@ from armperturb.study.results.trial_measures import muscle_parameter, stable_mea
 QUANTITIES = {"b": "damping", "k": "stiffness", "kv": "velocity\nfeedback", "kp": "position\nfeedback"}
 """What is drawn of a joint, and what it is called."""
 
-JOINTS = {"s": "shoulder", "se": "shoulder-elbow", "e": "elbow"}
-MUSCLES = {"s*": "shoulder", "se": "shoulder-elbow", "e*": "elbow"}
+JOINT_NAMES = {"s": "shoulder", "se": "shoulder-elbow", "e": "elbow"}
+MUSCLE_NAMES = {"s*": "shoulder", "se": "shoulder-elbow", "e*": "elbow"}
 
 SEM_TABLES = {"PT7.5": "E.4", "RT2.5": "C.17", "RT7.5": "C.19", "RT22.5": "C.21"}
 """Condition to the table of the SEMs of `published.PARAMETER_TABLES`."""
@@ -125,7 +125,7 @@ def joint_parameters(study: StudyResult, task: str, p: Mapping[str, float] | Non
     for row, quantity in zip(panels, quantities, strict=True):
         for ax, sem in zip(row, (False, True), strict=True):
             printed = partial(published_or_nan, _printed_sem if sem else published.parameter)
-            draw = partial(_draw, ax, task, estimates, quantity, JOINTS)
+            draw = partial(_draw, ax, task, estimates, quantity, JOINT_NAMES)
             drawn.append(draw(partial(stable_mean, sem=sem), printed, {} if sem or p is None else p))
     for ax, title in zip(panels[0], ("estimate", "SEM"), strict=True):
         ax.set_title(title)
@@ -153,7 +153,7 @@ def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] |
     for column, (task, estimates) in zip(panels.T, tasks.items(), strict=True):
         for ax, quantity in zip(column, rows[task], strict=False):
             of_task = (p or {}).get(task, {})
-            drawn.append(_draw(ax, task, estimates, quantity, MUSCLES, _muscle_mean, _printed_muscle, of_task))
+            drawn.append(_draw(ax, task, estimates, quantity, MUSCLE_NAMES, _muscle_mean, _printed_muscle, of_task))
         for ax in column[len(rows[task]) :]:
             ax.set_visible(False)
     handles = [handle for task, estimates in tasks.items() for handle in _handles(task, estimates)]

@@ -15,7 +15,7 @@ from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.report.figures import bars
 from armperturb.study.report.tables import published_or_nan
-from armperturb.study.results.quantities import LEVELS
+from armperturb.study.results.quantities import PULSE_LEVELS
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import TrialMeasures
 
@@ -52,10 +52,10 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
     by_task = pulsed_trials(study, lambda trial: trial.admittance)
     figure, panels = _draw_levels(by_task, "pulse admittance [mm/N]", 1000.0, shared=False)
     for task, (ax, tops) in panels.items():
-        if any(len(levels) == len(LEVELS) for levels in by_task[task].values()):
+        if any(len(levels) == len(PULSE_LEVELS) for levels in by_task[task].values()):
             ax.set_ylim(top=1.2 * max(tops.values()))
         for group, (condition, levels) in enumerate(by_task[task].items()):
-            if len(levels) < len(LEVELS):
+            if len(levels) < len(PULSE_LEVELS):
                 continue
             stars = bars.stars((p or {}).get(condition, 1.0))
             printed = published.headline(f"pulse_admittance_ratio_max_min_{condition.lower()}")
@@ -75,12 +75,12 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
 @in_style()
 def pulse_prediction(study: StudyResult) -> Figure:
     """Predicted over recorded peak displacement of both models, mean and SD over trials (thesis fig. 3.19)."""
-    by_model = {model: pulsed_trials(study, partial(predicted_share, model=model)) for model in bars.MODELS}
+    by_model = {model: pulsed_trials(study, partial(predicted_share, model=model)) for model in bars.MODEL_LOOKS}
     groups = {
         task: {
             f"{condition}\n{level}": [
                 bars.Bar.of(by_model[model].get(task, {}).get(condition, {}).get(level, ()), look["color"])
-                for model, look in bars.MODELS.items()
+                for model, look in bars.MODEL_LOOKS.items()
             ]
             for condition, levels in conditions.items()
             for level in levels
@@ -107,7 +107,7 @@ def pulsed_trials(study: StudyResult, quantity: Callable[[TrialMeasures], float]
             quantity(trial)
             for person in study.people
             for trial in person.trials
-            if trial.condition == condition and abs(trial.pulse_level) == LEVELS[level]
+            if trial.condition == condition and abs(trial.pulse_level) == PULSE_LEVELS[level]
         ]
     )
 
@@ -117,7 +117,7 @@ def _by_level(values_of: Callable[[str, str], list[float]]) -> dict[str, Levels]
     by_task: dict[str, Levels] = {}
     for task, conditions in bars.CONDITIONS.items():
         for condition in conditions:
-            for level in LEVELS:
+            for level in PULSE_LEVELS:
                 values = [value for value in values_of(condition, level) if np.isfinite(value)]
                 if values:
                     by_task.setdefault(task, {}).setdefault(condition, {})[level] = values

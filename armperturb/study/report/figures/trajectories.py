@@ -21,9 +21,9 @@ from armperturb.planar_arm.skeletal import simulate_skeletal
 from armperturb.plots.panels import legend
 from armperturb.plots.style import PALE, RECORDED, TRUE, in_style, new_figure
 from armperturb.study.published import tables as published
-from armperturb.study.report.figures.bars import MODELS, PRINTED, printed_handle
+from armperturb.study.report.figures.bars import MODEL_LOOKS, PRINTED, printed_handle
 from armperturb.study.report.tables import published_or_nan
-from armperturb.study.results.quantities import LEVELS
+from armperturb.study.results.quantities import PULSE_LEVELS
 
 DOTS = {"PT": 0.05, "RT": 0.1}
 """Task to the time between dots on a path [s] (figures 3.17, 3.18)."""
@@ -50,7 +50,7 @@ JOINT_LOOKS: dict[str, dict[str, Any]] = {
 LEAD, LAG = 0.05, 0.5
 """From when to when around the onset of a pulse rotations are drawn [s]."""
 
-NAMES = {level: name for name, level in LEVELS.items()}
+NAMES = {level: name for name, level in PULSE_LEVELS.items()}
 """Pulse level to its name in the published tables."""
 
 
@@ -119,7 +119,7 @@ def trajectories(recording: xr.Dataset, estimate: ThesisEstimate | None, level: 
     """
     task = str(recording["task"].values[0])
     step = round(DOTS[task] * float(recording.attrs["rate"]))
-    lines: dict[str, dict[str, Any]] = {"recorded": RECORDED, **MODELS}
+    lines: dict[str, dict[str, Any]] = {"recorded": RECORDED, **MODEL_LOOKS}
     first = responses(recording, estimate, level)
     figure = new_figure(4.2)
     ax = figure.subplots()
