@@ -45,7 +45,8 @@ def activation_filter(cutoff: float, damping_ratio: float, timestep: float) -> t
       timestep: of the simulation [s].
     """
     omega = 2 * np.pi * cutoff * timestep
-    denominator: Array = np.poly(np.exp(np.roots([1.0, 2 * damping_ratio * omega, omega**2]))).real
+    poles = np.exp(np.roots([1.0, 2 * damping_ratio * omega, omega**2]))
+    denominator = np.asarray(np.poly(poles).real, dtype=np.float64)
     # Powers of s timestep in z^-j, and in 1 / H, up to the second.
     shifts = np.array([[1.0, -j, j**2 / 2.0] for j in range(3)]).T
     first, second = 2 * damping_ratio / omega, 1.0 / omega**2

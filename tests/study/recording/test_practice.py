@@ -280,5 +280,5 @@ def test_the_step_hardly_matters(monkeypatch):
     ]
     monkeypatch.setattr(practice, "WINDOW_START", 1.0)
     monkeypatch.setattr(practice, "PERIOD", 3.0)
-    quick, fine = (measured_displacement(trials, Environment(), timestep=step) for step in (1e-3))
+    quick, fine = (measured_displacement(trials, Environment(), timestep=step) for step in (TIMESTEP, 1e-3))
     np.testing.assert_allclose(quick, fine, rtol=practice.AIM / 2)
