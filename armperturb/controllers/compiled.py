@@ -100,23 +100,24 @@ def spindle_excitation(p: Lane, q_s: float, q_e: float, w_s: float, w_e: float, 
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def delayed(sent: Array, joint: int, step: int, back: float) -> float:
-    """What was sent `back` steps before `step`, from a ring of samples: the cubic of MuJoCo's delayed motors.
+def delayed(sent: Array, joint: int, newest: int, back: float) -> float:
+    """What was sent some steps before the newest sample of a ring: the cubic of MuJoCo's delayed motors.
 
     Args:
       sent: the last samples, (step, joint); one later than wanted, and two earlier, must be among them.
       joint: of which joint.
-      step: of the newest sample.
+      newest: where it is in the ring.
       back: how many steps ago, >= 1.
     """
     n, whole = len(sent), math.floor(back + 1e-6)
-    newer = sent[(step - whole) % n, joint]
+    place = newest - whole if newest >= whole else newest - whole + n  # a remainder takes far longer
+    newer = sent[place, joint]
     if back - whole < 1e-6:
         return newer
-    older = sent[(step - whole - 1) % n, joint]
+    older = sent[place - 1 if place > 0 else n - 1, joint]
     t = 1.0 - (back - whole)
-    first = 0.5 * (newer - sent[(step - whole - 2) % n, joint])
-    last = 0.5 * (sent[(step - whole + 1) % n, joint] - older)
+    first = 0.5 * (newer - sent[place - 2 if place > 1 else place + n - 2, joint])
+    last = 0.5 * (sent[place + 1 if place + 1 < n else 0, joint] - older)
     rise = newer - older
     return older + t * (first + t * (3.0 * rise - 2.0 * first - last + t * (first + last - 2.0 * rise)))
 
@@ -137,7 +138,7 @@ def _add_memory_reflexes(p: Lane, m: Memory, q: Array, w: Array, muscle: Array, 
       timestep: of the simulation [s].
     """
     for joint in range(2):
-        muscle[joint] += delayed(m.sent, joint, m.step, p.delay[joint] / timestep)
+        muscle[joint] += delayed(m.sent, joint, m.next, p.delay[joint] / timestep)
         muscle[joint] += p.b[joint] * w[0] + p.b[joint + 1] * w[1] + p.k[joint] * q[0] + p.k[joint + 1] * q[1]
     for other in range(2):
         v = m.velocity[:, other]
@@ -202,9 +203,9 @@ def act(
             _add_memory_reflexes(p, m, q, velocity, torque, timestep)
         for joint in range(2):
             active = activated(p, m.filters, joint, m.excitation[joint])
-            m.sent[m.step % len(m.sent), joint] = active
+            m.sent[m.next, joint] = active
             sent[joint] = -active
-        m.step += 1
+        m.next = m.next + 1 if m.next + 1 < len(m.sent) else 0
     if p.commanded != 0.0:
         for joint in range(2):
             held[joint] += activated(p, m.command_filters, joint, m.command[joint])

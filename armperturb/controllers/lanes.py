@@ -131,7 +131,7 @@ def control_memory(n_lanes: int, n_parts: int, n_history: int) -> Table:
     Of the joints, (joint,): `law` and `law_before`, torques of the muscle law in the last two steps, `excitation` of
     the reflexes and `command` of the person's will [Nm]. `velocity` is that of the joints in the last four steps, the
     last one first, (step, joint) [rad/s]; `filters` and `command_filters` are the states of the activation filters,
-    (2, joint); `sent` is the ring of the active torques of the last steps, (step, joint) [Nm].
+    (2, joint); `sent` is the ring of the active torques of the last steps, (step, joint) [Nm], and `next` its oldest.
 
     Args:
       n_lanes: how many arms.
@@ -150,7 +150,7 @@ def control_memory(n_lanes: int, n_parts: int, n_history: int) -> Table:
             ("filters", float, (2, 2)),
             ("command_filters", float, (2, 2)),
             ("sent", float, (n_history, 2)),
-            ("step", int),
+            ("next", int),
         ],
     )
     memory["intact"] = 1.0

@@ -169,11 +169,12 @@ def _act(p: Lane, m: Memory, w: Array, i: int, timestep: float, room: Array) -> 
     for joint in range(2):
         angle[joint], velocity[joint] = p.posture[joint] + w[Q_S + joint, i], w[W_S + joint, i]
     act(p, m, angle, velocity, timestep, room, held, sent)
+    newest = m.next - 1 if m.next > 0 else len(m.sent) - 1
     for joint in range(2):
         for stage in range(3):
             torque = held[joint]
             if p.reflexive != 0.0:
-                torque -= delayed(m.sent, joint, m.step - 1, p.delay[joint] / timestep - 0.5 * stage)
+                torque -= delayed(m.sent, joint, newest, p.delay[joint] / timestep - 0.5 * stage)
             w[TORQUE + 2 * stage + joint, i] = torque
 
 

@@ -103,4 +103,3 @@ def _take_over(
         sent, memory["filters"][:, joint] = signal.lfilter(*coefficients, excitation[:, joint], zi=np.zeros(2))
         recent = sent[-n_history:]
         memory["sent"][n_history - len(recent) :, joint] = recent
-    memory["step"] = n_history

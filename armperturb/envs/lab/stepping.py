@@ -68,7 +68,7 @@ def _call_step(typing_context: Any, address: Any, model: Any, data: Any) -> Any:
         pointer = ir.IntType(8).as_pointer()
         function = ir.FunctionType(ir.VoidType(), [pointer, pointer]).as_pointer()
         where, *objects = arguments
-        builder.call(builder.inttoptr(where, function), [builder.inttoptr(one, pointer) for one in objects])
+        builder.call(builder.inttoptr(where, function), [builder.inttoptr(item, pointer) for item in objects])
         return context.get_dummy_value()
 
     return types.void(types.intp, types.intp, types.intp), generate

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from armperturb.analysis.arm.linear_arm import total_admittance
 from armperturb.cohort import draw_cohort
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import Environment, Strap
+from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.seeds import trial_seed
