@@ -7,6 +7,7 @@ package, by name and field.
 import base64
 import dataclasses
 import gzip
+import hashlib
 import importlib
 import io
 import json
@@ -61,6 +62,11 @@ def write_archive(path: Path, source: Any, value: Any) -> None:
     content = json.dumps({"source": source, "value": _plain(value)}, separators=(",", ":")).encode()
     with written_whole(path) as temporary:
         temporary.write_bytes(gzip.compress(content, compresslevel=1, mtime=0))
+
+
+def digest(value: Any) -> str:
+    """Checksum of a value that `write_archive` can write."""
+    return hashlib.sha256(json.dumps(_plain(value)).encode()).hexdigest()
 
 
 def read_archive(path: Path) -> Archive:

@@ -13,7 +13,7 @@ from armperturb.environment import Environment
 from armperturb.files import packaged_table
 from armperturb.seeds import random_stream
 from armperturb.subject import HUMERUS_MASS_SHARE, POSITION, PRESETS, RELAX, TASKS, Subject, at_level
-from armperturb.validation import require_number, require_one_of
+from armperturb.validation import require_number, require_one_of, require_ranges
 
 SPREAD = packaged_table(__package__, "spread.toml")
 """Standard deviation over the thesis's subjects of each parameter of a preset, SI."""
@@ -104,8 +104,7 @@ class Person:
     levels: Mapping[str, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        require_number("Person", "height", self.height, above=0.0)
-        require_number("Person", "mass", self.mass, above=0.0)
+        require_ranges("Person", self)
         for task, subject in self.subjects.items():
             if subject.task != task:
                 raise ValueError(f"Person: subjects[{task!r}] has the task {subject.task!r}; expected {task!r}")

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from armperturb.validation import require_number
+from armperturb.validation import require_ranges
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,10 +27,7 @@ class Environment:
     workspace: float = 0.35
 
     def __post_init__(self) -> None:
-        for name in ("m_env", "workspace"):
-            require_number("Environment", name, getattr(self, name), above=0.0)
-        for name in ("b_env", "k_env"):
-            require_number("Environment", name, getattr(self, name), at_least=0.0)
+        require_ranges("Environment", self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +55,4 @@ class Strap:
     mass: float = 8.0
 
     def __post_init__(self) -> None:
-        for name in ("stiffness", "mass"):
-            require_number("Strap", name, getattr(self, name), above=0.0)
-        require_number("Strap", "damping", self.damping, at_least=0.0)
+        require_ranges("Strap", self)

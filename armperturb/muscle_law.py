@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
-from armperturb.validation import require_keys, require_number, require_whole
+from armperturb.validation import RANGES, require_keys, require_number, require_whole
 
 PerElement = float | tuple[float, float, float]
 """One number for all muscle elements, or three: single-joint shoulder, two-joint, single-joint elbow."""
@@ -16,17 +16,6 @@ PerElement = float | tuple[float, float, float]
 MAX_PARTS = 64
 """Most parts of a distribution: more cost time and change nothing."""
 
-_RANGES: dict[str, dict[str, float]] = {
-    "short_range_stiffness": {"at_least": 0.0},
-    "elastic_limit_deg": {"at_least": 0.0},
-    "elastic_limit_spread": {"at_least": 0.0, "at_most": 3.0},
-    "elastic_limit_slope": {"at_least": 0.0, "at_most": 10.0},
-    "loss_angle_deg": {"above": 0.0},
-    "recovery_time": {"above": 0.0},
-    "thinning_velocity": {"above": 0.0},
-    "spindle_saturation": {"above": 0.0},
-    "spindle_direction": {"at_least": -1.0, "at_most": 1.0},
-}
 _MAY_BE_INFINITE = ("elastic_limit_deg", "loss_angle_deg", "recovery_time", "thinning_velocity", "spindle_saturation")
 
 ELEMENTS = ("shoulder", "two-joint", "elbow")
@@ -75,7 +64,7 @@ class MuscleLaw:
     def __post_init__(self) -> None:
         require_number("MuscleLaw", "parts", self.parts, at_least=1, at_most=MAX_PARTS)
         require_whole("MuscleLaw", "parts", self.parts, at_least=1)
-        for field, bounds in _RANGES.items():
+        for field, bounds in RANGES["MuscleLaw"].items():
             value = getattr(self, field)
             values = tuple(value) if isinstance(value, tuple | list) else (value,) * 3
             if len(values) != 3:

@@ -11,7 +11,7 @@ import tomli_w
 
 from armperturb.files import packaged_table, read_toml
 from armperturb.muscle_law import MuscleLaw
-from armperturb.validation import require_keys, require_number, require_one_of
+from armperturb.validation import require_keys, require_number, require_one_of, require_ranges
 
 TASKS = ("PT", "RT")
 """Position task (keep the handle in place) and relax task (do not react); thesis 2.5."""
@@ -19,9 +19,6 @@ TASKS = ("PT", "RT")
 HUMERUS_MASS_SHARE = 0.49
 """Share of the arm's mass in the humerus, the rest in forearm, hand, cuff and handle (thesis eqs 2.14, 2.15)."""
 
-_POSITIVE = ("m_h", "m_f", "l_h", "l_f", "k_h", "Td_s", "Td_e", "fact_s", "fact_e", "zeta_act")
-_NON_NEGATIVE = ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e", "b_h")
-_FINITE = tuple(f"{quantity}_{joint}" for quantity in ("kv", "kp", "ka", "kf") for joint in ("s", "se", "e"))
 _OPTIONAL = ("ka_s", "ka_se", "ka_e", "kf_s", "kf_se", "kf_e", "zeta_act", "muscle", "name")
 
 
@@ -114,20 +111,7 @@ class Subject:
         require_one_of("Subject", "task", self.task, TASKS)
         if not isinstance(self.name, str) or not self.name or not self.name.isprintable():
             raise TypeError(f"Subject: name = {self.name!r}; expected a printable text that is not empty")
-        for field in _POSITIVE:
-            require_number("Subject", field, getattr(self, field), above=0.0)
-        for field in _NON_NEGATIVE:
-            require_number("Subject", field, getattr(self, field), at_least=0.0)
-        for field in _FINITE:
-            require_number("Subject", field, getattr(self, field))
-        require_number("Subject", "theta_s_deg", self.theta_s_deg, at_least=-90.0, at_most=180.0)
-        # Beyond these a number is a slip of the unit, and numerics suffer.
-        for field, most in (("l_h", 2.0), ("l_f", 2.0), ("zeta_act", 100.0), ("Td_s", 1.0), ("Td_e", 1.0)):
-            require_number("Subject", field, getattr(self, field), at_most=most)
-        for field in ("fact_s", "fact_e"):
-            require_number("Subject", field, getattr(self, field), at_least=0.01, at_most=1000.0)
-        # A straight or folded elbow is singular: no joint motion moves the hand along the arm.
-        require_number("Subject", "theta_e_deg", self.theta_e_deg, at_least=5.0, at_most=175.0)
+        require_ranges("Subject", self)
         if self.muscle is None:
             return
         if not isinstance(self.muscle, MuscleLaw):

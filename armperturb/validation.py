@@ -4,6 +4,11 @@ import math
 from collections.abc import Collection, Sequence
 from numbers import Integral, Real
 
+from armperturb.files import packaged_table
+
+RANGES: dict[str, dict[str, dict[str, float]]] = packaged_table(__package__, "ranges.toml")
+"""Class to field to the bounds of its number, as arguments of `require_number`."""
+
 
 def require_number(
     owner: str,
@@ -44,6 +49,21 @@ def require_number(
         if math.isfinite(bound)
     ]
     raise ValueError(f"{owner}: {field} = {value!r}; expected a finite number {' and '.join(expected)}".rstrip())
+
+
+def require_ranges(owner: str, settings: object) -> None:
+    """Refuse settings of which a number is out of the range that `ranges.toml` has for their class.
+
+    Args:
+      owner: what they are, for the message.
+      settings: instance of a class in `RANGES`.
+
+    Raises:
+      TypeError: a field is not a number.
+      ValueError: it is not finite or out of its range.
+    """
+    for field, bounds in RANGES[type(settings).__name__].items():
+        require_number(owner, field, getattr(settings, field), **bounds)
 
 
 def require_whole(owner: str, field: str, value: object, *, at_least: int) -> None:

@@ -241,9 +241,10 @@ def thesis_report(thesis_study, once):
     return once("thesis report", make)
 
 
-def sketch(study, out, figures=()):
+def sketch(study, out, figures=(), workers=1):
     """The text of a report without figures but these, and without further simulations."""
-    return write_report(study, out, figures=figures, simulate=False, show_progress=False).read_text(encoding="utf-8")
+    path = write_report(study, out, figures=figures, simulate=False, workers=workers, show_progress=False)
+    return path.read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")

@@ -22,7 +22,7 @@ LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
 STUDY = LAB | ANALYSIS | {"envs.lab", "archive", "workers", "progress", "study.protocol", "study.published"}
 ARROWS = {
     "arrays": set(),
-    "validation": set(),
+    "validation": {"files"},
     "files": set(),
     "extras": set(),
     "seeds": set(),

@@ -7,15 +7,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armperturb.environment import Environment
+from armperturb.environment import Environment, Strap
+from armperturb.muscle_law import MuscleLaw
 from armperturb.study.published import tables as published
 from armperturb.subject import POSITION, PRESETS, RELAX, Subject
+from armperturb.validation import RANGES
 
 
 @pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
 def test_file_gives_back_the_same_subject(preset, tmp_path):
     preset.save(tmp_path / "subject.toml")
     assert Subject.load(tmp_path / "subject.toml") == preset
+
+
+def test_every_number_has_a_range():
+    others = {Subject: {"task", "muscle", "name"}, MuscleLaw: {"parts"}}
+    for kind in (Subject, MuscleLaw, Environment, Strap):
+        numbers = {field.name for field in dataclasses.fields(kind)} - others.get(kind, set())
+        assert RANGES[kind.__name__].keys() == numbers
 
 
 def test_presets_hold_the_published_means():
@@ -50,13 +59,13 @@ def test_joint_matrix_and_muscle_groups():
         ({"m_f": -1.0}, r"m_f = -1.0; expected a finite number above 0"),
         ({"l_h": -0.3}, r"l_h = -0.3; expected a finite number above 0"),
         ({"Td_s": 0.0}, r"Td_s = 0.0; expected a finite number above 0"),
-        ({"fact_e": 0.0}, r"fact_e = 0.0; expected a finite number above 0"),
+        ({"fact_e": 0.0}, r"fact_e = 0.0; expected a finite number at least 0.01 and at most 1000"),
         ({"k_h": float("inf")}, r"k_h = inf; expected a finite number above 0"),
         ({"b_s": -0.1}, r"b_s = -0.1; expected a finite number at least 0"),
         ({"kv_s": float("nan")}, r"kv_s = nan; expected a finite number"),
         ({"theta_e_deg": 180.0}, r"theta_e_deg = 180.0; expected a finite number at least 5 and at most 175"),
-        ({"l_h": 330.0}, r"l_h = 330.0; expected a finite number at most 2"),
-        ({"Td_s": 30.0}, r"Td_s = 30.0; expected a finite number at most 1"),
+        ({"l_h": 330.0}, r"l_h = 330.0; expected a finite number above 0 and at most 2"),
+        ({"Td_s": 30.0}, r"Td_s = 30.0; expected a finite number above 0 and at most 1"),
         ({"fact_s": 1e-9}, r"fact_s = 1e-09; expected a finite number at least 0.01"),
         ({"m_h": 10**400}, r"m_h = 1000.*; expected a finite number above 0"),
         ({"task": "XT"}, r"task = 'XT'; expected one of PT, RT"),

@@ -11,7 +11,7 @@ import inspect
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
-from typing import Concatenate, NamedTuple, ParamSpec, Self, TypeAlias, TypeVar
+from typing import Any, Concatenate, NamedTuple, ParamSpec, Self, TypeAlias, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -70,7 +70,7 @@ class ConditionTrials:
     whole: Self | None = None
     given: tuple[Environment, NoiseLevels] | None = None
     last: int | None = None
-    _results: dict[object, object] = field(default_factory=dict, init=False, repr=False)
+    results: dict[object, Any] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def prepare(cls, recording: xr.Dataset, *, is_checked: bool = False) -> Self:
@@ -413,9 +413,9 @@ def per_trials(
         call = signature.bind(ready, *args, **options)
         call.apply_defaults()
         key = (function, tuple(call.arguments.items())[1:])
-        if key not in ready._results:
-            ready._results[key] = function(ready, *args, **options)
-        return ready._results[key]  # type: ignore[return-value]
+        if key not in ready.results:
+            ready.results[key] = function(ready, *args, **options)
+        return ready.results[key]
 
     return remembered
 

@@ -9,7 +9,7 @@ from scipy.fft import irfft
 
 from armperturb.perturbations.crest import N_STARTS, reduce_crest
 from armperturb.perturbations.perturbation import sample_times
-from armperturb.validation import require_number, require_one_of
+from armperturb.validation import require_one_of, require_ranges
 
 DESIGN_RATE = 200.0
 """Rate of the thesis's recordings [Hz]."""
@@ -77,8 +77,7 @@ class Multisine:
     duration: float = 32.0
 
     def __post_init__(self) -> None:
-        require_number("Multisine", "rms", self.rms, above=0.0)
-        require_number("Multisine", "duration", self.duration, above=0.0)
+        require_ranges("Multisine", self)
         require_one_of("Multisine", "reduced", self.reduced, tuple(REDUCED_RATIO))
         phases = np.array(self.phases, dtype=float)
         if phases.shape != (2, CLUSTERS.size) or not np.isfinite(phases).all():

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armperturb.perturbations.perturbation import sample_times
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_ranges
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,10 +32,7 @@ class Pulse:
     width: float = 0.08
 
     def __post_init__(self) -> None:
-        for name in ("peak", "width", "duration"):
-            require_number("Pulse", name, getattr(self, name), above=0.0)
-        for name in ("direction_deg", "onset"):
-            require_number("Pulse", name, getattr(self, name))
+        require_ranges("Pulse", self)
         latest = self.duration - self.width
         if latest < 0.0:
             raise ValueError(f"Pulse: width = {self.width:g} s; expected at most the duration, {self.duration:g} s")

@@ -160,17 +160,19 @@ def _excitation(p: Lane, q_s: float, q_e: float, w_s: float, w_e: float, out: Ar
 def _reflexes(p: Lane, excitation: Array, filters: Array, motor: Array, step: int, timestep: float, out: Array) -> None:
     """Delayed torque of the reflexes at the start, middle and end of a step, (3, joint)."""
     n_history = len(motor)
+    newest = step % n_history
     for joint in range(2):
         u = excitation[joint]
         sent = p.numerator[0, joint] * u + filters[0, joint]
         filters[0, joint] = p.numerator[1, joint] * u - p.denominator[1, joint] * sent + filters[1, joint]
         filters[1, joint] = p.numerator[2, joint] * u - p.denominator[2, joint] * sent
-        motor[step % n_history, joint] = -sent
+        motor[newest, joint] = -sent
+        delay = p.delay[joint] / timestep
         for stage in range(3):
-            back = p.delay[joint] / timestep - 0.5 * stage
+            back = delay - 0.5 * stage
             whole = math.floor(back)
-            newer = motor[(step - whole) % n_history, joint]
-            older = motor[(step - whole - 1) % n_history, joint]
+            place = newest - whole if newest >= whole else newest - whole + n_history  # a remainder takes far longer
+            newer, older = motor[place, joint], motor[place - 1 if place > 0 else n_history - 1, joint]
             out[stage, joint] = newer + (back - whole) * (older - newer)
 
 

@@ -1,5 +1,6 @@
 """One look for all figures: settings, colours, and how they are saved."""
 
+import io
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -94,28 +95,37 @@ def save_plot(result: Any, path: Path) -> None:
     save_svg(figure, path)
 
 
-@in_style()
 def save_svg(figure: Figure, path: Path) -> None:
-    """Write a figure as SVG that needs nothing else, whole or not at all.
+    """Write a figure as `svg` gives it, whole or not at all.
 
     Raises:
       OSError: the folder cannot be written to.
     """
-    _arrange(figure)
     with written_whole(path) as temporary:
-        figure.savefig(temporary, format="svg", metadata={"Date": None})
+        temporary.write_bytes(svg(figure))
 
 
-@in_style()
 def save_png(figure: Figure, path: Path, dots_per_inch: float = 150.0) -> None:
     """Write a figure as PNG, whole or not at all.
 
     Raises:
       OSError: the folder cannot be written to.
     """
-    _arrange(figure)
     with written_whole(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=dots_per_inch)
+        temporary.write_bytes(_saved(figure, format="png", dpi=dots_per_inch))
+
+
+def svg(figure: Figure) -> bytes:
+    """A figure as SVG that needs nothing else; the same bytes whenever it is drawn."""
+    return _saved(figure, format="svg", metadata={"Date": None})
+
+
+@in_style()
+def _saved(figure: Figure, **options: Any) -> bytes:
+    _arrange(figure)
+    content = io.BytesIO()
+    figure.savefig(content, **options)
+    return content.getvalue()
 
 
 def _arrange(figure: Figure) -> None:

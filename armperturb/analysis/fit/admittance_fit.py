@@ -8,6 +8,7 @@ information, and with the sum of squares over N = 4 n_f they are twice the scatt
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -161,7 +162,7 @@ def fit_admittance(
         if solutions[0].cost > PERFECT * len(problem.frequency):
             solutions += [least_squares(problem, values, with_penalty=True) for values in stable[1:]]
         best = min(solutions, key=lambda solution: solution.cost)
-    return batch.judge(best.x[None], [best.status], use_penalty)[0]
+    return batch.judge(best.x[None], [best.status], np.array([use_penalty]))[0]
 
 
 def fit_admittances(
@@ -169,7 +170,7 @@ def fit_admittances(
     structures: Sequence[Structure | str],
     *,
     initials: Sequence[Mapping[str, float] | None],
-    use_penalty: bool = True,
+    use_penalty: bool | Sequence[bool] = True,
     delay: Delay = "exact",
 ) -> list[AdmittanceFit]:
     """Fit an arm model to each of many admittances as published, see `fit_admittance`.
@@ -181,7 +182,7 @@ def fit_admittances(
         share stands here once for each.
       structures: model structure of each fit, or its name in `STRUCTURES`.
       initials: where each fit starts, (target,): values of free parameters, SI; the published value where not given.
-      use_penalty: whether to push fits away from instability (eq. 2.21).
+      use_penalty: whether to push fits away from instability (eq. 2.21); of all, or each.
       delay: "exact", or the thesis's "pade".
 
     Returns:
@@ -192,15 +193,18 @@ def fit_admittances(
     """
     if not targets:
         return []
-    batch = _Batch.of(targets, [structure_of(structure) for structure in structures], delay)
+    with_penalty = np.broadcast_to(use_penalty, len(targets))
+    order = np.argsort(~with_penalty, kind="stable")
+    with_penalty = with_penalty[order]
+    batch = _Batch.of([targets[i] for i in order], [structure_of(structures[i]) for i in order], delay)
     problem, sizes = batch.problem, batch.sizes
     first = np.zeros_like(problem.lower)
-    for row, structure, initial in zip(first, batch.structures, initials, strict=True):
-        row[: len(structure.free)] = _checked_initial(structure, initial)
+    for row, structure, i in zip(first, batch.structures, order, strict=True):
+        row[: len(structure.free)] = _checked_initial(structure, initials[i])
     batch.require_identifiable(first)
     scale = np.where(first != 0, np.abs(first), 1.0)
     search = minimise(
-        _Published(batch, scale, use_penalty),
+        _Published(batch, scale, with_penalty),
         np.clip(first, problem.lower, problem.upper) / scale,
         problem.lower / scale,
         problem.upper / scale,
@@ -210,7 +214,8 @@ def fit_admittances(
         sizes=sizes,
     )
     values = np.clip(search.x * scale, problem.lower, problem.upper)
-    return batch.judge(values, search.status, use_penalty)
+    fits = batch.judge(values, search.status, with_penalty)
+    return [fits[place] for place in np.argsort(order)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,18 +315,20 @@ class _Batch:
             f"{', '.join(parts)} change no response; expected fewer free parameters"
         )
 
-    def judge(self, values: Array, status: Sequence[int] | NDArray[np.int64], use_penalty: bool) -> list[AdmittanceFit]:
+    def judge(
+        self, values: Array, status: Sequence[int] | NDArray[np.int64], with_penalty: NDArray[np.bool_]
+    ) -> list[AdmittanceFit]:
         """The fits of a batch at its solutions, with all that a reader must know to trust them or not.
 
         Args:
           values: solutions, (batch, parameter).
           status: why each search stopped, see `trust_region`.
-          use_penalty: whether the criterion has one.
+          with_penalty: whether the criterion has one, (batch,).
         """
         lower, upper = self.problem.lower, self.problem.upper
         modulus, slope = self.problem.modulus_and_slope(values)
         poles = self.problem.largest_pole(values).real
-        factors = penalty_factor(poles) if use_penalty else np.ones(len(values))
+        factors = np.where(with_penalty, penalty_factor(poles), 1.0)
         criteria = np.mean(modulus**2, axis=-1) * factors**2
         near = np.minimum(values - lower, upper - values) <= AT_BOUND * (upper - lower)
         fits = []
@@ -356,28 +363,36 @@ class _Batch:
 class _Published:
     """A batch of problems as lsqnonlin had them in appendix C, but for the derivatives, which are exact here.
 
-    Residuals are moduli, and parameters are normalised by their start.
+    Residuals are moduli, and parameters are normalised by their start. Problems with a penalty come first.
     """
 
     batch: _Batch
     scale: Array
-    with_penalty: bool
+    with_penalty: NDArray[np.bool_]
 
     def take(self, index: NDArray[np.int64]) -> Self:
         """Some of the problems, in this order."""
-        return type(self)(self.batch.take(index), self.scale[index], self.with_penalty)
+        return type(self)(self.batch.take(index), self.scale[index], self.with_penalty[index])
 
     def evaluate(self, x: Array) -> tuple[Array, Array]:
         """Residuals and their derivatives, see `trust_region.Problems`."""
         values = x * self.scale
         modulus, slope = self.batch.problem.modulus_and_slope(values)
-        if self.with_penalty:
-            factor, gradient = self.batch.problem.penalty_and_gradient(values)
-            slope *= (factor[:, None] * self.scale)[:, None]
-            slope += modulus[..., None] * (gradient * self.scale)[:, None]
-            return modulus * factor[:, None], slope
         slope *= self.scale[:, None]
+        n, problem = self._penalised
+        if n:
+            factor, gradient = problem.penalty_and_gradient(values[:n])
+            slope[:n] *= factor[:, None, None]
+            slope[:n] += modulus[:n, :, None] * (gradient * self.scale[:n])[:, None]
+            modulus[:n] *= factor[:, None]
         return modulus, slope
+
+    @cached_property
+    def _penalised(self) -> tuple[int, AdmittanceProblem]:
+        """How many problems have a penalty, and they alone."""
+        n = int(np.count_nonzero(self.with_penalty))
+        whole = self.batch.problem
+        return n, whole if n == len(self.scale) else whole.take(np.arange(n))
 
 
 def _checked_initial(structure: Structure, initial: Mapping[str, float] | None) -> Array:

@@ -191,17 +191,18 @@ class Wanted(NamedTuple):
       trials: of one person in one condition.
       structure: model structure, or its name in `STRUCTURES`.
       initial: parameter vector to start from, SI; the structure's own where not given.
+      use_penalty: whether to push fits away from instability (eq. 2.21).
     """
 
     trials: ConditionTrials
     structure: Structure | str
     initial: Mapping[str, float] | None = None
+    use_penalty: bool = True
 
 
 def fit_wanted(
     wanted: Sequence[Wanted],
     *,
-    use_penalty: bool = True,
     as_published: bool = True,
     delay: Delay = "pade",
     window_start: float = WINDOW_START,
@@ -209,9 +210,10 @@ def fit_wanted(
 ) -> list[ThesisEstimate]:
     """Fit structures to trials, all together, which is many times faster than one by one.
 
+    Fits are kept with their trials: what was fitted before, with the same options, is not fitted again.
+
     Args:
       wanted: which fits.
-      use_penalty: whether to push fits away from instability (eq. 2.21).
       as_published: see the head of this module and `fit_admittance`.
       delay: "exact", or the thesis's "pade".
       window_start: start of the spectral window [s].
@@ -223,47 +225,56 @@ def fit_wanted(
     Raises:
       ValueError: trials give no spectra, or structure or initial vector are refused.
     """
+    options = (as_published, delay, window_start, period)
+    keys = [
+        (fit_wanted, each.structure, tuple((each.initial or {}).items()), each.use_penalty, *options) for each in wanted
+    ]
+    new = [(each, key) for each, key in zip(wanted, keys, strict=True) if key not in each.trials.results]
     alike: dict[int, list[tuple[int, Target]]] = {}
-    for i, (trials, _, _) in enumerate(wanted):
-        for target in _targets(trials, window_start=window_start, period=period):
+    for i, (each, _) in enumerate(new):
+        for target in _targets(each.trials, window_start=window_start, period=period):
             alike.setdefault(np.size(target.frequency), []).append((i, target))
-    fits: list[list[AdmittanceFit]] = [[] for _ in wanted]
+    fits: list[list[AdmittanceFit]] = [[] for _ in new]
     for members in alike.values():
         if as_published:
             fitted = fit_admittances(
                 [target for _, target in members],
-                [wanted[i].structure for i, _ in members],
-                initials=[wanted[i].initial for i, _ in members],
-                use_penalty=use_penalty,
+                [new[i][0].structure for i, _ in members],
+                initials=[new[i][0].initial for i, _ in members],
+                use_penalty=[new[i][0].use_penalty for i, _ in members],
                 delay=delay,
             )
         else:
             fitted = [
                 fit_admittance(
                     **vars(target),
-                    structure=wanted[i].structure,
-                    initial=wanted[i].initial,
-                    use_penalty=use_penalty,
+                    structure=new[i][0].structure,
+                    initial=new[i][0].initial,
+                    use_penalty=new[i][0].use_penalty,
                     delay=delay,
                 )
                 for i, target in members
             ]
         for (i, _), fit in zip(members, fitted, strict=True):
             fits[i].append(fit)
-    return [
-        ThesisEstimate(
-            structure=fits[i][0].structure,
+    for of_trials, ((trials, *_), key) in zip(fits, new, strict=True):
+        trials.results[key] = ThesisEstimate(
+            structure=of_trials[0].structure,
             subjects=(trials.body.name,) * trials.n_trials,
             environment=trials.environment,
-            fits=tuple(fits[i]),
-            vaf=np.array([trial_vaf(trials, n, fit.arm, trials.environment) for n, fit in enumerate(fits[i])]),
+            fits=tuple(of_trials),
+            vaf=np.array([trial_vaf(trials, n, fit.arm, trials.environment) for n, fit in enumerate(of_trials)]),
         )
-        for i, (trials, _, _) in enumerate(wanted)
-    ]
+    return [each.trials.results[key] for each, key in zip(wanted, keys, strict=True)]
 
 
 def fit_trials(
-    trials: Trials, structure: Structure | str, *, initial: Mapping[str, float] | None = None, **options: Any
+    trials: Trials,
+    structure: Structure | str,
+    *,
+    initial: Mapping[str, float] | None = None,
+    use_penalty: bool = True,
+    **options: Any,
 ) -> ThesisEstimate:
     """Fit a structure to the admittance of each trial.
 
@@ -271,12 +282,13 @@ def fit_trials(
       trials: of one person in one condition, or their recording.
       structure: model structure, or its name in `STRUCTURES`.
       initial: parameter vector to start from, SI; the structure's own where not given.
+      use_penalty: whether to push fits away from instability (eq. 2.21).
       **options: of `fit_wanted`.
 
     Raises:
       ValueError: the recording is refused or gives no spectra, or structure or initial are refused.
     """
-    return fit_wanted([Wanted(prepared(trials), structure, initial)], **options)[0]
+    return fit_wanted([Wanted(prepared(trials), structure, initial, use_penalty)], **options)[0]
 
 
 def join_estimates(estimates: Sequence[ThesisEstimate]) -> ThesisEstimate:

@@ -285,24 +285,6 @@ def shapiro(values: ArrayLike) -> tuple[Normality, ...]:
     return tuple(outcome)
 
 
-def paired_t(first: ArrayLike, second: ArrayLike) -> PairedT:
-    """Two-sided dependent t-test.
-
-    Args:
-      first: one value per person, of at least three people, (subject,).
-      second: of the same people in the same order, (subject,).
-
-    Raises:
-      ValueError: there are fewer people, not as many of both, or a value is not finite.
-    """
-    a, b = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
-    if a.ndim != 1 or a.shape != b.shape:
-        raise ValueError(
-            f"first of shape {a.shape}, second of shape {b.shape}; expected a value of each person in both"
-        )
-    return _paired_t(_table(np.column_stack([a, b])), 0, 1, 1)
-
-
 def post_hoc(
     values: ArrayLike, *, subjects: Sequence[str] | None = None, conditions: Sequence[str] | None = None
 ) -> dict[tuple[int, int], PairedT]:

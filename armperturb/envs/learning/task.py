@@ -3,7 +3,7 @@
 import functools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from armperturb.envs.lab.trial import Trial, require_integrable
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, Sampled, check_bandwidth
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.subject import POSITION, RELAX, TASKS, Subject, at_level
-from armperturb.validation import require_number, require_one_of
+from armperturb.validation import require_number, require_one_of, require_ranges
 
 PERTURBATIONS = ("none", "multisine", "pulse", "multisine-pulse")
 """What may push the handle."""
@@ -34,10 +34,7 @@ REALISATIONS = 8
 """Multisines of lowered crest factor among which trials choose; each begins anywhere in its period."""
 
 LARGEST = 1e6
-"""Of forces, weights, gains and rates: what is larger is a slip, and numerics would suffer."""
-
-SHORTEST_STEP = 1e-5
-"""Of the simulation [s]."""
+"""Of forces: what is larger is a slip, and numerics would suffer."""
 
 Choices = float | tuple[float, ...]
 
@@ -129,17 +126,7 @@ class TaskSettings:
                 require_number(owner, name, value, above=0.0, at_most=LARGEST)
         for value in _choices("directions_deg", self.directions_deg):
             require_number(owner, "directions_deg", value)
-        for name in ("duration", "control_rate", "timestep", "highest_level", "highest_torque"):
-            require_number(owner, name, getattr(self, name), above=0.0, at_most=LARGEST)
-        require_number(owner, "duration", self.duration, at_most=3600.0)
-        require_number(owner, "timestep", self.timestep, at_least=SHORTEST_STEP)
-        for name in (
-            *("activation_time", "proprioceptive_delay", "visual_delay", "visual_gain"),
-            *(weight.name for weight in fields(self) if weight.name.endswith("_weight")),
-        ):
-            require_number(owner, name, getattr(self, name), at_least=0.0, at_most=LARGEST)
-        for name in ("proprioceptive_delay", "visual_delay"):
-            require_number(owner, name, getattr(self, name), at_most=10.0)
+        require_ranges(owner, self)
         steps = f"steps of {self.timestep:g} s in a decision"
         _require_whole("control_rate", self.control_rate, "Hz", 1.0 / (self.control_rate * self.timestep), steps)
         _require_whole("duration", self.duration, "s", self.duration * self.control_rate, "decisions")

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from armperturb.arrays import Array
 from armperturb.envs.render.gl import close_at_exit, gl_help, new_context
+from armperturb.validation import require_one_of
 
 DISTURBANCE, REACTION, PATH = "#D55E00", "#0072B2", "#CC79A7"
 """Colours of the force on the manipulator, the force on the hand, and the handle's path, from Okabe and Ito's
@@ -191,8 +192,7 @@ class Camera:
         return np.asarray(self.model.body("manipulator").pos + over)
 
     def _view(self, view: str) -> int:
-        if view not in self.views:
-            raise ValueError(f"Camera: view = {view!r}; expected one of {', '.join(self.views)}")
+        require_one_of("Camera", "view", view, self.views)
         return self.views.index(view)
 
     def _update(self, pose: Array) -> None:

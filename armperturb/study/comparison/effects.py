@@ -15,7 +15,6 @@ from armperturb.analysis.measures.statistics import (
     FEWEST,
     adjacent_effects,
     effect_of_condition,
-    paired_t,
     post_hoc,
 )
 from armperturb.arrays import Array
@@ -186,7 +185,7 @@ class _Tests:
         table = self.table(what, values, ("level 2", "level 1"))
         if table is None:
             return
-        test = paired_t(table[:, 0], table[:, 1])
+        test = post_hoc(table)[0, 1]
         self.rows.append(
             {
                 "quantity": "pulse admittance",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armperturb.analysis.measures.statistics import FEWEST, effect_of_condition, paired_t, post_hoc
+from armperturb.analysis.measures.statistics import FEWEST, effect_of_condition, post_hoc
 from armperturb.arrays import Array
 from armperturb.study.published import tables as published
 from armperturb.study.results.quantities import JOINT_LETTERS, Cell
@@ -138,7 +138,7 @@ def _levels(people: Sequence[PersonMeasures]) -> list[Headline]:
         p = ratio
         if len(values):
             ratio = float(values[:, 0].mean() / values[:, 1].mean())
-            p = TOO_FEW if len(values) < FEWEST else paired_t(values[:, 0], values[:, 1]).p
+            p = TOO_FEW if len(values) < FEWEST else post_hoc(values)[0, 1].p
         lines.append(_headline(f"pulse_admittance_ratio_max_min_{condition.lower()}", ratio))
         lines.append(_headline(f"p_pulse_admittance_level_{condition.lower()}", p, "dependent t-test"))
     return lines

@@ -207,7 +207,7 @@ class Optimum(NamedTuple):
     excess: float
 
 
-class _Shares(NamedTuple):
+class _Shares:
     """The problem in shares of some mean square force that the limits allow, one per cluster and axis, x first.
 
     Attributes:
@@ -219,12 +219,29 @@ class _Shares(NamedTuple):
       held: demand for which the person is as noisy, whatever the shares [Nm^2], (joint,); None for that of the shares.
     """
 
-    experiment: Experiment
-    goal: list[int]
-    limits: Array
-    spreading: Array
-    demand: Array
-    held: Array | None
+    def __init__(
+        self,
+        experiment: Experiment,
+        clusters: int,
+        goal: Sequence[str],
+        limits: Limits,
+        spread: float,
+        held: Array | None,
+    ) -> None:
+        self.experiment, self.held = experiment, held
+        self.goal = [experiment.names.index(name) for name in goal]
+        n_lines = len(experiment.frequency) // clusters
+        even = np.kron((1.0 - spread) * np.eye(clusters) + spread / clusters, np.full((n_lines, 1), 1.0 / n_lines))
+        spreading = np.zeros((clusters * n_lines, 2, 2 * clusters))
+        spreading[:, 0, :clusters] = spreading[:, 1, clusters:] = limits.force**2 * even
+        columns = np.moveaxis(spreading, 2, 0)
+        force = np.array([column.sum(axis=0) for column in columns]).T / limits.force**2
+        displacement = np.array([experiment.displacement(column) for column in columns]).T / limits.displacement**2
+        demand = np.array([experiment.demand(column) for column in columns]).T
+        allowed = np.concatenate([force, displacement, *([] if held is None else [demand / held[:, None]])])
+        # In shares of about one, where limits other than that of the force allow far less than it.
+        unit = 1.0 / max(1.0, float(allowed.max(axis=0).min()))
+        self.limits, self.spreading, self.demand = unit * allowed, unit * spreading, unit * demand
 
     def power(self, share: Array) -> Array:
         return np.asarray(self.spreading @ share)
@@ -239,13 +256,11 @@ class _Shares(NamedTuple):
         if self.held is not None:
             return np.zeros_like(share)
         slopes = self.experiment.slopes(self.power(share), self.demand @ share)
-        covariance = _inverse(np.einsum("sij,s->ij", self.parts(share), share))
-        return -_weight(covariance, self.goal, slopes) @ self.demand
+        return -_weight(_covariance(self.parts(share), share), self.goal, slopes) @ self.demand
 
     def criterion(self, share: Array) -> float:
         """Mean logarithm of the goal's standard errors from a second."""
-        covariance = _inverse(np.einsum("sij,s->ij", self.parts(share), share))
-        return 0.5 * float(np.mean(np.log(np.diag(covariance)[self.goal])))
+        return 0.5 * float(np.mean(np.log(np.diag(_covariance(self.parts(share), share))[self.goal])))
 
 
 def optimise(
@@ -271,7 +286,7 @@ def optimise(
     Raises:
       ValueError: no multisine at these lines tells about all parameters; the message names those.
     """
-    problem = _problem(experiment, clusters, goal, limits, spread, held)
+    problem = _Shares(experiment, clusters, goal, limits, spread, held)
     share = np.full(2 * clusters, 0.5 / (2 * clusters))
     share *= 0.5 / max(float(np.max(problem.limits @ share)), 0.5)
     require_informative(np.einsum("sij,s->ij", problem.parts(share), share), experiment.names)
@@ -292,39 +307,19 @@ def optimise(
 def _excess(problem: _Shares, share: Array) -> float:
     """By how much the criterion could fall along its slope within the limits [-]."""
     parts = problem.parts(share)
-    covariance = _inverse(np.einsum("sij,s->ij", parts, share))
-    slope = problem.price(share) - _weight(covariance, problem.goal, parts)
+    slope = problem.price(share) - _weight(_covariance(parts, share), problem.goal, parts)
     furthest = optimize.linprog(slope, A_ub=problem.limits, b_ub=np.ones(len(problem.limits)))
     return float(slope @ share - furthest.fun)
-
-
-def _problem(
-    experiment: Experiment, clusters: int, goal: Sequence[str], limits: Limits, spread: float, held: Array | None
-) -> _Shares:
-    n_lines = len(experiment.frequency) // clusters
-    even = np.kron((1.0 - spread) * np.eye(clusters) + spread / clusters, np.full((n_lines, 1), 1.0 / n_lines))
-    spreading = np.zeros((clusters * n_lines, 2, 2 * clusters))
-    spreading[:, 0, :clusters] = spreading[:, 1, clusters:] = limits.force**2 * even
-    columns = np.moveaxis(spreading, 2, 0)
-    force = np.array([column.sum(axis=0) for column in columns]).T / limits.force**2
-    displacement = np.array([experiment.displacement(column) for column in columns]).T / limits.displacement**2
-    demand = np.array([experiment.demand(column) for column in columns]).T
-    allowed = np.concatenate([force, displacement, *([] if held is None else [demand / held[:, None]])])
-    # In shares of about one, where limits other than that of the force allow far less than it.
-    unit = 1.0 / max(1.0, float(allowed.max(axis=0).min()))
-    return _Shares(
-        experiment=experiment,
-        goal=[experiment.names.index(name) for name in goal],
-        limits=unit * allowed,
-        spreading=unit * spreading,
-        demand=unit * demand,
-        held=held,
-    )
 
 
 def _inverse(information: Array) -> Array:
     scale = 1.0 / np.sqrt(np.diag(information))
     return np.asarray(np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale))
+
+
+def _covariance(parts: Array, share: Array) -> Array:
+    """Covariance of the estimates, from the information per share."""
+    return _inverse(np.einsum("sij,s->ij", parts, share))
 
 
 def _weight(covariance: Array, goal: list[int], parts: Array) -> Array:
@@ -368,8 +363,7 @@ def _barrier(parts: Array, goal: list[int], price: Array, limits: Array, share: 
     room = 1.0 - limits @ share
     if not ((share > 0.0).all() and (room > 0.0).all()):
         return np.inf
-    covariance = _inverse(np.einsum("sij,s->ij", parts, share))
-    criterion = 0.5 * np.mean(np.log(np.diag(covariance)[goal])) + price @ share
+    criterion = 0.5 * np.mean(np.log(np.diag(_covariance(parts, share))[goal])) + price @ share
     return float(sharpness * criterion - np.sum(np.log(share)) - np.sum(np.log(room)))
 
 
@@ -381,7 +375,7 @@ def _with_barrier(
     With c the goal's column of the covariance C and u_s = M_s c: the logarithm of C_ii has the slope -c u_s / C_ii and
     the curvature 2 u_s C u_t / C_ii less the product of the slopes.
     """
-    covariance = _inverse(np.einsum("sij,s->ij", parts, share))
+    covariance = _covariance(parts, share)
     slope, curvature = np.zeros_like(share), np.zeros((len(share), len(share)))
     for place in goal:
         column = covariance[:, place] / np.sqrt(covariance[place, place])

@@ -6,7 +6,7 @@ are pushed less is known of the synthetic ones alone. So by default the noise is
 multisine, and no joint is loaded more than by that one; what quieter people would add is told beside it.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
@@ -21,7 +21,7 @@ from armperturb.analysis.arm.linear_arm import total_admittance
 from armperturb.analysis.fit.joint_likelihood import SHARES
 from armperturb.analysis.fit.structures import true_values, unit
 from armperturb.analysis.results import Description, Result
-from armperturb.arrays import Array
+from armperturb.arrays import Array, ComplexArray
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.envs.lab.instruments import Instruments
@@ -266,17 +266,12 @@ def design(settings: DesignSettings) -> Design:
     if settings.peak is not None:
         scale = min(scale, settings.peak / max(float(np.abs(perturbation.force).max()) for perturbation in drawn))
 
-    def signal(of: Experiment, powers: Array) -> Signal:
-        return _signal(
-            of, powers, usual_demand, lambda demand: of.information(powers, demand), duration, settings.trials
-        )
-
     return Design(
         settings=settings,
         names=structure.free,
         truth=true_values(settings.subject, structure),
-        thesis=signal(usual, thesis),
-        optimised=signal(best, scale**2 * optimum.power),
+        thesis=_signal(usual, thesis, usual_demand, duration, settings.trials),
+        optimised=_signal(best, scale**2 * optimum.power, usual_demand, duration, settings.trials),
         proposed=None if settings.perturbation is None else proposed_signal(settings, usual_demand),
         perturbations=tuple(
             Sampled(force=scale * perturbation.force, rate=perturbation.rate) for perturbation in drawn
@@ -311,14 +306,7 @@ def proposed_signal(settings: DesignSettings, usual_demand: Array) -> Signal:
     usable = (frequency > 0.0) & (frequency < DESIGN_RATE / 2.0)  # a constant force tells nothing of what moves
     of, amplitudes = experiment_at(settings, frequency[usable]), spectrum[usable]
     try:
-        return _signal(
-            of,
-            np.abs(amplitudes) ** 2 / 2.0,
-            usual_demand,
-            lambda demand: of.information_of(amplitudes, demand),
-            lasts,
-            settings.trials,
-        )
+        return _signal(of, np.abs(amplitudes) ** 2 / 2.0, usual_demand, lasts, settings.trials, amplitudes)
     except ValueError as error:
         raise ValueError(f"perturbation: {error}") from None
 
@@ -327,11 +315,15 @@ def _signal(
     of: Experiment,
     powers: Array,
     usual_demand: Array,
-    information: Callable[[Array], Array],
     duration: float,
     trials: int,
+    amplitudes: ComplexArray | None = None,
 ) -> Signal:
-    """What lines tell; `told` gives the information per second for a demand."""
+    """What lines tell, of any phases or of those of the amplitudes, (frequency, axis)."""
+
+    def information(demand: Array) -> Array:
+        return of.information(powers, demand) if amplitudes is None else of.information_of(amplitudes, demand)
+
     demand_alone = of.demand(powers)
     demands: dict[NoiseLaw, Array] = {"held": np.maximum(demand_alone, usual_demand), "follows": demand_alone}
     errors = {law: of.standard_error(information(demand), duration, trials) for law, demand in demands.items()}

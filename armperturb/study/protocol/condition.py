@@ -8,13 +8,10 @@ from typing import NamedTuple
 from armperturb.cohort import Person
 from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
 from armperturb.subject import TASKS, Subject, at_level
-from armperturb.validation import require_number, require_one_of, require_whole
+from armperturb.validation import require_number, require_one_of, require_ranges, require_whole
 
 PULSE_UNIT = "pulse_unit"
 """Key of the peak force of pulse level 1 [N] in a mapping of forces, beside the conditions' names."""
-
-MOST_CO_CONTRACTION = 10.0
-"""Highest level of co-contraction [-]: anything more is a slip in a file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,11 +54,8 @@ class Condition:
             raise ValueError(f"{owner}: name = {self.name!r}; expected another, this one means the unit of the pulses")
         require_one_of(owner, "task", self.task, TASKS)
         require_number(owner, "rms_displacement", self.rms_displacement, at_least=0.0, at_most=LARGEST_RMS_DISPLACEMENT)
-        require_number(owner, "published_force", self.published_force, at_least=0.0)
         require_whole(owner, "repetitions", self.repetitions, at_least=1)
-        require_number(owner, "co_contraction", self.co_contraction, above=0.0, at_most=MOST_CO_CONTRACTION)
-        require_number(owner, "reached", self.reached, at_least=0.1, at_most=10.0)
-        require_number(owner, "reached_spread", self.reached_spread, at_least=0.0, at_most=1.0)
+        require_ranges(owner, self)
         if self.task == "RT" and self.co_contraction != 1.0:
             raise ValueError(
                 f"{owner}: co_contraction = {self.co_contraction!r}; expected 1 in RT, as relaxed people do not adapt"

@@ -17,7 +17,7 @@ from armperturb.files import read_toml
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, draw_onset
 from armperturb.seeds import random_stream, trial_seed
 from armperturb.study.protocol.condition import PULSE_UNIT, Condition, PlannedTrial, numbers, require_different
-from armperturb.validation import require_keys, require_number, require_one_of
+from armperturb.validation import require_keys, require_one_of, require_ranges
 
 Made = TypeVar("Made")
 
@@ -77,8 +77,7 @@ class Protocol:
         require_one_of(owner, "forces", self.forces, FORCES)
         if self.strap is not None and not isinstance(self.strap, Strap):
             raise TypeError(f"{owner}: strap = {self.strap!r}; expected Strap or None")
-        for name in ("pulse_unit", "pulse_unit_factor", "trial_duration", "multisine_duration"):
-            require_number(owner, name, getattr(self, name), above=0.0)
+        require_ranges(owner, self)
         self._check_pulses(owner)
         if self.forces == "published":
             for condition in self.conditions:

@@ -1,21 +1,16 @@
 """The report of a study: tables, figures, and one HTML file that holds everything and opens offline."""
 
-import base64
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from importlib import metadata
-from operator import call
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any
 
 import jinja2
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from armperturb.files import write_csv, written_whole
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
-from armperturb.plots.style import save_svg
 from armperturb.progress import Progress
 from armperturb.study.comparison.effects import effects
 from armperturb.study.comparison.score import Score, score, write_score
@@ -25,34 +20,18 @@ from armperturb.study.recording.record import worker_count
 from armperturb.study.report import formats
 from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.nonlinear_tables import nonlinear_tables
+from armperturb.study.report.pictures import Picture, picture_units
 from armperturb.study.report.sections import Section, joint_rows, sections
 from armperturb.study.report.tables import write_tables
-from armperturb.study.results.appendix_fits import Appendices
-from armperturb.study.results.cache import ANALYSIS, CachedResult
+from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit, kept_or_computed
 from armperturb.study.results.mean_admittance import by_task, main_conditions
 from armperturb.study.results.study_result import StudyResult
-from armperturb.workers import Workers, completed, workers_for
-
-Result = TypeVar("Result")
+from armperturb.workers import Workers, workers_for
 
 MOST_WORKERS = 8
 """Processes that drawing is shared between at most: each has to load what draws."""
 
 SCORE = "score"
-
-
-class Picture(NamedTuple):
-    """A figure inside the report.
-
-    Attributes:
-      uri: the SVG itself, as a data URI.
-      width: [inch].
-      height: [inch].
-    """
-
-    uri: str
-    width: float
-    height: float
 
 
 def write_report(
@@ -86,22 +65,18 @@ def write_report(
     """
     rows = write_tables(study, out / "tables")
     tested, scored = effects(study), _score(study, out)
-    # Figures need none of the fits, which are many.
-    drawn = replace(study, appendices=Appendices())
     with workers_for(worker_count(workers, MOST_WORKERS), None) as pool:
         yielding, shoulder = _simulated(study, out, pool, show_progress) if simulate else (None, None)
-        (out / "figures").mkdir(exist_ok=True)
-        units = [
-            partial(_draw, name, draw, out / "figures")
-            for name, draw in drawings(drawn, tested, yielding).items()
-            if figures is None or name in figures
-        ]
-        pictures, not_drawn = {}, {}
-        for name, picture, reason in _each(units, pool, "figures", show_progress):
-            if picture is None:
-                not_drawn[name] = reason
-            else:
-                pictures[name] = picture
+        draws = {
+            name: draw for name, draw in drawings(study, tested, yielding).items() if figures is None or name in figures
+        }
+        with Progress("figures", total=len(draws), unit="figures", show=show_progress) as bar:
+            drawn = dict(zip(draws, kept_or_computed(picture_units(draws, out), pool, bar), strict=True))
+    pictures = {name: picture for name, picture in drawn.items() if isinstance(picture, Picture)}
+    (out / "figures").mkdir(exist_ok=True)
+    for name, picture in pictures.items():
+        with written_whole(out / "figures" / f"{name}.svg") as temporary:
+            temporary.write_text(picture.svg, encoding="utf-8", newline="")
     more = {
         "statistics": list(tested.rows),
         "statistics_pairs": list(tested.pairs),
@@ -113,8 +88,8 @@ def write_report(
     for name, lines in more.items():
         if lines:
             write_csv(lines, out / "tables" / f"{name}.csv")
-    parts = sections(study, scored, tested, rows, yielding, shoulder, {*pictures, *not_drawn})
-    page = _page(study, parts, pictures, not_drawn)
+    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn)
+    page = _page(study, parts, pictures, {name: why for name, why in drawn.items() if name not in pictures})
     report = out / "report.html"
     with written_whole(report) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -141,45 +116,21 @@ def _simulated(
     if has_law(person):
         functions = {"mechanisms": (why_people_yield, Yielding), **functions}
     source = {"person": repr(person), "environment": repr(study.environment), "seed": study.seed}
-    units = []
-    for kind, (function, result) in functions.items():
-        cached: CachedResult[Any] = CachedResult(
-            path=out / ANALYSIS / f"{kind}.json.gz", kind=kind, result=result, settings=source
+    units: list[Unit[Any]] = [
+        Unit(
+            cached=CachedResult(path=out / ANALYSIS / f"{kind}.json.gz", kind=kind, result=result, settings=source),
+            run=partial(function, person, environment=study.environment, seed=study.seed),
         )
-        simulate = partial(function, person, environment=study.environment, seed=study.seed)
-        units.append(partial(_cached, kind, cached, simulate))
-    results = dict(_each(units, pool, "mechanisms", show_progress))
+        for kind, (function, result) in functions.items()
+    ]
+    with Progress("mechanisms", total=len(units), unit="units", show=show_progress) as bar:
+        results = dict(zip(functions, kept_or_computed(units, pool, bar), strict=True))
     return results.get("mechanisms"), results["moving-shoulder"]
 
 
-def _cached(kind: str, cached: CachedResult[Result], simulate: Callable[[], Result]) -> tuple[str, Result]:
-    return kind, cached.get(simulate)
-
-
-def _draw(name: str, draw: Callable[[], Figure], folder: Path) -> tuple[str, Picture | None, str]:
-    """Name and picture, whose file is written too, or why there is none."""
-    try:
-        figure = draw()
-    except RuntimeError as error:  # this machine cannot draw the rig
-        return name, None, str(error)
-    path = folder / f"{name}.svg"
-    save_svg(figure, path)
-    content = base64.b64encode(path.read_bytes()).decode("ascii")
-    width, height = figure.get_size_inches()
-    return name, Picture(f"data:image/svg+xml;base64,{content}", float(width), float(height)), ""
-
-
-def _each(
-    units: Sequence[Callable[[], Result]], pool: Workers | None, label: str, show_progress: bool
-) -> Iterator[Result]:
-    """What each unit gives when it is called, as it comes."""
-    with Progress(label, total=len(units), unit="units", show=show_progress) as bar:
-        for result in map(call, units) if pool is None else completed(call, units, pool, bar.refresh):
-            bar.update()
-            yield result
-
-
-def _page(study: StudyResult, parts: Sequence[Section], pictures: dict[str, Picture], not_drawn: dict[str, str]) -> str:
+def _page(
+    study: StudyResult, parts: Sequence[Section], pictures: Mapping[str, Picture], not_drawn: Mapping[str, str]
+) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("armperturb.study.report"),
         autoescape=True,

@@ -2,10 +2,11 @@
 
 import os
 import shlex
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 from armperturb.analysis.trials import trials_by_condition
 from armperturb.cohort import Person
@@ -18,7 +19,7 @@ from armperturb.study.recording.manifest import Manifest, current_versions, read
 from armperturb.study.recording.record import record_study, worker_count
 from armperturb.study.recording.settings import BLOCK, StudySettings
 from armperturb.study.results.appendix_fits import Appendices, Key, SecondStep, fit_second_step, joined, means_of
-from armperturb.study.results.cache import ANALYSIS, CachedResult, StaleResult
+from armperturb.study.results.cache import ANALYSIS, CachedResult, StaleResult, Unit, computed, kept_or_computed
 from armperturb.study.results.cases import Case
 from armperturb.study.results.nonlinear_fits import NonlinearFit, fit_nonlinear
 from armperturb.study.results.person import PersonResults, analyse_person
@@ -26,7 +27,7 @@ from armperturb.study.results.settings import AnalysisSettings
 from armperturb.study.results.study_result import StudyResult
 from armperturb.subject import TASKS
 from armperturb.validation import require_number
-from armperturb.workers import Workers, completed, workers_for
+from armperturb.workers import Workers, workers_for
 
 Result = TypeVar("Result")
 
@@ -119,18 +120,6 @@ def analyse_study(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Unit(Generic[Result]):
-    """A result to be computed by a worker, and where it is kept."""
-
-    cached: CachedResult[Result]
-    compute: Callable[..., Result]
-    arguments: tuple[Any, ...]
-
-    def run(self) -> Result:
-        return self.compute(*self.arguments)
-
-
 class _NonlinearUnit(NamedTuple):
     """A recording to be identified nonlinearly in a task."""
 
@@ -220,14 +209,13 @@ class _Study:
           ValueError: a recording is refused, or two are of one person, who would count twice.
         """
         units = [
-            _Unit(
+            Unit(
                 cached=self._cached(path, "person", PersonResults, protocol=self.protocol.to_dict()),
-                compute=_analyse,
-                arguments=(path, self.protocol, self.settings),
+                run=partial(_analyse, path, self.protocol, self.settings),
             )
             for path in self.paths
         ]
-        results = zip(self.paths, _each(units, pool, bar), strict=True)
+        results = zip(self.paths, kept_or_computed(units, pool, bar), strict=True)
         people = dict(sorted(results, key=lambda item: item[1].measures.name))
         names = [person.measures.name for person in people.values()]
         for name in names:
@@ -247,8 +235,8 @@ class _Study:
         for path in self.paths:
             cached = self._cached(path, "step-2", SecondStep)
             everybody = replace(cached, recordings={path.name: sha256 for path, sha256 in self.paths.items()})
-            units.append(_Unit(cached=everybody, compute=_second_step, arguments=(path, means)))
-        second = _each(units, pool, bar)
+            units.append(Unit(cached=everybody, run=partial(_second_step, path, means)))
+        second = kept_or_computed(units, pool, bar)
         return Appendices(first=first, second=joined(step.estimates for step in second), starts=starts), second
 
     def nonlinear_units(self, people: Mapping[Path, PersonResults]) -> list[_NonlinearUnit]:
@@ -367,7 +355,7 @@ def _nonlinear(
         new = [unit for unit in units if unit.cached.path not in available and unit.task in tasks]
         if new:
             with Progress("nonlinear fits", total=len(new), unit="fits", show=show_progress) as bar:
-                for number, fit in _computed(new, pool, bar):
+                for number, fit in computed(new, pool, bar):
                     new[number].checkpoint.unlink(missing_ok=True)
                     available[new[number].cached.path] = fit
         fits.update({unit.cached.path: available[unit.cached.path] for unit in units if unit.cached.path in available})
@@ -375,34 +363,3 @@ def _nonlinear(
     add(units)
     add([more for unit in units if unit.cached.path in fits for more in unit.with_pulses(fits[unit.cached.path])])
     return fits, stale
-
-
-def _each(units: Sequence[_Unit[Result]], pool: Workers | None, bar: Progress) -> list[Result]:
-    """The result of each unit, in their order: as it was kept, or computed now."""
-    results: dict[int, Result] = {}
-    for number, unit in enumerate(units):
-        try:
-            value = unit.cached.read()
-        except StaleResult:
-            continue
-        if value is not None:
-            results[number] = value
-            bar.update()
-    missing = [number for number in range(len(units)) if number not in results]
-    for place, result in _computed([units[number] for number in missing], pool, bar):
-        results[missing[place]] = result
-    return [results[number] for number in range(len(units))]
-
-
-def _computed(units: Sequence[Any], pool: Workers | None, bar: Progress) -> Iterator[tuple[int, Any]]:
-    """Number and result of each unit, as they are finished and kept."""
-    work = list(enumerate(units))
-    for number, result in map(_run, work) if pool is None else completed(_run, work, pool, bar.refresh):
-        units[number].cached.write(result)
-        bar.update()
-        yield number, result
-
-
-def _run(work: tuple[int, Any]) -> tuple[int, Any]:
-    number, unit = work
-    return number, unit.run()

@@ -4,10 +4,14 @@ Each step takes one person; only the second step of appendix C needs those of ev
 """
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from armperturb.analysis.defaults import LINEAR_MODELS
+from armperturb.analysis.fit.structures import structure_of
 from armperturb.analysis.fit.thesis import (
+    STARTS,
     THETA,
     VARTHETA,
     ThesisEstimate,
@@ -85,8 +89,11 @@ def fit_person(conditions: Mapping[str, ConditionTrials], settings: AnalysisSett
     starts: dict[str, ThesisEstimate] = {}
     try:
         first = _fitted(
-            {(c, model): Wanted(trials, model) for c, trials in prepared.items() for model in settings.structures},
-            use_penalty=False,
+            {
+                (condition, model): Wanted(trials, model, use_penalty=False)
+                for condition, trials in prepared.items()
+                for model in settings.structures
+            }
         )
         if settings.starts_of in prepared:
             trials = prepared[settings.starts_of]
@@ -94,6 +101,26 @@ def fit_person(conditions: Mapping[str, ConditionTrials], settings: AnalysisSett
     except ValueError as error:
         left_out.append(f"{name} was not fitted as in appendices C to E: {error}")
     return Fits(name, first, starts, tuple(left_out))
+
+
+def fit_together(conditions: Mapping[str, ConditionTrials], settings: AnalysisSettings) -> None:
+    """Fit all that the thesis's estimator fits to one person, so that it need not be fitted piece by piece.
+
+    Fits that are refused are left to those who ask for them.
+
+    Args:
+      conditions: condition to the person's trials.
+      settings: which fits are made.
+    """
+    multisines = _fittable(conditions, conditions, [])
+    wanted = [Wanted(trials, structure_of(LINEAR_MODELS[trials.body.task])) for trials in multisines.values()]
+    for condition in FIRST_STEP.values():
+        if condition in multisines:
+            wanted += [Wanted(multisines[condition], model, use_penalty=False) for model in settings.structures]
+    if settings.starts_of in multisines:
+        wanted += [Wanted(multisines[settings.starts_of], *start) for start in STARTS.values()]
+    with suppress(ValueError):
+        fit_wanted(wanted)
 
 
 def fit_second_step(conditions: Mapping[str, ConditionTrials], means: Mapping[Key, Mapping[str, float]]) -> SecondStep:
@@ -114,8 +141,7 @@ def fit_second_step(conditions: Mapping[str, ConditionTrials], means: Mapping[Ke
                 for condition, trials in prepared.items()
                 for (task, model), start in means.items()
                 if condition.startswith(task)
-            },
-            use_penalty=True,
+            }
         )
     except ValueError as error:
         left_out.append(f"{name} was not fitted as in step 2 of appendix C: {error}")
@@ -142,9 +168,9 @@ def _fittable(
     return fittable
 
 
-def _fitted(wanted: Mapping[Key, Wanted], *, use_penalty: bool) -> dict[Key, ThesisEstimate]:
+def _fitted(wanted: Mapping[Key, Wanted]) -> dict[Key, ThesisEstimate]:
     """All fits at once, which is many times faster than one after the other."""
-    return dict(zip(wanted, fit_wanted(list(wanted.values()), use_penalty=use_penalty), strict=True))
+    return dict(zip(wanted, fit_wanted(list(wanted.values())), strict=True))
 
 
 def means_of(first: Mapping[Key, ThesisEstimate]) -> dict[Key, dict[str, float]]:

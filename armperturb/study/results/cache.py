@@ -7,6 +7,7 @@
 | `analysis/NAME-nonlinear-TASK.json.gz` | a nonlinear fit, if one was asked for; `-20`: also to pulses at 20° |
 | `analysis/NAME-nonlinear-TASK.checkpoint.gz` | a nonlinear fit under way, from which an interrupted search continues |
 | `analysis/mechanisms.json.gz`, `analysis/moving-shoulder.json.gz` | further simulations of the first person |
+| `analysis/figure-NAME.json.gz` | a figure of the report |
 
 A result is used again as long as its source agrees: the checksums of the recordings, the settings, and the version of
 the algorithm. Other changes of the code have no effect on it.
@@ -14,13 +15,15 @@ the algorithm. Other changes of the code have no effect on it.
 
 import json
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from armperturb.archive import read_archive, write_archive
+from armperturb.progress import Progress
 from armperturb.study.recording.folder import differences
+from armperturb.workers import Workers, completed
 
 LOG = logging.getLogger(__name__)
 
@@ -29,13 +32,14 @@ Result = TypeVar("Result")
 ANALYSIS = "analysis"
 """Folder of the files, inside the study folder."""
 
-VERSIONS = {"person": 1, "step-2": 1, "nonlinear": 1, "mechanisms": 1, "moving-shoulder": 1}
+VERSIONS = {"person": 1, "step-2": 1, "nonlinear": 1, "mechanisms": 1, "moving-shoulder": 1, "figure": 1}
 """Kind of result to the version of its algorithm.
 
 Raise a number in the commit that makes earlier results of that kind wrong or unreadable: when their values change by
 more than rounding, when a field changes its meaning, or when a class that they hold gains, loses or renames a field or
 moves to another module. "step-2" follows from "person": raise both. Do not raise a number for faster code, texts or
-figures: everybody's results would be computed anew, which takes minutes per person for "nonlinear".
+figures: everybody's results would be computed anew, which takes minutes per person for "nonlinear". Figures, which are
+quick to draw, depend on the whole code of the package besides (`report.pictures`).
 """
 
 
@@ -99,17 +103,6 @@ class CachedResult(Generic[Result]):
             reason = error.strerror or error
             LOG.warning("%s cannot be written (%s): it will be computed again next time", self.path, reason)
 
-    def get(self, compute: Callable[[], Result]) -> Result:
-        """The value that was kept; if there is none that may be used, it is computed and kept."""
-        try:
-            value = self.read()
-        except StaleResult:
-            value = None
-        if value is None:
-            value = compute()
-            self.write(value)
-        return value
-
     def _difference(self, source: Any) -> str:
         now = self.source
         if not isinstance(source, dict) or source.keys() != now.keys() or source["kind"] != now["kind"]:
@@ -121,3 +114,58 @@ class CachedResult(Generic[Result]):
             names = [name for name in now["recordings"] if then.get(name) != now["recordings"][name]]
             return f"the recording has changed since ({', '.join(names or then)})"
         return f"it was made with other settings: {'; '.join(differences(source['settings'], now['settings']))}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unit(Generic[Result]):
+    """A result that is computed if none is kept.
+
+    Attributes:
+      cached: where it is kept.
+      run: computes the result, here or in a worker; or something else, which is not kept.
+    """
+
+    cached: CachedResult[Result]
+    run: Callable[[], Any]
+
+
+def kept_or_computed(units: Sequence[Unit[Any]], pool: Workers | None, bar: Progress) -> list[Any]:
+    """The result of each unit, in their order: as it was kept, or computed now.
+
+    Args:
+      units: of any kinds.
+      pool: who computes; None for this process.
+      bar: counts the units.
+
+    Raises:
+      RuntimeError: workers die again and again.
+    """
+    results: dict[int, Any] = {}
+    for number, unit in enumerate(units):
+        try:
+            value = unit.cached.read()
+        except StaleResult:
+            continue
+        if value is not None:
+            results[number] = value
+            bar.update()
+    missing = [number for number in range(len(units)) if number not in results]
+    for place, result in computed([units[number] for number in missing], pool, bar):
+        results[missing[place]] = result
+    return [results[number] for number in range(len(units))]
+
+
+def computed(units: Sequence[Any], pool: Workers | None, bar: Progress) -> Iterator[tuple[int, Any]]:
+    """Number and result of each unit, as they are finished and kept; arguments as of `kept_or_computed`."""
+    work = list(enumerate(units))
+    for number, result in map(_run, work) if pool is None else completed(_run, work, pool, bar.refresh):
+        cached = units[number].cached
+        if isinstance(result, cached.result):
+            cached.write(result)
+        bar.update()
+        yield number, result
+
+
+def _run(work: tuple[int, Any]) -> tuple[int, Any]:
+    number, unit = work
+    return number, unit.run()

@@ -116,15 +116,18 @@ class Validation(Result):
         return plot_validation(self, figure)
 
     def to_xarray(self) -> xr.Dataset:
-        """What every group yields: `estimate`, `standard_error` and `covered` (estimator, group, parameter).
+        """What every group yields, as numbers (a truth is 1), and what its estimates are compared with.
 
-        Beside them `true` and `bound`, the Cramer-Rao bound of a group (parameter).
+        Variables `estimate`, `standard_error` and `covered` (estimator, group, parameter); `converged`, `stable`,
+        `global` and `flagged` (estimator, group), see `Judged`; `true` and `bound`, that of Cramer and Rao (parameter).
         """
-        parts = {"estimate": "values", "standard_error": "error", "covered": "covered"}
+        of_parameter = {"estimate": "values", "standard_error": "error", "covered": "covered"}
+        of_group = {"converged": "converged", "stable": "stable", "global": "is_global", "flagged": "suspicious"}
         variables: dict[str, Any] = {"true": ("parameter", self.truth), "bound": ("parameter", self.bound)}
-        for name, field in parts.items():
+        for name, field in (of_parameter | of_group).items():
             values = [[getattr(judgement, field) for judgement in judged] for judged in self.judged.values()]
-            variables[name] = ("estimator", "group", "parameter"), np.array(values)
+            dims = ("estimator", "group", "parameter")[: 3 if name in of_parameter else 2]
+            variables[name] = dims, np.array(values, dtype=float)
         return xr.Dataset(variables, coords={"estimator": list(self.judged), "parameter": list(self.names)})
 
     def to_frame(self) -> pd.DataFrame:
@@ -132,32 +135,26 @@ class Validation(Result):
 
         Low and high are a 95 % interval of the RMS error over its bound, from the number of groups (chi2 distribution).
         """
-        rows = []
-        n = self.settings.groups
-        spread = np.sqrt(n / stats.chi2.ppf([0.975, 0.025], n))
-        for estimator, judged in self.judged.items():
-            deviation = np.array([judgement.values for judgement in judged]) - self.truth
-            rms = np.sqrt(np.mean(deviation**2, axis=0))
-            for column, name in enumerate(self.names):
-                scale = 100.0 / abs(self.truth[column]) if self.truth[column] else np.nan
-                rows.append(
-                    {
-                        "estimator": estimator,
-                        "parameter": name,
-                        "unit": unit(name),
-                        "true": float(self.truth[column]),
-                        "bias": float(deviation[:, column].mean()),
-                        "rms_error": float(rms[column]),
-                        "rms_error_percent": float(scale * rms[column]),
-                        "bound": float(self.bound[column]),
-                        "rms_error_over_bound": float(rms[column] / self.bound[column]),
-                        "rms_error_over_bound_low": float(rms[column] / self.bound[column] * spread[0]),
-                        "rms_error_over_bound_high": float(rms[column] / self.bound[column] * spread[1]),
-                        "mean_standard_error": float(np.mean([judgement.error[column] for judgement in judged])),
-                        "coverage_percent": 100.0 * float(np.mean([judgement.covered[column] for judgement in judged])),
-                    }
-                )
-        return pd.DataFrame(rows)
+        data, n = self.to_xarray(), self.settings.groups
+        low, high = np.sqrt(n / stats.chi2.ppf([0.975, 0.025], n))
+        deviation, mean = data["estimate"] - data["true"], data.mean("group", skipna=False)
+        rms = (deviation**2).mean("group", skipna=False) ** 0.5
+        ratio = rms / data["bound"]
+        columns = {
+            "true": data["true"],
+            "bias": deviation.mean("group", skipna=False),
+            "rms_error": rms,
+            "rms_error_percent": 100.0 * rms / abs(data["true"]).where(data["true"] != 0.0),
+            "bound": data["bound"],
+            "rms_error_over_bound": ratio,
+            "rms_error_over_bound_low": ratio * low,
+            "rms_error_over_bound_high": ratio * high,
+            "mean_standard_error": mean["standard_error"],
+            "coverage_percent": 100.0 * mean["covered"],
+        }
+        frame = xr.Dataset(columns).to_dataframe(dim_order=["estimator", "parameter"]).reset_index()
+        frame.insert(2, "unit", frame["parameter"].map(unit))
+        return frame
 
     def estimators_frame(self) -> pd.DataFrame:
         """How the fits went, per estimator.
@@ -165,29 +162,20 @@ class Validation(Result):
         A run counts as biased if the mean error of some parameter, over all groups, is above `BIASED` of the standard
         errors that the run itself gives.
         """
-        rows = []
-        for estimator, judged in self.judged.items():
-            deviation = np.array([judgement.values for judgement in judged]) - self.truth
-            error = np.array([judgement.error for judgement in judged])
-            biased = np.any(np.abs(deviation.mean(axis=0)) > BIASED * error, axis=1)
-            flagged = np.array(
-                [np.nan if judgement.suspicious is None else judgement.suspicious for judgement in judged], dtype=float
-            )
-            rows.append(
-                {
-                    "estimator": estimator,
-                    "groups": len(judged),
-                    "converged_percent": 100.0 * float(np.mean([judgement.converged for judgement in judged])),
-                    "stable_percent": 100.0 * float(np.mean([judgement.stable for judgement in judged])),
-                    "global_percent": 100.0 * float(np.mean([judgement.is_global for judgement in judged])),
-                    "coverage_percent": 100.0 * float(np.mean([judgement.covered for judgement in judged])),
-                    "median_error_over_bound": float(np.median(np.sqrt(np.mean(deviation**2, axis=0)) / self.bound)),
-                    "flagged_percent": 100.0 * float(flagged.mean()),
-                    "biased_percent": 100.0 * float(biased.mean()),
-                    "flagged_of_biased_percent": 100.0 * float(flagged[biased].mean()) if biased.any() else np.nan,
-                }
-            )
-        return pd.DataFrame(rows)
+        data = self.to_xarray()
+        deviation, mean = data["estimate"] - data["true"], data.mean("group", skipna=False)
+        biased = (abs(deviation.mean("group", skipna=False)) > BIASED * data["standard_error"]).any("parameter")
+        error = (deviation**2).mean("group", skipna=False) ** 0.5 / data["bound"]
+        columns = {
+            "groups": xr.full_like(mean["stable"], data.sizes["group"], dtype=int),
+            **{f"{name}_percent": 100.0 * mean[name] for name in ("converged", "stable", "global")},
+            "coverage_percent": 100.0 * mean["covered"].mean("parameter"),
+            "median_error_over_bound": error.median("parameter", skipna=False),
+            "flagged_percent": 100.0 * mean["flagged"],
+            "biased_percent": 100.0 * biased.mean("group"),
+            "flagged_of_biased_percent": 100.0 * data["flagged"].where(biased).mean("group"),
+        }
+        return xr.Dataset(columns).to_dataframe().reset_index()
 
 
 def validate(settings: ValidateSettings, *, workers: int | None = None, show_progress: bool = True) -> Validation:

@@ -103,18 +103,18 @@ def test_wanted_fits_are_those_of_each_alone(first, other):
     one, two = ConditionTrials.prepare(other), ConditionTrials.prepare(first.isel(trial=[1, 2]))
     two = replace(two, given=(Environment(m_env=3.0), two.noise))
     start = VARTHETA["vartheta_i4"]
-    found = fit_wanted([Wanted(one, "1"), Wanted(two, "3b", start), Wanted(one, "3b")], use_penalty=False)
-    alone = [
-        fit_trials(one, "1", use_penalty=False),
-        fit_trials(two, "3b", initial=start, use_penalty=False),
-        fit_trials(one, "3b", use_penalty=False),
-    ]
+    wanted = [Wanted(one, "1", use_penalty=False), Wanted(two, "3b", start), Wanted(one, "3b")]
+    found = fit_wanted(wanted)
+    alone = [fit_wanted([each._replace(trials=replace(each.trials))])[0] for each in wanted]
     for a, b in zip(found, alone, strict=True):
         assert (a.structure, a.subjects, a.environment) == (b.structure, b.subjects, b.environment)
         np.testing.assert_allclose(a.criterion, b.criterion, rtol=1e-3)
         np.testing.assert_allclose(a.vaf, b.vaf, atol=0.1)
+        assert all(x is not y for x, y in zip(a.fits, b.fits, strict=True))
     assert found[1].subjects == ("first", "first")
     assert fit_wanted([]) == []
+    assert fit_trials(one, "3b") is found[2]  # kept with the trials
+    assert fit_trials(one, "3b", use_penalty=False) is not found[2]
 
 
 @pytest.mark.slow(reason="fits from every published start")

@@ -16,7 +16,6 @@ from armperturb.analysis.measures.statistics import (
     effect_of_condition,
     friedman,
     mauchly,
-    paired_t,
     post_hoc,
     shapiro,
 )
@@ -115,7 +114,7 @@ def test_pairs_and_normality_are_tested_as_the_judges_do(judge, name):
         close(ours.w, row["W"])
         close(ours.p, row["pval"])
         close(ours.p, stats.shapiro(column).pvalue)
-    first = paired_t(y[:, 0], y[:, 1])
+    first = post_hoc(y[:, :2])[0, 1]
     close(first.t, single["T"])
     close(first.p, single["p_val"])
     assert first.dof == single["dof"]
@@ -231,7 +230,7 @@ def test_two_conditions_that_are_the_same_beside_others(judge, values):
     effect = effect_of_condition(y)
     assert effect.test == "ANOVA, Greenhouse-Geisser"
     # As the t-test of the two conditions that there are.
-    assert effect.p == pytest.approx(paired_t(y[:, 0], y[:, 1]).p)
+    assert effect.p == pytest.approx(post_hoc(y[:, :2])[0, 1].p)
 
 
 def test_a_condition_that_is_constant_is_no_refusal_of_normality(judge, values):
@@ -314,8 +313,3 @@ def test_names_what_is_missing(values, test):
         test(values, subjects=people, conditions=conditions)
     with pytest.raises(ValueError, match=r"9 subjects; expected 10, as values is of shape \(10, 4\)"):
         test(values, subjects=people[1:], conditions=conditions)
-
-
-def test_refuses_pairs_of_unequal_length():
-    with pytest.raises(ValueError, match=r"first of shape \(3,\), second of shape \(4,\); expected a value of each"):
-        paired_t([1.0, 2.0, 3.0], [1.0, 2.0, 3.0, 4.0])

@@ -1,16 +1,24 @@
 """Results that are kept: what they depend on, and why one is not used."""
 
+from dataclasses import replace
+
 import pytest
 
 from armperturb.archive import write_archive
+from armperturb.progress import Progress
 from armperturb.study.published.tables import MeanSD
-from armperturb.study.results.cache import VERSIONS, CachedResult, StaleResult
+from armperturb.study.results.cache import VERSIONS, CachedResult, StaleResult, Unit, kept_or_computed
 
 
 def cached(path, **changes):
     settings = {"fitted_deg": (20.0,), "models": {"RT7.5": "1"}}
     options = {"kind": "person", "recordings": {"S01.nc": "12ab"}, "settings": settings, **changes}
     return CachedResult(path=path / "folder" / "a.json.gz", result=MeanSD, **options)
+
+
+def results(*units):
+    bar = Progress("test", total=len(units), unit="units", show=False)
+    return kept_or_computed(units, None, bar)
 
 
 def test_a_result_depends_on_recordings_settings_and_version_alone(tmp_path):
@@ -46,7 +54,7 @@ def test_a_stale_result_says_what_has_changed(tmp_path, changes, reason):
     cached(tmp_path).write(MeanSD(1.0, 2.0))
     with pytest.raises(StaleResult, match=f"^{reason}$"):
         cached(tmp_path, **changes).read()
-    assert cached(tmp_path, **changes).get(lambda: MeanSD(3.0, 4.0)) == (3.0, 4.0)
+    assert results(Unit(cached=cached(tmp_path, **changes), run=lambda: MeanSD(3.0, 4.0))) == [(3.0, 4.0)]
     assert cached(tmp_path, **changes).read() == (3.0, 4.0)
 
 
@@ -75,5 +83,14 @@ def test_what_is_no_such_result_is_stale(tmp_path):
 
 def test_a_folder_that_cannot_be_written_to_is_warned_of(tmp_path, caplog):
     (tmp_path / "folder").write_text("")
-    assert cached(tmp_path).get(lambda: MeanSD(1.0, 2.0)) == (1.0, 2.0)
+    assert results(Unit(cached=cached(tmp_path), run=lambda: MeanSD(1.0, 2.0))) == [(1.0, 2.0)]
     assert "cannot be written" in caplog.text
+
+
+def test_what_is_missing_is_computed_and_only_results_are_kept(tmp_path):
+    places = [replace(cached(tmp_path), path=tmp_path / f"{n}.json.gz") for n in range(3)]
+    places[1].write(MeanSD(1.0, 2.0))
+    computed = [MeanSD(0.0, 0.0), MeanSD(3.0, 3.0), "a reason"]
+    units = [Unit(cached=place, run=lambda value=value: value) for place, value in zip(places, computed, strict=True)]
+    assert results(*units) == [(0.0, 0.0), (1.0, 2.0), "a reason"]
+    assert [place.read() for place in places] == [(0.0, 0.0), (1.0, 2.0), None]

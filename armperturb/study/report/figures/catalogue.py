@@ -1,6 +1,6 @@
 """Which figures a study allows."""
 
-from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -25,11 +25,15 @@ from armperturb.study.report.figures.axes import Marks
 from armperturb.study.report.figures.bars import CONDITIONS
 from armperturb.study.report.figures.trajectories import around_pulse, first_pulses
 from armperturb.study.report.nonlinear_tables import left_out_pulses, tasks_fitted, true_parameters
+from armperturb.study.results.appendix_fits import Appendices
 from armperturb.study.results.mean_admittance import by_task, main_conditions
 from armperturb.study.results.nonlinear_fits import PATHS
 from armperturb.study.results.study_result import StudyResult
 
-Drawings = dict[str, Callable[[], Figure]]
+Drawings = dict[str, "partial[Figure]"]
+
+SLOW = ("rig", "stills")
+"""What takes longest to draw, and comes first so that workers end together."""
 
 CLEARLY = 0.01
 """Level of the thesis's second star [-]."""
@@ -46,14 +50,17 @@ def drawings(study: StudyResult, effects: Effects, yielding: Yielding | None) ->
     Raises:
       OSError: a recording is gone.
     """
-    drawn = {**_of_cases(study, effects), **_of_people(study, effects), **_of_pulses(study), **_of_laws(study)}
+    # Figures are drawn anew when what they are given changes: none is given more of the study than it may need.
+    whole, study = study, replace(study, appendices=Appendices(), nonlinear=(), missing=(), remarks=())
+    drawn = {**_of_pulses(study), **_of_cases(study, effects), **_of_people(study, effects)}
+    drawn |= _of_laws(replace(study, nonlinear=whole.nonlinear))
     if study.cohort:
         drawn["rig"] = partial(rig_figures.rig, study)
     if yielding is not None:
         drawn["yielding_loops"] = partial(yielding_figures.loops, yielding)
         drawn["yielding_admittance"] = partial(yielding_figures.admittance, yielding)
         drawn["yielding_pulses"] = partial(yielding_figures.pulses, yielding)
-    return drawn
+    return dict(sorted(drawn.items(), key=lambda item: item[0] not in SLOW))
 
 
 def _of_cases(study: StudyResult, effects: Effects) -> Drawings:

@@ -1,0 +1,106 @@
+"""Figures of the report as pictures inside it, each drawn once: it is drawn anew when what it shows changes.
+
+A picture depends on the arguments with which its figure is drawn, on the recordings that these name, and on all code of
+this package and the versions of the libraries that draw. Unlike fits, figures take little time, so that one too many
+costs less than one that is out of date.
+"""
+
+import base64
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cache, partial
+from importlib import metadata
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import xarray as xr
+from matplotlib.figure import Figure
+
+import armperturb
+from armperturb.archive import digest
+from armperturb.plots.style import svg
+from armperturb.study.recording import folder
+from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit
+from armperturb.study.results.cases import Case
+from armperturb.study.results.study_result import StudyResult
+
+LIBRARIES = ("matplotlib", "mujoco", "numpy", "scipy")
+
+
+class Picture(NamedTuple):
+    """A figure inside the report.
+
+    Attributes:
+      svg: its file.
+      width: [inch].
+      height: [inch].
+    """
+
+    svg: str
+    width: float
+    height: float
+
+    @property
+    def uri(self) -> str:
+        """The SVG itself, as a data URI."""
+        return f"data:image/svg+xml;base64,{base64.b64encode(self.svg.encode()).decode('ascii')}"
+
+
+def picture_units(drawings: Mapping[str, "partial[Figure]"], out: Path) -> list[Unit[Picture]]:
+    """What draws each figure, if it is not kept; it gives the reason instead if this machine cannot draw the rig.
+
+    Args:
+      drawings: figures by name, see `figures.catalogue`.
+      out: the study folder.
+    """
+    arguments = {id(argument): argument for draw in drawings.values() for argument in draw.args}
+    digests = {key: digest(_shown(argument)) for key, argument in arguments.items()}
+    paths = {argument.recording for argument in arguments.values() if isinstance(argument, Case)}
+    recordings = {path: folder.digest(path) for path in paths}
+    units = []
+    for name, draw in drawings.items():
+        read = [argument.recording for argument in draw.args if isinstance(argument, Case)]
+        cached = CachedResult(
+            path=out / ANALYSIS / f"figure-{name}.json.gz",
+            kind="figure",
+            result=Picture,
+            recordings={path.name: recordings[path] for path in read},
+            settings={"arguments": [digests[id(argument)] for argument in draw.args], "program": program()},
+        )
+        units.append(Unit(cached=cached, run=partial(_picture, draw)))
+    return units
+
+
+def _picture(draw: Callable[[], Figure]) -> Picture | str:
+    try:
+        figure = draw()
+    except RuntimeError as error:  # this machine cannot draw the rig
+        return str(error)
+    width, height = figure.get_size_inches()
+    return Picture(svg(figure).decode(), float(width), float(height))
+
+
+def _shown(argument: Any) -> Any:
+    """An argument as an archive can hold it, without the place of the study folder, which may be moved."""
+    match argument:
+        case StudyResult():
+            return replace(argument, recordings={}, cases=tuple(map(_shown, argument.cases)))
+        case Case():
+            return replace(argument, recording=Path(argument.recording.name))
+        case xr.Dataset():
+            return argument.to_dict(data="array")
+        case list():
+            return [*map(_shown, argument)]
+    return argument
+
+
+@cache
+def program() -> str:
+    """Checksum of the files of this package, and of the versions of the libraries that draw."""
+    root = Path(armperturb.__file__).parent
+    files = sorted(path for path in root.rglob("*.*") if "__pycache__" not in path.parts)
+    checksum = hashlib.sha256("".join(map(metadata.version, LIBRARIES)).encode())
+    for path in files:
+        checksum.update(f"{path.relative_to(root)} {path.stat().st_size} ".encode() + path.read_bytes())
+    return checksum.hexdigest()
