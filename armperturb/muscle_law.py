@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
-from armperturb.validation import RANGES, require_keys, require_number, require_whole
+from armperturb.validation import RANGES, require_keys, require_number
 
 PerElement = float | tuple[float, float, float]
 """One number for all muscle elements, or three: single-joint shoulder, two-joint, single-joint elbow."""
@@ -62,8 +62,7 @@ class MuscleLaw:
     spindle_direction: PerElement = 0.0
 
     def __post_init__(self) -> None:
-        require_number("MuscleLaw", "parts", self.parts, at_least=1, at_most=MAX_PARTS)
-        require_whole("MuscleLaw", "parts", self.parts, at_least=1)
+        require_number("MuscleLaw", "parts", self.parts, at_least=1, at_most=MAX_PARTS, whole=True)
         for field, bounds in RANGES["MuscleLaw"].items():
             value = getattr(self, field)
             values = tuple(value) if isinstance(value, tuple | list) else (value,) * 3

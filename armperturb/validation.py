@@ -3,10 +3,11 @@
 import math
 from collections.abc import Collection, Sequence
 from numbers import Integral, Real
+from typing import Any
 
 from armperturb.files import packaged_table
 
-RANGES: dict[str, dict[str, dict[str, float]]] = packaged_table(__package__, "ranges.toml")
+RANGES: dict[str, dict[str, dict[str, Any]]] = packaged_table(__package__, "ranges.toml")
 """Class to field to the bounds of its number, as arguments of `require_number`."""
 
 
@@ -19,6 +20,8 @@ def require_number(
     at_least: float = -math.inf,
     below: float = math.inf,
     at_most: float = math.inf,
+    whole: bool = False,
+    optional: bool = False,
 ) -> None:
     """Refuse anything but a finite number within bounds.
 
@@ -30,13 +33,18 @@ def require_number(
       at_least: inclusive lower bound.
       below: exclusive upper bound.
       at_most: inclusive upper bound.
+      whole: whether it must be an integer.
+      optional: whether None is good as well.
 
     Raises:
       TypeError: value is not a number.
       ValueError: value is not finite or out of bounds.
     """
-    if isinstance(value, bool) or not isinstance(value, (float, Real)):  # asking for a float is many times faster
-        raise TypeError(f"{owner}: {field} = {value!r}; expected a number")
+    if optional and value is None:
+        return
+    # Asking for a float first is many times faster.
+    if isinstance(value, bool) or not isinstance(value, Integral if whole else (float, Real)):
+        raise TypeError(f"{owner}: {field} = {value!r}; expected a {'whole ' if whole else ''}number")
     try:
         number = float(value)
     except OverflowError:
@@ -79,9 +87,7 @@ def require_whole(owner: str, field: str, value: object, *, at_least: int) -> No
       TypeError: value is not a whole number.
       ValueError: value is out of bounds.
     """
-    if isinstance(value, bool) or not isinstance(value, Integral):
-        raise TypeError(f"{owner}: {field} = {value!r}; expected a whole number")
-    require_number(owner, field, value, at_least=at_least)
+    require_number(owner, field, value, at_least=at_least, whole=True)
 
 
 def require_one_of(owner: str, field: str, value: object, known: Sequence[str | None]) -> None:

@@ -19,7 +19,7 @@ from scipy import signal
 from armperturb.arrays import Array
 from armperturb.files import packaged_table
 from armperturb.subject import Subject
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_ranges
 
 REMNANT_ORDER = 2
 """Order of the Butterworth low-pass that colours the remnant."""
@@ -73,14 +73,7 @@ class HumanNoise:
     spread_kp: float = 0.0
 
     def __post_init__(self) -> None:
-        for field in ("remnant_cutoff", "voluntary_cutoff"):
-            require_number("HumanNoise", field, getattr(self, field), above=0.0)
-        for field in ("remnant_share", "remnant_floor", "voluntary_share", "voluntary_floor"):
-            require_number("HumanNoise", field, getattr(self, field), at_least=0.0)
-        for quantity in _VARIED:
-            # Beyond one, trials of one person would differ more than people do.
-            field = f"spread_{quantity}"
-            require_number("HumanNoise", field, getattr(self, field), at_least=0.0, at_most=1.0)
+        require_ranges("HumanNoise", self)
 
     def vary(self, subject: Subject, rng: np.random.Generator, accept: Callable[[Subject], bool]) -> Subject:
         """The subject as it is in one trial; the subject itself if all spreads are zero.

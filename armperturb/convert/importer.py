@@ -66,8 +66,7 @@ def import_recording(
         raise ValueError("recordings is empty; expected at least one file")
     for fault in repair:
         require_one_of("convert", "repair", fault, get_args(Repair))
-    if rate is not None:
-        require_number("convert", "rate", rate, at_least=1.0, at_most=1e6)
+    require_number("convert", "rate", rate, at_least=1.0, at_most=1e6, optional=True)
     for place, path in enumerate(files):
         require_one_of(str(path), "ending", path.suffix.lower(), (*TEXT, *MATLAB, *C3D, *OURS))
         if not path.is_file():

@@ -320,8 +320,7 @@ def estimate_multisine(
       ValueError: as `periodic_trials` and `fit_locally`, `what` is something else, or there is no estimate at a
         frequency.
     """
-    if order is not None:
-        require_number("estimate_multisine", "order", order, at_least=0)
+    require_number("estimate_multisine", "order", order, at_least=0, optional=True)
     several = prepared_recordings(recordings)
     trials = periodic_trials(several, period=period, window_start=window_start, lines_per_average=lines_per_average)
 
@@ -359,8 +358,7 @@ def estimate_noise(
     Raises:
       ValueError: as `records_of` and `fit_locally`, or the records are too short.
     """
-    if order is not None:
-        require_number("estimate_noise", "order", order, at_least=0)
+    require_number("estimate_noise", "order", order, at_least=0, optional=True)
     orders: tuple[int, ...] = HIGH_ORDERS if order is None else (order,)
     several = prepared_recordings(recordings)
     records = records_of(several, window_start)

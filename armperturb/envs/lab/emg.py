@@ -24,7 +24,7 @@ from scipy import signal
 from armperturb.arrays import Array
 from armperturb.recording import MUSCLES
 from armperturb.subject import POSITION, RELAX, Subject
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_ranges
 
 Float32 = NDArray[np.float32]
 
@@ -91,13 +91,8 @@ class Emg:
     full_scale: float = 5.0
 
     def __post_init__(self) -> None:
-        require_number("Emg", "highpass", self.highpass, above=0.0)
+        require_ranges("Emg", self)
         require_number("Emg", "rate", self.rate, above=2.0 * self.highpass)
-        for field in ("gain", "noise"):
-            require_number("Emg", field, getattr(self, field), at_least=0.0)
-        require_number("Emg", "position_activation", self.position_activation, at_least=0.0, at_most=1.0)
-        for field in ("reflex_torque", "full_scale"):
-            require_number("Emg", field, getattr(self, field), above=0.0)
 
     @property
     def adc_step(self) -> float:

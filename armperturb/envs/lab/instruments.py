@@ -18,7 +18,7 @@ from scipy import signal
 
 from armperturb.arrays import Array
 from armperturb.envs.lab.emg import Emg
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_ranges
 
 ANTIALIAS_ORDER = 4
 """Order of the Butterworth low-pass in front of the recorder."""
@@ -53,12 +53,7 @@ class Instruments:
     emg: Emg | None = field(default_factory=Emg)
 
     def __post_init__(self) -> None:
-        if self.antialias is not None:
-            require_number("Instruments", "antialias", self.antialias, above=0.0)
-        require_number("Instruments", "force_noise", self.force_noise, at_least=0.0)
-        require_number("Instruments", "encoder_bits", self.encoder_bits, at_least=1, at_most=32)
-        if self.encoder_bits != int(self.encoder_bits):
-            raise ValueError(f"Instruments: encoder_bits = {self.encoder_bits!r}; expected a whole number")
+        require_ranges("Instruments", self)
         for name, least in (("link_lengths", 0.0), ("base", -np.inf)):
             values = getattr(self, name)
             if len(values) != 2:
@@ -67,8 +62,6 @@ class Instruments:
                 require_number("Instruments", name, value, above=least)
         if not abs(self.link_lengths[0] - self.link_lengths[1]) < np.hypot(*self.base) < sum(self.link_lengths):
             raise ValueError(f"Instruments: base = {self.base}; expected the handle's start within reach of the links")
-        if self.marker_noise is not None:
-            require_number("Instruments", "marker_noise", self.marker_noise, at_least=0.0)
         if self.emg is not None and not isinstance(self.emg, Emg):
             raise TypeError(f"Instruments: emg = {self.emg!r}; expected Emg or None")
 

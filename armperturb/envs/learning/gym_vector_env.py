@@ -16,7 +16,7 @@ from armperturb.envs.learning.gym_env import WATCHED, ArmPerturbEnv, checked_pic
 from armperturb.envs.learning.participants import own_action
 from armperturb.envs.learning.session import Session
 from armperturb.envs.learning.task import task_settings
-from armperturb.validation import require_one_of, require_whole
+from armperturb.validation import require_number, require_one_of, require_whole
 
 Flags = NDArray[np.bool_]
 
@@ -64,8 +64,7 @@ class ArmPerturbVectorEnv(VectorEnv):
         """
         owner = "ArmPerturbVectorEnv"
         require_whole(owner, "num_envs", num_envs, at_least=1)
-        if max_episode_steps is not None:
-            require_whole(owner, "max_episode_steps", max_episode_steps, at_least=1)
+        require_number(owner, "max_episode_steps", max_episode_steps, at_least=1, whole=True, optional=True)
         require_whole(owner, "n_threads", n_threads, at_least=0)
         self.settings = task_settings(settings)
         self.num_envs, self.max_episode_steps = num_envs, max_episode_steps

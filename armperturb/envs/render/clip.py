@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from armperturb.validation import require_number, require_one_of, require_whole
+from armperturb.validation import require_number, require_one_of, require_ranges
 
 if TYPE_CHECKING:
     from armperturb.envs.render.replay import Replay
@@ -46,14 +46,10 @@ class Clip:
         for name, value, least, most, multiple in zip(
             ("width", "height"), self.size, SMALLEST, LARGEST, (2, 4), strict=True
         ):
-            require_number("video", name, value, at_least=least, at_most=most)
-            require_whole("video", name, value, at_least=least)
+            require_number("video", name, value, at_least=least, at_most=most, whole=True)
             if value % multiple:
                 raise ValueError(f"video: {name} = {value!r}; expected a multiple of {multiple} pixels")
-        require_number("video", "slow", self.slow, above=0.0, at_most=1000.0)
-        for name in ("start", "stop"):
-            if getattr(self, name) is not None:
-                require_number("video", name, getattr(self, name), at_least=0.0)
+        require_ranges("video", self)
 
     def window(self, replay: "Replay") -> tuple[float, float]:
         """Start and stop in a trial [s].

@@ -26,6 +26,7 @@ from armperturb.controllers.muscle import element_motion, muscle_parameters, mus
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
+from armperturb.files import packaged_table
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study.protocol import PULSE_LEAD, QUICK_STEP, THESIS, Protocol, with_published_forces
@@ -37,15 +38,7 @@ Row = dict[str, Any]
 
 WHOLE, LINEAR, ONE_LEVEL = "whole law", "linear muscle", "same co-contraction in all conditions"
 
-MECHANISMS: dict[str, dict[str, float]] = {
-    "no short-range stiffness": {"short_range_stiffness": 0.0},
-    "one elastic limit": {"elastic_limit_spread": 0.0},
-    "elastic limit of any speed": {"elastic_limit_slope": 0.0},
-    "no thixotropy": {"loss_angle_deg": math.inf},
-    "damping does not thin": {"thinning_velocity": math.inf},
-    "spindles do not saturate": {"spindle_saturation": math.inf},
-    "spindles of both directions": {"spindle_direction": 0.0},
-}
+MECHANISMS: dict[str, dict[str, float]] = packaged_table(__package__, "mechanisms.toml")
 """What an arm without one mechanism is called, to the fields of its law that are changed, and their values."""
 
 AMPLITUDES = {"RT": ("RT2.5", "RT7.5", "RT22.5"), "PT": ("PT2.5", "PT7.5", "PT22.5")}
@@ -274,14 +267,9 @@ def why_people_yield(
     for condition, subject, recording in recorded(_continuous(n_multisines), moved):
         results[condition, subject] = _left_workspace(recording) or _response(recording, subject)
 
-    responses: dict[tuple[str, str], Response] = {}
-    unstable: dict[tuple[str, str], str] = {}
-    for key, subject in subjects.items():
-        answer = wrong[subject] if subject in wrong else results[key[1], subject]
-        if isinstance(answer, Response):
-            responses[key] = answer
-        else:
-            unstable[key] = answer
+    answers = {key: wrong.get(subject) or results[key[1], subject] for key, subject in subjects.items()}
+    responses = {key: answer for key, answer in answers.items() if isinstance(answer, Response)}
+    unstable = {key: answer for key, answer in answers.items() if isinstance(answer, str)}
     return Yielding(person=person, variants=tuple(arms), responses=responses, unstable=unstable)
 
 

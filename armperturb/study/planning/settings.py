@@ -18,7 +18,7 @@ from armperturb.perturbations import Perturbation
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
 from armperturb.subject import Subject
-from armperturb.validation import require_number, require_one_of, require_whole
+from armperturb.validation import require_number, require_one_of, require_ranges
 
 Goal = Literal["reflex", "intrinsic", "grip", "mass", "all"]
 """Parameters whose standard errors are to be small."""
@@ -41,8 +41,6 @@ a person who differs from the assumed one badly. A fifth costs little (docs/desi
 
 SHORTEST_PERIOD = PERIOD / 4
 """Of a multisine [s]; its clusters are 0.8 Hz wide."""
-
-MOST_TRIALS = 1000
 
 LEAST_FORCE, MOST_FORCE = 1e-3, 1e3
 """Of a limit [N]: gauges resolve no less, manipulators exert no more."""
@@ -102,12 +100,8 @@ class DesignSettings:
         shortest = SHORTEST_PERIOD + SETTLING
         require_number("design", "duration [s]", self.duration, at_least=shortest, at_most=MAX_DURATION)
         require_one_of("design", "model", self.model, (*STRUCTURES, None))
-        require_whole("design", "trials", self.trials, at_least=1)
-        require_number("design", "trials", self.trials, at_most=MOST_TRIALS)
-        require_whole("design", "seed", self.seed, at_least=0)
-        if self.peak is not None:
-            require_number("design", "peak [N]", self.peak, at_least=LEAST_FORCE)
-        require_number("design", "spread", self.spread, at_least=0.0, at_most=1.0)
+        require_ranges("design", self)
+        require_number("design", "peak [N]", self.peak, at_least=LEAST_FORCE, optional=True)
         if self.perturbation is not None:
             name = "duration of the perturbation [s]"
             require_number("design", name, self.perturbation.duration, at_least=shortest, at_most=MAX_DURATION)

@@ -108,11 +108,9 @@ def practise(
         return tuple(protocol.given_forces() for _ in people)
     environment = environment or Environment()
     # The same subject who is to move as far needs the same force: such goals are measured once.
-    goals: dict[_Goal, None] = {}
-    goals_of: list[dict[str, _Goal]] = []
-    for person in people:
-        goals_of.append({c.name: _Goal.of(person, c, seed) for c in protocol.conditions if c.has_multisine})
-        goals.update(dict.fromkeys(goals_of[-1].values()))
+    conditions = [condition for condition in protocol.conditions if condition.has_multisine]
+    goals_of = [{each.name: _Goal.of(person, each, seed) for each in conditions} for person in people]
+    goals = list(dict.fromkeys(goal for of_person in goals_of for goal in of_person.values()))
     force_of: dict[_Goal, float] = {}
     if goals:
         simulate = partial(
@@ -123,7 +121,7 @@ def practise(
             n_threads=n_threads,
             progress=progress,
         )
-        adjusted = _reach(list(goals), seed, environment, noisy, simulate)
+        adjusted = _reach(goals, seed, environment, noisy, simulate)
         force_of = dict(zip(goals, adjusted.force.tolist(), strict=True))
     forces = []
     for goal_of in goals_of:

@@ -102,8 +102,7 @@ def record_study(
       OSError: a file cannot be read or written, or no Dask scheduler answers.
     """
     require_number("study", "block", block, at_least=1)
-    if workers is not None:
-        require_number("study", "workers", workers, at_least=1)
+    require_number("study", "workers", workers, at_least=1, optional=True)
     protocol, environment = settings.load_protocol(), Environment()
     people = settings.draw_people(environment)
     names = [person.name for person in people]

@@ -7,7 +7,7 @@ from typing import Literal
 from armperturb.cohort import MUSCLES, Person, draw_cohort
 from armperturb.environment import Environment
 from armperturb.study.protocol import FORCES, THESIS, Protocol, load_protocol
-from armperturb.validation import require_number, require_one_of
+from armperturb.validation import require_one_of, require_ranges
 
 BLOCK = 96
 """Default number of trials that are simulated side by side: more are hardly faster, but take more memory."""
@@ -43,9 +43,7 @@ class StudySettings:
     """Step of the simulation [s]; a sample of a recording must be a whole number of steps."""
 
     def __post_init__(self) -> None:
-        require_number("study", "subjects", self.subjects, at_least=1)
-        require_number("study", "seed", self.seed, at_least=0)
-        require_number("study", "timestep", self.timestep, above=0.0)
+        require_ranges("study", self)
         require_one_of("study", "forces", self.forces, (*FORCES, None))
         require_one_of("study", "muscles", self.muscles, MUSCLES)
 

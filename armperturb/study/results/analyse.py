@@ -90,8 +90,7 @@ def analyse_study(
       RuntimeError: workers die again and again.
       OSError: the folder holds no recording, or a file cannot be read.
     """
-    if workers is not None:
-        require_number("analysis", "workers", workers, at_least=1)
+    require_number("analysis", "workers", workers, at_least=1, optional=True)
     study, missing = _Study.find(root, settings or AnalysisSettings())
     with workers_for(worker_count(workers, len(study.paths)), None) as pool:
         with Progress("analysis", total=2 * len(study.paths), unit="steps", show=show_progress) as bar:

@@ -8,7 +8,7 @@ from armperturb.analysis.defaults import Estimator
 from armperturb.analysis.fit.structures import STRUCTURES, Structure, at_truth, true_values, unit
 from armperturb.analysis.fit.thesis import MODEL_3_WIDE
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
-from armperturb.validation import require_number, require_one_of, require_whole
+from armperturb.validation import require_one_of, require_ranges
 
 Wrong = Literal["nothing", "delay", "force-feedback", "grip"]
 """What is wrong on purpose with the structure that is fitted."""
@@ -64,16 +64,12 @@ class ValidateSettings:
     def __post_init__(self) -> None:
         require_one_of("validate", "task", self.task, TASKS)
         require_one_of("validate", "model", self.model, tuple(STRUCTURES))
-        for name, least in (("groups", 1), ("trials", 1), ("seed", 0)):
-            require_whole("validate", name, getattr(self, name), at_least=least)
+        require_ranges("validate", self)
         if not self.estimators or len(set(self.estimators)) < len(self.estimators):
             raise ValueError(f"validate: estimators = {self.estimators!r}; expected at least one, each once")
         for name in self.estimators:
             if name not in ESTIMATORS:
                 raise ValueError(f"validate: estimators = {name!r}; expected some of {', '.join(ESTIMATORS)}")
-        require_number("validate", "noise", self.noise, at_least=0.0)
-        if self.force is not None:
-            require_number("validate", "force", self.force, above=0.0)
         require_one_of("validate", "wrong", self.wrong, get_args(Wrong))
 
     def truth(self) -> Subject:

@@ -52,7 +52,6 @@ def test_finer_encoders_lose_less():
         ({"force_noise": -1.0}, r"force_noise = -1.0; expected a finite number at least 0"),
         ({"encoder_bits": 0}, "encoder_bits = 0; expected a finite number at least 1"),
         ({"link_lengths": (0.5, 0.0)}, "link_lengths = 0.0; expected a finite number above 0"),
-        ({"encoder_bits": 16.5}, r"encoder_bits = 16.5; expected a whole number"),
         ({"link_lengths": (0.5, 0.5, 0.5)}, r"link_lengths = \(0.5, 0.5, 0.5\); expected two numbers"),
         ({"base": (0.0, 1.5)}, "expected the handle's start within reach"),
         ({"base": (0.0, np.nan)}, "base = nan; expected a finite number"),
@@ -65,9 +64,11 @@ def test_bad_settings_are_named(change, message):
         Instruments(**change)
 
 
-def test_what_is_no_amplifier_is_refused():
+def test_what_is_of_another_type_is_refused():
     with pytest.raises(TypeError, match="emg = True; expected Emg or None"):
         Instruments(emg=True)
+    with pytest.raises(TypeError, match=r"encoder_bits = 16.5; expected a whole number"):
+        Instruments(encoder_bits=16.5)
     assert Instruments(emg=Emg(noise=0.0)).emg.noise == 0.0
 
 
