@@ -22,14 +22,14 @@ from armperturb.analysis.measures.pulse import WINDOWS, pulse_peaks
 from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
 from armperturb.arrays import Array
 from armperturb.cohort import Person
-from armperturb.controllers.muscle import element_motion, muscle_parameters, muscle_torque, rested
-from armperturb.environment import Environment
+from armperturb.controllers.arm_control import stretched
+from armperturb.environment import TIMESTEP, Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.files import packaged_table
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.study.protocol import PULSE_LEAD, QUICK_STEP, THESIS, Protocol, with_published_forces
+from armperturb.study.protocol import PULSE_LEAD, THESIS, Protocol, with_published_forces
 from armperturb.study.published import tables as published
 from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.subject import Subject
@@ -197,7 +197,7 @@ def why_people_yield(
     *,
     seed: int = 0,
     n_multisines: int = 2,
-    timestep: float = QUICK_STEP,
+    timestep: float = TIMESTEP,
     **options: Any,
 ) -> Yielding:
     """Perturb a person with and without each mechanism, side by side.
@@ -337,7 +337,8 @@ def _response(recording: xr.Dataset, subject: Subject) -> Response:
         return response
     spectra = estimate_spectra(line_spectra(recording, window_start=WINDOW_START))
     window = slice(round(WINDOW_START * rate), round((WINDOW_START + PERIOD) * rate))
-    stretch = element_motion(true_rotations(recording)[:, window].reshape(-1, 2))
+    shoulder, elbow = true_rotations(recording)[:, window].reshape(-1, 2).T
+    stretch = np.stack([shoulder, shoulder + elbow, elbow], axis=1)
     return replace(
         response,
         frequency=spectra.frequency,
@@ -364,11 +365,8 @@ def intrinsic_loop(
     phase = 2.0 * np.pi * np.arange(LOOP_CYCLES * LOOP_SAMPLES + 1)[:, None] / LOOP_SAMPLES
     stretch = np.asarray(amplitude, dtype=float) * np.sin(phase)
     velocity = np.asarray(amplitude, dtype=float) * (2.0 * np.pi * frequency) * np.cos(phase)
-    parameters = muscle_parameters([subject], timestep)
-    state, law = rested(parameters), np.empty_like(stretch)
-    for step in range(len(stretch)):
-        torque, state = muscle_torque(parameters, state, stretch[step : step + 1], velocity[step : step + 1])
-        law[step] = torque[0]
+    torque, _ = stretched([subject], stretch[:, None], velocity[:, None], timestep)
+    law = torque[:, 0]
     linear = np.array(subject.muscle_groups("k")) * stretch + np.array(subject.muscle_groups("b")) * velocity
     last = slice(-LOOP_SAMPLES - 1, None)
     return stretch[last], (linear + law)[last]

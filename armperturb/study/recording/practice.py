@@ -16,13 +16,13 @@ from armperturb.analysis.defaults import WINDOW_START
 from armperturb.arrays import Array
 from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import Environment
+from armperturb.environment import TIMESTEP, Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD
 from armperturb.seeds import random_stream, trial_seed
-from armperturb.study.protocol import PULSE_UNIT, QUICK_STEP, Condition, Protocol
+from armperturb.study.protocol import PULSE_UNIT, Condition, Protocol
 from armperturb.subject import Subject
 
 Measure = Callable[[NDArray[np.int_], Array], Array]
@@ -76,7 +76,7 @@ def practise(
     n_threads: int = 0,
     *,
     noisy: bool = False,
-    timestep: float = QUICK_STEP,
+    timestep: float = TIMESTEP,
     progress: Callable[[float], object] | None = None,
 ) -> tuple[dict[str, float], ...]:
     """Forces for every person: each condition's force is adjusted until the handle moves as far as intended.
@@ -223,7 +223,7 @@ def linear_displacement(subject: Subject, environment: Environment, multisine: M
 
 
 def measured_displacement(
-    trials: Sequence[Trial], environment: Environment, *, timestep: float = QUICK_STEP, **options: Any
+    trials: Sequence[Trial], environment: Environment, *, timestep: float = TIMESTEP, **options: Any
 ) -> Array:
     """RMS displacement from the start, pooled over both axes, from 8 s to 28.48 s [m], (trial,).
 
