@@ -198,6 +198,7 @@ def why_people_yield(
     seed: int = 0,
     n_multisines: int = 2,
     timestep: float = TIMESTEP,
+    engine: str = "compiled",
     **options: Any,
 ) -> Yielding:
     """Perturb a person with and without each mechanism, side by side.
@@ -208,6 +209,7 @@ def why_people_yield(
       seed: of the multisines.
       n_multisines: realisations behind each admittance.
       timestep: of the simulation [s].
+      engine: see `run_experiment`.
       **options: further ones of `run_experiment`.
 
     Raises:
@@ -232,7 +234,7 @@ def why_people_yield(
         if not trials:
             return
         everything = [trial for own_trials in trials.values() for trial in own_trials]
-        recording = run_experiment(everything, environment, timestep=timestep, **options)
+        recording = run_experiment(everything, environment, timestep=timestep, engine=engine, **options)
         first = 0
         for (condition, subject), own_trials in trials.items():
             yield condition, subject, recording.isel(trial=slice(first, first + len(own_trials)))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from armperturb.cohort import MUSCLES, Person, draw_cohort
-from armperturb.environment import Environment
+from armperturb.environment import ENGINES, Environment
 from armperturb.study.protocol import Protocol
 from armperturb.study.recording.folder import MANIFEST
 from armperturb.study.recording.settings import StudySettings
@@ -33,6 +33,7 @@ class Manifest:
       ideal: whether people and instruments are free of noise.
       muscles: "nonlinear" or "linear" people.
       timestep: of the simulation [s].
+      engine: what simulated the recordings, "mujoco" or "compiled".
       protocol: what everyone went through.
       people: digest of the people: another calibration, or other spreads, make other people of the same seed.
       versions: of this package and the libraries that the recordings depend on.
@@ -43,6 +44,7 @@ class Manifest:
     ideal: bool
     muscles: str
     timestep: float
+    engine: str
     protocol: Protocol
     people: str
     versions: Mapping[str, str]
@@ -56,6 +58,7 @@ class Manifest:
             ideal=settings.ideal,
             muscles=settings.muscles,
             timestep=settings.timestep,
+            engine=settings.engine,
             protocol=protocol,
             people=_digest(people),
             versions=current_versions(),
@@ -77,6 +80,7 @@ class Manifest:
                 require_number(source, name, values[name], at_least=least, at_most=most)
             require_number(source, "timestep", values.get("timestep", UNSAID_TIMESTEP), above=0.0)
             require_one_of(source, "muscles", values["muscles"], MUSCLES)
+            require_one_of(source, "engine", values.get("engine", ENGINES[0]), ENGINES)
             if not isinstance(values["protocol"], Mapping) or not isinstance(values["versions"], Mapping):
                 raise ValueError(f"{source}: protocol or versions is no table; expected what a run wrote")
             return cls(
@@ -85,6 +89,7 @@ class Manifest:
                 ideal=bool(values["ideal"]),
                 muscles=values["muscles"],
                 timestep=float(values.get("timestep", UNSAID_TIMESTEP)),
+                engine=values.get("engine", ENGINES[0]),
                 protocol=Protocol.from_dict(values["protocol"], source=f"{source}, protocol"),
                 people=str(values["people"]),
                 versions=dict(values["versions"]),
@@ -103,6 +108,7 @@ class Manifest:
             "ideal": self.ideal,
             "muscles": self.muscles,
             "timestep": self.timestep,
+            "engine": self.engine,
             "people": self.people,
             "protocol": self.protocol.to_dict(),
         }
