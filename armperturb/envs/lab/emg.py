@@ -12,7 +12,7 @@ the activation dynamics, as electrodes pick up what the nerve sends. What the mo
 fatigue, voluntary activity.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from armperturb.arrays import Array
+from armperturb.files import packaged_table
 from armperturb.recording import MUSCLES
 from armperturb.subject import POSITION, RELAX, Subject
 from armperturb.validation import require_number, require_ranges
@@ -37,20 +38,13 @@ class Service(NamedTuple):
       sign: of its torque; 1 flexes (angles grow), -1 extends.
     """
 
-    joints: tuple[str, ...]
+    joints: Sequence[str]
     sign: int
 
 
-SERVICES: Mapping[str, Service] = {
-    "pectoralis_major_clavicular": Service(("s",), 1),
-    "latissimus_dorsi": Service(("s",), -1),
-    "deltoideus_anterior": Service(("s",), 1),
-    "deltoideus_posterior": Service(("s",), -1),
-    "biceps_short_head": Service(("s", "e"), 1),
-    "brachioradialis": Service(("e",), 1),
-    "triceps_lateralis": Service(("e",), -1),
-    "triceps_longum": Service(("s", "e"), -1),
-}
+_MUSCLES = packaged_table(__package__, "muscles.toml")
+
+SERVICES: Mapping[str, Service] = {name: Service(**service) for name, service in _MUSCLES.items()}
 """Muscle to what it moves in the horizontal plane."""
 
 STULEN_DE_LUCA = (60.0, 120.0)
