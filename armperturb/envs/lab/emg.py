@@ -12,7 +12,6 @@ the activation dynamics, as electrodes pick up what the nerve sends. What the mo
 fatigue, voluntary activity.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -38,13 +37,13 @@ class Service(NamedTuple):
       sign: of its torque; 1 flexes (angles grow), -1 extends.
     """
 
-    joints: Sequence[str]
+    joints: tuple[str, ...]
     sign: int
 
 
 _MUSCLES = packaged_table(__package__, "muscles.toml")
 
-SERVICES: Mapping[str, Service] = {name: Service(**service) for name, service in _MUSCLES.items()}
+SERVICES = {name: Service(tuple(moves["joints"]), moves["sign"]) for name, moves in _MUSCLES.items()}
 """Muscle to what it moves in the horizontal plane."""
 
 STULEN_DE_LUCA = (60.0, 120.0)
