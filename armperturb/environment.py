@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 from armperturb.validation import require_ranges
 
+TIMESTEP = 2.5e-3
+"""Step of simulations of arm and environment [s], by default; docs/physics.md has the error that it makes."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Environment:

@@ -3,20 +3,9 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-EXTRAS = {
-    "mujoco": "sim",
-    "filelock": "sim",
-    "jinja2": "sim",
-    "gymnasium": "learn",
-    "dm_control": "dm",
-    "dm_env": "dm",
-    "mediapy": "video",
-    "imageio_ffmpeg": "video",
-    "numba": "nonlinear",
-    "loky": "nonlinear",
-    "ezc3d": "c3d",
-    "distributed": "dask",
-}
+from armperturb.files import packaged_table
+
+EXTRAS = packaged_table(__package__, "extras.toml")
 """Library, as imported, to the extra that installs it."""
 
 

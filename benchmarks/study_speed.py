@@ -21,9 +21,9 @@ import joblib
 import mujoco
 import numpy as np
 import psutil
+from armperturb.controllers.reflex import activate, initial_activation, reflex_gains, spindle_excitation
 
 from armperturb.cohort import draw_cohort
-from armperturb.controllers.reflex import activate, initial_activation, reflex_gains, spindle_excitation
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial

@@ -1,6 +1,7 @@
 """Recordings and studies that several tests read; whichever test process needs one first makes it for all."""
 
 import fcntl
+import gc
 import os
 import pickle
 from collections import Counter
@@ -42,6 +43,10 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.slow(reason=SLOW_FIXTURES[fixture]))
         slow_tests[item.path] += item.get_closest_marker("slow") is not None
     items.sort(key=lambda item: -slow_tests[item.path])  # so that no process ends long after the others
+
+
+def pytest_collection_finish():
+    gc.freeze()  # what was imported for all tests need not be searched for garbage in each
 
 
 @pytest.fixture(scope="session")

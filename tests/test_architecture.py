@@ -24,7 +24,7 @@ ARROWS = {
     "arrays": set(),
     "validation": {"files"},
     "files": set(),
-    "extras": set(),
+    "extras": {"files"},
     "seeds": set(),
     "muscle_law": {"validation"},
     "subject": {"files", "validation", "muscle_law"},

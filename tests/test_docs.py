@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from armperturb import POSITION, Environment, Multisine, MuscleLaw, Strap, Subject, cli, load_recording
-from armperturb.controllers.muscle import MuscleState
+from armperturb.controllers.lanes import control_memory
 from armperturb.perturbations import Perturbation
 from armperturb.recording import MUSCLES, SIGNALS, TRIAL_COORDINATES
 
@@ -141,7 +141,7 @@ def symbols():
 def test_symbols_name_code_that_exists():
     kinds = (Subject, MuscleLaw, Environment, Strap)
     names = {f"{kind.__name__}.{field.name}" for kind in kinds for field in dataclasses.fields(kind)}
-    names |= {f"MuscleState.{name}" for name in MuscleState.__annotations__}
+    names |= {f"memory.{name}" for name in control_memory(1, 1, 1).dtype.names}
     names |= {f'recording["{name}"]' for name in (*SIGNALS, *TRIAL_COORDINATES)}
     assert symbols() <= names
 

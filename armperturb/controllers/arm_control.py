@@ -5,16 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from armperturb.arrays import Array, Indices
-from armperturb.controllers.layout import trials_adjacent
-from armperturb.controllers.muscle import NonlinearMuscles
-from armperturb.controllers.reflex import (
-    MemoryReflexes,
-    NonlinearSpindles,
-    activate,
-    initial_activation,
-    reflex_gains,
-    spindle_excitation,
-)
+from armperturb.controllers.compiled import act_all, stretch_all
+from armperturb.controllers.lanes import Table, control_columns, control_memory, history_of, table_of
 from armperturb.subject import Subject
 
 Strength = dict[str, Array]
@@ -28,13 +20,12 @@ short-range stiffness [Nm/rad].
 
 
 class ArmControl:
-    """Reflexes, muscle law and their memory, of one arm per trial: `torque` once per step, from its start's state.
-
-    Everything is elementwise: a trial has the same bits alone and beside others.
+    """Reflexes, muscle law and their memory, of one arm per trial; a trial has the same bits alone and beside others.
 
     Attributes:
-      gains: feedback gains and activation filters as they are now.
-      excitation: reflexive excitation of the joints at the last step [Nm], (trial, joint); zero before the first.
+      table: people as they are now, (trial,), see `lanes.control_columns`.
+      memory: what they remember, (trial,), see `lanes.control_memory`.
+      timestep: of the simulation [s].
     """
 
     def __init__(self, subjects: Sequence[Subject], timestep: float, n_history: int = 0) -> None:
@@ -43,73 +34,100 @@ class ArmControl:
         Args:
           subjects: the person in each trial.
           timestep: of the simulation [s].
-          n_history: steps that force feedback remembers, if more than these people need.
+          n_history: steps that reflexes remember, if more than these people need.
         """
-        self.excitation = trials_adjacent(np.zeros((len(subjects), 2)), 0)
-        self._timestep = timestep
-        self.gains = reflex_gains(subjects, timestep)
-        self._activation = initial_activation(len(subjects))
-        self._spindles = NonlinearSpindles(subjects)
-        self._muscles = NonlinearMuscles(subjects, timestep)
-        self._memory = MemoryReflexes(subjects, timestep, n_history)
+        self.timestep = timestep
+        self.table = table_of(control_columns(subjects, timestep))
+        n_parts = self.table["limit"].shape[2]
+        self.memory = control_memory(len(subjects), n_parts, max(n_history, history_of(self.table, timestep)))
 
-    def torque(self, angle: Array, velocity: Array, noise: Array | float = 0.0) -> tuple[Array | float, Array]:
-        """What acts on the joints over a step.
+    @property
+    def excitation(self) -> Array:
+        """Reflexive excitation of the joints at the last step [Nm], (trial, joint); zero before the first."""
+        return self.memory["excitation"]
+
+    def torque(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
+        """What acts on the joints over a step, which all memories then go on by.
 
         Args:
           angle: of the joints at its start [rad], (trial, joint).
           velocity: of the joints [rad/s], (trial, joint).
-          noise: torque beside that of muscles and reflexes [Nm], (trial, joint), or the same for all.
 
         Returns:
-          The torque to apply [Nm], shaped as `noise` where no subject has a muscle law, and the controls of the reflex
-          motors [Nm], (trial, joint), which the model delays.
+          The torque to hold over the step [Nm], (trial, joint), and the controls of the reflex motors [Nm], (trial,
+          joint), which the model delays.
         """
-        excitation = self.excitation = spindle_excitation(self.gains, angle, velocity)
-        if self._spindles.needed:
-            self._spindles.correct_excitation(excitation, velocity)
-        applied = noise
-        if self._muscles.needed:
-            applied = noise - self._muscles.torque(angle, velocity)
-        if self._memory.needed:
-            nonlinear = self._muscles.at_start if self._muscles.needed else None
-            self._memory.add_excitation(excitation, angle, velocity, nonlinear)
-        active, self._activation = activate(self.gains, self._activation, excitation)
-        if self._memory.needed:
-            self._memory.remember(active)
-        return applied, -active
+        held, sent = np.zeros((2, len(self.table), 2))
+        act_all(self.table, self.memory, angle, velocity, self.timestep, held, sent)
+        return held, sent
 
     def set_strength(self, trials: Indices, strength: Strength) -> None:
         """Change muscles and reflexes of some trials; their springs and dampers are the model's, see `envs.simulation`.
+
+        Bonds that come in are unstrained, and bonds that go take their torque along: neither gives energy.
 
         Args:
           trials: indices of those trials.
           strength: of as many.
         """
-        self._muscles.set_strength(trials, strength["short_range_groups"], strength["b_groups"])
-        self._spindles.set_gains(trials, strength["kv_groups"])
-        self._memory.set_muscle(trials, _matrices(strength["k"]), _matrices(strength["b"]))
-        self.gains.velocity[trials], self.gains.position[trials] = _matrices(strength["kv"]), _matrices(strength["kp"])
+        table = self.table
+        for name in ("k", "b", "kv", "kp", "kv_groups"):
+            table[name][trials] = strength[name]
+        table["damping_groups"][trials] = strength["b_groups"]
+        table["short_range"][trials] = strength["short_range_groups"]
+        before = table["part_stiffness"][trials]
+        stiffness = strength["short_range_groups"] / table["parts"][trials, None]
+        share = np.divide(before, stiffness, out=np.ones_like(stiffness), where=stiffness > 0.0)
+        self.memory["bond"][trials] *= np.minimum(share, 1.0)[..., None]
+        table["part_stiffness"][trials] = stiffness
+        table["reflexive"][trials] = 1.0
 
     def replace(self, trials: Indices, subjects: Sequence[Subject]) -> None:
         """Put other people, at rest, in the place of some trials.
 
         Args:
           trials: indices of those trials.
-          subjects: as many people, with delays that are no longer than `n_history` steps.
+          subjects: as many people, with delays that are no longer than what is remembered.
         """
-        fresh = ArmControl(subjects, self._timestep)
-        self._spindles.replace(trials, fresh._spindles)
-        self._muscles.replace(trials, fresh._muscles)
-        self._memory.replace(trials, fresh._memory)
-        self._activation[:, trials] = 0.0
-        self.excitation[trials] = 0.0
-        for name in ("posture", "velocity", "position"):
-            getattr(self.gains, name)[trials] = getattr(fresh.gains, name)
-        for name in ("numerator", "denominator"):
-            getattr(self.gains, name)[:, trials] = getattr(fresh.gains, name)
+        n_parts, n_history = self.table["limit"].shape[2], self.memory["sent"].shape[1]
+        columns = control_columns(subjects, self.timestep, n_parts)
+        if columns["limit"].shape[2] > n_parts:
+            self._widen(columns["limit"].shape[2])
+        for name, values in columns.items():
+            self.table[name][trials] = values
+        self.memory[trials] = control_memory(len(subjects), self.table["limit"].shape[2], n_history)
+
+    def _widen(self, n_parts: int) -> None:
+        """Have room for more elasto-plastic parts; those that a person does not have yield at once."""
+
+        def wider(table: Table, names: Sequence[str], into: Table) -> Table:
+            for name in into.dtype.names or ():
+                narrow = (..., slice(table[name].shape[2])) if name in names else ...
+                into[name][narrow] = table[name]
+            return into
+
+        shapes = {name: self.table[name].shape for name in self.table.dtype.names or ()}
+        shapes |= {name: (*shapes[name][:2], n_parts) for name in ("limit", "limit_slope")}
+        empty = table_of({name: np.zeros(shape) for name, shape in shapes.items()})
+        self.table = wider(self.table, ("limit", "limit_slope"), empty)
+        fresh = control_memory(len(self.table), n_parts, self.memory["sent"].shape[1])
+        self.memory = wider(self.memory, ("bond",), fresh)
 
 
-def _matrices(triples: Array) -> Array:
-    """Symmetric joint matrices of triples (s, se, e), (trial, joint, joint)."""
-    return triples[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+def stretched(subjects: Sequence[Subject], stretch: Array, velocity: Array, timestep: float) -> tuple[Array, Table]:
+    """What the muscle law does while elements are moved by hand, without an arm around them.
+
+    Args:
+      subjects: whose muscles.
+      stretch: of the elements [rad], (step, subject, element).
+      velocity: of the elements [rad/s], likewise.
+      timestep: between steps [s].
+
+    Returns:
+      The torque with which elements oppose stretch, beside the linear spring and damper [Nm], (step, subject, element),
+      and the memory after the last step.
+    """
+    control = ArmControl(subjects, timestep)
+    torque = np.zeros(np.shape(stretch))
+    stretch_all(control.table, control.memory, np.ascontiguousarray(stretch), np.ascontiguousarray(velocity), torque)
+    return torque, control.memory

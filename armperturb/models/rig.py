@@ -7,7 +7,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from armperturb.environment import Environment, Strap
+from armperturb.arrays import Array
+from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.subject import Subject
 from armperturb.validation import require_number, require_one_of, require_whole
 
@@ -25,6 +26,12 @@ STRAP = ("strap_x", "strap_y")
 
 REFLEXES = ("reflex_shoulder", "reflex_elbow")
 """Motors: ctrl is the torque added at the joint [Nm], which acts after the neural delay of that joint."""
+
+KNOWN = ("torque_shoulder", "torque_elbow", "push_x", "push_y")
+"""Motors of what is known ahead: ctrl is the torque on the joint [Nm], force on the handle [N], `AHEAD` steps later."""
+
+AHEAD = 3
+"""Steps that MuJoCo must know ahead to interpolate a control by a cubic; no neural delay is shorter."""
 
 ANGLE_SENSORS = ("shoulder_angle", "elbow_angle")
 """Joint angles [rad]."""
@@ -51,10 +58,12 @@ ROPES = ("ideal", "pendulum")
 """What a rope does beside carrying the arm: nothing, or pull it back under the ceiling point as a pendulum does."""
 
 GRAVITY = 9.81
+MEMORY = 2**18
+"""Of MuJoCo's stack in each `MjData` [bytes]; limits are all that needs any."""
 ROPE_LENGTH = 2.0
 
 
-def history_length(subject: Subject, timestep: float = 0.001) -> int:
+def history_length(subject: Subject, timestep: float = TIMESTEP) -> int:
     """Number of past controls that MuJoCo must keep to delay both reflex torques of a person.
 
     Args:
@@ -65,21 +74,21 @@ def history_length(subject: Subject, timestep: float = 0.001) -> int:
       The number of samples. Models of one `mujoco.batch.Batch` need the same: the largest of theirs.
 
     Raises:
-      ValueError: timestep is not positive, or a delay is shorter than it.
+      ValueError: timestep is not positive, or a delay is shorter than three of them.
     """
     require_number("history_length", "timestep", timestep, above=0.0)
     for field in ("Td_s", "Td_e"):
-        # MuJoCo interpolates between stored controls, and the newest is that of the step's start.
-        require_number("Subject", field, getattr(subject, field), at_least=timestep)
-    # Rounded, so that 0.3 / 0.1 is three. One more, because a sum of many steps may fall a hair short of the delay.
-    return max(math.ceil(round(delay / timestep, 9)) for delay in (subject.Td_s, subject.Td_e)) + 1
+        # MuJoCo's cubic takes two stored controls on either side, and the newest is that of the step before.
+        require_number("Subject", field, getattr(subject, field), at_least=round(AHEAD * timestep, 12))
+    # Rounded, so that 0.3 / 0.1 is three.
+    return max(math.ceil(round(delay / timestep, 9)) for delay in (subject.Td_s, subject.Td_e)) + 2
 
 
 def build_model(
     subject: Subject,
     environment: Environment = Environment(),  # noqa: B008
     *,
-    timestep: float = 0.001,
+    timestep: float = TIMESTEP,
     rope: str = "ideal",
     strap: Strap | None = None,
     n_history: int | None = None,
@@ -88,8 +97,8 @@ def build_model(
     """Compile the rig: a person's arm that grips the manipulator, at rest at the start posture.
 
     `MjData(model)` starts in equilibrium. Intrinsic muscle and grip are in the model; reflexes are torques that a
-    controller writes to `ctrl` at the start of each step, undelayed: the model delays them. Perturbations go to
-    `qfrc_applied` of the slides [N].
+    controller writes to `ctrl` at the start of each step, undelayed: the model delays them. So are perturbations, which
+    it writes to the motors of `KNOWN`, `AHEAD` steps ahead; `start_motors` tells these what comes before that.
 
     Args:
       subject: whose arm, grip and delays.
@@ -108,7 +117,7 @@ def build_model(
       is a strap agree.
 
     Raises:
-      ValueError: a delay is shorter than timestep, rope is unknown, or timestep or n_history is out of range.
+      ValueError: a delay is shorter than three steps, rope is unknown, or timestep or n_history is out of range.
       TypeError: timestep or n_history is no number, or strap no `Strap`.
     """
     return build_spec(
@@ -144,9 +153,26 @@ def build_spec(
         motor = spec.actuator(name)
         motor.delay = delay
         motor.nsample = int(n_history)
+    for name in KNOWN:
+        spec.actuator(name).delay = AHEAD * timestep
+    spec.memory = MEMORY
     if not visual:
         _leave_out_visuals(spec, rope)
     return spec
+
+
+def start_motors(model: mujoco.MjModel, data: mujoco.MjData, first: int, known: Array) -> None:
+    """Tell the motors of `KNOWN` what they do in the first steps.
+
+    Args:
+      model: of the rig.
+      data: at rest, at time zero.
+      first: index of the first of these motors.
+      known: torques [Nm] and forces [N] one step before time zero, at it, and in the two steps that follow, (4, motor).
+    """
+    times = np.arange(-len(known), 0) * model.opt.timestep
+    for motor, values in enumerate(np.transpose(known), start=first):
+        mujoco.mj_initCtrlHistory(model, data, motor, times, np.ascontiguousarray(values))
 
 
 @functools.cache

@@ -2,31 +2,29 @@
 
 The arm is that of the MJCF model: two point masses in the middle of rigid segments that turn about a fixed shoulder,
 linear intrinsic muscle, and a grip that is a spring and damper between hand and handle. Muscle law and reflexes are
-those of `controllers`, written out for one lane. MuJoCo is the reference in tests: at the same step, displacements
-agree within 2e-4 of the largest.
+those of `controllers.compiled`. MuJoCo is the reference in tests: at the same step, displacements agree within 2e-4 of
+the largest.
 """
 
 import math
-from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from armperturb.arrays import Array, Indices
+from armperturb.controllers.compiled import Lane, Memory, act, delayed
+from armperturb.controllers.lanes import Table
 from armperturb.planar_arm.lanes import GROUP, Start
-
-Lane = Any
-"""A row of `lanes.lane_table`: compiled code knows its fields, type checkers do not."""
 
 State = tuple[float, ...]
 
 (Q_S, Q_E, X, Y, W_S, W_E, V_X, V_Y) = range(8)
-(PUSH_X, PUSH_Y, START_S, START_E, MIDDLE_S, MIDDLE_E, END_S, END_E) = range(8, 16)
-(UPPER, LOWER, L_H, L_F, K_H, B_H, HAND_X, HAND_Y, INERTIA_S, INERTIA_E, COUPLING) = range(16, 27)
-(K_S, K_SE, K_E, B_S, B_SE, B_E, M_ENV, B_ENV, K_ENV) = range(27, 36)
-ROWS = 36
-"""Rows of a group's numbers: state, inputs of a step (torques at its start, middle and end), constants."""
+PUSH, TORQUE = 8, 14
+(UPPER, LOWER, L_H, L_F, K_H, B_H, HAND_X, HAND_Y, INERTIA_S, INERTIA_E, COUPLING) = range(20, 31)
+(K_S, K_SE, K_E, B_S, B_SE, B_E, M_ENV, B_ENV, K_ENV) = range(31, 40)
+ROWS = 40
+"""Rows of a group's numbers: state, force and torque at the start, middle and end of a step (x and y, or shoulder and
+elbow, of each), constants."""
 
 PI_REMAINDER = 1.2246467991473532e-16
 """What pi has beyond its nearest number."""
@@ -73,7 +71,7 @@ def _moved(z: State, slope: State, time: float) -> State:
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _slope(w: Array, i: int, z: State, upper: State, lower: State, t_s: float, t_e: float) -> State:
+def _slope(w: Array, i: int, z: State, upper: State, lower: State, stage: int) -> State:
     """Derivative of (q_s, q_e, x, y, their velocities), q from the posture and x from the start.
 
     Args:
@@ -82,8 +80,7 @@ def _slope(w: Array, i: int, z: State, upper: State, lower: State, t_s: float, t
       z: the state.
       upper: sine and cosine of the upper arm's angle.
       lower: of the forearm's.
-      t_s: torque on the shoulder beside spring, damper and grip [Nm].
-      t_e: on the elbow.
+      stage: 0 at the start of the step, 2 in the middle, 4 at the end.
     """
     q_s, q_e, x, y, w_s, w_e, v_x, v_y = z
     (sin_u, cos_u), (sin_l, cos_l) = upper, lower
@@ -94,9 +91,9 @@ def _slope(w: Array, i: int, z: State, upper: State, lower: State, t_s: float, t
     f_y = w[K_H, i] * (y + w[HAND_Y, i] + s_x) + w[B_H, i] * (v_y - s_y * w_s - e_y * w_e)
     couple = w[COUPLING, i] * (cos_u * cos_l + sin_u * sin_l)
     swirl = w[COUPLING, i] * (cos_u * sin_l - sin_u * cos_l)
-    t_s += s_x * f_x + s_y * f_y + swirl * w_e * (2.0 * w_s + w_e)
+    t_s = w[TORQUE + stage, i] + s_x * f_x + s_y * f_y + swirl * w_e * (2.0 * w_s + w_e)
     t_s -= w[K_S, i] * q_s + w[K_SE, i] * q_e + w[B_S, i] * w_s + w[B_SE, i] * w_e
-    t_e += e_x * f_x + e_y * f_y - swirl * w_s * w_s
+    t_e = w[TORQUE + stage + 1, i] + e_x * f_x + e_y * f_y - swirl * w_s * w_s
     t_e -= w[K_SE, i] * q_s + w[K_E, i] * q_e + w[B_SE, i] * w_s + w[B_E, i] * w_e
     m_e = w[INERTIA_E, i]
     m_s, m_se = w[INERTIA_S, i] + 2.0 * couple, m_e + couple
@@ -108,77 +105,14 @@ def _slope(w: Array, i: int, z: State, upper: State, lower: State, t_s: float, t
         v_y,
         (m_e * t_s - m_se * t_e) * share,
         (m_s * t_e - m_se * t_s) * share,
-        (w[PUSH_X, i] - f_x - w[B_ENV, i] * v_x - w[K_ENV, i] * x) / w[M_ENV, i],
-        (w[PUSH_Y, i] - f_y - w[B_ENV, i] * v_y - w[K_ENV, i] * y) / w[M_ENV, i],
+        (w[PUSH + stage, i] - f_x - w[B_ENV, i] * v_x - w[K_ENV, i] * x) / w[M_ENV, i],
+        (w[PUSH + stage + 1, i] - f_y - w[B_ENV, i] * v_y - w[K_ENV, i] * y) / w[M_ENV, i],
     )
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _muscles(p: Lane, bond: Array, intact: Array, last: Array, stretch: Array, velocity: Array, out: Array) -> None:
-    """Torque of the law on both joints, see `controllers.muscle.muscle_torque`."""
-    out[0] = out[1] = 0.0
-    for element in range(3):
-        move = stretch[element] - last[element]
-        last[element] = stretch[element]
-        speed = abs(velocity[element])
-        survival = 1.0 / (1.0 + abs(move) * p.loss[element])
-        whole = intact[element] * survival
-        total = 0.0
-        for part in range(bond.shape[1]):
-            limit = whole * (p.limit[element, part] + p.limit_slope[element, part] * speed)
-            strain = min(max(bond[element, part] * survival + whole * move, -limit), limit)
-            bond[element, part] = strain
-            total += strain
-        intact[element] = 1.0 - (1.0 - whole) * p.persistence[element]
-        thinned = speed * p.thinning[element]
-        torque = total * p.part_stiffness[element]
-        torque -= p.damping_groups[element] * velocity[element] * (thinned / (1.0 + thinned))
-        if element < 2:
-            out[0] += torque
-        if element > 0:
-            out[1] += torque
-
-
-@njit(cache=True, inline="always", error_model="numpy")
-def _excitation(p: Lane, q_s: float, q_e: float, w_s: float, w_e: float, out: Array) -> None:
-    """Reflexive excitation of both joints, see `controllers.reflex`."""
-    out[0] = p.kv[0] * w_s + p.kv[1] * w_e + p.kp[0] * q_s + p.kp[1] * q_e
-    out[1] = p.kv[1] * w_s + p.kv[2] * w_e + p.kp[1] * q_s + p.kp[2] * q_e
-    for element in range(3):
-        velocity = (w_s, w_s + w_e, w_e)[element]
-        answered = velocity / (1.0 + abs(velocity) / p.saturation[element])
-        if velocity * p.direction[element] < 0.0:
-            answered *= 1.0 - abs(p.direction[element])
-        missing = p.kv_groups[element] * (answered - velocity)
-        if element < 2:
-            out[0] += missing
-        if element > 0:
-            out[1] += missing
-
-
-@njit(cache=True, inline="always", error_model="numpy")
-def _reflexes(p: Lane, excitation: Array, filters: Array, motor: Array, step: int, timestep: float, out: Array) -> None:
-    """Delayed torque of the reflexes at the start, middle and end of a step, (3, joint)."""
-    n_history = len(motor)
-    newest = step % n_history
-    for joint in range(2):
-        u = excitation[joint]
-        sent = p.numerator[0, joint] * u + filters[0, joint]
-        filters[0, joint] = p.numerator[1, joint] * u - p.denominator[1, joint] * sent + filters[1, joint]
-        filters[1, joint] = p.numerator[2, joint] * u - p.denominator[2, joint] * sent
-        motor[newest, joint] = -sent
-        delay = p.delay[joint] / timestep
-        for stage in range(3):
-            back = delay - 0.5 * stage
-            whole = math.floor(back)
-            place = newest - whole if newest >= whole else newest - whole + n_history  # a remainder takes far longer
-            newer, older = motor[place, joint], motor[place - 1 if place > 0 else n_history - 1, joint]
-            out[stage, joint] = newer + (back - whole) * (older - newer)
-
-
-@njit(cache=True, inline="always", error_model="numpy")
 def _advance(w: Array, timestep: float) -> None:
-    """One step of Runge-Kutta 4 of all lanes of a group, under forces and laws that are held; NaN if an arm diverges.
+    """One step of Runge-Kutta 4 of all lanes of a group; NaN where an arm diverges.
 
     The compiler makes one vector instruction of the lanes' scalar ones, as long as all that they touch is one array.
     """
@@ -187,19 +121,19 @@ def _advance(w: Array, timestep: float) -> None:
         z: State = (w[Q_S, i], w[Q_E, i], w[X, i], w[Y, i], w[W_S, i], w[W_E, i], w[V_X, i], w[V_Y, i])
         upper = _sine_and_cosine(w[UPPER, i] + z[0])
         lower = _sine_and_cosine(w[LOWER, i] + z[0] + z[1])
-        first = _slope(w, i, z, upper, lower, w[START_S, i], w[START_E, i])
+        first = _slope(w, i, z, upper, lower, 0)
         d_u, d_l = half * z[4], half * (z[4] + z[5])
         there = _moved(z, first, half)
         turned = _turned(upper[0], upper[1], d_u), _turned(lower[0], lower[1], d_l)
-        second = _slope(w, i, there, turned[0], turned[1], w[MIDDLE_S, i], w[MIDDLE_E, i])
+        second = _slope(w, i, there, turned[0], turned[1], 2)
         d_u, d_l = half * there[4], half * (there[4] + there[5])
         there = _moved(z, second, half)
         turned = _turned(upper[0], upper[1], d_u), _turned(lower[0], lower[1], d_l)
-        third = _slope(w, i, there, turned[0], turned[1], w[MIDDLE_S, i], w[MIDDLE_E, i])
+        third = _slope(w, i, there, turned[0], turned[1], 2)
         d_u, d_l = timestep * there[4], timestep * (there[4] + there[5])
         there = _moved(z, third, timestep)
         turned = _turned(upper[0], upper[1], d_u), _turned(lower[0], lower[1], d_l)
-        fourth = _slope(w, i, there, turned[0], turned[1], w[END_S, i], w[END_E, i])
+        fourth = _slope(w, i, there, turned[0], turned[1], 4)
         z = _moved(z, first, timestep / 6.0)
         z = _moved(z, second, timestep / 3.0)
         z = _moved(z, third, timestep / 3.0)
@@ -209,11 +143,46 @@ def _advance(w: Array, timestep: float) -> None:
         w[W_S, i], w[W_E, i], w[V_X, i], w[V_Y, i] = finite * z[4], finite * z[5], finite * z[6], finite * z[7]
 
 
+@njit(cache=True, inline="always", error_model="numpy")
+def _load(lanes: Table, start: Start, first: int, w: Array) -> None:
+    """Put a group's states and constants where `_advance` wants them; the last group is filled with its last lane."""
+    for i in range(GROUP):
+        lane = min(first + i, len(lanes) - 1)
+        p = lanes[lane]
+        for j in range(3):
+            w[K_S + j, i], w[B_S + j, i] = p.spring[j], p.b[j]
+        lower = p.posture[0] + p.posture[1]
+        w[UPPER, i], w[LOWER, i] = p.posture[0], lower
+        w[L_H, i], w[L_F, i], w[K_H, i], w[B_H, i] = p.l_h, p.l_f, p.k_h, p.b_h
+        w[INERTIA_S, i], w[INERTIA_E, i], w[COUPLING, i] = p.inertia[0], p.inertia[1], p.inertia[2]
+        w[M_ENV, i], w[B_ENV, i], w[K_ENV, i] = p.m_env, p.b_env, p.k_env
+        # The shoulder's column of the Jacobian has (-y, x) of the hand: so the grip is at rest at the start.
+        w[HAND_X, i] = p.l_h * math.cos(p.posture[0]) + p.l_f * math.cos(lower)
+        w[HAND_Y, i] = p.l_h * math.sin(p.posture[0]) + p.l_f * math.sin(lower)
+        w[: V_Y + 1, i] = start.state[lane]
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _act(p: Lane, m: Memory, w: Array, i: int, timestep: float, room: Array) -> None:
+    """Put torques of muscles and reflexes into a lane's row; `room` is (8, 3) for intermediate results."""
+    angle, velocity, held, sent = room[4], room[5], room[6], room[7]
+    for joint in range(2):
+        angle[joint], velocity[joint] = p.posture[joint] + w[Q_S + joint, i], w[W_S + joint, i]
+    act(p, m, angle, velocity, timestep, room, held, sent)
+    newest = m.next - 1 if m.next > 0 else len(m.sent) - 1
+    for joint in range(2):
+        for stage in range(3):
+            torque = held[joint]
+            if p.reflexive != 0.0:
+                torque -= delayed(m.sent, joint, newest, p.delay[joint] / timestep - 0.5 * stage)
+            w[TORQUE + 2 * stage + joint, i] = torque
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def simulate_lanes(
-    lanes: NDArray[np.void],
+    lanes: Table,
     start: Start,
-    held: Array,
+    force: Array,
     of_lane: Indices,
     n_samples: Indices,
     decimation: int,
@@ -224,62 +193,72 @@ def simulate_lanes(
 
     Args:
       lanes: from `lanes.lane_table`.
-      start: of each lane.
-      held: force on the handle, held over each step [N], (trial, step, axis).
+      start: of each lane; where they end, too.
+      force: on the handle at the start and middle of each step [N], (trial, 2 step + 1, axis).
       of_lane: which trial each lane is of, (lane,).
       n_samples: how many samples each lane wants, (lane,).
       decimation: steps per sample.
       timestep: of the simulation [s].
       displacement: to fill, (lane, time, axis); NaN from where a lane diverges.
     """
-    law, stretch, middle = np.zeros(2), np.zeros(3), np.zeros(3)
-    excitation, active, reflexive = np.zeros(2), np.zeros((3, 2)), np.zeros(GROUP, np.bool_)
+    w, room = np.zeros((ROWS, GROUP)), np.zeros((8, 3))
     for first in range(0, len(lanes), GROUP):
         n = min(GROUP, len(lanes) - first)
-        w = np.zeros((ROWS, GROUP))
-        bond, intact = np.zeros((GROUP, 3, lanes[first].limit.shape[1])), np.ones((GROUP, 3))
-        last, before = np.zeros((GROUP, 3)), np.zeros((GROUP, 2))
-        for i in range(GROUP):  # what is missing in the last group is simulated too, and forgotten
-            lane = min(first + i, len(lanes) - 1)
-            p = lanes[lane]
-            reflexive[i] = False
-            for j in range(3):
-                reflexive[i] |= p.kv[j] != 0.0 or p.kp[j] != 0.0
-                w[K_S + j, i], w[B_S + j, i] = p.k[j], p.b[j]
-            lower = p.posture[0] + p.posture[1]
-            w[UPPER, i], w[LOWER, i] = p.posture[0], lower
-            w[L_H, i], w[L_F, i], w[K_H, i], w[B_H, i] = p.l_h, p.l_f, p.k_h, p.b_h
-            w[INERTIA_S, i], w[INERTIA_E, i], w[COUPLING, i] = p.inertia[0], p.inertia[1], p.inertia[2]
-            w[M_ENV, i], w[B_ENV, i], w[K_ENV, i] = p.m_env, p.b_env, p.k_env
-            # The shoulder's column of the Jacobian has (-y, x) of the hand: so the grip is at rest at the start.
-            w[HAND_X, i] = p.l_h * math.cos(p.posture[0]) + p.l_f * math.cos(lower)
-            w[HAND_Y, i] = p.l_h * math.sin(p.posture[0]) + p.l_f * math.sin(lower)
-            w[: V_Y + 1, i] = start.state[lane]
-            displacement[lane, 0] = start.state[lane, 2:4]
+        _load(lanes, start, first, w)
+        for i in range(n):
+            displacement[first + i, 0] = start.state[first + i, 2:4]
         for step in range((n_samples[first : first + n].max() - 1) * decimation):
             for i in range(n):
-                lane = first + i
-                p, q_s, q_e, w_s, w_e = lanes[lane], w[Q_S, i], w[Q_E, i], w[W_S, i], w[W_E, i]
-                stretch[0], stretch[2] = q_s + 0.5 * timestep * w_s, q_e + 0.5 * timestep * w_e
-                stretch[1] = stretch[0] + stretch[2]
-                middle[0], middle[2] = 1.5 * w_s - 0.5 * before[i, 0], 1.5 * w_e - 0.5 * before[i, 1]
-                middle[1] = middle[0] + middle[2]
-                before[i, 0], before[i, 1] = w_s, w_e
-                _muscles(p, bond[i], intact[i], last[i], stretch, middle, law)
-                if reflexive[i]:
-                    _excitation(p, q_s, q_e, w_s, w_e, excitation)
-                    _reflexes(p, excitation, start.filters[lane], start.motor[lane], step, timestep, active)
-                else:
-                    active[:] = 0.0
-                for j in range(2):
-                    w[PUSH_X + j, i] = held[of_lane[lane], step, j]
-                    for stage in range(3):
-                        w[START_S + 2 * stage + j, i] = active[stage, j] - law[j]
+                _act(lanes[first + i], start.memory[first + i], w, i, timestep, room)
+                push = force[of_lane[first + i]]
+                for stage in range(3):
+                    for axis in range(2):
+                        w[PUSH + 2 * stage + axis, i] = push[2 * step + stage, axis]
             _advance(w, timestep)
             if (step + 1) % decimation == 0:
                 sample = (step + 1) // decimation
                 for i in range(n):
                     if sample < n_samples[first + i]:
                         displacement[first + i, sample, 0], displacement[first + i, sample, 1] = w[X, i], w[Y, i]
+        for i in range(n):
+            start.state[first + i] = w[: V_Y + 1, i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Array) -> None:
+    """All signals at the start of each step, as `envs.lab.stepping.advance` logs them of MuJoCo's arms.
+
+    Args:
+      lanes: from `lanes.lane_table`.
+      start: of each lane; where they end, too.
+      known: torque on the joints [Nm] and force on the handle [N] at the start and middle of each step, (lane, 2 step +
+        1, motor).
+      timestep: of the simulation [s].
+      log: reflexive excitation, joint velocity, displacement of the handle, joint angle, and force of the handle on the
+        hand, to fill, (lane, step, 10).
+    """
+    w, room = np.zeros((ROWS, GROUP)), np.zeros((8, 3))
+    for first in range(0, len(lanes), GROUP):
+        n = min(GROUP, len(lanes) - first)
+        _load(lanes, start, first, w)
+        for step in range(log.shape[1]):
+            for i in range(n):
+                p, m, row = lanes[first + i], start.memory[first + i], log[first + i, step]
+                _act(p, m, w, i, timestep, room)
+                for stage in range(3):
+                    for j in range(2):
+                        w[TORQUE + 2 * stage + j, i] += known[first + i, 2 * step + stage, j]
+                        w[PUSH + 2 * stage + j, i] = known[first + i, 2 * step + stage, 2 + j]
+                for j in range(2):
+                    row[j], row[2 + j], row[4 + j] = m.excitation[j], w[W_S + j, i], w[X + j, i]
+                    row[6 + j] = p.posture[j] + w[Q_S + j, i]
+                upper = w[UPPER, i] + w[Q_S, i]
+                lower = w[LOWER, i] + w[Q_S, i] + w[Q_E, i]
+                e_x, e_y = -p.l_f * math.sin(lower), p.l_f * math.cos(lower)
+                s_x, s_y = e_x - p.l_h * math.sin(upper), e_y + p.l_h * math.cos(upper)
+                slip_x, slip_y = w[X, i] + w[HAND_X, i] - s_y, w[Y, i] + w[HAND_Y, i] + s_x
+                row[8] = p.k_h * slip_x + p.b_h * (w[V_X, i] - s_x * w[W_S, i] - e_x * w[W_E, i])
+                row[9] = p.k_h * slip_y + p.b_h * (w[V_Y, i] - s_y * w[W_S, i] - e_y * w[W_E, i])
+            _advance(w, timestep)
         for i in range(n):
             start.state[first + i] = w[: V_Y + 1, i]

@@ -4,12 +4,11 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import interpolate
 
 from armperturb.arrays import Array, Indices
+from armperturb.controllers.lanes import Table
 from armperturb.extras import naming_the_extra
-from armperturb.perturbations.hold import held_over_steps
 from armperturb.planar_arm.lanes import GROUP, Start, at_rest
 
 STEP = 2.5e-3
@@ -26,6 +25,7 @@ class Disturbances:
       decimation: steps of the simulation per sample.
       timestep: of the simulation [s].
       n_samples: of each disturbance.
+      force: at the start and middle of each step [N], (trial, 2 step + 1, axis).
 
     Args:
       perturbation: d as recorded [N], (trial, time, axis).
@@ -48,11 +48,11 @@ class Disturbances:
         self.decimation = max(1, int(np.ceil(round(1.0 / (rate * longest_step), 9))))
         self.timestep = 1.0 / (rate * self.decimation)
         self.n_samples = perturbation.shape[1]
-        self.held = _held(perturbation, self.decimation, straight)
+        self.force = _halved(perturbation, self.decimation, straight)
 
     def responses(
         self,
-        lanes: NDArray[np.void],
+        lanes: Table,
         of_lane: Indices,
         n_samples: Indices | None = None,
         start: Start | None = None,
@@ -63,7 +63,7 @@ class Disturbances:
           lanes: who answers, from `lane_table` with this object's `timestep`.
           of_lane: which disturbance each lane answers, (lane,).
           n_samples: how many samples of each lane are wanted, (lane,); the others are zero. By default all.
-          start: of each lane, with `n_history(lanes)` motor commands; by default all are at rest.
+          start: of each lane; by default all are at rest.
 
         Raises:
           ModuleNotFoundError: numba is not installed.
@@ -72,13 +72,13 @@ class Disturbances:
         wanted = np.full(len(lanes), self.n_samples) if n_samples is None else np.asarray(n_samples)
         of_lane, wanted = (np.asarray(values, dtype=np.intp) for values in (of_lane, wanted))
         displacement = np.zeros((len(lanes), self.n_samples, 2))
-        first = at_rest(len(lanes), self.n_history(lanes)) if start is None else start
+        first = at_rest(lanes, self.timestep) if start is None else start
 
         def simulate(part: slice) -> None:
             simulate_lanes(
                 lanes[part],
                 first.part(part),
-                self.held,
+                self.force,
                 of_lane[part],
                 wanted[part],
                 self.decimation,
@@ -94,10 +94,6 @@ class Disturbances:
                 list(pool.map(simulate, (slice(lane, lane + size) for lane in range(0, len(lanes), size))))
         return displacement
 
-    def n_history(self, lanes: NDArray[np.void]) -> int:
-        """How many past motor commands the delays of these lanes need."""
-        return int(np.ceil(lanes["delay"].max() / self.timestep)) + 3
-
 
 def load_compiled_arm() -> Callable[..., None]:
     """`compiled.simulate_lanes`; not imported with this module, as it loads slowly and few analyses need it.
@@ -110,13 +106,9 @@ def load_compiled_arm() -> Callable[..., None]:
     return simulate_lanes
 
 
-def _held(perturbation: Array, decimation: int, straight: bool) -> Array:
-    """The force to hold over each step, (trial, step, axis)."""
+def _halved(perturbation: Array, decimation: int, straight: bool) -> Array:
+    """Recorded forces at the start and middle of each step, (trial, 2 step + 1, axis)."""
     sample = np.arange(perturbation.shape[1])
-    middle = (np.arange(-1, sample[-1] * decimation + 1) + 0.5) / decimation
-    if straight:  # with no corner at either end
-        inside = interpolate.make_interp_spline(sample, perturbation, k=1, axis=1)(middle[1:-1])
-        force = np.pad(inside, ((0, 0), (1, 1), (0, 0)), mode="edge")
-    else:
-        force = interpolate.CubicSpline(sample, perturbation, axis=1)(middle)
-    return np.ascontiguousarray(held_over_steps(force, straight=straight))
+    wanted = np.arange(2 * sample[-1] * decimation + 1) / (2 * decimation)
+    curve = interpolate.make_interp_spline(sample, perturbation, k=1 if straight else 3, axis=1)
+    return np.ascontiguousarray(curve(wanted))

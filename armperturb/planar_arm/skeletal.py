@@ -16,7 +16,7 @@ from scipy import signal
 
 from armperturb.analysis.arm.state_space import fastest_pole, linear_states, require_stable
 from armperturb.arrays import Array
-from armperturb.controllers.reflex import reflex_gains
+from armperturb.controllers.lanes import Table
 from armperturb.environment import Environment
 from armperturb.planar_arm.lanes import Start, at_rest, lane_table
 from armperturb.planar_arm.simulation import Disturbances
@@ -69,33 +69,37 @@ def simulate_skeletal(
         raise ValueError("simulate_skeletal: perturbation is not finite; expected finite forces")
     require_whole("simulate_skeletal", "onset", onset, at_least=0)
     require_number("simulate_skeletal", "onset", onset, at_most=len(force) - 2)
+    if any(arm.joint_triple("ka") + arm.joint_triple("kf")):
+        raise ValueError(
+            f"simulate_skeletal: subject {arm.name!r} has acceleration or force feedback; expected velocity and "
+            "position feedback only"
+        )
     require_stable(arm, environment)
     step = min(longest_step, STEP_LIMIT / fastest_pole(arm, environment))
     disturbance = Disturbances(force[None, onset:], rate, longest_step=step, straight=True)
     lanes = lane_table([replace(arm, muscle=None)], [environment], disturbance.timestep)
-    n_history = disturbance.n_history(lanes)
-    start = _linear_start(arm, environment, force[: onset + 1], disturbance, n_history) if onset else None
+    start = at_rest(lanes, disturbance.timestep)
+    if onset:
+        _take_over(start, lanes, arm, environment, force[: onset + 1], disturbance)
     [path] = disturbance.responses(lanes, np.zeros(1, dtype=np.intp), start=start)
     inside = np.logical_and.accumulate((np.abs(path) < environment.workspace).all(axis=1))
     return np.where(inside[:, None], path, np.nan)
 
 
-def _linear_start(
-    arm: Subject, environment: Environment, force: Array, disturbance: Disturbances, n_history: int
-) -> Start:
-    """State of the linear model after a force (time, axis), and what its spindles have sent until then."""
+def _take_over(
+    start: Start, lanes: Table, arm: Subject, environment: Environment, force: Array, disturbance: Disturbances
+) -> None:
+    """Put the one lane where the linear model is after a force (time, axis), with what its spindles have sent."""
     step = np.arange((len(force) - 1) * disturbance.decimation + 1) / disturbance.decimation
     fine = np.stack([np.interp(step, np.arange(len(force)), of_axis) for of_axis in force.T], axis=1)
     states = linear_states(arm, environment, fine, 1.0 / disturbance.timestep)
-    start = at_rest(1, n_history)
     # Of the linear model: q', q, x', x.
     start.state[0] = states[-1, [2, 3, 6, 7, 0, 1, 4, 5]]
-    past = states[:-1]
+    past, memory = states[:-1], start.memory[0]
     excitation = past[:, 0:2] @ arm.joint_matrix("kv").T + past[:, 2:4] @ arm.joint_matrix("kp").T
-    gains = reflex_gains([arm], disturbance.timestep)
+    n_history = len(memory["sent"])
     for joint in range(2):
-        coefficients = gains.numerator[:, 0, joint], gains.denominator[:, 0, joint]
-        sent, start.filters[0, :, joint] = signal.lfilter(*coefficients, excitation[:, joint], zi=np.zeros(2))
+        coefficients = lanes["numerator"][0, :, joint], lanes["denominator"][0, :, joint]
+        sent, memory["filters"][:, joint] = signal.lfilter(*coefficients, excitation[:, joint], zi=np.zeros(2))
         recent = sent[-n_history:]
-        start.motor[0, n_history - len(recent) :, joint] = -recent
-    return start
+        memory["sent"][n_history - len(recent) :, joint] = recent

@@ -13,8 +13,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from armperturb.controllers.muscle import muscle_parameters, muscle_torque, rested
-from armperturb.controllers.reflex import velocity_response
+from armperturb.controllers.arm_control import stretched
+from armperturb.controllers.compiled import spindle_velocity
 from armperturb.muscle_law import MuscleLaw
 from armperturb.subject import RELAX
 
@@ -25,14 +25,10 @@ WORN = replace(LAW, loss_angle_deg=5.0, recovery_time=2.0)
 
 def torque_of(law: MuscleLaw, stretch_deg: np.ndarray) -> np.ndarray:
     """Short-range torque of the shoulder element over an imposed stretch [Nm], (time,)."""
-    parameters = muscle_parameters([replace(RELAX, muscle=law)], DT)
-    state, torques = rested(parameters), []
     motion = np.zeros((len(stretch_deg), 1, 3))
     motion[:, 0, 0] = np.radians(stretch_deg)
-    for stretch, velocity in zip(motion, np.gradient(motion, DT, axis=0), strict=True):
-        torque, state = muscle_torque(parameters, state, stretch, velocity)
-        torques.append(torque[0, 0])
-    return np.array(torques)
+    torque, _ = stretched([replace(RELAX, muscle=law)], motion, np.gradient(motion, DT, axis=0), DT)
+    return torque[:, 0, 0]
 
 
 def ramps(axes: Axes) -> None:
@@ -77,17 +73,16 @@ def damping(axes: Axes) -> None:
     speed = np.linspace(0.0, 1.0, 201)
     for thinning in (math.inf, 0.3, 0.06):
         subject = replace(RELAX, muscle=MuscleLaw(thinning_velocity=thinning))
-        parameters = muscle_parameters([subject] * len(speed), DT)
-        motion = np.repeat(speed[:, None], 3, axis=1)
-        beside_linear, _ = muscle_torque(parameters, rested(parameters), np.zeros_like(motion), motion)
-        axes.plot(speed, subject.b_se * speed + beside_linear[:, 1], label=f"{thinning:g} rad/s")
+        motion = np.repeat(speed[:, None, None], 3, axis=2)
+        beside_linear, _ = stretched([subject], np.zeros_like(motion), motion, DT)
+        axes.plot(speed, subject.b_se * speed + beside_linear[:, 0, 1], label=f"{thinning:g} rad/s")
     axes.set(title="Damping that thins", xlabel="velocity [rad/s]", ylabel="torque [Nm]", ylim=(0, 1))
 
 
 def spindles(axes: Axes) -> None:
     speed = np.linspace(-1.0, 1.0, 401)
     for label, saturation, direction in (("linear", math.inf, 0.0), ("saturating", 0.3, 0.0), ("one way", 0.3, 1.0)):
-        axes.plot(speed, velocity_response(speed, np.array(saturation), np.array(direction)), label=label)
+        axes.plot(speed, [spindle_velocity(v, saturation, direction) for v in speed], label=label)
     axes.set(title="Velocity response of spindles", xlabel="velocity [rad/s]", ylabel="answered [rad/s]", ylim=(-1, 1))
 
 

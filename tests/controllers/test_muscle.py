@@ -1,5 +1,6 @@
 """The muscle law: each mechanism on its textbook experiment, its limits, its passivity, and bad input."""
 
+import copy
 import math
 from dataclasses import replace
 
@@ -11,14 +12,8 @@ from armperturb.analysis.arm.geometry import mass_matrix
 from armperturb.analysis.arm.linear_arm import arm_admittance, environment_admittance, joint_impedance
 from armperturb.analysis.arm.state_space import largest_real_pole, require_stable
 from armperturb.analysis.response.spectra import line_spectra
-from armperturb.controllers.muscle import (
-    element_motion,
-    joint_torque,
-    muscle_parameters,
-    muscle_torque,
-    rested,
-)
-from armperturb.controllers.reflex import NonlinearSpindles, velocity_response
+from armperturb.controllers.arm_control import ArmControl, stretched
+from armperturb.controllers.compiled import spindle_velocity, stretch_all
 from armperturb.controllers.remnant import HumanNoise
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
@@ -48,16 +43,24 @@ def with_law(subject, **changes):
     return replace(subject, muscle=replace(subject.muscle or MuscleLaw(), **changes))
 
 
-def stretched(law, stretch, element=0, subject=RELAX, timestep=DT):
+def law_step(control, stretch, velocity):
+    """Torque of the elements [Nm], (arm, element), after one more step by hand, which memories go on by."""
+    torque = np.zeros((1, *np.shape(stretch)))
+    stretch_all(control.table, control.memory, np.asarray(stretch)[None], np.asarray(velocity)[None], torque)
+    return torque[0]
+
+
+def drawn_out(law, stretch, element=0, subject=RELAX, timestep=DT):
     """Torque of one element over an imposed stretch [Nm] and the share of its stiffness that is intact, (time,)."""
-    parameters = muscle_parameters([replace(subject, muscle=law)], timestep)
-    state, torques, intact = rested(parameters), [], []
+    control = ArmControl([replace(subject, muscle=law)], timestep)
+    torques, intact = [], []
     motion = np.zeros((len(stretch), 1, 3))
     motion[:, 0, element] = stretch
     for angle, velocity in zip(motion, np.gradient(motion, timestep, axis=0), strict=True):
-        torque, state = muscle_torque(parameters, state, angle, velocity)
-        torques.append(torque[0, element])
-        intact.append(state.intact[0, element])
+        torques.append(law_step(control, angle, velocity)[0, element])
+        intact.append(control.memory["intact"][0, element])
+    whole, _ = stretched([replace(subject, muscle=law)], motion, np.gradient(motion, timestep, axis=0), timestep)
+    np.testing.assert_array_equal(whole[:, 0, element], torques)
     return np.array(torques), np.array(intact)
 
 
@@ -70,29 +73,29 @@ def ramp_and_hold(speed_deg, amplitude_deg, duration=1.0):
 def test_a_ramp_is_answered_in_two_phases_that_meet_at_the_elastic_limit(element):
     stiffness, limit = BIPHASIC.short_range_stiffness[element], np.radians(0.7)
     stretch = ramp_and_hold(10.0, 3.0)
-    torque, _ = stretched(BIPHASIC, stretch, element)
+    torque, _ = drawn_out(BIPHASIC, stretch, element)
     np.testing.assert_allclose(torque, stiffness * np.minimum(stretch, limit), atol=1e-12)
 
 
 def test_spread_limits_round_the_knee_but_keep_initial_stiffness_and_yield_torque():
     stretch = ramp_and_hold(10.0, 6.0)
-    sharp, _ = stretched(BIPHASIC, stretch)
+    sharp, _ = drawn_out(BIPHASIC, stretch)
     for spread in (0.3, 0.6, 1.0):
         law = replace(BIPHASIC, elastic_limit_spread=spread)
-        torque, _ = stretched(law, stretch)
+        torque, _ = drawn_out(law, stretch)
         assert torque[1] == pytest.approx(sharp[1], rel=1e-12)
         assert torque[-1] == pytest.approx(sharp[-1], rel=1e-12)
         knee = np.searchsorted(stretch, np.radians(0.7))
         assert torque[knee] < 0.95 * sharp[knee]
     # As fine as the distribution is meant to be.
-    fine, coarse = (stretched(replace(law, parts=parts, elastic_limit_spread=0.5), stretch)[0] for parts in (64, 8))
+    fine, coarse = (drawn_out(replace(law, parts=parts, elastic_limit_spread=0.5), stretch)[0] for parts in (64, 8))
     assert np.abs(fine - coarse).max() < 0.03 * sharp[-1]
 
 
 @pytest.mark.parametrize("speed", [74.5, 186.2])
 def test_the_elastic_limit_grows_with_speed_as_appendix_f_has_it(speed):
     law = replace(BIPHASIC, elastic_limit_deg=0.1, elastic_limit_slope=0.02)
-    torque, _ = stretched(law, ramp_and_hold(speed, 40.0, 0.2))
+    torque, _ = drawn_out(law, ramp_and_hold(speed, 40.0, 0.2))
     assert torque[150] == pytest.approx(10.0 * np.radians(0.1 + 0.02 * speed), rel=1e-9)
 
 
@@ -100,7 +103,7 @@ def test_reversal_unloads_along_the_short_range_stiffness_and_closes_a_loop_of_k
     # Masing: a yielded spring turns back on twice its virgin curve; per cycle it takes 4 S L (A - L).
     amplitude, limit = np.radians(3.0), np.radians(0.7)
     stretch = amplitude * np.sin(2 * np.pi * np.arange(0.0, 3.0, DT))
-    torque, _ = stretched(BIPHASIC, stretch)
+    torque, _ = drawn_out(BIPHASIC, stretch)
     cycle = slice(1000, 2001)
     work = np.trapezoid(torque[cycle], stretch[cycle])
     assert work == pytest.approx(4 * 10.0 * limit * (amplitude - limit), rel=2e-3)
@@ -113,18 +116,17 @@ def test_movement_wears_short_range_stiffness_off_and_rest_brings_it_back():
     stretch = np.where(moving, np.radians(4.0) * np.sin(2 * np.pi * time), 0.0)
     probe, still = np.radians(0.01), np.zeros((1, 3))
     instants = np.array([400, 1550, 2550, 6900])
-    parameters = muscle_parameters([replace(RELAX, muscle=law)], DT)
-    state, stiffness, intact = rested(parameters), [], []
+    control = ArmControl([replace(RELAX, muscle=law)], DT)
+    stiffness, intact = [], []
     for step, angle in enumerate(stretch):
         if step in instants:
             # Up and down, as the bonds that a probe breaks let go of the torque that movement has left in them.
             up, down = (
-                muscle_torque(parameters, state, np.array([[sign * probe, 0.0, 0.0]]), still)[0][0, 0]
-                for sign in (1, -1)
+                law_step(copy.deepcopy(control), np.array([[sign * probe, 0.0, 0.0]]), still)[0, 0] for sign in (1, -1)
             )
             stiffness.append((up - down) / (2 * probe))
-        _, state = muscle_torque(parameters, state, np.array([[angle, 0.0, 0.0]]), still)
-        intact.append(state.intact[0, 0])
+        law_step(control, np.array([[angle, 0.0, 0.0]]), still)
+        intact.append(control.memory["intact"][0, 0])
     intact = np.array(intact)
     assert stiffness[0] == pytest.approx(10.0, rel=5e-3)
     assert stiffness[1] < 0.35 * stiffness[0]
@@ -136,13 +138,13 @@ def test_movement_wears_short_range_stiffness_off_and_rest_brings_it_back():
 
 def test_movement_without_recovery_leaves_one_over_e_after_the_angle_of_loss():
     law = replace(BIPHASIC, elastic_limit_deg=math.inf, loss_angle_deg=5.0, recovery_time=math.inf)
-    _, intact = stretched(law, ramp_and_hold(10.0, 5.0))
+    _, intact = drawn_out(law, ramp_and_hold(10.0, 5.0))
     assert intact[-1] == pytest.approx(math.exp(-1.0), rel=2e-3)
 
 
 def test_recovery_changes_no_torque_and_stores_no_energy():
     law = replace(BIPHASIC, loss_angle_deg=2.0)
-    torque, intact = stretched(law, ramp_and_hold(10.0, 3.0, 4.0))
+    torque, intact = drawn_out(law, ramp_and_hold(10.0, 3.0, 4.0))
     held = slice(310, None)
     np.testing.assert_array_equal(torque[held], torque[310])
     assert torque[310] > 0
@@ -151,7 +153,7 @@ def test_recovery_changes_no_torque_and_stores_no_energy():
 
 def test_worn_muscle_yields_at_the_same_stretch_and_at_less_torque():
     law = replace(BIPHASIC, loss_angle_deg=5.0)
-    torque, intact = stretched(law, ramp_and_hold(10.0, 3.0, 0.29))
+    torque, intact = drawn_out(law, ramp_and_hold(10.0, 3.0, 0.29))
     yielded = np.radians(0.7) * 10.0 * intact
     # The share intact is that after the step's recovery.
     np.testing.assert_allclose(torque[100:], yielded[100:], rtol=2e-3)
@@ -171,34 +173,37 @@ def test_damping_that_has_thinned_away_leaves_the_undamped_arm():
 
 def test_damping_thins_to_half_at_its_velocity_and_to_a_constant_torque_beyond():
     subject, thinning = replace(RELAX, muscle=MuscleLaw(thinning_velocity=(0.1, 0.2, 0.3))), np.array([0.1, 0.2, 0.3])
-    parameters = muscle_parameters([subject], DT)
     linear = np.array(subject.muscle_groups("b"))
     for speed, share in ((thinning, 0.5), (-thinning, 0.5), (1e6 * thinning, 1e-6), (1e-9 * thinning, 1.0)):
-        torque, _ = muscle_torque(parameters, rested(parameters), np.zeros((1, 3)), speed[None])
+        torque = law_step(ArmControl([subject], DT), np.zeros((1, 3)), speed[None])
         # What is left beside the linear damper of the model.
         np.testing.assert_allclose(torque[0] + linear * speed, share * linear * speed, rtol=1e-5)
 
 
 def test_spindles_saturate_and_favour_a_direction():
     speed = np.array([-1e6, -0.5, -1e-9, 0.0, 1e-9, 0.5, 1e6])
-    linear = velocity_response(speed, np.array(math.inf), np.array(0.0))
-    np.testing.assert_array_equal(linear, speed)
-    saturated = velocity_response(speed, np.array(0.5), np.array(0.0))
+
+    def answered(saturation, direction):
+        return np.array([spindle_velocity(v, saturation, direction) for v in speed])
+
+    np.testing.assert_array_equal(answered(math.inf, 0.0), speed)
+    saturated = answered(0.5, 0.0)
     np.testing.assert_allclose(saturated, [-0.5, -0.25, -1e-9, 0.0, 1e-9, 0.25, 0.5], rtol=1e-5)
-    np.testing.assert_array_equal(velocity_response(speed, np.array(math.inf), np.array(1.0)), np.maximum(speed, 0.0))
-    one_way = velocity_response(speed, np.array(math.inf), np.array(-0.4))
+    np.testing.assert_array_equal(answered(math.inf, 1.0), np.maximum(speed, 0.0))
+    one_way = answered(math.inf, -0.4)
     np.testing.assert_allclose(one_way, np.where(speed > 0, 0.6, 1.0) * speed)
 
 
 def test_spindles_of_each_muscle_group_answer_its_own_velocity():
     subject = replace(POSITION, muscle=MuscleLaw(spindle_saturation=(0.1, 0.2, 0.3)))
-    velocity, excitation = np.array([[0.0, 0.0], [0.4, -0.3]]), np.zeros((2, 2))
-    NonlinearSpindles([POSITION, subject]).correct_excitation(excitation, velocity)
-    assert not excitation[0].any()
+    velocity = np.array([[0.4, -0.3], [0.4, -0.3]])
+    control = ArmControl([POSITION, subject], DT)
+    control.torque(np.array([POSITION.posture] * 2), velocity)
+    linear = POSITION.joint_matrix("kv") @ velocity[0]
+    np.testing.assert_allclose(control.excitation[0], linear, rtol=1e-12)
     s, se, e = subject.muscle_groups("kv")
     shoulder, two, elbow = s * 0.4 / (1 + 4), se * 0.1 / (1 + 0.5), e * -0.3 / (1 + 1)
-    expected = np.array([shoulder + two, elbow + two]) - subject.joint_matrix("kv") @ velocity[1]
-    np.testing.assert_allclose(excitation[1], expected, rtol=1e-12)
+    np.testing.assert_allclose(control.excitation[1], [shoulder + two, elbow + two], rtol=1e-12)
 
 
 @pytest.mark.slow(reason="waits until the arm is at rest, twice")
@@ -311,12 +316,17 @@ def random_subject(rng):
     return replace(RELAX, b_s=b_se + rng.uniform(0, 5), b_se=b_se, b_e=b_se + rng.uniform(0, 5), muscle=law)
 
 
+def of_elements(motion):
+    return np.stack([motion[:, 0], motion.sum(axis=1), motion[:, 1]], axis=1)
+
+
 @pytest.mark.slow(reason="200 people along a long path, in small steps")
 def test_intrinsic_muscle_gives_no_energy_whatever_its_parameters_and_path():
     rng = np.random.default_rng(0)
     n, timestep = 200, 4e-4
     subjects = [random_subject(rng) for _ in range(n)]
-    parameters = muscle_parameters(subjects, timestep)
+    control = ArmControl(subjects, timestep)
+    memory, stiffness = control.memory, control.table["part_stiffness"]
     damping = np.array([subject.joint_matrix("b") for subject in subjects])
     time = np.arange(0.0, 2.0, timestep)[:, None, None]
     amplitude, frequency = np.radians(10 ** rng.uniform(-1, 1, (4, n, 2))), rng.integers(1, 6, (4, n, 2))
@@ -326,15 +336,15 @@ def test_intrinsic_muscle_gives_no_energy_whatever_its_parameters_and_path():
         a * (np.sin(2 * np.pi * f * time + p) - np.sin(p)) for a, f, p in zip(amplitude, frequency, phase, strict=True)
     )
     velocity = np.gradient(angle, timestep, axis=0)
-    state, work, scale = rested(parameters), np.zeros(n), np.zeros(n)
+    work, scale = np.zeros(n), np.zeros(n)
     before = None
     for q, q_dot in zip(angle, velocity, strict=True):
-        torque, state = muscle_torque(parameters, state, element_motion(q), element_motion(q_dot))
-        total = joint_torque(torque) + np.einsum("tij,tj->ti", damping, q_dot)
+        torque = law_step(control, of_elements(q), of_elements(q_dot))
+        total = torque[:, ::2] + torque[:, 1:2] + np.einsum("tij,tj->ti", damping, q_dot)
         if before is not None:
             done = np.sum((total + before[0]) / 2 * (q - before[1]), axis=1)
             work, scale = work + done, scale + np.abs(done)
-            stored = (parameters.stiffness / (2 * state.intact) * (state.bond**2).sum(axis=0)).sum(axis=1)
+            stored = (stiffness / (2 * memory["intact"]) * (memory["bond"] ** 2).sum(axis=2)).sum(axis=1)
             # The sum over steps is off by the square of a step.
             assert (work - stored >= -1e-4 * scale).all()
         before = total, q
@@ -355,7 +365,7 @@ def test_all_muscle_torque_is_in_proportion_to_the_level():
     assert at_level(POSITION, 0.5).muscle is None
     stretch = ramp_and_hold(10.0, 3.0)
     half, whole = (
-        stretched(at_level(subject, level).muscle, stretch, subject=at_level(subject, level))[0] for level in (0.5, 1.0)
+        drawn_out(at_level(subject, level).muscle, stretch, subject=at_level(subject, level))[0] for level in (0.5, 1.0)
     )
     np.testing.assert_allclose(half, 0.5 * whole, rtol=1e-12)
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from armperturb.analysis.arm.state_space import require_stable
 from armperturb.arrays import Array
-from armperturb.environment import Environment, Strap
+from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.envs.lab.emg import Emg
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.linear_trials import simulate_linear_arms
@@ -26,7 +26,7 @@ def run_experiment(
     trials: Sequence[Trial],
     environment: Environment | None = None,
     *,
-    timestep: float = 1e-3,
+    timestep: float = TIMESTEP,
     rate: float = 200.0,
     rope: str = "ideal",
     strap: Strap | None = None,

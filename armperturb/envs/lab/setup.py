@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from armperturb.arrays import Array
-from armperturb.environment import Environment, Strap
+from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.envs.lab.emg import Emg
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
@@ -28,7 +28,7 @@ class Setup:
     """
 
     environment: Environment = field(default_factory=Environment)
-    timestep: float = 1e-3
+    timestep: float = TIMESTEP
     rate: float = 200.0
     rope: str = "ideal"
     strap: Strap | None = None

@@ -1,43 +1,41 @@
-"""Many arms on their manipulators, stepped in lockstep by MuJoCo's batch; what drives them comes from outside."""
+"""Arms on their manipulators in MuJoCo, each in its own model and data; what drives them comes from outside."""
 
 import copy
 import ctypes
 import functools
+import os
 import threading
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from armperturb.arrays import Array, Indices
-from armperturb.controllers.layout import trials_adjacent
+from armperturb.controllers.arm_control import ArmControl, Strength
 from armperturb.environment import Environment, Strap
-from armperturb.models.rig import (
-    BIARTICULAR,
-    JOINTS,
-    REFLEXES,
-    SLIDES,
-    STRAIN_GAUGE,
-    STRAP,
-    build_model,
-    history_length,
+from armperturb.envs.lab.stepping import (
+    FORCE,
+    SHOULDER,
+    advance,
+    arm_table,
+    library,
+    set_muscles,
+    step_address,
 )
+from armperturb.models.rig import JOINTS, REFLEXES, SLIDES, build_model, history_length, start_motors
 from armperturb.subject import RELAX, Subject
 
-DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC")]
+DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL")]
 
 
 @functools.cache
 def warning_handler() -> tuple[ctypes.c_void_p, int | None]:
     """Where MuJoCo keeps its handler, and the address of one that does nothing."""
-    library = next(Path(mujoco.__file__).parent.glob("libmujoco.*"))
-    handler = ctypes.c_void_p.in_dll(ctypes.CDLL(str(library)), "mju_user_warning")
+    handler = ctypes.c_void_p.in_dll(library(), "mju_user_warning")
     return handler, ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p).value
 
 
@@ -49,9 +47,9 @@ _HANDLERS_LOCK = threading.Lock()
 
 @contextmanager
 def silent_simulator() -> Iterator[None]:
-    """Keep MuJoCo from writing its warnings to the terminal and to MUJOCO_LOG.TXT; `Batch.warning` counts them anyway.
+    """Keep MuJoCo from writing its warnings to the terminal and to MUJOCO_LOG.TXT; `MjData.warning` counts them anyway.
 
-    The batch calls the handler from its own threads, without Python. Until the last thread that asks for silence ends
+    Steps call the handler from compiled code, without Python. Until the last thread that asks for silence ends
     it, the handler is therefore a C function that takes a text and does nothing with it.
     """
     handler, nothing = warning_handler()
@@ -68,9 +66,6 @@ def silent_simulator() -> Iterator[None]:
 COMPILED = ("m_h", "m_f", "l_h", "l_f", "theta_s_deg", "theta_e_deg", "b_h", "k_h", "Td_s", "Td_e")
 """Fields of a subject that only a new compilation changes in a model."""
 
-MUSCLE_FIELDS = ("jnt_stiffness", "dof_damping", "tendon_stiffness", "tendon_damping")
-"""Fields of a model that the springs and dampers of the muscles are in."""
-
 
 def body_of(subject: Subject) -> Subject:
     """The preset RELAX with this body: equal for people who can share a compiled model.
@@ -80,47 +75,20 @@ def body_of(subject: Subject) -> Subject:
     return replace(RELAX, **{name: getattr(subject, name) for name in COMPILED})
 
 
-def columns(model: mujoco.MjModel, names: Sequence[str]) -> slice:
-    """Where neighbouring joints are; each is one position, one velocity."""
-    first = model.joint(names[0]).qposadr[0]
-    return slice(first, first + len(names))
-
-
-class MuscleFields:
-    """Where a compiled model, or a batch of them, has springs and dampers of the muscle groups."""
-
-    def __init__(self, fields: Sequence[Array], hinges: slice, two_joint: int) -> None:
-        """Find them.
-
-        Args:
-          fields: of `MUSCLE_FIELDS`, (joint or tendon,), or of several trials with the trial first.
-          hinges: where shoulder and elbow are, from `columns`.
-          two_joint: index of the tendon of the two-joint muscles.
-        """
-        self._joints, self._tendons = fields[:2], fields[2:]
-        self._hinges, self._two_joint = hinges, two_joint
-
-    def write(self, stiffness: Array, damping: Array, trials: Any = ...) -> None:
-        """Change the muscles.
-
-        Args:
-          stiffness: of the groups (shoulder, two-joint, elbow) [Nm/rad], (element,) or (trial, element).
-          damping: of the groups [Nms/rad], likewise.
-          trials: indices of those that change, by default all.
-        """
-        for joints, tendons, groups in zip(self._joints, self._tendons, (stiffness, damping), strict=True):
-            joints[trials, self._hinges], tendons[trials, self._two_joint] = groups[..., ::2], groups[..., 1]
+@functools.lru_cache(maxsize=256)
+def _compiled(
+    body: Subject, environment: Environment, timestep: float, rope: str, strap: Strap | None, n_history: int
+) -> mujoco.MjModel:
+    """The rig without what only draws, to be copied."""
+    return build_model(body, environment, timestep=timestep, rope=rope, strap=strap, n_history=n_history, visual=False)
 
 
 class Simulation:
-    """One arm on its manipulator per trial, stepped side by side; a trial has the same bits alone and beside others.
+    """One arm on its manipulator per trial; a trial has the same bits alone and beside others, on any thread.
 
     Attributes:
-      angle: of the joints at the start of the next step [rad], (trial, joint).
-      velocity: of the joints [rad/s], (trial, joint).
-      handle: displacement of the handle [m], (trial, axis).
-      shoulder: its displacement [m], (trial, axis); without a strap, (trial, 0).
-      force: what the handle exerted on the hand at the start of the last step [N], (trial, axis).
+      control: muscles and reflexes.
+      log: what was at the start of each of the last steps, (trial, step, column), see `stepping`.
       timestep: of the simulation [s].
       n_history: past steps that the delays of reflexes can reach.
     """
@@ -134,9 +102,9 @@ class Simulation:
         rope: str = "ideal",
         strap: Strap | None = None,
         n_history: int = 0,
-        n_threads: int = 0,
+        n_threads: int = 1,
     ) -> None:
-        """Begin at rest.
+        """Begin at rest, without perturbation.
 
         Args:
           subjects: whose arms, one per trial.
@@ -149,92 +117,98 @@ class Simulation:
         """
         self.timestep = timestep
         self.n_history = max(n_history, *(history_length(subject, timestep) for subject in subjects))
-        self._n_threads = n_threads
-        compile_body = functools.partial(
-            build_model,
-            environment=environment,
-            timestep=timestep,
-            rope=rope,
-            strap=strap,
-            n_history=self.n_history,
-            visual=False,
-        )
-        # Room for everybody here and some who have been replaced.
-        self._compile = functools.lru_cache(2 * len(subjects) + 8)(compile_body)
+        self.control = ArmControl(subjects, timestep, self.n_history)
+        self.log = np.zeros((len(subjects), 1, SHOULDER.stop if strap is not None else SHOULDER.start))
+        self._laboratory = environment, timestep, rope, strap, self.n_history
         self._bodies = [body_of(subject) for subject in subjects]
-        model = self._compile(self._bodies[0])
-        self._hinge, self._slide = columns(model, JOINTS), columns(model, SLIDES)
-        self._tendon = model.tendon(BIARTICULAR).id
-        self._position = trials_adjacent(np.zeros((len(subjects), model.nq)), 0)
-        self._speed = trials_adjacent(np.zeros((len(subjects), model.nv)), 0)
-        self.angle, self.velocity = self._position[:, self._hinge], self._speed[:, self._hinge]
-        self.handle = self._position[:, self._slide]
-        self.shoulder = self._position[:, columns(model, STRAP) if strap is not None else slice(0)]
-        self._strength = np.zeros((2, len(subjects), 3))
-        self._load()
+        self._models = [copy.copy(self._model(body)) for body in self._bodies]
+        self._datas = [mujoco.MjData(model) for model in self._models]
+        self._slides = slice(self._models[0].joint(SLIDES[0]).qposadr[0], None)
+        self._arms = arm_table(self._models, self._datas)
         everybody = np.arange(len(subjects))
-        self._set_muscles_of(everybody, subjects)
-        self._reset(everybody)
+        self._set_muscles(everybody, *(np.array([s.muscle_groups(name) for s in subjects]) for name in ("k", "b")))
+        n_blocks = min(n_threads or os.cpu_count() or 1, len(subjects))
+        self._blocks = [slice(int(part[0]), int(part[-1]) + 1) for part in np.array_split(everybody, n_blocks)]
+        self._pool = ThreadPoolExecutor(n_blocks) if n_blocks > 1 else None
 
-    def _load(self) -> None:
-        """Make the batch.
-
-        People with one body share a model, which then stays in the processor's cache, and have rows of its fields for
-        their muscles; people with several have a model each.
-        """
-        models = [self._compile(body) for body in self._bodies]
-        batch = self._batch = Batch(models[0], len(models), self._n_threads)
-        self._models = [copy.copy(model) for model in models] if len(set(self._bodies)) > 1 else []
-        if self._models:
-            self._muscles = [self._fields(model) for model in self._models]
-        else:
-            shared = [batch.expand(field) for field in MUSCLE_FIELDS]
-            self._muscles = [MuscleFields(shared, self._hinge, self._tendon)]
-        self._stale = False
-        self._qpos, self._qvel, applied = (batch.bind(name) for name in ("qpos", "qvel", "qfrc_applied"))
-        self._torque, self._push = applied[:, self._hinge], applied[:, self._slide]
-        motor, gauge = models[0].actuator(REFLEXES[0]).id, models[0].sensor(STRAIN_GAUGE).adr[0]
-        self._control = batch.bind("ctrl")[:, motor : motor + len(REFLEXES)]
-        self.force = batch.bind("sensordata")[:, gauge : gauge + 2]
+    def _model(self, body: Subject) -> mujoco.MjModel:
+        return _compiled(body, *self._laboratory)
 
     @property
     def diverged(self) -> NDArray[np.bool_]:
         """Whether MuJoCo has put a trial back because it could not integrate it, (trial,)."""
-        return (self._batch.warning[:, DIVERGED, 1] > 0).any(axis=1)
+        return np.array([data.warning.number[DIVERGED].any() for data in self._datas])
 
-    def step(self, push: Array, torque: Array | float, control: Array) -> None:
-        """One step of all trials.
+    def start(self, trials: Indices, known: Array) -> None:
+        """Tell what acts at the beginning.
 
         Args:
-          push: force on the handle [N], (trial, axis).
-          torque: on the joints [Nm], (trial, joint), or the same for all.
-          control: of the reflex motors [Nm], (trial, joint).
+          trials: indices of trials that have taken no step.
+          known: torque on the joints [Nm] and force on the handle [N] from one step before the first one to two steps
+            after it, (trial, 4, motor).
         """
-        if self._stale:
-            self._batch.set_models(self._models)
-            self._stale = False
-        self._push[:], self._torque[:], self._control[:] = push, torque, control
-        self._batch.step()
-        self._position[:], self._speed[:] = self._qpos, self._qvel
+        for trial, values in zip(trials.tolist(), known, strict=True):
+            start_motors(self._models[trial], self._datas[trial], self._arms["motor"][trial] + len(REFLEXES), values)
 
-    def set_muscles(self, trials: Indices, stiffness: Array, damping: Array) -> None:
-        """Change springs and dampers of the joints in some trials.
+    def advance(self, known: Array) -> None:
+        """Take some steps.
+
+        Args:
+          known: torque on the joints [Nm] and force on the handle [N], `AHEAD` steps after the first of these steps and
+            on, (trial, step, motor).
+        """
+        n_steps = known.shape[1]
+        if self.log.shape[1] != n_steps:
+            self.log = np.zeros((len(known), n_steps, self.log.shape[2]))
+
+        def run(part: slice) -> None:
+            advance(
+                step_address(),
+                self._arms[part],
+                self.control.table[part],
+                self.control.memory[part],
+                known[part],
+                self.timestep,
+                self.log[part],
+            )
+
+        if self._pool is None:
+            run(slice(None))
+        else:
+            list(self._pool.map(run, self._blocks))
+
+    def state(self) -> dict[str, Array]:
+        """What is now, (trial, 2) each.
+
+        Joint `angle` [rad] and `velocity` [rad/s], `displacement` of the handle [m], and `force` that it exerted on the
+        hand at the start of the last step [N].
+        """
+        hinge = self._arms["hinge"][0]
+        qpos = np.array([data.qpos for data in self._datas])
+        qvel = np.array([data.qvel for data in self._datas])
+        hinges = slice(hinge, hinge + len(JOINTS))
+        return {
+            "angle": qpos[:, hinges],
+            "velocity": qvel[:, hinges],
+            "displacement": qpos[:, self._slides],
+            "force": self.log[:, -1, FORCE].copy(),
+        }
+
+    def set_strength(self, trials: Indices, strength: Strength) -> None:
+        """Change muscles and reflexes of some trials.
 
         Args:
           trials: indices of those trials.
-          stiffness: of their muscle groups (shoulder, two-joint, elbow) [Nm/rad], (trial, element).
-          damping: of the groups [Nms/rad], (trial, element).
+          strength: of as many.
         """
-        self._strength[:, trials] = stiffness, damping
-        if self._models:
-            for trial in trials.tolist():
-                self._muscles[trial].write(*self._strength[:, trial])
-            self._stale = True  # the batch reads models again when it is told to
-        else:
-            self._muscles[0].write(stiffness, damping, trials)
+        self.control.set_strength(trials, strength)
+        self._set_muscles(trials, strength["k_groups"], strength["b_groups"])
+
+    def _set_muscles(self, trials: Indices, stiffness: Array, damping: Array) -> None:
+        set_muscles(self._arms, trials, stiffness + self.control.table["short_range"][trials], damping)
 
     def replace(self, trials: Indices, subjects: Sequence[Subject]) -> None:
-        """Put other people, at rest, in the place of some trials.
+        """Put other people, at rest and without perturbation, in the place of some trials.
 
         Args:
           trials: indices of those trials, rising.
@@ -247,34 +221,15 @@ class Simulation:
             if history_length(subject, self.timestep) > self.n_history:
                 raise ValueError(
                     f"subject {subject.name!r}: delay = {max(subject.Td_s, subject.Td_e):g} s; expected at most "
-                    f"{(self.n_history - 1) * self.timestep:g} s, what this simulation remembers"
+                    f"{(self.n_history - 2) * self.timestep:g} s, what this simulation remembers"
                 )
-        bodies = [body_of(subject) for subject in subjects]
-        others = [trial for trial, body in zip(trials.tolist(), bodies, strict=True) if body != self._bodies[trial]]
-        for trial, body in zip(trials.tolist(), bodies, strict=True):
-            self._bodies[trial] = body
-        if others and self._models:
-            for trial in others:
-                self._models[trial] = copy.copy(self._compile(self._bodies[trial]))
-                self._muscles[trial] = self._fields(self._models[trial])
-        elif others:
-            state = self._batch.state.copy()
-            self._load()
-            self._batch.state[:] = state
-            self.set_muscles(np.arange(len(self._bodies)), *self._strength)
-        self._set_muscles_of(trials, subjects)
-        self._reset(trials)
-
-    def _set_muscles_of(self, trials: Indices, subjects: Sequence[Subject]) -> None:
-        stiffness, damping = (np.array([subject.muscle_groups(name) for subject in subjects]) for name in ("k", "b"))
-        self.set_muscles(trials, stiffness, damping)
-
-    def _reset(self, trials: Indices) -> None:
-        if self._models:
-            self._batch.set_models(self._models)
-        self._batch.reset(trials)
-        self._batch.warning[trials] = 0
-        self._position[trials], self._speed[trials] = self._qpos[trials], self._qvel[trials]
-
-    def _fields(self, model: mujoco.MjModel) -> MuscleFields:
-        return MuscleFields([getattr(model, field) for field in MUSCLE_FIELDS], self._hinge, self._tendon)
+        for trial, subject in zip(trials.tolist(), subjects, strict=True):
+            body = body_of(subject)
+            if body != self._bodies[trial]:
+                self._bodies[trial], self._models[trial] = body, copy.copy(self._model(body))
+                self._datas[trial] = mujoco.MjData(self._models[trial])
+                self._arms[trial] = arm_table([self._models[trial]], [self._datas[trial]])[0]
+            mujoco.mj_resetData(self._models[trial], self._datas[trial])
+        self.log[trials] = 0.0
+        self.control.replace(trials, subjects)
+        self._set_muscles(trials, *(np.array([s.muscle_groups(name) for s in subjects]) for name in ("k", "b")))

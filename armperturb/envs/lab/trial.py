@@ -9,8 +9,8 @@ from armperturb.analysis.arm.state_space import fastest_pole, largest_real_pole
 from armperturb.arrays import Array
 from armperturb.controllers.remnant import HumanNoise
 from armperturb.environment import Environment, Strap
+from armperturb.models.rig import AHEAD, KNOWN
 from armperturb.perturbations import Perturbation, Pulse
-from armperturb.perturbations.hold import held_over_steps
 from armperturb.subject import Subject
 from armperturb.validation import require_number, require_whole
 
@@ -119,6 +119,20 @@ def require_integrable(subject: Subject, environment: Environment, strap: Strap 
         )
 
 
-def held_force(perturbation: Perturbation, timestep: float, n_steps: int) -> Array:
-    """Force to hold over each step so that the handle feels the perturbation [N], (step, axis)."""
-    return held_over_steps(perturbation.sample(1.0 / timestep, n_steps + 2, -timestep / 2))
+def known_ahead(trial: Trial, timestep: float, n_steps: int) -> Array:
+    """What the motors of `models.rig.KNOWN` do from one step before the first to `AHEAD` steps after the last one.
+
+    Args:
+      trial: whose perturbation and noise.
+      timestep: of the simulation [s].
+      n_steps: of the trial.
+
+    Returns:
+      Torque of the person's noise on the joints [Nm], and force on the handle [N], (n_steps + 4, motor).
+    """
+    known = np.zeros((n_steps + AHEAD + 1, len(KNOWN)))
+    known[:, 2:] = trial.perturbation.sample(1.0 / timestep, len(known), -timestep)
+    torque = noise_torque(trial, timestep, n_steps + AHEAD)
+    if torque is not None:
+        known[1:, :2] = torque
+    return known

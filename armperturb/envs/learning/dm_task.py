@@ -11,12 +11,14 @@ from dm_env import specs
 from numpy.typing import ArrayLike
 
 from armperturb.arrays import Array
-from armperturb.envs.lab.simulation import DIVERGED, MUSCLE_FIELDS, MuscleFields, body_of, columns
+from armperturb.controllers.arm_control import ArmControl
+from armperturb.envs.lab.simulation import DIVERGED, body_of
 from armperturb.envs.lab.trial import Trial
 from armperturb.envs.learning.dm import composer, mjcf, observable
 from armperturb.envs.learning.entities import Rig
 from armperturb.envs.learning.participants import (
     ONLY,
+    START,
     Participants,
     action_bounds,
     action_names,
@@ -24,6 +26,7 @@ from armperturb.envs.learning.participants import (
     own_action,
 )
 from armperturb.envs.learning.task import TaskSettings, task_settings
+from armperturb.models.rig import REFLEXES, start_motors
 
 SENSES = {"joint_stretch": 0, "joint_velocity": 2, "hand_force": 4, "handle_seen": 6}
 """Name of an observable to the first of its two places in an observation of `Participants`."""
@@ -75,7 +78,7 @@ class ArmPerturbTask(composer.Task):
         self.own_action = own_action(settings)
         self.trial: Trial | None = None
         self._options: dict[str, Any] = {}
-        self._people = Participants(settings, 1)
+        self._people = Participants(settings, ArmControl([settings.subject], settings.timestep))
         self._rig = Rig(settings.subject, settings.environment, timestep=settings.timestep)
         self.set_timesteps(1.0 / settings.control_rate, settings.timestep)
         self._task_observables = self._make_observables()
@@ -139,17 +142,20 @@ class ArmPerturbTask(composer.Task):
         arm, manipulator = self._rig.arm, self._rig.manipulator
         model, data = physics.model.ptr, physics.data.ptr
         hinge, slide = (
-            columns(model, [joint.full_identifier for joint in joints]) for joints in (arm.joints, manipulator.slides)
+            slice(first, first + 2)
+            for first in (
+                model.joint(joints[0].full_identifier).qposadr[0] for joints in (arm.joints, manipulator.slides)
+            )
         )
-        motor, gauge = physics.bind(arm.reflexes[0]).element_id, physics.bind(manipulator.gauge).adr
-        self._muscles = MuscleFields(
-            [getattr(model, field) for field in MUSCLE_FIELDS], hinge, physics.bind(arm.biarticular).element_id
-        )
+        self._motor, gauge = int(physics.bind(arm.reflexes[0]).element_id), physics.bind(manipulator.gauge).adr
+        two_joint = physics.bind(arm.biarticular).element_id
+        tendon = slice(two_joint, two_joint + 1)
+        self._springs = model.jnt_stiffness[hinge], model.tendon_stiffness[tendon]
+        self._dampers = model.dof_damping[hinge], model.tendon_damping[tendon]
         # Live, and not by a binding: after a write to one, dm_control may compute forces anew in the middle of a step.
         self._angle, self._velocity = data.qpos[np.newaxis, hinge], data.qvel[np.newaxis, hinge]
         self._handle, self._force = data.qpos[np.newaxis, slide], data.sensordata[np.newaxis, gauge : gauge + 2]
-        self._push, self._torque = data.qfrc_applied[np.newaxis, slide], data.qfrc_applied[np.newaxis, hinge]
-        self._control = data.ctrl[np.newaxis, motor : motor + 2]
+        self._torque, self._control = data.qfrc_applied[np.newaxis, hinge], data.ctrl[np.newaxis, self._motor :]
         self._warnings = data.warning.number
 
     def initialize_episode(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
@@ -158,8 +164,17 @@ class ArmPerturbTask(composer.Task):
         rng = np.random.default_rng(random_state.randint(2**63, dtype=np.int64))
         options, self._options = self._options, {}
         self.trial = self.settings.drawing(options)(rng)
-        (subject,) = self._people.start(ONLY, [self.trial])
-        self._muscles.write(np.array(subject.muscle_groups("k")), np.array(subject.muscle_groups("b")))
+        subjects = self._people.start(ONLY, [self.trial])
+        self._people.control.replace(ONLY, subjects)
+        self._set_muscles(*(np.array(subjects[0].muscle_groups(name)) for name in ("k", "b")))
+        known = self._people.known(ONLY, 0, START)[0]
+        start_motors(physics.model.ptr, physics.data.ptr, self._motor + len(REFLEXES), known)
+
+    def _set_muscles(self, stiffness: Array, damping: Array) -> None:
+        """Springs and dampers of the muscle groups (shoulder, two-joint, elbow), beside the short-range stiffness."""
+        stiffness = stiffness + self._people.control.table["short_range"][0]
+        for (joints, tendon), groups in ((self._springs, stiffness), (self._dampers, damping)):
+            joints[:], tendon[:] = groups[::2], groups[1]
 
     def before_step(self, physics: mjcf.Physics, action: ArrayLike, random_state: np.random.RandomState) -> None:
         """Take the agent's decision.
@@ -170,13 +185,14 @@ class ArmPerturbTask(composer.Task):
         """
         changed, strength = self._people.decide(np.asarray(action)[np.newaxis])
         if len(changed):
-            self._muscles.write(strength["k_groups"][0], strength["b_groups"][0])
+            self._people.control.set_strength(changed, strength)
+            self._set_muscles(strength["k_groups"][0], strength["b_groups"][0])
         # What cannot be integrated ends the trial with its reward; composer would have none for it.
         self._tolerant.enter_context(physics.suppress_physics_errors())
 
     def before_substep(self, physics: mjcf.Physics, action: ArrayLike, random_state: np.random.RandomState) -> None:
         """Reflexes, muscles and the perturbation act."""
-        self._push[:], self._torque[:], self._control[:] = self._people.drive(self._angle, self._velocity)
+        self._torque[:], self._control[:] = self._people.drive(self._angle, self._velocity)
 
     def after_substep(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
         """The person feels and sees what came of it."""

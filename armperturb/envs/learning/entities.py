@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from armperturb.environment import Environment, Strap
+from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.envs.learning.dm import composer, mjcf, observable
 from armperturb.models.rig import (
     ARM_XML,
@@ -135,7 +135,7 @@ class ManipulatorEntity(_Part):
 
     @property
     def slides(self) -> list[mjcf.Element]:
-        """Slides of the handle: x, y; `qfrc_applied` takes perturbations [N]."""
+        """Slides of the handle: x, y; perturbations act on them."""
         return [self._mjcf_model.find("joint", name) for name in SLIDES]
 
     @property
@@ -157,7 +157,7 @@ class Rig(composer.Arena):
         subject: Subject,
         environment: Environment = Environment(),  # noqa: B008
         *,
-        timestep: float = 0.001,
+        timestep: float = TIMESTEP,
         rope: str = "ideal",
         strap: Strap | None = None,
     ) -> None:

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from armperturb.arrays import Array, Indices
 from armperturb.controllers.arm_control import ArmControl, Strength
-from armperturb.controllers.layout import trials_adjacent
-from armperturb.controllers.reflex import activate, initial_activation
-from armperturb.envs.lab.trial import Trial, held_force, noise_torque, subject_in
+from armperturb.envs.lab.trial import Trial, known_ahead, subject_in
 from armperturb.envs.learning.levels import strength_between, strength_of
 from armperturb.envs.learning.task import TaskSettings
+from armperturb.models.rig import AHEAD, KNOWN
 from armperturb.muscle_law import ELEMENTS
 from armperturb.subject import Subject
 
@@ -28,6 +27,9 @@ SENSES = (
 SENSE_LIMITS = np.array([np.pi, np.pi, 100.0, 100.0, 2000.0, 2000.0, 1.0, 1.0])
 """Where senses saturate, the last two times the visual gain: far beyond what happens inside the workspace."""
 
+
+START = AHEAD + 1
+"""Samples of what is known ahead that motors are told before the first step."""
 
 ONLY = np.zeros(1, dtype=int)
 """Index of a single person."""
@@ -73,7 +75,8 @@ class Participants:
 
     Attributes:
       settings: the task.
-      control: reflexes and muscle law of their arms.
+      control: reflexes and muscle law of their arms; it is the simulation's.
+      everybody: indices of all.
       levels: of co-contraction, velocity and position feedback in the steps of a decision, (person, 3, element) [-].
       reached: level that co-contraction has reached after them, (person, element) [-].
       step: of each trial, from 0, (person,).
@@ -81,19 +84,18 @@ class Participants:
       lags: steps after which joints and hand are felt, and after which the handle is seen.
     """
 
-    def __init__(self, settings: TaskSettings, n: int, n_history: int = 0) -> None:
+    def __init__(self, settings: TaskSettings, control: ArmControl) -> None:
         """Begin without trials.
 
         Args:
           settings: the task.
-          n: how many people.
-          n_history: steps that force feedback remembers, if more than the task's person needs.
+          control: reflexes and muscle law of as many arms as there are people.
         """
-        self.settings = settings
-        self.control = ArmControl([settings.subject] * n, settings.timestep, n_history)
+        self.settings, self.control = settings, control
+        n = len(control.table)
         self.levels, self.reached = np.zeros((n, 3, 3)), np.zeros((n, 3))
         self.step, self.n_steps = np.zeros(n, dtype=int), np.zeros(n, dtype=int)
-        self._n, self._every = np.arange(n), settings.steps_per_decision
+        self.everybody, self._every = np.arange(n), settings.steps_per_decision
         self._low, self._high = action_bounds(settings)
         self._names = action_names(settings)
         # Of the way to a new level: what is left after a decision, and on average during it.
@@ -103,16 +105,15 @@ class Participants:
             self._left, self._left_on_average = np.exp(-decay), -np.expm1(-decay) / decay
         self._relaxed, self._position = (strength_of([subject] * n) for subject in settings.people)
         self._posture = np.zeros((n, 2))
-        self._push, self._noise = np.zeros((2, n, self._every, 2))  # longer with the first trials
+        self._known = np.zeros((n, 1, len(KNOWN)))  # longer with the first trials
         self._recorded = np.zeros((n, 1, 2))
         self._command = np.zeros((n, 2))
-        self._activation = initial_activation(n)
-        self._push_now = self._noise_now = np.zeros((self._every, n, 2))
+        self._within = 0
         self.lags = tuple(
             round(delay / settings.timestep) for delay in (settings.proprioceptive_delay, settings.visual_delay)
         )
         # At least what happens between decisions, to tell how far the handle was.
-        self._senses = trials_adjacent(np.zeros((max(*self.lags, self._every) + 1, n, len(SENSES))), 1)
+        self._senses = np.zeros((max(*self.lags, self._every) + 1, n, len(SENSES)))
         self._newest = 0
 
     def start(self, people: Indices, trials: Sequence[Trial]) -> list[Subject]:
@@ -131,8 +132,7 @@ class Participants:
         n_decisions = [int(round(t.perturbation.duration * settings.control_rate, 6)) for t in trials]
         signals = [
             (
-                held_force(trial.perturbation, settings.timestep, n * self._every),
-                noise_torque(trial, settings.timestep, n * self._every),
+                known_ahead(trial, settings.timestep, n * self._every),
                 trial.perturbation.sample(settings.control_rate, n + 1),
             )
             for trial, n in zip(trials, n_decisions, strict=True)
@@ -140,11 +140,10 @@ class Participants:
         self._put(people, subjects)
         self.step[people] = 0
         self._make_room(max(n_decisions))
-        for person, (push, noise, recorded) in zip(people.tolist(), signals, strict=True):
-            n_steps = self.n_steps[person] = len(push)
-            self._push[person, n_steps:] = self._noise[person, n_steps:] = 0.0
-            self._push[person, :n_steps] = push
-            self._noise[person, :n_steps] = 0.0 if noise is None else noise
+        for person, n, (known, recorded) in zip(people.tolist(), n_decisions, signals, strict=True):
+            self.n_steps[person] = n * self._every
+            self._known[person, : len(known)] = known
+            self._known[person, len(known) :] = 0.0
             self._recorded[person, : len(recorded)] = recorded
         return subjects
 
@@ -165,21 +164,16 @@ class Participants:
         strength = self._position if self.settings.task == "PT" else self._relaxed
         for name, values in strength_of(subjects).items():
             strength[name][people] = values
-        self.control.replace(people, subjects)
         self.levels[people] = self.reached[people] = 1.0 if self.settings.task == "PT" else 0.0
         self._posture[people] = [subject.posture for subject in subjects]
         self._senses[:, people] = self._command[people] = 0.0
         self._senses[:, people, 0:2] = self._posture[people]
-        self._activation[:, people] = 0.0
 
     def _make_room(self, n_decisions: int) -> None:
         missing = n_decisions + 1 - self._recorded.shape[1]
         if missing > 0:
-            n = len(self._n)
-            self._push, self._noise = (
-                np.concatenate([old, np.zeros((n, missing * self._every, 2))], axis=1)
-                for old in (self._push, self._noise)
-            )
+            n, n_rows = len(self.everybody), n_decisions * self._every + START + 1 - self._known.shape[1]
+            self._known = np.concatenate([self._known, np.zeros((n, n_rows, len(KNOWN)))], axis=1)
             self._recorded = np.concatenate([self._recorded, np.zeros((n, missing, 2))], axis=1)
 
     def decide(self, actions: ArrayLike) -> tuple[Indices, Strength]:
@@ -207,28 +201,36 @@ class Participants:
             self.levels[:, 1:] = actions[:, column : column + 6].reshape(-1, 2, 3) * settings.highest_level
             column += 6
         if settings.torque:
-            self._command = trials_adjacent(actions[:, column:] * settings.highest_torque, 0)
+            self._command = actions[:, column:] * settings.highest_torque
+            self.control.table["commanded"], self.control.memory["command"] = 1.0, self._command
         changed = np.flatnonzero((self.levels != before).any(axis=(1, 2)))
         ends = self._relaxed, self._position
         relaxed, position = ({name: values[changed] for name, values in end.items()} for end in ends)
         strength = strength_between(relaxed, position, self.levels[changed])
-        if len(changed):
-            self.control.set_strength(changed, strength)
-        # Where a trial is over, signals are zero until the next one begins.
-        rows = np.minimum(self.step[:, None] + np.arange(self._every), self._push.shape[1] - 1)
-        self._push_now, self._noise_now = (
-            trials_adjacent(signal[self._n[:, None], rows].swapaxes(0, 1), 1) for signal in (self._push, self._noise)
-        )
         self._within = 0
         return changed, strength
+
+    def known(self, people: Indices, first: int, n_samples: int) -> Array:
+        """Torque on the joints [Nm] and force on the handle [N] that are known ahead, (person, sample, motor).
+
+        Args:
+          people: indices of those.
+          first: sample to begin with, counted from one step before this decision's first step.
+          n_samples: how many.
+        """
+        # Where a trial is over, signals are zero until the next one begins.
+        rows = self.step[people, None] + first + np.arange(n_samples)
+        return self._known[people[:, None], np.minimum(rows, self._known.shape[1] - 1)]
 
     def _checked(self, actions: ArrayLike) -> Array:
         values = np.asarray(actions)
         if values.dtype.kind not in "fiub":
             raise TypeError(f"action of type {values.dtype}; expected numbers")
-        shape = len(self._n), len(self._names)
+        shape = len(self.everybody), len(self._names)
         if values.shape != shape:
-            first = int(len(shape) == values.ndim and len(values) == len(self._n) == 1)  # that of a single person
+            first = int(
+                len(shape) == values.ndim and len(values) == len(self.everybody) == 1
+            )  # that of a single person
             given, expected = values.shape[first:], shape[first:]
             raise ValueError(f"action of shape {given}; expected {expected}: {', '.join(self._names)}")
         values = values.astype(float)
@@ -242,23 +244,18 @@ class Participants:
             )
         return values
 
-    def drive(self, angle: Array, velocity: Array) -> tuple[Array, Array, Array]:
-        """What acts during the next step.
+    def drive(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
+        """What acts during the next step, of a simulation that asks for each.
 
         Args:
           angle: of the joints at its start [rad], (person, joint).
           velocity: of the joints [rad/s], (person, joint).
 
         Returns:
-          Force on the handle [N], (person, axis), torque on the joints and controls of the reflex motors [Nm], (person,
-          joint) both.
+          Torque to hold on the joints [Nm], (person, joint), and controls of all motors, (person, motor).
         """
-        torque = self._noise_now[self._within]
-        if self.settings.torque:
-            active, self._activation = activate(self.control.gains, self._activation, self._command)
-            torque = torque + active
-        applied, delayed = self.control.torque(angle, velocity, torque)
-        return self._push_now[self._within], np.asarray(applied), delayed
+        held, sent = self.control.torque(angle, velocity)
+        return held, np.concatenate([sent, self.known(self.everybody, START + self._within, 1)[:, 0]], axis=1)
 
     def sense(self, angle: Array, velocity: Array, handle: Array, force: Array) -> None:
         """Take in what the step led to; arguments as the attributes of `Simulation`, (person, 2) each."""
@@ -310,4 +307,4 @@ class Participants:
 
     def perturbation(self) -> Array:
         """Disturbance at this moment [N], (person, axis)."""
-        return self._recorded[self._n, np.minimum(self.step // self._every, self._recorded.shape[1] - 1)]
+        return self._recorded[self.everybody, np.minimum(self.step // self._every, self._recorded.shape[1] - 1)]

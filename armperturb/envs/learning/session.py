@@ -7,8 +7,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from armperturb.arrays import Array, Indices
 from armperturb.envs.lab.simulation import Simulation, silent_simulator
+from armperturb.envs.lab.stepping import ANGLE, FORCE, HANDLE, VELOCITY
 from armperturb.envs.lab.trial import Trial
-from armperturb.envs.learning.participants import Participants
+from armperturb.envs.learning.participants import START, Participants
 from armperturb.envs.learning.task import TaskSettings
 from armperturb.models.rig import history_length
 
@@ -24,15 +25,14 @@ class Session:
           n: how many people.
           n_threads: of the simulation; 0 takes all cores.
         """
-        n_history = max(history_length(subject, settings.timestep) for subject in settings.people)
-        self.people = Participants(settings, n, n_history)
         self.simulation = Simulation(
             [settings.subject] * n,
             settings.environment,
             timestep=settings.timestep,
-            n_history=n_history,
+            n_history=max(history_length(subject, settings.timestep) for subject in settings.people),
             n_threads=n_threads,
         )
+        self.people = Participants(settings, self.simulation.control)
         self._diverged = np.zeros(n, dtype=bool)
 
     def start(self, people: Indices, trials: Sequence[Trial]) -> None:
@@ -43,6 +43,7 @@ class Session:
           trials: one for each of them.
         """
         self.simulation.replace(people, self.people.start(people, trials))
+        self.simulation.start(people, self.people.known(people, 0, START))
         self._diverged[people] = False
 
     def step(self, actions: ArrayLike) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
@@ -61,13 +62,16 @@ class Session:
         people, simulation = self.people, self.simulation
         changed, strength = people.decide(actions)
         if len(changed):
-            simulation.set_muscles(changed, strength["k_groups"], strength["b_groups"])
+            simulation.set_strength(changed, strength)
         with silent_simulator():
-            for _ in range(people.settings.steps_per_decision):
-                simulation.step(*people.drive(simulation.angle, simulation.velocity))
-                people.sense(simulation.angle, simulation.velocity, simulation.handle, simulation.force)
+            simulation.advance(people.known(people.everybody, START, people.settings.steps_per_decision))
+        state, log = simulation.state(), simulation.log
+        for step in range(1, log.shape[1]):
+            now = log[:, step]
+            people.sense(now[:, ANGLE], now[:, VELOCITY], now[:, HANDLE], log[:, step - 1, FORCE])
+        people.sense(state["angle"], state["velocity"], state["displacement"], state["force"])
         diverged = self._diverged = simulation.diverged
-        verdict = people.judge(simulation.handle, diverged)
+        verdict = people.judge(state["displacement"], diverged)
         if diverged.any():
             # MuJoCo has put them back; what is left in their muscles and senses may be infinite.
             lost = np.flatnonzero(diverged)
@@ -82,14 +86,14 @@ class Session:
         level of `co_contraction` that the muscle groups have reached [-]; whether MuJoCo has put a trial back that had
         `diverged`, as it could not integrate it.
         """
-        simulation, people = self.simulation, self.people
+        people, state = self.people, self.simulation.state()
         return {
             "time": people.step * people.settings.timestep,
             "perturbation": people.perturbation(),
-            "displacement": simulation.handle.copy(),
-            "joint_angle": simulation.angle.copy(),
-            "joint_velocity": simulation.velocity.copy(),
-            "force": simulation.force.copy(),
+            "displacement": state["displacement"],
+            "joint_angle": state["angle"],
+            "joint_velocity": state["velocity"],
+            "force": state["force"],
             "co_contraction": people.reached.copy(),
             "diverged": self._diverged.copy(),
         }

@@ -11,7 +11,7 @@ import numpy as np
 from armperturb.analysis.arm.state_space import require_stable
 from armperturb.cohort import Person, average_person
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import Environment
+from armperturb.environment import TIMESTEP, Environment
 from armperturb.envs.lab.trial import Trial, require_integrable
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, Sampled, check_bandwidth
 from armperturb.perturbations.multisine import PERIOD
@@ -89,7 +89,7 @@ class TaskSettings:
     noise: bool = True
     duration: float = 10.0
     control_rate: float = 50.0
-    timestep: float = 1e-3
+    timestep: float = TIMESTEP
     environment: Environment = field(default_factory=Environment)
     co_contraction: str = "groups"
     reflexes: bool = True

@@ -1,7 +1,7 @@
 """From a recorded trial to poses of the rig: what videos and the viewer show."""
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -13,6 +13,7 @@ from armperturb.analysis.measures.kinematics import joint_rotations, start_postu
 from armperturb.arrays import Array
 from armperturb.environment import Strap
 from armperturb.models.rig import build_model
+from armperturb.recording import TRIAL_COORDINATES
 from armperturb.subject import RELAX
 
 BODY = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
@@ -74,9 +75,9 @@ class Replay:
         if not 0 <= trial < n_trials:
             raise ValueError(f"{source}: trial = {trial}; expected 0 to {n_trials - 1}")
         chosen = recording.isel(trial=[int(trial)])
-        label = {name: chosen[name].values[0] for name in ("subject", "condition", "pulse_level", "pulse_direction")}
-        body = [float(chosen[name].values[0]) for name in BODY]
-        for name, value in zip(BODY, body, strict=True):
+        label = {name: chosen[name].values[0] for name in TRIAL_COORDINATES if name in chosen.coords}
+        body: dict[str, Any] = {name: float(label[name]) for name in BODY}
+        for name, value in body.items():
             if not np.isfinite(value):
                 raise ValueError(f"{source}: {name} of trial {trial} is {value}; expected the subject's, to draw it")
         shoulder = None
@@ -85,8 +86,7 @@ class Replay:
             marker = chosen["shoulder_marker"].values
             shoulder = signal.sosfiltfilt(sections, marker, axis=1, padlen=min(15, marker.shape[1] - 1))
         try:
-            l_h, l_f, theta_s_deg, theta_e_deg = body
-            subject = replace(RELAX, l_h=l_h, l_f=l_f, theta_s_deg=theta_s_deg, theta_e_deg=theta_e_deg)
+            subject = replace(RELAX, **body)
             if "joint_angle" in chosen:
                 angle = chosen["joint_angle"].values[0]
             else:
@@ -95,11 +95,11 @@ class Replay:
             raise ValueError(f"{source}: trial {trial}: {error}") from None
         displacement = chosen["displacement"].values[0]
         title = [str(label["subject"]), str(label["condition"])]
-        onset = float(chosen["pulse_onset"].values[0])
+        onset = float(label["pulse_onset"])
         if np.isfinite(onset):
             level = f" level {label['pulse_level']:g}" if label["pulse_level"] > 0 else ""  # 0 and NaN: no level
             title.append(f"pulse{level} at {label['pulse_direction']:g}°")
-        limit = float(chosen["limit_time"].values[0])
+        limit = float(label["limit_time"])
         if np.isfinite(limit):
             title.append(f"limit at {limit:.2f} s")
         return cls(

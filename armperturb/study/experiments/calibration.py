@@ -24,12 +24,12 @@ from armperturb.analysis.results import Description, Result, Table
 from armperturb.arrays import Array
 from armperturb.cohort import STABILITY_MARGIN
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import Environment
+from armperturb.environment import TIMESTEP, Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.files import written_whole
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study.experiments.candidates import Candidate, Unknown, unknowns
-from armperturb.study.protocol import PULSE_LEAD, QUICK_STEP, THESIS, Protocol, with_published_forces
+from armperturb.study.protocol import PULSE_LEAD, THESIS, Protocol, with_published_forces
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.results.quantities import Cell, measured_cells, published_cells
 from armperturb.subject import TASKS
@@ -99,7 +99,7 @@ def simulated_cells(
     *,
     noisy: bool = True,
     environment: Environment | None = None,
-    timestep: float = QUICK_STEP,
+    timestep: float = TIMESTEP,
     **options: Any,
 ) -> list[dict[Cell, float] | None]:
     """Cells of several candidates of one task, side by side and under the same multisines.

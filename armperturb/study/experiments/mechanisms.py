@@ -22,13 +22,14 @@ from armperturb.analysis.measures.pulse import WINDOWS, pulse_peaks
 from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
 from armperturb.arrays import Array
 from armperturb.cohort import Person
-from armperturb.controllers.muscle import element_motion, muscle_parameters, muscle_torque, rested
-from armperturb.environment import Environment
+from armperturb.controllers.arm_control import stretched
+from armperturb.environment import TIMESTEP, Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
+from armperturb.files import packaged_table
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.study.protocol import PULSE_LEAD, QUICK_STEP, THESIS, Protocol, with_published_forces
+from armperturb.study.protocol import PULSE_LEAD, THESIS, Protocol, with_published_forces
 from armperturb.study.published import tables as published
 from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.subject import Subject
@@ -37,15 +38,7 @@ Row = dict[str, Any]
 
 WHOLE, LINEAR, ONE_LEVEL = "whole law", "linear muscle", "same co-contraction in all conditions"
 
-MECHANISMS: dict[str, dict[str, float]] = {
-    "no short-range stiffness": {"short_range_stiffness": 0.0},
-    "one elastic limit": {"elastic_limit_spread": 0.0},
-    "elastic limit of any speed": {"elastic_limit_slope": 0.0},
-    "no thixotropy": {"loss_angle_deg": math.inf},
-    "damping does not thin": {"thinning_velocity": math.inf},
-    "spindles do not saturate": {"spindle_saturation": math.inf},
-    "spindles of both directions": {"spindle_direction": 0.0},
-}
+MECHANISMS: dict[str, dict[str, float]] = packaged_table(__package__, "mechanisms.toml")
 """What an arm without one mechanism is called, to the fields of its law that are changed, and their values."""
 
 AMPLITUDES = {"RT": ("RT2.5", "RT7.5", "RT22.5"), "PT": ("PT2.5", "PT7.5", "PT22.5")}
@@ -218,7 +211,7 @@ def why_people_yield(
     *,
     seed: int = 0,
     n_multisines: int = 2,
-    timestep: float = QUICK_STEP,
+    timestep: float = TIMESTEP,
     **options: Any,
 ) -> Yielding:
     """Perturb a person with and without each mechanism, side by side.
@@ -274,14 +267,9 @@ def why_people_yield(
     for condition, subject, recording in recorded(_continuous(n_multisines), moved):
         results[condition, subject] = _left_workspace(recording) or _response(recording, subject)
 
-    responses: dict[tuple[str, str], Response] = {}
-    unstable: dict[tuple[str, str], str] = {}
-    for key, subject in subjects.items():
-        answer = wrong[subject] if subject in wrong else results[key[1], subject]
-        if isinstance(answer, Response):
-            responses[key] = answer
-        else:
-            unstable[key] = answer
+    answers = {key: wrong.get(subject) or results[key[1], subject] for key, subject in subjects.items()}
+    responses = {key: answer for key, answer in answers.items() if isinstance(answer, Response)}
+    unstable = {key: answer for key, answer in answers.items() if isinstance(answer, str)}
     return Yielding(person=person, variants=tuple(arms), responses=responses, unstable=unstable)
 
 
@@ -363,7 +351,8 @@ def _response(recording: xr.Dataset, subject: Subject) -> Response:
         return response
     spectra = estimate_spectra(line_spectra(recording, window_start=WINDOW_START))
     window = slice(round(WINDOW_START * rate), round((WINDOW_START + PERIOD) * rate))
-    stretch = element_motion(true_rotations(recording)[:, window].reshape(-1, 2))
+    shoulder, elbow = true_rotations(recording)[:, window].reshape(-1, 2).T
+    stretch = np.stack([shoulder, shoulder + elbow, elbow], axis=1)
     return replace(
         response,
         frequency=spectra.frequency,
@@ -387,11 +376,8 @@ def intrinsic_loop(subject: Subject, amplitude: Sequence[float] | Array, *, freq
     phase = 2.0 * np.pi * np.arange(LOOP_CYCLES * LOOP_SAMPLES + 1)[:, None] / LOOP_SAMPLES
     stretch = np.asarray(amplitude, dtype=float) * np.sin(phase)
     velocity = np.asarray(amplitude, dtype=float) * (2.0 * np.pi * frequency) * np.cos(phase)
-    parameters = muscle_parameters([subject], timestep)
-    state, law = rested(parameters), np.empty_like(stretch)
-    for step in range(len(stretch)):
-        torque, state = muscle_torque(parameters, state, stretch[step : step + 1], velocity[step : step + 1])
-        law[step] = torque[0]
+    torque, _ = stretched([subject], stretch[:, None], velocity[:, None], timestep)
+    law = torque[:, 0]
     linear = np.array(subject.muscle_groups("k")) * stretch + np.array(subject.muscle_groups("b")) * velocity
     last = slice(-LOOP_SAMPLES - 1, None)
     return Loop(stretch[last], (linear + law)[last])

@@ -20,10 +20,10 @@ from armperturb.analysis.measures.kinematics import joint_rotations, joint_veloc
 from armperturb.analysis.measures.pulse import WINDOWS, pulse_span
 from armperturb.arrays import Array
 from armperturb.cohort import Person
-from armperturb.environment import Environment, Strap
+from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.study.protocol import PULSE_LEAD, QUICK_STEP, THESIS, Condition, Protocol
+from armperturb.study.protocol import PULSE_LEAD, THESIS, Condition, Protocol
 from armperturb.study.results.quantities import JOINT_LETTERS
 
 Row = dict[str, Any]
@@ -139,7 +139,7 @@ def moving_shoulder(
         short = _shortened(protocol, mine)
         trials = short.trials(person, short.given_forces() if forces is None else forces, seed, 0, noisy=False)
         for belt in (None, strap):
-            recording = run_experiment(trials, environment, timestep=QUICK_STEP, strap=belt, **options)
+            recording = run_experiment(trials, environment, timestep=TIMESTEP, strap=belt, **options)
             for condition in mine:
                 of_condition = recording.isel(trial=np.flatnonzero(recording["condition"].values == condition.name))
                 inside = np.isnan(of_condition["limit_time"].values)

@@ -23,7 +23,7 @@ from armperturb.analysis.fit.structures import true_values, unit
 from armperturb.analysis.results import Description, Result
 from armperturb.arrays import Array, ComplexArray
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import Environment
+from armperturb.environment import TIMESTEP, Environment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.perturbations import CLUSTERS, Multisine, Sampled
 from armperturb.perturbations.line_spectrum import draw_multisine
@@ -39,9 +39,6 @@ if TYPE_CHECKING:
 
 GAP, RATIO = 7, 1.06
 """From a cluster to the next: at least so many lines (three empty ones between), and such a ratio of frequencies."""
-
-TIMESTEP = 1e-3
-"""Of the simulation, whose noise is meant [s]."""
 
 
 def cluster_starts(period: float = PERIOD) -> NDArray[np.int64]:

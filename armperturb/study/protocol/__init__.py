@@ -6,7 +6,6 @@ from armperturb.study.protocol.condition import PlannedTrial as PlannedTrial
 from armperturb.study.protocol.protocol import FORCES as FORCES
 from armperturb.study.protocol.protocol import PULSE_LEAD as PULSE_LEAD
 from armperturb.study.protocol.protocol import PULSE_WIDTH as PULSE_WIDTH
-from armperturb.study.protocol.protocol import QUICK_STEP as QUICK_STEP
 from armperturb.study.protocol.protocol import THESIS as THESIS
 from armperturb.study.protocol.protocol import Protocol as Protocol
 from armperturb.study.protocol.protocol import load_protocol as load_protocol

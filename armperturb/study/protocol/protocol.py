@@ -24,10 +24,6 @@ Made = TypeVar("Made")
 FORCES = ("practice", "published")
 """Where the forces come from: each person's practice session, or the protocol's own, the same for everyone."""
 
-QUICK_STEP = 2.5e-3
-"""Step of simulations beside a study's own, such as practice [s]: a quarter of the cost at 1 ms. It makes the RMS
-displacement of nonlinear people 0.05 % larger on average over conditions, and 0.5 % in the worst one (PT22.5)."""
-
 PULSE_WIDTH = 0.08
 """Duration of a pulse [s] (thesis 2.4)."""
 

@@ -7,15 +7,12 @@ from collections.abc import Mapping
 from importlib import resources
 from typing import NamedTuple
 
+from armperturb.files import packaged_table
+
 SI = {"kN/m": 1e3, "ms": 1e-3, "mm": 1e-3, "deg": math.radians(1.0), "deg/s": math.radians(1.0)}
 """Factors from the printed units that are not SI."""
 
-PARAMETER_TABLES = {
-    "PT7.5": {"table": "E.3", "model": "3b", "start": "vartheta_i5"},
-    "RT2.5": {"table": "C.16", "model": "1", "start": ""},
-    "RT7.5": {"table": "C.18", "model": "1", "start": ""},
-    "RT22.5": {"table": "C.20", "model": "1", "start": ""},
-}
+PARAMETER_TABLES: dict[str, dict[str, str]] = packaged_table(__package__, "fitted.toml")
 """Which table holds the parameters of a condition for the model that the thesis settled on; PT2.5 and PT22.5 were not
 fitted with model 3b."""
 

@@ -13,8 +13,11 @@ from armperturb.cohort import MUSCLES, Person, draw_cohort
 from armperturb.environment import Environment
 from armperturb.study.protocol import Protocol
 from armperturb.study.recording.folder import MANIFEST
-from armperturb.study.recording.settings import TIMESTEP, StudySettings
+from armperturb.study.recording.settings import StudySettings
 from armperturb.validation import require_number, require_one_of
+
+UNSAID_TIMESTEP = 1e-3
+"""Step of the simulation in folders whose manifest does not say it [s]."""
 
 MOST_SUBJECTS = 100_000
 """More people than this are a slip in a manifest: drawing them would take hours."""
@@ -72,7 +75,7 @@ class Manifest:
         try:
             for name, least, most in (("subjects", 1, MOST_SUBJECTS), ("seed", 0, math.inf)):
                 require_number(source, name, values[name], at_least=least, at_most=most)
-            require_number(source, "timestep", values.get("timestep", TIMESTEP), above=0.0)
+            require_number(source, "timestep", values.get("timestep", UNSAID_TIMESTEP), above=0.0)
             require_one_of(source, "muscles", values["muscles"], MUSCLES)
             if not isinstance(values["protocol"], Mapping) or not isinstance(values["versions"], Mapping):
                 raise ValueError(f"{source}: protocol or versions is no table; expected what a run wrote")
@@ -81,7 +84,7 @@ class Manifest:
                 seed=int(values["seed"]),
                 ideal=bool(values["ideal"]),
                 muscles=values["muscles"],
-                timestep=float(values.get("timestep", TIMESTEP)),
+                timestep=float(values.get("timestep", UNSAID_TIMESTEP)),
                 protocol=Protocol.from_dict(values["protocol"], source=f"{source}, protocol"),
                 people=str(values["people"]),
                 versions=dict(values["versions"]),
@@ -99,8 +102,7 @@ class Manifest:
             "seed": self.seed,
             "ideal": self.ideal,
             "muscles": self.muscles,
-            # Left out if it is the usual one, so that folders without it can be continued.
-            **({} if self.timestep == TIMESTEP else {"timestep": self.timestep}),
+            "timestep": self.timestep,
             "people": self.people,
             "protocol": self.protocol.to_dict(),
         }

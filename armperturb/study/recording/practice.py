@@ -16,13 +16,13 @@ from armperturb.analysis.defaults import WINDOW_START
 from armperturb.arrays import Array
 from armperturb.cohort import Person
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import Environment
+from armperturb.environment import TIMESTEP, Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.perturbations.multisine import DESIGN_RATE, PERIOD
 from armperturb.seeds import random_stream, trial_seed
-from armperturb.study.protocol import PULSE_UNIT, QUICK_STEP, Condition, Protocol
+from armperturb.study.protocol import PULSE_UNIT, Condition, Protocol
 from armperturb.subject import Subject
 
 Measure = Callable[[NDArray[np.int_], Array], Array]
@@ -76,7 +76,7 @@ def practise(
     n_threads: int = 0,
     *,
     noisy: bool = False,
-    timestep: float = QUICK_STEP,
+    timestep: float = TIMESTEP,
     progress: Callable[[float], object] | None = None,
 ) -> tuple[dict[str, float], ...]:
     """Forces for every person: each condition's force is adjusted until the handle moves as far as intended.
@@ -108,11 +108,9 @@ def practise(
         return tuple(protocol.given_forces() for _ in people)
     environment = environment or Environment()
     # The same subject who is to move as far needs the same force: such goals are measured once.
-    goals: dict[_Goal, None] = {}
-    goals_of: list[dict[str, _Goal]] = []
-    for person in people:
-        goals_of.append({c.name: _Goal.of(person, c, seed) for c in protocol.conditions if c.has_multisine})
-        goals.update(dict.fromkeys(goals_of[-1].values()))
+    conditions = [condition for condition in protocol.conditions if condition.has_multisine]
+    goals_of = [{each.name: _Goal.of(person, each, seed) for each in conditions} for person in people]
+    goals = list(dict.fromkeys(goal for of_person in goals_of for goal in of_person.values()))
     force_of: dict[_Goal, float] = {}
     if goals:
         simulate = partial(
@@ -123,7 +121,7 @@ def practise(
             n_threads=n_threads,
             progress=progress,
         )
-        adjusted = _reach(list(goals), seed, environment, noisy, simulate)
+        adjusted = _reach(goals, seed, environment, noisy, simulate)
         force_of = dict(zip(goals, adjusted.force.tolist(), strict=True))
     forces = []
     for goal_of in goals_of:
@@ -225,7 +223,7 @@ def linear_displacement(subject: Subject, environment: Environment, multisine: M
 
 
 def measured_displacement(
-    trials: Sequence[Trial], environment: Environment, *, timestep: float = QUICK_STEP, **options: Any
+    trials: Sequence[Trial], environment: Environment, *, timestep: float = TIMESTEP, **options: Any
 ) -> Array:
     """RMS displacement from the start, pooled over both axes, from 8 s to 28.48 s [m], (trial,).
 

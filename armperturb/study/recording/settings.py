@@ -5,15 +5,12 @@ from pathlib import Path
 from typing import Literal
 
 from armperturb.cohort import MUSCLES, Person, draw_cohort
-from armperturb.environment import Environment
+from armperturb.environment import TIMESTEP, Environment
 from armperturb.study.protocol import FORCES, THESIS, Protocol, load_protocol
 from armperturb.validation import require_one_of, require_ranges
 
 BLOCK = 96
 """Default number of trials that are simulated side by side: more are hardly faster, but take more memory."""
-
-TIMESTEP = 1e-3
-"""Default step of the simulation [s]."""
 
 
 @dataclass(frozen=True, kw_only=True)

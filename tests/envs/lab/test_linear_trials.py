@@ -34,7 +34,7 @@ def off(found, expected):
 @pytest.mark.slow(reason="long trials in small steps")
 @pytest.mark.parametrize("subject", [POSITION, RELAX], ids=lambda subject: subject.task)
 def test_a_tiny_perturbation_moves_the_linear_arm_as_the_simulator_moves_its_own(subject):
-    linear = run_experiment(trials(subject), linear=True)
+    linear = run_experiment(trials(subject), linear=True, timestep=1e-3)
     multibody = run_experiment(trials(subject), timestep=5e-4)
     posture = subject.posture
     assert off(linear["displacement"].values, multibody["displacement"].values) < 5e-4

@@ -234,13 +234,14 @@ def test_a_trial_is_of_the_person_as_it_is_in_that_trial():
     env.reset()
     subject = subject_in(trial, env.task.settings.environment)
     model, arm = env.physics.model, env.task.root_entity.arm
-    for quantity, hinges, tendons in (
-        ("k", env.physics.bind(arm.joints).stiffness, model.tendon_stiffness),
-        ("b", env.physics.bind(arm.joints).damping, model.tendon_damping),
+    intact = np.array(subject.muscle.of_elements("short_range_stiffness"))
+    for quantity, hinges, tendons, beside in (
+        ("k", env.physics.bind(arm.joints).stiffness, model.tendon_stiffness, intact),
+        ("b", env.physics.bind(arm.joints).damping, model.tendon_damping, np.zeros(3)),
     ):
         two_joint = tendons[env.physics.bind(arm.biarticular).element_id]
         groups = subject.muscle_groups(quantity)
-        assert (hinges[0], two_joint, hinges[1]) == tuple(groups)
+        assert (hinges[0], two_joint, hinges[1]) == tuple(groups + beside)
         assert tuple(groups) != tuple(AVERAGE["RT"].muscle_groups(quantity))
 
 
@@ -361,10 +362,10 @@ def test_senses_come_late_and_begin_with_their_initial_value():
     env = armperturb.load_dm_env(POSITION_TASK, **SHORT)
     observables = env.task.observables
     assert {name: one.delay for name, one in observables.items() if one.enabled} == {
-        "joint_stretch": 30,
-        "joint_velocity": 30,
-        "hand_force": 30,
-        "handle_seen": 150,
+        "joint_stretch": 12,
+        "joint_velocity": 12,
+        "hand_force": 12,
+        "handle_seen": 60,
     }
     for name in SENSES:
         observables[name].corruptor = lambda value, random_state: value + 0.5
@@ -374,8 +375,8 @@ def test_senses_come_late_and_begin_with_their_initial_value():
         for name in SENSES:
             assert timestep.observation[name].shape == (2, 2)
             moved = timestep.observation[name][-1] != 0.5
-            # The newest is that of the last step, n decisions of 20 steps after the first.
-            assert moved.all() == (20 * n > observables[name].delay), f"{name} after {n} decisions"
+            # The newest is that of the last step, n decisions of 8 steps after the first.
+            assert moved.all() == (8 * n > observables[name].delay), f"{name} after {n} decisions"
         timestep = env.step(env.task.own_action)
 
 

@@ -54,7 +54,6 @@ class Driven(composer.NullTask):
 
     def initialize_episode(self, physics, random_state):
         self.motors = physics.bind(self.root_entity.arm.reflexes).element_id
-        self.slides = physics.bind(self.root_entity.manipulator.slides).dofadr
         self.step = 0
         self.log = []
 
@@ -63,7 +62,7 @@ class Driven(composer.NullTask):
 
     def before_substep(self, physics, action, random_state):
         physics.data.ctrl[self.motors] = self.torques[self.step]
-        physics.data.qfrc_applied[self.slides] = self.forces[self.step]
+        physics.data.ctrl[-2:] = self.forces[self.step]
         self.step += 1
 
     def after_substep(self, physics, random_state):
@@ -98,7 +97,7 @@ def test_moves_as_the_model_of_the_experiment_does_to_the_last_bit(case):
     expected = []
     limited = 0
     for torque, force in zip(torques, forces, strict=True):
-        data.ctrl[:], data.qfrc_applied[-2:] = torque, force
+        data.ctrl[:2], data.ctrl[-2:] = torque, force
         mujoco.mj_step(model, data)
         expected.append(np.concatenate([data.qpos, data.qvel, data.sensor("strain_gauge").data]))
         limited += data.nefc > 0
@@ -190,7 +189,7 @@ def test_a_person_s_muscles_can_be_changed_between_steps_to_the_last_bit():
     data = mujoco.MjData(model)
     for torque, force in zip(*drives(500), strict=True):
         for own in (data, physics.data):
-            own.ctrl[:], own.qfrc_applied[2:] = torque, force
+            own.ctrl[:2], own.ctrl[-2:] = torque, force
         mujoco.mj_step(model, data)
         physics.step()
         np.testing.assert_array_equal(physics.data.qpos, data.qpos)

@@ -128,14 +128,14 @@ def study_trials(task):
 @pytest.mark.parametrize("task", ["PT", "RT"])
 def test_own_parameters_reproduce_the_studys_trial_to_the_last_bit(task):
     trials = study_trials(task)
-    recording = run_experiment(trials, rate=1000.0)
+    recording = run_experiment(trials, rate=400.0)
     settings = {"task": task, "person": PERSON, "highest_level": 2.0}
     single = made("ArmPerturb/Position-v0", **settings)
     for number, trial in enumerate(trials):
         _, info = single.reset(options={"trial": trial})
         truncated, decision = False, 0
         while not truncated:
-            at = 20 * decision
+            at = 8 * decision
             np.testing.assert_array_equal(info["displacement"], recording["displacement"].values[number, at])
             np.testing.assert_array_equal(info["joint_angle"], recording["joint_angle"].values[number, at])
             np.testing.assert_allclose(
@@ -153,7 +153,7 @@ def test_own_parameters_reproduce_the_studys_trial_to_the_last_bit(task):
         _, _, _, _, infos = several.step(np.tile(several.own_action, (3, 1)))
         for lane in range(3):
             np.testing.assert_array_equal(
-                infos["displacement"][lane], recording["displacement"].values[0, 20 * decision]
+                infos["displacement"][lane], recording["displacement"].values[0, 8 * decision]
             )
 
 
@@ -313,7 +313,7 @@ def test_who_reaches_the_limit_pays_and_the_trial_ends():
                 perturbation=Pulse(peak=900.0, direction_deg=20.0, onset=0.1, duration=1.0),
             )
         ],
-        rate=1000.0,
+        rate=400.0,
     )
     assert 0.0 <= 0.02 * len(ends) - recording["limit_time"].item() <= 0.02
 

@@ -4,6 +4,7 @@ import ctypes.util
 import itertools
 import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -283,10 +284,16 @@ def test_colours_are_those_of_the_figures():
     assert {DISTURBANCE, REACTION} == set(style.COLOURS.values())
 
 
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    path = tmp_path_factory.mktemp("saved") / "rec.nc"
+    save_recording(recorded(), path)
+    return path
+
+
 @pytest.fixture
-def file(tmp_path):
-    save_recording(recorded(), tmp_path / "rec.nc")
-    return tmp_path / "rec.nc"
+def file(saved, tmp_path):
+    return shutil.copy(saved, tmp_path / "rec.nc")
 
 
 def refused(capsys, *arguments):

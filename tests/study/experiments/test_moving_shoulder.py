@@ -8,12 +8,12 @@ from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.arm.state_space import state_space, strapped_dynamics
 from armperturb.analysis.defaults import SETTLING
 from armperturb.cohort import Person
-from armperturb.environment import Environment, Strap
+from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Pulse
 from armperturb.study.experiments.moving_shoulder import AFTER, STRETCH, _shortened, moving_shoulder
-from armperturb.study.protocol import PULSE_LEAD, PULSE_UNIT, QUICK_STEP, THESIS
+from armperturb.study.protocol import PULSE_LEAD, PULSE_UNIT, THESIS
 from armperturb.subject import POSITION, RELAX
 
 PERSON = Person(name="P", height=1.8, mass=75.0, subjects={"PT": POSITION, "RT": RELAX})
@@ -64,7 +64,7 @@ def test_peaks_of_rotations_are_those_of_the_trials(moved, strap):
         )
         for direction in (20.0, 200.0)
     ]
-    recording = run_experiment(trials, timestep=QUICK_STEP, strap=strap)
+    recording = run_experiment(trials, timestep=TIMESTEP, strap=strap)
     handle = recording["displacement"].values
     shoulder = recording["shoulder_marker"].values if strap else np.zeros(handle.shape)
     window = slice(round(PULSE_LEAD * 200), round((PULSE_LEAD + 0.3) * 200) + 1)

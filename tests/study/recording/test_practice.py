@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from armperturb.analysis.arm.linear_arm import total_admittance
 from armperturb.cohort import draw_cohort
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import Environment, Strap
+from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.seeds import trial_seed
-from armperturb.study.protocol import PULSE_UNIT, QUICK_STEP, THESIS
+from armperturb.study.protocol import PULSE_UNIT, THESIS
 from armperturb.study.recording import practice
 from armperturb.study.recording.practice import (
     MAX_ROUNDS,
@@ -280,5 +280,5 @@ def test_the_step_hardly_matters(monkeypatch):
     ]
     monkeypatch.setattr(practice, "WINDOW_START", 1.0)
     monkeypatch.setattr(practice, "PERIOD", 3.0)
-    quick, fine = (measured_displacement(trials, Environment(), timestep=step) for step in (QUICK_STEP, 1e-3))
+    quick, fine = (measured_displacement(trials, Environment(), timestep=step) for step in (TIMESTEP, 1e-3))
     np.testing.assert_allclose(quick, fine, rtol=practice.AIM / 2)

@@ -116,7 +116,7 @@ def test_what_cannot_be_drawn_is_tried_again(study, tmp_path, monkeypatch):
 
 @pytest.mark.slow(reason="starts processes that load what draws")
 def test_workers_draw_the_same_bytes(study, tmp_path):
-    figures = ("fit_PT", "admittance_by_task", "peak_displacement", "trajectories_PT")
+    figures = ("fit_PT", "perturbation", "parameters_RT", "trajectories_PT")
     pages = [sketch(study, tmp_path / str(workers), figures, workers) for workers in (1, 2)]
     assert pages[0] == pages[1]
     for name in figures:

@@ -16,8 +16,6 @@ from armperturb.study.comparison.effects import effects
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.figures import fit as fit_figures
-from armperturb.study.report.figures import parameters as parameter_figures
-from armperturb.study.report.figures import perturbation as perturbation_figures
 from armperturb.study.report.figures import rig as rig_figures
 from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.formats import MISSING, chance, digits, mean_sd, signed, symbol, words
@@ -354,17 +352,6 @@ def test_admittance_of_the_tasks_is_the_ratio_of_the_gains(thesis_study, out):
 
 def test_rig_is_drawn(study):
     assert [len(ax.images) for ax in rig_figures.rig(study).axes] == [1, 1]
-
-
-def test_same_study_same_bytes(study, tmp_path):
-    case = study.of("PT7.5")[0]
-    for draw in (
-        lambda: perturbation_figures.perturbation(case),
-        lambda: parameter_figures.parameters(study, "RT"),
-    ):
-        for name in ("first.svg", "second.svg"):
-            save_svg(draw(), tmp_path / name)
-        assert (tmp_path / "first.svg").read_bytes() == (tmp_path / "second.svg").read_bytes()
 
 
 def test_users_settings_neither_matter_nor_change(study, tmp_path):
