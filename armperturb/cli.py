@@ -10,14 +10,7 @@ from pathlib import Path
 from typing import Any, Union, get_type_hints
 
 import tyro
-from tyro.constructors import (
-    ConstructorRegistry,
-    PrimitiveConstructorSpec,
-    PrimitiveTypeInfo,
-    StructConstructorSpec,
-    StructFieldSpec,
-    StructTypeInfo,
-)
+from tyro import constructors
 
 from armperturb.commands.command import Command, field_texts
 from armperturb.envs.render.gl import require_simulator
@@ -85,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parse(arguments: Sequence[str]) -> Command:
     kinds = [command_class(name) if name in arguments[:1] else _without_options(name) for name in COMMANDS]
     any_command: Any = Union[tuple(kinds)]  # noqa: UP007
-    registry = ConstructorRegistry()
+    registry = constructors.ConstructorRegistry()
     registry.primitive_rule(_from_file)
     registry.struct_rule(_settings)
     command: Command = tyro.cli(
@@ -108,16 +101,16 @@ def _without_options(name: str) -> type:
     return make_dataclass(name.capitalize(), (), namespace={"__doc__": text})
 
 
-def _settings(of: StructTypeInfo) -> StructConstructorSpec | None:
+def _settings(of: constructors.StructTypeInfo) -> constructors.StructConstructorSpec | None:
     """Settings that a command holds, as options beside the command's own."""
     kind = of.type
     if not is_dataclass(kind) or issubclass(kind, Command) or not kind.__module__.startswith("armperturb."):
         return None
     hints, texts = get_type_hints(kind), field_texts(kind)
-    return StructConstructorSpec(
+    return constructors.StructConstructorSpec(
         instantiate=_refusing(kind),
         fields=tuple(
-            StructFieldSpec(
+            constructors.StructFieldSpec(
                 name=field.name,
                 type=hints[field.name],
                 default=tyro.MISSING_NONPROP if field.default is MISSING else field.default,
@@ -128,13 +121,13 @@ def _settings(of: StructTypeInfo) -> StructConstructorSpec | None:
     )
 
 
-def _from_file(of: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+def _from_file(of: constructors.PrimitiveTypeInfo) -> constructors.PrimitiveConstructorSpec[Any] | None:
     """An option whose value is read from the file that is named."""
     readers = files() if str(getattr(of.type, "__module__", "")).startswith("armperturb.") else {}
     if of.type not in readers:
         return None
     read = _refusing(readers[of.type])
-    return PrimitiveConstructorSpec(
+    return constructors.PrimitiveConstructorSpec(
         nargs=1,
         metavar="PATH",
         instance_from_str=lambda typed: read(typed[0]),

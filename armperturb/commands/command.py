@@ -6,6 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from typing import ClassVar
 
+from tyro.conf import Positional as Positional
+
 
 class Command(ABC):
     """A subcommand of `armperturb`: a frozen dataclass of its options, and what runs it.

@@ -2,11 +2,8 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from armperturb.commands.command import Command
+from armperturb.commands.command import Command, Positional
 from armperturb.convert.tables import Repair
 from armperturb.files import require_folder_of
 
@@ -15,7 +12,7 @@ from armperturb.files import require_folder_of
 class Convert(Command):
     """Turn a laboratory's files into a recording, or a recording into files for other programs."""
 
-    files: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    files: Positional[tuple[Path, ...]]
     """CSV, MATLAB or C3D files with a JSON sidecar that describes them, or recordings (netCDF4); the output holds the
     trials of all of them."""
     out: Path

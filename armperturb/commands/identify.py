@@ -3,12 +3,10 @@
 import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-import tyro
+from typing import TYPE_CHECKING, Literal
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
-from armperturb.commands.command import Command
+from armperturb.commands.command import Command, Positional
 from armperturb.extras import MissingExtraError, naming_the_extra
 
 if TYPE_CHECKING:
@@ -22,7 +20,7 @@ OF_THE_NONLINEAR_MODEL = ("law", "pulses")
 class Identify(Command):
     """Estimate the admittance from a recording and fit an arm model to it."""
 
-    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    recordings: Positional[tuple[Path, ...]]
     """Recordings of one person to read: netCDF4, or CSV, MATLAB or C3D with a sidecar (see convert); the trials of a
     condition are identified together."""
     model: Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear"]

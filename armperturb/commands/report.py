@@ -2,11 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-import tyro
-
-from armperturb.commands.command import Command
+from armperturb.commands.command import Command, Positional
 from armperturb.progress import stages
 
 
@@ -17,7 +15,7 @@ class Report(Command):
     needs_simulator = True
     resumes = True
 
-    folder: Annotated[Path, tyro.conf.Positional]
+    folder: Positional[Path]
     """Folder of the study; its recordings are not changed."""
     nonlinear: tuple[Literal["RT", "PT"], ...] = ()
     """Tasks in which each person's muscle law is identified and the pulses left out of the fit are predicted; takes

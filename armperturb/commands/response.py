@@ -2,12 +2,10 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
-
-import tyro
+from typing import TYPE_CHECKING, Any, Literal
 
 from armperturb.analysis.defaults import SETTLED
-from armperturb.commands.command import Command
+from armperturb.commands.command import Command, Positional
 from armperturb.files import write_csv
 
 if TYPE_CHECKING:
@@ -19,7 +17,7 @@ if TYPE_CHECKING:
 class Response(Command):
     """Estimate a frequency response without a model of the arm, its uncertainty, and how nonlinear the arm is."""
 
-    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    recordings: Positional[tuple[Path, ...]]
     """Recordings of one person in one condition: netCDF4, or CSV, MATLAB or C3D with a sidecar (see convert); their
     lengths may differ."""
     out: Path

@@ -2,11 +2,8 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from armperturb.commands.command import Command
+from armperturb.commands.command import Command, Positional
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,7 +12,7 @@ class Score(Command):
 
     needs_simulator = True
 
-    folder: Annotated[Path, tyro.conf.Positional]
+    folder: Positional[Path]
     """Folder of the study, complete or not; its recordings are not changed."""
     out: Path | None = None
     """Folder for score.csv, headlines.csv and score.txt; by default FOLDER/score."""

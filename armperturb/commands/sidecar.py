@@ -2,18 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from armperturb.commands.command import Command
+from armperturb.commands.command import Command, Positional
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sidecar(Command):
     """Write the sidecar of a laboratory's file from its names and numbers, with every guess marked."""
 
-    file: Annotated[Path, tyro.conf.Positional]
+    file: Positional[Path]
     """CSV, MATLAB or C3D file."""
     out: Path | None = None
     """Sidecar to write; by default FILE.json beside the file. An existing one is never overwritten."""

@@ -2,11 +2,8 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from armperturb.commands.command import Command
+from armperturb.commands.command import Command, Positional
 from armperturb.envs.render.clip import Clip
 from armperturb.progress import Progress
 
@@ -17,7 +14,7 @@ class Video(Command):
 
     needs_simulator = True
 
-    recording: Annotated[Path, tyro.conf.Positional]
+    recording: Positional[Path]
     """Recording to read (netCDF4), also of a real person, if it holds the lengths of the arm."""
     out: Path
     """Video to write: MP4 (H.264), or GIF."""

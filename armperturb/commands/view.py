@@ -2,11 +2,8 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from armperturb.commands.command import Command
+from armperturb.commands.command import Command, Positional
 from armperturb.validation import require_number
 
 
@@ -16,7 +13,7 @@ class View(Command):
 
     needs_simulator = True
 
-    recording: Annotated[Path | None, tyro.conf.Positional] = None
+    recording: Positional[Path | None] = None
     """Recording whose trial is replayed in a loop; without one, a person at rest."""
     trial: int = 0
     """Which trial of the recording, from 0."""

@@ -61,8 +61,7 @@ def plot_responses(curves: Sequence[Curve], meaning: str = "95% of each element"
     handles: list[Line2D | Patch] = []
     for curve in curves:
         look = dict(curve.look)
-        if curve.bands is not None:
-            _draw_bands(panels, curve, {"color": _shade(look["color"]), "alpha": 0.4, "lw": 0})
+        draw_bands(panels, curve, {"color": _shade(look["color"]), "alpha": 0.4, "lw": 0})
         plot_admittance(panels, curve.frequency, curve.response, **look)
         handles.append(Line2D([], [], label=curve.label, **look))
     colours = {curve.look["color"] for curve in curves if curve.bands is not None}
@@ -78,8 +77,10 @@ def _shade(colour: str) -> str:
     return GREY if colour == INK else colour
 
 
-def _draw_bands(panels: Mapping[Element, tuple[Axes, Axes]], curve: Curve, shade: Mapping[str, Any]) -> None:
-    assert curve.bands is not None
+def draw_bands(panels: Mapping[Element, tuple[Axes, Axes]], curve: Curve, shade: Mapping[str, Any]) -> None:
+    """Shade the bands of a curve, if they are known."""
+    if curve.bands is None:
+        return
     gain_low, gain_high, phase_low, phase_high = curve.bands
     for element, (gain_ax, phase_ax) in panels.items():
         at = (slice(None), *element)

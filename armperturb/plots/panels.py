@@ -74,21 +74,20 @@ def plot_admittance(
         phase_ax.plot(*within_turn(frequency, np.angle(element)), **look)
 
 
-def within_turn(frequency: Array, phase: Array, *others: Array) -> list[Array]:
+def within_turn(frequency: Array, phase: Array) -> list[Array]:
     """Phases [rad] in degrees within `PHASES`, with a gap wherever they leave it on one side and return on the other.
 
     Args:
       frequency: [Hz], (frequency,).
       phase: [rad], (frequency,).
-      *others: further angles, to be given the same gaps [rad], (frequency,).
 
     Returns:
-      Frequencies [Hz], phases and further angles [degree], longer by the gaps.
+      Frequencies [Hz] and phases [degree], longer by the gaps.
     """
     low = PHASES[0]
     wrapped = low + np.mod(np.degrees(phase) - low, 360.0)
     jumps = np.flatnonzero(np.abs(np.diff(wrapped)) > 180.0) + 1
-    return [np.insert(values, jumps, np.nan) for values in (frequency, wrapped, *map(np.degrees, others))]
+    return [np.insert(values, jumps, np.nan) for values in (frequency, wrapped)]
 
 
 def label_frequency(ax: Axes, **text: Any) -> None:

@@ -16,18 +16,7 @@ import numpy as np
 
 from armperturb.environment import TIMESTEP, Environment, Strap
 from armperturb.envs.learning.dm import composer, mjcf, observable
-from armperturb.models.rig import (
-    ARM_XML,
-    BIARTICULAR,
-    GRIP,
-    JOINTS,
-    MANIPULATOR_XML,
-    REFLEXES,
-    RIG_XML,
-    SLIDES,
-    STRAIN_GAUGE,
-    build_spec,
-)
+from armperturb.models import rig
 from armperturb.subject import Subject
 
 NUMBERS = {
@@ -76,7 +65,7 @@ class ArmEntity(_Part):
     Its observables are the angles [rad] and angular velocities [rad/s] of shoulder and elbow.
     """
 
-    FILE = ARM_XML
+    FILE = rig.ARM_XML
     SENSES: ClassVar = {
         "joint_angles": lambda arm, physics: physics.bind(arm.joints).qpos,
         "joint_velocities": lambda arm, physics: physics.bind(arm.joints).qvel,
@@ -85,22 +74,22 @@ class ArmEntity(_Part):
     @property
     def joints(self) -> list[mjcf.Element]:
         """Hinges: shoulder, elbow."""
-        return [self._mjcf_model.find("joint", name) for name in JOINTS]
+        return [self._mjcf_model.find("joint", name) for name in rig.JOINTS]
 
     @property
     def biarticular(self) -> mjcf.Element:
         """Tendon of the two-joint muscles."""
-        return self._mjcf_model.find("tendon", BIARTICULAR)
+        return self._mjcf_model.find("tendon", rig.BIARTICULAR)
 
     @property
     def reflexes(self) -> list[mjcf.Element]:
         """Motors of both joints; `ctrl` is the torque [Nm], which acts after the neural delay."""
-        return [self._mjcf_model.find("actuator", name) for name in REFLEXES]
+        return [self._mjcf_model.find("actuator", name) for name in rig.REFLEXES]
 
     @property
     def grip(self) -> list[mjcf.Element]:
         """Tendons from the hand to what it holds, in the order of `GRIP`; none before it holds something."""
-        return [tendon for name in GRIP if (tendon := self._mjcf_model.find("tendon", name)) is not None]
+        return [tendon for name in rig.GRIP if (tendon := self._mjcf_model.find("tendon", name)) is not None]
 
     def hold(self, manipulator: "ManipulatorEntity", spec: mujoco.MjSpec) -> None:
         """Grip the handle of a manipulator; both must then be attached to the same model.
@@ -125,7 +114,7 @@ class ManipulatorEntity(_Part):
     exerts on the hand [N] at the start of the last physics step: MuJoCo has it on the way to the next state only.
     """
 
-    FILE = MANIPULATOR_XML
+    FILE = rig.MANIPULATOR_XML
     SENSES: ClassVar = {
         "handle_displacement": lambda manipulator, physics: physics.bind(manipulator.slides).qpos,
         "handle_velocity": lambda manipulator, physics: physics.bind(manipulator.slides).qvel,
@@ -136,12 +125,12 @@ class ManipulatorEntity(_Part):
     @property
     def slides(self) -> list[mjcf.Element]:
         """Slides of the handle: x, y; perturbations act on them."""
-        return [self._mjcf_model.find("joint", name) for name in SLIDES]
+        return [self._mjcf_model.find("joint", name) for name in rig.SLIDES]
 
     @property
     def gauge(self) -> mjcf.Element:
         """Force sensor: what the handle exerts on the hand [N], world axes (x, y, z)."""
-        return self._mjcf_model.find("sensor", STRAIN_GAUGE)
+        return self._mjcf_model.find("sensor", rig.STRAIN_GAUGE)
 
 
 class Rig(composer.Arena):
@@ -170,7 +159,7 @@ class Rig(composer.Arena):
           rope: "ideal" or "pendulum".
           strap: what lets the shoulder move; None holds it in place.
         """
-        spec = build_spec(subject, environment, timestep=timestep, rope=rope, strap=strap)
+        spec = rig.build_spec(subject, environment, timestep=timestep, rope=rope, strap=strap)
         self._mjcf_root = _room()
         self._mjcf_root.option.timestep = spec.option.timestep
         for section in ("tendon", "actuator", "sensor"):
@@ -184,7 +173,7 @@ class Rig(composer.Arena):
 
 def _room() -> mjcf.RootElement:
     """What is in the rig's own file; arm and manipulator, to which it refers, are not."""
-    tree = ElementTree.parse(RIG_XML).getroot()
+    tree = ElementTree.parse(rig.RIG_XML).getroot()
     for include in tree.findall("include"):
         tree.remove(include)
     return mjcf.from_xml_string(ElementTree.tostring(tree, encoding="unicode"))

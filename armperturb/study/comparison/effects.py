@@ -10,13 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from armperturb.analysis.measures.statistics import (
-    ALPHA,
-    FEWEST,
-    adjacent_effects,
-    effect_of_condition,
-    post_hoc,
-)
+from armperturb.analysis.measures import statistics
+from armperturb.analysis.measures.statistics import ALPHA, FEWEST, Effect
 from armperturb.arrays import Array
 from armperturb.study.comparison.headlines import POST_HOC, PULSED
 from armperturb.study.published import tables as published
@@ -26,7 +21,10 @@ from armperturb.study.results.trial_measures import PersonMeasures, muscle_param
 
 Row = dict[str, Any]
 
-AMPLITUDES = {"PT": ("PT2.5", "PT7.5", "PT22.5"), "RT": ("RT2.5", "RT7.5", "RT22.5")}
+PREDICTED = {task: pulses[1:] for task, pulses in PULSED.items()}
+"""Task to the pulses whose prediction is tested (3.3): those after a multisine."""
+
+AMPLITUDES = {task: tuple(condition for condition, _ in pulses) for task, pulses in PREDICTED.items()}
 """Task to the conditions whose multisines differ, the smallest first."""
 
 TRIPLES = {"PT": ("b", "k", "kv", "kp"), "RT": ("b", "k")}
@@ -43,12 +41,6 @@ STARRED_MUSCLES = ("k_s*", "kv_s*", "kp_s*")
 
 Of other muscles the thesis tells nothing.
 """
-
-PREDICTED = {
-    "PT": (("PT2.5", "max"), ("PT7.5", "max"), ("PT22.5", "max")),
-    "RT": (("RT2.5", "min"), ("RT7.5", "min"), ("RT22.5", "min")),
-}
-"""Task to the pulses whose prediction is tested (3.3)."""
 
 LEVELS_OF = ("PT0", "PT7.5")
 """Conditions with pulses of both levels."""
@@ -145,25 +137,9 @@ class _Tests:
         table = self.table(f"{what}, {task}", values, conditions)
         if table is None:
             return math.nan
-        effect = effect_of_condition(table, conditions=conditions)
-        self.rows.append(
-            {
-                "quantity": what,
-                "task": task,
-                "conditions": ", ".join(conditions),
-                "people": effect.n,
-                "test": effect.test,
-                "statistic": effect.statistic,
-                "dof": ", ".join(f"{dof:.3g}" for dof in effect.dof),
-                "p": effect.p,
-                "published_p": printed,
-                "effect_size": effect.effect_size,
-                "mauchly_p": effect.mauchly_p,
-                "epsilon": effect.epsilon,
-                "shapiro_p_min": min(effect.shapiro_p),
-            }
-        )
-        for (i, j), pair in post_hoc(table, conditions=conditions).items():
+        effect = statistics.effect_of_condition(table, conditions=conditions)
+        self.rows.append(_row(what, task, ", ".join(conditions), effect, printed))
+        for (i, j), pair in statistics.post_hoc(table, conditions=conditions).items():
             self.pairs.append(
                 {
                     "quantity": what,
@@ -181,25 +157,30 @@ class _Tests:
 
     def levels(self, condition: str, values: Mapping[str, Sequence[float]], printed: str) -> None:
         """Dependent t-test of the two levels of pulses."""
-        what = f"pulse admittance, levels of {condition}"
-        table = self.table(what, values, ("level 2", "level 1"))
-        if table is None:
-            return
-        test = post_hoc(table)[0, 1]
-        self.rows.append(
-            {
-                "quantity": "pulse admittance",
-                "task": condition[:2],
-                "conditions": f"{condition}, level 2 against 1",
-                "people": len(table),
-                "test": "dependent t",
-                "statistic": test.t,
-                "dof": str(test.dof),
-                "p": test.p,
-                "published_p": printed,
-                **dict.fromkeys(("effect_size", "mauchly_p", "epsilon", "shapiro_p_min"), math.nan),
-            }
-        )
+        table = self.table(f"pulse admittance, levels of {condition}", values, ("level 2", "level 1"))
+        if table is not None:
+            test, none = statistics.post_hoc(table)[0, 1], math.nan
+            effect = Effect("dependent t", test.t, (test.dof,), test.p, none, none, none, (none,), len(table))
+            compared = f"{condition}, level 2 against 1"
+            self.rows.append(_row("pulse admittance", condition[:2], compared, effect, printed))
+
+
+def _row(what: str, task: str, conditions: str, effect: Effect, printed: str) -> Row:
+    return {
+        "quantity": what,
+        "task": task,
+        "conditions": conditions,
+        "people": effect.n,
+        "test": effect.test,
+        "statistic": effect.statistic,
+        "dof": ", ".join(f"{dof:.3g}" for dof in effect.dof),
+        "p": effect.p,
+        "published_p": printed,
+        "effect_size": effect.effect_size,
+        "mauchly_p": effect.mauchly_p,
+        "epsilon": effect.epsilon,
+        "shapiro_p_min": min(effect.shapiro_p),
+    }
 
 
 def effects(study: StudyResult) -> Effects:
@@ -254,8 +235,8 @@ def admittance_effect(study: StudyResult, task: str) -> AdmittanceEffect | None:
     gain = np.array(whole)  # (subject, condition, frequency, output, input)
     p = np.empty(gain.shape[2:])
     for index in np.ndindex(p.shape):
-        p[index] = effect_of_condition(gain[:, :, *index]).p
-    return AdmittanceEffect(study.of(conditions[0])[0].identified.spectra.frequency, p, adjacent_effects(p))
+        p[index] = statistics.effect_of_condition(gain[:, :, *index]).p
+    return AdmittanceEffect(study.of(conditions[0])[0].identified.spectra.frequency, p, statistics.adjacent_effects(p))
 
 
 def _parameter(person: PersonMeasures, condition: str, name: str) -> float:

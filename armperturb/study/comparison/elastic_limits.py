@@ -1,8 +1,9 @@
 """Which perturbations take joints beyond their elastic limit (thesis F.2, F.3)."""
 
+import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +12,8 @@ from armperturb.arrays import Array
 from armperturb.study.published import tables as published
 from armperturb.study.results.quantities import JOINT_LETTERS, PULSE_LEVELS, Cell
 from armperturb.validation import require_number
+
+Row = dict[str, Any]
 
 NAMES = {"s": "shoulder", "e": "elbow"}
 """A joint's letter in a cell to its name in table F.1."""
@@ -22,80 +25,42 @@ PAIRS = (
 """Perturbation, table and quantity of a rotation, and of the velocity that goes with it."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ElasticRow:
-    """A rotation beside the elastic limit of its joint.
-
-    Attributes:
-      condition: e.g. "PT7.5".
-      perturbation: "multisine", or "pulse, min" or "pulse, max" by its level.
-      quantity: "rms", "max" or "peak" of rotation and velocity.
-      joint: "s" or "e".
-      rotation: [rad].
-      velocity: [rad/s].
-      limit: elastic limit at this velocity [rad].
-      velocity_is: "within" the velocities at which the wrist's limit was measured, or "below" or "above" them, where
-        the limit is that of the nearest.
-      lower: elastic limit at the lowest of these velocities [rad].
-      upper: at the highest [rad].
-    """
-
-    condition: str
-    perturbation: str
-    quantity: str
-    joint: str
-    rotation: float
-    velocity: float
-    limit: float
-    velocity_is: str
-    lower: float
-    upper: float
-
-    @property
-    def exceeds(self) -> str:
-        """The larger of the two limits that the rotation exceeds: "upper limit", "lower limit" or "no"."""
-        if self.rotation > self.upper:
-            return "upper limit"
-        return "lower limit" if self.rotation > self.lower else "no"
-
-    @property
-    def exceeds_limit(self) -> bool:
-        """Whether the rotation exceeds the limit at its own velocity."""
-        return self.rotation > self.limit
-
-
-def elastic_rows(cells: Mapping[Cell, float]) -> tuple[ElasticRow, ...]:
+def elastic_rows(cells: Mapping[Cell, float]) -> list[Row]:
     """A row for each rotation of tables F.4 and F.5 whose velocity is there too, in the order of table 2.1.
 
     Args:
       cells: of the published tables to values [rad, rad/s], means over people or those of one person, as
         `cells.measured_cells` gives; others do not count.
+
+    Returns:
+      Columns: condition; perturbation, "multisine", or "pulse, min" or "pulse, max" by its level; quantity, "rms",
+      "max" or "peak" of rotation [rad] and velocity [rad/s]; joint, "s" or "e"; limit, the elastic limit at this
+      velocity [rad]; velocity_is, "within" the velocities at which the wrist's limit was measured, or "below" or
+      "above" them, where the limit is that of the nearest; exceeds_limit, whether the rotation does.
     """
     arms = published.moment_arms()
     rows = []
-    for condition in published.conditions():
-        for perturbation, table, rotation, beside, velocity in PAIRS:
-            for joint in JOINT_LETTERS:
-                pair = Cell(table, condition, f"{rotation}_{joint}"), Cell(beside, condition, f"{velocity}_{joint}")
-                angle, speed = (cells.get(cell, math.nan) for cell in pair)
-                if math.isnan(angle) or math.isnan(speed):
-                    continue
-                limit, lower, upper = elastic_limit(NAMES[joint], [speed, *VELOCITY], arms).tolist()
-                rows.append(
-                    ElasticRow(
-                        condition=condition,
-                        perturbation=perturbation,
-                        quantity=rotation.split("_")[0],
-                        joint=joint,
-                        rotation=angle,
-                        velocity=speed,
-                        limit=limit,
-                        velocity_is="below" if speed < VELOCITY[0] else "above" if speed > VELOCITY[1] else "within",
-                        lower=lower,
-                        upper=upper,
-                    )
-                )
-    return tuple(rows)
+    for condition, (perturbation, table, rotation, beside, velocity), joint in itertools.product(
+        published.conditions(), PAIRS, JOINT_LETTERS
+    ):
+        pair = Cell(table, condition, f"{rotation}_{joint}"), Cell(beside, condition, f"{velocity}_{joint}")
+        angle, speed = (cells.get(cell, math.nan) for cell in pair)
+        if not (math.isnan(angle) or math.isnan(speed)):
+            limit = float(elastic_limit(NAMES[joint], speed, arms))
+            rows.append(
+                {
+                    "condition": condition,
+                    "perturbation": perturbation,
+                    "quantity": rotation.split("_")[0],
+                    "joint": joint,
+                    "rotation": angle,
+                    "velocity": speed,
+                    "limit": limit,
+                    "velocity_is": "below" if speed < VELOCITY[0] else "above" if speed > VELOCITY[1] else "within",
+                    "exceeds_limit": angle > limit,
+                }
+            )
+    return rows
 
 
 WRIST = "wrist"

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.results import Description, Result, Table
@@ -31,7 +32,6 @@ from armperturb.study.results.trial_measures import PersonMeasures
 from armperturb.subject import TASKS
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 LIMITS = (0.5, 1.0, 2.0)
@@ -110,10 +110,8 @@ class Score(Result):
             details=tuple(details),
         )
 
-    def to_frame(self) -> "pd.DataFrame":
+    def to_frame(self) -> pd.DataFrame:
         """One row per published cell, beside ours."""
-        import pandas as pd
-
         return pd.DataFrame(
             [
                 {
@@ -129,10 +127,8 @@ class Score(Result):
             ]
         )
 
-    def headlines_frame(self) -> "pd.DataFrame":
+    def headlines_frame(self) -> pd.DataFrame:
         """One row per number of the running text, beside ours."""
-        import pandas as pd
-
         return pd.DataFrame([vars(line) for line in self.headlines])
 
     def plot(self, figure: "Figure | None" = None) -> Any:

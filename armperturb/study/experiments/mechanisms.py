@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -123,17 +123,15 @@ class Yielding:
 
         Mean over the lowest two frequencies and the diagonal, as in `headlines`.
         """
-        pair = self._pair(variant, above, below)
-        return float(np.mean(pair[0].low_gain / pair[1].low_gain)) if pair else math.nan
+        return self._ratio(lambda response: response.low_gain, variant, above, below)
 
     def pulse_rise(self, variant: str) -> float:
         """Pulse admittance in RT22.5 over that in RT0 [-]; NaN if a response is missing."""
-        pair = self._pair(variant, "RT22.5", "RT0")
-        return pair[0].pulse_admittance / pair[1].pulse_admittance if pair else math.nan
+        return self._ratio(lambda response: response.pulse_admittance, variant, "RT22.5", "RT0")
 
-    def _pair(self, variant: str, first_condition: str, second_condition: str) -> tuple[Response, Response] | None:
-        first, second = (self.responses.get((variant, condition)) for condition in (first_condition, second_condition))
-        return (first, second) if first and second else None
+    def _ratio(self, quantity: Callable[[Response], Any], variant: str, above: str, below: str) -> float:
+        pair = [self.responses[variant, name] for name in (above, below) if (variant, name) in self.responses]
+        return float(np.mean(quantity(pair[0]) / quantity(pair[1]))) if len(pair) == 2 else math.nan
 
     def rows(self) -> list[Row]:
         """A row per variant, and the published means of people; NaN where an arm is unstable or nothing published."""
@@ -160,18 +158,6 @@ class Yielding:
         for name, task in (("RT_rise", "rt"), ("PT_fall", "pt")):
             people[name] = float(published.headline_text(f"admittance_amplitude_factor_{task}"))
         return [*rows, {**people, "pulse_admittance_RT22.5_over_RT0": math.nan, "unstable_in": ""}]
-
-
-class Loop(NamedTuple):
-    """A cycle of imposed stretch.
-
-    Attributes:
-      stretch: of the muscle elements [rad], (time, element).
-      torque: with which they oppose it, reflexes left out [Nm], (time, element).
-    """
-
-    stretch: Array
-    torque: Array
 
 
 def has_law(person: Person) -> bool:
@@ -361,7 +347,9 @@ def _response(recording: xr.Dataset, subject: Subject) -> Response:
     )
 
 
-def intrinsic_loop(subject: Subject, amplitude: Sequence[float] | Array, *, frequency: float = LOOP_FREQUENCY) -> Loop:
+def intrinsic_loop(
+    subject: Subject, amplitude: Sequence[float] | Array, *, frequency: float = LOOP_FREQUENCY
+) -> tuple[Array, Array]:
     """Intrinsic torque of the muscle elements while each is stretched to and fro: spring, damper and muscle law.
 
     Args:
@@ -370,7 +358,8 @@ def intrinsic_loop(subject: Subject, amplitude: Sequence[float] | Array, *, freq
       frequency: of the sinusoid [Hz].
 
     Returns:
-      One cycle, closed, after `LOOP_CYCLES` of them: muscle remembers how it was moved.
+      Stretch [rad] and the torque with which the elements oppose it [Nm], (time, element) both: one cycle, closed,
+      after `LOOP_CYCLES` of them, as muscle remembers how it was moved.
     """
     timestep = 1.0 / (frequency * LOOP_SAMPLES)
     phase = 2.0 * np.pi * np.arange(LOOP_CYCLES * LOOP_SAMPLES + 1)[:, None] / LOOP_SAMPLES
@@ -380,4 +369,4 @@ def intrinsic_loop(subject: Subject, amplitude: Sequence[float] | Array, *, freq
     law = torque[:, 0]
     linear = np.array(subject.muscle_groups("k")) * stretch + np.array(subject.muscle_groups("b")) * velocity
     last = slice(-LOOP_SAMPLES - 1, None)
-    return Loop(stretch[last], (linear + law)[last])
+    return stretch[last], (linear + law)[last]

@@ -6,15 +6,16 @@ is known, and beside it stand inverse kinematics about a fixed shoulder and abou
 There are no noise and no instruments, so that nothing but the shoulder and the grip's deflection is in the difference.
 """
 
+import itertools
 import math
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.defaults import SETTLING
 from armperturb.analysis.measures.kinematics import joint_rotations, joint_velocities, true_rotations
 from armperturb.analysis.measures.pulse import WINDOWS, pulse_span
@@ -31,41 +32,11 @@ Row = dict[str, Any]
 CONDITIONS = ("PT0", "PT7.5", "PT22.5", "RT0", "RT22.5")
 """Pulses alone, and the largest movements under a multisine."""
 
-MEASURES = ("true", "fixed_shoulder", "with_shoulder", "translation")
-"""Fields of a row that are measured."""
-
 STRETCH = PERIOD / 2
 """Its length [s]. Half a period is enough, as what is compared is compared over the same stretch."""
 
 AFTER = max(WINDOWS.values()) + 0.1
 """Time after the onset of a pulse [s]."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ShoulderRow:
-    """A measure of one joint in one condition, true and as computed, as a mean over trials.
-
-    Attributes:
-      condition: e.g. "PT7.5".
-      joint: "s" or "e".
-      quantity: "rms_rotation", "max_rotation", "rms_velocity" or "max_velocity" under the multisine, "peak_rotation" or
-        "peak_velocity" after the pulse, as in tables F.2 to F.5.
-      strap: whether the belt gives way.
-      true: of the joint itself [rad, rad/s].
-      fixed_shoulder: from the handle's path, about a shoulder that stays [rad, rad/s].
-      with_shoulder: from the handle's path, about the shoulder where it is [rad, rad/s].
-      translation: of the shoulder, its distance from where it started: RMS if the quantity is an RMS, else the largest,
-        of the same stretch of time [m].
-    """
-
-    condition: str
-    joint: str
-    quantity: str
-    strap: bool
-    true: float
-    fixed_shoulder: float
-    with_shoulder: float
-    translation: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,25 +46,25 @@ class MovingShoulder:
     Attributes:
       person: name of whom it was done to.
       strap: the belt that gave way.
-      rows: by condition, with the belt that holds before the one that gives way.
+      rows: a measure of one joint each, as a mean over trials, by condition, with the belt that holds before the one
+        that gives way. Columns:
+
+        - condition, e.g. "PT7.5", and joint, "s" or "e";
+        - quantity: "rms_rotation", "max_rotation", "rms_velocity" or "max_velocity" under the multisine,
+          "peak_rotation" or "peak_velocity" after the pulse, as in tables F.2 to F.5;
+        - strap: whether the belt gives way;
+        - true: of the joint itself [rad, rad/s];
+        - fixed_shoulder and with_shoulder: from the handle's path, about a shoulder that stays, and about the shoulder
+          where it is [rad, rad/s], and their errors in percent of the truth;
+        - translation: of the shoulder, its distance from where it started, of the same stretch of time: RMS if the
+          quantity is an RMS, else the largest [m].
       left_out: why trials are in no row; one line each.
     """
 
     person: str
     strap: Strap
-    rows: tuple[ShoulderRow, ...]
+    rows: tuple[Row, ...]
     left_out: tuple[str, ...]
-
-    def table(self) -> list[Row]:
-        """The rows as mappings, with the errors of both computations in percent of the truth."""
-        return [
-            {
-                **asdict(row),
-                "fixed_shoulder_error_percent": _error_percent(row.fixed_shoulder, row.true),
-                "with_shoulder_error_percent": _error_percent(row.with_shoulder, row.true),
-            }
-            for row in self.rows
-        ]
 
 
 def moving_shoulder(
@@ -123,22 +94,22 @@ def moving_shoulder(
 
     Raises:
       KeyError: the protocol lacks a condition, the forces one of them, or the person its task.
-      ValueError: the person is unstable on the environment, with or without the strap.
+      ValueError: the person is unstable on the environment.
     """
-    strap = strap or Strap()
+    environment, strap = environment or Environment(), strap or Strap()
     chosen = [protocol.condition(name) for name in conditions]
-    rows_of: dict[str, list[ShoulderRow]] = {name: [] for name in conditions}
+    rows_of: dict[str, list[Row]] = {name: [] for name in conditions}
     left_out: list[str] = []
     # Those without a multisine are shorter.
-    for mine in (
-        [condition for condition in chosen if condition.has_multisine],
-        [condition for condition in chosen if not condition.has_multisine],
-    ):
-        if not mine:
-            continue
-        short = _shortened(protocol, mine)
-        trials = short.trials(person, short.given_forces() if forces is None else forces, seed, 0, noisy=False)
-        for belt in (None, strap):
+    for has_multisine, belt in itertools.product((True, False), (None, strap)):
+        mine = [condition for condition in chosen if condition.has_multisine == has_multisine]
+        if belt is not None:
+            pole = {c.name: largest_real_pole(c.subject_of(person), environment, belt) for c in mine}
+            left_out += [f"{name}, shoulder on the strap: the arm is unstable" for name in pole if pole[name] >= 0.0]
+            mine = [condition for condition in mine if pole[condition.name] < 0.0]
+        if mine:
+            short = _shortened(protocol, mine)
+            trials = short.trials(person, short.given_forces() if forces is None else forces, seed, 0, noisy=False)
             recording = run_experiment(trials, environment, timestep=TIMESTEP, strap=belt, **options)
             for condition in mine:
                 of_condition = recording.isel(trial=np.flatnonzero(recording["condition"].values == condition.name))
@@ -170,8 +141,10 @@ def _shortened(protocol: Protocol, conditions: Sequence[Condition]) -> Protocol:
     )
 
 
-def _rows(recording: xr.Dataset, condition: Condition, strap: bool) -> Iterator[ShoulderRow]:
-    """All rows of one condition's trials; none without trials."""
+def _rows(recording: xr.Dataset, condition: Condition, strap: bool) -> Iterator[Row]:
+    """All rows of one condition's trials, which have their pulse at one time; none without trials."""
+    if not recording.sizes["trial"]:
+        return
     rate = float(recording.attrs["rate"])
     shoulder = recording["shoulder_marker"].values if strap else np.zeros(recording["displacement"].shape)
     rotations = (
@@ -181,31 +154,29 @@ def _rows(recording: xr.Dataset, condition: Condition, strap: bool) -> Iterator[
     )
     signals = {"rotation": rotations, "velocity": tuple(joint_velocities(rotation, rate) for rotation in rotations)}
     moved = np.linalg.norm(shoulder, axis=-1)
-    values: dict[tuple[str, int], list[list[Array]]] = defaultdict(list)
-    for trial in range(recording.sizes["trial"]):
-        windows: dict[str, slice] = {}
-        if condition.has_multisine:
-            stretch = slice(round(SETTLING * rate), round((SETTLING + STRETCH) * rate))
-            windows |= {"rms": stretch, "max": stretch}
-        if condition.pulse_levels:
-            windows["peak"] = pulse_span(recording, trial)
-        for kind, window in windows.items():
-            measure = _rms if kind == "rms" else _largest
-            for name, paths in signals.items():
-                for joint in range(len(JOINT_LETTERS)):
-                    values[f"{kind}_{name}", joint].append(
-                        [*(measure(path[trial, window, joint]) for path in paths), measure(moved[trial, window])]
-                    )
-    for (quantity, joint), of_trials in values.items():
-        # As in tables F.2 to F.5: an RMS pools trials, largest values are averaged.
-        pooled = _rms(np.array(of_trials)) if quantity.startswith("rms") else np.mean(of_trials, axis=0)
-        yield ShoulderRow(
-            condition=condition.name,
-            joint=JOINT_LETTERS[joint],
-            quantity=quantity,
-            strap=strap,
-            **dict(zip(MEASURES, pooled.tolist(), strict=True)),
-        )
+    stretch = slice(round(SETTLING * rate), round((SETTLING + STRETCH) * rate))
+    windows = {"rms": stretch, "max": stretch} if condition.has_multisine else {}
+    if condition.pulse_levels:
+        windows["peak"] = pulse_span(recording, 0)
+    for (kind, window), (name, paths) in itertools.product(windows.items(), signals.items()):
+        for joint, letter in enumerate(JOINT_LETTERS):
+            shown = [*(path[:, window, joint] for path in paths), moved[:, window]]
+            # As in tables F.2 to F.5: an RMS pools trials, largest values are averaged.
+            true, fixed_shoulder, with_shoulder, translation = (
+                float(_rms(_rms(values)) if kind == "rms" else np.abs(values).max(axis=-1).mean()) for values in shown
+            )
+            yield {
+                "condition": condition.name,
+                "joint": letter,
+                "quantity": f"{kind}_{name}",
+                "strap": strap,
+                "true": true,
+                "fixed_shoulder": fixed_shoulder,
+                "with_shoulder": with_shoulder,
+                "translation": translation,
+                "fixed_shoulder_error_percent": _error_percent(fixed_shoulder, true),
+                "with_shoulder_error_percent": _error_percent(with_shoulder, true),
+            }
 
 
 def _error_percent(value: float, true: float) -> float:
@@ -213,10 +184,5 @@ def _error_percent(value: float, true: float) -> float:
 
 
 def _rms(values: Array) -> Array:
-    """Over the first axis."""
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
-
-
-def _largest(values: Array) -> Array:
-    """Size, over the first axis."""
-    return np.asarray(np.abs(values).max(axis=0))
+    """Over the last axis."""
+    return np.asarray(np.sqrt(np.mean(values**2, axis=-1)))

@@ -1,6 +1,6 @@
 """The report of a study: tables, figures, and one HTML file that holds everything and opens offline."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from importlib import metadata
 from pathlib import Path
@@ -21,7 +21,7 @@ from armperturb.study.report import formats
 from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.nonlinear_tables import nonlinear_tables
 from armperturb.study.report.pictures import Picture, picture_units
-from armperturb.study.report.sections import Section, joint_rows, sections
+from armperturb.study.report.sections import joint_rows, sections
 from armperturb.study.report.tables import write_tables
 from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit, kept_or_computed
 from armperturb.study.results.mean_admittance import by_task, main_conditions
@@ -72,24 +72,24 @@ def write_report(
         }
         with Progress("figures", total=len(draws), unit="figures", show=show_progress) as bar:
             drawn = dict(zip(draws, kept_or_computed(picture_units(draws, out), pool, bar), strict=True))
-    pictures = {name: picture for name, picture in drawn.items() if isinstance(picture, Picture)}
     (out / "figures").mkdir(exist_ok=True)
-    for name, picture in pictures.items():
-        with written_whole(out / "figures" / f"{name}.svg") as temporary:
-            temporary.write_text(picture.svg, encoding="utf-8", newline="")
+    for name, picture in drawn.items():
+        if isinstance(picture, Picture):
+            with written_whole(out / "figures" / f"{name}.svg") as temporary:
+                temporary.write_text(picture.svg, encoding="utf-8", newline="")
     more = {
         "statistics": list(tested.rows),
         "statistics_pairs": list(tested.pairs),
         "joints": joint_rows(study),
         "yielding": yielding.rows() if yielding else [],
-        "moving_shoulder": shoulder.table() if shoulder else [],
+        "moving_shoulder": shoulder.rows if shoulder else [],
         **nonlinear_tables(study),
     }
     for name, lines in more.items():
         if lines:
             write_csv(lines, out / "tables" / f"{name}.csv")
     parts = sections(study, scored, tested, rows, yielding, shoulder, drawn)
-    page = _page(study, parts, pictures, {name: why for name, why in drawn.items() if name not in pictures})
+    page = _page(study, parts, drawn)
     report = out / "report.html"
     with written_whole(report) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -128,9 +128,7 @@ def _simulated(
     return results.get("mechanisms"), results["moving-shoulder"]
 
 
-def _page(
-    study: StudyResult, parts: Sequence[Section], pictures: Mapping[str, Picture], not_drawn: Mapping[str, str]
-) -> str:
+def _page(study: StudyResult, parts: Mapping[str, Mapping[str, Any]], drawn: Mapping[str, Picture | str]) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("armperturb.study.report"),
         autoescape=True,
@@ -144,14 +142,13 @@ def _page(
         study=study,
         main={task: study.of(condition.name)[0] for task, condition in main_conditions(study).items()},
         tasks=by_task(study),
-        pictures=pictures,
-        not_drawn=not_drawn,
+        pictures=drawn,
         multisine={"period": PERIOD, "lines": CLUSTERS.size, "clusters": len(CLUSTERS)},
         versions={name: metadata.version(name) for name in ("armperturb", "mujoco", "numpy", "scipy")},
     )
     # Sections come out as markup, escaped already.
-    bodies = [
-        (section, Markup(environment.get_template(f"{section.template}.html").render(section.context)))
-        for section in parts
-    ]
-    return environment.get_template("report.html").render(sections=bodies)
+    bodies = {
+        template: Markup(environment.get_template(f"{template}.html").render(context))
+        for template, context in parts.items()
+    }
+    return environment.get_template("report.html").render(sections=bodies, titles=formats.WORDS["sections"])

@@ -2,9 +2,8 @@
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -33,44 +32,6 @@ PULSES_DRAWN = {"peak_displacement", "pulse_admittance", "pulse_prediction", "tr
 """Figures of pulse responses."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Section:
-    """One section of the report.
-
-    Attributes:
-      title: its heading.
-      template: file in `templates/`, which is also its anchor.
-      context: what the template shows beside what all sections know.
-    """
-
-    title: str
-    template: str
-    context: Mapping[str, Any]
-
-
-class Factor(NamedTuple):
-    """A headline number of the summary.
-
-    Attributes:
-      label: in words.
-      published: as printed.
-      ours: NaN if it cannot be computed.
-      remark: how it was computed, or why it was not.
-    """
-
-    label: str
-    published: str
-    ours: float
-    remark: str
-
-    @property
-    def mark(self) -> str:
-        """ "beyond-1" where ours is not within `NEAR` of the printed one, or "missing"."""
-        if not math.isfinite(self.ours):
-            return "missing"
-        return "" if abs(self.ours / float(self.published) - 1.0) <= NEAR else "beyond-1"
-
-
 def sections(
     study: StudyResult,
     score: Score | None,
@@ -79,8 +40,8 @@ def sections(
     yielding: Yielding | None,
     shoulder: MovingShoulder | None,
     drawn: Collection[str],
-) -> list[Section]:
-    """All sections that a study has content for, in order.
+) -> dict[str, dict[str, Any]]:
+    """All sections that a study has content for, in order: template to what it shows beside what all sections know.
 
     Args:
       study: analysed.
@@ -125,11 +86,7 @@ def sections(
         }
     if score is not None:
         contexts["published"] = {"tables": published_tables(score), "score": score, "missing": missing_cells(score)}
-    return [
-        Section(title=title, template=template, context=contexts[template])
-        for template, title in WORDS["sections"].items()
-        if template in contexts
-    ]
+    return {template: contexts[template] for template in WORDS["sections"] if template in contexts}
 
 
 def _nonlinear(study: StudyResult) -> dict[str, Any]:
@@ -193,7 +150,7 @@ def _summary(score: Score | None) -> dict[str, Any]:
         return {"factors": [], "shares": {}, "differs": []}
     by_name = {line.name: line for line in score.headlines}
     factors = [
-        Factor(label, line.published, line.ours, line.remark)
+        {"label": label, "mark": _mark(line), **vars(line)}
         for name, label in WORDS["headlines"].items()
         if (line := by_name.get(name))
     ]
@@ -201,9 +158,16 @@ def _summary(score: Score | None) -> dict[str, Any]:
     return {"factors": factors, "shares": of_group, "differs": _differs(score, factors)}
 
 
-def _differs(score: Score, factors: list[Factor]) -> list[str]:
+def _mark(line: Headline) -> str:
+    """ "beyond-1" where ours is not within `NEAR` of the printed one, or "missing"."""
+    if not math.isfinite(line.ours):
+        return "missing"
+    return "" if abs(line.ours / float(line.published) - 1.0) <= NEAR else "beyond-1"
+
+
+def _differs(score: Score, factors: list[Row]) -> list[str]:
     """The largest differences, in words."""
-    off = [factor for factor in factors if factor.mark == "beyond-1"]
+    off = [factor for factor in factors if factor["mark"] == "beyond-1"]
     lines = [f"{len(off)} of {len(factors)} headline numbers are off by more than {100.0 * NEAR:.0f} %"] if off else []
     measured = [scored for scored in score.cells if scored.cell.table[0] in "2F"]
     beyond = [scored for scored in measured if abs(scored.z) > 2.0]

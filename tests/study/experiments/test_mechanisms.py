@@ -164,12 +164,12 @@ def test_arms_without_stable_poles_are_told_and_not_simulated(monkeypatch):
 def test_loops_of_linear_muscle_are_spring_and_damper():
     subject = average_person().subjects["RT"]
     amplitude, frequency = np.array([0.01, 0.05, 0.1]), 1.25
-    loop = intrinsic_loop(replace(subject, muscle=None), amplitude, frequency=frequency)
+    stretch, torque = intrinsic_loop(replace(subject, muscle=None), amplitude, frequency=frequency)
     k, b = (np.array(subject.muscle_groups(quantity)) for quantity in "kb")
-    phase = np.linspace(0.0, 2.0 * np.pi, len(loop.stretch))[:, None]
-    np.testing.assert_allclose(loop.stretch, amplitude * np.sin(phase), atol=1e-12)
+    phase = np.linspace(0.0, 2.0 * np.pi, len(stretch))[:, None]
+    np.testing.assert_allclose(stretch, amplitude * np.sin(phase), atol=1e-12)
     velocity = amplitude * 2.0 * np.pi * frequency * np.cos(phase)
-    np.testing.assert_allclose(loop.torque, k * loop.stretch + b * velocity, atol=1e-9)
+    np.testing.assert_allclose(torque, k * stretch + b * velocity, atol=1e-9)
 
 
 def test_loops_of_muscle_that_yields_soften_and_lose():
@@ -180,10 +180,10 @@ def test_loops_of_muscle_that_yields_soften_and_lose():
         intrinsic_loop(replace(still, muscle=law), np.full(3, np.radians(degrees))) for degrees in (0.5, 5.0)
     )
     stiffness = np.array(subject.muscle_groups("k"))
-    for loop, share in ((small, 1.0), (large, 0.7 / 5.0)):
-        top = loop.stretch.argmax(axis=0)[0]
-        np.testing.assert_allclose(loop.torque[top] / loop.stretch[top], stiffness + 10.0 * share, rtol=0.02)
-    lost = [np.trapezoid(loop.torque, loop.stretch, axis=0) for loop in (small, large)]
+    for (stretch, torque), share in ((small, 1.0), (large, 0.7 / 5.0)):
+        top = stretch.argmax(axis=0)[0]
+        np.testing.assert_allclose(torque[top] / stretch[top], stiffness + 10.0 * share, rtol=0.02)
+    lost = [np.trapezoid(torque, stretch, axis=0) for stretch, torque in (small, large)]
     limit = np.radians(0.7)
     np.testing.assert_allclose(lost[0], 0.0, atol=1e-9)
     np.testing.assert_allclose(lost[1], 4.0 * 10.0 * limit * (np.radians(5.0) - limit), rtol=0.02)

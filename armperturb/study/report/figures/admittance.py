@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from armperturb.plots.bands import draw_bands
 from armperturb.plots.panels import (
     AXES,
     FREQUENCY,
@@ -18,13 +19,12 @@ from armperturb.plots.panels import (
     label_frequency,
     legend,
     plot_admittance,
-    within_turn,
 )
 from armperturb.plots.style import COLOURS, GREY, INK, PUBLISHED, in_style, new_figure
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures.axes import Marks, looks, marks_legend, plot_marks, plot_mean, plot_truth
 from armperturb.study.results.cases import Case
-from armperturb.study.results.mean_admittance import by_task, main_conditions, mean_admittance
+from armperturb.study.results.mean_admittance import by_task, main_conditions, mean_admittance, mean_curves
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import N_LOW
 
@@ -67,24 +67,18 @@ def admittance_by_task(study: StudyResult) -> Figure:
     figure, panels = admittance_panels()
     handles: list[Line2D | Patch] = []
     expected = None
+    curves = dict(zip([condition.name for condition in study.conditions], mean_curves(study), strict=True))
     for task, condition in main_conditions(study).items():
-        mean = mean_admittance(study, condition.name)
+        curve = curves[condition.name]
         look: dict[str, Any] = {"color": COLOURS[task], "marker": "o", "markersize": 3}
-        band: dict[str, Any] = {"color": COLOURS[task], "alpha": 0.18, "linewidth": 0}
-        for (output, input_), (gain_ax, phase_ax) in panels.items():
-            gain, ratio = mean.gain[:, output, input_], mean.gain_ratio[:, output, input_]
-            gain_ax.fill_between(mean.frequency, gain / ratio, gain * ratio, **band)
-            frequency, phase, spread = within_turn(
-                mean.frequency, mean.phase[:, output, input_], mean.phase_sd[:, output, input_]
-            )
-            phase_ax.fill_between(frequency, phase - spread, phase + spread, **band)
-        plot_mean(panels, mean, look)
+        draw_bands(panels, curve, {"color": COLOURS[task], "alpha": 0.18, "linewidth": 0})
+        plot_admittance(panels, curve.frequency, curve.response, **look)
         handles.append(Line2D([], [], label=condition.name, **look))
         if condition.name == "PT7.5":
             factor = published.headline("admittance_ratio_rt7.5_pt7.5")
             for axis in range(2):
-                gain = factor * mean.gain[:N_LOW, axis, axis]
-                panels[axis, axis][0].plot(mean.frequency[:N_LOW], gain, **EXPECTED)
+                gain = factor * np.abs(curve.response[:N_LOW, axis, axis])
+                panels[axis, axis][0].plot(curve.frequency[:N_LOW], gain, **EXPECTED)
             expected = Line2D([], [], label=f"{condition.name} × {factor:g}, published", **EXPECTED)
     if expected is not None and len(handles) > 1:
         handles.append(expected)

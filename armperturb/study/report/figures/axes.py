@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.path import Path
 from numpy.typing import NDArray
 
 from armperturb.analysis.arm.linear_arm import arm_admittance
@@ -22,19 +21,13 @@ from armperturb.study.results.study_result import StudyResult
 Marks = Mapping[Element, tuple[NDArray[np.bool_], NDArray[np.bool_]]]
 """Element to the frequencies at which conditions differ with p < 0.05, and with p < 0.01, (frequency,) each."""
 
-_STROKES = np.array([[np.cos(angle), np.sin(angle)] for angle in np.pi * (0.5 + np.arange(3) / 3)])
-
-_STAR = np.stack([_STROKES, -_STROKES], axis=1).reshape(-1, 2)
-
-_ABOVE = np.array([0.0, 1.4])
+STARRED: dict[str, Any] = {"linestyle": "", "color": INK, "markeredgewidth": 0}
 
 STARS = (
-    Path(_STAR, [Path.MOVETO, Path.LINETO] * 3),
-    Path(np.concatenate([_STAR - _ABOVE, _STAR + _ABOVE]), [Path.MOVETO, Path.LINETO] * 6),
+    {**STARRED, "marker": r"$\ast$", "markersize": 5},
+    {**STARRED, "marker": r"$\genfrac{}{}{0}{}{\ast}{\ast}$", "markersize": 10.5},
 )
 """Markers of differences with p < 0.05, and with p < 0.01: an asterisk, and two above each other."""
-
-STARRED: dict[str, Any] = {"linestyle": "", "color": INK, "markeredgewidth": 0.9}
 
 
 def looks(study: StudyResult, task: str) -> list[tuple[Condition, dict[str, Any]]]:
@@ -72,17 +65,9 @@ def plot_marks(ax: Axes, frequency: Array, height: Array, masks: tuple[NDArray[n
     """
     differs, clearly = masks
     for star, mask in zip(STARS, (differs & ~clearly, clearly), strict=True):
-        ax.plot(frequency[mask], height[mask], marker=star, markersize=_size(star), **STARRED)
+        ax.plot(frequency[mask], height[mask], **star)
 
 
 def marks_legend() -> list[Line2D]:
     """Entries of `plot_marks` in a legend."""
-    return [
-        Line2D([], [], marker=star, markersize=_size(star), label=f"p < {level}", **STARRED)
-        for star, level in zip(STARS, ("0.05", "0.01"), strict=True)
-    ]
-
-
-def _size(marker: Path) -> float:
-    """Matplotlib scales a marker so that its farthest point is at half its size."""
-    return 4.5 * float(np.abs(marker.vertices).max())
+    return [Line2D([], [], **star, label=f"p < {level}") for star, level in zip(STARS, ("0.05", "0.01"), strict=True)]

@@ -9,20 +9,11 @@ from matplotlib.lines import Line2D
 
 from armperturb.muscle_law import ELEMENTS
 from armperturb.plots.panels import AXES, label_frequency, legend
-from armperturb.plots.style import COLOURS, GREY, INK, in_style, new_figure, shades
+from armperturb.plots.style import COLOURS, GREY, INK, PALETTE, in_style, new_figure, shades
 from armperturb.study.experiments.mechanisms import AMPLITUDES, LINEAR, PULSES, WHOLE, Yielding, intrinsic_loop
 
-SWITCHED_OFF: tuple[dict[str, Any], ...] = (
-    {"color": "#0072B2", "linestyle": "-"},
-    {"color": "#E69F00", "linestyle": (0, (5, 1.5))},
-    {"color": "#009E73", "linestyle": (0, (3, 1, 1, 1))},
-    {"color": "#D55E00", "linestyle": (0, (2, 1))},
-    {"color": "#CC79A7", "linestyle": "-"},
-    {"color": "#56B4E9", "linestyle": (0, (5, 1, 1, 1, 1, 1))},
-    {"color": "#0072B2", "linestyle": (0, (1, 1))},
-    {"color": "#D55E00", "linestyle": (0, (6, 1, 2, 1))},
-)
-"""Line of each arm without a mechanism, from Okabe and Ito's palette; dashes tell apart where colours do not."""
+DASHES = ("-", (0, (5, 1.5)), (0, (3, 1, 1, 1)), (0, (2, 1)), (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (6, 1, 2, 1)))
+"""Of the line of each arm without a mechanism; they tell arms apart where colours do not."""
 
 
 @in_style()
@@ -38,9 +29,9 @@ def loops(yielding: Yielding) -> Figure:
             response = yielding.responses.get((WHOLE, condition))
             if response is None:
                 continue
-            loop = intrinsic_loop(response.subject, np.sqrt(2.0) * response.stretch)
+            stretch, torque = intrinsic_loop(response.subject, np.sqrt(2.0) * response.stretch)
             for element, ax in enumerate(row):
-                ax.plot(np.degrees(loop.stretch[:, element]), loop.torque[:, element], color=colour)
+                ax.plot(np.degrees(stretch[:, element]), torque[:, element], color=colour)
         handles += [Line2D([], [], color=c, label=name) for name, c in zip(conditions, colours, strict=True)]
         row[0].set_ylabel("torque [Nm]")
     for ax, name in zip(panels[0], ELEMENTS, strict=True):
@@ -95,8 +86,9 @@ def pulses(yielding: Yielding) -> Figure:
         WHOLE: {"color": INK, "linewidth": 2.4},
         LINEAR: {"color": GREY, "linewidth": 1.8},
     }
-    others = (name for name in yielding.variants if name not in looks)
-    looks |= dict(zip(others, itertools.cycle(SWITCHED_OFF), strict=False))
+    others = [name for name in yielding.variants if name not in looks]
+    styles = zip(others, itertools.cycle(PALETTE), itertools.cycle(DASHES), strict=False)
+    looks |= {name: {"color": colour, "linestyle": dashes} for name, colour, dashes in styles}
     for ax, (condition, level) in zip(panels, PULSES.items(), strict=True):
         whole = yielding.responses.get((WHOLE, condition))
         for variant, look in looks.items():

@@ -12,32 +12,22 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from armperturb.analysis.measures.pulse import WINDOWS
 from armperturb.plots.panels import AXES, legend
 from armperturb.plots.style import GREY, INK, RECORDED, in_style, new_figure, shades
+from armperturb.study.report import nonlinear_tables as tables
 from armperturb.study.report.figures.bars import MODEL_LOOKS, Bar, draw_predictions
-from armperturb.study.report.nonlinear_tables import (
-    SEES_NONE,
-    SEES_OTHERS,
-    SHOWN_MODELS,
-    degrees,
-    fitted,
-    left_out_pulses,
-    nonlinear_parameter_rows,
-    tasks_fitted,
-    words_of,
-)
 from armperturb.study.results.nonlinear_fits import PATHS, LeftOutPulse
 from armperturb.study.results.study_result import StudyResult
 
 LOOKS: dict[str, dict[str, Any]] = {
     **MODEL_LOOKS,
-    SEES_NONE: {"color": "#009E73", "linewidth": 1.3},
-    SEES_OTHERS: {"color": "#56B4E9", "linewidth": 1.3, "linestyle": (0, (1.5, 1.2))},
+    tables.SEES_NONE: {"color": "#009E73", "linewidth": 1.3},
+    tables.SEES_OTHERS: {"color": "#56B4E9", "linewidth": 1.3, "linestyle": (0, (1.5, 1.2))},
 }
 """Model to its look."""
 
 NAMES = {
     **{name: name for name in ("recorded", *MODEL_LOOKS)},
-    SEES_NONE: "nonlinear, from multisines",
-    SEES_OTHERS: "nonlinear, with the other direction",
+    tables.SEES_NONE: "nonlinear, from multisines",
+    tables.SEES_OTHERS: "nonlinear, with the other direction",
 }
 """What is drawn to its entry in legends."""
 
@@ -50,24 +40,26 @@ def prediction(study: StudyResult) -> Figure:
     groups = {
         task: {
             f"{condition}\n\u00d7{level:g}": [
-                Bar.of((peak for peak, _ in of_model[model]), LOOKS[model]["color"]) for model in SHOWN_MODELS
+                Bar.of((peak for peak, _ in of_model[model]), LOOKS[model]["color"]) for model in tables.SHOWN_MODELS
             ]
             for (condition, level), of_model in of_pulses.items()
         }
-        for task in tasks_fitted(study)
-        if (of_pulses := left_out_pulses(study, task))
+        for task in tables.tasks_fitted(study)
+        if (of_pulses := tables.left_out_pulses(study, task))
     }
-    handles = [Patch(color=LOOKS[model]["color"], label=NAMES[model]) for model in SHOWN_MODELS]
+    handles = [Patch(color=LOOKS[model]["color"], label=NAMES[model]) for model in tables.SHOWN_MODELS]
     return draw_predictions(3.6, groups, handles, 3)
 
 
 @in_style()
 def parameters(study: StudyResult, task: str) -> Figure:
     """Estimates over true values with 95 % intervals, a point per person and fit."""
-    rows = [row for row in nonlinear_parameter_rows(study) if row["task"] == task and math.isfinite(row["ratio"])]
+    rows = [
+        row for row in tables.nonlinear_parameter_rows(study) if row["task"] == task and math.isfinite(row["ratio"])
+    ]
     names = list(dict.fromkeys(row["parameter"] for row in rows))
     kinds = sorted({row["fitted_pulses_deg"] for row in rows})
-    colours = [LOOKS[SEES_NONE]["color"], *shades(LOOKS[SEES_OTHERS]["color"], 3)[1:]]
+    colours = [LOOKS[tables.SEES_NONE]["color"], *shades(LOOKS[tables.SEES_OTHERS]["color"], 3)[1:]]
     figure = new_figure(0.7 + 0.28 * len(names))
     ax = figure.subplots()
     ratios = [row["ratio"] for row in rows]
@@ -93,12 +85,12 @@ def parameters(study: StudyResult, task: str) -> Figure:
     ax.xaxis.set_major_locator(FixedLocator(RATIOS))
     ax.xaxis.set_minor_locator(NullLocator())
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.set_yticks(range(len(names)), [words_of(name) for name in names])
+    ax.set_yticks(range(len(names)), [tables.words_of(name) for name in names])
     ax.set_ylim(len(names) - 0.5, -0.5)
     ax.tick_params(axis="y", length=0)
     ax.grid(visible=False, axis="y")
     ax.set_xlabel("estimated / true")
-    labels = [f"pulses at {degrees(kind)} fitted too" if kind else "from multisines" for kind in kinds]
+    labels = [f"pulses at {tables.degrees(kind)} fitted too" if kind else "from multisines" for kind in kinds]
     handles = [
         Line2D([], [], color=colour, marker="o", markersize=3, label=label)
         for colour, label in zip(colours, labels, strict=False)
@@ -114,8 +106,8 @@ def drawn_pulses(study: StudyResult, task: str) -> dict[float, dict[str, LeftOut
     """
     for person in study.names:
         shown: dict[float, dict[str, LeftOutPulse]] = {}
-        for model, pulses in ((SEES_NONE, False), (SEES_OTHERS, True)):
-            for fit in fitted(study, task, pulses=pulses):
+        for model, pulses in ((tables.SEES_NONE, False), (tables.SEES_OTHERS, True)):
+            for fit in tables.fitted(study, task, pulses=pulses):
                 left_out = [
                     pulse for pulse in fit.pulses if (pulse.condition, pulse.level) == PATHS[task] and pulse.paths
                 ]

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,7 +19,7 @@ from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.report.figures.axes import looks
 from armperturb.study.report.figures.bars import CONDITIONS, Bar, Groups, draw_groups, printed_handles, stars
-from armperturb.study.report.tables import published_or_nan, true_value
+from armperturb.study.report.tables import groups_of, parameter_rows, published_or_nan
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import muscle_parameter, stable_mean
 
@@ -44,56 +43,42 @@ def parameters(study: StudyResult, task: str) -> Figure:
     Bars are 95 % intervals; what the thesis's estimator gives beyond a panel is drawn at its edge.
     """
     conditions = looks(study, task)
-    names = tuple(study.of(conditions[0][0].name)[0].identified.fit.values)
+    shown = [
+        row for row in parameter_rows(study) if row["condition"] in {condition.name for condition, _ in conditions}
+    ]
     n_columns = 5
-    n_rows = -(-len(names) // n_columns)
+    n_rows = -(-len({row["parameter"] for row in shown}) // n_columns)
     figure = new_figure(1.75 * n_rows + 0.6)
-    panels = figure.subplots(n_rows, n_columns, squeeze=False)
+    panels = list(figure.subplots(n_rows, n_columns, squeeze=False).flat)
     any_printed = False
-    for ax, name in zip(panels.flat, names, strict=False):
-        truths: list[float] = []
-        reach: list[float] = []
-        of_thesis: list[tuple[float, float]] = []
-        printed: list[tuple[published.MeanSD, dict[str, Any]]] = []
+    for (name,), rows in groups_of(shown, "parameter"):
+        ax = panels.pop(0)
+        printed: list[tuple[MeanSD, str]] = []
         for condition, look in conditions:
-            cases = study.of(condition.name)
-            truth = [true_value(case.truth, name) for case in cases]
-            fits = [case.identified.fit for case in cases]
-            estimate = [fit.values[name] for fit in fits]
-            half = np.array([fit.interval(name).upper - fit.values[name] for fit in fits])
-            truths += truth
-            reach += estimate
-            ax.errorbar(
-                truth,
-                estimate,
-                np.where(np.isfinite(half), half, 0),
-                fmt=look["marker"],
-                color=look["color"],
-                markersize=3.5,
-                elinewidth=0.8,
-                alpha=0.85,
-            )
-            of_thesis += [(true_value(case.truth, name), case.thesis.fit.values[name]) for case in cases if case.thesis]
+            mine = rows[rows["condition"] == condition.name]
+            half = np.nan_to_num(mine["upper_95"] - mine["estimated"], posinf=0.0)
+            look = {"fmt": look["marker"], "color": look["color"], "markersize": 3.5, "elinewidth": 0.8}
+            ax.errorbar(mine["true"], mine["estimated"], half, **look, alpha=0.85)
             mean_sd = published_or_nan(published.parameter, condition.name, name)
             if np.isfinite(mean_sd.mean):
-                printed.append((mean_sd, look))
-                reach += [mean_sd.mean - mean_sd.sd, mean_sd.mean + mean_sd.sd]
-        (left, high), (bottom, top) = padded(truths), padded([*truths, *reach])
-        for true, estimated_value in of_thesis:
-            ax.plot(true, np.clip(estimated_value, bottom, top), **BESIDE, clip_on=False, zorder=1.5)
+                printed.append((mean_sd, look["fmt"]))
+        reach = [end for (mean, sd), _ in printed for end in (mean - sd, mean + sd)]
+        (left, high), (bottom, top) = padded([*rows["true"]]), padded([*rows["true"], *rows["estimated"], *reach])
+        of_thesis = rows["thesis_estimated"].clip(bottom, top)
+        ax.plot(rows["true"], of_thesis, **BESIDE, clip_on=False, zorder=1.5)
         ax.plot((left, high), (left, high), **{**TRUE, "linewidth": 1})
         place_width = 0.11 * (high - left)
         right = high + place_width * (len(printed) + 0.6) if printed else high
         any_printed |= bool(printed)
         ax.axvspan(high, right, color=PALE, alpha=0.35, linewidth=0)
-        for place, (value, look) in enumerate(printed, start=1):
+        for place, (value, marker) in enumerate(printed, start=1):
             x = high + (place - 0.2) * place_width
-            ax.errorbar(x, value.mean, value.sd, fmt=look["marker"], color=PUBLISHED["color"], markersize=3.5)
+            ax.errorbar(x, value.mean, value.sd, fmt=marker, color=PUBLISHED["color"], markersize=3.5)
         ax.set(xlim=(left, right), ylim=(bottom, top), box_aspect=1)
         ax.set_title(f"{parameter_symbol(name)} [{unit(name)}]")
         for axis in (ax.xaxis, ax.yaxis):
             axis.set_major_locator(MaxNLocator(3))
-    for ax in panels.flat[len(names) :]:
+    for ax in panels:
         ax.set_visible(False)
     figure.supxlabel("true", fontsize=9)
     figure.supylabel("estimated", fontsize=9)
