@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import irfft, rfft
 
+from armperturb.files import packaged_table
+
 
 @dataclass(frozen=True, kw_only=True)
 class _Stage:
@@ -23,20 +25,13 @@ class _Stage:
     weight: float = 1.0
 
 
-N_STARTS = 14
-"""How many starts `reduce_crest` picks from."""
-
-_STAGES = (
-    _Stage(keep=N_STARTS, doublings=1, n_samples=2048),
-    _Stage(keep=5, doublings=2, n_samples=2048),
-    _Stage(keep=2, doublings=3, n_samples=4096),
-    _Stage(keep=1, doublings=5, n_samples=8192, weight=0.98),
-    _Stage(keep=1, doublings=7, n_samples=8192, weight=0.98),
-    _Stage(keep=1, doublings=9, n_samples=8192, weight=0.98),
-)
+_STAGES = tuple(_Stage(**stage) for stage in packaged_table(__package__, "crest.toml")["stages"])
 """Low orders tell early which starts will end well (the norm of order 18 correlates by 0.95 with the final peak);
 high orders lower single peaks. Those look in between the 4096 samples of the thesis as well, where the peak would
 move to otherwise; the weight makes it 0.015 lower on these samples, and 0.008 higher in between."""
+
+N_STARTS = _STAGES[0].keep
+"""How many starts `reduce_crest` picks from."""
 
 _STEPS = 50
 """Steps per stage; more buy less than they cost."""

@@ -13,6 +13,9 @@ from armperturb.subject import Subject
 GROUP = 8
 """Lanes that are simulated side by side, as the vector instructions of processors have it."""
 
+PARTS = 8
+"""Elasto-plastic parts that the muscle law of a group has room for; that of a person with more is computed alone."""
+
 _SEGMENTS = ("m_h", "m_f", "l_h", "l_f")
 
 
@@ -53,6 +56,8 @@ def lane_columns(
 ) -> dict[str, Any]:
     """Name to values, (lane, ...); names are those of `Subject`, `Environment`, and `control_columns`.
 
+    People whose muscle law is computed in groups are `grouped`; `controllers.compiled.act` finds no law of theirs.
+
     Args:
       subjects: one per lane.
       timestep: of the simulation [s].
@@ -73,9 +78,14 @@ def lane_columns(
     inertia = m_h * l_h**2 / 4 + m_f * (l_h**2 + l_f**2 / 4), m_f * l_f**2 / 4, m_f * l_h * l_f / 2
     if len(environments) == 1:
         environments = [*environments] * len(subjects)
-    return {
+    columns = {
         **control_columns(subjects, timestep, n_parts),
         **{name: np.array([getattr(subject, name) for subject in subjects]) for name in ("l_h", "l_f", "k_h", "b_h")},
         "inertia": np.stack(inertia, axis=1),
         **{name: np.array([getattr(held, name) for held in environments]) for name in ("m_env", "b_env", "k_env")},
     }
+    # Force feedback needs the torque of the law at once.
+    grouped = (columns["parts"] <= PARTS) & (columns["remembering"] == 0.0)
+    columns["grouped"] = columns["lawful"] * grouped
+    columns["lawful"] = columns["lawful"] * ~grouped
+    return columns

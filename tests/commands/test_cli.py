@@ -150,7 +150,7 @@ def test_too_fast_perturbations_are_refused(inputs, capsys):
     time = np.arange(4000) / 4000
     rows = [f"{t:.6f},{np.sin(2 * np.pi * 500 * t):.6f},0" for t in time]
     (inputs / "fast.csv").write_text("time_s,d_x_N,d_y_N\n" + "\n".join(rows) + "\n")
-    assert "expected at most 450 Hz" in refused(capsys, *simulate(inputs, perturbation="fast.csv"))
+    assert "expected at most 180 Hz" in refused(capsys, *simulate(inputs, perturbation="fast.csv"))
 
 
 def test_workspace_limit_is_reported(inputs, capsys):

@@ -22,6 +22,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armperturb.analysis.arm import states
 from armperturb.analysis.arm.geometry import hand_jacobian, segment_inertias
 from armperturb.analysis.arm.joint_matrices import (
     Environments,
@@ -45,19 +46,6 @@ from armperturb.analysis.arm.parameters import (
     GROUPS,
     MATRIX,
     parameter_vector,
-)
-from armperturb.analysis.arm.states import (
-    ACTIVE,
-    ACTIVE_DOT,
-    BOTH_JOINTS,
-    INTEGRATORS,
-    N_STATES,
-    PADE,
-    POSITIONS,
-    Q_DOT,
-    VELOCITIES,
-    X_DOT,
-    Q,
 )
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
@@ -222,38 +210,38 @@ class LinearArm:
 
     def _force_and_dynamics(self, values: Array, environment: Environment | Environments) -> tuple[Array, Array]:
         """Hand reaction force f, (..., 2, 18), and matrix A, (..., 18, 18), of `StateSpace`."""
-        muscle = np.zeros((*values.shape[:-1], 2, N_STATES))
-        muscle[..., Q_DOT], muscle[..., Q] = values[..., MATRIX["b"]], values[..., MATRIX["k"]]
-        muscle[..., BOTH_JOINTS, ACTIVE] = 1.0
+        muscle = np.zeros((*values.shape[:-1], 2, states.N_STATES))
+        muscle[..., states.Q_DOT], muscle[..., states.Q] = values[..., MATRIX["b"]], values[..., MATRIX["k"]]
+        muscle[..., states.BOTH_JOINTS, states.ACTIVE] = 1.0
         force = np.zeros_like(muscle)
-        force[..., VELOCITIES] = values[..., GRIP_DAMPING, None, None] * self._deflection
-        force[..., POSITIONS] = values[..., GRIP_STIFFNESS, None, None] * self._deflection
+        force[..., states.VELOCITIES] = values[..., GRIP_DAMPING, None, None] * self._deflection
+        force[..., states.POSITIONS] = values[..., GRIP_STIFFNESS, None, None] * self._deflection
         m_h, m_f = values[..., 0, None, None], values[..., 1, None, None]
         mass = m_h * self._inertias[0] + m_f * self._inertias[1]
         acceleration = np.linalg.solve(mass, self.jacobian.swapaxes(-1, -2) @ force - muscle)
 
         excitation = values[..., MATRIX["ka"]] @ acceleration + values[..., MATRIX["kf"]] @ muscle
-        excitation[..., Q_DOT] += values[..., MATRIX["kv"]]
-        excitation[..., Q] += values[..., MATRIX["kp"]]
+        excitation[..., states.Q_DOT] += values[..., MATRIX["kv"]]
+        excitation[..., states.Q] += values[..., MATRIX["kp"]]
 
         delay, omega = values[..., DELAYS], 2 * np.pi * values[..., CUTOFFS]
-        first, second, third = PADE
-        a = np.empty((*values.shape[:-1], N_STATES, N_STATES))
-        a[...] = INTEGRATORS
+        first, second, third = states.PADE
+        a = np.empty((*values.shape[:-1], states.N_STATES, states.N_STATES))
+        a[...] = states.INTEGRATORS
         a[..., third, :] = excitation
         a[..., third, first] -= 120 / delay**3
         a[..., third, second] -= 60 / delay**2
         a[..., third, third] -= 12 / delay
-        excitation[..., BOTH_JOINTS, first] -= 240 / delay**3
-        excitation[..., BOTH_JOINTS, third] -= 24 / delay
-        a[..., ACTIVE_DOT, :] = -(omega**2)[..., None] * excitation
-        a[..., ACTIVE_DOT, ACTIVE_DOT] -= 2 * self._zeta[..., None] * omega
-        a[..., ACTIVE_DOT, ACTIVE] -= omega**2
-        a[..., Q_DOT, :] = acceleration
+        excitation[..., states.BOTH_JOINTS, first] -= 240 / delay**3
+        excitation[..., states.BOTH_JOINTS, third] -= 24 / delay
+        a[..., states.ACTIVE_DOT, :] = -(omega**2)[..., None] * excitation
+        a[..., states.ACTIVE_DOT, states.ACTIVE_DOT] -= 2 * self._zeta[..., None] * omega
+        a[..., states.ACTIVE_DOT, states.ACTIVE] -= omega**2
+        a[..., states.Q_DOT, :] = acceleration
         m_env, b_env, k_env = columns_of(environment)
-        a[..., X_DOT, :] = -force / m_env[..., None]
-        a[..., BOTH_JOINTS + 4, BOTH_JOINTS + 4] -= b_env / m_env
-        a[..., BOTH_JOINTS + 4, BOTH_JOINTS + 6] -= k_env / m_env
+        a[..., states.X_DOT, :] = -force / m_env[..., None]
+        a[..., states.BOTH_JOINTS + 4, states.BOTH_JOINTS + 4] -= b_env / m_env
+        a[..., states.BOTH_JOINTS + 4, states.BOTH_JOINTS + 6] -= k_env / m_env
         return force, a
 
     def _held(self, environment: Environment | Environments) -> ComplexArray:

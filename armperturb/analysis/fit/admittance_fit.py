@@ -16,17 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armperturb.analysis.arm.joint_matrices import Environments
 from armperturb.analysis.arm.linear_arm import Delay, LinearArm
-from armperturb.analysis.fit.admittance_problem import (
-    AdmittanceProblem,
-    Target,
-    checked_problem,
-    frequency_last,
-    least_squares,
-    penalty_factor,
-    silent_directions,
-    stack,
-    standard_error,
-)
+from armperturb.analysis.fit import admittance_problem
 from armperturb.analysis.fit.linear_start import with_linear_part
 from armperturb.analysis.fit.structures import Structure, structure_of, unit
 from armperturb.analysis.numerics.trust_region import NOT_FINITE, minimise
@@ -141,32 +131,34 @@ def fit_admittance(
       ValueError: shapes do not fit, values are not finite, an admittance is zero, an initial value is unknown or not
         within its bounds, or free parameters are not separately identifiable from any admittance at these frequencies.
     """
-    target = Target(frequency=frequency, admittance=admittance, body=body, environment=environment, coherence=coherence)
+    target = admittance_problem.Target(
+        frequency=frequency, admittance=admittance, body=body, environment=environment, coherence=coherence
+    )
     if as_published:
         return fit_admittances([target], [structure], initials=[initial], use_penalty=use_penalty, delay=delay)[0]
     structure = structure_of(structure)
     batch = _Batch.of([target], [structure], delay)
-    problem = checked_problem(target, structure, delay)
+    problem = admittance_problem.checked_problem(target, structure, delay)
     first = _checked_initial(structure, initial)
     batch.require_identifiable(first[None])
     starts = [first, with_linear_part(problem.model, problem.admittance, body, structure, first)]
-    solutions = [least_squares(problem, values, with_penalty=False) for values in starts]
+    solutions = [admittance_problem.least_squares(problem, values, with_penalty=False) for values in starts]
     best = min(solutions, key=lambda solution: solution.cost)
     if use_penalty and problem.penalty(best.x) > 1.0 + 1e-6:
         # An unstable start has no use for a criterion that its penalty dwarfs; a stable optimum competes, whatever its
         # penalty: without noise it is the minimum all the same.
         stable = [values for values in starts if problem.penalty(values) < 1e3] or [_checked_initial(structure, None)]
-        if problem.penalty(best.x) < penalty_factor(0.0):
+        if problem.penalty(best.x) < admittance_problem.penalty_factor(0.0):
             stable.insert(0, best.x)
-        solutions = [least_squares(problem, stable[0], with_penalty=True)]
+        solutions = [admittance_problem.least_squares(problem, stable[0], with_penalty=True)]
         if solutions[0].cost > PERFECT * len(problem.frequency):
-            solutions += [least_squares(problem, values, with_penalty=True) for values in stable[1:]]
+            solutions += [admittance_problem.least_squares(problem, values, with_penalty=True) for values in stable[1:]]
         best = min(solutions, key=lambda solution: solution.cost)
     return batch.judge(best.x[None], [best.status], np.array([use_penalty]))[0]
 
 
 def fit_admittances(
-    targets: Sequence[Target],
+    targets: Sequence[admittance_problem.Target],
     structures: Sequence[Structure | str],
     *,
     initials: Sequence[Mapping[str, float] | None],
@@ -227,17 +219,17 @@ class _Batch:
 
     bodies: tuple[Subject, ...]
     structures: tuple[Structure, ...]
-    problem: AdmittanceProblem
+    problem: admittance_problem.AdmittanceProblem
 
     @classmethod
-    def of(cls, targets: Sequence[Target], structures: Sequence[Structure], delay: Delay) -> Self:
+    def of(cls, targets: Sequence[admittance_problem.Target], structures: Sequence[Structure], delay: Delay) -> Self:
         """The problems of targets.
 
         Raises:
           ValueError: as `fit_admittances`.
         """
         pairs = zip(targets, structures, strict=True)
-        problems = [checked_problem(target, structure, delay) for target, structure in pairs]
+        problems = [admittance_problem.checked_problem(target, structure, delay) for target, structure in pairs]
         if len(counts := {len(each.frequency) for each in problems}) > 1:
             raise ValueError(
                 f"targets have {', '.join(map(str, sorted(counts)))} frequencies; expected the same number"
@@ -250,10 +242,10 @@ class _Batch:
 
         bodies = tuple(target.body for target in targets)
         frequency = np.array([each.frequency for each in problems])
-        problem = AdmittanceProblem(
+        problem = admittance_problem.AdmittanceProblem(
             frequency,
-            frequency_last(np.array([each.admittance for each in problems])),
-            frequency_last(np.array([each.weight for each in problems])),
+            admittance_problem.frequency_last(np.array([each.admittance for each in problems])),
+            admittance_problem.frequency_last(np.array([each.weight for each in problems])),
             Environments.of([target.environment for target in targets]),
             LinearArm(bodies, frequency, delay),
             np.array([filled(each.mixing, 0.0) for each in problems]),
@@ -288,9 +280,9 @@ class _Batch:
         rng = np.random.default_rng(0)
         batch, places = self, starts
         for share in (0.1, 0.3, None):
-            slopes = stack(batch.problem.log_error_and_slope(places)[1], axis=1)
+            slopes = admittance_problem.stack(batch.problem.log_error_and_slope(places)[1], axis=1)
             nothing = [
-                silent_directions(slope[:, : len(structure.free)])
+                admittance_problem.silent_directions(slope[:, : len(structure.free)])
                 for slope, structure in zip(slopes, batch.structures, strict=True)
             ]
             silent = np.flatnonzero([directions.size > 0 for directions in nothing])
@@ -328,13 +320,13 @@ class _Batch:
         lower, upper = self.problem.lower, self.problem.upper
         modulus, slope = self.problem.modulus_and_slope(values)
         poles = self.problem.largest_pole(values).real
-        factors = np.where(with_penalty, penalty_factor(poles), 1.0)
+        factors = np.where(with_penalty, admittance_problem.penalty_factor(poles), 1.0)
         criteria = np.mean(modulus**2, axis=-1) * factors**2
         near = np.minimum(values - lower, upper - values) <= AT_BOUND * (upper - lower)
         fits = []
         for i, (body, structure) in enumerate(zip(self.bodies, self.structures, strict=True)):
             names, estimates = structure.free, values[i, : len(structure.free)]
-            sem = standard_error(modulus[i], slope[i, :, : len(names)])
+            sem = admittance_problem.standard_error(modulus[i], slope[i, :, : len(names)])
             unidentified = tuple(name for name, value in zip(names, sem, strict=True) if not np.isfinite(value))
             why = _WHY_STOPPED[int(status[i])]
             if unidentified:
@@ -388,7 +380,7 @@ class _Published:
         return modulus, slope
 
     @cached_property
-    def _penalised(self) -> tuple[int, AdmittanceProblem]:
+    def _penalised(self) -> tuple[int, admittance_problem.AdmittanceProblem]:
         """How many problems have a penalty, and they alone."""
         n = int(np.count_nonzero(self.with_penalty))
         whole = self.batch.problem

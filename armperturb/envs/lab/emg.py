@@ -12,7 +12,6 @@ the activation dynamics, as electrodes pick up what the nerve sends. What the mo
 fatigue, voluntary activity.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from armperturb.arrays import Array
+from armperturb.files import packaged_table
 from armperturb.recording import MUSCLES
 from armperturb.subject import POSITION, RELAX, Subject
 from armperturb.validation import require_number, require_ranges
@@ -41,16 +41,9 @@ class Service(NamedTuple):
     sign: int
 
 
-SERVICES: Mapping[str, Service] = {
-    "pectoralis_major_clavicular": Service(("s",), 1),
-    "latissimus_dorsi": Service(("s",), -1),
-    "deltoideus_anterior": Service(("s",), 1),
-    "deltoideus_posterior": Service(("s",), -1),
-    "biceps_short_head": Service(("s", "e"), 1),
-    "brachioradialis": Service(("e",), 1),
-    "triceps_lateralis": Service(("e",), -1),
-    "triceps_longum": Service(("s", "e"), -1),
-}
+_MUSCLES = packaged_table(__package__, "muscles.toml")
+
+SERVICES = {name: Service(tuple(moves["joints"]), moves["sign"]) for name, moves in _MUSCLES.items()}
 """Muscle to what it moves in the horizontal plane."""
 
 STULEN_DE_LUCA = (60.0, 120.0)

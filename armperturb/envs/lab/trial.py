@@ -9,7 +9,6 @@ from armperturb.analysis.arm.state_space import fastest_pole, largest_real_pole
 from armperturb.arrays import Array
 from armperturb.controllers.remnant import HumanNoise
 from armperturb.environment import Environment, Strap
-from armperturb.models.rig import AHEAD, KNOWN
 from armperturb.perturbations import Perturbation, Pulse
 from armperturb.subject import Subject
 from armperturb.validation import require_number, require_whole
@@ -130,6 +129,8 @@ def known_ahead(trial: Trial, timestep: float, n_steps: int) -> Array:
     Returns:
       Torque of the person's noise on the joints [Nm], and force on the handle [N], (n_steps + 4, motor).
     """
+    from armperturb.models.rig import AHEAD, KNOWN  # here, as protocols are read without the simulator
+
     known = np.zeros((n_steps + AHEAD + 1, len(KNOWN)))
     known[:, 2:] = trial.perturbation.sample(1.0 / timestep, len(known), -timestep)
     torque = noise_torque(trial, timestep, n_steps + AHEAD)

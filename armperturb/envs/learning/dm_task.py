@@ -15,17 +15,9 @@ from armperturb.controllers.arm_control import ArmControl
 from armperturb.envs.lab.simulation import body_of
 from armperturb.envs.lab.stepping import DIVERGED
 from armperturb.envs.lab.trial import Trial
+from armperturb.envs.learning import participants
 from armperturb.envs.learning.dm import composer, mjcf, observable
 from armperturb.envs.learning.entities import Rig
-from armperturb.envs.learning.participants import (
-    ONLY,
-    START,
-    Participants,
-    action_bounds,
-    action_names,
-    observation_bounds,
-    own_action,
-)
 from armperturb.envs.learning.task import TaskSettings, task_settings
 from armperturb.models.rig import REFLEXES, start_motors
 
@@ -36,7 +28,7 @@ SENSES = {"joint_stretch": 0, "joint_velocity": 2, "hand_force": 4, "handle_seen
 class Sense(observable.Generic):
     """What the person senses, within bounds; composer delays it."""
 
-    def __init__(self, people: Participants, columns: slice, bound: Array, delay: int) -> None:
+    def __init__(self, people: participants.Participants, columns: slice, bound: Array, delay: int) -> None:
         """Enable it.
 
         Args:
@@ -76,10 +68,10 @@ class ArmPerturbTask(composer.Task):
           settings: the task.
         """
         self.settings = settings
-        self.own_action = own_action(settings)
+        self.own_action = participants.own_action(settings)
         self.trial: Trial | None = None
         self._options: dict[str, Any] = {}
-        self._people = Participants(settings, ArmControl([settings.subject], settings.timestep))
+        self._people = participants.Participants(settings, ArmControl([settings.subject], settings.timestep))
         self._rig = Rig(settings.subject, settings.environment, timestep=settings.timestep)
         self.set_timesteps(1.0 / settings.control_rate, settings.timestep)
         self._task_observables = self._make_observables()
@@ -88,7 +80,7 @@ class ArmPerturbTask(composer.Task):
 
     def _make_observables(self) -> OrderedDict[str, observable.Observable]:
         people, settings = self._people, self.settings
-        bounds = observation_bounds(settings)
+        bounds = participants.observation_bounds(settings)
         made: OrderedDict[str, observable.Observable] = OrderedDict()
         for name, first in SENSES.items():
             both = slice(first, first + 2)
@@ -113,8 +105,8 @@ class ArmPerturbTask(composer.Task):
 
     def action_spec(self, physics: mjcf.Physics) -> specs.BoundedArray:
         """Bounds and, parted by tabs, names of what an action sets."""
-        low, high = action_bounds(self.settings)
-        return specs.BoundedArray(low.shape, np.float64, low, high, "\t".join(action_names(self.settings)))
+        low, high = participants.action_bounds(self.settings)
+        return specs.BoundedArray(low.shape, np.float64, low, high, "\t".join(participants.action_names(self.settings)))
 
     def choose(self, **options: Any) -> None:
         """Choose what the next episode differs in from the settings; the one after it follows them again.
@@ -165,10 +157,10 @@ class ArmPerturbTask(composer.Task):
         rng = np.random.default_rng(random_state.randint(2**63, dtype=np.int64))
         options, self._options = self._options, {}
         self.trial = self.settings.drawing(options)(rng)
-        subjects = self._people.start(ONLY, [self.trial])
-        self._people.control.replace(ONLY, subjects)
+        subjects = self._people.start(participants.ONLY, [self.trial])
+        self._people.control.replace(participants.ONLY, subjects)
         self._set_muscles(*(np.array(subjects[0].muscle_groups(name)) for name in ("k", "b")))
-        known = self._people.known(ONLY, 0, START)[0]
+        known = self._people.known(participants.ONLY, 0, participants.START)[0]
         start_motors(physics.model.ptr, physics.data.ptr, self._motor + len(REFLEXES), known)
 
     def _set_muscles(self, stiffness: Array, damping: Array) -> None:

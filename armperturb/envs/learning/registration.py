@@ -8,6 +8,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from armperturb.extras import naming_the_extra
+from armperturb.files import packaged_table
 from armperturb.validation import require_one_of
 
 if TYPE_CHECKING:
@@ -17,11 +18,7 @@ if TYPE_CHECKING:
 ENTRY_POINT = "armperturb.envs.learning.gym_env:ArmPerturbEnv"
 VECTOR_ENTRY_POINT = "armperturb.envs.learning.gym_vector_env:ArmPerturbVectorEnv"
 
-TASKS: dict[str, dict[str, Any]] = {
-    "ArmPerturb/Position-v0": {"task": "PT", "perturbation": "multisine", "rms": 5.4},
-    "ArmPerturb/Relax-v0": {"task": "RT", "perturbation": "multisine", "rms": 0.9, "displacement_weight": 100.0},
-    "ArmPerturb/Pulse-v0": {"task": "PT", "perturbation": "pulse", "peak": (53.9, 107.8)},
-}
+TASKS: dict[str, dict[str, Any]] = packaged_table(__package__, "environments.toml")
 """Name to the settings in which a task differs from `TaskSettings`; forces are the thesis's of PT7.5, RT7.5 and PT0."""
 
 

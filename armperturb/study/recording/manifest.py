@@ -3,9 +3,8 @@
 import hashlib
 import importlib.metadata
 import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,13 +13,10 @@ from armperturb.environment import ENGINES, Environment
 from armperturb.study.protocol import Protocol
 from armperturb.study.recording.folder import MANIFEST
 from armperturb.study.recording.settings import StudySettings
-from armperturb.validation import require_number, require_one_of
+from armperturb.validation import require_one_of, require_ranges
 
 UNSAID_TIMESTEP = 1e-3
 """Step of the simulation in folders whose manifest does not say it [s]."""
-
-MOST_SUBJECTS = 100_000
-"""More people than this are a slip in a manifest: drawing them would take hours."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,41 +24,35 @@ class Manifest:
     """How the recordings of a study were made.
 
     Attributes:
+      versions: of this package and the libraries that the recordings depend on.
       subjects: number of people.
       seed: of everything random.
       ideal: whether people and instruments are free of noise.
       muscles: "nonlinear" or "linear" people.
       timestep: of the simulation [s].
       engine: what simulated the recordings, "mujoco" or "compiled".
-      protocol: what everyone went through.
       people: digest of the people: another calibration, or other spreads, make other people of the same seed.
-      versions: of this package and the libraries that the recordings depend on.
+      protocol: what everyone went through.
     """
 
+    versions: Mapping[str, str]
     subjects: int
     seed: int
     ideal: bool
     muscles: str
     timestep: float
     engine: str
-    protocol: Protocol
     people: str
-    versions: Mapping[str, str]
+    protocol: Protocol
 
     @classmethod
     def of(cls, people: Sequence[Person], protocol: Protocol, settings: StudySettings) -> Self:
         """That of a study which begins now."""
-        return cls(
-            subjects=len(people),
-            seed=settings.seed,
-            ideal=settings.ideal,
-            muscles=settings.muscles,
-            timestep=settings.timestep,
-            engine=settings.engine,
-            protocol=protocol,
-            people=_digest(people),
-            versions=current_versions(),
-        )
+        given: dict[str, Any] = {
+            name: getattr(settings, name) for name in ("seed", "ideal", "muscles", "timestep", "engine")
+        }
+        given |= {"versions": current_versions(), "people": _digest(people)}
+        return cls(subjects=len(people), protocol=protocol, **given)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], source: str) -> Self:
@@ -76,24 +66,16 @@ class Manifest:
           ValueError: a value is missing or makes no sense.
         """
         try:
-            for name, least, most in (("subjects", 1, MOST_SUBJECTS), ("seed", 0, math.inf)):
-                require_number(source, name, values[name], at_least=least, at_most=most)
-            require_number(source, "timestep", values.get("timestep", UNSAID_TIMESTEP), above=0.0)
-            require_one_of(source, "muscles", values["muscles"], MUSCLES)
-            require_one_of(source, "engine", values.get("engine", ENGINES[0]), ENGINES)
-            if not isinstance(values["protocol"], Mapping) or not isinstance(values["versions"], Mapping):
+            values = {"timestep": UNSAID_TIMESTEP, "engine": ENGINES[0], **values}
+            given = {field.name: values[field.name] for field in fields(cls)}
+            if not isinstance(given["protocol"], Mapping) or not isinstance(given["versions"], Mapping):
                 raise ValueError(f"{source}: protocol or versions is no table; expected what a run wrote")
-            return cls(
-                subjects=int(values["subjects"]),
-                seed=int(values["seed"]),
-                ideal=bool(values["ideal"]),
-                muscles=values["muscles"],
-                timestep=float(values.get("timestep", UNSAID_TIMESTEP)),
-                engine=values.get("engine", ENGINES[0]),
-                protocol=Protocol.from_dict(values["protocol"], source=f"{source}, protocol"),
-                people=str(values["people"]),
-                versions=dict(values["versions"]),
-            )
+            protocol = Protocol.from_dict(given["protocol"], source=f"{source}, protocol")
+            made = cls(**{**given, "protocol": protocol})
+            require_ranges(source, made)
+            require_one_of(source, "muscles", made.muscles, MUSCLES)
+            require_one_of(source, "engine", made.engine, ENGINES)
+            return made
         except KeyError as error:
             raise ValueError(f"{source}: no {error.args[0]!r}; expected what a run of this version writes") from None
         except TypeError as error:
@@ -101,17 +83,7 @@ class Manifest:
 
     def to_dict(self) -> dict[str, Any]:
         """Name to value, as JSON holds it."""
-        return {
-            "versions": dict(self.versions),
-            "subjects": self.subjects,
-            "seed": self.seed,
-            "ideal": self.ideal,
-            "muscles": self.muscles,
-            "timestep": self.timestep,
-            "engine": self.engine,
-            "people": self.people,
-            "protocol": self.protocol.to_dict(),
-        }
+        return {**vars(self), "protocol": self.protocol.to_dict()}
 
     def draw_people(self, environment: Environment) -> tuple[Person, ...] | None:
         """Those who were recorded; None if this version draws others.

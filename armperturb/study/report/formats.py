@@ -2,6 +2,7 @@
 
 import math
 import re
+from typing import Any
 
 from markupsafe import Markup
 
@@ -9,7 +10,7 @@ from armperturb.files import packaged_table
 
 MISSING = "–"
 
-WORDS: dict[str, dict[str, str]] = packaged_table(__package__, "words.toml")
+WORDS: dict[str, dict[str, Any]] = packaged_table(__package__, "words.toml")
 """What the report calls things, by kind and name."""
 
 

@@ -60,23 +60,8 @@ class PublishedTable:
 Place = tuple[str, str, float]
 """Row and column of a cell, and the factor from SI to the unit that is shown."""
 
-_MEASURED = {
-    "rms_force": ("RMS force [N]", 1.0),
-    "rms_displacement": ("RMS displacement [mm]", 1e3),
-    "peak_displacement_min": ("peak displacement, level 1 [cm]", 1e2),
-    "peak_displacement_max": ("peak displacement, level 2 [cm]", 1e2),
-}
-_FITTED = {
-    "criterion": ("criterion [-]", 1.0),
-    "VAF_x": ("VAF x [%]", 1.0),
-    "VAF_y": ("VAF y [%]", 1.0),
-    "N_pos": ("trials with a positive VAF [%]", 100.0),
-    "N_stab": ("stable trials [%]", 100.0),
-}
 _JOINT = re.compile(r"(rms|max|peak)_(rotation|velocity)(?:_(min|max|left|right))?_(s|e)")
 _FIT = re.compile(r"(?:(SEM) )?(\w+) model (\w+)(?: (\w+))?")
-_DISPLAYED = {"k_h": ("kN/m", 1e-3), "Td_s": ("ms", 1e3), "Td_e": ("ms", 1e3)}
-"""Parameters that are shown in another unit than that of the SI."""
 
 
 def published_tables(result: Score) -> tuple[PublishedTable, ...]:
@@ -99,7 +84,7 @@ def _table(number: str, cells: list[ScoredCell]) -> PublishedTable:
         printed, ours = (MeanSD(factor * mean, factor * sd) for mean, sd in (scored.published, scored.ours))
         rows.setdefault(row, {})[column] = Entry(printed, ours, scored.z, scored.reason)
     # As printed, with pulses last; else as they come.
-    order = {label: number for number, (label, _) in enumerate(_MEASURED.values())}
+    order = {label: number for number, (label, _) in enumerate(WORDS["measured"].values())}
     present = dict.fromkeys(column for entries in rows.values() for column in entries)
     columns = tuple(sorted(present, key=lambda column: order.get(column, 0)))
     return PublishedTable(
@@ -112,8 +97,8 @@ def _table(number: str, cells: list[ScoredCell]) -> PublishedTable:
 
 
 def _measured_place(scored: ScoredCell) -> Place:
-    if scored.cell.quantity in _MEASURED:
-        return scored.cell.condition, *_MEASURED[scored.cell.quantity]
+    if scored.cell.quantity in WORDS["measured"]:
+        return scored.cell.condition, *WORDS["measured"][scored.cell.quantity]
     match = _JOINT.fullmatch(scored.cell.quantity)
     assert match is not None
     kind, what, pulse, joint = match.groups()
@@ -128,10 +113,10 @@ def _fitted_place(scored: ScoredCell) -> Place:
     assert match is not None
     _, what, model, start = match.groups()
     column = f"model {model}, start {start.rpartition('_')[2]}" if start else f"model {model}"
-    if what in _FITTED:
-        name, factor = _FITTED[what]
+    if what in WORDS["fitted"]:
+        name, factor = WORDS["fitted"][what]
         return f"{scored.cell.condition}, {name}", column, factor
-    shown, factor = _DISPLAYED.get(what, (unit(what), 1.0))
+    shown, factor = WORDS["displayed"].get(what, (unit(what), 1.0))
     return f"{what} [{shown}]", column, factor
 
 

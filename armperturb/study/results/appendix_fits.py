@@ -9,17 +9,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from armperturb.analysis.defaults import LINEAR_MODELS
+from armperturb.analysis.fit import thesis
 from armperturb.analysis.fit.structures import structure_of
-from armperturb.analysis.fit.thesis import (
-    STARTS,
-    THETA,
-    VARTHETA,
-    ThesisEstimate,
-    Wanted,
-    fit_starts,
-    fit_wanted,
-    join_estimates,
-)
 from armperturb.analysis.response.spectra import single_trial_spectra
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.study.published import tables as published
@@ -43,8 +34,8 @@ class Fits(NamedTuple):
     """
 
     name: str
-    first: Mapping[Key, ThesisEstimate]
-    starts: Mapping[str, ThesisEstimate]
+    first: Mapping[Key, thesis.ThesisEstimate]
+    starts: Mapping[str, thesis.ThesisEstimate]
     left_out: tuple[str, ...]
 
 
@@ -56,7 +47,7 @@ class SecondStep(NamedTuple):
       left_out: why there are none, one line each.
     """
 
-    estimates: Mapping[Key, ThesisEstimate]
+    estimates: Mapping[Key, thesis.ThesisEstimate]
     left_out: tuple[str, ...]
 
 
@@ -70,9 +61,9 @@ class Appendices:
       starts: name of each start of appendices D and E to its fits.
     """
 
-    first: Mapping[Key, ThesisEstimate] = field(default_factory=dict)
-    second: Mapping[Key, ThesisEstimate] = field(default_factory=dict)
-    starts: Mapping[str, ThesisEstimate] = field(default_factory=dict)
+    first: Mapping[Key, thesis.ThesisEstimate] = field(default_factory=dict)
+    second: Mapping[Key, thesis.ThesisEstimate] = field(default_factory=dict)
+    starts: Mapping[str, thesis.ThesisEstimate] = field(default_factory=dict)
 
 
 def fit_person(conditions: Mapping[str, ConditionTrials], settings: AnalysisSettings) -> Fits:
@@ -85,19 +76,19 @@ def fit_person(conditions: Mapping[str, ConditionTrials], settings: AnalysisSett
     name = next(iter(conditions.values())).name
     left_out: list[str] = []
     prepared = _fittable(conditions, FIRST_STEP.values(), left_out)
-    first: dict[Key, ThesisEstimate] = {}
-    starts: dict[str, ThesisEstimate] = {}
+    first: dict[Key, thesis.ThesisEstimate] = {}
+    starts: dict[str, thesis.ThesisEstimate] = {}
     try:
         first = _fitted(
             {
-                (condition, model): Wanted(trials, model, use_penalty=False)
+                (condition, model): thesis.Wanted(trials, model, use_penalty=False)
                 for condition, trials in prepared.items()
                 for model in settings.structures
             }
         )
         if settings.starts_of in prepared:
             trials = prepared[settings.starts_of]
-            starts = fit_starts(trials, THETA) | fit_starts(trials, VARTHETA)
+            starts = thesis.fit_starts(trials, thesis.THETA) | thesis.fit_starts(trials, thesis.VARTHETA)
     except ValueError as error:
         left_out.append(f"{name} was not fitted as in appendices C to E: {error}")
     return Fits(name, first, starts, tuple(left_out))
@@ -113,14 +104,14 @@ def fit_together(conditions: Mapping[str, ConditionTrials], settings: AnalysisSe
       settings: which fits are made.
     """
     multisines = _fittable(conditions, conditions, [])
-    wanted = [Wanted(trials, structure_of(LINEAR_MODELS[trials.body.task])) for trials in multisines.values()]
+    wanted = [thesis.Wanted(trials, structure_of(LINEAR_MODELS[trials.body.task])) for trials in multisines.values()]
     for condition in FIRST_STEP.values():
         if condition in multisines:
-            wanted += [Wanted(multisines[condition], model, use_penalty=False) for model in settings.structures]
+            wanted += [thesis.Wanted(multisines[condition], model, use_penalty=False) for model in settings.structures]
     if settings.starts_of in multisines:
-        wanted += [Wanted(multisines[settings.starts_of], *start) for start in STARTS.values()]
+        wanted += [thesis.Wanted(multisines[settings.starts_of], *start) for start in thesis.STARTS.values()]
     with suppress(ValueError):
-        fit_wanted(wanted)
+        thesis.fit_wanted(wanted)
 
 
 def fit_second_step(conditions: Mapping[str, ConditionTrials], means: Mapping[Key, Mapping[str, float]]) -> SecondStep:
@@ -133,11 +124,11 @@ def fit_second_step(conditions: Mapping[str, ConditionTrials], means: Mapping[Ke
     name = next(iter(conditions.values())).name
     left_out: list[str] = []
     prepared = _fittable(conditions, filter(published.has_multisine, published.conditions()), left_out)
-    estimates: dict[Key, ThesisEstimate] = {}
+    estimates: dict[Key, thesis.ThesisEstimate] = {}
     try:
         estimates = _fitted(
             {
-                (condition, model): Wanted(trials, model, start)
+                (condition, model): thesis.Wanted(trials, model, start)
                 for condition, trials in prepared.items()
                 for (task, model), start in means.items()
                 if condition.startswith(task)
@@ -168,12 +159,12 @@ def _fittable(
     return fittable
 
 
-def _fitted(wanted: Mapping[Key, Wanted]) -> dict[Key, ThesisEstimate]:
+def _fitted(wanted: Mapping[Key, thesis.Wanted]) -> dict[Key, thesis.ThesisEstimate]:
     """All fits at once, which is many times faster than one after the other."""
-    return dict(zip(wanted, fit_wanted(list(wanted.values())), strict=True))
+    return dict(zip(wanted, thesis.fit_wanted(list(wanted.values())), strict=True))
 
 
-def means_of(first: Mapping[Key, ThesisEstimate]) -> dict[Key, dict[str, float]]:
+def means_of(first: Mapping[Key, thesis.ThesisEstimate]) -> dict[Key, dict[str, float]]:
     """Task and structure to everybody's means of step 1 (appendix C, step 2)."""
     tasks = {condition: task for task, condition in FIRST_STEP.items()}
     return {(tasks[condition], model): estimate.means() for (condition, model), estimate in first.items()}
@@ -183,4 +174,4 @@ def joined(people: Iterable[Mapping]) -> dict:
     """The fits of several people in one, by key."""
     people = list(people)
     keys = dict.fromkeys(key for person in people for key in person)
-    return {key: join_estimates([person[key] for person in people if key in person]) for key in keys}
+    return {key: thesis.join_estimates([person[key] for person in people if key in person]) for key in keys}

@@ -31,13 +31,7 @@ import numpy as np
 import xarray as xr
 
 from armperturb.analysis.defaults import WINDOW_START
-from armperturb.analysis.measures.kinematics import (
-    hand_path,
-    joint_rotations,
-    joint_velocities,
-    true_rotations,
-    within_reach,
-)
+from armperturb.analysis.measures import kinematics
 from armperturb.analysis.measures.pulse import peak_norm, pulse_span
 from armperturb.arrays import Array
 from armperturb.perturbations.multisine import PERIOD
@@ -131,9 +125,9 @@ def measure(
     if len(people) > 1:
         raise ValueError(f"recordings of {', '.join(map(str, people))}; expected those of one person")
     inside, left_out = _cut_at_limits(recording[list(REQUIRED_SIGNALS)])
-    rotation = true_rotations(recording) if simulated_joints else joint_rotations(inside)
+    rotation = kinematics.true_rotations(recording) if simulated_joints else kinematics.joint_rotations(inside)
     rate = float(inside.attrs["rate"])
-    path = _Path(inside, rate, rotation, joint_velocities(rotation, rate))
+    path = _Path(inside, rate, rotation, kinematics.joint_velocities(rotation, rate))
     wanted, pools = published_cells(), dict[Cell, dict[str, list[float]]]()
     for trial, condition in enumerate(inside["condition"].values.tolist()):
         parts: list[Callable[[], Iterator[_Value]]] = []
@@ -184,7 +178,7 @@ def _cut_at_limits(recording: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     Beyond it signals mean nothing, and joint angles may not exist.
     """
     lengths = (recording[name].values[:, None] for name in ("l_h", "l_f"))
-    beyond = ~within_reach(hand_path(recording), *lengths)
+    beyond = ~kinematics.within_reach(kinematics.hand_path(recording), *lengths)
     rate, limit_time = float(recording.attrs["rate"]), recording["limit_time"].values.astype(float)
     displacement = recording["displacement"].values.copy()
     left_out = []

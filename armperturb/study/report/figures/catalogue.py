@@ -95,9 +95,7 @@ def _of_people(study: StudyResult, effects: Effects) -> Drawings:
     trials = [trial for person in study.people for trial in person.trials]
     if np.isfinite([trial.vaf_linear for trial in trials]).any():
         drawn["vaf"] = partial(fit_figures.vaf, study)
-    p: dict[str, dict[str, float]] = {task: {} for task in CONDITIONS}
-    for (task, name), of_effect in effects.parameters.items():
-        p[task][name] = of_effect
+    p = {task: {name: p for (of, name), p in effects.parameters.items() if of == task} for task in CONDITIONS}
     for task in CONDITIONS:
         if parameter_figures.estimated(study, task):
             drawn[f"joint_parameters_{task}"] = partial(parameter_figures.joint_parameters, study, task, p[task])

@@ -15,15 +15,8 @@ from armperturb.arrays import Array
 from armperturb.plots.panels import AXES, FREQUENCY, admittance_panels, legend, plot_admittance
 from armperturb.plots.style import COLOURS, FITTED, INK, PUBLISHED, RECORDED, in_style, new_figure
 from armperturb.study.published import tables as published
+from armperturb.study.report.figures import bars
 from armperturb.study.report.figures.axes import plot_truth
-from armperturb.study.report.figures.bars import (
-    CONDITIONS,
-    MODEL_LOOKS,
-    Bar,
-    draw_groups,
-    model_handles,
-    printed_handles,
-)
 from armperturb.study.results.cases import Case
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import TrialMeasures
@@ -94,7 +87,7 @@ def vaf(study: StudyResult) -> Figure:
     As in the thesis's tables, trials count whose VAF is positive along both axes. The published values are those of the
     linear model: table E.5 in PT7.5, model 3 of table C.12 in the other position tasks, and table C.22 in RT.
     """
-    tasks = [task for task, conditions in CONDITIONS.items() if _trials(study, conditions)]
+    tasks = [task for task, conditions in bars.CONDITIONS.items() if _trials(study, conditions)]
     figure = new_figure(4.6)
     panels = figure.subplots(2, len(tasks), sharey=True, squeeze=False)
     drawn = []
@@ -102,23 +95,23 @@ def vaf(study: StudyResult) -> Figure:
         for axis, ax in enumerate(column):
             groups = {
                 condition: [
-                    Bar.of(
+                    bars.Bar.of(
                         _positive([getattr(trial, f"vaf_{model}") for trial in trials])[:, axis],
                         look["color"],
                         *([_printed_vaf(condition, axis)] if model == "linear" else []),
                     )
-                    for model, look in MODEL_LOOKS.items()
+                    for model, look in bars.MODEL_LOOKS.items()
                 ]
-                for condition in CONDITIONS[task]
+                for condition in bars.CONDITIONS[task]
                 if (trials := _trials(study, (condition,)))
             }
             drawn.append(groups)
-            draw_groups(ax, groups)
+            bars.draw_groups(ax, groups)
             ax.set(ylim=(0, 100), ylabel=f"VAF along {AXES[axis]} [%]" if task == tasks[0] else "")
     legend(
         figure,
-        *model_handles(),
-        *printed_handles(drawn, label="published mean ± SD, linear model"),
+        *bars.model_handles(),
+        *bars.printed_handles(drawn, label="published mean ± SD, linear model"),
     )
     return figure
 
@@ -159,11 +152,11 @@ def penalty(study: StudyResult) -> Figure:
     curve.axvline(0.0, color=INK, linewidth=0.8)
     curve.text(0.02, 3.0, "unstable")
     for ax in places:
-        for row, (task, conditions) in enumerate(CONDITIONS.items()):
+        for row, (task, conditions) in enumerate(bars.CONDITIONS.items()):
             estimates = [person.estimates[c] for person in study.people for c in conditions if c in person.estimates]
             poles = [fit.largest_real_pole for estimate in estimates for fit in estimate.fits]
             ax.plot(poles, np.full(len(poles), -row), "|", color=COLOURS[task], markersize=9, alpha=0.6, label=task)
-        ax.set_yticks((0, -1), CONDITIONS)
+        ax.set_yticks((0, -1), bars.CONDITIONS)
         ax.set(ylim=(-1.6, 0.6), xlabel="largest real part of a pole of arm and manipulator [1/s]", ylabel="fits")
         ax.grid(visible=False)
     return figure
