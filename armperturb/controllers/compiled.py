@@ -22,6 +22,19 @@ Memory = Any
 
 
 @njit(cache=True, inline="always", error_model="numpy")
+def bond_after(bond: float, survival: float, move: float, limit: float) -> float:
+    """Strain of a part's bonds after a step [rad]: some let go, the others are stretched, up to the elastic limit."""
+    return min(max(bond * survival + move, -limit), limit)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def thinned_torque(velocity: float, damping: float, thinning: float) -> float:
+    """What shear thinning takes from the torque of a linear damper [Nm]."""
+    thinned = abs(velocity) * thinning
+    return damping * velocity * (thinned / (1.0 + thinned))
+
+
+@njit(cache=True, inline="always", error_model="numpy")
 def law_torque(p: Lane, m: Memory, stretch: Array, velocity: Array, out: Array) -> None:
     """One step of the muscle law: the torque with which elements oppose stretch, beside the linear spring and damper.
 
@@ -48,13 +61,12 @@ def law_torque(p: Lane, m: Memory, stretch: Array, velocity: Array, out: Array) 
         total = 0.0
         for part in range(p.limit.shape[1]):
             limit = intact * (p.limit[element, part] + p.limit_slope[element, part] * speed)
-            bond = min(max(m.bond[element, part] * survival + intact * move, -limit), limit)
+            bond = bond_after(m.bond[element, part], survival, intact * move, limit)
             m.bond[element, part] = bond
             total += bond
         m.intact[element] = 1.0 - (1.0 - intact) * p.persistence[element]
-        thinned = speed * p.thinning[element]
         out[element] = total * p.part_stiffness[element]
-        out[element] -= p.damping_groups[element] * velocity[element] * (thinned / (1.0 + thinned))
+        out[element] -= thinned_torque(velocity[element], p.damping_groups[element], p.thinning[element])
 
 
 @njit(cache=True, inline="always", error_model="numpy")

@@ -12,9 +12,9 @@ import numpy as np
 from numba import njit
 
 from armperturb.arrays import Array, Indices
-from armperturb.controllers.compiled import Lane, Memory, act, delayed
+from armperturb.controllers.compiled import Lane, Memory, act, bond_after, delayed, thinned_torque
 from armperturb.controllers.lanes import Table
-from armperturb.planar_arm.lanes import GROUP, Start
+from armperturb.planar_arm.lanes import GROUP, PARTS, Start
 
 State = tuple[float, ...]
 
@@ -22,9 +22,14 @@ State = tuple[float, ...]
 PUSH, TORQUE = 8, 14
 (UPPER, LOWER, L_H, L_F, K_H, B_H, HAND_X, HAND_Y, INERTIA_S, INERTIA_E, COUPLING) = range(20, 31)
 (K_S, K_SE, K_E, B_S, B_SE, B_E, M_ENV, B_ENV, K_ENV) = range(31, 40)
-ROWS = 40
+V_BEFORE, LAW = 40, 42
+(STRETCH, VELOCITY, INTACT, LOSS, PERSISTENCE, STIFFNESS, DAMPING, THINNING, SHORT_RANGE, LAST, TAKEN) = range(11)
+BOND, LIMIT, LIMIT_SLOPE = range(11, 11 + 3 * PARTS, PARTS)
+ELEMENT = 11 + 3 * PARTS
+ROWS = LAW + 3 * ELEMENT
 """Rows of a group's numbers: state, force and torque at the start, middle and end of a step (x and y, or shoulder and
-elbow, of each), constants."""
+elbow, of each), constants, velocities of the step before; from `LAW` on those of the muscle law, for each element
+`ELEMENT` rows, which are numbered from its first."""
 
 PI_REMAINDER = 1.2246467991473532e-16
 """What pi has beyond its nearest number."""
@@ -144,6 +149,63 @@ def _advance(w: Array, timestep: float) -> None:
 
 
 @njit(cache=True, inline="always", error_model="numpy")
+def _yield(w: Array, timestep: float) -> None:
+    """Add to a group's torques what muscle laws take from springs and dampers over a step; `law_torque` of all lanes.
+
+    Parts are written out and an element's rows lie together, because only innermost loops are vectorised whose rows
+    have fixed distances.
+    """
+    both = LAW + ELEMENT
+    for i in range(GROUP):
+        for joint in range(2):
+            e = LAW + 2 * joint * ELEMENT
+            w[e + STRETCH, i] = w[Q_S + joint, i] + 0.5 * timestep * w[W_S + joint, i]
+            w[e + VELOCITY, i] = 1.5 * w[W_S + joint, i] - 0.5 * w[V_BEFORE + joint, i]
+            w[V_BEFORE + joint, i] = w[W_S + joint, i]
+        w[both + STRETCH, i] = w[LAW + STRETCH, i] + w[both + ELEMENT + STRETCH, i]
+        w[both + VELOCITY, i] = w[LAW + VELOCITY, i] + w[both + ELEMENT + VELOCITY, i]
+    for e in range(LAW, ROWS, ELEMENT):
+        for i in range(GROUP):
+            move, speed = w[e + STRETCH, i] - w[e + LAST, i], abs(w[e + VELOCITY, i])
+            w[e + LAST, i] = w[e + STRETCH, i]
+            survival = 1.0 / (1.0 + abs(move) * w[e + LOSS, i])
+            intact, total = w[e + INTACT, i] * survival, 0.0
+            w[e + INTACT, i] = 1.0 - (1.0 - intact) * w[e + PERSISTENCE, i]
+            move *= intact
+            limit = intact * (w[e + LIMIT + 0, i] + w[e + LIMIT_SLOPE + 0, i] * speed)
+            w[e + BOND + 0, i] = bond_after(w[e + BOND + 0, i], survival, move, limit)
+            total += w[e + BOND + 0, i]
+            limit = intact * (w[e + LIMIT + 1, i] + w[e + LIMIT_SLOPE + 1, i] * speed)
+            w[e + BOND + 1, i] = bond_after(w[e + BOND + 1, i], survival, move, limit)
+            total += w[e + BOND + 1, i]
+            limit = intact * (w[e + LIMIT + 2, i] + w[e + LIMIT_SLOPE + 2, i] * speed)
+            w[e + BOND + 2, i] = bond_after(w[e + BOND + 2, i], survival, move, limit)
+            total += w[e + BOND + 2, i]
+            limit = intact * (w[e + LIMIT + 3, i] + w[e + LIMIT_SLOPE + 3, i] * speed)
+            w[e + BOND + 3, i] = bond_after(w[e + BOND + 3, i], survival, move, limit)
+            total += w[e + BOND + 3, i]
+            limit = intact * (w[e + LIMIT + 4, i] + w[e + LIMIT_SLOPE + 4, i] * speed)
+            w[e + BOND + 4, i] = bond_after(w[e + BOND + 4, i], survival, move, limit)
+            total += w[e + BOND + 4, i]
+            limit = intact * (w[e + LIMIT + 5, i] + w[e + LIMIT_SLOPE + 5, i] * speed)
+            w[e + BOND + 5, i] = bond_after(w[e + BOND + 5, i], survival, move, limit)
+            total += w[e + BOND + 5, i]
+            limit = intact * (w[e + LIMIT + 6, i] + w[e + LIMIT_SLOPE + 6, i] * speed)
+            w[e + BOND + 6, i] = bond_after(w[e + BOND + 6, i], survival, move, limit)
+            total += w[e + BOND + 6, i]
+            limit = intact * (w[e + LIMIT + 7, i] + w[e + LIMIT_SLOPE + 7, i] * speed)
+            w[e + BOND + 7, i] = bond_after(w[e + BOND + 7, i], survival, move, limit)
+            total += w[e + BOND + 7, i]
+            thinned = thinned_torque(w[e + VELOCITY, i], w[e + DAMPING, i], w[e + THINNING, i])
+            w[e + TAKEN, i] = w[e + SHORT_RANGE, i] * w[e + STRETCH, i] - total * w[e + STIFFNESS, i] + thinned
+    for stage in range(3):
+        for joint in range(2):
+            for i in range(GROUP):
+                taken = w[LAW + 2 * joint * ELEMENT + TAKEN, i] + w[both + TAKEN, i]
+                w[TORQUE + 2 * stage + joint, i] += taken
+
+
+@njit(cache=True, inline="always", error_model="numpy")
 def _load(lanes: Table, start: Start, first: int, w: Array) -> None:
     """Put a group's states and constants where `_advance` wants them; the last group is filled with its last lane."""
     for i in range(GROUP):
@@ -160,11 +222,43 @@ def _load(lanes: Table, start: Start, first: int, w: Array) -> None:
         w[HAND_X, i] = p.l_h * math.cos(p.posture[0]) + p.l_f * math.cos(lower)
         w[HAND_Y, i] = p.l_h * math.sin(p.posture[0]) + p.l_f * math.sin(lower)
         w[: V_Y + 1, i] = start.state[lane]
+        w[V_BEFORE:, i] = 0.0
+        if p.grouped != 0.0:
+            m = start.memory[lane]
+            w[V_BEFORE, i], w[V_BEFORE + 1, i] = m.velocity[0, 0], m.velocity[0, 1]
+            for j in range(3):
+                e = LAW + j * ELEMENT
+                w[e + LAST, i], w[e + INTACT, i], w[e + LOSS, i] = m.stretch[j], m.intact[j], p.loss[j]
+                w[e + PERSISTENCE, i], w[e + STIFFNESS, i] = p.persistence[j], p.part_stiffness[j]
+                w[e + DAMPING, i], w[e + THINNING, i] = p.damping_groups[j], p.thinning[j]
+                w[e + SHORT_RANGE, i] = p.short_range[j]
+                for part in range(min(PARTS, p.limit.shape[1])):
+                    w[e + BOND + part, i], w[e + LIMIT + part, i] = m.bond[j, part], p.limit[j, part]
+                    w[e + LIMIT_SLOPE + part, i] = p.limit_slope[j, part]
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _store(lanes: Table, start: Start, first: int, w: Array) -> None:
+    """Put where a group ends into the start of what may follow."""
+    for i in range(min(GROUP, len(lanes) - first)):
+        start.state[first + i] = w[: V_Y + 1, i]
+        if lanes[first + i].grouped != 0.0:
+            m = start.memory[first + i]
+            m.velocity[0, 0], m.velocity[0, 1] = w[V_BEFORE, i], w[V_BEFORE + 1, i]
+            for j in range(3):
+                e = LAW + j * ELEMENT
+                m.stretch[j], m.intact[j] = w[e + LAST, i], w[e + INTACT, i]
+                for part in range(min(PARTS, m.bond.shape[1])):
+                    m.bond[j, part] = w[e + BOND + part, i]
 
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _act(p: Lane, m: Memory, w: Array, i: int, timestep: float, room: Array) -> None:
     """Put torques of muscles and reflexes into a lane's row; `room` is (8, 3) for intermediate results."""
+    for stage in range(6):
+        w[TORQUE + stage, i] = 0.0
+    if p.reflexive == 0.0 and p.lawful == 0.0 and p.commanded == 0.0:
+        return
     angle, velocity, held, sent = room[4], room[5], room[6], room[7]
     for joint in range(2):
         angle[joint], velocity[joint] = p.posture[joint] + w[Q_S + joint, i], w[W_S + joint, i]
@@ -210,18 +304,18 @@ def simulate_lanes(
         for step in range((n_samples[first : first + n].max() - 1) * decimation):
             for i in range(n):
                 _act(lanes[first + i], start.memory[first + i], w, i, timestep, room)
-                push = force[of_lane[first + i]]
+                trial = of_lane[first + i]
                 for stage in range(3):
                     for axis in range(2):
-                        w[PUSH + 2 * stage + axis, i] = push[2 * step + stage, axis]
+                        w[PUSH + 2 * stage + axis, i] = force[trial, 2 * step + stage, axis]
+            _yield(w, timestep)
             _advance(w, timestep)
             if (step + 1) % decimation == 0:
                 sample = (step + 1) // decimation
                 for i in range(n):
                     if sample < n_samples[first + i]:
                         displacement[first + i, sample, 0], displacement[first + i, sample, 1] = w[X, i], w[Y, i]
-        for i in range(n):
-            start.state[first + i] = w[: V_Y + 1, i]
+        _store(lanes, start, first, w)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -259,6 +353,6 @@ def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Ar
                 slip_x, slip_y = w[X, i] + w[HAND_X, i] - s_y, w[Y, i] + w[HAND_Y, i] + s_x
                 row[8] = p.k_h * slip_x + p.b_h * (w[V_X, i] - s_x * w[W_S, i] - e_x * w[W_E, i])
                 row[9] = p.k_h * slip_y + p.b_h * (w[V_Y, i] - s_y * w[W_S, i] - e_y * w[W_E, i])
+            _yield(w, timestep)
             _advance(w, timestep)
-        for i in range(n):
-            start.state[first + i] = w[: V_Y + 1, i]
+        _store(lanes, start, first, w)

@@ -13,6 +13,9 @@ from armperturb.subject import Subject
 GROUP = 8
 """Lanes that are simulated side by side, as the vector instructions of processors have it."""
 
+PARTS = 8
+"""Elasto-plastic parts that the muscle law of a group has room for; that of a person with more is computed alone."""
+
 _SEGMENTS = ("m_h", "m_f", "l_h", "l_f")
 
 
@@ -46,6 +49,8 @@ def at_rest(lanes: Table, timestep: float) -> Start:
 def lane_table(subjects: Sequence[Subject], environments: Sequence[Environment], timestep: float) -> Table:
     """One row per subject and environment, (lane,); names are those of `Subject`, `Environment`, and `control_columns`.
 
+    People whose muscle law is computed in groups are `grouped`; `controllers.compiled.act` finds no law of theirs.
+
     Args:
       subjects: one per lane.
       environments: what the hands hold, one per lane.
@@ -72,4 +77,8 @@ def lane_table(subjects: Sequence[Subject], environments: Sequence[Environment],
     # Springs that act before anything yields: those of the muscles, and the short-range stiffness of a muscle law.
     shoulder, two_joint, elbow = columns["short_range"].T
     columns["spring"] = columns["k"] + np.stack([shoulder + two_joint, two_joint, two_joint + elbow], axis=1)
+    # Force feedback needs the torque of the law at once.
+    grouped = (columns["parts"] <= PARTS) & (columns["remembering"] == 0.0)
+    columns["grouped"] = columns["lawful"] * grouped
+    columns["lawful"] = columns["lawful"] * ~grouped
     return table_of(columns)

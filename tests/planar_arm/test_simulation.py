@@ -40,6 +40,18 @@ def test_people_of_the_cohort_move_as_in_mujoco(task, rms):
         assert np.abs(moved - recorded).max() < share * np.abs(recorded).max()
 
 
+def test_law_of_a_group_is_that_of_each_arm():
+    people = [draw_person(n, 3).subjects[task] for n in range(5) for task in ("RT", "PT")]
+    disturbances = Disturbances(np.array([made.push(n, 3.0, duration=3.0) for n in range(len(people))]), made.RATE)
+    grouped = lane_table(people, [Environment()] * len(people), disturbances.timestep)
+    assert grouped["grouped"].all()
+    assert not grouped["lawful"].any()
+    alone = grouped.copy()
+    alone["lawful"], alone["grouped"] = 1.0, 0.0
+    together, each = (disturbances.responses(lanes, np.arange(len(people))) for lanes in (grouped, alone))
+    assert np.abs(together - each).max() < 1e-9 * np.abs(each).max()
+
+
 def test_every_mechanism_acts_as_in_mujoco():
     law = MuscleLaw(
         short_range_stiffness=(9.0, 6.0, 4.0),

@@ -197,9 +197,9 @@ class Search:
                 if cost < before:
                     break
             else:  # no part of the step lowers the cost
-                if step < STALLED_STEP:
-                    return CONVERGED
-                return "" if self._distance() else "no step raises the likelihood"
+                if self._distance():
+                    return ""
+                return CONVERGED if step < STALLED_STEP else "no step raises the likelihood"
             self._count(cost, part * step)
             self._at, predicted = replace(self._at, state=moved), answer
             self._keep()
