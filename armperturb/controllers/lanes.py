@@ -80,11 +80,8 @@ def control_columns(subjects: Sequence[Subject], timestep: float, n_parts: int =
     for lane, law in enumerate(laws):
         for element, spread in enumerate(law.of_elements("elastic_limit_spread")):
             shape[lane, element, : law.parts] = elastic_limit_shape(spread, law.parts)
-    cached: dict[tuple[float, float], tuple[Array, Array]] = {}
-    for subject in subjects:
-        for cutoff in (subject.fact_s, subject.fact_e):
-            key = cutoff, subject.zeta_act
-            cached.setdefault(key, activation_filter(*key, timestep))
+    kinds = {(cutoff, subject.zeta_act) for subject in subjects for cutoff in (subject.fact_s, subject.fact_e)}
+    cached = {kind: activation_filter(*kind, timestep) for kind in kinds}
     filters = np.array([[cached[cutoff, s.zeta_act] for cutoff in (s.fact_s, s.fact_e)] for s in subjects])
     triples = {name: np.array([subject.joint_triple(name) for subject in subjects]) for name in TRIPLES}
     parts = np.array([float(law.parts) for law in laws])

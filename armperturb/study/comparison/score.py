@@ -127,10 +127,6 @@ class Score(Result):
             ]
         )
 
-    def headlines_frame(self) -> pd.DataFrame:
-        """One row per number of the running text, beside ours."""
-        return pd.DataFrame([vars(line) for line in self.headlines])
-
     def plot(self, figure: "Figure | None" = None) -> Any:
         """Draw how far each cell is from the published one, in published SDs, one row per table.
 
@@ -304,7 +300,7 @@ def write_score(result: Score, folder: Path) -> Path:
     """
     folder.mkdir(parents=True, exist_ok=True)
     write_csv(result.to_frame(), folder / "score.csv")
-    write_csv(result.headlines_frame(), folder / "headlines.csv")
+    write_csv(map(vars, result.headlines), folder / "headlines.csv")
     with written_whole(folder / "score.txt") as temporary:
         temporary.write_text(result.summary() + "\n", encoding="utf-8")
     return folder / "score.csv"

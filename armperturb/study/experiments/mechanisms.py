@@ -23,7 +23,7 @@ from armperturb.analysis.response.spectra import estimate_spectra, line_spectra
 from armperturb.arrays import Array
 from armperturb.cohort import Person
 from armperturb.controllers.arm_control import stretched
-from armperturb.environment import TIMESTEP, Environment
+from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.files import packaged_table
@@ -197,7 +197,6 @@ def why_people_yield(
     *,
     seed: int = 0,
     n_multisines: int = 2,
-    timestep: float = TIMESTEP,
     engine: str = "compiled",
     **options: Any,
 ) -> Yielding:
@@ -208,7 +207,6 @@ def why_people_yield(
       environment: what the hand holds; the thesis's manipulator if not given.
       seed: of the multisines.
       n_multisines: realisations behind each admittance.
-      timestep: of the simulation [s].
       engine: see `run_experiment`.
       **options: further ones of `run_experiment`.
 
@@ -234,7 +232,7 @@ def why_people_yield(
         if not trials:
             return
         everything = [trial for own_trials in trials.values() for trial in own_trials]
-        recording = run_experiment(everything, environment, timestep=timestep, engine=engine, **options)
+        recording = run_experiment(everything, environment, engine=engine, **options)
         first = 0
         for (condition, subject), own_trials in trials.items():
             yield condition, subject, recording.isel(trial=slice(first, first + len(own_trials)))

@@ -13,7 +13,7 @@ from armperturb.files import write_csv, written_whole
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.progress import Progress
 from armperturb.study.comparison.effects import effects
-from armperturb.study.comparison.score import Score, score, write_score
+from armperturb.study.comparison.score import score, write_score
 from armperturb.study.experiments.mechanisms import Yielding, has_law, why_people_yield
 from armperturb.study.experiments.moving_shoulder import MovingShoulder, moving_shoulder
 from armperturb.study.recording.record import worker_count
@@ -30,8 +30,6 @@ from armperturb.workers import Workers, workers_for
 
 MOST_WORKERS = 8
 """Processes that drawing is shared between at most: each has to load what draws."""
-
-SCORE = "score"
 
 
 def write_report(
@@ -64,7 +62,11 @@ def write_report(
       RuntimeError: workers die again and again.
     """
     rows = write_tables(study, out / "tables")
-    tested, scored = effects(study), _score(study, out)
+    tested = effects(study)
+    # Without a condition of the published tables there is nothing to compare.
+    scored = score(study) if any(person.cells for person in study.people) else None
+    if scored is not None:
+        write_score(scored, out / "score")
     with workers_for(worker_count(workers, MOST_WORKERS), None) as pool:
         yielding, shoulder = _simulated(study, out, pool, show_progress) if simulate else (None, None)
         draws = {
@@ -94,15 +96,6 @@ def write_report(
     with written_whole(report) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return report
-
-
-def _score(study: StudyResult, out: Path) -> Score | None:
-    """Beside the published tables, written; None if no condition of theirs was recorded."""
-    if not any(person.cells for person in study.people):
-        return None
-    scored = score(study)
-    write_score(scored, out / SCORE)
-    return scored
 
 
 def _simulated(

@@ -14,7 +14,6 @@ from armperturb.study.comparison.headlines import Headline
 from armperturb.study.comparison.score import Score, missing_cells, shares
 from armperturb.study.experiments.mechanisms import PULSES, Yielding
 from armperturb.study.experiments.moving_shoulder import MovingShoulder
-from armperturb.study.protocol import Condition
 from armperturb.study.report.formats import WORDS, digits, fixed
 from armperturb.study.report.nonlinear_tables import SHOWN_MODELS, nonlinear_tables, words_of
 from armperturb.study.report.published_tables import published_tables
@@ -52,17 +51,24 @@ def sections(
       shoulder: what it does if the first person's shoulder moves; None of people who were not simulated.
       drawn: names of the figures that are there.
     """
+    conditions = study.protocol.conditions
+    # In which people shall move further, or less far, in the experiment than in practice.
+    drifting = [c for c in conditions if c.has_multisine and (c.reached != 1.0 or c.reached_spread)]
     contexts: dict[str, dict[str, Any]] = {
         "summary": {"rows": rows["summary"], **_summary(score)},
         "method": {},
-        "conditions": {"rows": rows["conditions"], "drifting": drifting(study)},
+        "conditions": {"rows": rows["conditions"], "drifting": drifting},
         "admittance": {"effects": effects},
         "fits": {"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study)},
         "parameters": {"rows": rows["parameters_summary"]},
         "left_out": {"lists": left_out(study, rows["fits"], study.remarks if score is None else score.remarks)},
     }
     if PULSES_DRAWN & set(drawn):
-        contexts["pulses"] = {"headlines": score and _of_pulses(score)}
+        contexts["pulses"] = {
+            # But for p values, which the statistics have.
+            "headlines": score
+            and [line for line in score.headlines if "pulse" in line.name and not line.name.startswith("p_")]
+        }
     if study.nonlinear:
         contexts["nonlinear"] = _nonlinear(study)
     if effects.rows or effects.admittance:
@@ -184,16 +190,6 @@ def _differs(score: Score, factors: list[Row]) -> list[str]:
     if lacking:
         lines.append(f"{lacking} of {len(score.cells)} cells could not be computed and count as not reproduced")
     return lines
-
-
-def _of_pulses(score: Score) -> list[Headline]:
-    """Numbers of the text on pulses, but for p values, which the statistics have."""
-    return [line for line in score.headlines if "pulse" in line.name and not line.name.startswith("p_")]
-
-
-def drifting(study: StudyResult) -> list[Condition]:
-    """Conditions in which people shall move further, or less far, in the experiment than in practice."""
-    return [c for c in study.protocol.conditions if c.has_multisine and (c.reached != 1.0 or c.reached_spread)]
 
 
 def left_out(study: StudyResult, fits: list[Row], remarks: Sequence[str]) -> dict[str, list[str]]:
