@@ -79,13 +79,7 @@ def fit_person(conditions: Mapping[str, ConditionTrials], settings: AnalysisSett
     first: dict[Key, thesis.ThesisEstimate] = {}
     starts: dict[str, thesis.ThesisEstimate] = {}
     try:
-        first = _fitted(
-            {
-                (condition, model): thesis.Wanted(trials, model, use_penalty=False)
-                for condition, trials in prepared.items()
-                for model in settings.structures
-            }
-        )
+        first = _fitted(_first_step(prepared, settings))
         if settings.starts_of in prepared:
             trials = prepared[settings.starts_of]
             starts = thesis.fit_starts(trials, thesis.THETA) | thesis.fit_starts(trials, thesis.VARTHETA)
@@ -105,13 +99,20 @@ def fit_together(conditions: Mapping[str, ConditionTrials], settings: AnalysisSe
     """
     multisines = _fittable(conditions, conditions, [])
     wanted = [thesis.Wanted(trials, structure_of(LINEAR_MODELS[trials.body.task])) for trials in multisines.values()]
-    for condition in FIRST_STEP.values():
-        if condition in multisines:
-            wanted += [thesis.Wanted(multisines[condition], model, use_penalty=False) for model in settings.structures]
+    wanted += _first_step(multisines, settings).values()
     if settings.starts_of in multisines:
         wanted += [thesis.Wanted(multisines[settings.starts_of], *start) for start in thesis.STARTS.values()]
     with suppress(ValueError):
         thesis.fit_wanted(wanted)
+
+
+def _first_step(multisines: Mapping[str, ConditionTrials], settings: AnalysisSettings) -> dict[Key, thesis.Wanted]:
+    return {
+        (condition, model): thesis.Wanted(multisines[condition], model, use_penalty=False)
+        for condition in FIRST_STEP.values()
+        if condition in multisines
+        for model in settings.structures
+    }
 
 
 def fit_second_step(conditions: Mapping[str, ConditionTrials], means: Mapping[Key, Mapping[str, float]]) -> SecondStep:
