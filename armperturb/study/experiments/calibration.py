@@ -292,16 +292,9 @@ def calibrate(
     start = np.array([np.log(u.start / u.typical) / np.log(u.factor) for u in sought])
     if search.residuals([start])[0] is None:
         raise RuntimeError(f"calibrate: the typical person in {task} is unstable or leaves the workspace")
+    ends: dict[str, Any] = {"ftol": TOLERANCE, "xtol": 1e-3, "gtol": None, "max_nfev": max_iterations}
     solution = optimize.least_squares(
-        search.residuals_at,
-        start,
-        jac=search.slopes,
-        bounds=(-WIDEST, WIDEST),
-        x_scale=1.0,
-        ftol=TOLERANCE,
-        xtol=1e-3,
-        gtol=None,
-        max_nfev=max_iterations,
+        search.residuals_at, start, jac=search.slopes, bounds=(-WIDEST, WIDEST), x_scale=1.0, **ends
     )
     values = search.values(solution.x)
     candidate = Candidate.of(task, values)

@@ -182,14 +182,16 @@ class _Study:
         paths, missing = find_recordings(root)
         made = _manifest(root, missing)
         environment = Environment()
-        cohort = _cohort(made, environment, missing)
+        cohort = made.draw_people(environment) if made else ()
+        if cohort is None:
+            missing.append("this version draws other people than those who were recorded: their truth is unknown")
+            cohort = ()
         if made and len(paths) < made.subjects:
             absent = sorted({person.name for person in cohort} - {path.stem for path in paths})
             named = f" ({', '.join(absent)})" if absent else ""
             lacking = made.subjects - len(paths)
-            missing.append(
-                f"the study is incomplete: {lacking} of {made.subjects} people have no whole recording{named}"
-            )
+            line = f"the study is incomplete: {lacking} of {made.subjects} people have no whole recording"
+            missing.append(line + named)
         study = cls(
             root=root,
             settings=settings,
@@ -244,16 +246,13 @@ class _Study:
         for task in TASKS[::-1]:
             for path, person in people.items():
                 identified = [case for case in person.cases if case.condition.task == task and case.identification]
+                starts = {case.condition.name: case.model for case in identified}
                 cached = CachedResult(
                     path=self._file(path, f"-nonlinear-{task}"),
                     kind="nonlinear",
                     result=NonlinearFit,
                     recordings={path.name: self.paths[path]},
-                    settings={
-                        "task": task,
-                        "fitted_deg": [],
-                        "starts_from": {case.condition.name: case.model for case in identified},
-                    },
+                    settings={"task": task, "fitted_deg": [], "starts_from": starts},
                 )
                 units.append(_NonlinearUnit(cached, path, task, person.cases))
         return units
@@ -304,14 +303,6 @@ def _manifest(root: Path, missing: list[str]) -> Manifest | None:
         if others:
             missing.append(f"the recordings were made with other versions: {'; '.join(others)}")
     return made
-
-
-def _cohort(made: Manifest | None, environment: Environment, missing: list[str]) -> tuple[Person, ...]:
-    """The people who were simulated, where that is known."""
-    people = made.draw_people(environment) if made else ()
-    if people is None:
-        missing.append("this version draws other people than those who were recorded: their truth is unknown")
-    return people or ()
 
 
 def _analyse(path: Path, protocol: Protocol, settings: AnalysisSettings) -> PersonResults:

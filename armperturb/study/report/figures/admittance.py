@@ -192,15 +192,9 @@ def _draw_coherence(column: NDArray[np.object_], cases: list[Case]) -> None:
     """The coherence of a condition's displacement along x, and along y below."""
     of_subjects = np.stack([np.mean([trial.coherence for trial in case.single_trials], axis=0) for case in cases])
     spread = of_subjects.std(axis=0, ddof=1) if len(of_subjects) > 1 else None
+    mean, frequency = of_subjects.mean(axis=0), cases[0].single_trials[0].frequency
+    look: dict[str, Any] = {"markersize": 3, "elinewidth": 0.9, "color": COLOURS[cases[0].condition.task]}
     for output, ax in enumerate(column):
-        ax.errorbar(
-            cases[0].single_trials[0].frequency,
-            of_subjects.mean(axis=0)[:, output],
-            None if spread is None else spread[:, output],
-            fmt="o-",
-            markersize=3,
-            elinewidth=0.9,
-            color=COLOURS[cases[0].condition.task],
-        )
+        ax.errorbar(frequency, mean[:, output], None if spread is None else spread[:, output], fmt="o-", **look)
         ax.axhline(0.5, color=GREY, linewidth=1, linestyle=":")
         ax.set(xscale="log", ylim=(0, 1.05))
