@@ -19,7 +19,7 @@ from armperturb.study.recording.manifest import Manifest, current_versions, read
 from armperturb.study.recording.record import record_study, worker_count
 from armperturb.study.recording.settings import BLOCK, StudySettings
 from armperturb.study.results.appendix_fits import Appendices, Key, SecondStep, fit_second_step, joined, means_of
-from armperturb.study.results.cache import ANALYSIS, CachedResult, StaleResult, Unit, computed, kept_or_computed
+from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit, computed, kept_or_computed, reusable
 from armperturb.study.results.cases import Case
 from armperturb.study.results.nonlinear_fits import NonlinearFit, fit_nonlinear
 from armperturb.study.results.person import PersonResults, analyse_person
@@ -334,14 +334,8 @@ def _nonlinear(
     fits, stale = dict[Path, NonlinearFit](), dict[Path, str]()
 
     def add(units: Sequence[_NonlinearUnit]) -> None:
-        available = dict[Path, NonlinearFit]()
-        for unit in units:
-            try:
-                fit = unit.cached.read()
-            except StaleResult as error:
-                stale[unit.cached.path], fit = str(error), None
-            if fit is not None:
-                available[unit.cached.path] = fit
+        available, reasons = reusable([unit.cached for unit in units])
+        stale.update(reasons)
         new = [unit for unit in units if unit.cached.path not in available and unit.task in tasks]
         if new:
             with Progress("nonlinear fits", total=len(new), unit="fits", show=show_progress) as bar:
