@@ -8,6 +8,10 @@ TIMESTEP = 2.5e-3
 """Step of simulations of arm and environment [s], by default; docs/physics.md has the error that it makes."""
 
 
+ENGINES = ("mujoco", "compiled")
+"""What integrates the equations of motion of the arm: MuJoCo, or `planar_arm`, which is some ten times faster."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Environment:
     """The manipulator as a linear, isotropic mass-spring-damper (thesis eq. 2.11).

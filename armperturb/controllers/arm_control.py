@@ -1,6 +1,7 @@
 """All that muscles and reflexes add to the springs and dampers of the model, once per step, for many arms at once."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -28,16 +29,23 @@ class ArmControl:
       timestep: of the simulation [s].
     """
 
-    def __init__(self, subjects: Sequence[Subject], timestep: float, n_history: int = 0) -> None:
+    def __init__(
+        self,
+        subjects: Sequence[Subject],
+        timestep: float,
+        n_history: int = 0,
+        columns: Callable[..., dict[str, Any]] = control_columns,
+    ) -> None:
         """Begin at rest.
 
         Args:
           subjects: the person in each trial.
           timestep: of the simulation [s].
           n_history: steps that reflexes remember, if more than these people need.
+          columns: makes the columns of the table of subjects, step and parts: those of `control_columns`, at least.
         """
-        self.timestep = timestep
-        self.table = table_of(control_columns(subjects, timestep))
+        self.timestep, self._columns = timestep, columns
+        self.table = table_of(columns(subjects, timestep))
         n_parts = self.table["limit"].shape[2]
         self.memory = control_memory(len(subjects), n_parts, max(n_history, history_of(self.table, timestep)))
 
@@ -90,7 +98,7 @@ class ArmControl:
           subjects: as many people, with delays that are no longer than what is remembered.
         """
         n_parts, n_history = self.table["limit"].shape[2], self.memory["sent"].shape[1]
-        columns = control_columns(subjects, self.timestep, n_parts)
+        columns = self._columns(subjects, self.timestep, n_parts)
         if columns["limit"].shape[2] > n_parts:
             self._widen(columns["limit"].shape[2])
         for name, values in columns.items():

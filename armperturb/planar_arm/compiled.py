@@ -212,7 +212,10 @@ def _load(lanes: Table, start: Start, first: int, w: Array) -> None:
         lane = min(first + i, len(lanes) - 1)
         p = lanes[lane]
         for j in range(3):
-            w[K_S + j, i], w[B_S + j, i] = p.spring[j], p.b[j]
+            w[K_S + j, i], w[B_S + j, i] = p.k[j] + p.short_range[1], p.b[j]
+        # Before anything yields, the short-range stiffness of a muscle law is a spring.
+        w[K_S, i] += p.short_range[0]
+        w[K_E, i] += p.short_range[2]
         lower = p.posture[0] + p.posture[1]
         w[UPPER, i], w[LOWER, i] = p.posture[0], lower
         w[L_H, i], w[L_F, i], w[K_H, i], w[B_H, i] = p.l_h, p.l_f, p.k_h, p.b_h
@@ -318,6 +321,19 @@ def simulate_lanes(
         _store(lanes, start, first, w)
 
 
+@njit(cache=True, inline="always", error_model="numpy")
+def _write(p: Lane, w: Array, i: int, row: Array) -> None:
+    """Velocities, displacement, joint angles and force on the hand of a lane, into a row of a log."""
+    for j in range(2):
+        row[2 + j], row[4 + j], row[6 + j] = w[W_S + j, i], w[X + j, i], p.posture[j] + w[Q_S + j, i]
+    upper, lower = w[UPPER, i] + w[Q_S, i], w[LOWER, i] + w[Q_S, i] + w[Q_E, i]
+    e_x, e_y = -p.l_f * math.sin(lower), p.l_f * math.cos(lower)
+    s_x, s_y = e_x - p.l_h * math.sin(upper), e_y + p.l_h * math.cos(upper)
+    slip_x, slip_y = w[X, i] + w[HAND_X, i] - s_y, w[Y, i] + w[HAND_Y, i] + s_x
+    row[8] = p.k_h * slip_x + p.b_h * (w[V_X, i] - s_x * w[W_S, i] - e_x * w[W_E, i])
+    row[9] = p.k_h * slip_y + p.b_h * (w[V_Y, i] - s_y * w[W_S, i] - e_y * w[W_E, i])
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Array) -> None:
     """All signals at the start of each step, as `envs.lab.stepping.advance` logs them of MuJoCo's arms.
@@ -329,7 +345,7 @@ def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Ar
         1, motor).
       timestep: of the simulation [s].
       log: reflexive excitation, joint velocity, displacement of the handle, joint angle, and force of the handle on the
-        hand, to fill, (lane, step, 10).
+        hand, to fill, (lane, step + 1, 10); the last row is that of the end of the last step.
     """
     w, room = np.zeros((ROWS, GROUP)), np.zeros((8, 3))
     for first in range(0, len(lanes), GROUP):
@@ -337,22 +353,17 @@ def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Ar
         _load(lanes, start, first, w)
         for step in range(log.shape[1]):
             for i in range(n):
-                p, m, row = lanes[first + i], start.memory[first + i], log[first + i, step]
-                _act(p, m, w, i, timestep, room)
-                for stage in range(3):
-                    for j in range(2):
+                _write(lanes[first + i], w, i, log[first + i, step])
+            if step == log.shape[1] - 1:
+                break
+            for i in range(n):
+                m = start.memory[first + i]
+                _act(lanes[first + i], m, w, i, timestep, room)
+                for j in range(2):
+                    log[first + i, step, j] = m.excitation[j]
+                    for stage in range(3):
                         w[TORQUE + 2 * stage + j, i] += known[first + i, 2 * step + stage, j]
                         w[PUSH + 2 * stage + j, i] = known[first + i, 2 * step + stage, 2 + j]
-                for j in range(2):
-                    row[j], row[2 + j], row[4 + j] = m.excitation[j], w[W_S + j, i], w[X + j, i]
-                    row[6 + j] = p.posture[j] + w[Q_S + j, i]
-                upper = w[UPPER, i] + w[Q_S, i]
-                lower = w[LOWER, i] + w[Q_S, i] + w[Q_E, i]
-                e_x, e_y = -p.l_f * math.sin(lower), p.l_f * math.cos(lower)
-                s_x, s_y = e_x - p.l_h * math.sin(upper), e_y + p.l_h * math.cos(upper)
-                slip_x, slip_y = w[X, i] + w[HAND_X, i] - s_y, w[Y, i] + w[HAND_Y, i] + s_x
-                row[8] = p.k_h * slip_x + p.b_h * (w[V_X, i] - s_x * w[W_S, i] - e_x * w[W_E, i])
-                row[9] = p.k_h * slip_y + p.b_h * (w[V_Y, i] - s_y * w[W_S, i] - e_y * w[W_E, i])
             _yield(w, timestep)
             _advance(w, timestep)
         _store(lanes, start, first, w)

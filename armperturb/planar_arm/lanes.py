@@ -1,7 +1,7 @@
 """People and what they hold as rows of a table that compiled code can read: one lane per person and trial."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -47,14 +47,22 @@ def at_rest(lanes: Table, timestep: float) -> Start:
 
 
 def lane_table(subjects: Sequence[Subject], environments: Sequence[Environment], timestep: float) -> Table:
-    """One row per subject and environment, (lane,); names are those of `Subject`, `Environment`, and `control_columns`.
+    """One row per subject and environment, (lane,); arguments and errors as in `lane_columns`."""
+    return table_of(lane_columns(subjects, timestep, environments=environments))
+
+
+def lane_columns(
+    subjects: Sequence[Subject], timestep: float, n_parts: int = 0, *, environments: Sequence[Environment]
+) -> dict[str, Any]:
+    """Name to values, (lane, ...); names are those of `Subject`, `Environment`, and `control_columns`.
 
     People whose muscle law is computed in groups are `grouped`; `controllers.compiled.act` finds no law of theirs.
 
     Args:
       subjects: one per lane.
-      environments: what the hands hold, one per lane.
       timestep: of the simulation [s].
+      n_parts: see `control_columns`.
+      environments: what the hands hold, one per lane, or one for all.
 
     Raises:
       ValueError: a delay is shorter than three steps.
@@ -68,17 +76,16 @@ def lane_table(subjects: Sequence[Subject], environments: Sequence[Environment],
     m_h, m_f, l_h, l_f = (np.array([getattr(subject, name) for subject in subjects]) for name in _SEGMENTS)
     # Of both segments about the shoulder, of the forearm about the elbow, and what couples them (point masses).
     inertia = m_h * l_h**2 / 4 + m_f * (l_h**2 + l_f**2 / 4), m_f * l_f**2 / 4, m_f * l_h * l_f / 2
+    if len(environments) == 1:
+        environments = [*environments] * len(subjects)
     columns = {
-        **control_columns(subjects, timestep),
+        **control_columns(subjects, timestep, n_parts),
         **{name: np.array([getattr(subject, name) for subject in subjects]) for name in ("l_h", "l_f", "k_h", "b_h")},
         "inertia": np.stack(inertia, axis=1),
         **{name: np.array([getattr(held, name) for held in environments]) for name in ("m_env", "b_env", "k_env")},
     }
-    # Springs that act before anything yields: those of the muscles, and the short-range stiffness of a muscle law.
-    shoulder, two_joint, elbow = columns["short_range"].T
-    columns["spring"] = columns["k"] + np.stack([shoulder + two_joint, two_joint, two_joint + elbow], axis=1)
     # Force feedback needs the torque of the law at once.
     grouped = (columns["parts"] <= PARTS) & (columns["remembering"] == 0.0)
     columns["grouped"] = columns["lawful"] * grouped
     columns["lawful"] = columns["lawful"] * ~grouped
-    return table_of(columns)
+    return columns

@@ -1,25 +1,38 @@
-"""Trials of MuJoCo's arms, each prepared, simulated and filtered by itself, in threads."""
+"""Trials of arms that move as they do, each prepared, simulated and filtered by itself, in threads."""
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import signal
 
 from armperturb.arrays import Array
+from armperturb.envs.lab.compiled_simulation import CompiledSimulation
 from armperturb.envs.lab.setup import Progress, Setup, Truth, in_threads
 from armperturb.envs.lab.simulation import Simulation, silent_simulator
 from armperturb.envs.lab.stepping import ANGLE, EXCITATION, FORCE, HANDLE, SHOULDER
 from armperturb.envs.lab.trial import Trial, known_ahead
+from armperturb.models.rig import AHEAD
+from armperturb.planar_arm.lanes import GROUP
 from armperturb.subject import Subject
 
 LEAP = 10.0
 """Displacement over the workspace limit [-] to which only an arm that diverges gets within a sample."""
 
+NOTHING = 1e-30
+"""Smaller values are rounded to zero: what dies away would end in denormal numbers, which are slow and pack badly."""
+
+
+def flushed(values: Array) -> Array:
+    """The same values, with zeros for those that are nothing."""
+    return np.where(np.abs(values) < NOTHING, 0.0, values)
+
 
 def simulate_multibody(
     trials: Sequence[Trial], subjects: Sequence[Subject], setup: Setup, n_threads: int, progress: Progress | None
 ) -> Truth:
-    """What MuJoCo's arms do.
+    """What arms do, by the engine of the setup.
 
     Args:
       trials: perturbation, noise and seed of each.
@@ -29,40 +42,52 @@ def simulate_multibody(
       progress: see `Progress`.
 
     Raises:
-      RuntimeError: MuJoCo could not integrate a trial that stayed inside the workspace.
+      RuntimeError: a trial that stayed inside the workspace could not be integrated.
     """
     n_samples, decimation, timestep, lowpass = setup.n_samples(trials), setup.decimation, setup.timestep, setup.lowpass
-    n_steps = n_samples * decimation
+    n_steps, compiled = n_samples * decimation, setup.engine == "compiled"
 
-    def run(i: int) -> tuple[Array, Array, float]:
-        known = known_ahead(trials[i], timestep, n_steps)
-        simulation = Simulation([subjects[i]], setup.environment, timestep=timestep, rope=setup.rope, strap=setup.strap)
-        simulation.start(np.zeros(1, dtype=int), known[None, :4])
-        simulation.advance(known[None, 4:])
-        [log] = simulation.log
-        reached = np.flatnonzero(np.abs(log[::decimation, HANDLE]).max(axis=1) >= setup.environment.workspace)
-        limit_time = reached[0] * decimation * timestep if len(reached) else np.nan
-        # MuJoCo resets a state that it cannot integrate; beyond the workspace limit nothing counts any more, but no arm
-        # gets far beyond it within a sample.
-        far = LEAP * setup.environment.workspace
-        if simulation.diverged[0] and not (len(reached) and np.abs(log[reached[0] * decimation, HANDLE]).max() < far):
+    def simulate(i: int, j: int) -> tuple[Array, Array, NDArray[np.bool_]]:
+        known = np.stack([known_ahead(trial, timestep, n_steps) for trial in trials[i:j]])
+        simulation = (
+            CompiledSimulation(subjects[i:j], setup.environment, timestep=timestep)
+            if compiled
+            else Simulation(subjects[i:j], setup.environment, timestep=timestep, rope=setup.rope, strap=setup.strap)
+        )
+        simulation.start(np.arange(j - i), known[:, : AHEAD + 1])
+        simulation.advance(known[:, AHEAD + 1 :])
+        return known[:, 1 : n_steps + 1, 2:], simulation.log[:, :-1], simulation.diverged
+
+    def read(i: int, push: Array, log: Array, diverged: bool) -> tuple[Array, Array, float]:
+        farthest = np.abs(log[::decimation, HANDLE]).max(axis=1)
+        reached = np.flatnonzero(~(farthest < setup.environment.workspace))
+        # Beyond the workspace limit nothing counts any more, but no arm gets far beyond it within a sample.
+        if diverged and not (len(reached) and farthest[reached[0]] < LEAP * setup.environment.workspace):
             raise RuntimeError(
                 f"trial {i} of subject {trials[i].subject.name!r} could not be integrated; expected finite motion (a "
                 "weaker perturbation or a smaller step)"
             )
-        push, signals = known[1 : n_steps + 1, 2:], log[:, HANDLE.start :]
+        signals = np.nan_to_num(log[:, HANDLE.start :]) if diverged else log[:, HANDLE.start :]
         if lowpass is not None:
             rest = np.zeros(log.shape[1])
             rest[ANGLE] = subjects[i].posture  # a filter starts at rest
             push = signal.sosfilt(lowpass, push, axis=0)
             signals = signal.sosfilt(lowpass, signals - rest[HANDLE.start :], axis=0) + rest[HANDLE.start :]
-        if progress is not None:
-            progress(n_steps * timestep)
         every = np.concatenate([log[:, : HANDLE.start], signals], axis=1)[::decimation]
-        return push[::decimation], every, limit_time
+        limit_time = reached[0] * decimation * timestep if len(reached) else np.nan
+        return flushed(push[::decimation]), flushed(every), limit_time
 
+    def run(block: int) -> list[tuple[Array, Array, float]]:
+        i, j = block * size, min((block + 1) * size, len(trials))
+        results = [read(i + k, *of_trial) for k, of_trial in enumerate(zip(*simulate(i, j), strict=True))]
+        if progress is not None:
+            progress((j - i) * n_steps * timestep)
+        return results
+
+    size = GROUP if compiled else 1
     with silent_simulator():
-        push, every, limit_time = zip(*in_threads(run, len(trials), n_threads), strict=True)
+        blocks = in_threads(run, -(-len(trials) // size), n_threads)
+        push, every, limit_time = zip(*itertools.chain.from_iterable(blocks), strict=True)
     log = np.stack(every)
     return Truth(
         perturbation=np.stack(push),

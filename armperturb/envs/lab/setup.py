@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 from armperturb.arrays import Array
-from armperturb.environment import TIMESTEP, Environment, Strap
+from armperturb.environment import ENGINES, TIMESTEP, Environment, Strap
 from armperturb.envs.lab.emg import Emg
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
-from armperturb.validation import require_number
+from armperturb.validation import require_number, require_one_of
 
 T = TypeVar("T")
 
@@ -32,6 +32,7 @@ class Setup:
     rate: float = 200.0
     rope: str = "ideal"
     strap: Strap | None = None
+    engine: str = "mujoco"
     linear: bool = False
     instruments: Instruments | None = None
 
@@ -50,6 +51,13 @@ class Setup:
             raise TypeError(f"{owner}: strap = {self.strap!r}; expected Strap or None")
         if self.linear and self.strap is not None:
             raise ValueError(f"{owner}: strap = {self.strap!r}; expected None, as the linear arm's shoulder is fixed")
+        require_one_of(owner, "engine", self.engine, ENGINES)
+        if self.engine == "compiled" and (self.rope != "ideal" or self.strap is not None):
+            name, value = ("rope", self.rope) if self.rope != "ideal" else ("strap", self.strap)
+            raise ValueError(
+                f"{owner}: {name} = {value!r} with engine = 'compiled'; expected engine = 'mujoco', as the compiled "
+                "arm has an ideal rope and a shoulder that is held in place"
+            )
 
     @property
     def decimation(self) -> int:

@@ -12,13 +12,12 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from armperturb.arrays import Array, Indices
 from armperturb.controllers.arm_control import ArmControl, Strength
 from armperturb.environment import Environment, Strap
 from armperturb.envs.lab.stepping import (
-    FORCE,
+    ANGLE,
     SHOULDER,
     advance,
     arm_table,
@@ -26,10 +25,8 @@ from armperturb.envs.lab.stepping import (
     set_muscles,
     step_address,
 )
-from armperturb.models.rig import JOINTS, REFLEXES, SLIDES, build_model, history_length, start_motors
+from armperturb.models.rig import REFLEXES, build_model, history_length, start_motors
 from armperturb.subject import RELAX, Subject
-
-DIVERGED = [int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL")]
 
 
 @functools.cache
@@ -88,7 +85,8 @@ class Simulation:
 
     Attributes:
       control: muscles and reflexes.
-      log: what was at the start of each of the last steps, (trial, step, column), see `stepping`.
+      log: what was at the start of each of the last steps, and is now, (trial, step + 1, column), see `stepping`.
+      diverged: whether MuJoCo has put a trial back because it could not integrate it, (trial,).
       timestep: of the simulation [s].
       n_history: past steps that the delays of reflexes can reach.
     """
@@ -119,11 +117,12 @@ class Simulation:
         self.n_history = max(n_history, *(history_length(subject, timestep) for subject in subjects))
         self.control = ArmControl(subjects, timestep, self.n_history)
         self.log = np.zeros((len(subjects), 1, SHOULDER.stop if strap is not None else SHOULDER.start))
+        self.log[:, 0, ANGLE] = self.control.table["posture"]
+        self.diverged = np.zeros(len(subjects), dtype=bool)
         self._laboratory = environment, timestep, rope, strap, self.n_history
         self._bodies = [body_of(subject) for subject in subjects]
         self._models = [copy.copy(self._model(body)) for body in self._bodies]
         self._datas = [mujoco.MjData(model) for model in self._models]
-        self._slides = slice(self._models[0].joint(SLIDES[0]).qposadr[0], None)
         self._arms = arm_table(self._models, self._datas)
         everybody = np.arange(len(subjects))
         self._set_muscles(everybody, *(np.array([s.muscle_groups(name) for s in subjects]) for name in ("k", "b")))
@@ -133,11 +132,6 @@ class Simulation:
 
     def _model(self, body: Subject) -> mujoco.MjModel:
         return _compiled(body, *self._laboratory)
-
-    @property
-    def diverged(self) -> NDArray[np.bool_]:
-        """Whether MuJoCo has put a trial back because it could not integrate it, (trial,)."""
-        return np.array([data.warning.number[DIVERGED].any() for data in self._datas])
 
     def start(self, trials: Indices, known: Array) -> None:
         """Tell what acts at the beginning.
@@ -158,8 +152,8 @@ class Simulation:
             on, (trial, step, motor).
         """
         n_steps = known.shape[1]
-        if self.log.shape[1] != n_steps:
-            self.log = np.zeros((len(known), n_steps, self.log.shape[2]))
+        if self.log.shape[1] != n_steps + 1:
+            self.log = np.zeros((len(known), n_steps + 1, self.log.shape[2]))
 
         def run(part: slice) -> None:
             advance(
@@ -170,29 +164,13 @@ class Simulation:
                 known[part],
                 self.timestep,
                 self.log[part],
+                self.diverged[part],
             )
 
         if self._pool is None:
             run(slice(None))
         else:
             list(self._pool.map(run, self._blocks))
-
-    def state(self) -> dict[str, Array]:
-        """What is now, (trial, 2) each.
-
-        Joint `angle` [rad] and `velocity` [rad/s], `displacement` of the handle [m], and `force` that it exerted on the
-        hand at the start of the last step [N].
-        """
-        hinge = self._arms["hinge"][0]
-        qpos = np.array([data.qpos for data in self._datas])
-        qvel = np.array([data.qvel for data in self._datas])
-        hinges = slice(hinge, hinge + len(JOINTS))
-        return {
-            "angle": qpos[:, hinges],
-            "velocity": qvel[:, hinges],
-            "displacement": qpos[:, self._slides],
-            "force": self.log[:, -1, FORCE].copy(),
-        }
 
     def set_strength(self, trials: Indices, strength: Strength) -> None:
         """Change muscles and reflexes of some trials.
@@ -230,6 +208,7 @@ class Simulation:
                 self._datas[trial] = mujoco.MjData(self._models[trial])
                 self._arms[trial] = arm_table([self._models[trial]], [self._datas[trial]])[0]
             mujoco.mj_resetData(self._models[trial], self._datas[trial])
-        self.log[trials] = 0.0
         self.control.replace(trials, subjects)
+        self.log[trials], self.diverged[trials] = 0.0, False
+        self.log[trials, -1, ANGLE] = self.control.table["posture"][trials]
         self._set_muscles(trials, *(np.array([s.muscle_groups(name) for s in subjects]) for name in ("k", "b")))

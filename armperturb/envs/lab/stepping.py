@@ -12,13 +12,18 @@ from llvmlite import ir
 from numba import carray, njit, types
 from numba.extending import intrinsic
 
-from armperturb.arrays import Array, Indices
+from armperturb.arrays import Array, Flags, Indices
 from armperturb.controllers.compiled import act
 from armperturb.controllers.lanes import Table
 from armperturb.models.rig import BIARTICULAR, JOINTS, REFLEXES, SLIDES, STRAIN_GAUGE
 
 ARRAYS = ("qpos", "qvel", "ctrl", "qfrc_applied", "sensordata")
 """Fields of `MjData` that the loop reads and writes."""
+
+DIVERGED = tuple(
+    int(getattr(mujoco.mjtWarning, f"mjWARN_{name}")) for name in ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL")
+)
+"""Warnings of MuJoCo that it could not integrate an arm; each has a pair of numbers, of which the second counts."""
 
 MUSCLES = ("jnt_stiffness", "dof_damping", "tendon_stiffness", "tendon_damping")
 """Fields of `MjModel` that springs and dampers of the muscles are in."""
@@ -53,6 +58,7 @@ def arm_table(models: Sequence[mujoco.MjModel], datas: Sequence[mujoco.MjData]) 
         "slide": [model.joint(SLIDES[0]).qposadr[0] for model in models],
         "two_joint": [model.tendon(BIARTICULAR).id for model in models],
         "motor": [model.actuator(REFLEXES[0]).id for model in models],
+        "warnings": [data.warning.number.ctypes.data for data in datas],
         "gauge": [model.sensor(STRAIN_GAUGE).adr[0] for model in models],
     }
     table = np.zeros(len(models), [(name, np.intp) for name in columns])
@@ -74,21 +80,26 @@ def _call_step(typing_context: Any, address: Any, model: Any, data: Any) -> Any:
     return types.void(types.intp, types.intp, types.intp), generate
 
 
-def _point(typing_context: Any, address: Any) -> Any:
-    """The address of an array of numbers as a pointer that `carray` takes."""
+def _pointer_to(kind: Any) -> Any:
+    """What makes an address a pointer to numbers of a kind, which `carray` takes."""
 
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
+    def point(typing_context: Any, address: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return builder.inttoptr(arguments[0], context.get_value_type(signature.return_type))
 
-    return types.CPointer(types.float64)(types.intp), generate
+        return types.CPointer(kind)(types.intp), generate
+
+    return intrinsic(point)
 
 
 _step: Any = intrinsic(_call_step)
-_numbers: Any = intrinsic(_point)
+_numbers, _counts = _pointer_to(types.float64), _pointer_to(types.int32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def advance(mj_step: int, arms: Table, table: Table, memory: Table, known: Array, timestep: float, log: Array) -> None:
+def advance(
+    mj_step: int, arms: Table, table: Table, memory: Table, known: Array, timestep: float, log: Array, diverged: Flags
+) -> None:
     """Some steps of all arms.
 
     Args:
@@ -98,7 +109,9 @@ def advance(mj_step: int, arms: Table, table: Table, memory: Table, known: Array
       memory: of theirs.
       known: what the motors of `KNOWN` do, `AHEAD` steps after the first step and on, (arm, step, motor).
       timestep: of the simulation [s].
-      log: state at the start of each step, to fill, (arm, step, column); its sensors describe it too.
+      log: state at the start of each step and at the end of the last, to fill, (arm, step + 1, column); the force is
+        that of the same moment, but at the end that of a step before, as MuJoCo's sensors have it.
+      diverged: whether MuJoCo has put an arm back because it could not integrate it, to fill, (arm,).
     """
     work, held, sent, angle, velocity = np.zeros((4, 3)), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
     for lane in range(len(arms)):
@@ -107,13 +120,16 @@ def advance(mj_step: int, arms: Table, table: Table, memory: Table, known: Array
         ctrl, applied = carray(_numbers(a.ctrl), (a.n_ctrl,)), carray(_numbers(a.qfrc_applied), (a.n_qfrc_applied,))
         sensors = carray(_numbers(a.sensordata), (a.n_sensordata,))
         p, m = table[lane], memory[lane]
-        for step in range(log.shape[1]):
+        for step in range(known.shape[1] + 1):
             row = log[lane, step]
             for i in range(2):
                 angle[i], velocity[i] = qpos[a.hinge + i], qvel[a.hinge + i]
                 row[2 + i], row[4 + i], row[6 + i] = velocity[i], qpos[a.slide + i], angle[i]
                 if log.shape[2] > 10:
                     row[10 + i] = qpos[i]
+            if step == known.shape[1]:
+                row[:2], row[8:10] = log[lane, step - 1, :2], log[lane, step - 1, 8:10]
+                break
             act(p, m, angle, velocity, timestep, work, held, sent)
             for i in range(2):
                 row[i] = m.excitation[i]
@@ -123,6 +139,10 @@ def advance(mj_step: int, arms: Table, table: Table, memory: Table, known: Array
             _step(mj_step, a.model, a.data)
             for i in range(2):
                 row[8 + i] = sensors[a.gauge + i]
+        counts = carray(_counts(a.warnings), (2 * max(DIVERGED) + 1,))
+        diverged[lane] = False
+        for warning in DIVERGED:
+            diverged[lane] |= counts[2 * warning] > 0
 
 
 @njit(cache=True, error_model="numpy")

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from armperturb.arrays import Array
 from armperturb.controllers.arm_control import ArmControl
-from armperturb.envs.lab.simulation import DIVERGED, body_of
+from armperturb.envs.lab.simulation import body_of
+from armperturb.envs.lab.stepping import DIVERGED
 from armperturb.envs.lab.trial import Trial
 from armperturb.envs.learning import participants
 from armperturb.envs.learning.dm import composer, mjcf, observable
@@ -188,12 +189,12 @@ class ArmPerturbTask(composer.Task):
 
     def after_substep(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
         """The person feels and sees what came of it."""
-        self._people.sense(self._angle, self._velocity, self._handle, self._force)
+        self._people.sense(self._angle[None], self._velocity[None], self._handle[None], self._force[None])
 
     def after_step(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
         """Judge what came of the decision."""
         self._tolerant.close()
-        diverged = (self._warnings[DIVERGED] > 0).any(keepdims=True)
+        diverged = (self._warnings[[*DIVERGED]] > 0).any(keepdims=True)
         rewards, terminated, truncated = self._people.judge(self._handle, diverged)
         self._reward, self._terminated, self._truncated = float(rewards[0]), bool(terminated[0]), bool(truncated[0])
 

@@ -10,15 +10,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from armperturb.arrays import Array, Indices
+from armperturb.arrays import Array, Flags, Indices
 from armperturb.envs.lab.trial import Trial
 from armperturb.envs.learning.gym_env import WATCHED, ArmPerturbEnv, checked_picture, live_view, spaces
 from armperturb.envs.learning.participants import own_action
 from armperturb.envs.learning.session import Session
 from armperturb.envs.learning.task import task_settings
 from armperturb.validation import require_number, require_one_of, require_whole
-
-Flags = NDArray[np.bool_]
 
 
 class ArmPerturbVectorEnv(VectorEnv):

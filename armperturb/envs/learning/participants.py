@@ -203,12 +203,13 @@ class Participants:
         if settings.torque:
             self._command = actions[:, column:] * settings.highest_torque
             self.control.table["commanded"], self.control.memory["command"] = 1.0, self._command
+        self._within = 0
         changed = np.flatnonzero((self.levels != before).any(axis=(1, 2)))
+        if not len(changed):
+            return changed, {}
         ends = self._relaxed, self._position
         relaxed, position = ({name: values[changed] for name, values in end.items()} for end in ends)
-        strength = strength_between(relaxed, position, self.levels[changed])
-        self._within = 0
-        return changed, strength
+        return changed, strength_between(relaxed, position, self.levels[changed])
 
     def known(self, people: Indices, first: int, n_samples: int) -> Array:
         """Torque on the joints [Nm] and force on the handle [N] that are known ahead, (person, sample, motor).
@@ -258,11 +259,19 @@ class Participants:
         return held, np.concatenate([sent, self.known(self.everybody, START + self._within, 1)[:, 0]], axis=1)
 
     def sense(self, angle: Array, velocity: Array, handle: Array, force: Array) -> None:
-        """Take in what the step led to; arguments as the attributes of `Simulation`, (person, 2) each."""
-        self._newest = (self._newest + 1) % len(self._senses)
-        row = self._senses[self._newest]
-        row[:, 0:2], row[:, 2:4], row[:, 4:6], row[:, 6:8] = angle, velocity, force, handle
-        self._within += 1
+        """Take in what steps led to.
+
+        Args:
+          angle: of the joints after each [rad], (person, step, joint).
+          velocity: of the joints [rad/s], likewise.
+          handle: displacement of the handle [m], (person, step, axis).
+          force: that it exerted on the hand at the start of each [N], likewise.
+        """
+        n_steps = angle.shape[1]
+        rows = (self._newest + 1 + np.arange(n_steps)) % len(self._senses)
+        self._senses[rows] = np.concatenate([angle, velocity, force, handle], axis=2).swapaxes(0, 1)
+        self._newest = int(rows[-1])
+        self._within += n_steps
 
     def observe(self) -> NDArray[np.float32]:
         """What everybody senses now, late and within bounds, (person, sense) as in `SENSES`."""

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armperturb.arrays import Array, Indices
+from armperturb.envs.lab.compiled_simulation import CompiledSimulation
 from armperturb.envs.lab.simulation import Simulation, silent_simulator
 from armperturb.envs.lab.stepping import ANGLE, FORCE, HANDLE, VELOCITY
 from armperturb.envs.lab.trial import Trial
@@ -25,7 +26,8 @@ class Session:
           n: how many people.
           n_threads: of the simulation; 0 takes all cores.
         """
-        self.simulation = Simulation(
+        engine = CompiledSimulation if settings.engine == "compiled" else Simulation
+        self.simulation: Simulation | CompiledSimulation = engine(
             [settings.subject] * n,
             settings.environment,
             timestep=settings.timestep,
@@ -65,13 +67,11 @@ class Session:
             simulation.set_strength(changed, strength)
         with silent_simulator():
             simulation.advance(people.known(people.everybody, START, people.settings.steps_per_decision))
-        state, log = simulation.state(), simulation.log
-        for step in range(1, log.shape[1]):
-            now = log[:, step]
-            people.sense(now[:, ANGLE], now[:, VELOCITY], now[:, HANDLE], log[:, step - 1, FORCE])
-        people.sense(state["angle"], state["velocity"], state["displacement"], state["force"])
-        diverged = self._diverged = simulation.diverged
-        verdict = people.judge(state["displacement"], diverged)
+        log = simulation.log
+        after = log[:, 1:]
+        people.sense(after[..., ANGLE], after[..., VELOCITY], after[..., HANDLE], log[:, :-1, FORCE])
+        diverged = self._diverged = simulation.diverged.copy()
+        verdict = people.judge(log[:, -1, HANDLE], diverged)
         if diverged.any():
             # MuJoCo has put them back; what is left in their muscles and senses may be infinite.
             lost = np.flatnonzero(diverged)
@@ -86,14 +86,14 @@ class Session:
         level of `co_contraction` that the muscle groups have reached [-]; whether MuJoCo has put a trial back that had
         `diverged`, as it could not integrate it.
         """
-        people, state = self.people, self.simulation.state()
+        people, now = self.people, self.simulation.log[:, -1]
         return {
             "time": people.step * people.settings.timestep,
             "perturbation": people.perturbation(),
-            "displacement": state["displacement"],
-            "joint_angle": state["angle"],
-            "joint_velocity": state["velocity"],
-            "force": state["force"],
+            "displacement": now[:, HANDLE].copy(),
+            "joint_angle": now[:, ANGLE].copy(),
+            "joint_velocity": now[:, VELOCITY].copy(),
+            "force": now[:, FORCE].copy(),
             "co_contraction": people.reached.copy(),
             "diverged": self._diverged.copy(),
         }

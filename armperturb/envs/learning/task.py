@@ -11,7 +11,7 @@ import numpy as np
 from armperturb.analysis.arm.state_space import require_stable
 from armperturb.cohort import Person, average_person
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import TIMESTEP, Environment
+from armperturb.environment import ENGINES, TIMESTEP, Environment
 from armperturb.envs.lab.trial import Trial, require_integrable
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, Sampled, check_bandwidth
 from armperturb.perturbations.multisine import PERIOD
@@ -56,6 +56,8 @@ class TaskSettings:
       duration: of a trial [s]; it is truncated then.
       control_rate: decisions per second [Hz].
       timestep: of the simulation [s].
+      engine: "mujoco", or "compiled": the same arm by compiled equations of motion, some ten times faster; dm_control
+        always has MuJoCo.
       environment: what the hand holds.
       co_contraction: "groups", "common" or "off", see `CO_CONTRACTION`.
       reflexes: whether the agent sets reflex gains.
@@ -90,6 +92,7 @@ class TaskSettings:
     duration: float = 10.0
     control_rate: float = 50.0
     timestep: float = TIMESTEP
+    engine: str = "mujoco"
     environment: Environment = field(default_factory=Environment)
     co_contraction: str = "groups"
     reflexes: bool = True
@@ -109,6 +112,7 @@ class TaskSettings:
         owner = "TaskSettings"
         require_one_of(owner, "task", self.task, TASKS)
         require_one_of(owner, "perturbation", self.perturbation, PERTURBATIONS)
+        require_one_of(owner, "engine", self.engine, ENGINES)
         require_one_of(owner, "co_contraction", self.co_contraction, CO_CONTRACTION)
         if isinstance(self.person, Person):
             missing = [task for task in TASKS if task not in self.person.subjects]

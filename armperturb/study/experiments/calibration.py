@@ -100,6 +100,7 @@ def simulated_cells(
     noisy: bool = True,
     environment: Environment | None = None,
     timestep: float = TIMESTEP,
+    engine: str = "compiled",
     **options: Any,
 ) -> list[dict[Cell, float] | None]:
     """Cells of several candidates of one task, side by side and under the same multisines.
@@ -110,6 +111,7 @@ def simulated_cells(
       noisy: whether they are noisy, as people are, but with the same muscles in every trial.
       environment: what the hand holds; the thesis's manipulator if not given.
       timestep: of the simulation [s].
+      engine: see `run_experiment`.
       **options: further ones of `run_experiment`.
 
     Returns:
@@ -132,7 +134,7 @@ def simulated_cells(
                 for person in people
             ]
             everything = [trial for of_person in trials for trial in of_person]
-            recording = run_experiment(everything, environment, timestep=timestep, **options)
+            recording = run_experiment(everything, environment, timestep=timestep, engine=engine, **options)
             n_own = len(trials[0])
             for place, number in enumerate(able):
                 cells_of[number].update(measured_cells(recording.isel(trial=slice(place * n_own, (place + 1) * n_own))))

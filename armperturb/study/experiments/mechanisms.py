@@ -197,6 +197,7 @@ def why_people_yield(
     *,
     seed: int = 0,
     n_multisines: int = 2,
+    engine: str = "compiled",
     **options: Any,
 ) -> Yielding:
     """Perturb a person with and without each mechanism, side by side.
@@ -206,6 +207,7 @@ def why_people_yield(
       environment: what the hand holds; the thesis's manipulator if not given.
       seed: of the multisines.
       n_multisines: realisations behind each admittance.
+      engine: see `run_experiment`.
       **options: further ones of `run_experiment`.
 
     Raises:
@@ -230,7 +232,7 @@ def why_people_yield(
         if not trials:
             return
         everything = [trial for own_trials in trials.values() for trial in own_trials]
-        recording = run_experiment(everything, environment, **options)
+        recording = run_experiment(everything, environment, engine=engine, **options)
         first = 0
         for (condition, subject), own_trials in trials.items():
             yield condition, subject, recording.isel(trial=slice(first, first + len(own_trials)))

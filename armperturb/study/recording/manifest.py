@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from armperturb.cohort import MUSCLES, Person, draw_cohort
-from armperturb.environment import Environment
+from armperturb.environment import ENGINES, Environment
 from armperturb.study.protocol import Protocol
 from armperturb.study.recording.folder import MANIFEST
 from armperturb.study.recording.settings import StudySettings
@@ -30,6 +30,7 @@ class Manifest:
       ideal: whether people and instruments are free of noise.
       muscles: "nonlinear" or "linear" people.
       timestep: of the simulation [s].
+      engine: what simulated the recordings, "mujoco" or "compiled".
       people: digest of the people: another calibration, or other spreads, make other people of the same seed.
       protocol: what everyone went through.
     """
@@ -40,13 +41,16 @@ class Manifest:
     ideal: bool
     muscles: str
     timestep: float
+    engine: str
     people: str
     protocol: Protocol
 
     @classmethod
     def of(cls, people: Sequence[Person], protocol: Protocol, settings: StudySettings) -> Self:
         """That of a study which begins now."""
-        given: dict[str, Any] = {name: getattr(settings, name) for name in ("seed", "ideal", "muscles", "timestep")}
+        given: dict[str, Any] = {
+            name: getattr(settings, name) for name in ("seed", "ideal", "muscles", "timestep", "engine")
+        }
         given |= {"versions": current_versions(), "people": _digest(people)}
         return cls(subjects=len(people), protocol=protocol, **given)
 
@@ -62,7 +66,7 @@ class Manifest:
           ValueError: a value is missing or makes no sense.
         """
         try:
-            values = {"timestep": UNSAID_TIMESTEP, **values}
+            values = {"timestep": UNSAID_TIMESTEP, "engine": ENGINES[0], **values}
             given = {field.name: values[field.name] for field in fields(cls)}
             if not isinstance(given["protocol"], Mapping) or not isinstance(given["versions"], Mapping):
                 raise ValueError(f"{source}: protocol or versions is no table; expected what a run wrote")
@@ -70,6 +74,7 @@ class Manifest:
             made = cls(**{**given, "protocol": protocol})
             require_ranges(source, made)
             require_one_of(source, "muscles", made.muscles, MUSCLES)
+            require_one_of(source, "engine", made.engine, ENGINES)
             return made
         except KeyError as error:
             raise ValueError(f"{source}: no {error.args[0]!r}; expected what a run of this version writes") from None

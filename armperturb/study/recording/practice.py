@@ -117,6 +117,7 @@ def practise(
             measured_displacement,
             environment=environment,
             strap=protocol.strap,
+            engine="mujoco" if protocol.strap else "compiled",
             timestep=timestep,
             n_threads=n_threads,
             progress=progress,

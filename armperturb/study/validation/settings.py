@@ -7,6 +7,7 @@ from typing import Literal, get_args
 from armperturb.analysis.defaults import Estimator
 from armperturb.analysis.fit.structures import STRUCTURES, Structure, at_truth, true_values, unit
 from armperturb.analysis.fit.thesis import MODEL_3_WIDE
+from armperturb.environment import ENGINES
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import require_one_of, require_ranges
 
@@ -57,7 +58,9 @@ class ValidateSettings:
     """Deliberate error of the structure: a delay that is 10 ms too long, no force feedback although the person has it,
     or a grip that is too soft."""
     multibody: bool = False
-    """Perturb MuJoCo's arm, which moves in a circle, and not the linear one, for which the structure is exact."""
+    """Perturb the arm that moves in a circle, and not the linear one, for which the structure is exact."""
+    engine: Literal["mujoco", "compiled"] = "compiled"
+    """What simulates the arm that moves in a circle; see `study`."""
     seed: int = 0
     """Seed of everything random."""
 
@@ -71,6 +74,7 @@ class ValidateSettings:
             if name not in ESTIMATORS:
                 raise ValueError(f"validate: estimators = {name!r}; expected some of {', '.join(ESTIMATORS)}")
         require_one_of("validate", "wrong", self.wrong, get_args(Wrong))
+        require_one_of("validate", "engine", self.engine, ENGINES)
 
     def truth(self) -> Subject:
         """Who is perturbed.

@@ -217,6 +217,7 @@ def simulate_group(settings: ValidateSettings, number: int) -> xr.Dataset:
     return run_experiment(
         [_trial(settings, truth, number, trial) for trial in range(settings.trials)],
         linear=not settings.multibody,
+        engine=settings.engine,
         instruments=Instruments(marker_noise=None, emg=None),
         n_threads=1,
     )

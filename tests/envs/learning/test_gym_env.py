@@ -94,6 +94,27 @@ def test_a_seed_gives_a_path_and_the_next_trial_is_another(name):
     assert not same(first, following)
 
 
+def test_the_compiled_engine_moves_people_as_mujoco_does():
+    """In vectors, with all that an agent may set; and each person moves as alone."""
+    paths = {}
+    for engine in ("mujoco", "compiled"):
+        envs = vectorised(3, "ArmPerturb/Pulse-v0", engine=engine, **SHORT)
+        first, _ = envs.reset(seed=7)
+        envs.action_space.seed(7)
+        paths[engine] = [first, *(envs.step(envs.action_space.sample())[0] for _ in range(30))]
+    ours, mujocos = (np.array(paths[engine]) for engine in ("compiled", "mujoco"))
+    spread = mujocos.std(axis=(0, 1))
+    assert (np.abs(ours - mujocos).max(axis=(0, 1)) < 2e-3 * spread).all()
+    assert (spread > 0).all()
+    alone = made("ArmPerturb/Pulse-v0", engine="compiled", **SHORT)
+    alone.reset(seed=8)
+    envs = vectorised(3, "ArmPerturb/Pulse-v0", engine="compiled", **SHORT)
+    envs.reset(seed=7)
+    for _ in range(20):
+        together = envs.step(np.tile(alone.own_action, (3, 1)))[0]
+        np.testing.assert_array_equal(alone.step(alone.own_action)[0], together[1])
+
+
 def digest():
     env = made("ArmPerturb/Pulse-v0", **SHORT)
     rows = [column for _ in range(2) for column in path(env, 30, seed=11)]
