@@ -120,12 +120,8 @@ def _sidecar(recording: xr.Dataset, channels: Mapping[str, tuple[str, ...]]) -> 
     signals["force"]["exerted_by"] = "handle"
     if "emg" in signals:
         signals["emg"]["rate"] = float(recording.attrs["emg_rate"])
-    return {
-        "rate": float(recording.attrs["rate"]),
-        "axes": {"x": "right", "y": "forward"},
-        "signals": signals,
-        "labels": {},
-    }
+    rate, axes = float(recording.attrs["rate"]), {"x": "right", "y": "forward"}
+    return {"rate": rate, "axes": axes, "signals": signals, "labels": {}}
 
 
 def _labels(recording: xr.Dataset) -> dict[str, Array]:
