@@ -34,7 +34,7 @@ def thinned_torque(velocity: float, damping: float, thinning: float) -> float:
     return damping * velocity * (thinned / (1.0 + thinned))
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def law_torque(p: Lane, m: Memory, stretch: Array, velocity: Array, out: Array) -> None:
     """One step of the muscle law: the torque with which elements oppose stretch, beside the linear spring and damper.
 
@@ -69,7 +69,7 @@ def law_torque(p: Lane, m: Memory, stretch: Array, velocity: Array, out: Array) 
         out[element] -= thinned_torque(velocity[element], p.damping_groups[element], p.thinning[element])
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def spindle_velocity(velocity: float, saturation: float, direction: float) -> float:
     """Velocity that linear spindles would have to see to fire as these do [rad/s].
 
@@ -84,7 +84,7 @@ def spindle_velocity(velocity: float, saturation: float, direction: float) -> fl
     return answered
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def spindle_excitation(p: Lane, q_s: float, q_e: float, w_s: float, w_e: float, out: Array) -> None:
     """Reflexive excitation u_r of both joints by the spindles [Nm], (joint,) (eq. 2.8).
 
@@ -111,7 +111,7 @@ def spindle_excitation(p: Lane, q_s: float, q_e: float, w_s: float, w_e: float, 
             out[1] += missing
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def delayed(sent: Array, joint: int, newest: int, back: float) -> float:
     """What was sent some steps before the newest sample of a ring: the cubic of MuJoCo's delayed motors.
 
@@ -134,7 +134,7 @@ def delayed(sent: Array, joint: int, newest: int, back: float) -> float:
     return older + t * (first + t * (3.0 * rise - 2.0 * first - last + t * (first + last - 2.0 * rise)))
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def _add_memory_reflexes(p: Lane, m: Memory, q: Array, w: Array, muscle: Array, timestep: float) -> None:
     """Add Ka q'' + Kf tau to the excitation (the law of `analysis.arm.linear_arm`).
 
@@ -159,7 +159,7 @@ def _add_memory_reflexes(p: Lane, m: Memory, q: Array, w: Array, muscle: Array, 
             m.excitation[joint] += p.ka[joint + other] * acceleration + p.kf[joint + other] * muscle[other]
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def activated(p: Lane, filters: Array, joint: int, excitation: float) -> float:
     """One step of a joint's activation filter: the active torque [Nm] (eq. B.19 as a transposed direct form II).
 
@@ -175,7 +175,7 @@ def activated(p: Lane, filters: Array, joint: int, excitation: float) -> float:
     return active
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def act(
     p: Lane, m: Memory, angle: Array, velocity: Array, timestep: float, work: Array, held: Array, sent: Array
 ) -> None:

@@ -205,7 +205,7 @@ def _yield(w: Array, timestep: float) -> None:
                 w[TORQUE + 2 * stage + joint, i] += taken
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def _load(lanes: Table, start: Start, first: int, w: Array) -> None:
     """Put a group's states and constants where `_advance` wants them; the last group is filled with its last lane."""
     for i in range(GROUP):
@@ -240,7 +240,7 @@ def _load(lanes: Table, start: Start, first: int, w: Array) -> None:
                     w[e + LIMIT_SLOPE + part, i] = p.limit_slope[j, part]
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def _store(lanes: Table, start: Start, first: int, w: Array) -> None:
     """Put where a group ends into the start of what may follow."""
     for i in range(min(GROUP, len(lanes) - first)):
@@ -255,7 +255,7 @@ def _store(lanes: Table, start: Start, first: int, w: Array) -> None:
                     m.bond[j, part] = w[e + BOND + part, i]
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def _act(p: Lane, m: Memory, w: Array, i: int, timestep: float, room: Array) -> None:
     """Put torques of muscles and reflexes into a lane's row; `room` is (8, 3) for intermediate results."""
     for stage in range(6):
@@ -321,7 +321,7 @@ def simulate_lanes(
         _store(lanes, start, first, w)
 
 
-@njit(cache=True, forceinline=True, error_model="numpy")
+@njit(cache=True, inline="always", error_model="numpy")
 def _write(p: Lane, w: Array, i: int, row: Array) -> None:
     """Velocities, displacement, joint angles and force on the hand of a lane, into a row of a log."""
     for j in range(2):
