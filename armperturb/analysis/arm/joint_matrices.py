@@ -30,9 +30,7 @@ class Environments(NamedTuple):
     @classmethod
     def of(cls, environments: Sequence[Environment]) -> Self:
         """The environment of each hand."""
-        return cls(
-            *np.array([(environment.m_env, environment.b_env, environment.k_env) for environment in environments]).T
-        )
+        return cls(*np.array([(each.m_env, each.b_env, each.k_env) for each in environments]).T)
 
     def take(self, index: NDArray[np.int64]) -> Self:
         """Some of them, in this order."""

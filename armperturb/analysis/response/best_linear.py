@@ -228,14 +228,12 @@ def best_linear(
     windows = [trials.windows(group) for group in trials.groups]
     response = frequency_response(fits, "arm", [(fit.excited_noise, fit.excited_dof) for fit in fits])
     around, own_fits = _own_forces(windows, fits, response, order)
-    quiet = [
-        [_own_force(window.only(~window.excited), of_arm) for window in near]
-        for near, of_arm in zip(windows, around, strict=True)
-    ]
-    noises = [
-        [_own_force(piece, of_arm) for piece in _near(contrasts, near[0].frequency)]
-        for near, of_arm in zip(windows, around, strict=True)
-    ]
+
+    def own_forces(clusters: list[list[Window]]) -> list[list[Window]]:
+        return [[_own_force(each, of_arm) for each in near] for near, of_arm in zip(clusters, around, strict=True)]
+
+    quiet = own_forces([[window.only(~window.excited) for window in near] for near in windows])
+    noises = own_forces([_near(contrasts, near[0].frequency) for near in windows])
     uneven = _unevenness(n_periods)
     share = float(np.mean([trial.share for trial in trials.trials]))
     # From |Z|^2 over the number of samples to the mean square of a sine wave.
