@@ -1,37 +1,18 @@
-"""Runs the benchmarks that take minutes; `distortion` and `design` take an hour each, and are run by themselves."""
+"""Runs the benchmarks: the table of simulations in some three minutes, or with `--full` all but the longest.
 
-from benchmarks import (
-    batch_overhead,
-    estimators,
-    frequency_response,
-    multisine_crest,
-    muscle_law,
-    nonlinear,
-    nonparametric,
-    study_kills,
-    study_report,
-    study_speed,
-    sysid,
-    thesis_fit,
-    thesis_sem,
-    vector_env,
+`distortion` and `design` take an hour each, and are run by themselves.
+"""
+
+import importlib
+import sys
+
+SHORT = ("simulation", "vector_env", "study_speed")
+FULL = (
+    *SHORT,
+    *("muscle_law", "multisine_crest", "thesis_fit", "thesis_sem", "estimators", "nonparametric", "frequency_response"),
+    *("sysid", "study_report", "study_kills", "nonlinear"),
 )
 
-for module in (
-    batch_overhead,
-    muscle_law,
-    vector_env,
-    multisine_crest,
-    thesis_fit,
-    thesis_sem,
-    estimators,
-    nonparametric,
-    frequency_response,
-    sysid,
-    study_speed,
-    study_report,
-    study_kills,
-    nonlinear,
-):
-    print(f"== {module.__name__}")
-    module.main()
+for name in FULL if "--full" in sys.argv[1:] else SHORT:
+    print(f"== {name}", flush=True)
+    importlib.import_module(f"benchmarks.{name}").main()

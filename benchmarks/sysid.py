@@ -170,8 +170,8 @@ def sysid_fit(data: Data, start: Array, sysid: Any, **options: Any) -> Found:
     spec = handle_spec(data.subject)
     model = spec.compile()
     every, force = stepwise(data)
-    # Both hold the same force over each step; what sysid is given last only ends the record.
-    held = np.vstack([Disturbances(force[None], 1.0 / STEP).held[0], force[-1:]])
+    # It holds the force over each step: that of the middle. What sysid is given last only ends the record.
+    held = np.vstack([Disturbances(force[None], 1.0 / STEP).force[0, 1::2], force[-1:]])
     control = sysid.TimeSeries.from_control_names(STEP * np.arange(len(held)), held, model)
     sensed = sysid.TimeSeries.from_names(np.arange(len(data.displacement)) / RATE, data.displacement, model)
     initial = sysid.create_initial_state(model, mujoco.MjData(model).qpos)

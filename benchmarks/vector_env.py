@@ -1,7 +1,7 @@
 """Decisions per second of the vectorised gymnasium environment, beside gymnasium's own vector environments.
 
 Run `python -m benchmarks.vector_env`. All sides run in turns, and what counts is the ratio of their times in a turn.
-Targets with 256 people: 10 times `SyncVectorEnv`, 4 times `AsyncVectorEnv`, and within 1.5 of bare `Batch.step`.
+Targets with 256 people: 10 times `SyncVectorEnv`, 4 times `AsyncVectorEnv`, and within 1.15 of bare `Batch.step`.
 """
 
 import os
@@ -14,11 +14,13 @@ import numpy as np
 from mujoco.batch import Batch
 
 from armperturb.cohort import average_person
+from armperturb.environment import TIMESTEP
 from armperturb.envs.learning.gym_vector_env import ArmPerturbVectorEnv
 from armperturb.models.rig import build_model
 
+STEPS = round(0.02 / TIMESTEP)
 NAME, N, TURNS = "ArmPerturb/Position-v0", 256, 7
-DECISIONS = {"bare Batch.step": 20, "vector": 20, "async": 4, "sync": 1}
+DECISIONS = {"bare Batch.step": 20, "vector": 20, "compiled": 20, "async": 4, "sync": 1}
 """Side to the decisions of everybody that are timed in a turn."""
 
 
@@ -36,7 +38,7 @@ def bare() -> Callable[[int], object]:
     batch.reset()
 
     def decide(_: int) -> None:
-        for _ in range(20):
+        for _ in range(STEPS):
             batch.step()
 
     return decide
@@ -44,10 +46,16 @@ def bare() -> Callable[[int], object]:
 
 def main() -> None:
     """Compare the four."""
-    modes = {"vector": None, "async": "async", "sync": "sync"}
+    modes = {"vector": None, "compiled": None, "async": "async", "sync": "sync"}
     # Processes first, while this one is small.
     envs = {
-        name: gym.make_vec(NAME, num_envs=N, vectorization_mode=modes[name]) for name in ("async", "sync", "vector")
+        name: gym.make_vec(
+            NAME,
+            num_envs=N,
+            vectorization_mode=modes[name],
+            engine="compiled" if name == "compiled" else "mujoco",
+        )
+        for name in ("async", "sync", "vector", "compiled")
     }
     chosen = actions()
     sides = {"bare Batch.step": bare()} | {
@@ -69,11 +77,14 @@ def main() -> None:
         print(
             f"{name:>16}: {1e3 * statistics.median(values):8.1f} ms, {N / statistics.median(values):9.0f} decisions/s"
         )
-    print(f"{N} people, 20 steps of 1 ms a decision, {os.cpu_count()} cores; ratios of each turn:")
+    print(
+        f"{N} people, {STEPS} steps of {1e3 * TIMESTEP:g} ms a decision, {os.cpu_count()} cores; ratios of each turn:"
+    )
     for over, under, target in (
         ("sync", "vector", "at least 10"),
         ("async", "vector", "at least 4"),
-        ("vector", "bare Batch.step", "at most 1.5"),
+        ("vector", "bare Batch.step", "at most 1.15"),
+        ("sync", "compiled", "at least 100"),
     ):
         ratios = [a / b for a, b in zip(times[over], times[under], strict=True)]
         print(

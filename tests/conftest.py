@@ -92,8 +92,8 @@ def perturbed(subject, rms, n_trials, noise=None):
 
 @pytest.fixture(scope="session")
 def ideal_recording(once):
-    """Four ideal trials of the relaxed preset and four of the one that keeps position, side by side to save steps."""
-    return once("ideal", lambda _: run_experiment([*perturbed(RELAX, 0.3, 4), *perturbed(POSITION, 3.0, 4)]))
+    """Four ideal trials of the relaxed preset and four of the one that keeps position, whose arm hardly turns."""
+    return once("ideal", lambda _: run_experiment([*perturbed(RELAX, 0.3, 4), *perturbed(POSITION, 0.3, 4)]))
 
 
 @pytest.fixture(scope="session")

@@ -52,11 +52,9 @@ class Table(NamedTuple):
         if not self.rows:
             return []
         widths = [max(map(len, column)) for column in zip(self.columns, *self.rows, strict=True)]
+        padded = [str.ljust, *[str.rjust] * (len(widths) - 1)]
         return [
-            "  ".join(
-                cell.rjust(width) if i else cell.ljust(width)
-                for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-            )
+            "  ".join(pad(cell, width) for pad, cell, width in zip(padded, row, widths, strict=True))
             for row in (self.columns, *self.rows)
         ]
 

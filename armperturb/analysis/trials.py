@@ -148,6 +148,11 @@ class ConditionTrials:
         """Displacement of the handle as the encoders have it [m], (trial, time, axis)."""
         return np.asarray(self.recording["displacement"].values, dtype=float)
 
+    @property
+    def signals(self) -> tuple[Array, Array, Array]:
+        """d, f and the displacement as they were recorded, (trial, time, axis) each."""
+        return self.perturbation, self.force, self.recorded_displacement
+
     @cached_property
     def drive(self) -> Array:
         """d with what is negligible set to zero [N], (trial, time, axis): simulating with denormal numbers is slow."""
@@ -185,7 +190,7 @@ class ConditionTrials:
     @cached_property
     def balance(self) -> Balance:
         """Force balance of the manipulator. Raises ValueError where the trials are too short."""
-        return Balance(self.perturbation, self.force, self.recorded_displacement, self.rate)
+        return Balance(*self.signals, self.rate)
 
     @cached_property
     def instruments(self) -> tuple[Environment, NoiseLevels]:
@@ -277,9 +282,7 @@ class ConditionTrials:
                     f"trial {trial} ends at {end / self.rate:g} s; expected more than {window_start:g} s (an earlier "
                     "--window-start, or leave this trial out)"
                 )
-            d, f, x = (
-                values[trial, first:end] for values in (self.perturbation, self.force, self.recorded_displacement)
-            )
+            d, f, x = (values[trial, first:end] for values in self.signals)
             for name, values in (("perturbation", d), ("force", f)):
                 if not np.ptp(values, axis=0).any():
                     raise ValueError(
@@ -397,9 +400,7 @@ def trials_by_condition(recording: xr.Dataset, *, is_checked: bool = False) -> d
     }
 
 
-def per_trials(
-    function: Callable[Concatenate[ConditionTrials, P], T],
-) -> Callable[Concatenate[Trials, P], T]:
+def per_trials(function: Callable[Concatenate[ConditionTrials, P], T]) -> Callable[Concatenate[Trials, P], T]:
     """Decorator: the result for the same trials and options is computed once, and kept with the trials.
 
     Args:

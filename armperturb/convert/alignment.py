@@ -160,12 +160,8 @@ def joined(trials: Sequence[Timed], repair: Collection[Repair], notes: list[str]
         signals[name] = np.stack([trial.signals[name][:least] for trial in trials])
     if signals["displacement"].shape[1] < 2:
         raise ValueError(f"{first.where}: one sample is left; expected at least 2")
-    return make_recording(
-        signals,
-        _coordinates([trial.labels for trial in trials]),
-        first.rates["displacement"],
-        emg_rate=first.rates.get("emg"),
-    )
+    labels = _coordinates([trial.labels for trial in trials])
+    return make_recording(signals, labels, first.rates["displacement"], emg_rate=first.rates.get("emg"))
 
 
 def _coordinates(labels: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:

@@ -106,10 +106,9 @@ def _matlab(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
     channels = {
         name: tuple(f"{name}(trial,time,{i + 1})" for i in range(len(LABELS[SIGNALS[name][0][1]]))) for name in names
     }
-    meaning = _sidecar(recording, channels)
-    if recording.sizes["trial"] == 1:  # importing names a single trial after the file
-        return file.getvalue(), {**meaning, "labels": trials["1"]}
-    return file.getvalue(), {**meaning, "trials": trials}
+    # Importing names a single trial after the file.
+    labels = {"labels": trials["1"]} if len(trials) == 1 else {"trials": trials}
+    return file.getvalue(), {**_sidecar(recording, channels), **labels}
 
 
 def _sidecar(recording: xr.Dataset, channels: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
@@ -120,12 +119,8 @@ def _sidecar(recording: xr.Dataset, channels: Mapping[str, tuple[str, ...]]) -> 
     signals["force"]["exerted_by"] = "handle"
     if "emg" in signals:
         signals["emg"]["rate"] = float(recording.attrs["emg_rate"])
-    return {
-        "rate": float(recording.attrs["rate"]),
-        "axes": {"x": "right", "y": "forward"},
-        "signals": signals,
-        "labels": {},
-    }
+    rate, axes = float(recording.attrs["rate"]), {"x": "right", "y": "forward"}
+    return {"rate": rate, "axes": axes, "signals": signals, "labels": {}}
 
 
 def _labels(recording: xr.Dataset) -> dict[str, Array]:

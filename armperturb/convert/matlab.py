@@ -40,14 +40,11 @@ def read_matlab(path: Path, names: Collection[str], number: str | None) -> Seque
     for name, count in counts.items():
         if count != n_trials:
             raise ValueError(f"{path}: {name} has {count} trials; expected {n_trials} as the others")
-    trials = [
-        RawTrial(
-            name=str(trial + 1) if n_trials > 1 else path.name,
-            # A channel without trials, as the times may be, is that of all.
-            channels={name: parts[trial if len(parts) > 1 else 0] for name, parts in channels.items()},
-        )
-        for trial in range(n_trials)
-    ]
+    trials = []
+    for trial in range(n_trials):
+        # A channel without trials, as the times may be, is that of all.
+        of_trial = {name: parts[trial if len(parts) > 1 else 0] for name, parts in channels.items()}
+        trials.append(RawTrial(name=str(trial + 1) if n_trials > 1 else path.name, channels=of_trial))
     if number is None:
         return trials
     if n_trials > 1:

@@ -133,7 +133,7 @@ class Sidecar:
             ("axes", "signals", "labels"),
         )
         guessed = top.fields("guessed")
-        _require_closed(top, {name: guessed.text(name) for name in guessed.content})
+        _require_closed(top, {name: guessed.text(name) for name in guessed})
         rate, time, mass = top.rate("rate"), None, None
         if "time" in top:
             of_time = top.fields("time", ("channel", "unit"), ("channel", "unit"))
@@ -151,12 +151,13 @@ class Sidecar:
                     )
                 owners[channel] = name
         of_trials = top.fields("trials")
-        if "trials" in top and not of_trials.content:
+        if "trials" in top and not of_trials:
             raise ValueError(f"{path}: trials is empty; expected labels of each trial, or no such field")
         if "environment" in top:
             of_environment = top.fields("environment", ("m_env",), ("m_env",))
             mass = quantity(of_environment["m_env"], "kg", of_environment.where("m_env"))
             require_number(str(path), "environment.m_env", mass, above=0.0, at_most=1e3)
+        unconfirmed = f"{path}: guesses that nobody has confirmed: {', '.join(guessed)}"
         return cls(
             path=path,
             rate=rate,
@@ -164,15 +165,10 @@ class Sidecar:
             trial=top.text("trial") if "trial" in top else None,
             signals=signals,
             labels=_labels(top.fields("labels")),
-            trials={name: _labels(of_trials.fields(name)) for name in of_trials.content},
+            trials={name: _labels(of_trials.fields(name)) for name in of_trials},
             mass=mass,
             dialect=_dialect(top.fields("csv", Dialect._fields)),
-            notes=(
-                f"{path}: guesses that nobody has confirmed: {', '.join(guessed.content)} (delete what you have "
-                "checked from guessed)",
-            )
-            if guessed.content
-            else (),
+            notes=(f"{unconfirmed} (delete what you have checked from guessed)",) if guessed else (),
         )
 
     def labels_of(self, trial: str) -> dict[str, Any]:
@@ -198,20 +194,14 @@ class Sidecar:
         return labels
 
 
-class _Fields:
+class _Fields(dict[str, Any]):
     """An object of the file, with its place for messages."""
 
     def __init__(self, content: object, file: str, place: str) -> None:
-        self.file, self.place = file, place
         if not isinstance(content, dict):
             raise TypeError(f"{file}: {place or 'the file'} = {content!r:.60}; expected an object, {{...}}")
-        self.content = content
-
-    def __contains__(self, name: str) -> bool:
-        return name in self.content
-
-    def __getitem__(self, name: str) -> Any:
-        return self.content[name]
+        super().__init__(content)
+        self.file, self.place = file, place
 
     def place_of(self, name: str) -> str:
         shown = (name if name.isprintable() else ascii(name))[:60]
@@ -222,21 +212,21 @@ class _Fields:
 
     def fields(self, name: str, known: Collection[str] = (), required: Collection[str] = ()) -> "_Fields":
         """An object in this one, empty if it is missing; with `known`, refused if it has other fields."""
-        fields = _Fields(self.content.get(name, {}), self.file, self.place_of(name))
+        fields = _Fields(self.get(name, {}), self.file, self.place_of(name))
         if known:
             fields.require_only(known, required)
         return fields
 
     def require_only(self, known: Collection[str], required: Collection[str] = ()) -> None:
-        for name in self.content:
+        for name in self:
             if name not in known:
                 raise ValueError(f"{self.where(name)}: unknown field; expected {', '.join(known)}")
         for name in required:
-            if name not in self.content:
+            if name not in self:
                 raise ValueError(f"{self.where(name)} is missing; expected {MEANINGS.get(name, ', '.join(required))}")
 
     def text(self, name: str) -> str:
-        value = self.content[name]
+        value = self[name]
         if not isinstance(value, str):
             raise TypeError(f"{self.where(name)} = {value!r:.60}; expected text")
         if not value.isprintable() or not 0 < len(value) <= LONGEST_TEXT:
@@ -246,14 +236,14 @@ class _Fields:
         return value
 
     def choice(self, name: str, known: Collection[str], default: str | None = None) -> str:
-        value = self.content.get(name, default)
+        value = self.get(name, default)
         require_one_of(self.file, self.place_of(name), value, tuple(known))
         return str(value)
 
     def rate(self, name: str) -> float | None:
-        if name not in self.content:
+        if name not in self:
             return None
-        rate = quantity(self.content[name], "Hz", self.where(name))
+        rate = quantity(self[name], "Hz", self.where(name))
         require_number(self.file, self.place_of(name), rate, at_least=1.0, at_most=1e6)
         return rate
 
@@ -287,7 +277,7 @@ def _parsed(path: Path) -> object:
 
 def _require_closed(fields: _Fields, checks: Mapping[str, str]) -> None:
     """Refuse a template in which something is still to be filled in."""
-    left = [place for place, value in _leaves(fields.content) if value == OPEN]
+    left = [place for place, value in _leaves(fields) if value == OPEN]
     if left:
         more = f" (and {len(left) - 1} more fields are open: {', '.join(left[1:])})" if len(left) > 1 else ""
         expected = checks.get(left[0], "a value in its place")
@@ -363,7 +353,7 @@ def _labels(fields: _Fields) -> dict[str, Any]:
     """Labels that are there; null is as good as none."""
     fields.require_only(tuple(TRIAL_COORDINATES))
     labels: dict[str, Any] = {}
-    for name, value in fields.content.items():
+    for name, value in fields.items():
         if value is None:
             continue
         if name == "task":
@@ -376,11 +366,10 @@ def _labels(fields: _Fields) -> dict[str, Any]:
             lower, upper = _RANGES[name]
             if not lower <= number <= upper:
                 raise ValueError(f"{fields.where(name)} = {value!r}; expected {lower:g} to {upper:g} {unit}".rstrip())
-            if name in ("repetition", "order"):
-                if number != int(number):
-                    raise ValueError(f"{fields.where(name)} = {value!r}; expected a whole number")
-                number = int(number)
-            labels[name] = number
+            is_whole = name in ("repetition", "order")
+            if is_whole and number != int(number):
+                raise ValueError(f"{fields.where(name)} = {value!r}; expected a whole number")
+            labels[name] = int(number) if is_whole else number
     return labels
 
 
@@ -389,7 +378,7 @@ def _dialect(fields: _Fields) -> Dialect:
     decimal = fields.choice("decimal", (".", ","), ".")
     if decimal == delimiter:
         raise ValueError(f"{fields.where('decimal')} = {decimal!r} as the delimiter; expected another one")
-    skip = fields.content.get("skip_lines", 0)
+    skip = fields.get("skip_lines", 0)
     if isinstance(skip, bool) or not isinstance(skip, int) or not 0 <= skip <= 1000:
         raise ValueError(f"{fields.where('skip_lines')} = {skip!r:.60}; expected a whole number of 0 to 1000")
     return Dialect(delimiter, decimal, skip)

@@ -127,16 +127,13 @@ def _guess(
             trial, content["trial"] = column.values, column.channel
         else:
             stem, axis = axis_of(words)
-            role = next(
-                (r for r, known in ROLES.items() if {*stem} & {*known.split()}), None if stem else "displacement"
-            )
+            roles = (role for role, known in ROLES.items() if {*stem} & {*known.split()})
+            role = next(roles, None if stem else "displacement")
             if axis is not None and role is not None:
                 pairs[role].setdefault(stem, {}).setdefault(axis, column)
     if "time" not in content and "rate" not in content and not any(column.rate for column in columns):
-        content, guessed = (
-            {"rate": OPEN, **content},
-            {"rate": "the sampling rate in Hz, or instead of it the field time", **guessed},
-        )
+        content = {"rate": OPEN, **content}
+        guessed = {"rate": "the sampling rate in Hz, or instead of it the field time", **guessed}
     content["axes"], guessed["axes"] = {"x": "right", "y": "forward"}, CHECKS["axes"]
     others = ", ".join(column.channel for column in columns)
     content["signals"] = {

@@ -78,7 +78,6 @@ def read_foreign(path: Path, names: Collection[str] | None = None, *, seconds: f
                 stdout=output,
                 stderr=subprocess.PIPE,
                 timeout=seconds,
-                check=False,
                 env={**os.environ, **_ENVIRONMENT},
             )
         except subprocess.TimeoutExpired:

@@ -198,17 +198,15 @@ def _hdf5(file: IO[bytes], head: bytes, names: Collection[str] | None, budget: B
     if again >= 0:
         raise Refused(f"a second HDF5 file begins at byte {again}; expected one recording (two files in one?)")
     with h5py.File(file.name, "r") as opened:
-        if file.name.lower().endswith(".mat"):
-            return {
-                name: _matlab_hdf5(item, name, budget, 0) if names is None or name in names else None
-                for name, item in _members(opened)
-                if name != "#refs#"
-            }
+        is_matlab = file.name.lower().endswith(".mat")
+        read = _matlab_hdf5 if is_matlab else _array
         values = {
-            name: _array(item, name, budget) if names is None or name in names else None
+            name: read(item, name, budget) if names is None or name in names else None
             for name, item in _members(opened)
-            if isinstance(item, h5py.Dataset)
+            if (name != "#refs#" if is_matlab else isinstance(item, h5py.Dataset))
         }
+    if is_matlab:
+        return values
     import h5netcdf
 
     with h5netcdf.File(file.name, "r") as described:
@@ -247,7 +245,7 @@ def _array(item: Any, name: str, budget: Budget) -> Any:
     return texts.astype(str)
 
 
-def _matlab_hdf5(item: Any, name: str, budget: Budget, depth: int) -> Any:
+def _matlab_hdf5(item: Any, name: str, budget: Budget, depth: int = 0) -> Any:
     import h5py
 
     if depth > DEEPEST:

@@ -8,17 +8,9 @@ from armperturb.subject import Subject
 
 TRIPLES = ("b", "k", "kv", "kp", "ka", "kf")
 
-PARAMETERS = (
-    "m_h",
-    "m_f",
-    *(f"{quantity}_{joint}" for quantity in TRIPLES for joint in ("s", "se", "e")),
-    "Td_s",
-    "Td_e",
-    "fact_s",
-    "fact_e",
-    "b_h",
-    "k_h",
-)
+_OF_MUSCLES = [f"{quantity}_{joint}" for quantity in TRIPLES for joint in ("s", "se", "e")]
+
+PARAMETERS = ("m_h", "m_f", *_OF_MUSCLES, "Td_s", "Td_e", "fact_s", "fact_e", "b_h", "k_h")
 """Every parameter by which the arm's responses can be differentiated: fields of `Subject`, SI."""
 
 MASSES, DELAYS, CUTOFFS = slice(0, 2), slice(20, 22), slice(22, 24)

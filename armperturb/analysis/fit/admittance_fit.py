@@ -370,11 +370,11 @@ class _Published:
         """Residuals and their derivatives, see `trust_region.Problems`."""
         values = x * self.scale
         modulus, slope = self.batch.problem.modulus_and_slope(values)
-        slope *= self.scale[:, None]
         n, problem = self._penalised
+        slope[n:] *= self.scale[n:, None]
         if n:
             factor, gradient = problem.penalty_and_gradient(values[:n])
-            slope[:n] *= factor[:, None, None]
+            slope[:n] *= (factor[:, None] * self.scale[:n])[:, None]
             slope[:n] += modulus[:n, :, None] * (gradient * self.scale[:n])[:, None]
             modulus[:n] *= factor[:, None]
         return modulus, slope

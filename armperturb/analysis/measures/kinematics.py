@@ -87,8 +87,7 @@ def joint_angles(position: ArrayLike, l_h: ArrayLike, l_f: ArrayLike, *, flexed:
     upper, lower = np.asarray(l_h, dtype=float), np.asarray(l_f, dtype=float)
     shoulder = np.arctan2(hand[..., 1], hand[..., 0])
     shoulder = shoulder - np.arctan2(lower * np.sin(elbow), upper + lower * np.cos(elbow))
-    wrapped = np.pi - np.mod(np.pi - shoulder, 2 * np.pi)
-    return np.stack([wrapped, elbow], axis=-1)
+    return np.stack([_within_half_a_turn(shoulder), elbow], axis=-1)
 
 
 def start_posture(recording: xr.Dataset) -> Array:
@@ -127,7 +126,10 @@ def joint_rotations(recording: xr.Dataset, *, shoulder: ArrayLike | None = None)
     Raises:
       ValueError: a handle is out of reach, or shoulder has another shape.
     """
-    return _rotations(recording, hand_path(recording, shoulder=shoulder))
+    start, path = start_posture(recording), hand_path(recording, shoulder=shoulder)
+    lengths = (recording[name].values[:, None] for name in ("l_h", "l_f"))
+    angles = joint_angles(path, *lengths, flexed=np.sin(start[:, 1:]) >= 0.0)
+    return _within_half_a_turn(angles - start[:, None])  # the shoulder may pass 180 deg
 
 
 def true_rotations(recording: xr.Dataset) -> Array:
@@ -163,15 +165,7 @@ def joint_velocities(rotation: ArrayLike, rate: float, *, cutoff: float | None =
     return np.asarray(np.gradient(smooth, 1.0 / rate, axis=-2, edge_order=2))
 
 
-def _rotations(recording: xr.Dataset, path: Array) -> Array:
-    """Rotations from the start posture that a path from the shoulder tells [rad], (trial, time, joint)."""
-    start = start_posture(recording)
-    lengths = (recording[name].values[:, None] for name in ("l_h", "l_f"))
-    return _shorter_way(joint_angles(path, *lengths, flexed=np.sin(start[:, 1:]) >= 0.0) - start[:, None])
-
-
-def _shorter_way(angle: Array) -> Array:
-    """Rotations within half a turn, for a shoulder that passes 180 deg."""
+def _within_half_a_turn(angle: Array) -> Array:
     return np.asarray(np.pi - np.mod(np.pi - angle, 2 * np.pi))
 
 

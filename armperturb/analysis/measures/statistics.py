@@ -203,7 +203,8 @@ def anova(values: ArrayLike) -> Anova:
     people = k * _sum_of_squares(y.mean(axis=1) - y.mean(), y)
     dof = (k - 1, (k - 1) * (n - 1))
     f = (between / dof[0]) / (rest / dof[1]) if rest > 0.0 else math.inf if between > 0.0 else 0.0
-    share = _epsilon(_covariance(y))
+    m = _covariance(y)
+    share = min(float(np.trace(m) ** 2 / (dof[0] * np.sum(m**2))), 1.0) if m.any() else 1.0
     p, adjusted = (float(stats.f.sf(f, part * dof[0], part * dof[1])) for part in (1.0, share))
     eta2, partial = (between / total if between > 0.0 else 0.0 for total in (between + rest + people, between + rest))
     return Anova(f, dof, p, share, adjusted, eta2, partial)
@@ -275,14 +276,10 @@ def shapiro(values: ArrayLike) -> tuple[Normality, ...]:
       ValueError: as there.
     """
     y = _table(values)
-    outcome = []
-    for column in y.T:
-        spread = float(np.ptp(column))
-        if spread > ROUNDING * np.abs(column).max():
-            outcome.append(Normality(*map(float, stats.shapiro(column / spread))))
-        else:
-            outcome.append(Normality(1.0, 1.0))
-    return tuple(outcome)
+    spread = np.ptp(y, axis=0)
+    varies = spread > ROUNDING * np.abs(y).max(axis=0)
+    tests = (stats.shapiro(y[:, i] / spread[i]) if varies[i] else (1.0, 1.0) for i in range(len(spread)))
+    return tuple(Normality(*map(float, test)) for test in tests)
 
 
 def post_hoc(
@@ -359,13 +356,6 @@ def _covariance(y: Array) -> Array:
     if not _sum_of_squares(differences, y):
         return np.zeros((k - 1, k - 1))
     return np.asarray(differences.T @ differences / (len(y) - 1))
-
-
-def _epsilon(covariance: Array) -> float:
-    """Greenhouse and Geisser's; 1 if nothing varies."""
-    if not covariance.any():
-        return 1.0
-    return min(float(np.trace(covariance) ** 2 / (len(covariance) * np.sum(covariance**2))), 1.0)
 
 
 def _paired_t(y: Array, i: int, j: int, n_pairs: int) -> PairedT:

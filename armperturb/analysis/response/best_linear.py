@@ -38,7 +38,7 @@ import xarray as xr
 from scipy import interpolate, stats
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, SETTLED
-from armperturb.analysis.response.closed_loop import HIGHEST_ORDER, Periodic, periodic_trials, whole_window
+from armperturb.analysis.response.closed_loop import HIGHEST_ORDER, periodic_trials, whole_window
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.analysis.response.local_polynomial import (
     ComplexArray,
@@ -151,11 +151,9 @@ class BestLinear(Result):
 
     def to_xarray(self) -> xr.Dataset:
         """That of the response, and `linear`, `noise`, `distortion` and `distortion_error` (frequency, output)."""
+        element, names = ("frequency", "output"), ("linear", "noise", "distortion", "distortion_error")
         return self.response.to_xarray().assign(
-            {
-                name: (("frequency", "output"), getattr(self, name), {"units": "m^2"})
-                for name in ("linear", "noise", "distortion", "distortion_error")
-            }
+            {name: (element, getattr(self, name), {"units": "m^2"}) for name in names}
         )
 
     def plot(self, figure: "Figure | None" = None) -> Any:
@@ -215,10 +213,11 @@ def best_linear(
     shortest = min(map(len, trials.groups))
     if shortest < 3:
         raise ValueError(f"a group has {shortest} excited lines; expected at least 3 (more lines per average)")
-    n_periods = np.array(
-        [1.0 + sum(map(len, trial.contrasts)) / (trials.period * trials.rate) for trial in trials.trials]
-    )
-    contrasts = _contrasts(trials)
+    n_period = trials.period * trials.rate
+    n_periods = np.array([1.0 + sum(map(len, trial.contrasts)) / n_period for trial in trials.trials])
+    # What differs between periods, where it is long enough to tell of noise.
+    pieces = [piece for trial in trials.trials for piece in trial.contrasts if len(piece) >= SHORTEST * trials.rate]
+    contrasts = [whole_window(TrialRecord(piece[:, :0], piece, trials.rate)) for piece in pieces]
     if not contrasts:
         raise ValueError(
             f"trials hold {n_periods.max():.2f} periods from {window_start:g} s on; expected at least "
@@ -229,18 +228,16 @@ def best_linear(
     windows = [trials.windows(group) for group in trials.groups]
     response = frequency_response(fits, "arm", [(fit.excited_noise, fit.excited_dof) for fit in fits])
     around, own_fits = _own_forces(windows, fits, response, order)
-    quiet = [
-        [_own_force(window.only(~window.excited), of_arm) for window in near]
-        for near, of_arm in zip(windows, around, strict=True)
-    ]
-    noises = [
-        [_own_force(piece, of_arm) for piece in _near(contrasts, near[0].frequency)]
-        for near, of_arm in zip(windows, around, strict=True)
-    ]
+
+    def own_forces(clusters: list[list[Window]]) -> list[list[Window]]:
+        return [[_own_force(each, of_arm) for each in near] for near, of_arm in zip(clusters, around, strict=True)]
+
+    quiet = own_forces([[window.only(~window.excited) for window in near] for near in windows])
+    noises = own_forces([_near(contrasts, near[0].frequency) for near in windows])
     uneven = _unevenness(n_periods)
     share = float(np.mean([trial.share for trial in trials.trials]))
     # From |Z|^2 over the number of samples to the mean square of a sine wave.
-    scale = 2.0 / (trials.period * trials.rate)
+    scale = 2.0 / n_period
     linear, noise, distortion, error, excess, precision = [], [], [], [], [], []
     for group, fit, impedance, of_arm, near, quiet_uses, near_noises, noise_uses in zip(
         trials.groups, fits, around, own_fits, quiet, _uses(quiet), noises, _uses(noises), strict=True
@@ -301,16 +298,10 @@ def _own_forces(
             both = np.concatenate([impedance[known][::-1].conj(), impedance[known]])
             spline = interpolate.make_interp_spline(knots, both, min(3, len(knots) - 1))
             around = [spline if is_known else constant for is_known, constant in zip(known, around, strict=True)]
-        own_fits = [
-            fit_locally(
-                [_own_force(window.only(window.excited), of_arm) for window in near],
-                fit.frequency,
-                order=order,
-                leakage_order=-1,
-                own_levels=True,
-            )
-            for near, fit, of_arm in zip(windows, fits, around, strict=True)
-        ]
+        own_fits = []
+        for near, fit, of_arm in zip(windows, fits, around, strict=True):
+            excited = [_own_force(window.only(window.excited), of_arm) for window in near]
+            own_fits.append(fit_locally(excited, fit.frequency, order=order, leakage_order=-1, own_levels=True))
         moved = [of_arm.answer @ np.linalg.inv(fit.answer[2:]) for of_arm, fit in zip(own_fits, fits, strict=True)]
         impedance = impedance - np.array(moved)
     return around, own_fits
@@ -370,16 +361,6 @@ def _unevenness(n_periods: Array) -> float:
     part = n_periods - whole
     power = (1 - part) / whole + part / (whole + 1)
     return float(np.mean(((1 - part) / whole**2 + part / (whole + 1) ** 2) / power**2))
-
-
-def _contrasts(trials: Periodic) -> list[Window]:
-    """Spectra of what differs between periods."""
-    return [
-        whole_window(TrialRecord(values[:, :0], values, trials.rate))
-        for trial in trials.trials
-        for values in trial.contrasts
-        if len(values) >= SHORTEST * trials.rate
-    ]
 
 
 def _near(contrasts: Sequence[Window], frequency: Array) -> list[Window]:

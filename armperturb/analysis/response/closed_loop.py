@@ -118,11 +118,8 @@ class Periodic(NamedTuple):
     def replaced(self, answer: Answer) -> "Periodic":
         """The same with what a function makes of frequency, D and (F, X) of each trial in place of the latter."""
         frequency = np.arange(len(self.trials[0].answer)) / self.period
-        return self._replace(
-            trials=tuple(
-                trial._replace(answer=answer(frequency, trial.perturbation, trial.answer)) for trial in self.trials
-            )
-        )
+        trials = [trial._replace(answer=answer(frequency, trial.perturbation, trial.answer)) for trial in self.trials]
+        return self._replace(trials=tuple(trials))
 
     def windows(self, group: NDArray[np.int64]) -> list[Window]:
         """The lines of a group and the quiet ones nearest to it, of each trial."""
@@ -147,15 +144,8 @@ class Periodic(NamedTuple):
         fits = []
         for group in self.groups:
             chosen = self._orders(len(group), float(np.ptp(group) / group.mean())) if order is None else (order,)
-            fits.append(
-                _fit(
-                    self.windows(group),
-                    float(group.mean()) / self.period,
-                    orders=sorted({min(choice, len(group) - 1) for choice in chosen}),
-                    leakage_order=LEAKAGE_ORDER,
-                    own_levels=own_levels,
-                )
-            )
+            orders = sorted({min(choice, len(group) - 1) for choice in chosen})
+            fits.append(_fit(self.windows(group), float(group.mean()) / self.period, orders, own_levels))
         return fits
 
     def _orders(self, n_lines: int, width: float) -> tuple[int, ...]:
@@ -167,20 +157,18 @@ class Periodic(NamedTuple):
         return (min(max(1, terms - 1), HIGHEST_ORDER if width > NARROW else 1),)
 
 
-def _fit(
-    windows: Sequence[Window], centre: float, *, orders: Sequence[int], leakage_order: int, own_levels: bool = False
-) -> LocalFit:
+def _fit(windows: Sequence[Window], centre: float, orders: Sequence[int], own_levels: bool = False) -> LocalFit:
     """Raise the order while a likelihood-ratio test favours it and 2 `LEAST_DOF` residual degrees of freedom remain.
 
     Where it is not needed, a further complex coefficient of an output lowers the logarithm of its sum of squares, times
     the number of lines, by about a gamma variable of shape one.
     """
-    best = fit_locally(windows, centre, order=orders[0], leakage_order=leakage_order, own_levels=own_levels)
+    best = fit_locally(windows, centre, order=orders[0], leakage_order=LEAKAGE_ORDER, own_levels=own_levels)
     for lower, order in pairwise(orders):
         extra = N_INPUTS * (order - lower)
         if best.dof - extra < 2 * LEAST_DOF:
             break
-        better = fit_locally(windows, centre, order=order, leakage_order=leakage_order, own_levels=own_levels)
+        better = fit_locally(windows, centre, order=order, leakage_order=LEAKAGE_ORDER, own_levels=own_levels)
         before, after = (np.log(fit.dof * np.diagonal(fit.noise).real) for fit in (best, better))
         gain = float(np.max(before - after)) * (best.dof + better.dof) / 2
         if gain < extra + CLEARLY * np.sqrt(extra):
@@ -367,10 +355,7 @@ def estimate_noise(
 
     def fit(answer: Answer) -> list[LocalFit]:
         windows = [part._replace(answer=answer(part.frequency, part.perturbation, part.answer)) for part in spectra]
-        return [
-            _fit(_around(windows, float(centre), orders[0]), float(centre), orders=orders, leakage_order=LEAKAGE_ORDER)
-            for centre in wanted
-        ]
+        return [_fit(_around(windows, centre, orders[0]), centre, orders) for centre in wanted.tolist()]
 
     fits, environment = _balanced(fit, several if balance and what != "environment" else None)
     return frequency_response(fits, what, [(fit.noise, fit.dof) for fit in fits], environment)

@@ -14,17 +14,8 @@ from numpy.typing import ArrayLike
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
 from armperturb.analysis.response.arx import fit_arx
 from armperturb.analysis.response.closed_loop import estimate_multisine, estimate_noise
-from armperturb.analysis.response.frequency_response import (
-    FrequencyResponse,
-    System,
-    require_frequencies,
-)
-from armperturb.analysis.response.joint_records import (
-    admittance_of,
-    excited_frequencies,
-    joint_records,
-    variance_of,
-)
+from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
+from armperturb.analysis.response.joint_records import admittance_of, excited_frequencies, joint_records, variance_of
 from armperturb.analysis.response.local_polynomial import N_INPUTS, Window, fit_locally, frequency_response
 from armperturb.analysis.response.spectra import averaged_spectra, line_spectra
 from armperturb.analysis.response.subspace import fit_subspace
@@ -75,10 +66,8 @@ def spectral_response(
     fits = []
     for centre, group in zip(spectra.frequency, np.split(np.arange(ends[-1]), ends[:-1]), strict=True):
         excited = np.ones(len(group), dtype=bool)
-        windows = [
-            Window(lines.frequency[group], d[group], z[group], excited)
-            for d, z in zip(lines.perturbation, answer, strict=True)
-        ]
+        trial_lines = zip(lines.perturbation[:, group], answer[:, group], strict=True)
+        windows = [Window(lines.frequency[group], d, z, excited) for d, z in trial_lines]
         fits.append(fit_locally(windows, float(centre), order=0, leakage_order=-1))
     return frequency_response(fits, what, [(fit.noise, fit.dof) for fit in fits]).at(frequency)
 
@@ -107,13 +96,9 @@ def arx_response(
     """
     records, wanted = _records_and_frequencies(recording, window_start, frequency)
     model = fit_arx(records, wanted, what=what, **options)
-    joint, noise, spread = model.response(wanted)
-    return FrequencyResponse(
-        frequency=wanted,
-        response=admittance_of(what, joint),
-        covariance=variance_of(what, joint, noise, spread),
-        what=what,
-    )
+    joint = model.response(wanted)
+    values, variance = admittance_of(what, joint[0]), variance_of(what, *joint)
+    return FrequencyResponse(frequency=wanted, response=values, covariance=variance, what=what)
 
 
 def subspace_response(
@@ -150,18 +135,13 @@ def subspace_response(
     if n_trials >= FEWEST_TRIALS:
         without = []
         for left_out in range(n_trials):
-            others = [record for number, record in enumerate(records) if number != left_out]
+            others = records[:left_out] + records[left_out + 1 :]
             fewer = fit_subspace(others, wanted, what=what, **options | {"order": model.order})
             without.append(admittance_of(what, fewer.response(wanted)))
         covariance = (n_trials - 1) * np.var(without, axis=0)
         dof = np.full(len(wanted), n_trials - 1.0)
-    return FrequencyResponse(
-        frequency=wanted,
-        response=admittance_of(what, model.response(wanted)),
-        covariance=covariance,
-        what=what,
-        dof=dof,
-    )
+    values = admittance_of(what, model.response(wanted))
+    return FrequencyResponse(frequency=wanted, response=values, covariance=covariance, what=what, dof=dof)
 
 
 METHODS: dict[str, Callable[..., FrequencyResponse]] = {

@@ -80,17 +80,12 @@ class FrequencyResponse(Result):
     label: str = ""
 
     def __post_init__(self) -> None:
-        n = len(self.frequency)
-        if self.response.ndim != 3 or len(self.response) != n:
-            raise ValueError(
-                f"FrequencyResponse: response of shape {self.response.shape}; expected ({n}, output, input)"
-            )
-        if self.covariance is not None and self.covariance.shape != self.response.shape:
-            raise ValueError(
-                f"FrequencyResponse: covariance of shape {self.covariance.shape}; expected {self.response.shape}"
-            )
-        if self.dof is not None and self.dof.shape != (n,):
-            raise ValueError(f"FrequencyResponse: dof of shape {self.dof.shape}; expected ({n},)")
+        n, shape = len(self.frequency), self.response.shape
+        if len(shape) != 3 or shape[0] != n:
+            raise ValueError(f"FrequencyResponse: response of shape {shape}; expected ({n}, output, input)")
+        for name, values, expected in (("covariance", self.covariance, shape), ("dof", self.dof, (n,))):
+            if values is not None and values.shape != expected:
+                raise ValueError(f"FrequencyResponse: {name} of shape {values.shape}; expected {expected}")
 
     def at(self, frequency: ArrayLike | None) -> Self:
         """The estimates at some of the frequencies [Hz], (frequency,); all for None.
@@ -158,11 +153,7 @@ class FrequencyResponse(Result):
         held = self.environment
         title = f"Frequency response {SYSTEMS.get(self.what, self.what)}"
         span = f"{n} frequencies, {self.frequency[0]:.3g} to {self.frequency[-1]:.3g} Hz"
-        facts = [
-            f"{span}; gain in mm/N +/- 95 % limit, phase in degrees"
-            if known
-            else f"{span}; gain in mm/N, no uncertainty"
-        ]
+        facts = [f"{span}; gain in mm/N{' +/- 95 % limit, phase in degrees' if known else ', no uncertainty'}"]
         if held is not None:
             facts.append(f"force balance used: {held.m_env:.4g} kg, {held.b_env:.3g} Ns/m, {held.k_env:.4g} N/m")
         gain, phase = 1e3 * np.abs(self.response), np.degrees(np.angle(self.response))

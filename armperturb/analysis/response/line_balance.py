@@ -47,10 +47,8 @@ class LineBalance(NamedTuple):
     levels: NoiseLevels
 
     def _stiffness(self, frequency: Array) -> ComplexArray:
-        s = 2j * np.pi * frequency
-        environment = self.environment
-        stiffness = environment.m_env * s**2 + environment.b_env * s + environment.k_env
-        return np.asarray(stiffness[:, None], dtype=complex)
+        s, held = 2j * np.pi * frequency, self.environment
+        return np.asarray(held.m_env * s**2 + held.b_env * s + held.k_env, dtype=complex)[:, None]
 
     def left_over(self, frequency: Array, perturbation: ComplexArray, answer: ComplexArray) -> ComplexArray:
         """N, (line, axis), from frequency [Hz], (line,); D, (line, axis); and F and X, (line, 4)."""
@@ -74,16 +72,12 @@ def find_balance(trials: Sequence[ConditionTrials]) -> LineBalance | None:
         if len(long_enough) == 1:
             return LineBalance(*long_enough[0].instruments)
         n = min(part.n_samples for part in long_enough)
-        d, f, x = (
-            np.concatenate(
-                [
-                    getattr(part, name)[:, first : first + n]
-                    for part in long_enough
-                    for first in range(0, part.n_samples - n + 1, n)
-                ]
-            )
-            for name in ("perturbation", "force", "recorded_displacement")
-        )
+        pieces = [
+            [values[:, first : first + n] for values in part.signals]
+            for part in long_enough
+            for first in range(0, part.n_samples - n + 1, n)
+        ]
+        d, f, x = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
         return LineBalance(*Balance(d, f, x, rate).fit())
     except ValueError:
         return None

@@ -151,17 +151,9 @@ def fit_locally(
         products = np.einsum("ra,rb->ab", left[chosen], left[chosen].conj())
         return np.asarray(products / max(dof, 1e-12), dtype=complex), dof
 
-    noise, dof = covariance(np.ones(len(left), dtype=bool))
-    excited_noise, excited_dof = covariance(excited)
-    return LocalFit(
-        centre,
-        levels.mean(axis=0).T,
-        np.asarray(rows @ rows.conj().T),
-        noise,
-        dof,
-        excited_noise,
-        excited_dof,
-    )
+    factor = np.asarray(rows @ rows.conj().T)
+    of_all, of_excited = covariance(np.ones(len(left), dtype=bool)), covariance(excited)
+    return LocalFit(centre, levels.mean(axis=0).T, factor, *of_all, *of_excited)
 
 
 def without(

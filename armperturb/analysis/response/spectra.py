@@ -146,10 +146,7 @@ def line_spectra(
         period = trials.period(window_start)
     window = trials.window(window_start, period)
     n_period = round(period * trials.rate)
-    d, f, x = (
-        _spectrum(values[:, window], n_period)
-        for values in (trials.perturbation, trials.force, trials.recorded_displacement)
-    )
+    d, f, x = (_spectrum(values[:, window], n_period) for values in trials.signals)
     for name, values in (("force", f), ("displacement", x)):
         if not values.any():
             raise ValueError(
@@ -205,7 +202,8 @@ def estimate_spectra(lines: LineSpectra, *, lines_per_average: int = LINES_PER_A
     if lines_per_average < 1:
         raise ValueError(f"lines_per_average = {lines_per_average!r}; expected a whole number of at least 1")
     d, f, x = lines.perturbation, lines.force, lines.displacement
-    groups = _adjacent_groups(lines.line, lines_per_average)
+    runs = np.split(np.arange(len(lines.line)), np.flatnonzero(np.diff(lines.line) > 1) + 1)
+    groups = [group for run in runs for group in np.array_split(run, max(1, len(run) // lines_per_average))]
     n_averages = np.array([len(group) * len(d) for group in groups])
     frequency = np.array([lines.frequency[group].mean() for group in groups])
     if n_averages.min() < N_INPUTS:
@@ -242,12 +240,6 @@ def _spectrum(values: Array, n_period: int) -> ComplexArray:
     """DFT of the mean period, (trial, line, axis)."""
     mean = values.reshape(len(values), -1, n_period, values.shape[-1]).mean(axis=1)
     return np.asarray(np.fft.rfft(mean, axis=1), dtype=np.complex128)
-
-
-def _adjacent_groups(lines: NDArray[np.int64], size: int) -> list[NDArray[np.int64]]:
-    """Indices into lines of those that are averaged."""
-    runs = np.split(np.arange(len(lines)), np.flatnonzero(np.diff(lines) > 1) + 1)
-    return [group for run in runs for group in np.array_split(run, max(1, len(run) // size))]
 
 
 def _transposed_solve(phi_du: ComplexArray, phi_dx: ComplexArray) -> ComplexArray:

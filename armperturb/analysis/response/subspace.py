@@ -115,11 +115,8 @@ def fit_subspace(
         n_states = past * regression.n_outputs
         models = [states.model(n) for n in range(1, min(MOST_STATES, n_states) + 1)]
         models = [model for model in models if model.largest_pole < 1.0] or models
-        responses = [admittance_of(what, model.response(frequency)) for model in models]
-        errors = [
-            error_over_size(response, variance * model.order / n_states, best, variance)
-            for model, response in zip(models, responses, strict=True)
-        ]
+        shares = [(admittance_of(what, model.response(frequency)), model.order / n_states) for model in models]
+        errors = [error_over_size(response, variance * share, best, variance) for response, share in shares]
         chosen = models[int(np.argmin(errors))]
     if chosen.largest_pole >= 1.0:
         warnings.warn(

@@ -38,12 +38,7 @@ LEAST_OUTSIDE = 1e-7
 power of those below 1 Hz, which would leak into them [-]."""
 
 
-def estimate_welch(
-    recordings: SeveralTrials,
-    *,
-    segment: float = SEGMENT,
-    **options: Any,
-) -> FrequencyResponse:
+def estimate_welch(recordings: SeveralTrials, *, segment: float = SEGMENT, **options: Any) -> FrequencyResponse:
     """Frequency response by Welch's method: segments under Hann's window that overlap by half.
 
     Args:
@@ -70,10 +65,7 @@ def estimate_welch(
 
 
 def estimate_multitaper(
-    recordings: SeveralTrials,
-    *,
-    half_bandwidth: float = HALF_BANDWIDTH,
-    **options: Any,
+    recordings: SeveralTrials, *, half_bandwidth: float = HALF_BANDWIDTH, **options: Any
 ) -> FrequencyResponse:
     """Frequency response by multitapers: the discrete prolate spheroidal sequences of each whole record.
 
@@ -136,10 +128,9 @@ def _estimate(
             f"{LEAST_DOF + N_INPUTS:g} (longer or more trials, shorter segments or a wider band)"
         )
     values = np.array(spectra)
-    fits = []
+    fits, everywhere = [], np.ones(len(values), dtype=bool)
     for k, centre in enumerate(wanted):
-        all_at_once = np.ones(len(values))
-        window = Window(centre * all_at_once, values[:, k, :N_INPUTS], values[:, k, N_INPUTS:], all_at_once > 0)
+        window = Window(centre * everywhere, values[:, k, :N_INPUTS], values[:, k, N_INPUTS:], everywhere)
         fit = fit_locally([window], float(centre), order=0, leakage_order=-1)
         fits.append(fit._replace(factor=fit.factor * len(values) / independent))
     return frequency_response(fits, what, [(fit.noise, dof) for fit in fits])

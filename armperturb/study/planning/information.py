@@ -264,12 +264,7 @@ class _Shares:
 
 
 def optimise(
-    experiment: Experiment,
-    clusters: int,
-    goal: Sequence[str],
-    limits: Limits,
-    spread: float,
-    held: Array | None = None,
+    experiment: Experiment, clusters: int, goal: Sequence[str], limits: Limits, spread: float, held: Array | None = None
 ) -> Optimum:
     """Powers of lines that make the geometric mean of some parameters' standard errors least.
 
@@ -294,7 +289,7 @@ def optimise(
     for _ in range(MAX_STEPS):
         if excess < TOLERANCE:
             break
-        aim = _least(problem.parts(share), problem.goal, problem.price(share), problem.limits, share)
+        aim = _least(problem, share)
         step = 1.0
         while (now := problem.criterion(moved := (1.0 - step) * share + step * aim)) >= best and step > LEAST_STEP:
             step /= 2.0
@@ -328,19 +323,15 @@ def _weight(covariance: Array, goal: list[int], parts: Array) -> Array:
     return np.asarray(np.einsum("ig,sij,jg->s", columns, parts, columns, optimize=True) / (2 * len(goal)))
 
 
-def _least(parts: Array, goal: list[int], price: Array, limits: Array, start: Array) -> Array:
-    """Shares that make criterion + price @ share least with the noise held, by an interior-point method.
+def _least(problem: _Shares, start: Array) -> Array:
+    """Shares that make criterion + price @ share least with the noise as it is at the start, (share,).
 
-    Args:
-      parts: information per share, (share, parameter, parameter).
-      goal: columns of the parameters that count.
-      price: of each share, (share,).
-      limits: limits @ share <= 1, (limit, share).
-      start: strictly inside the limits, (share,).
+    By an interior-point method, from a start that is strictly inside the limits, (share,).
     """
-    share, n_bounds = start, len(start) + len(limits)
+    parts, goal, price, limits = problem.parts(start), problem.goal, problem.price(start), problem.limits
+    n, n_bounds = len(start), len(start) + len(limits)
     # From the interior: the last barrier may have left the start at the border of what is allowed.
-    share = 0.5 * share + 0.25 / len(share) / max(1.0, float(limits.sum(axis=1).max() / len(share)))
+    share = 0.5 * start + 0.25 / n / max(1.0, float(limits.sum(axis=1).max() / n))
     sharpness = 10.0 * n_bounds
     while True:
         for _ in range(MAX_STEPS):

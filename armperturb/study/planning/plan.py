@@ -107,11 +107,8 @@ class Design(Result):
     def factors(self) -> dict[NoiseLaw, float]:
         """Law of the noise to that factor."""
         columns = [self.names.index(name) for name in self.settings.wanted()]
-        ratios = {
-            law: (self.optimised.standard_error[law] / self.thesis.standard_error[law])[columns]
-            for law in get_args(NoiseLaw)
-        }
-        return {law: float(np.exp(np.mean(np.log(ratio)))) for law, ratio in ratios.items()}
+        best, usual = self.optimised.standard_error, self.thesis.standard_error
+        return {law: float(np.exp(np.mean(np.log((best[law] / usual[law])[columns])))) for law in get_args(NoiseLaw)}
 
     @cached_property
     def between_trials(self) -> Array:
@@ -121,11 +118,9 @@ class Design(Result):
         number of trials, (parameter,).
         """
         human = HUMAN_NOISE[self.settings.subject.task]
-        shares = [
-            getattr(human, f"spread_{name.partition('_')[0]}", 0.0) if name not in SHARES["grip"] else 0.0
-            for name in self.names
-        ]
-        return np.abs(self.truth) * np.array(shares) / np.sqrt(self.settings.trials)
+        spread = {name: getattr(human, f"spread_{name.partition('_')[0]}", 0.0) for name in self.names}
+        shares = np.array([0.0 if name in SHARES["grip"] else spread[name] for name in self.names])
+        return np.abs(self.truth) * shares / np.sqrt(self.settings.trials)
 
     def describe(self) -> Description:
         """Predicted standard errors, and what the signals demand."""
@@ -194,31 +189,22 @@ class Design(Result):
 
     def spectrum_frame(self) -> pd.DataFrame:
         """RMS force of each line."""
-        parts = []
+        parts = {}
         for name, signal in (("thesis", self.thesis), ("optimised", self.optimised)):
-            force = pd.DataFrame(np.sqrt(signal.power), columns=["force_x_N", "force_y_N"])
-            force.insert(0, "frequency_hz", signal.frequency)
-            force.insert(0, "signal", name)
-            parts.append(force)
-        return pd.concat(parts)
+            frequency = pd.Index(signal.frequency, name="frequency_hz")
+            parts[name] = pd.DataFrame(np.sqrt(signal.power), frequency, ["force_x_N", "force_y_N"])
+        return pd.concat(parts, names=["signal"]).reset_index()
 
     def signal_frame(self) -> pd.DataFrame:
         """RMS and largest force, and RMS displacement of the handle, of each realisation and axis."""
         n_period = round(self.settings.period * DESIGN_RATE)
-        return pd.DataFrame(
-            [
-                {
-                    "trial": number,
-                    "axis": axis,
-                    "rms_force_N": float(np.sqrt(np.mean(signal.force[:n_period, column] ** 2))),
-                    "peak_force_N": float(np.abs(signal.force[:, column]).max()),
-                    "rms_displacement_m": float(moved[column]),
-                }
-                for number, signal in enumerate(self.perturbations, start=1)
-                for moved in (displacements(self.settings.subject, signal, n_period),)
-                for column, axis in enumerate(("x", "y"))
-            ]
-        )
+        rows: list[tuple[Any, ...]] = []
+        for number, signal in enumerate(self.perturbations, start=1):
+            moved = displacements(self.settings.subject, signal, n_period)
+            for axis, force, displacement in zip("xy", signal.force.T, moved, strict=True):
+                rms = np.sqrt(np.mean(force[:n_period] ** 2))
+                rows.append((number, axis, rms, np.abs(force).max(), displacement))
+        return pd.DataFrame(rows, columns=["trial", "axis", "rms_force_N", "peak_force_N", "rms_displacement_m"])
 
 
 def design(settings: DesignSettings) -> Design:
@@ -238,9 +224,7 @@ def design(settings: DesignSettings) -> Design:
     thesis /= max(1.0, float(usual.displacement(thesis).max()) / displacement**2)
     if settings.peak is not None:
         multisines = [Multisine.draw(seed=seed, rms=float(np.sqrt(thesis[:, 0].sum()))) for seed in seeds]
-        largest = max(
-            float(np.abs(perturbation.sample(DESIGN_RATE, PERIOD_SAMPLES)).max()) for perturbation in multisines
-        )
+        largest = max(float(np.abs(each.sample(DESIGN_RATE, PERIOD_SAMPLES)).max()) for each in multisines)
         thesis *= min(1.0, settings.peak / largest) ** 2
     usual_demand = usual.demand(thesis)
 
@@ -249,19 +233,13 @@ def design(settings: DesignSettings) -> Design:
     held = usual_demand if settings.noise == "held" else None
     limits = Limits(force, displacement)
     optimum = optimise(best, len(starts), settings.wanted(), limits, settings.spread, held)
-    drawn = [
-        balanced(
-            settings.subject,
-            draw_multisine(lines, optimum.power, seed=seed, duration=duration, n_period=n_period),
-            n_period,
-        )
-        for seed in seeds
-    ]
+    played = (draw_multisine(lines, optimum.power, seed=seed, duration=duration, n_period=n_period) for seed in seeds)
+    drawn = [balanced(settings.subject, perturbation, n_period) for perturbation in played]
     # How x and y add up depends on the phases: the worst trial must be within the limits.
-    moved = max(float(displacements(settings.subject, perturbation, n_period).max()) for perturbation in drawn)
+    moved = max(float(displacements(settings.subject, each, n_period).max()) for each in drawn)
     scale = min(1.0, displacement / moved)
     if settings.peak is not None:
-        scale = min(scale, settings.peak / max(float(np.abs(perturbation.force).max()) for perturbation in drawn))
+        scale = min(scale, settings.peak / max(float(np.abs(each.force).max()) for each in drawn))
 
     return Design(
         settings=settings,
@@ -270,9 +248,7 @@ def design(settings: DesignSettings) -> Design:
         thesis=_signal(usual, thesis, usual_demand, duration, settings.trials),
         optimised=_signal(best, scale**2 * optimum.power, usual_demand, duration, settings.trials),
         proposed=None if settings.perturbation is None else proposed_signal(settings, usual_demand),
-        perturbations=tuple(
-            Sampled(force=scale * perturbation.force, rate=perturbation.rate) for perturbation in drawn
-        ),
+        perturbations=tuple(Sampled(force=scale * each.force, rate=each.rate) for each in drawn),
         excess=optimum.excess,
     )
 

@@ -41,14 +41,11 @@ def title(validation: Validation) -> str:
         f"model {settings.model}",
         f"{_counted(settings.groups, 'group')} of {_counted(settings.trials, 'trial')}",
         "MuJoCo's arm" if settings.multibody else "linear arm",
+        f"noise x {settings.noise:g}" if settings.noise != 1.0 else "",
+        f"force {settings.force:g} N" if settings.force is not None else "",
+        f"wrong: {settings.wrong}" if settings.wrong != "nothing" else "",
     ]
-    if settings.noise != 1.0:
-        parts.append(f"noise x {settings.noise:g}")
-    if settings.force is not None:
-        parts.append(f"force {settings.force:g} N")
-    if settings.wrong != "nothing":
-        parts.append(f"wrong: {settings.wrong}")
-    return ", ".join(parts)
+    return ", ".join(filter(None, parts))
 
 
 def _counted(number: int, thing: str) -> str:
@@ -57,44 +54,34 @@ def _counted(number: int, thing: str) -> str:
 
 def describe(validation: Validation) -> Description:
     """Errors in percent of the true value, or in its unit where that is zero, and how the fits went."""
-    estimators, frame = list(validation.judged), validation.to_frame()
-    columns = ["parameter", "true", "bound"]
-    for name in estimators:
-        columns += [f"{name}: bias", "RMS", "held"]
+    frame = validation.to_frame()
+    header = ["parameter", "true", "bound"]
+    for name in validation.judged:
+        header += [f"{name}: bias", "RMS", "held"]
     rows = []
     for _, of_parameter in frame.groupby("parameter", sort=False):
-        blocks = {row["estimator"]: row for row in of_parameter.to_dict("records")}
-        first = blocks[estimators[0]]
+        blocks = of_parameter.to_dict("records")
+        first = blocks[0]
         scale, percent = (100.0 / abs(first["true"]), " %") if first["true"] else (1.0, "")
         true = f"{first['true']:.4g} {first['unit']}"
         cells = [first["parameter"], true, plain(scale * first["bound"], 3) + percent]
-        for name in estimators:
-            row = blocks[name]
+        for row in blocks:  # one for each estimator
             numbers = plain(scale * row["bias"], 3), plain(row["rms_error_over_bound"], 3)
             cells += [*numbers, f"{row['coverage_percent']:.0f}"]
         rows.append(tuple(cells))
-    shares = ("converged", "stable", "global", "coverage", "flagged")
-    summary = Table(
-        ("estimator", "converged", "stable", "global", "held", "flagged"),
-        tuple(
-            (
-                row["estimator"],
-                *(f"{share:.1f} %" if math.isfinite(share) else "-" for share in (row[f"{s}_percent"] for s in shares)),
-            )
-            for row in validation.estimators_frame().to_dict("records")
-        ),
-    )
+    columns = [f"{share}_percent" for share in ("converged", "stable", "global", "coverage", "flagged")]
+    shares = validation.estimators_frame().set_index("estimator")[columns]
+    texts = shares.map(lambda share: f"{share:.1f} %" if math.isfinite(share) else "-")
+    heads = ("estimator", "converged", "stable", "global", "held", "flagged")
+    summary = Table(heads, tuple(texts.itertuples(name=None)))
     return Description(
         title=f"Validation: {title(validation)}",
         facts=(
             "bias in % of the true value; bound: Cramer-Rao, from the whole records; RMS error over the bound; held: "
             "share of the 95 % intervals that hold the true value [%]",
         ),
-        table=Table(tuple(columns), tuple(rows)),
-        details=(
-            *summary.lines(),
-            "flagged: the estimator itself reports a lack of fit",
-        ),
+        table=Table(tuple(header), tuple(rows)),
+        details=(*summary.lines(), "flagged: the estimator itself reports a lack of fit"),
     )
 
 
@@ -154,10 +141,9 @@ def write_validation(validation: Validation, folder: Path) -> None:
     Raises:
       OSError: a file cannot be written.
     """
-    tables, figures = folder / "tables", folder / "figures"
+    settings, tables, figures = validation.settings, folder / "tables", folder / "figures"
     for path in (tables, figures):
         path.mkdir(parents=True, exist_ok=True)
-    settings = validation.settings
     write_csv(validation.to_frame(), tables / "validation.csv")
     write_csv(validation.estimators_frame(), tables / "validation_summary.csv")
     save_plot(validation, figures / "validation.svg")

@@ -23,7 +23,7 @@ from armperturb.analysis.fit.thesis import fit_trials
 from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
-from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
+from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
@@ -213,14 +213,9 @@ def simulate_group(settings: ValidateSettings, number: int) -> xr.Dataset:
       ValueError: the subject is refused, or the arm is unstable.
       OSError: the subject's file cannot be read.
     """
-    truth = settings.truth()
-    return run_experiment(
-        [_trial(settings, truth, number, trial) for trial in range(settings.trials)],
-        linear=not settings.multibody,
-        engine=settings.engine,
-        instruments=Instruments(marker_noise=None, emg=None),
-        n_threads=1,
-    )
+    truth, linear, instruments = settings.truth(), not settings.multibody, Instruments(marker_noise=None, emg=None)
+    trials = [_trial(settings, truth, number, trial) for trial in range(settings.trials)]
+    return run_experiment(trials, linear=linear, engine=settings.engine, instruments=instruments, n_threads=1)
 
 
 def run_group(settings: ValidateSettings, number: int) -> tuple[int, dict[Estimator, Judged], Array]:
@@ -245,10 +240,8 @@ def run_group(settings: ValidateSettings, number: int) -> tuple[int, dict[Estima
     group.record.weigh(right)
     information = group.record.normal(right, structure.mixing).information
     judged = {
-        estimator: _by_thesis(trials, structure, values)
-        if estimator == "thesis"
-        else _by_likelihood(group, estimator, values)
-        for estimator in settings.estimators
+        name: _by_thesis(trials, structure, values) if name == "thesis" else _by_likelihood(group, name, values)
+        for name in settings.estimators
     }
     return number, judged, information
 
@@ -269,6 +262,9 @@ def collect(settings: ValidateSettings, results: Sequence[tuple[int, dict[Estima
 
 def _trial(settings: ValidateSettings, truth: Subject, group: int, number: int) -> Trial:
     force = RMS_FORCE[truth.task] if settings.force is None else settings.force
+    noise = HUMAN_NOISE[truth.task]
+    levels = ("remnant_share", "remnant_floor", "voluntary_share", "voluntary_floor")
+    louder = {name: settings.noise * getattr(noise, name) for name in levels}
     rng = np.random.default_rng(trial_seed(settings.seed, "validate multisine", group, number))
     return Trial(
         subject=truth,
@@ -276,30 +272,20 @@ def _trial(settings: ValidateSettings, truth: Subject, group: int, number: int) 
         condition=f"{truth.task}7.5",
         repetition=number,
         seed=trial_seed(settings.seed, "validate trial", group, number),
-        noise=_scaled(HUMAN_NOISE[truth.task], settings.noise),
+        # The person is the same in all trials: else there is no one truth.
+        noise=replace(noise, **louder, spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0),
     )
-
-
-def _scaled(noise: HumanNoise, factor: float) -> HumanNoise:
-    """The same noise, so many times stronger, of a person who is the same in all trials: else there is no one truth."""
-    louder = {
-        name: factor * getattr(noise, name)
-        for name in ("remnant_share", "remnant_floor", "voluntary_share", "voluntary_floor")
-    }
-    return replace(noise, **louder, spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
 
 
 def _by_likelihood(group: Group, method: Method, truth: Array) -> Judged:
     fitted = estimate([group], method)
     names = group.structure.free
     from_truth = estimate([group], method, initial=dict(zip(names, truth.tolist(), strict=True)))
-    intervals = [fitted.interval(name) for name in names]
+    lower, upper = np.array([fitted.interval(name) for name in names]).T
     return Judged(
         values=np.array([*fitted.values.values()]),
         error=np.array([*fitted.standard_error.values()]),
-        covered=np.array(
-            [interval.lower <= true <= interval.upper for interval, true in zip(intervals, truth, strict=True)]
-        ),
+        covered=(lower <= truth) & (truth <= upper),
         converged=float(fitted.converged),
         stable=float(fitted.stable),
         is_global=float(fitted.objective <= from_truth.objective + SAME_OPTIMUM),

@@ -181,5 +181,5 @@ def test_bad_input_is_named(first, other):
     with pytest.raises(ValueError, match="force"):
         fit_trials(broken, "3b")
     flipped = first.assign(force=-first["force"])
-    with pytest.raises(ValueError, match="expected a positive mass"):
+    with pytest.raises(ValueError, match="force must be the reaction force that the handle exerts"):
         fit_trials(flipped, "3b")

@@ -230,7 +230,7 @@ def test_without_a_manifest_the_protocol_is_the_thesiss(study, copied, asked, tm
     assert cells_of(found)[Cell("2.1", "PT7.5", "rms_force")].ours.mean == pytest.approx(mine.force)
     assert of_pt22[0] in sketch(found, tmp_path / "report")
 
-    for content, message in (("{", "not readable as JSON"), ("[]", "holds a list"), ("{}", "no 'subjects'")):
+    for content, message in (("{", "not readable as JSON"), ("[]", "holds a list"), ("{}", "no 'versions'")):
         (copied / "manifest.json").write_text(content)
         again = analysed(copied)
         assert "the thesis's protocol is assumed" in again.missing[0]
