@@ -21,13 +21,13 @@ Memory = Any
 """A row of `lanes.control_memory`, likewise."""
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def bond_after(bond: float, survival: float, move: float, limit: float) -> float:
     """Strain of a part's bonds after a step [rad]: some let go, the others are stretched, up to the elastic limit."""
     return min(max(bond * survival + move, -limit), limit)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def thinned_torque(velocity: float, damping: float, thinning: float) -> float:
     """What shear thinning takes from the torque of a linear damper [Nm]."""
     thinned = abs(velocity) * thinning

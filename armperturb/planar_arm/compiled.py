@@ -35,7 +35,7 @@ PI_REMAINDER = 1.2246467991473532e-16
 """What pi has beyond its nearest number."""
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _sine_and_cosine(angle: float) -> tuple[float, float]:
     """Both by their series about the nearest multiple of pi, to rounding: library calls are not vectorised."""
     turns = np.floor(angle * (1.0 / math.pi) + 0.5)
@@ -51,7 +51,7 @@ def _sine_and_cosine(angle: float) -> tuple[float, float]:
     return sign * x * sine, sign * (1.0 - 0.5 * z * cosine)
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _turned(sine: float, cosine: float, by: float) -> tuple[float, float]:
     """Sine and cosine of an angle that has grown by less than 0.1 rad, to rounding."""
     z = by * by
@@ -60,7 +60,7 @@ def _turned(sine: float, cosine: float, by: float) -> tuple[float, float]:
     return sine * left + cosine * grown, cosine * left - sine * grown
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _moved(z: State, slope: State, time: float) -> State:
     """The state after a time with that slope."""
     return (
@@ -75,7 +75,7 @@ def _moved(z: State, slope: State, time: float) -> State:
     )
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _slope(w: Array, i: int, z: State, upper: State, lower: State, stage: int) -> State:
     """Derivative of (q_s, q_e, x, y, their velocities), q from the posture and x from the start.
 
@@ -115,7 +115,7 @@ def _slope(w: Array, i: int, z: State, upper: State, lower: State, stage: int) -
     )
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _advance(w: Array, timestep: float) -> None:
     """One step of Runge-Kutta 4 of all lanes of a group; NaN where an arm diverges.
 
@@ -148,7 +148,7 @@ def _advance(w: Array, timestep: float) -> None:
         w[W_S, i], w[W_E, i], w[V_X, i], w[V_Y, i] = finite * z[4], finite * z[5], finite * z[6], finite * z[7]
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def _yield(w: Array, timestep: float) -> None:
     """Add to a group's torques what muscle laws take from springs and dampers over a step; `law_torque` of all lanes.
 
