@@ -196,11 +196,9 @@ def draw_person(
     require_number("cohort", "number", number, at_least=0)
     require_one_of("cohort", "muscles", muscles, MUSCLES)
     environment = environment or Environment()
-    body_rng, *task_rngs, level_rng = (
-        # A stream of its own for each purpose: the draws of one task do not move those of the other.
-        np.random.default_rng(random_stream(seed, "cohort", number, stream))
-        for stream in range(2 + len(PRESETS))
-    )
+    # A stream of its own for each purpose: the draws of one task do not move those of the other.
+    streams = (random_stream(seed, "cohort", number, stream) for stream in range(2 + len(PRESETS)))
+    body_rng, *task_rngs, level_rng = map(np.random.default_rng, streams)
     height = _ordinary(body_rng, *HEIGHT)
     mass = _ordinary(body_rng, *BODY_MASS_INDEX) * height**2
     posture = _ordinary(body_rng, *SHOULDER_ANGLE_DEG), _ordinary(body_rng, *ELBOW_ANGLE_DEG)
@@ -212,10 +210,8 @@ def draw_person(
             subjects[mean.task] = _draw_around(replace(mean, **body), spread, rng, environment)
     else:
         average = average_person()
-        levels = {
-            condition: level * math.exp(_ordinary(level_rng, 0.0, SPREAD_LEVEL))
-            for condition, level in average.levels.items()
-        }
+        for condition, level in average.levels.items():
+            levels[condition] = level * math.exp(_ordinary(level_rng, 0.0, SPREAD_LEVEL))
         for task, rng in zip(TASKS, task_rngs, strict=True):
             of_task = {name: level for name, level in levels.items() if name.startswith(task)}
             subjects[task] = _draw_nonlinear(replace(average.subjects[task], **body), of_task, rng, environment)
@@ -251,9 +247,8 @@ def _draw_nonlinear(
 
         drawn: dict[str, Any] = {}
         for quantity in ("b", "k", "kv", "kp"):
-            s, se, e = (
-                factor * group for factor, group in zip(factors(alike), mean.muscle_groups(quantity), strict=True)
-            )
+            groups = zip(factors(alike), mean.muscle_groups(quantity), strict=True)
+            s, se, e = (factor * group for factor, group in groups)
             drawn |= {f"{quantity}_s": s + se, f"{quantity}_se": se, f"{quantity}_e": e + se}
         law = mean.muscle
         if law is not None:

@@ -236,13 +236,12 @@ def _settled(
         of_path = [column.values for column in columns if column.channel in displacement["channels"].values()]
         units = _movement_units(*(np.array([f(values) for values in of_path]) for f in (np.nanmin, np.nanmax)))
     rates = {column.rate for column in columns if column.rate}
+    rate = min(rates) if len(rates) > 1 else None
     refused, passed = [], []
     for unit, body in product(units, BODIES):
         displacement["unit"], force["exerted_by"] = unit, body
         try:
-            recording, notes = import_trials(
-                [(path, Sidecar.of(content, target), raw)], get_args(Repair), min(rates) if len(rates) > 1 else None
-            )
+            recording, notes = import_trials([(path, Sidecar.of(content, target), raw)], get_args(Repair), rate)
         except ValueError as error:
             refused.append(f"{error}")
             continue

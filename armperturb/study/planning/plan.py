@@ -169,22 +169,16 @@ class Design(Result):
         """
         signals = {"thesis": self.thesis, "optimised": self.optimised, "proposed": self.proposed}
         there = {name: signal for name, signal in signals.items() if signal is not None}
-        parts = [
-            xr.Dataset(
-                {
-                    "power": (("frequency", "axis"), signal.power, {"units": "N2"}),
-                    "standard_error": (("noise", "parameter"), np.array([*signal.standard_error.values()])),
-                    "displacement": ("axis", signal.displacement, {"units": "m"}),
-                },
-                coords={
-                    "frequency": ("frequency", signal.frequency, {"units": "Hz"}),
-                    "axis": ["x", "y"],
-                    "noise": list(signal.standard_error),
-                    "parameter": list(self.names),
-                },
-            )
-            for signal in there.values()
-        ]
+        parts = []
+        for signal in there.values():
+            variables = {
+                "power": (("frequency", "axis"), signal.power, {"units": "N2"}),
+                "standard_error": (("noise", "parameter"), np.array([*signal.standard_error.values()])),
+                "displacement": ("axis", signal.displacement, {"units": "m"}),
+            }
+            coords = {"axis": ["x", "y"], "noise": list(signal.standard_error), "parameter": list(self.names)}
+            frequency = ("frequency", signal.frequency, {"units": "Hz"})
+            parts.append(xr.Dataset(variables, coords={"frequency": frequency, **coords}))
         return xr.concat(parts, dim=xr.DataArray(list(there), dims="signal", name="signal"), join="outer")
 
     def spectrum_frame(self) -> pd.DataFrame:
