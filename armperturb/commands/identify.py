@@ -74,11 +74,7 @@ class Identify(Command):
                 )
         imported = import_recording(self.recordings, sidecar=self.sidecar)
         (recording,) = select_trials(
-            [imported.recording],
-            self.recordings,
-            subject=self.subject,
-            condition=self.condition,
-            single_condition=False,
+            [imported.recording], self.recordings, self.subject, self.condition, single_condition=False
         )
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")

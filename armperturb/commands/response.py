@@ -2,15 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from armperturb.analysis.defaults import SETTLED
 from armperturb.commands.command import Command, Positional
 from armperturb.files import write_csv
-
-if TYPE_CHECKING:
-    from armperturb.analysis.response.best_linear import BestLinear
-    from armperturb.analysis.response.frequency_response import FrequencyResponse
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,17 +41,13 @@ class Response(Command):
         from armperturb.analysis.trials import common_period, prepared_recordings
         from armperturb.commands.selection import select_trials
         from armperturb.convert.importer import import_recording
+        from armperturb.plots.style import save_plot
 
         if self.period is not None and self.method not in ("multisine", "spectral"):
             raise ValueError(f"response: period = {self.period:g}; expected none with the method {self.method}")
         imported = [import_recording([path], sidecar=self.sidecar) for path in self.recordings]
-        recordings = select_trials(
-            [recording for recording, _ in imported],
-            self.recordings,
-            subject=self.subject,
-            condition=self.condition,
-            single_condition=True,
-        )
+        recordings = [recording for recording, _ in imported]
+        recordings = select_trials(recordings, self.recordings, self.subject, self.condition, single_condition=True)
         options: dict[str, Any] = {"window_start": self.window_start, "period": self.period}
         options = {name: value for name, value in options.items() if value is not None}
         lines, distortion = [note for _, notes in imported for note in notes], None
@@ -81,32 +73,13 @@ class Response(Command):
                 lines.append(distortion.describe().facts[0])
             except ValueError as error:
                 lines.append(f"nonlinear distortion: not estimated ({error})")
-        write_response(estimate, distortion, self.out, trials[0].label)
+        self.out.mkdir(parents=True, exist_ok=True)
+        for name, result in (("response", estimate), ("distortion", distortion)):
+            table, figure = self.out / f"{name}.csv", self.out / f"{name}.svg"
+            if result is None:  # those of an earlier run
+                table.unlink(missing_ok=True)
+                figure.unlink(missing_ok=True)
+            else:
+                write_csv(result.to_frame().assign(condition=trials[0].label), table)
+                save_plot(result, figure)
         return [*lines, f"results: {self.out}"]
-
-
-def write_response(
-    estimate: "FrequencyResponse", distortion: "BestLinear | None", folder: Path, condition: str
-) -> None:
-    """Write `response.csv` and `response.svg`, and `distortion.csv` and `.svg` if there are any, into a folder.
-
-    Args:
-      estimate: the response.
-      distortion: levels of noise and distortion; None removes those of an earlier run.
-      folder: where; it is made if needed.
-      condition: for the last column of the tables.
-
-    Raises:
-      OSError: the folder cannot be made or written to.
-    """
-    from armperturb.plots.style import save_plot
-
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, result in (("response", estimate), ("distortion", distortion)):
-        table, figure = folder / f"{name}.csv", folder / f"{name}.svg"
-        if result is None:
-            table.unlink(missing_ok=True)
-            figure.unlink(missing_ok=True)
-        else:
-            write_csv(result.to_frame().assign(condition=condition), table)
-            save_plot(result, figure)

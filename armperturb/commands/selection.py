@@ -10,9 +10,9 @@ import xarray as xr
 def select_trials(
     recordings: Sequence[xr.Dataset],
     files: Sequence[Path],
-    *,
     subject: str | None,
     condition: str | None,
+    *,
     single_condition: bool,
 ) -> list[xr.Dataset]:
     """The trials of one subject, in one condition or in all.

@@ -49,11 +49,6 @@ class ArmControl:
         n_parts = self.table["limit"].shape[2]
         self.memory = control_memory(len(subjects), n_parts, max(n_history, history_of(self.table, timestep)))
 
-    @property
-    def excitation(self) -> Array:
-        """Reflexive excitation of the joints at the last step [Nm], (trial, joint); zero before the first."""
-        return self.memory["excitation"]
-
     def torque(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
         """What acts on the joints over a step, which all memories then go on by.
 

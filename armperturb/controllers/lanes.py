@@ -135,21 +135,12 @@ def control_memory(n_lanes: int, n_parts: int, n_history: int) -> Table:
       n_parts: elasto-plastic parts of each element.
       n_history: active torques to remember.
     """
-    two = [(name, float, (2,)) for name in ("law", "law_before", "excitation", "command")]
-    memory = np.zeros(
-        n_lanes,
-        [
-            ("bond", float, (3, n_parts)),
-            ("intact", float, (3,)),
-            ("stretch", float, (3,)),
-            *two,
-            ("velocity", float, (4, 2)),
-            ("filters", float, (2, 2)),
-            ("command_filters", float, (2, 2)),
-            ("sent", float, (n_history, 2)),
-            ("next", int),
-        ],
-    )
+    shapes: dict[str, tuple[int, ...]] = {
+        **{"bond": (3, n_parts), "intact": (3,), "stretch": (3,)},
+        **dict.fromkeys(("law", "law_before", "excitation", "command"), (2,)),
+        **{"velocity": (4, 2), "filters": (2, 2), "command_filters": (2, 2), "sent": (n_history, 2)},
+    }
+    memory = np.zeros(n_lanes, [*((name, float, shape) for name, shape in shapes.items()), ("next", int)])
     memory["intact"] = 1.0
     return memory
 

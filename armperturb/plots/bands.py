@@ -125,13 +125,8 @@ def plot_distortion(
         ):
             shown = np.where(power[:, output] > 0.0, power[:, output], np.nan)
             ax.plot(frequency, 1e3 * np.sqrt(shown), color=colour, marker="o", markersize=3, label=label)
-        ax.plot(
-            frequency,
-            1e3 * np.sqrt(limit[:, output]),
-            color=COLOURS["RT"],
-            linestyle=":",
-            label="distortion of a linear arm, 95 %",
-        )
+        of_linear: dict[str, Any] = {"color": COLOURS["RT"], "linestyle": ":"}
+        ax.plot(frequency, 1e3 * np.sqrt(limit[:, output]), **of_linear, label="distortion of a linear arm, 95 %")
         ax.set(xscale="log", yscale="log", title=f"displacement {AXES[output]}")
         label_frequency(ax)
     axes[0].set_ylabel("RMS at a line [mm]")

@@ -73,9 +73,6 @@ def plot_recording(
     which = f"trial {chosen[0]}" if len(chosen) == 1 else f"{len(chosen)} trials"
     figure.suptitle(f"{who}, {which}" + (f", {conditions[0]}" if len(conditions) == 1 else ""), fontsize=9)
     if len(conditions) > 1:
-        figure.legend(
-            handles=[Line2D([], [], color=colours[condition], label=condition) for condition in conditions],
-            loc="outside lower center",
-            ncols=min(len(conditions), 6),
-        )
+        handles = [Line2D([], [], color=colours[condition], label=condition) for condition in conditions]
+        figure.legend(handles=handles, loc="outside lower center", ncols=min(len(conditions), 6))
     return axes

@@ -1,12 +1,12 @@
 """Figure of how near computed values come to published ones."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
-from armperturb.arrays import Array
 from armperturb.plots.style import COLOURS, GREY, INK, PALE, figure_for, in_style
 
 ROW = 0.2
@@ -17,17 +17,18 @@ FARTHEST = 6.0
 
 
 @in_style()
-def plot_scores(tables: Mapping[str, Array], limits: Sequence[float], figure: Figure | None = None) -> Any:
+def plot_scores(cells: pd.DataFrame, limits: Sequence[float], figure: Figure | None = None) -> Any:
     """Distance of each cell from the published one in published SDs, one row per table.
 
     Args:
-      tables: name to the distances of its cells, (cell,); NaN where there is none.
+      cells: `table`, name of the table of each, and `z`, its distance [SD]; NaN where there is none.
       limits: distances at which to draw lines [SD].
       figure: where to draw; its height is set. None makes a new one of pyplot.
 
     Returns:
       Axes.
     """
+    tables = {str(table): z.to_numpy(float) for table, z in cells.groupby("table", sort=False)["z"]}
     figure = figure_for(figure, 0.9 + ROW * len(tables))
     ax = figure.subplots()
     for limit in limits:

@@ -200,10 +200,10 @@ def test_spindles_of_each_muscle_group_answer_its_own_velocity():
     control = ArmControl([POSITION, subject], DT)
     control.torque(np.array([POSITION.posture] * 2), velocity)
     linear = POSITION.joint_matrix("kv") @ velocity[0]
-    np.testing.assert_allclose(control.excitation[0], linear, rtol=1e-12)
+    np.testing.assert_allclose(control.memory["excitation"][0], linear, rtol=1e-12)
     s, se, e = subject.muscle_groups("kv")
     shoulder, two, elbow = s * 0.4 / (1 + 4), se * 0.1 / (1 + 0.5), e * -0.3 / (1 + 1)
-    np.testing.assert_allclose(control.excitation[1], [shoulder + two, elbow + two], rtol=1e-12)
+    np.testing.assert_allclose(control.memory["excitation"][1], [shoulder + two, elbow + two], rtol=1e-12)
 
 
 @pytest.mark.slow(reason="waits until the arm is at rest, twice")

@@ -72,7 +72,7 @@ def test_excitation_is_eq_2_8():
     angle, velocity = rng.normal(size=(2, 3, 2))
     control = ArmControl(SUBJECTS, 2.5e-3)
     _, sent = control.torque(angle, velocity)
-    excitation = control.excitation
+    excitation = control.memory["excitation"]
     for number, subject in enumerate(SUBJECTS):
         stretch = angle[number] - subject.posture
         expected = subject.joint_matrix("kv") @ velocity[number] + subject.joint_matrix("kp") @ stretch
@@ -129,8 +129,8 @@ def test_active_torque_comes_back_after_its_delay():
         time = 2.5e-3 * step
         _, active = control.torque(np.array([arm.posture] * 2) + 0.1 * np.sin(20 * time) ** 2, np.zeros((2, 2)))
         sent.append(-active[1])
-        seen.append((control.excitation[1] - 0.1 * np.sin(20 * time) ** 2) / 1e-9)
-        assert not control.excitation[0].any()
+        seen.append((control.memory["excitation"][1] - 0.1 * np.sin(20 * time) ** 2) / 1e-9)
+        assert not control.memory["excitation"][0].any()
     sent, seen = np.array(sent), np.array(seen)
     np.testing.assert_allclose(seen[20:, 0], sent[20 - 13 : 60 - 13, 0], atol=1e-6 * sent.max())
     # Between steps it runs smoothly.

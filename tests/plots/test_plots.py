@@ -73,8 +73,8 @@ def test_parameters_of_several_fits_stand_side_by_side():
 
 
 def test_scores_keep_what_is_far_at_the_edge():
-    z = np.array([0.3, np.nan, 20.0, -7.0])
-    ax = plot_scores({"F.2": z, "C.3": np.array([])}, (0.5, 1.0), new_figure(1.0))
+    cells = pd.DataFrame({"table": [*4 * ["F.2"], "C.3"], "z": [0.3, np.nan, 20.0, -7.0, np.nan]})
+    ax = plot_scores(cells, (0.5, 1.0), new_figure(1.0))
     drawn = np.concatenate([line.get_xdata() for line in ax.get_lines() if line.get_marker() in "o<>"])
     assert sorted(drawn.tolist()) == [-FARTHEST, 0.3, FARTHEST]
     assert [label.get_text() for label in ax.get_yticklabels()] == ["F.2", "C.3"]

@@ -12,9 +12,10 @@ the activation dynamics, as electrodes pick up what the nerve sends. What the mo
 fatigue, voluntary activity.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,22 +30,8 @@ from armperturb.validation import require_number, require_ranges
 Float32 = NDArray[np.float32]
 
 
-class Service(NamedTuple):
-    """What a muscle moves.
-
-    Attributes:
-      joints: which of "s", "e" it spans.
-      sign: of its torque; 1 flexes (angles grow), -1 extends.
-    """
-
-    joints: tuple[str, ...]
-    sign: int
-
-
-_MUSCLES = packaged_table(__package__, "muscles.toml")
-
-SERVICES = {name: Service(tuple(moves["joints"]), moves["sign"]) for name, moves in _MUSCLES.items()}
-"""Muscle to what it moves in the horizontal plane."""
+SERVICES: dict[str, dict[str, Any]] = packaged_table(__package__, "muscles.toml")
+"""Muscle to the joints that it moves in the horizontal plane, "s" or "e", and the sign of its torque: 1 flexes."""
 
 STULEN_DE_LUCA = (60.0, 120.0)
 """Lower and upper frequency of the spectrum of surface EMG [Hz]: |H|^2 = f^2 / ((f^2 + low^2) (f^2 + high^2)^2)."""
@@ -108,7 +95,7 @@ class Emg:
         }
         activation = np.empty((len(MUSCLES), len(excitation)))
         for row, muscle in enumerate(MUSCLES):
-            joints, sign = SERVICES[muscle]
+            joints, sign = SERVICES[muscle]["joints"], SERVICES[muscle]["sign"]
             # A joint that is pushed towards flexion stretches its extensors: the reflex torque is minus the excitation.
             stretch = -sign * np.mean([delayed[joint] for joint in joints], axis=0)
             activation[row] = self._cocontraction(subject, joints) + np.maximum(stretch, 0.0) / self.reflex_torque
@@ -118,7 +105,7 @@ class Emg:
         """How many samples the converter reads beside so many of the excitation at a rate [Hz]."""
         return round(n_excitation * self.rate / rate)
 
-    def _cocontraction(self, subject: Subject, joints: tuple[str, ...]) -> float:
+    def _cocontraction(self, subject: Subject, joints: Sequence[str]) -> float:
         """Activation without reflexes [-]; stiffness grows in proportion with it."""
         field = f"k_{''.join(joints)}"
         relaxed, held = getattr(RELAX, field), getattr(POSITION, field)

@@ -87,13 +87,11 @@ class Session:
         `diverged`, as it could not integrate it.
         """
         people, now = self.people, self.simulation.log[:, -1]
+        columns = {"displacement": HANDLE, "joint_angle": ANGLE, "joint_velocity": VELOCITY, "force": FORCE}
         return {
             "time": people.step * people.settings.timestep,
             "perturbation": people.perturbation(),
-            "displacement": now[:, HANDLE].copy(),
-            "joint_angle": now[:, ANGLE].copy(),
-            "joint_velocity": now[:, VELOCITY].copy(),
-            "force": now[:, FORCE].copy(),
+            **{name: now[:, columns[name]].copy() for name in columns},
             "co_contraction": people.reached.copy(),
             "diverged": self._diverged.copy(),
         }

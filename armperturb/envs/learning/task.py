@@ -241,13 +241,8 @@ class TaskSettings:
         perturbation = _perturbation(
             self, number, start, onset, choose(self.rms), choose(self.peak), choose(self.directions_deg)
         )
-        return Trial(
-            subject=self.subject,
-            perturbation=perturbation,
-            condition=self.task,
-            seed=int(rng.integers(2**63)),
-            noise=HUMAN_NOISE[self.task] if self.noise else None,
-        )
+        seed, noise = int(rng.integers(2**63)), HUMAN_NOISE[self.task] if self.noise else None
+        return Trial(subject=self.subject, perturbation=perturbation, condition=self.task, seed=seed, noise=noise)
 
     def _checked(self, trial: object) -> Trial:
         if not isinstance(trial, Trial):

@@ -210,9 +210,8 @@ class Camera:
         start = self._data.body("carriage").xpos + np.array([0.0, 0.0, ARROW_HEIGHT + arrow.lift])
         tip = start + 2.0 * np.array([*arrow.vector, 0.0])  # MuJoCo draws arrows half as long as their connector
         # A short arrow is thin, so that its head does not stand out over its tip.
-        self._add_segment(
-            mujoco.mjtGeom.mjGEOM_ARROW, min(arrow.radius, length / 5), start, tip, _rgb(arrow.colour), 1.0
-        )
+        width = min(arrow.radius, length / 5)
+        self._add_segment(mujoco.mjtGeom.mjGEOM_ARROW, width, start, tip, _rgba(arrow.colour))
 
     def _add_trail(self, trail: Array) -> None:
         if trail.ndim != 2 or trail.shape[1] != 2:
@@ -221,23 +220,16 @@ class Camera:
         points = self.handle(trail[:: -max(1, math.ceil(len(trail) / MAX_SEGMENTS))])
         points[:, 2] -= 0.01  # under the arrows
         # Lines, whose width is in pixels: tubes would cost more than all else.
-        colour, width = _rgb(PATH), max(1.5, self.height / 130)
+        width = max(1.5, self.height / 130)
         for i in range(len(points) - 1):
             if np.linalg.norm(points[i] - points[i + 1]) > 1e-5:
-                opacity = 1.0 - i / len(points)
-                self._add_segment(mujoco.mjtGeom.mjGEOM_LINE, width, points[i + 1], points[i], colour, opacity)
+                rgba = _rgba(PATH, 1.0 - i / len(points))
+                self._add_segment(mujoco.mjtGeom.mjGEOM_LINE, width, points[i + 1], points[i], rgba)
 
     def _add_segment(
-        self,
-        kind: mujoco.mjtGeom,
-        width: float,
-        start: Array,
-        end: Array,
-        colour: tuple[float, float, float],
-        opacity: float,
+        self, kind: mujoco.mjtGeom, width: float, start: Array, end: Array, rgba: npt.NDArray[np.float32]
     ) -> None:
         geom = self._scene.geoms[self._scene.ngeom]
-        rgba = np.array([*colour, opacity], dtype=np.float32)
         mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), rgba)
         mujoco.mjv_connector(geom, kind, width, start, end)
         geom.category = mujoco.mjtCatBit.mjCAT_DECOR  # casts no shadow
@@ -293,7 +285,7 @@ def _small_context(model: mujoco.MjModel, width: int, height: int) -> mujoco.Mjr
     return context
 
 
-def _rgb(colour: str) -> tuple[float, float, float]:
-    """Shares of red, green and blue of #rrggbb."""
-    red, green, blue = bytes.fromhex(colour.removeprefix("#"))
-    return red / 255, green / 255, blue / 255
+def _rgba(colour: str, opacity: float = 1.0) -> npt.NDArray[np.float32]:
+    """Shares of red, green and blue of #rrggbb, and the opacity."""
+    shares = [part / 255 for part in bytes.fromhex(colour.removeprefix("#"))]
+    return np.array([*shares, opacity], dtype=np.float32)

@@ -126,13 +126,9 @@ class StripChart:
         figure = Figure(figsize=(width / dots_per_inch, height / dots_per_inch), dpi=dots_per_inch, facecolor="white")
         canvas = FigureCanvasAgg(figure)
         panels = figure.subplots(2, 1, sharex=True)
-        figure.subplots_adjust(
-            left=4.6 * unit / width,
-            right=1 - 5.6 * unit / width,
-            bottom=2.9 * unit / height,
-            top=1 - 2.0 * unit / height,
-            hspace=0.16,
-        )
+        left, right = (margin * unit / width for margin in (4.6, 5.6))
+        bottom, top = (margin * unit / height for margin in (2.9, 2.0))
+        figure.subplots_adjust(left=left, right=1 - right, bottom=bottom, top=1 - top, hspace=0.16)
         rows = (
             ("force [N]", ((shown.disturbance, DISTURBANCE, "d"), (shown.reaction, REACTION, "f"))),
             ("x, y [cm]", ((100 * shown.displacement, INK, ""),)),

@@ -25,15 +25,11 @@ PREDICTED = (
 )
 """Pulses that a linear model predicts (figure 3.19)."""
 
+_COMPARED = {"PT": ((0, 1), (0, 2)), "RT": ((0, 1), (0, 2), (0, 3), (1, 2), (2, 3))}
+
 POST_HOC = {
-    "PT": {"p_pulse_admittance_pt0_pt2.5": (0, 1), "p_pulse_admittance_pt0_pt7.5": (0, 2)},
-    "RT": {
-        "p_pulse_admittance_rt0_rt2.5": (0, 1),
-        "p_pulse_admittance_rt0_rt7.5": (0, 2),
-        "p_pulse_admittance_rt0_rt22.5": (0, 3),
-        "p_pulse_admittance_rt2.5_rt7.5": (1, 2),
-        "p_pulse_admittance_rt7.5_rt22.5": (2, 3),
-    },
+    task: {f"p_pulse_admittance_{PULSED[task][i][0]}_{PULSED[task][j][0]}".lower(): (i, j) for i, j in pairs}
+    for task, pairs in _COMPARED.items()
 }
 """Task to the printed post-hoc comparisons, pairs in `PULSED`; those of PT that the text garbles are not among them."""
 

@@ -25,17 +25,14 @@ from armperturb.study.comparison.headlines import Headline, headlines
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import FitEntry, MeanSD
 from armperturb.study.results.appendix_fits import FIRST_STEP, Appendices
-from armperturb.study.results.quantities import Cell, published_cells
+from armperturb.study.results.quantities import LIMITS, Cell, published_cells
 from armperturb.study.results.settings import STARTS_OF
 from armperturb.study.results.study_result import StudyResult
-from armperturb.study.results.trial_measures import PersonMeasures
+from armperturb.study.results.trial_measures import PersonMeasures, diverged
 from armperturb.subject import TASKS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-LIMITS = (0.5, 1.0, 2.0)
-"""Within how many published SDs cells are counted."""
 
 WITHOUT_PENALTY = ("C.3", "C.4", "C.5", "C.13", "C.14", "C.15")
 """Tables of the first step of appendix C."""
@@ -138,9 +135,7 @@ class Score(Result):
         """
         from armperturb.plots.scores import plot_scores
 
-        frame = self.to_frame()
-        tables = {str(table): cells["z"].to_numpy(float) for table, cells in frame.groupby("table", sort=False)}
-        return plot_scores(tables, LIMITS, figure)
+        return plot_scores(self.to_frame(), LIMITS, figure)
 
 
 class Share(NamedTuple):
@@ -236,12 +231,7 @@ def _fitted_value(entry: FitEntry, estimate: ThesisEstimate) -> MeanSD:
 def _diverged(fits: Appendices) -> list[str]:
     named = {f"{condition}, model {model}": estimate for (condition, model), estimate in fits.second.items()}
     named |= {f"{STARTS_OF}, start {start}": estimate for start, estimate in fits.starts.items()}
-    return [
-        f"{name}: {len(estimate.fits) - estimate.n_stable} of {len(estimate.fits)} fits diverged (unstable on the "
-        "manipulator in spite of the penalty) and are left out"
-        for name, estimate in named.items()
-        if estimate.n_stable < len(estimate.fits)
-    ]
+    return [line for name, estimate in named.items() for line in diverged(name, estimate)]
 
 
 def _mean_sd(values: Sequence[float]) -> MeanSD:

@@ -24,14 +24,14 @@ from armperturb.analysis.results import Description, Result, Table
 from armperturb.arrays import Array
 from armperturb.cohort import STABILITY_MARGIN
 from armperturb.controllers.remnant import HUMAN_NOISE
-from armperturb.environment import TIMESTEP, Environment
+from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.files import written_whole
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study.experiments.candidates import Candidate, Unknown, unknowns
 from armperturb.study.protocol import PULSE_LEAD, THESIS, Protocol, with_published_forces
 from armperturb.study.published.tables import MeanSD
-from armperturb.study.results.quantities import Cell, measured_cells, published_cells
+from armperturb.study.results.quantities import LIMITS, Cell, measured_cells, published_cells
 from armperturb.subject import TASKS
 from armperturb.validation import require_number
 
@@ -40,9 +40,6 @@ if TYPE_CHECKING:
 
 CALIBRATED = ("2.1", "F.2", "F.3", "F.4")
 """Tables that the calibration sees."""
-
-LIMITS = (0.5, 1.0, 2.0)
-"""Distances from the published mean within which cells are counted [published SD]."""
 
 HELD_OUT = ("F.5", "F.6")
 """Tables of the same kind that it does not see."""
@@ -99,7 +96,6 @@ def simulated_cells(
     *,
     noisy: bool = True,
     environment: Environment | None = None,
-    timestep: float = TIMESTEP,
     engine: str = "compiled",
     **options: Any,
 ) -> list[dict[Cell, float] | None]:
@@ -110,7 +106,6 @@ def simulated_cells(
       seeds: of the multisines; each adds four trials to every condition that has one.
       noisy: whether they are noisy, as people are, but with the same muscles in every trial.
       environment: what the hand holds; the thesis's manipulator if not given.
-      timestep: of the simulation [s].
       engine: see `run_experiment`.
       **options: further ones of `run_experiment`.
 
@@ -134,7 +129,7 @@ def simulated_cells(
                 for person in people
             ]
             everything = [trial for of_person in trials for trial in of_person]
-            recording = run_experiment(everything, environment, timestep=timestep, engine=engine, **options)
+            recording = run_experiment(everything, environment, engine=engine, **options)
             n_own = len(trials[0])
             for place, number in enumerate(able):
                 cells_of[number].update(measured_cells(recording.isel(trial=slice(place * n_own, (place + 1) * n_own))))
@@ -251,9 +246,7 @@ class Calibration(Result):
         """
         from armperturb.plots.scores import plot_scores
 
-        frame = self.to_frame()
-        tables = {str(table): cells["z"].to_numpy(float) for table, cells in frame.groupby("table", sort=False)}
-        return plot_scores(tables, LIMITS, figure)
+        return plot_scores(self.to_frame(), LIMITS, figure)
 
 
 def calibrate(
@@ -299,16 +292,9 @@ def calibrate(
     start = np.array([np.log(u.start / u.typical) / np.log(u.factor) for u in sought])
     if search.residuals([start])[0] is None:
         raise RuntimeError(f"calibrate: the typical person in {task} is unstable or leaves the workspace")
+    ends: dict[str, Any] = {"ftol": TOLERANCE, "xtol": 1e-3, "gtol": None, "max_nfev": max_iterations}
     solution = optimize.least_squares(
-        search.residuals_at,
-        start,
-        jac=search.slopes,
-        bounds=(-WIDEST, WIDEST),
-        x_scale=1.0,
-        ftol=TOLERANCE,
-        xtol=1e-3,
-        gtol=None,
-        max_nfev=max_iterations,
+        search.residuals_at, start, jac=search.slopes, bounds=(-WIDEST, WIDEST), x_scale=1.0, **ends
     )
     values = search.values(solution.x)
     candidate = Candidate.of(task, values)

@@ -93,10 +93,5 @@ class Candidate:
     @property
     def person(self) -> Person:
         """The candidate as somebody who can go through a protocol."""
-        return Person(
-            name=self.subject.name,
-            height=1.0,
-            mass=1.0,
-            subjects={self.subject.task: self.subject},
-            levels=dict(self.levels),
-        )
+        subjects = {self.subject.task: self.subject}
+        return Person(name=self.subject.name, height=1.0, mass=1.0, subjects=subjects, levels=dict(self.levels))

@@ -261,27 +261,17 @@ def why_people_yield(
 
 def _alone() -> Protocol:
     """Every condition without its multisine, and long enough to see whether an arm comes to rest."""
-    conditions = [
-        replace(
-            THESIS.condition(name),
-            rms_displacement=0.0,
-            published_force=0.0,
-            pulse_levels=(PULSES.get(name, 1.0),),
-            repetitions=1,
-        )
-        for name in CONDITIONS
-    ]
+    still: dict[str, Any] = {"rms_displacement": 0.0, "published_force": 0.0, "repetitions": 1}
+    levels = {name: PULSES.get(name, 1.0) for name in CONDITIONS}
+    conditions = [replace(THESIS.condition(name), **still, pulse_levels=(level,)) for name, level in levels.items()]
     return with_published_forces(conditions, PULSE_LEAD, PULSE_LEAD + CALM)
 
 
 def _continuous(n_multisines: int) -> Protocol:
     """The conditions with a multisine; with pulses at its end where they are shown."""
+    levels = {name: (PULSES[name],) if name in PULSES else () for name in CONDITIONS}
     conditions = [
-        replace(
-            THESIS.condition(name),
-            pulse_levels=(PULSES[name],) if name in PULSES else (),
-            repetitions=n_multisines,
-        )
+        replace(THESIS.condition(name), pulse_levels=levels[name], repetitions=n_multisines)
         for name in CONDITIONS
         if THESIS.condition(name).has_multisine
     ]
@@ -325,26 +315,18 @@ def _response(recording: xr.Dataset, subject: Subject) -> Response:
         onset = round(pulse_onset * rate)
         shown = slice(onset, onset + round(WINDOWS[subject.task] * rate) + 1)
         distance = np.linalg.norm(recording["displacement"].values[:, shown], axis=-1)
-        peaks = pulse_peaks(recording)
+        peak, force = (float(values.mean()) for values in pulse_peaks(recording))
+        time = np.arange(distance.shape[1]) / rate
         response = replace(
-            response,
-            time=np.arange(distance.shape[1]) / rate,
-            distance=distance.mean(axis=0),
-            peak=float(peaks.displacement.mean()),
-            pulse_admittance=float(peaks.displacement.mean() / peaks.force.mean()),
+            response, time=time, distance=distance.mean(axis=0), peak=peak, pulse_admittance=peak / force
         )
     if pulse_onset < WINDOW_START:
         return response
     spectra = estimate_spectra(line_spectra(recording, window_start=WINDOW_START))
     window = slice(round(WINDOW_START * rate), round((WINDOW_START + PERIOD) * rate))
     shoulder, elbow = true_rotations(recording)[:, window].reshape(-1, 2).T
-    stretch = np.stack([shoulder, shoulder + elbow, elbow], axis=1)
-    return replace(
-        response,
-        frequency=spectra.frequency,
-        gain=np.abs(spectra.arm),
-        stretch=np.sqrt(np.mean(stretch**2, axis=0)),
-    )
+    stretch = np.sqrt(np.mean(np.stack([shoulder, shoulder + elbow, elbow], axis=1) ** 2, axis=0))
+    return replace(response, frequency=spectra.frequency, gain=np.abs(spectra.arm), stretch=stretch)
 
 
 def intrinsic_loop(

@@ -147,12 +147,8 @@ def _rows(recording: xr.Dataset, condition: Condition, strap: bool) -> Iterator[
         return
     rate = float(recording.attrs["rate"])
     shoulder = recording["shoulder_marker"].values if strap else np.zeros(recording["displacement"].shape)
-    rotations = (
-        true_rotations(recording),
-        joint_rotations(recording),
-        joint_rotations(recording, shoulder=shoulder),
-    )
-    signals = {"rotation": rotations, "velocity": tuple(joint_velocities(rotation, rate) for rotation in rotations)}
+    rotations = [true_rotations(recording), *(joint_rotations(recording, shoulder=at) for at in (None, shoulder))]
+    signals = {"rotation": rotations, "velocity": [joint_velocities(rotation, rate) for rotation in rotations]}
     moved = np.linalg.norm(shoulder, axis=-1)
     stretch = slice(round(SETTLING * rate), round((SETTLING + STRETCH) * rate))
     windows = {"rms": stretch, "max": stretch} if condition.has_multisine else {}

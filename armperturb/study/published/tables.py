@@ -179,11 +179,13 @@ def fit_entries() -> tuple[FitEntry, ...]:
         names = {name: row.get(name) or "" for name in FitEntry._fields[:-1]}
         entries.append(FitEntry(**names, value=_mean_sd(row, factor)))
 
-    def place(entry: FitEntry) -> tuple[str, int]:
-        appendix, _, number = entry.table.partition(".")
-        return appendix, int(number)
+    return tuple(sorted(entries, key=lambda entry: place_of(entry.table)))
 
-    return tuple(sorted(entries, key=place))
+
+def place_of(table: str) -> tuple[str, int]:
+    """Where a table stands in the thesis: appendix or chapter, and number in it."""
+    appendix, _, number = table.partition(".")
+    return appendix, int(number)
 
 
 def headline_text(name: str) -> str:

@@ -223,9 +223,7 @@ def linear_displacement(subject: Subject, environment: Environment, multisine: M
     return float(np.sqrt(np.sum(np.abs(response) ** 2) / 4.0))
 
 
-def measured_displacement(
-    trials: Sequence[Trial], environment: Environment, *, timestep: float = TIMESTEP, **options: Any
-) -> Array:
+def measured_displacement(trials: Sequence[Trial], environment: Environment, **options: Any) -> Array:
     """RMS displacement from the start, pooled over both axes, from 8 s to 28.48 s [m], (trial,).
 
     Infinite where the handle reached the workspace limit before the end, or the simulation diverged.
@@ -233,10 +231,9 @@ def measured_displacement(
     Args:
       trials: of the practice multisine.
       environment: what the hand holds.
-      timestep: of the simulation [s].
       **options: further ones of `run_experiment`.
     """
-    recording = run_experiment(trials, environment, timestep=timestep, **options)
+    recording = run_experiment(trials, environment, **options)
     first, last = (round(time * recording.attrs["rate"]) for time in (WINDOW_START, WINDOW_START + PERIOD))
     inside = recording["displacement"].values[:, first:last]
     rms = np.sqrt(np.mean(inside**2, axis=(1, 2)))

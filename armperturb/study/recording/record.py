@@ -47,7 +47,6 @@ class _Unit:
     people: tuple[tuple[int, Person], ...]
     protocol: Protocol
     multisines: dict[int, Multisine]
-    environment: Environment
     settings: StudySettings
     block: int
     n_threads: int
@@ -103,8 +102,8 @@ def record_study(
     """
     require_number("study", "block", block, at_least=1)
     require_number("study", "workers", workers, at_least=1, optional=True)
-    protocol, environment = settings.load_protocol(), Environment()
-    people = settings.draw_people(environment)
+    protocol = settings.load_protocol()
+    people = settings.draw_people(Environment())
     names = [person.name for person in people]
     with open_study(out, Manifest.of(people, protocol, settings).to_dict()) as folder:
         done, damaged = folder.check(names)
@@ -117,7 +116,7 @@ def record_study(
                 workers_for(worker_count(workers, len(missing)), dask) as pool,
                 _Bar(len(people) * n_trials, len(done) * n_trials, protocol.trial_duration, show_progress) as bar,
             ):
-                units = _units(missing, settings, protocol, environment, folder, pool, block)
+                units = _units(missing, settings, protocol, folder, pool, block)
                 with closing(_work(units, pool, bar)) as finished:
                     for file in finished:
                         content = file.content
@@ -139,7 +138,6 @@ def _units(
     missing: Sequence[tuple[int, Person]],
     settings: StudySettings,
     protocol: Protocol,
-    environment: Environment,
     folder: StudyFolder,
     pool: Workers | None,
     block: int,
@@ -164,7 +162,6 @@ def _units(
             people=group,
             protocol=protocol,
             multisines=multisines,
-            environment=environment,
             settings=settings,
             block=block,
             n_threads=0 if pool is None else pool.threads(number, len(groups)),
@@ -227,7 +224,7 @@ def _do(unit: _Unit, progress: Callable[[float], object] | None) -> list[_Finish
     """Let the people of a unit practise, perturb them, and write their files."""
     people = [person for _, person in unit.people]
     settings = unit.settings
-    forces = practise(people, unit.protocol, settings.seed, unit.environment, unit.n_threads)
+    forces = practise(people, unit.protocol, settings.seed, n_threads=unit.n_threads)
     trials = [
         trial
         for (number, person), of_person in zip(unit.people, forces, strict=True)
@@ -248,7 +245,6 @@ def _simulate(trials: Sequence[Trial], unit: _Unit, progress: Callable[[float], 
     pieces = [
         run_experiment(
             trials[first : first + unit.block],
-            unit.environment,
             timestep=unit.settings.timestep,
             engine=unit.settings.engine,
             strap=unit.protocol.strap,

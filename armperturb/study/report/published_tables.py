@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from armperturb.analysis.fit.structures import unit
 from armperturb.study.comparison.score import WITHOUT_PENALTY, Score, ScoredCell, Share, share
-from armperturb.study.published.tables import MeanSD
+from armperturb.study.published.tables import MeanSD, place_of
 from armperturb.study.report.formats import WORDS
 
 FAR = (1.0, 2.0)
@@ -69,12 +69,7 @@ def published_tables(result: Score) -> tuple[PublishedTable, ...]:
     tables: dict[str, list[ScoredCell]] = {}
     for scored in result.cells:
         tables.setdefault(scored.cell.table, []).append(scored)
-
-    def place(number: str) -> tuple[str, int]:
-        chapter, _, count = number.partition(".")
-        return chapter, int(count)
-
-    return tuple(_table(number, tables[number]) for number in sorted(tables, key=place))
+    return tuple(_table(number, tables[number]) for number in sorted(tables, key=place_of))
 
 
 def _table(number: str, cells: list[ScoredCell]) -> PublishedTable:

@@ -84,12 +84,7 @@ def sections(
     if "stills" in drawn:
         contexts["stills"] = {}
     if yielding is not None:
-        contexts["yielding"] = {
-            "person": yielding.person,
-            "rows": yielding.rows(),
-            "pulses": PULSES,
-            "unstable": yielding.unstable,
-        }
+        contexts["yielding"] = {"yielding": yielding, "pulses": PULSES}
     if score is not None:
         contexts["published"] = {"tables": published_tables(score), "score": score, "missing": missing_cells(score)}
     return {template: contexts[template] for template in WORDS["sections"] if template in contexts}

@@ -19,7 +19,7 @@ from armperturb.study.recording.manifest import Manifest, current_versions, read
 from armperturb.study.recording.record import record_study, worker_count
 from armperturb.study.recording.settings import BLOCK, StudySettings
 from armperturb.study.results.appendix_fits import Appendices, Key, SecondStep, fit_second_step, joined, means_of
-from armperturb.study.results.cache import ANALYSIS, CachedResult, StaleResult, Unit, computed, kept_or_computed
+from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit, computed, kept_or_computed, reusable
 from armperturb.study.results.cases import Case
 from armperturb.study.results.nonlinear_fits import NonlinearFit, fit_nonlinear
 from armperturb.study.results.person import PersonResults, analyse_person
@@ -182,14 +182,16 @@ class _Study:
         paths, missing = find_recordings(root)
         made = _manifest(root, missing)
         environment = Environment()
-        cohort = _cohort(made, environment, missing)
+        cohort = made.draw_people(environment) if made else ()
+        if cohort is None:
+            missing.append("this version draws other people than those who were recorded: their truth is unknown")
+            cohort = ()
         if made and len(paths) < made.subjects:
             absent = sorted({person.name for person in cohort} - {path.stem for path in paths})
             named = f" ({', '.join(absent)})" if absent else ""
             lacking = made.subjects - len(paths)
-            missing.append(
-                f"the study is incomplete: {lacking} of {made.subjects} people have no whole recording{named}"
-            )
+            line = f"the study is incomplete: {lacking} of {made.subjects} people have no whole recording"
+            missing.append(line + named)
         study = cls(
             root=root,
             settings=settings,
@@ -244,16 +246,13 @@ class _Study:
         for task in TASKS[::-1]:
             for path, person in people.items():
                 identified = [case for case in person.cases if case.condition.task == task and case.identification]
+                starts = {case.condition.name: case.model for case in identified}
                 cached = CachedResult(
                     path=self._file(path, f"-nonlinear-{task}"),
                     kind="nonlinear",
                     result=NonlinearFit,
                     recordings={path.name: self.paths[path]},
-                    settings={
-                        "task": task,
-                        "fitted_deg": [],
-                        "starts_from": {case.condition.name: case.model for case in identified},
-                    },
+                    settings={"task": task, "fitted_deg": [], "starts_from": starts},
                 )
                 units.append(_NonlinearUnit(cached, path, task, person.cases))
         return units
@@ -306,14 +305,6 @@ def _manifest(root: Path, missing: list[str]) -> Manifest | None:
     return made
 
 
-def _cohort(made: Manifest | None, environment: Environment, missing: list[str]) -> tuple[Person, ...]:
-    """The people who were simulated, where that is known."""
-    people = made.draw_people(environment) if made else ()
-    if people is None:
-        missing.append("this version draws other people than those who were recorded: their truth is unknown")
-    return people or ()
-
-
 def _analyse(path: Path, protocol: Protocol, settings: AnalysisSettings) -> PersonResults:
     recording = load_recording(path, ["joint_angle"])
     try:
@@ -343,14 +334,8 @@ def _nonlinear(
     fits, stale = dict[Path, NonlinearFit](), dict[Path, str]()
 
     def add(units: Sequence[_NonlinearUnit]) -> None:
-        available = dict[Path, NonlinearFit]()
-        for unit in units:
-            try:
-                fit = unit.cached.read()
-            except StaleResult as error:
-                stale[unit.cached.path], fit = str(error), None
-            if fit is not None:
-                available[unit.cached.path] = fit
+        available, reasons = reusable([unit.cached for unit in units])
+        stale.update(reasons)
         new = [unit for unit in units if unit.cached.path not in available and unit.task in tasks]
         if new:
             with Progress("nonlinear fits", total=len(new), unit="fits", show=show_progress) as bar:

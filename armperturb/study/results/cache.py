@@ -15,7 +15,7 @@ the algorithm. Other changes of the code have no effect on it.
 
 import json
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -140,19 +140,25 @@ def kept_or_computed(units: Sequence[Unit[Any]], pool: Workers | None, bar: Prog
     Raises:
       RuntimeError: workers die again and again.
     """
-    results: dict[int, Any] = {}
-    for number, unit in enumerate(units):
+    results, _ = reusable([unit.cached for unit in units])
+    bar.update(len(results))
+    missing = [unit for unit in units if unit.cached.path not in results]
+    for number, result in computed(missing, pool, bar):
+        results[missing[number].cached.path] = result
+    return [results[unit.cached.path] for unit in units]
+
+
+def reusable(files: Iterable[CachedResult[Any]]) -> tuple[dict[Path, Any], dict[Path, str]]:
+    """File to value of the results that can be used again, and file to why not of those that are stale."""
+    values, stale = dict[Path, Any](), dict[Path, str]()
+    for cached in files:
         try:
-            value = unit.cached.read()
-        except StaleResult:
-            continue
-        if value is not None:
-            results[number] = value
-            bar.update()
-    missing = [number for number in range(len(units)) if number not in results]
-    for place, result in computed([units[number] for number in missing], pool, bar):
-        results[missing[place]] = result
-    return [results[number] for number in range(len(units))]
+            value = cached.read()
+            if value is not None:
+                values[cached.path] = value
+        except StaleResult as error:
+            stale[cached.path] = str(error)
+    return values, stale
 
 
 def computed(units: Sequence[Any], pool: Workers | None, bar: Progress) -> Iterator[tuple[int, Any]]:

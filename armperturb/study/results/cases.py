@@ -100,22 +100,17 @@ def identify_person(conditions: Mapping[str, ConditionTrials], path: Path, proto
       protocol: what was to be recorded.
     """
     name = next(iter(conditions.values())).name
-    cases, multisines = [], {}
+    cases, multisines = {}, {}
     for condition in protocol.conditions:
         if condition.has_multisine:
-            case, multisine = _identify(condition, name, conditions.get(condition.name), path, protocol)
-            cases.append(case)
+            trials = conditions.get(condition.name)
+            cases[condition.name], multisine = _identify(condition, name, trials, path, protocol)
             if multisine is not None:
                 multisines[condition.name] = multisine
-    thesis, failed = _by_thesis(multisines)
+    thesis, failed = _by_thesis(name, multisines)
     return tuple(
-        replace(
-            case,
-            thesis=thesis.get(case.condition.name),
-            left_out=case.left_out
-            + tuple(f"{name} {line}" for of, line in failed.items() if of == case.condition.name),
-        )
-        for case in cases
+        replace(case, thesis=thesis.get(label), left_out=(*case.left_out, *failed.get(label, ())))
+        for label, case in cases.items()
     )
 
 
@@ -135,10 +130,8 @@ def _identify(
     lasts = protocol.multisine_duration if condition.pulse_levels else protocol.trial_duration
     case = Case(condition=condition, name=name, recording=path, identification=None, left_out=tuple(left_out))
     if lasts < WINDOW_START + PERIOD:
-        left_out.append(
-            f"{name} in {condition.name} was not identified: the multisine lasts {lasts:g} s, and the analysis "
-            f"needs {WINDOW_START + PERIOD:g} s"
-        )
+        reason = f"the multisine lasts {lasts:g} s, and the analysis needs {WINDOW_START + PERIOD:g} s"
+        left_out.append(f"{name} in {condition.name} was not identified: {reason}")
         return replace(case, left_out=tuple(left_out)), None
     if multisine is None or not multisine.n_trials:
         return case, None
@@ -155,7 +148,9 @@ def _identify(
         return replace(case, left_out=tuple(left_out)), multisine
 
 
-def _by_thesis(multisines: Mapping[str, ConditionTrials]) -> tuple[dict[str, Identification], dict[str, str]]:
+def _by_thesis(
+    name: str, multisines: Mapping[str, ConditionTrials]
+) -> tuple[dict[str, Identification], dict[str, tuple[str, ...]]]:
     """What the thesis's estimator gives in each condition, and why it gives nothing in others.
 
     Conditions of one task are fitted together, which is faster; not so those whose trials differ in length.
@@ -165,13 +160,13 @@ def _by_thesis(multisines: Mapping[str, ConditionTrials]) -> tuple[dict[str, Ide
         task = str(trials.recording["task"].values[0])
         alike.setdefault((task, trials.n_samples), {})[condition] = trials
     results: dict[str, Identification] = {}
-    failed: dict[str, str] = {}
+    failed: dict[str, tuple[str, ...]] = {}
     for (task, _), conditions in alike.items():
         try:
             results |= identify_conditions(conditions, LINEAR_MODELS[task], estimator="thesis")
         except ValueError as error:
             for condition in conditions:
-                failed[condition] = f"in {condition} was not identified by the thesis's estimator: {error}"
+                failed[condition] = (f"{name} in {condition} was not identified by the thesis's estimator: {error}",)
     return results, failed
 
 

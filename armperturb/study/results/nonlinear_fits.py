@@ -7,7 +7,7 @@ directions. Pulses that were left out of a fit are what it is judged by.
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -18,13 +18,10 @@ from armperturb.analysis.nonlinear.model import stem
 from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
+from armperturb.environment import Environment
 from armperturb.planar_arm.skeletal import simulate_skeletal
 from armperturb.study.results.cases import Case
 from armperturb.subject import Subject
-
-if TYPE_CHECKING:
-    from armperturb.analysis.nonlinear.prediction import PulsePrediction
-
 
 MODELS = ("linear", "skeletal", "nonlinear")
 """Linear arm, the same arm with the geometry of its movement, and the arm with a muscle law."""
@@ -205,21 +202,27 @@ def _left_out(
                     arm, environment = estimate.fits[trial].arm, estimate.environment
                     driven = mine["perturbation"].values[trial, : prepared.onset[trial] + len(pulse.time)]
                     onset = int(prepared.onset[trial])
-                    path = simulate_linear(arm, environment, driven, prepared.rate).displacement[onset:]
-                    predicted["linear"] = replace(pulse, predicted=path)
-                    path = simulate_skeletal(arm, environment, driven, prepared.rate, onset)
-                    predicted["skeletal"] = replace(pulse, predicted=path)
+                    for model, path in predicted_paths(arm, environment, driven, prepared.rate, onset).items():
+                        predicted[model] = replace(pulse, predicted=path)
+                finite = {model: its for model, its in predicted.items() if np.isfinite(its.predicted).all()}
                 level = abs(float(mine["pulse_level"].values[trial]))
-                pulses.append(_with_predictions(LeftOutPulse(label, level, float(direction), {}, {}, {}), predicted))
+                paths: dict[str, Array] = {}
+                if finite and (label, level) in PATHS.values():
+                    paths = {"recorded": pulse.recorded, **{model: its.predicted for model, its in finite.items()}}
+                peak, vaf = ({model: getattr(its, of) for model, its in finite.items()} for of in ("peak", "vaf"))
+                pulses.append(LeftOutPulse(label, level, float(direction), peak, vaf, paths))
     return pulses
 
 
-def _with_predictions(pulse: LeftOutPulse, predicted: Mapping[str, "PulsePrediction"]) -> LeftOutPulse:
-    """With what further models predict, as far as it is finite."""
-    peak, vaf, paths = dict(pulse.peak), dict(pulse.vaf), dict(pulse.paths)
-    for model, prediction in predicted.items():
-        if np.isfinite(prediction.predicted).all():
-            peak[model], vaf[model] = prediction.peak, prediction.vaf
-            if (pulse.condition, pulse.level) in PATHS.values():
-                paths |= {"recorded": prediction.recorded, model: prediction.predicted}
-    return pulse._replace(peak=peak, vaf=vaf, paths=paths)
+def predicted_paths(arm: Subject, environment: Environment, force: Array, rate: float, onset: int) -> dict[str, Array]:
+    """Displacement of the handle from the onset of a pulse on, as the linear and the skeletal model have it [m].
+
+    Args:
+      arm: a trial's own fit.
+      environment: what the hand holds.
+      force: the disturbance from the start of the trial [N], (time, axis).
+      rate: of the force [Hz].
+      onset: sample at which the pulse begins.
+    """
+    linear = simulate_linear(arm, environment, force, rate).displacement[onset:]
+    return {"linear": linear, "skeletal": simulate_skeletal(arm, environment, force, rate, onset)}

@@ -42,6 +42,9 @@ from armperturb.study.published.tables import MeanSD
 JOINT_LETTERS = ("s", "e")
 """Shoulder and elbow, in the order of a recording."""
 
+LIMITS = (0.5, 1.0, 2.0)
+"""Distances from the published mean within which cells are counted [published SD]."""
+
 PULSE_LEVELS = {"min": 1.0, "max": 2.0}
 """Name of a pulse level to the level [-]."""
 
@@ -141,12 +144,13 @@ def measure(
             except ValueError as error:
                 left_out.append(str(error))
                 continue
-            for value in values:
-                pools.setdefault(value.cell, {}).setdefault(value.kind, []).append(value.value)
+            for cell, kind, value in values:
+                pools.setdefault(cell, {}).setdefault(kind, []).append(value)
     cells = {}
     for cell in wanted:
         kinds = pools.get(cell, {})
-        missing = _kinds_needed(cell) - kinds.keys()
+        # Without one of its levels a cell would not mean what the thesis's does: a level more makes peaks larger.
+        missing = set(published.pulse_levels(cell.condition) if cell.table == "F.6" else ()) - kinds.keys()
         if kinds and not missing:
             mean = float(np.mean([np.mean(values) for values in kinds.values()]))
             cells[cell] = math.sqrt(mean) if cell.quantity.startswith("rms") else mean
@@ -155,12 +159,8 @@ def measure(
     return Measured(cells, tuple(left_out))
 
 
-class _Value(NamedTuple):
-    """What a trial adds to a cell: the square of an RMS, or a largest value; kinds of pulses count alike."""
-
-    cell: Cell
-    kind: str
-    value: float
+_Value = tuple[Cell, str, float]
+"""What a trial adds to a cell: its kind of pulse, which count alike, and the square of an RMS or a largest value."""
 
 
 class _Path(NamedTuple):
@@ -223,11 +223,11 @@ def _multisine_values(path: _Path, trial: int, window_start: float, period: floa
         )
     condition = str(recording["condition"].values[trial])
     for name, signal in (("rms_force", "perturbation"), ("rms_displacement", "displacement")):
-        yield _Value(Cell("2.1", condition, name), "", float(np.mean(recording[signal].values[trial, window] ** 2)))
+        yield Cell("2.1", condition, name), "", float(np.mean(recording[signal].values[trial, window] ** 2))
     for table, name, values in (("F.2", "velocity", path.velocity), ("F.4", "rotation", path.rotation)):
         for joint, of_joint in zip(JOINT_LETTERS, values[trial, window].T, strict=True):
-            yield _Value(Cell(table, condition, f"rms_{name}_{joint}"), "", float(np.mean(of_joint**2)))
-            yield _Value(Cell(table, condition, f"max_{name}_{joint}"), "", float(np.abs(of_joint).max()))
+            yield Cell(table, condition, f"rms_{name}_{joint}"), "", float(np.mean(of_joint**2))
+            yield Cell(table, condition, f"max_{name}_{joint}"), "", float(np.abs(of_joint).max())
 
 
 def _pulse_values(path: _Path, trial: int) -> Iterator[_Value]:
@@ -242,14 +242,9 @@ def _pulse_values(path: _Path, trial: int) -> Iterator[_Value]:
     angle = math.radians(float(recording["pulse_direction"].values[trial]))
     direction = "right" if math.cos(angle) > 0.0 else "left"
     distance = peak_norm(recording["displacement"].values[trial, window])
-    yield _Value(Cell("2.1", condition, f"peak_displacement_{named}"), direction, distance)
+    yield Cell("2.1", condition, f"peak_displacement_{named}"), direction, distance
     for index, joint in enumerate(JOINT_LETTERS):
         velocity, rotation = (float(np.abs(of[trial, window, index]).max()) for of in (path.velocity, path.rotation))
-        yield _Value(Cell("F.3", condition, f"peak_velocity_{named}_{joint}"), direction, velocity)
-        yield _Value(Cell("F.5", condition, f"peak_rotation_{named}_{joint}"), direction, rotation)
-        yield _Value(Cell("F.6", condition, f"peak_rotation_{direction}_{joint}"), named, rotation)
-
-
-def _kinds_needed(cell: Cell) -> set[str]:
-    """Kinds of pulses without which a cell would not mean what the thesis's does: a level more makes peaks larger."""
-    return set(published.pulse_levels(cell.condition)) if cell.table == "F.6" else set()
+        yield Cell("F.3", condition, f"peak_velocity_{named}_{joint}"), direction, velocity
+        yield Cell("F.5", condition, f"peak_rotation_{named}_{joint}"), direction, rotation
+        yield Cell("F.6", condition, f"peak_rotation_{direction}_{joint}"), named, rotation

@@ -153,7 +153,7 @@ def measure_person(
         models: dict[int, tuple[Subject, Environment, list[float]]] = {}
         if estimate is not None:
             estimates[condition] = estimate
-            left_out += [f"{name}, {line}" for line in _unstable(estimate, condition)]
+            left_out += diverged(f"{name}, {condition}, model {estimate.structure}", estimate)
             models = {
                 trial: (fit.arm, estimate.environment, vaf)
                 for trial, fit, vaf in zip(
@@ -171,11 +171,12 @@ def measure_person(
                 measures, lost = _with_skeletal(measures, alone, before, arm, environment)
                 left_out += [f"{name} in {line}" for line in lost]
             trials.append(measures)
+    true_cells = measure(recording, simulated_joints=True).cells if "joint_angle" in recording else {}
     return PersonMeasures(
         name=name,
         conditions=tuple(conditions),
         cells=cells,
-        true_cells=_true_cells(recording),
+        true_cells={cell: value for cell, value in true_cells.items() if cell.table.startswith("F")},
         low_gain=low_gain,
         trials=tuple(trials),
         estimates=estimates,
@@ -183,21 +184,11 @@ def measure_person(
     )
 
 
-def _true_cells(recording: xr.Dataset) -> dict[Cell, float]:
-    if "joint_angle" not in recording:
-        return {}
-    cells = measure(recording, simulated_joints=True).cells
-    return {cell: value for cell, value in cells.items() if cell.table.startswith("F")}
-
-
-def _unstable(estimate: ThesisEstimate, condition: str) -> list[str]:
+def diverged(name: str, estimate: ThesisEstimate) -> list[str]:
+    """How many of the fits of that name ended unstable, in a line; none if no fit did."""
     n = len(estimate.fits) - estimate.n_stable
-    if not n:
-        return []
-    return [
-        f"{condition}, model {estimate.structure}: {n} of {len(estimate.fits)} fits diverged (unstable on the "
-        "manipulator in spite of the penalty) and are left out"
-    ]
+    line = f"{name}: {n} of {len(estimate.fits)} fits diverged (unstable on the manipulator in spite of the penalty)"
+    return [f"{line} and are left out"] if n else []
 
 
 def stable_mean(estimate: ThesisEstimate, name: str, *, sem: bool = False) -> float:

@@ -32,8 +32,8 @@ def active(subject, excitation):
 
 def test_every_muscle_serves_a_joint_and_is_named_as_in_the_thesis():
     assert tuple(SERVICES) == MUSCLES
-    assert {muscle for muscle, service in SERVICES.items() if service.sign > 0} == FLEXORS
-    assert [muscle for muscle, service in SERVICES.items() if len(service.joints) == 2] == [
+    assert {muscle for muscle, service in SERVICES.items() if service["sign"] > 0} == FLEXORS
+    assert [muscle for muscle, service in SERVICES.items() if len(service["joints"]) == 2] == [
         "biceps_short_head",
         "triceps_longum",
     ]

@@ -22,7 +22,7 @@ from armperturb.plots.panels import (
 )
 from armperturb.plots.style import COLOURS, GREY, INK, PUBLISHED, in_style, new_figure
 from armperturb.study.published import tables as published
-from armperturb.study.report.figures.axes import Marks, looks, marks_legend, plot_marks, plot_mean, plot_truth
+from armperturb.study.report.figures.axes import Marks, looks, marks_legend, plot_marks, plot_truth
 from armperturb.study.results.cases import Case
 from armperturb.study.results.mean_admittance import by_task, main_conditions, mean_admittance, mean_curves
 from armperturb.study.results.study_result import StudyResult
@@ -100,9 +100,10 @@ def admittance_by_amplitude(study: StudyResult, task: str, marks: Marks | None =
     figure, panels = admittance_panels()
     handles = []
     means = []
-    for condition, look in looks(study, task):
-        means.append(mean_admittance(study, condition.name))
-        plot_mean(panels, means[-1], {**look, "markersize": 3.5})
+    for condition, look in looks(task, by_task(study)[task]):
+        mean = mean_admittance(study, condition.name)
+        means.append(mean)
+        plot_admittance(panels, mean.frequency, mean.gain * np.exp(1j * mean.phase), **look, markersize=3.5)
         handles.append(Line2D([], [], label=condition.name, **look))
     highest = np.max([mean.gain for mean in means], axis=0)
     for element, masks in (marks or {}).items():
@@ -122,13 +123,13 @@ def gain_linear_scale(study: StudyResult, marks: Mapping[str, Marks] | None = No
       study: in which somebody was identified.
       marks: task to where the gains of its conditions differ.
     """
-    tasks = list(by_task(study))
+    tasks = by_task(study)
     figure = new_figure(2.3 * len(tasks) + 0.6)
     panels = figure.subplots(len(tasks), len(MATRIX_ELEMENTS), sharex=True, sharey="row", squeeze=False)
     named: list[list[Line2D]] = []
     expected = []
     for row, task in zip(panels, tasks, strict=True):
-        drawn = looks(study, task)
+        drawn = looks(task, tasks[task])
         means = [mean_admittance(study, condition.name) for condition, _ in drawn]
         named.append([Line2D([], [], label=condition.name, **look) for condition, look in drawn])
         ends = (drawn[0][0].name, drawn[-1][0].name)
@@ -191,15 +192,9 @@ def _draw_coherence(column: NDArray[np.object_], cases: list[Case]) -> None:
     """The coherence of a condition's displacement along x, and along y below."""
     of_subjects = np.stack([np.mean([trial.coherence for trial in case.single_trials], axis=0) for case in cases])
     spread = of_subjects.std(axis=0, ddof=1) if len(of_subjects) > 1 else None
+    mean, frequency = of_subjects.mean(axis=0), cases[0].single_trials[0].frequency
+    look: dict[str, Any] = {"markersize": 3, "elinewidth": 0.9, "color": COLOURS[cases[0].condition.task]}
     for output, ax in enumerate(column):
-        ax.errorbar(
-            cases[0].single_trials[0].frequency,
-            of_subjects.mean(axis=0)[:, output],
-            None if spread is None else spread[:, output],
-            fmt="o-",
-            markersize=3,
-            elinewidth=0.9,
-            color=COLOURS[cases[0].condition.task],
-        )
+        ax.errorbar(frequency, mean[:, output], None if spread is None else spread[:, output], fmt="o-", **look)
         ax.axhline(0.5, color=GREY, linewidth=1, linestyle=":")
         ax.set(xscale="log", ylim=(0, 1.05))

@@ -1,8 +1,8 @@
 """What figures of the report share: looks of conditions, true and mean admittances, marks of significance."""
 
 import itertools
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,10 +13,9 @@ from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.arrays import Array
 from armperturb.plots.panels import FREQUENCY, Element, plot_admittance
 from armperturb.plots.style import COLOURS, INK, TRUE, shades
-from armperturb.study.protocol import Condition
 from armperturb.study.results.cases import Case
-from armperturb.study.results.mean_admittance import MeanAdmittance, by_task
-from armperturb.study.results.study_result import StudyResult
+
+T = TypeVar("T")
 
 Marks = Mapping[Element, tuple[NDArray[np.bool_], NDArray[np.bool_]]]
 """Element to the frequencies at which conditions differ with p < 0.05, and with p < 0.01, (frequency,) each."""
@@ -30,15 +29,10 @@ STARS = (
 """Markers of differences with p < 0.05, and with p < 0.01: an asterisk, and two above each other."""
 
 
-def looks(study: StudyResult, task: str) -> list[tuple[Condition, dict[str, Any]]]:
+def looks(task: str, conditions: Sequence[T]) -> list[tuple[T, dict[str, Any]]]:
     """Conditions of a task with their colours and markers: shades of the task's colour, darker for larger movements."""
-    conditions = by_task(study)[task]
-    return [
-        (condition, {"color": colour, "marker": marker})
-        for condition, colour, marker in zip(
-            conditions, shades(COLOURS[task], len(conditions)), itertools.cycle("osD^v"), strict=False
-        )
-    ]
+    styles = zip(shades(COLOURS[task], len(conditions)), itertools.cycle("osD^v"), strict=False)
+    return [(c, {"color": colour, "marker": marker}) for c, (colour, marker) in zip(conditions, styles, strict=True)]
 
 
 def plot_truth(panels: dict[Element, tuple[Axes, Axes]], case: Case) -> list[Line2D]:
@@ -47,11 +41,6 @@ def plot_truth(panels: dict[Element, tuple[Axes, Axes]], case: Case) -> list[Lin
         return []
     plot_admittance(panels, FREQUENCY, arm_admittance(case.truth, FREQUENCY), **TRUE)
     return [Line2D([], [], label="true", **TRUE)]
-
-
-def plot_mean(panels: dict[Element, tuple[Axes, Axes]], mean: MeanAdmittance, look: dict[str, Any]) -> None:
-    """Draw gain and phase of each element of a mean admittance."""
-    plot_admittance(panels, mean.frequency, mean.gain * np.exp(1j * mean.phase), **look)
 
 
 def plot_marks(ax: Axes, frequency: Array, height: Array, masks: tuple[NDArray[np.bool_], NDArray[np.bool_]]) -> None:

@@ -9,8 +9,9 @@ from matplotlib.lines import Line2D
 
 from armperturb.muscle_law import ELEMENTS
 from armperturb.plots.panels import AXES, label_frequency, legend
-from armperturb.plots.style import COLOURS, GREY, INK, PALETTE, in_style, new_figure, shades
+from armperturb.plots.style import GREY, INK, PALETTE, in_style, new_figure
 from armperturb.study.experiments.mechanisms import AMPLITUDES, LINEAR, PULSES, WHOLE, Yielding, intrinsic_loop
+from armperturb.study.report.figures.axes import looks
 
 DASHES = ("-", (0, (5, 1.5)), (0, (3, 1, 1, 1)), (0, (2, 1)), (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (6, 1, 2, 1)))
 """Of the line of each arm without a mechanism; they tell arms apart where colours do not."""
@@ -23,16 +24,16 @@ def loops(yielding: Yielding) -> Figure:
     panels = figure.subplots(2, 3, sharex="row", sharey="row")
     handles = []
     for row, (task, conditions) in zip(panels, AMPLITUDES.items(), strict=True):
-        colours = shades(COLOURS[task], len(conditions))
+        drawn = looks(task, conditions)
         # The largest loop first, so that smaller ones lie on top.
-        for condition, colour in reversed(list(zip(conditions, colours, strict=True))):
+        for condition, look in reversed(drawn):
             response = yielding.responses.get((WHOLE, condition))
             if response is None:
                 continue
             stretch, torque = intrinsic_loop(response.subject, np.sqrt(2.0) * response.stretch)
             for element, ax in enumerate(row):
-                ax.plot(np.degrees(stretch[:, element]), torque[:, element], color=colour)
-        handles += [Line2D([], [], color=c, label=name) for name, c in zip(conditions, colours, strict=True)]
+                ax.plot(np.degrees(stretch[:, element]), torque[:, element], color=look["color"])
+        handles += [Line2D([], [], color=look["color"], label=name) for name, look in drawn]
         row[0].set_ylabel("torque [Nm]")
     for ax, name in zip(panels[0], ELEMENTS, strict=True):
         ax.set_title(name)
@@ -49,20 +50,18 @@ def admittance(yielding: Yielding) -> Figure:
     panels = figure.subplots(2, 2, sharex=True, sharey=True)
     handles = []
     for column, (task, conditions) in zip(panels.T, AMPLITUDES.items(), strict=True):
-        for condition, colour, marker in zip(
-            conditions, shades(COLOURS[task], len(conditions)), itertools.cycle("osD"), strict=False
-        ):
-            looks: dict[str, dict[str, Any]] = {
-                WHOLE: {"color": colour, "marker": marker, "markersize": 3.5},
-                LINEAR: {"color": colour, "linestyle": (0, (4, 2)), "linewidth": 1.0},
+        for condition, its in looks(task, conditions):
+            looks_of: dict[str, dict[str, Any]] = {
+                WHOLE: {**its, "markersize": 3.5},
+                LINEAR: {"color": its["color"], "linestyle": (0, (4, 2)), "linewidth": 1.0},
             }
-            for variant, look in looks.items():
+            for variant, look in looks_of.items():
                 response = yielding.responses.get((variant, condition))
                 if response is None:
                     continue
                 for axis, ax in enumerate(column):
                     ax.loglog(response.frequency, response.gain[:, axis, axis], **look)
-            handles.append(Line2D([], [], label=condition, **looks[WHOLE]))
+            handles.append(Line2D([], [], label=condition, **looks_of[WHOLE]))
         above, below = (conditions[-1], conditions[0]) if task == "RT" else (conditions[0], conditions[-1])
         factors = [yielding.rise(variant, above, below) for variant in (WHOLE, LINEAR)]
         texts = [f"{factor:.2f}" if np.isfinite(factor) else "none" for factor in factors]
@@ -82,16 +81,16 @@ def pulses(yielding: Yielding) -> Figure:
     figure = new_figure(4.3)
     panels = figure.subplots(1, len(PULSES))
     drawn: set[str] = set()
-    looks: dict[str, dict[str, Any]] = {
+    lines: dict[str, dict[str, Any]] = {
         WHOLE: {"color": INK, "linewidth": 2.4},
         LINEAR: {"color": GREY, "linewidth": 1.8},
     }
-    others = [name for name in yielding.variants if name not in looks]
+    others = [name for name in yielding.variants if name not in lines]
     styles = zip(others, itertools.cycle(PALETTE), itertools.cycle(DASHES), strict=False)
-    looks |= {name: {"color": colour, "linestyle": dashes} for name, colour, dashes in styles}
+    lines |= {name: {"color": colour, "linestyle": dashes} for name, colour, dashes in styles}
     for ax, (condition, level) in zip(panels, PULSES.items(), strict=True):
         whole = yielding.responses.get((WHOLE, condition))
-        for variant, look in looks.items():
+        for variant, look in lines.items():
             response = yielding.responses.get((variant, condition))
             # An arm that is the same as with the whole law would hide it.
             if response is not None and (variant == WHOLE or whole is None or response.subject != whole.subject):
@@ -103,6 +102,6 @@ def pulses(yielding: Yielding) -> Figure:
     for ax in panels:
         ax.set_ylim(bottom=0.0)
     panels[0].set_ylabel("distance from the start [cm]")
-    handles = [Line2D([], [], label=name, **look) for name, look in looks.items() if name in drawn]
+    handles = [Line2D([], [], label=name, **look) for name, look in lines.items() if name in drawn]
     legend(figure, *handles, n_columns=3)
     return figure

@@ -14,6 +14,7 @@ from armperturb.plots.panels import AXES, legend
 from armperturb.plots.style import GREY, INK, RECORDED, in_style, new_figure, shades
 from armperturb.study.report import nonlinear_tables as tables
 from armperturb.study.report.figures.bars import MODEL_LOOKS, Bar, draw_predictions
+from armperturb.study.report.formats import WORDS
 from armperturb.study.results.nonlinear_fits import PATHS, LeftOutPulse
 from armperturb.study.results.study_result import StudyResult
 
@@ -24,11 +25,7 @@ LOOKS: dict[str, dict[str, Any]] = {
 }
 """Model to its look."""
 
-NAMES = {
-    **{name: name for name in ("recorded", *MODEL_LOOKS)},
-    tables.SEES_NONE: "nonlinear, from multisines",
-    tables.SEES_OTHERS: "nonlinear, with the other direction",
-}
+NAMES = {name: name for name in ("recorded", *MODEL_LOOKS)} | WORDS["models"]
 """What is drawn to its entry in legends."""
 
 RATIOS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)

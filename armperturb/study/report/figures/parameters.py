@@ -14,12 +14,13 @@ from matplotlib.ticker import MaxNLocator
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.plots.panels import legend, padded
-from armperturb.plots.style import BESIDE, COLOURS, GREY, PALE, PUBLISHED, TRUE, in_style, new_figure, shades
+from armperturb.plots.style import BESIDE, GREY, PALE, PUBLISHED, TRUE, in_style, new_figure
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.report.figures.axes import looks
 from armperturb.study.report.figures.bars import CONDITIONS, Bar, Groups, draw_groups, printed_handles, stars
 from armperturb.study.report.tables import groups_of, parameter_rows, published_or_nan
+from armperturb.study.results.mean_admittance import by_task
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import muscle_parameter, stable_mean
 
@@ -42,7 +43,7 @@ def parameters(study: StudyResult, task: str) -> Figure:
 
     Bars are 95 % intervals; what the thesis's estimator gives beyond a panel is drawn at its edge.
     """
-    conditions = looks(study, task)
+    conditions = looks(task, by_task(study)[task])
     shown = [
         row for row in parameter_rows(study) if row["condition"] in {condition.name for condition, _ in conditions}
     ]
@@ -176,13 +177,8 @@ def _printed_sem(condition: str, name: str) -> MeanSD:
     return published.estimate(name, quantity="SEM", **where)
 
 
-def _colours(task: str, estimates: Estimates) -> list[tuple[str, str]]:
-    """Conditions with their colours."""
-    return list(zip(estimates, shades(COLOURS[task], len(estimates)), strict=True))
-
-
 def _handles(task: str, estimates: Estimates) -> list[Patch]:
-    return [Patch(color=colour, label=condition) for condition, colour in _colours(task, estimates)]
+    return [Patch(color=look["color"], label=condition) for condition, look in looks(task, list(estimates))]
 
 
 def _draw(
@@ -199,8 +195,8 @@ def _draw(
     names = {place: f"{quantity}_{letters}" for letters, place in places.items()}
     groups = {
         place: [
-            Bar.of((ours(estimate, name) for estimate in estimates[condition]), colour, printed(condition, name))
-            for condition, colour in _colours(task, estimates)
+            Bar.of((ours(estimate, name) for estimate in estimates[condition]), look["color"], printed(condition, name))
+            for condition, look in looks(task, list(estimates))
         ]
         for place, name in names.items()
     }

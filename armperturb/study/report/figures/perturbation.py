@@ -154,14 +154,8 @@ def pulse_directions(arms: Sequence[Subject], directions_deg: Sequence[float]) -
         # The torque at the elbow, of which a positive one flexes: the forearm's lever across the force.
         lever = hand - hinge
         does = "flexes" if lever[0] * along[1] > lever[1] * along[0] else "extends"
-        ax.annotate(
-            f"{angle:g}°, {does} the elbow",
-            tuple(hand + 0.26 * along),
-            ha="left" if along[0] > 0 else "right",
-            va="center",
-            color=COLOURS["RT"],
-            weight="bold",
-        )
+        text, place, side = f"{angle:g}°, {does} the elbow", hand + 0.26 * along, "left" if along[0] > 0 else "right"
+        ax.annotate(text, tuple(place), ha=side, va="center", color=COLOURS["RT"], weight="bold")
     ax.set_aspect("equal")
     ax.set(xlabel="x, to the right [m]", ylabel="y, forward [m]")
     return figure

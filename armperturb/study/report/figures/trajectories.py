@@ -10,19 +10,18 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.measures import kinematics
 from armperturb.analysis.measures.pulse import WINDOWS, pulse_span
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.perturbations import Pulse
-from armperturb.planar_arm.skeletal import simulate_skeletal
 from armperturb.plots.panels import legend
 from armperturb.plots.style import PALE, RECORDED, TRUE, in_style, new_figure
 from armperturb.study.published import tables as published
 from armperturb.study.report.figures.bars import MODEL_LOOKS, PRINTED, printed_handle
 from armperturb.study.report.tables import published_or_nan
+from armperturb.study.results.nonlinear_fits import predicted_paths
 from armperturb.study.results.quantities import PULSE_LEVELS
 
 DOTS = {"PT": 0.05, "RT": 0.1}
@@ -97,10 +96,8 @@ def responses(recording: xr.Dataset, estimate: ThesisEstimate | None, level: flo
         span = pulse_span(recording, trial)
         paths = {"recorded": recording["displacement"].values[trial, span]}
         if estimate is not None and trial in fits:
-            arm, environment = fits[trial].arm, estimate.environment
             driven = recording["perturbation"].values[trial, : span.stop]
-            paths["linear"] = simulate_linear(arm, environment, driven, rate).displacement[span]
-            paths["skeletal"] = simulate_skeletal(arm, environment, driven, rate, span.start)
+            paths |= predicted_paths(fits[trial].arm, estimate.environment, driven, rate, span.start)
         results[direction] = paths
     return results
 
