@@ -173,8 +173,8 @@ FEW_FITS = AnalysisSettings(structures=("1",), starts_of=None)
 
 
 def coarse_study(settings, folder, analysis=FEW_FITS):
-    """A study simulated at a step at which that takes seconds, and analysed."""
-    return run_study(replace(settings, timestep=2.5e-3), folder, analysis=analysis, show_progress=False)
+    """A study whose recordings take a second, and its analysis."""
+    return run_study(replace(settings, engine="compiled"), folder, analysis=analysis, show_progress=False)
 
 
 @pytest.fixture(scope="session")

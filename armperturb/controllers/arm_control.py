@@ -7,7 +7,7 @@ import numpy as np
 
 from armperturb.arrays import Array, Indices
 from armperturb.controllers.compiled import act_all, stretch_all
-from armperturb.controllers.lanes import Table, control_columns, control_memory, history_of, table_of
+from armperturb.controllers.lanes import Table, control_columns, control_memory, doubled, history_of, table_of
 from armperturb.subject import Subject
 
 Strength = dict[str, Array]
@@ -47,7 +47,7 @@ class ArmControl:
         self.timestep, self._columns = timestep, columns
         self.table = table_of(columns(subjects, timestep))
         n_parts = self.table["limit"].shape[2]
-        self.memory = control_memory(len(subjects), n_parts, max(n_history, history_of(self.table, timestep)))
+        self.memory = control_memory(len(subjects), n_parts, doubled(max(n_history, history_of(self.table, timestep))))
 
     def torque(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
         """What acts on the joints over a step, which all memories then go on by.
@@ -90,10 +90,18 @@ class ArmControl:
 
         Args:
           trials: indices of those trials.
-          subjects: as many people, with delays that are no longer than what is remembered.
+          subjects: as many people.
+
+        Raises:
+          ValueError: a delay reaches further back than what is remembered.
         """
         n_parts, n_history = self.table["limit"].shape[2], self.memory["sent"].shape[1]
         columns = self._columns(subjects, self.timestep, n_parts)
+        longest = (n_history - 3) * self.timestep
+        if columns["delay"].max() > longest:
+            raise ValueError(
+                f"delay = {columns['delay'].max():g} s; expected at most {longest:g} s, what this simulation remembers"
+            )
         if columns["limit"].shape[2] > n_parts:
             self._widen(columns["limit"].shape[2])
         for name, values in columns.items():

@@ -14,6 +14,12 @@ from armperturb.subject import Subject
 NEVER = 1e6
 """Stands for an elastic limit that is infinite [rad], where infinity times a vanished stiffness would be undefined."""
 
+PARTS = 8
+"""Elasto-plastic parts that there is always room for: compiled code is made anew for each other number."""
+
+HISTORY = 32
+"""Active torques that there is always room for, likewise; longer rings double."""
+
 TRIPLES = ("k", "b", "kv", "kp", "ka", "kf")
 """Symmetric joint matrices, as their entries (s, se, e)."""
 
@@ -76,7 +82,7 @@ def control_columns(subjects: Sequence[Subject], timestep: float, n_parts: int =
         return np.array([law.of_elements(field) for law in laws])
 
     # Parts that a person does not have yield at once.
-    shape = np.zeros((len(laws), 3, max(n_parts, *(law.parts for law in laws))))
+    shape = np.zeros((len(laws), 3, max(PARTS, n_parts, *(law.parts for law in laws))))
     for lane, law in enumerate(laws):
         for element, spread in enumerate(law.of_elements("elastic_limit_spread")):
             shape[lane, element, : law.parts] = elastic_limit_shape(spread, law.parts)
@@ -147,4 +153,9 @@ def control_memory(n_lanes: int, n_parts: int, n_history: int) -> Table:
 
 def history_of(table: Table, timestep: float) -> int:
     """Steps to remember so that `compiled.delayed` can look back by these people's delays."""
-    return int(np.ceil(table["delay"].max() / timestep)) + 3
+    return doubled(int(np.ceil(table["delay"].max() / timestep)) + 3)
+
+
+def doubled(n_history: int) -> int:
+    """The next length of a ring that holds so many torques."""
+    return HISTORY * 2 ** max(0, int(np.ceil(np.log2(n_history / HISTORY))))

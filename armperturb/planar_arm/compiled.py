@@ -13,8 +13,8 @@ from numba import njit
 
 from armperturb.arrays import Array, Indices
 from armperturb.controllers.compiled import Lane, Memory, act, bond_after, delayed, thinned_torque
-from armperturb.controllers.lanes import Table
-from armperturb.planar_arm.lanes import GROUP, PARTS, Start
+from armperturb.controllers.lanes import PARTS, Table
+from armperturb.planar_arm.lanes import GROUP, Start
 
 State = tuple[float, ...]
 

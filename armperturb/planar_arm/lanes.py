@@ -6,15 +6,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from armperturb.arrays import Array
-from armperturb.controllers.lanes import Table, control_columns, control_memory, history_of, table_of
+from armperturb.controllers.lanes import PARTS, Table, control_columns, control_memory, history_of, table_of
 from armperturb.environment import Environment
 from armperturb.subject import Subject
 
 GROUP = 8
 """Lanes that are simulated side by side, as the vector instructions of processors have it."""
-
-PARTS = 8
-"""Elasto-plastic parts that the muscle law of a group has room for; that of a person with more is computed alone."""
 
 _SEGMENTS = ("m_h", "m_f", "l_h", "l_f")
 

@@ -8,6 +8,7 @@ import pytest
 from armperturb.cohort import average_person, draw_person
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment, Strap
+from armperturb.envs.lab.compiled_simulation import CompiledSimulation
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
@@ -68,6 +69,12 @@ def test_the_workspace_limit_is_reported_when_mujoco_reports_it():
 def test_what_cannot_be_integrated_is_refused():
     with pytest.raises(RuntimeError, match="trial 0 of subject 'relax' could not be integrated"):
         run_experiment([Trial(subject=RELAX, perturbation=replace(PULSE, peak=1e300))], engine="compiled")
+
+
+def test_a_delay_beyond_what_is_remembered_is_refused():
+    simulation = CompiledSimulation([RELAX], Environment(), timestep=2.5e-3)
+    with pytest.raises(ValueError, match=r"delay = 0\.2 s; expected at most 0\.0725 s"):
+        simulation.replace(np.zeros(1, dtype=int), [replace(RELAX, Td_s=0.2)])
 
 
 @pytest.mark.parametrize(
