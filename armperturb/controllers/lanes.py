@@ -17,7 +17,7 @@ NEVER = 1e6
 PARTS = 8
 """Elasto-plastic parts that there is always room for: compiled code is made anew for each other number."""
 
-HISTORY = 32
+HISTORY = 128
 """Active torques that there is always room for, likewise; longer rings double."""
 
 TRIPLES = ("k", "b", "kv", "kp", "ka", "kf")

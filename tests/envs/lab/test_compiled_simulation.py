@@ -73,8 +73,8 @@ def test_what_cannot_be_integrated_is_refused():
 
 def test_a_delay_beyond_what_is_remembered_is_refused():
     simulation = CompiledSimulation([RELAX], Environment(), timestep=2.5e-3)
-    with pytest.raises(ValueError, match=r"delay = 0\.2 s; expected at most 0\.0725 s"):
-        simulation.replace(np.zeros(1, dtype=int), [replace(RELAX, Td_s=0.2)])
+    with pytest.raises(ValueError, match=r"delay = 0\.5 s; expected at most 0\.3125 s"):
+        simulation.replace(np.zeros(1, dtype=int), [replace(RELAX, Td_s=0.5)])
 
 
 @pytest.mark.parametrize(
