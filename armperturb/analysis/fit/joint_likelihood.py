@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.arm.linear_arm import LinearArm
 from armperturb.analysis.fit.group import Group, Method
 from armperturb.analysis.fit.likelihood import LackOfFit, Normal
 from armperturb.analysis.fit.structures import PUBLISHED, unit
@@ -50,6 +50,12 @@ class JointLikelihood:
         for name, lower, upper in zip(self.names, self.lower, self.upper, strict=True):
             if not lower < upper:
                 raise ValueError(f"bounds of the shared {name} cross ({lower:g} to {upper:g}); expected some overlap")
+        self._known, self._sharpness = np.zeros(len(self.names)), np.zeros(len(self.names))
+        for group, columns in zip(self.groups, self.columns, strict=True):
+            for name, (mean, sd) in group.structure.prior.items():
+                column = columns[group.structure.free.index(name)]
+                self._known[column], self._sharpness[column] = mean, sd**-2
+        self._arms = [LinearArm(group.trials.body, ()) for group in self.groups]
 
     def initial(self, given: Mapping[str, float]) -> Array:
         """Given values, and where there is none the mean over the groups of where linear least squares would start."""
@@ -89,8 +95,8 @@ class JointLikelihood:
 
     def pole(self, values: Array) -> float:
         """Largest real part of a pole of any arm on its environment [1/s]."""
-        arms = zip(self.arms(values), self.groups, strict=True)
-        return max(largest_real_pole(arm, group.trials.environment) for arm, group in arms)
+        every = zip(self._arms, self.parameters(values), self.groups, strict=True)
+        return max(float(arm.poles(each, group.trials.environment).real.max()) for arm, each, group in every)
 
     def weigh(self, values: Array) -> None:
         """Estimate the noise at these parameters; it holds until the next call."""
@@ -98,19 +104,23 @@ class JointLikelihood:
             likelihood.weigh(parameters)
 
     def cost(self, values: Array) -> float:
-        """Sum of squares of the white residual."""
+        """Sum of squares of the white residual, and of the distance from what is known beside the trials."""
         pairs = zip(self.likelihoods, self.parameters(values), strict=True)
-        return sum(likelihood.cost(parameters) for likelihood, parameters in pairs)
+        return sum(likelihood.cost(parameters) for likelihood, parameters in pairs) + self._beside(values)
 
     def objective(self, values: Array) -> float:
-        """Minus twice the log-likelihood, up to a constant."""
+        """Minus twice the log-likelihood, or posterior probability where something is known, up to a constant."""
         pairs = zip(self.likelihoods, self.parameters(values), strict=True)
-        return sum(likelihood.objective(parameters) for likelihood, parameters in pairs)
+        return sum(likelihood.objective(parameters) for likelihood, parameters in pairs) + self._beside(values)
+
+    def _beside(self, values: Array) -> float:
+        """Squared distance from what is known beside the trials, in standard deviations."""
+        return float(self._sharpness @ (values - self._known) ** 2)
 
     def normal(self, values: Array) -> Normal:
         """Normal equations of a Gauss-Newton step."""
-        cost, slope = 0.0, np.zeros(len(self.names))
-        information = np.zeros((len(self.names), len(self.names)))
+        cost, slope = self._beside(values), self._sharpness * (self._known - values)
+        information = np.diag(self._sharpness)
         every = zip(self.groups, self.likelihoods, self.columns, self.parameters(values), strict=True)
         for group, likelihood, columns, parameters in every:
             part = likelihood.normal(parameters, group.structure.mixing)
