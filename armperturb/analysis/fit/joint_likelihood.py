@@ -91,15 +91,15 @@ class JointLikelihood:
 
     def parameters(self, values: Array, effects: Effects | None = None) -> list[Array]:
         """Parameters of the arm for each likelihood, (parameter,); with effects of trials (trial, parameter)."""
-        found = []
+        by_likelihood = []
         for number, (at, _) in enumerate(self.parts):
             group, own = self.groups[at], values[self.columns[at]]
             if effects is None:
-                found.append(group.structure.parameters(group.body.task, own))
+                by_likelihood.append(group.structure.parameters(group.body.task, own))
                 continue
             change = effects[number] @ self._design(at, values).T
-            found.append(np.array([group.structure.parameters(group.body.task, own + each) for each in change]))
-        return found
+            by_likelihood.append(np.array([group.structure.parameters(group.body.task, own + each) for each in change]))
+        return by_likelihood
 
     def _design(self, at: int, values: Array) -> Array:
         """Change of a group's free parameters per relative change of each quantity, (parameter, quantity)."""
@@ -154,15 +154,15 @@ class JointLikelihood:
 
     def scores(self, values: Array, effects: Effects) -> list[TrialScore]:
         """What each trial tells, about trials with these effects."""
-        found = []
+        by_trial = []
         every = zip(self.parts, self.parameters(values, effects), effects, strict=True)
         for (at, likelihood), parameters, of_trials in every:
             part = likelihood.normal(parameters, self.groups[at].structure.mixing)
             design = self._design(at, values)
             for slope, information, effect in zip(part.slopes, part.informations, of_trials, strict=True):
                 score = slope + information @ (design @ effect)
-                found.append(TrialScore(self.columns[at], score, information, design))
-        return found
+                by_trial.append(TrialScore(self.columns[at], score, information, design))
+        return by_trial
 
     def lack_of_fit(self, values: Array, effects: Effects | None = None) -> LackOfFit:
         """Of all groups together; the noise must have been weighed."""

@@ -199,18 +199,18 @@ def estimate(
     first_method: Method = "record" if any(group.period is None for group in groups) else "frequency"
     problem = JointLikelihood(groups, first_method, share)
     first = problem.stabilised(problem.initial(initial or {}))
-    found = _search(problem, first)
-    fitted = _judge(problem, first_method, found)
+    search = _search(problem, first)
+    fitted = _judge(problem, first_method, search)
     if not np.isfinite(list(fitted.standard_error.values())).all():
         problem.require_identifiable(first)
     if not fitted.converged or fitted.is_suspicious:
         other = _search(problem, problem.stabilised(problem.published()))
         if problem.objective(other.values) < fitted.objective:
-            found = other
+            search = other
     if first_method != method:
         problem = JointLikelihood(groups, method, share)
-        found = _search(problem, problem.stabilised(found.values))
-    return _judge(problem, method, _with_trial_effects(problem, found))
+        search = _search(problem, problem.stabilised(search.values))
+    return _judge(problem, method, _with_trial_effects(problem, search))
 
 
 def profile(

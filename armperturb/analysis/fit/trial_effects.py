@@ -117,27 +117,29 @@ def fit_mixed(trials: Sequence[TrialScore], n_parameters: int) -> Mixed:
     loose = solve(np.where(tells, LOOSE, 0.0))[3]
     bounds = [tuple(np.log(RANGE))] * int(tells.sum())
     start = np.full(len(bounds), np.log(START))
-    found = optimize.minimize(lambda v: solve(spread_of(v))[0], start, method="L-BFGS-B", bounds=bounds).x
-    if solve(spread_of(found))[0] > solve(np.zeros(n_quantities))[0] - TOLD:
+    logarithms = optimize.minimize(lambda v: solve(spread_of(v))[0], start, method="L-BFGS-B", bounds=bounds).x
+    if solve(spread_of(logarithms))[0] > solve(np.zeros(n_quantities))[0] - TOLD:
         _, slope, information, _ = solve(np.zeros(n_quantities))
         return Mixed(np.zeros(n_quantities), slope, information, loose, np.full(n_parameters, np.inf))
-    _, slope, information, _ = solve(spread_of(found))
+    _, slope, information, _ = solve(spread_of(logarithms))
 
-    def deviance(logarithms: Array) -> float:
-        return solve(spread_of(logarithms))[0]
+    def deviance(values: Array) -> float:
+        return solve(spread_of(values))[0]
 
-    def variance(logarithms: Array) -> Array:
-        return _variances(solve(spread_of(logarithms))[2])
+    def variance(values: Array) -> Array:
+        return _variances(solve(spread_of(values))[2])
 
     dof = np.full(n_parameters, np.inf)
-    steps = STEP * np.eye(len(found))
-    moving = [i for i, value in enumerate(found) if value > bounds[i][0] + 1.0]
+    steps = STEP * np.eye(len(logarithms))
+    moving = [i for i, value in enumerate(logarithms) if value > bounds[i][0] + 1.0]
     if moving:
-        slopes = np.array([variance(found + steps[i]) - variance(found - steps[i]) for i in moving]) / (2 * STEP)
+        slopes = np.array([variance(logarithms + steps[i]) - variance(logarithms - steps[i]) for i in moving]) / (
+            2 * STEP
+        )
         bend = np.array(
             [
                 [
-                    sum(a * b * deviance(found + a * steps[i] + b * steps[j]) for a in (-1, 1) for b in (-1, 1))
+                    sum(a * b * deviance(logarithms + a * steps[i] + b * steps[j]) for a in (-1, 1) for b in (-1, 1))
                     for j in moving
                 ]
                 for i in moving
@@ -147,8 +149,8 @@ def fit_mixed(trials: Sequence[TrialScore], n_parameters: int) -> Mixed:
         power, directions = np.linalg.eigh(bend)
         covariance = (directions * (2.0 / np.maximum(power, FLAT))) @ directions.T
         with np.errstate(divide="ignore"):
-            dof = 2.0 * variance(found) ** 2 / np.einsum("ip,ij,jp->p", slopes, covariance, slopes)
-    return Mixed(spread_of(found), slope, information, loose, np.maximum(dof, LEAST_DOF))
+            dof = 2.0 * variance(logarithms) ** 2 / np.einsum("ip,ij,jp->p", slopes, covariance, slopes)
+    return Mixed(spread_of(logarithms), slope, information, loose, np.maximum(dof, LEAST_DOF))
 
 
 def scaled(information: Array) -> tuple[Array, Array, Array]:

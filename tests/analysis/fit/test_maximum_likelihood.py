@@ -139,9 +139,7 @@ def test_a_shared_mass_is_one_value_and_better_known_than_from_either_condition_
     alone = [estimate([group]) for group in groups]
     for group, one in zip(groups, alone, strict=True):
         for name, value in one.values.items():
-            assert apart.values[f"{name} [{group.label}]"] == pytest.approx(
-                value, abs=0.1 * one.standard_error[name]
-            )
+            assert apart.values[f"{name} [{group.label}]"] == pytest.approx(value, abs=0.1 * one.standard_error[name])
     started = estimate(groups, share=["m_tot", "velocity"], initial={"m_tot": 4.0, "kv_s": 12.0, "k_e [PT7.5]": 150.0})
     assert started.converged
     assert "kv_s" in started.values
