@@ -221,9 +221,11 @@ def act(
     if p.commanded != 0.0:
         for joint in range(2):
             held[joint] += activated(p, m.command_filters, joint, m.command[joint])
-    for joint in range(2):
+    if p.remembering != 0.0:
         for age in range(3, 0, -1):
-            m.velocity[age, joint] = m.velocity[age - 1, joint]
+            for joint in range(2):
+                m.velocity[age, joint] = m.velocity[age - 1, joint]
+    for joint in range(2):
         m.velocity[0, joint] = velocity[joint]
 
 

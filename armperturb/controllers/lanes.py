@@ -132,9 +132,10 @@ def control_memory(n_lanes: int, n_parts: int, n_history: int) -> Table:
     Of the muscle elements: `bond`, torque of each elasto-plastic part over its stiffness [rad], (element, part);
     `intact`, share of the short-range stiffness that is intact [-], and `stretch` at the last step [rad], (element,).
     Of the joints, (joint,): `law` and `law_before`, torques of the muscle law in the last two steps, `excitation` of
-    the reflexes and `command` of the person's will [Nm]. `velocity` is that of the joints in the last four steps, the
-    last one first, (step, joint) [rad/s]; `filters` and `command_filters` are the states of the activation filters,
-    (2, joint); `sent` is the ring of the active torques of the last steps, (step, joint) [Nm], and `next` its oldest.
+    the reflexes and `command` of the person's will [Nm]. `velocity` is that of the joints in the last steps, the last
+    one first, (step, joint) [rad/s]: one step, or four of people with acceleration or force feedback. `filters` and
+    `command_filters` are the states of the activation filters, (2, joint); `sent` is the ring of the active torques of
+    the last steps, (step, joint) [Nm], and `next` its oldest.
 
     Args:
       n_lanes: how many arms.

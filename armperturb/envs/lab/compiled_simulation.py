@@ -1,26 +1,25 @@
 """Arms of the compiled engine, to be driven as those of MuJoCo are."""
 
 import functools
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 from armperturb.arrays import Array, Indices
-from armperturb.controllers.arm_control import ArmControl, Strength
+from armperturb.controllers.arm_control import ArmControl
 from armperturb.environment import Environment
-from armperturb.envs.lab.stepping import ANGLE, SHOULDER
+from armperturb.envs.lab.arms import Arms
+from armperturb.envs.lab.stepping import SHOULDER
 from armperturb.models.rig import AHEAD, KNOWN
 from armperturb.planar_arm.compiled import log_lanes
 from armperturb.planar_arm.lanes import GROUP, Start, lane_columns
 from armperturb.subject import Subject
 
 
-class CompiledSimulation:
-    """One arm on its manipulator per trial, by the equations of motion of `planar_arm`; as `Simulation`, which see.
+class CompiledSimulation(Arms):
+    """Arms by the equations of motion of `planar_arm`.
 
-    The arm neither ends at the workspace limit nor on an elastic strap, and its rope only carries it.
+    They neither end at the workspace limit nor on an elastic strap, and their rope only carries them.
     """
 
     def __init__(
@@ -38,51 +37,30 @@ class CompiledSimulation:
           ValueError: a delay is shorter than three steps.
         """
         columns = functools.partial(lane_columns, environments=[environment])
-        self.control = ArmControl(subjects, timestep, n_history, columns)
-        self.timestep, self.n_history = timestep, self.control.memory["sent"].shape[1]
-        self.log = np.zeros((len(subjects), 1, SHOULDER.start))
-        self.log[:, 0, ANGLE] = self.control.table["posture"]
-        self.diverged = np.zeros(len(subjects), dtype=bool)
+        super().__init__(ArmControl(subjects, timestep, n_history, columns), SHOULDER.start, n_threads, GROUP)
         self._state = np.zeros((len(subjects), 8))
         self._recent = np.zeros((len(subjects), AHEAD + 1, len(KNOWN)))
-        n_blocks = min(n_threads or os.cpu_count() or 1, -(-len(subjects) // GROUP))
-        size = GROUP * -(-len(subjects) // (GROUP * n_blocks))
-        self._blocks = [slice(first, first + size) for first in range(0, len(subjects), size)]
-        self._pool = ThreadPoolExecutor(n_blocks) if n_blocks > 1 else None
 
     def start(self, trials: Indices, known: Array) -> None:
-        """Tell what acts at the beginning, see `Simulation.start`."""
+        """Tell what acts at the beginning, see `Arms.start`."""
         self._recent[trials] = known
 
-    def advance(self, known: Array) -> None:
-        """Take some steps, see `Simulation.advance`."""
-        n_trials, n_steps = known.shape[:2]
-        if self.log.shape[1] != n_steps + 1:
-            self.log = np.zeros((n_trials, n_steps + 1, SHOULDER.start))
+    def _prepared(self, known: Array) -> Array:
+        n_steps = known.shape[1]
         samples = np.concatenate([self._recent, known], axis=1)
         self._recent = samples[:, n_steps:].copy()
         before, older, newer, after = (samples[:, first : first + n_steps] for first in range(4))
-        halved = np.empty((n_trials, 2 * n_steps + 1, len(KNOWN)))
+        halved = np.empty((len(known), 2 * n_steps + 1, len(KNOWN)))
         halved[:, ::2] = samples[:, 1 : n_steps + 2]
         halved[:, 1::2] = (9.0 * (older + newer) - (before + after)) / 16.0  # the cubic of MuJoCo's motors, half-way
+        return halved
 
-        def run(part: slice) -> None:
-            start = Start(self._state[part], self.control.memory[part])
-            log_lanes(self.control.table[part], start, halved[part], self.timestep, self.log[part])
-
-        if self._pool is None:
-            run(slice(None))
-        else:
-            list(self._pool.map(run, self._blocks))
-        self.diverged[:] = np.isnan(self._state.sum(axis=1))
-
-    def set_strength(self, trials: Indices, strength: Strength) -> None:
-        """Change muscles and reflexes of some trials, see `Simulation.set_strength`."""
-        self.control.set_strength(trials, strength)
+    def _advance(self, block: slice, known: Array) -> None:
+        start = Start(self._state[block], self.control.memory[block])
+        log_lanes(self.control.table[block], start, known[block], self.control.timestep, self.log[block])
+        self.diverged[block] = np.isnan(self._state[block].sum(axis=1))
 
     def replace(self, trials: Indices, subjects: Sequence[Subject]) -> None:
-        """Put other people, at rest, in the place of some trials, see `Simulation.replace`."""
-        self.control.replace(trials, subjects)
-        self._state[trials] = self._recent[trials] = self.log[trials] = 0.0
-        self.log[trials, -1, ANGLE] = self.control.table["posture"][trials]
-        self.diverged[trials] = False
+        """Put other people, at rest, in the place of some trials, see `Arms.replace`."""
+        super().replace(trials, subjects)
+        self._state[trials] = self._recent[trials] = 0.0

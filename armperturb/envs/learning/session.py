@@ -27,7 +27,7 @@ class Session:
           n_threads: of the simulation; 0 takes all cores.
         """
         engine = CompiledSimulation if settings.engine == "compiled" else Simulation
-        self.simulation: Simulation | CompiledSimulation = engine(
+        self.simulation = engine(
             [settings.subject] * n,
             settings.environment,
             timestep=settings.timestep,
