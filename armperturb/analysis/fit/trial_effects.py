@@ -13,7 +13,7 @@ squares, and u_t as the best linear prediction. The variance of dtheta depends o
 degrees of freedom are Satterthwaite's (1946, Biometrics Bulletin 2), and intervals are those of Student's t.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -123,34 +123,43 @@ def fit_mixed(trials: Sequence[TrialScore], n_parameters: int) -> Mixed:
         return Mixed(np.zeros(n_quantities), slope, information, loose, np.full(n_parameters, np.inf))
     _, slope, information, _ = solve(spread_of(logarithms))
 
-    def deviance(values: Array) -> float:
-        return solve(spread_of(values))[0]
+    def deviance_and_variances(values: Array) -> tuple[float, Array]:
+        deviance, _, information, _ = solve(spread_of(values))
+        return deviance, _variances(information)
 
-    def variance(values: Array) -> Array:
-        return _variances(solve(spread_of(values))[2])
-
-    dof = np.full(n_parameters, np.inf)
-    steps = STEP * np.eye(len(logarithms))
     moving = [i for i, value in enumerate(logarithms) if value > bounds[i][0] + 1.0]
-    if moving:
-        slopes = np.array([variance(logarithms + steps[i]) - variance(logarithms - steps[i]) for i in moving]) / (
-            2 * STEP
-        )
-        bend = np.array(
-            [
-                [
-                    sum(a * b * deviance(logarithms + a * steps[i] + b * steps[j]) for a in (-1, 1) for b in (-1, 1))
-                    for j in moving
-                ]
-                for i in moving
-            ]
-        ) / (4 * STEP**2)
-        # Where the restricted likelihood is flat, a spread is as good as unknown within its range.
-        power, directions = np.linalg.eigh(bend)
-        covariance = (directions * (2.0 / np.maximum(power, FLAT))) @ directions.T
-        with np.errstate(divide="ignore"):
-            dof = 2.0 * variance(logarithms) ** 2 / np.einsum("ip,ij,jp->p", slopes, covariance, slopes)
-    return Mixed(spread_of(logarithms), slope, information, loose, np.maximum(dof, LEAST_DOF))
+    dof = _satterthwaite(deviance_and_variances, logarithms, moving)
+    return Mixed(spread_of(logarithms), slope, information, loose, dof)
+
+
+def _satterthwaite(
+    deviance_and_variances: Callable[[Array], tuple[float, Array]], at: Array, moving: Sequence[int]
+) -> Array:
+    """Degrees of freedom of variances that depend on spreads, by differences of both, (parameter,).
+
+    Args:
+      deviance_and_variances: minus twice the restricted likelihood, and the variances, (parameter,), as a function of
+        the spreads' logarithms.
+      at: the most likely ones.
+      moving: which of them are not at their least.
+    """
+    _, variances = deviance_and_variances(at)
+    if not moving:
+        return np.full(len(variances), np.inf)
+    steps = STEP * np.eye(len(at))[moving]
+    ends = [[deviance_and_variances(at + sign * step)[1] for sign in (1, -1)] for step in steps]
+    slopes = np.array([upper - lower for upper, lower in ends]) / (2 * STEP)
+    corners = [(1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)]
+    bend = [
+        [sum(sign * deviance_and_variances(at + a * one + b * other)[0] for a, b, sign in corners) for other in steps]
+        for one in steps
+    ]
+    # Where the restricted likelihood is flat, a spread is as good as unknown within its range.
+    power, directions = np.linalg.eigh(np.array(bend) / (4 * STEP**2))
+    covariance = (directions * (2.0 / np.maximum(power, FLAT))) @ directions.T
+    with np.errstate(divide="ignore"):
+        dof = 2.0 * variances**2 / np.einsum("ip,ij,jp->p", slopes, covariance, slopes)
+    return np.maximum(dof, LEAST_DOF)
 
 
 def scaled(information: Array) -> tuple[Array, Array, Array]:
