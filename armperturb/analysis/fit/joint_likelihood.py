@@ -93,12 +93,14 @@ class JointLikelihood:
         """Parameters of the arm for each likelihood, (parameter,); with effects of trials (trial, parameter)."""
         by_likelihood = []
         for number, (at, _) in enumerate(self.parts):
-            group, own = self.groups[at], values[self.columns[at]]
+            group, free_values = self.groups[at], values[self.columns[at]]
             if effects is None:
-                by_likelihood.append(group.structure.parameters(group.body.task, own))
+                by_likelihood.append(group.structure.parameters(group.body.task, free_values))
                 continue
             change = effects[number] @ self._design(at, values).T
-            by_likelihood.append(np.array([group.structure.parameters(group.body.task, own + each) for each in change]))
+            by_likelihood.append(
+                np.array([group.structure.parameters(group.body.task, free_values + each) for each in change])
+            )
         return by_likelihood
 
     def _design(self, at: int, values: Array) -> Array:

@@ -208,7 +208,7 @@ class Likelihood:
             if values.ndim == 1:
                 predicted = self._predicted(values)
             else:
-                each = (self._predicted(one, slice(at, at + 1)) for at, one in enumerate(values))
+                each = (self._predicted(arm, slice(at, at + 1)) for at, arm in enumerate(values))
                 predicted = np.concatenate(list(each))
             residual = self._observed - predicted
             self._latest = values.tobytes(), residual

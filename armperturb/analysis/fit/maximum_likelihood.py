@@ -303,8 +303,8 @@ def _with_trial_effects(problem: JointLikelihood, search: _Search) -> _Search:
         if not problem.pole(after) < 0.0:
             return search
         moved = (
-            weight @ one.design.T @ (one.score - one.information @ step[one.columns])
-            for one, weight in zip(scores, mixed.weights, strict=True)
+            weight @ trial.design.T @ (trial.score - trial.information @ step[trial.columns])
+            for trial, weight in zip(scores, mixed.weights, strict=True)
         )
         effects = [np.array([next(moved) for _ in each]) for each in effects]
         values = after

@@ -89,18 +89,18 @@ class Mixed(NamedTuple):
 def fit_mixed(trials: Sequence[TrialScore], n_parameters: int) -> Mixed:
     """The most likely spreads, and what follows from them."""
     n_quantities = trials[0].design.shape[1]
-    inner = [(one.design.T @ one.information @ one.design, one.information @ one.design) for one in trials]
-    tells = np.sum([np.diag(own) for own, _ in inner], axis=0) > 0.0
+    inner = [(trial.design.T @ trial.information @ trial.design, trial.information @ trial.design) for trial in trials]
+    tells = np.sum([np.diag(within) for within, _ in inner], axis=0) > 0.0
 
     def solve(spread: Array) -> tuple[float, Array, Array, tuple[Array, ...]]:
         slope, information, deviance = np.zeros(n_parameters), np.zeros((n_parameters, n_parameters)), 0.0
         weights = []
-        for one, (own, across) in zip(trials, inner, strict=True):
-            gram = np.eye(n_quantities) + spread[:, None] * own * spread
+        for trial, (within, across) in zip(trials, inner, strict=True):
+            gram = np.eye(n_quantities) + spread[:, None] * within * spread
             weight = spread[:, None] * np.linalg.solve(gram, np.diag(spread))
-            force = one.design.T @ one.score
-            slope[one.columns] += one.score - across @ weight @ force
-            information[np.ix_(one.columns, one.columns)] += one.information - across @ weight @ across.T
+            force = trial.design.T @ trial.score
+            slope[trial.columns] += trial.score - across @ weight @ force
+            information[np.ix_(trial.columns, trial.columns)] += trial.information - across @ weight @ across.T
             deviance += float(np.linalg.slogdet(gram)[1] - force @ weight @ force)
             weights.append(weight)
         scale, power, directions = scaled(information)
@@ -151,8 +151,8 @@ def _satterthwaite(
     slopes = np.array([upper - lower for upper, lower in ends]) / (2 * STEP)
     corners = [(1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)]
     bend = [
-        [sum(sign * deviance_and_variances(at + a * one + b * other)[0] for a, b, sign in corners) for other in steps]
-        for one in steps
+        [sum(sign * deviance_and_variances(at + a * step + b * other)[0] for a, b, sign in corners) for other in steps]
+        for step in steps
     ]
     # Where the restricted likelihood is flat, a spread is as good as unknown within its range.
     power, directions = np.linalg.eigh(np.array(bend) / (4 * STEP**2))
