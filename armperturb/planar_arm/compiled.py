@@ -1,9 +1,8 @@
 """Compiled simulation of planar arms on their manipulators, each independent of the others (thesis eq. 2.17, B.1).
 
-The arm is that of the MJCF model: two point masses in the middle of rigid segments that turn about a fixed shoulder,
-linear intrinsic muscle, and a grip that is a spring and damper between hand and handle. Muscle law and reflexes are
-those of `controllers.compiled`. MuJoCo is the reference in tests: at the same step, displacements agree within 2e-4 of
-the largest.
+The arm is that of the MJCF model: two rigid segments that turn about a fixed shoulder, linear intrinsic muscle, and a
+grip that is a spring and damper between hand and handle. Muscle law and reflexes are those of `controllers.compiled`.
+MuJoCo is the reference in tests: at the same step, displacements agree within 2e-4 of the largest.
 """
 
 import math

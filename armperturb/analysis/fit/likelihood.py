@@ -66,7 +66,7 @@ class Signals(NamedTuple):
     Attributes:
       perturbation: d [N], (trial, time, axis).
       displacement: whitened, of the same time, (trial, time, axis).
-      body: gives segment lengths, posture and damping of the activation filter.
+      body: gives segments and posture.
       environment: what the hand holds.
       rate: of the samples [Hz].
     """
