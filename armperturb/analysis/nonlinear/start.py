@@ -66,8 +66,9 @@ def linear_arms(
                 f"{task}: all pulses come before {window_start + length:g} s; expected a trial with a whole period of "
                 f"{length:g} s from {window_start:g} s on (an earlier --window-start)"
             )
+        parts = {label: (trials,) for label, trials in wide.items()}
         structure = structure_of(LINEAR_MODELS[task])
-        results = identify_conditions(wide, structure, window_start=window_start, period=period)
+        results = identify_conditions(parts, structure, window_start=window_start, period=period)
         arms |= {label: result.fit.arm for label, result in results.items()}
     return arms
 
