@@ -40,8 +40,11 @@ def test_people_of_the_cohort_move_as_in_mujoco(task, rms):
         assert np.abs(moved - recorded).max() < share * np.abs(recorded).max()
 
 
-def test_law_of_a_group_is_that_of_each_arm():
+def test_law_and_reflexes_of_a_group_are_those_of_each_arm():
     people = [draw_person(n, 3).subjects[task] for n in range(5) for task in ("RT", "PT")]
+    # Delays of whole, half and other numbers of steps.
+    for n, (shoulder, elbow) in enumerate([(0.025, 0.03375), (0.0312, 0.0296), (0.0075, 0.35)]):
+        people[2 * n + 1] = replace(people[2 * n + 1], Td_s=shoulder, Td_e=elbow)
     disturbances = Disturbances(np.array([made.push(n, 3.0, duration=3.0) for n in range(len(people))]), made.RATE)
     grouped = lane_table(people, [Environment()] * len(people), disturbances.timestep)
     assert grouped["grouped"].all()

@@ -13,7 +13,7 @@ from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.measures.endpoint import EndpointImpedance, endpoint_impedance
 from armperturb.analysis.response.frequency_response import Bands
-from armperturb.analysis.results import Description, FitResult, normal_quantile, parameter_table, plain
+from armperturb.analysis.results import Description, FitResult, parameter_table, plain, quantile
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -77,7 +77,7 @@ class ArmFit(FitResult):
 
         def half(part: Array) -> Array:
             variance = np.einsum("...p,pq,...q", part, covariance, part)
-            return np.asarray(normal_quantile(level) * np.sqrt(np.maximum(variance, 0.0)))
+            return np.asarray(quantile(level) * np.sqrt(np.maximum(variance, 0.0)))
 
         gain, phase = np.abs(values), np.angle(values)
         factor, angle = np.exp(half(relative.real)), np.minimum(half(relative.imag), np.pi)
@@ -98,7 +98,7 @@ class ArmFit(FitResult):
         # Of the intervals, which need not be normal.
         half = np.array([np.subtract(*self.interval(name)[::-1]) / 2.0 for name in self.values])
         known = np.isfinite(half)
-        error, part = half[known] / normal_quantile(0.95), self.mixing[:, known]
+        error, part = half[known] / quantile(0.95), self.mixing[:, known]
         covariance = part @ (self.correlation[np.ix_(known, known)] * np.outer(error, error)) @ part.T
         unknown = self.mixing[:, ~known].any(axis=1)
         covariance[unknown, unknown] = np.inf

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from armperturb.analysis.arm.geometry import hand_jacobian, segment_inertias
 from armperturb.analysis.arm.parameters import GROUPS, MATRIX, PARAMETERS, parameter_vector
-from armperturb.analysis.results import Description, Interval, Result, Table, normal_quantile, plain
+from armperturb.analysis.results import Description, Interval, Result, Table, plain, quantile
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -106,7 +106,7 @@ class EndpointMatrix:
 
     def entry_interval(self, level: float = 0.95) -> tuple[Array, Array]:
         """Limits of the matrix's entries, (axis, axis) each."""
-        half = normal_quantile(level) * self._error(np.eye(4)).reshape(2, 2)
+        half = quantile(level) * self._error(np.eye(4)).reshape(2, 2)
         return self.values - half, self.values + half
 
     def area_interval(self, level: float = 0.95) -> Interval:
@@ -114,7 +114,7 @@ class EndpointMatrix:
         if not self.area:
             return Interval(math.nan, math.nan)
         slope = np.asarray(np.linalg.inv(self.values).T.ravel(), dtype=float)
-        return _factor(self.area, normal_quantile(level) * float(self._error(slope)))
+        return _factor(self.area, quantile(level) * float(self._error(slope)))
 
     def shape_interval(self, level: float = 0.95) -> Interval:
         """Confidence interval of the shape, from 1 on where the ellipse may be a circle."""
@@ -123,7 +123,7 @@ class EndpointMatrix:
         (m, u, v), slope = self._parts()
         r = math.hypot(u, v)
         difference = (u * slope[1] + v * slope[2]) / r if r else np.hypot(slope[1], slope[2])
-        half = normal_quantile(level) * float(self._error((m * difference - r * slope[0]) / (m * m - r * r)))
+        half = quantile(level) * float(self._error((m * difference - r * slope[0]) / (m * m - r * r)))
         lower, upper = _factor(self.shape, half)
         return Interval(1.0 if self.is_circular else max(lower, 1.0), upper)
 
@@ -132,7 +132,7 @@ class EndpointMatrix:
         (_, u, v), slope = self._parts()
         angle, half = self.orientation_deg, math.inf
         if not self.is_circular:
-            half = math.degrees(normal_quantile(level) * float(self._error(0.5 * (u * slope[2] - v * slope[1]))))
+            half = math.degrees(quantile(level) * float(self._error(0.5 * (u * slope[2] - v * slope[1]))))
             half /= u * u + v * v
         half = half if math.isnan(half) else min(half, 90.0)
         return Interval(angle - half, angle + half)
@@ -151,7 +151,7 @@ class EndpointMatrix:
         radius = 1.0 / np.hypot(*away)
         turned = np.linalg.solve(self.values.T, away)
         slope = (turned[:, None] * away).reshape(4, -1).T * radius[:, None] ** 2
-        factor = np.exp(normal_quantile(level) * self._error(slope))
+        factor = np.exp(quantile(level) * self._error(slope))
         return radius, radius / factor, radius * factor
 
 
