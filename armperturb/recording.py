@@ -81,7 +81,8 @@ def make_recording(
     for name, values in signals.items():
         dims, units, description = SIGNALS[name]
         # Half the memory for a signal that is ten times as long as the others, and 16 bits deep at its source.
-        array = np.asarray(values, dtype=np.float32 if name == "emg" else float)
+        # In the order of its file, as sums over it round otherwise.
+        array = np.asarray(values, dtype=np.float32 if name == "emg" else float, order="C")
         variables[name] = (("trial", *dims), array, _describe(units, description))
     if "emg" in variables and adc_step is not None:
         variables["emg"][2]["adc_step"] = float(adc_step)
