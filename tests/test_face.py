@@ -8,7 +8,7 @@ import pytest
 import armperturb
 
 NAMES = """
-Subject POSITION RELAX MuscleLaw Person draw_cohort draw_person average_person
+Subject anthropometric_body POSITION RELAX MuscleLaw Person draw_cohort draw_person average_person
 Environment Strap Trial Instruments HumanNoise HUMAN_NOISE run_experiment build_model
 Multisine MultisineThenPulse Pulse Sampled load_perturbation save_perturbation
 make_recording load_recording save_recording stack_trials import_recording export_recording

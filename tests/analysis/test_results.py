@@ -17,9 +17,9 @@ from armperturb.analysis.results import (
     WIDTH,
     Description,
     FitResult,
-    normal_quantile,
     parameter_table,
     plain,
+    quantile,
 )
 from armperturb.files import write_csv
 from armperturb.plots.style import new_figure
@@ -93,7 +93,7 @@ def test_intervals_and_their_table():
     assert list(result.correlation_frame().columns) == ["k_0", "k_1", "k_2"]
     for level in (0.0, 1.0, 95):
         with pytest.raises(ValueError, match=r"level = .*; expected a probability"):
-            normal_quantile(level)
+            quantile(level)
 
 
 def test_numbers_that_do_not_exist_are_written_by_name(tmp_path):

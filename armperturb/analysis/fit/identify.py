@@ -18,10 +18,11 @@ from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.structures import Structure, structure_of, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, Wanted, fit_wanted
 from armperturb.analysis.measures.vaf import prediction_vaf
+from armperturb.analysis.response.condition_spectra import condition_spectra
 from armperturb.analysis.response.frequency_response import Bands
-from armperturb.analysis.response.spectra import SpectralEstimate, averaged_spectra
-from armperturb.analysis.results import Description, FitResult, Result, Table, normal_quantile, parameter_table, plain
-from armperturb.analysis.trials import ConditionTrials, Trials, prepared, trials_by_condition
+from armperturb.analysis.response.spectra import SpectralEstimate
+from armperturb.analysis.results import Description, FitResult, Result, Table, parameter_table, plain, quantile
+from armperturb.analysis.trials import ConditionTrials, SeveralTrials, parts_by_condition, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -96,7 +97,7 @@ class ArmFit(FitResult):
 
         def half(part: Array) -> Array:
             variance = np.einsum("...p,pq,...q", part, covariance, part)
-            return np.asarray(normal_quantile(level) * np.sqrt(np.maximum(variance, 0.0)))
+            return np.asarray(quantile(level) * np.sqrt(np.maximum(variance, 0.0)))
 
         gain, phase = np.abs(values), np.angle(values)
         factor, angle = np.exp(half(relative.real)), np.minimum(half(relative.imag), np.pi)
@@ -259,7 +260,7 @@ def _with_error(fit: ArmFit, name: str) -> str:
 
 
 def identify(
-    trials: Trials,
+    trials: SeveralTrials,
     model: Structure | str,
     *,
     estimator: Estimator = "record",
@@ -270,7 +271,8 @@ def identify(
     """Admittance, environment, arm model and its VAF from the trials of one subject in one condition.
 
     Args:
-      trials: each from rest at its first sample; of a larger recording, `recording.sel` or `.isel` picks them.
+      trials: of any perturbation, from rest or amid the movement; or several recordings, which may differ in length. Of
+        a larger recording, `recording.sel` or `.isel` picks them.
       model: structure or its name, see `structures.STRUCTURES`.
       estimator: "thesis", "frequency" or "record".
       window_start: start of the window of whole periods, after the transient has died away [s].
@@ -280,20 +282,21 @@ def identify(
     Raises:
       ValueError: the recording is refused, holds several subjects, conditions or postures, or gives no spectra.
     """
-    ready = prepared(trials)
-    ready.body  # noqa: B018  (refuses several conditions)
+    parts = tuple(prepared_recordings(trials))
+    for part in parts:
+        part.body  # noqa: B018  (refuses several conditions)
     return identify_conditions(
-        {ready.label: ready},
+        {parts[0].label: parts},
         model,
         estimator=estimator,
         window_start=window_start,
         period=period,
         lines_per_average=lines_per_average,
-    )[ready.label]
+    )[parts[0].label]
 
 
 def identify_conditions(
-    trials: Mapping[str, ConditionTrials] | xr.Dataset,
+    trials: Mapping[str, Sequence[ConditionTrials]] | xr.Dataset | Sequence[xr.Dataset],
     model: Structure | str,
     *,
     estimator: Estimator = "record",
@@ -305,7 +308,8 @@ def identify_conditions(
     """Admittance, environment, arm model and its VAF of one subject in every condition.
 
     Args:
-      trials: condition to trials of one subject, or their recording; a condition's have the same posture.
+      trials: condition to trials of one subject, those of one length together, or their recordings; a condition's have
+        the same posture.
       model: structure or its name, see `structures.STRUCTURES`.
       estimator: "thesis", "frequency" or "record".
       share: parameters that are the same in all conditions, see `maximum_likelihood.estimate`.
@@ -327,38 +331,54 @@ def identify_conditions(
             f"identify: share = {', '.join(share)}; expected nothing with estimator = 'thesis', which fits each trial "
             "alone (--estimator record shares)"
         )
-    conditions = trials_by_condition(trials) if isinstance(trials, xr.Dataset) else trials
-    perturbed = {label: part for label, part in conditions.items() if part.is_perturbed(window_start)}
+    conditions = parts_by_condition(trials) if isinstance(trials, (xr.Dataset, Sequence)) else trials
+    perturbed = {
+        label: parts for label, parts in conditions.items() if all(part.is_perturbed(window_start) for part in parts)
+    }
     conditions = perturbed or conditions
-    for part in conditions.values():
-        part.check_period(window_start, period)
+    for parts in conditions.values():
+        for part in parts:
+            part.check_period(window_start, period)
     spectra = {
-        label: averaged_spectra(part, window_start=window_start, period=period, lines_per_average=lines_per_average)
-        for label, part in conditions.items()
+        label: condition_spectra(parts, window_start=window_start, period=period, lines_per_average=lines_per_average)
+        for label, parts in conditions.items()
     }
     if estimator == "thesis":
-        wanted = [Wanted(part, model) for part in conditions.values()]
+        wanted = [Wanted(_only(parts), model) for parts in conditions.values()]
         fitted = fit_wanted(wanted, window_start=window_start, period=period)
         fits = {
-            label: _thesis_fit(of_trials, part, model, spectra[label])
-            for (label, part), of_trials in zip(conditions.items(), fitted, strict=True)
+            label: _thesis_fit(of_trials, parts[0], model, spectra[label])
+            for (label, parts), of_trials in zip(conditions.items(), fitted, strict=True)
         }
     else:
-        groups = [Group.prepare(part, model, window_start=window_start, period=period) for part in conditions.values()]
+        groups = [
+            Group.prepare(parts, model, window_start=window_start, period=period) for parts in conditions.values()
+        ]
         joint = estimate(groups, estimator, share=share)
-        fits = {group.trials.label: _likely_fit(joint, group, spectra[group.trials.label]) for group in groups}
+        fits = {group.label: _likely_fit(joint, group, spectra[group.label]) for group in groups}
     return Identifications(
         {
             label: Identification(
-                n_trials=conditions[label].n_trials,
+                n_trials=sum(part.n_trials for part in conditions[label]),
                 spectra=spectra[label],
-                environment=conditions[label].environment,
+                environment=conditions[label][0].environment,
                 fit=fit,
-                vaf=prediction_vaf(conditions[label], fit.arm, conditions[label].environment).mean(axis=0),
+                vaf=np.concatenate(
+                    [prediction_vaf(part, fit.arm, part.environment) for part in conditions[label]]
+                ).mean(axis=0),
             )
             for label, fit in fits.items()
         }
     )
+
+
+def _only(parts: Sequence[ConditionTrials]) -> ConditionTrials:
+    if len(parts) > 1:
+        lengths = ", ".join(f"{part.n_samples / part.rate:g} s" for part in parts)
+        raise ValueError(
+            f"trials of {lengths}; expected one length with estimator = 'thesis' (--estimator record takes any)"
+        )
+    return parts[0]
 
 
 def _thesis_fit(
@@ -386,7 +406,7 @@ def _thesis_fit(
 
 def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> ArmFit:
     """One condition's part of an estimate over several."""
-    condition, names = group.trials.label, group.structure.free
+    condition, names = group.label, group.structure.free
     label = {name: name if name in result.values else f"{name} [{condition}]" for name in names}
     rows = [list(result.values).index(name) for name in label.values()]
     return ArmFit(
@@ -394,12 +414,15 @@ def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> Ar
         values={name: result.values[label[name]] for name in names},
         standard_error={name: result.standard_error[label[name]] for name in names},
         at_bound=tuple(name for name in names if label[name] in result.at_bound),
+        degrees_of_freedom={
+            name: result.degrees_of_freedom[label[name]] for name in names if label[name] in result.degrees_of_freedom
+        },
         correlation=result.correlation[np.ix_(rows, rows)],
         message=result.message,
         converged=result.converged,
         remarks=result.remarks,
         detail=result,
-        **_about(result.arms[condition], group.structure, group.trials, spectra),
+        **_about(result.arms[condition], group.structure, group.parts[0], spectra),
     )
 
 
