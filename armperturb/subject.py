@@ -19,7 +19,10 @@ TASKS = ("PT", "RT")
 HUMERUS_MASS_SHARE = 0.49
 """Share of the arm's mass in the humerus, the rest in forearm, hand, cuff and handle (thesis eqs 2.14, 2.15)."""
 
-_OPTIONAL = ("ka_s", "ka_se", "ka_e", "kf_s", "kf_se", "kf_e", "zeta_act", "muscle", "name")
+_OF_RIGID_BODIES = {"c_h": 0.5, "c_f": 0.5, "r_h": 0.0, "r_f": 0.0, "i_s": 0.0, "i_se": 0.0, "i_e": 0.0}
+"""What segments that are points in the middle have; files leave it out."""
+
+_OPTIONAL = ("ka_s", "ka_se", "ka_e", "kf_s", "kf_se", "kf_e", "zeta_act", "muscle", "name", *_OF_RIGID_BODIES)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,8 +34,8 @@ class Subject:
 
     Attributes:
       task: "PT" (position task) or "RT" (relax task).
-      m_h: mass of the humerus, a point in the middle of the segment [kg].
-      m_f: mass of forearm, hand, cuff and handle, a point in the middle of the segment [kg].
+      m_h: mass of the humerus [kg]; 0 where i_s, i_se and i_e hold the whole inertia.
+      m_f: mass of forearm, hand, cuff and handle [kg]; 0 likewise.
       b_s: intrinsic damping, shoulder [Nms/rad].
       b_se: intrinsic damping, two-joint [Nms/rad].
       b_e: intrinsic damping, elbow [Nms/rad].
@@ -40,7 +43,7 @@ class Subject:
       k_se: intrinsic stiffness, two-joint [Nm/rad].
       k_e: intrinsic stiffness, elbow [Nm/rad].
       b_h: grip damping [Ns/m].
-      k_h: grip stiffness [N/m].
+      k_h: grip stiffness [N/m]; infinite for a rigid grip, which the linear arm has and simulators refuse.
       kv_s: velocity feedback gain, shoulder [Nms/rad].
       kv_se: velocity feedback gain, two-joint [Nms/rad].
       kv_e: velocity feedback gain, elbow [Nms/rad].
@@ -63,13 +66,22 @@ class Subject:
       theta_e_deg: elbow angle of the start posture, relative to the humerus [deg].
       zeta_act: relative damping of the activation filter [-]. The thesis calls the filter both "critically damped" (1)
         and "Butterworth" (1 / sqrt 2, the default).
+      c_h: distance of the humerus's centre of mass from the shoulder, over l_h [-]. The default is the thesis's point
+        in the middle; `anthropometry` has values of people.
+      c_f: distance of the centre of mass of forearm and hand from the elbow, over l_f [-].
+      r_h: radius of gyration of the humerus about its centre of mass, over l_h [-]; 0 for a point.
+      r_f: radius of gyration of forearm and hand about their centre of mass, over l_f [-].
+      i_s: inertia at the start posture beyond that of the segments, shoulder [kg m^2]. The linear arm has it;
+        simulators want rigid segments instead (`analysis.arm.geometry.with_rigid_segments`).
+      i_se: the same, between the joints [kg m^2].
+      i_e: the same, elbow [kg m^2].
       muscle: how the muscles depart from linear ones; None is linear.
       name: what the person is called in recordings and tables.
 
     Raises:
       TypeError: a parameter is not a number, muscle no `MuscleLaw`, or name is not text.
-      ValueError: a parameter is not finite or out of its range, the task is unknown, or the damping of a muscle group
-        would give energy.
+      ValueError: a parameter is not finite or out of its range, the task is unknown, the joint inertia is not positive
+        definite, or the damping of a muscle group would give energy.
     """
 
     task: str
@@ -104,6 +116,13 @@ class Subject:
     theta_s_deg: float = 22.5
     theta_e_deg: float = 82.3
     zeta_act: float = 1.0 / math.sqrt(2.0)
+    c_h: float = 0.5
+    c_f: float = 0.5
+    r_h: float = 0.0
+    r_f: float = 0.0
+    i_s: float = 0.0
+    i_se: float = 0.0
+    i_e: float = 0.0
     muscle: MuscleLaw | None = None
     name: str = "subject"
 
@@ -111,7 +130,12 @@ class Subject:
         require_one_of("Subject", "task", self.task, TASKS)
         if not isinstance(self.name, str) or not self.name or not self.name.isprintable():
             raise TypeError(f"Subject: name = {self.name!r}; expected a printable text that is not empty")
+        if not self.has_extra_inertia:
+            for field in ("m_h", "m_f"):
+                require_number("Subject", field, getattr(self, field), above=0.0)
         require_ranges("Subject", self)
+        if self.has_extra_inertia:
+            self._require_positive_inertia()
         if self.muscle is None:
             return
         if not isinstance(self.muscle, MuscleLaw):
@@ -127,12 +151,60 @@ class Subject:
                 )
 
     @property
+    def has_extra_inertia(self) -> bool:
+        """Whether there is joint inertia beyond that of the segments."""
+        return bool(self.i_s or self.i_se or self.i_e)
+
+    @property
+    def has_rigid_grip(self) -> bool:
+        """Whether the hand cannot move on the handle."""
+        return self.k_h == math.inf
+
+    @property
+    def segment_inertia(self) -> tuple[float, float, float]:
+        """Inertia of the segments in any posture: (a, b, c) of [[a + 2 c cos, b + c cos], [b + c cos, b]] [kg m^2].
+
+        The cosine is that of the elbow angle.
+        """
+        square_h, arm_f, l_h = self.l_h * self.l_h, self.c_f * self.l_f, self.l_h
+        of_humerus = self.m_h * ((self.c_h * l_h) * (self.c_h * l_h) + self.r_h * self.r_h * square_h)
+        about_elbow = arm_f * arm_f + self.r_f * self.r_f * (self.l_f * self.l_f)
+        return of_humerus + self.m_f * (square_h + about_elbow), self.m_f * about_elbow, self.m_f * l_h * arm_f
+
+    def require_simulable(self) -> None:
+        """Refuse an arm that only the linear model can have.
+
+        Raises:
+          ValueError: there is joint inertia beyond that of the segments, or the grip is rigid.
+        """
+        if self.has_extra_inertia:
+            raise ValueError(
+                f"subject {self.name!r}: i_s, i_se, i_e = {self.i_s:g}, {self.i_se:g}, {self.i_e:g}; expected 0 in a "
+                "simulation, whose segments are rigid (analysis.arm.geometry.with_rigid_segments finds such)"
+            )
+        if self.has_rigid_grip:
+            raise ValueError(
+                f"subject {self.name!r}: k_h = inf; expected a finite grip stiffness in a simulation (1e6 N/m moves "
+                "the hand as a rigid grip does)"
+            )
+
+    def _require_positive_inertia(self) -> None:
+        a, b, c = self.segment_inertia
+        bend = c * math.cos(math.radians(self.theta_e_deg))
+        s, se, e = a + 2.0 * bend + self.i_s, b + bend + self.i_se, b + self.i_e
+        if not (s > 0.0 and s * e > se * se):
+            raise ValueError(
+                f"Subject: i_s, i_se, i_e = {self.i_s!r}, {self.i_se!r}, {self.i_e!r} give the joint inertia "
+                f"[[{s:.4g}, {se:.4g}], [{se:.4g}, {e:.4g}]] kg m^2; expected a positive definite one"
+            )
+
+    @property
     def posture(self) -> np.ndarray:
         """Start angles of shoulder (from the x axis) and elbow (from the humerus) [rad], (joint,)."""
         return np.radians([self.theta_s_deg, self.theta_e_deg])
 
     def joint_triple(self, quantity: str) -> tuple[float, float, float]:
-        """Entries (s, se, e) of one joint matrix; quantity is "b", "k", "kv", "kp", "ka" or "kf" (eq. 2.9)."""
+        """Entries (s, se, e) of one joint matrix; quantity is "b", "k", "kv", "kp", "ka", "kf" or "i" (eq. 2.9)."""
         return tuple(getattr(self, f"{quantity}_{joint}") for joint in ("s", "se", "e"))
 
     def joint_matrix(self, quantity: str) -> np.ndarray:
@@ -162,7 +234,9 @@ class Subject:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], source: str = "subject") -> Self:
-        """A subject from its parameters by name; `zeta_act`, `muscle`, `name`, ka_* and kf_* may be left out.
+        """A subject from its parameters by name.
+
+        `zeta_act`, `muscle`, `name`, ka_*, kf_*, c_*, r_* and i_* may be left out.
 
         Args:
           values: parameter name to value, SI units, angles in degrees; `muscle` to a table, see `MuscleLaw`.
@@ -182,11 +256,12 @@ class Subject:
             raise type(error)(f"{source}: {error}") from None
 
     def to_dict(self) -> dict[str, Any]:
-        """Parameter name to value, as `from_dict` reads it; without `muscle` if that is None, which TOML cannot say."""
-        values = asdict(self)
-        if self.muscle is None:
-            del values["muscle"]
-        return values
+        """Parameter name to value, as `from_dict` reads it; without `muscle` if that is None, which TOML cannot say.
+
+        What points in the middle of the segments have is left out too.
+        """
+        absent = {**_OF_RIGID_BODIES, "muscle": None}
+        return {name: value for name, value in asdict(self).items() if name not in absent or value != absent[name]}
 
     @classmethod
     def load(cls, path: str | Path) -> Self:

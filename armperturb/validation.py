@@ -22,8 +22,9 @@ def require_number(
     at_most: float = math.inf,
     whole: bool = False,
     optional: bool = False,
+    finite: bool = True,
 ) -> None:
-    """Refuse anything but a finite number within bounds.
+    """Refuse anything but a number within bounds, which is finite unless that is said otherwise.
 
     Args:
       owner: what the field belongs to, for the message.
@@ -35,12 +36,13 @@ def require_number(
       at_most: inclusive upper bound.
       whole: whether it must be an integer.
       optional: whether None is good as well.
+      finite: whether infinity is refused, without which it is good whatever the bounds.
 
     Raises:
       TypeError: value is not a number.
       ValueError: value is not finite or out of bounds.
     """
-    if optional and value is None:
+    if (optional and value is None) or (not finite and value == math.inf):
         return
     # Asking for a float first is many times faster.
     if isinstance(value, bool) or not isinstance(value, Integral if whole else (float, Real)):

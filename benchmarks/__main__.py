@@ -1,6 +1,6 @@
 """Runs the benchmarks: the table of simulations in some three minutes, or with `--full` all but the longest.
 
-`distortion` and `design` take an hour each, and are run by themselves.
+`distortion` and `design` take an hour each, `foreign_arms` has options: these are run by themselves.
 """
 
 import importlib

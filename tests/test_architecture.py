@@ -29,6 +29,7 @@ ARROWS = {
     "muscle_law": {"validation"},
     "subject": {"files", "validation", "muscle_law"},
     "environment": {"validation"},
+    "anthropometry": {"files", "validation"},
     "foreign": {"extras"},
     "recording": {"files", "foreign"},
     "archive": {"files"},

@@ -69,7 +69,7 @@ def law_torque(p: Lane, m: Memory, stretch: Array, velocity: Array, out: Array) 
         out[element] -= thinned_torque(velocity[element], p.damping_groups[element], p.thinning[element])
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, forceinline=True, error_model="numpy")
 def spindle_velocity(velocity: float, saturation: float, direction: float) -> float:
     """Velocity that linear spindles would have to see to fire as these do [rad/s].
 
@@ -79,9 +79,7 @@ def spindle_velocity(velocity: float, saturation: float, direction: float) -> fl
       direction: -1 to 1; movement against its sign is answered by 1 - |direction| of the response.
     """
     answered = velocity / (1.0 + abs(velocity) / saturation)
-    if velocity * direction < 0.0:
-        answered *= 1.0 - abs(direction)
-    return answered
+    return answered * (1.0 - abs(direction)) if velocity * direction < 0.0 else answered
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -111,9 +109,16 @@ def spindle_excitation(p: Lane, q_s: float, q_e: float, w_s: float, w_e: float, 
             out[1] += missing
 
 
+@njit(cache=True, forceinline=True, error_model="numpy")
+def between(before: float, older: float, newer: float, after: float, t: float) -> float:
+    """The cubic of MuJoCo's delayed motors, at a share t of the way from the older to the newer of four samples."""
+    first, last, rise = 0.5 * (newer - before), 0.5 * (after - older), newer - older
+    return older + t * (first + t * (3.0 * rise - 2.0 * first - last + t * (first + last - 2.0 * rise)))
+
+
 @njit(cache=True, inline="always", error_model="numpy")
 def delayed(sent: Array, joint: int, newest: int, back: float) -> float:
-    """What was sent some steps before the newest sample of a ring: the cubic of MuJoCo's delayed motors.
+    """What was sent some steps before the newest sample of a ring, see `between`.
 
     Args:
       sent: the last samples, (step, joint); one later than wanted, and two earlier, must be among them.
@@ -127,11 +132,9 @@ def delayed(sent: Array, joint: int, newest: int, back: float) -> float:
     if back - whole < 1e-6:
         return newer
     older = sent[place - 1 if place > 0 else n - 1, joint]
-    t = 1.0 - (back - whole)
-    first = 0.5 * (newer - sent[place - 2 if place > 1 else place + n - 2, joint])
-    last = 0.5 * (sent[place + 1 if place + 1 < n else 0, joint] - older)
-    rise = newer - older
-    return older + t * (first + t * (3.0 * rise - 2.0 * first - last + t * (first + last - 2.0 * rise)))
+    before = sent[place - 2 if place > 1 else place + n - 2, joint]
+    after = sent[place + 1 if place + 1 < n else 0, joint]
+    return between(before, older, newer, after, 1.0 - (back - whole))
 
 
 @njit(cache=True, inline="always", error_model="numpy")

@@ -117,7 +117,8 @@ def build_model(
       is a strap agree.
 
     Raises:
-      ValueError: a delay is shorter than three steps, rope is unknown, or timestep or n_history is out of range.
+      ValueError: a delay is shorter than three steps, rope is unknown, timestep or n_history is out of range, or the
+        subject has what `Subject.require_simulable` refuses.
       TypeError: timestep or n_history is no number, or strap no `Strap`.
     """
     return build_spec(
@@ -136,6 +137,7 @@ def build_spec(
     visual: bool = True,
 ) -> mujoco.MjSpec:
     """The rig before it is compiled, to read or change it; arguments and errors as in `build_model`."""
+    subject.require_simulable()
     needed = history_length(subject, timestep)
     require_one_of("build_model", "rope", rope, ROPES)
     if strap is not None and not isinstance(strap, Strap):
@@ -196,12 +198,17 @@ def _sling_position(subject: Subject) -> np.ndarray:
 
 
 def _set_arm(spec: mujoco.MjSpec, subject: Subject) -> None:
-    """Segments with their point masses, posture, and linear intrinsic muscle (thesis fig. 2.8, eqs 2.6, 2.10)."""
+    """Segments with mass and inertia, posture, and linear intrinsic muscle (thesis fig. 2.8, eqs 2.6, 2.10)."""
     stretch = {"humerus": subject.l_h / spec.body("forearm").pos[0], "forearm": subject.l_f / spec.site("hand").pos[0]}
-    for name, length, mass in (("humerus", subject.l_h, subject.m_h), ("forearm", subject.l_f, subject.m_f)):
+    for name, length, mass, centre, radius in (
+        ("humerus", subject.l_h, subject.m_h, subject.c_h, subject.r_h),
+        ("forearm", subject.l_f, subject.m_f, subject.c_f, subject.r_f),
+    ):
         body = spec.body(name)
         body.mass = mass
-        body.ipos = [length / 2, 0.0, 0.0]
+        body.ipos = [centre * length, 0.0, 0.0]
+        # A thin rod; what it has about its own axis takes no part in movements in the plane.
+        body.inertia = body.inertia + mass * (radius * length) ** 2 * np.array([0.0, 1.0, 1.0])
         for geom in body.geoms:
             geom.pos = geom.pos * [stretch[name], 1.0, 1.0]
             if not np.isnan(geom.fromto[0]):

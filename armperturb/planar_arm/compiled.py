@@ -1,9 +1,8 @@
 """Compiled simulation of planar arms on their manipulators, each independent of the others (thesis eq. 2.17, B.1).
 
-The arm is that of the MJCF model: two point masses in the middle of rigid segments that turn about a fixed shoulder,
-linear intrinsic muscle, and a grip that is a spring and damper between hand and handle. Muscle law and reflexes are
-those of `controllers.compiled`. MuJoCo is the reference in tests: at the same step, displacements agree within 2e-4 of
-the largest.
+The arm is that of the MJCF model: two rigid segments that turn about a fixed shoulder, linear intrinsic muscle, and a
+grip that is a spring and damper between hand and handle. Muscle law and reflexes are those of `controllers.compiled`.
+MuJoCo is the reference in tests: at the same step, displacements agree within 2e-4 of the largest.
 """
 
 import math
@@ -12,7 +11,16 @@ import numpy as np
 from numba import njit
 
 from armperturb.arrays import Array, Indices
-from armperturb.controllers.compiled import Lane, Memory, act, bond_after, delayed, thinned_torque
+from armperturb.controllers.compiled import (
+    Lane,
+    Memory,
+    act,
+    between,
+    bond_after,
+    delayed,
+    spindle_velocity,
+    thinned_torque,
+)
 from armperturb.controllers.lanes import PARTS, Table
 from armperturb.planar_arm.lanes import GROUP, Start
 
@@ -26,10 +34,19 @@ V_BEFORE, LAW = 40, 42
 (STRETCH, VELOCITY, INTACT, LOSS, PERSISTENCE, STIFFNESS, DAMPING, THINNING, SHORT_RANGE, LAST, TAKEN) = range(11)
 BOND, LIMIT, LIMIT_SLOPE = range(11, 11 + 3 * PARTS, PARTS)
 ELEMENT = 11 + 3 * PARTS
-ROWS = LAW + 3 * ELEMENT
+REFLEX = LAW + 3 * ELEMENT
+(KV, KP, KV_GROUP, SATURATION, DIRECTION) = range(REFLEX, REFLEX + 15, 3)
+(POSTURE, EXCITATION, ACTIVE, FILTER, SLOWER) = range(REFLEX + 15, REFLEX + 25, 2)
+NUMERATOR, DENOMINATOR = REFLEX + 25, REFLEX + 31
+(STEPS, SHARE, LATE) = range(REFLEX + 37, REFLEX + 49, 4)
+BEFORE, OLDER, NEWER, AFTER = range(REFLEX + 49, REFLEX + 65, 4)
+RING = REFLEX + 65
 """Rows of a group's numbers: state, force and torque at the start, middle and end of a step (x and y, or shoulder and
-elbow, of each), constants, velocities of the step before; from `LAW` on those of the muscle law, for each element
-`ELEMENT` rows, which are numbered from its first."""
+elbow, of each), constants, velocities of the step before. From `LAW` on those of the muscle law, for each element
+`ELEMENT` rows, which are numbered from its first. From `REFLEX` on those of the reflexes: feedback of joints and
+spindles; excitation, active torque, states and coefficients of its filter; of the delayed torques in the middle and at
+the end of a step how many steps ago the sample after them was sent, their share of the way to it, and the four samples
+about them. From `RING` on the active torques of the last steps."""
 
 PI_REMAINDER = 1.2246467991473532e-16
 """What pi has beyond its nearest number."""
@@ -80,7 +97,7 @@ def _slope(w: Array, i: int, z: State, upper: State, lower: State, stage: int) -
     """Derivative of (q_s, q_e, x, y, their velocities), q from the posture and x from the start.
 
     Args:
-      w: work, see `ROWS`.
+      w: work, see `RING`.
       i: lane.
       z: the state.
       upper: sine and cosine of the upper arm's angle.
@@ -164,7 +181,7 @@ def _yield(w: Array, timestep: float) -> None:
             w[V_BEFORE + joint, i] = w[W_S + joint, i]
         w[both + STRETCH, i] = w[LAW + STRETCH, i] + w[both + ELEMENT + STRETCH, i]
         w[both + VELOCITY, i] = w[LAW + VELOCITY, i] + w[both + ELEMENT + VELOCITY, i]
-    for e in range(LAW, ROWS, ELEMENT):
+    for e in range(LAW, REFLEX, ELEMENT):
         for i in range(GROUP):
             move, speed = w[e + STRETCH, i] - w[e + LAST, i], abs(w[e + VELOCITY, i])
             w[e + LAST, i] = w[e + STRETCH, i]
@@ -205,9 +222,68 @@ def _yield(w: Array, timestep: float) -> None:
                 w[TORQUE + 2 * stage + joint, i] += taken
 
 
+@njit(cache=True, forceinline=True, error_model="numpy")
+def _reflect(w: Array, newest: int) -> None:
+    """Put the torques of a group's reflexes in the place of all torques; the reflexes of `act` of all lanes.
+
+    Samples are gathered lane by lane, as delays differ, so that the rest is vectorised.
+
+    Args:
+      w: work, see `RING`.
+      newest: where the active torque of this step comes into the ring.
+    """
+    last = (len(w) - RING) // 2 - 1
+    for i in range(GROUP):
+        w_s, w_e, both = w[W_S, i], w[W_E, i], w[W_S, i] + w[W_E, i]
+        # Angles from the posture are rounded as those of MuJoCo's joints.
+        q_s = w[POSTURE, i] + w[Q_S, i] - w[POSTURE, i]
+        q_e = w[POSTURE + 1, i] + w[Q_E, i] - w[POSTURE + 1, i]
+        shoulder = w[KV, i] * w_s + w[KV + 1, i] * w_e + w[KP, i] * q_s + w[KP + 1, i] * q_e
+        elbow = w[KV + 1, i] * w_s + w[KV + 2, i] * w_e + w[KP + 1, i] * q_s + w[KP + 2, i] * q_e
+        shoulder += w[KV_GROUP, i] * (spindle_velocity(w_s, w[SATURATION, i], w[DIRECTION, i]) - w_s)
+        missing = w[KV_GROUP + 1, i] * (spindle_velocity(both, w[SATURATION + 1, i], w[DIRECTION + 1, i]) - both)
+        elbow += missing
+        elbow += w[KV_GROUP + 2, i] * (spindle_velocity(w_e, w[SATURATION + 2, i], w[DIRECTION + 2, i]) - w_e)
+        w[EXCITATION, i], w[EXCITATION + 1, i] = shoulder + missing, elbow
+    for joint in range(2):
+        for i in range(GROUP):
+            excitation = w[EXCITATION + joint, i]
+            active = w[NUMERATOR + joint, i] * excitation + w[FILTER + joint, i]
+            w[ACTIVE + joint, i] = active
+            faster = w[NUMERATOR + 2 + joint, i] * excitation - w[DENOMINATOR + 2 + joint, i] * active
+            w[FILTER + joint, i] = faster + w[SLOWER + joint, i]
+            w[SLOWER + joint, i] = w[NUMERATOR + 4 + joint, i] * excitation - w[DENOMINATOR + 4 + joint, i] * active
+    for joint in range(2):
+        for i in range(GROUP):
+            w[RING + 2 * newest + joint, i] = w[ACTIVE + joint, i]
+            w[TORQUE + joint, i] = -w[LATE + 2 + joint, i]
+    for motor in range(4):
+        for i in range(GROUP):
+            first = newest - int(w[STEPS + motor, i]) - 2
+            for sample in range(4):
+                w[BEFORE + 4 * sample + motor, i] = w[RING + 2 * ((first + sample) & last) + motor % 2, i]
+    for motor in range(4):
+        for i in range(GROUP):
+            before, older = w[BEFORE + motor, i], w[OLDER + motor, i]
+            newer, after = w[NEWER + motor, i], w[AFTER + motor, i]
+            w[LATE + motor, i] = between(before, older, newer, after, w[SHARE + motor, i])
+            w[TORQUE + 2 + motor, i] = -w[LATE + motor, i]
+
+
 @njit(cache=True, inline="always", error_model="numpy")
-def _load(lanes: Table, start: Start, first: int, w: Array) -> None:
-    """Put a group's states and constants where `_advance` wants them; the last group is filled with its last lane."""
+def _is_grouped(p: Lane) -> bool:
+    """Whether a lane's reflexes are computed in its group: not with what the rest of `act` does for it alone."""
+    return p.reflexive != 0.0 and p.remembering == 0.0 and p.lawful == 0.0 and p.commanded == 0.0
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _load(lanes: Table, start: Start, first: int, timestep: float, w: Array) -> int:
+    """Put a group's states and constants where `_advance` wants them; the last group is filled with its last lane.
+
+    Returns:
+      How many lanes have reflexes that the group computes.
+    """
+    n_reflexive = 0
     for i in range(GROUP):
         lane = min(first + i, len(lanes) - 1)
         p = lanes[lane]
@@ -238,11 +314,37 @@ def _load(lanes: Table, start: Start, first: int, w: Array) -> None:
                 for part in range(min(PARTS, p.limit.shape[1])):
                     w[e + BOND + part, i], w[e + LIMIT + part, i] = m.bond[j, part], p.limit[j, part]
                     w[e + LIMIT_SLOPE + part, i] = p.limit_slope[j, part]
+        w[SATURATION : SATURATION + 3, i] = 1.0
+        if _is_grouped(p):
+            n_reflexive += 1
+            m = start.memory[lane]
+            for j in range(3):
+                w[KV + j, i], w[KP + j, i], w[KV_GROUP + j, i] = p.kv[j], p.kp[j], p.kv_groups[j]
+                w[SATURATION + j, i], w[DIRECTION + j, i] = p.saturation[j], p.direction[j]
+            newest = m.next - 1 if m.next > 0 else len(m.sent) - 1
+            for joint in range(2):
+                w[POSTURE + joint, i] = p.posture[joint]
+                w[FILTER + joint, i], w[SLOWER + joint, i] = m.filters[0, joint], m.filters[1, joint]
+                for j in range(3):
+                    w[NUMERATOR + 2 * j + joint, i] = p.numerator[j, joint]
+                    w[DENOMINATOR + 2 * j + joint, i] = p.denominator[j, joint]
+                steps = p.delay[joint] / timestep
+                w[LATE + 2 + joint, i] = delayed(m.sent, joint, newest, steps - 1.0)
+                for half in range(2):
+                    back = steps - 0.5 - 0.5 * half
+                    whole = math.floor(back + 1e-6)
+                    share = 1.0 - (back - whole)
+                    if back - whole < 1e-6:  # a sample itself: the older one of two, so that nothing is rounded
+                        whole, share = whole - 1, 0.0
+                    w[STEPS + 2 * half + joint, i], w[SHARE + 2 * half + joint, i] = whole, share
+                for step in range(len(m.sent)):
+                    w[RING + 2 * step + joint, i] = m.sent[(m.next + step) % len(m.sent), joint]
+    return n_reflexive
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _store(lanes: Table, start: Start, first: int, w: Array) -> None:
-    """Put where a group ends into the start of what may follow."""
+def _store(lanes: Table, start: Start, first: int, steps: int, w: Array) -> None:
+    """Put where a group ends after so many steps into the start of what may follow."""
     for i in range(min(GROUP, len(lanes) - first)):
         start.state[first + i] = w[: V_Y + 1, i]
         if lanes[first + i].grouped != 0.0:
@@ -253,14 +355,20 @@ def _store(lanes: Table, start: Start, first: int, w: Array) -> None:
                 m.stretch[j], m.intact[j] = w[e + LAST, i], w[e + INTACT, i]
                 for part in range(min(PARTS, m.bond.shape[1])):
                     m.bond[j, part] = w[e + BOND + part, i]
+        if _is_grouped(lanes[first + i]):
+            m = start.memory[first + i]
+            m.next = 0
+            for joint in range(2):
+                m.excitation[joint] = w[EXCITATION + joint, i]
+                m.filters[0, joint], m.filters[1, joint] = w[FILTER + joint, i], w[SLOWER + joint, i]
+                for step in range(len(m.sent)):
+                    m.sent[step, joint] = w[RING + 2 * ((steps + step) % len(m.sent)) + joint, i]
 
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _act(p: Lane, m: Memory, w: Array, i: int, timestep: float, room: Array) -> None:
-    """Put torques of muscles and reflexes into a lane's row; `room` is (8, 3) for intermediate results."""
-    for stage in range(6):
-        w[TORQUE + stage, i] = 0.0
-    if p.reflexive == 0.0 and p.lawful == 0.0 and p.commanded == 0.0:
+    """Put what a group does not compute of muscles and reflexes into a lane; `room` is (8, 3) for what is between."""
+    if _is_grouped(p) or (p.reflexive == 0.0 and p.lawful == 0.0 and p.commanded == 0.0):
         return
     angle, velocity, held, sent = room[4], room[5], room[6], room[7]
     for joint in range(2):
@@ -273,6 +381,7 @@ def _act(p: Lane, m: Memory, w: Array, i: int, timestep: float, room: Array) -> 
             if p.reflexive != 0.0:
                 torque -= delayed(m.sent, joint, newest, p.delay[joint] / timestep - 0.5 * stage)
             w[TORQUE + 2 * stage + joint, i] = torque
+        w[EXCITATION + joint, i] = m.excitation[joint]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -298,13 +407,19 @@ def simulate_lanes(
       timestep: of the simulation [s].
       displacement: to fill, (lane, time, axis); NaN from where a lane diverges.
     """
-    w, room = np.zeros((ROWS, GROUP)), np.zeros((8, 3))
+    n_history = start.memory[0].sent.shape[0]
+    w, room = np.zeros((RING + 2 * n_history, GROUP)), np.zeros((8, 3))
     for first in range(0, len(lanes), GROUP):
         n = min(GROUP, len(lanes) - first)
-        _load(lanes, start, first, w)
+        n_reflexive = _load(lanes, start, first, timestep, w)
         for i in range(n):
             displacement[first + i, 0] = start.state[first + i, 2:4]
-        for step in range((n_samples[first : first + n].max() - 1) * decimation):
+        steps = (n_samples[first : first + n].max() - 1) * decimation
+        for step in range(steps):
+            if n_reflexive:
+                _reflect(w, step & (n_history - 1))
+            else:
+                w[TORQUE : TORQUE + 6] = 0.0
             for i in range(n):
                 _act(lanes[first + i], start.memory[first + i], w, i, timestep, room)
                 trial = of_lane[first + i]
@@ -318,7 +433,7 @@ def simulate_lanes(
                 for i in range(n):
                     if sample < n_samples[first + i]:
                         displacement[first + i, sample, 0], displacement[first + i, sample, 1] = w[X, i], w[Y, i]
-        _store(lanes, start, first, w)
+        _store(lanes, start, first, steps, w)
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -347,23 +462,27 @@ def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Ar
       log: reflexive excitation, joint velocity, displacement of the handle, joint angle, and force of the handle on the
         hand, to fill, (lane, step + 1, 10); the last row is that of the end of the last step.
     """
-    w, room = np.zeros((ROWS, GROUP)), np.zeros((8, 3))
+    n_history = start.memory[0].sent.shape[0]
+    w, room = np.zeros((RING + 2 * n_history, GROUP)), np.zeros((8, 3))
     for first in range(0, len(lanes), GROUP):
         n = min(GROUP, len(lanes) - first)
-        _load(lanes, start, first, w)
+        n_reflexive = _load(lanes, start, first, timestep, w)
         for step in range(log.shape[1]):
             for i in range(n):
                 _write(lanes[first + i], w, i, log[first + i, step])
             if step == log.shape[1] - 1:
                 break
+            if n_reflexive:
+                _reflect(w, step & (n_history - 1))
+            else:
+                w[TORQUE : TORQUE + 6] = 0.0
             for i in range(n):
-                m = start.memory[first + i]
-                _act(lanes[first + i], m, w, i, timestep, room)
+                _act(lanes[first + i], start.memory[first + i], w, i, timestep, room)
                 for j in range(2):
-                    log[first + i, step, j] = m.excitation[j]
+                    log[first + i, step, j] = w[EXCITATION + j, i]
                     for stage in range(3):
                         w[TORQUE + 2 * stage + j, i] += known[first + i, 2 * step + stage, j]
                         w[PUSH + 2 * stage + j, i] = known[first + i, 2 * step + stage, 2 + j]
             _yield(w, timestep)
             _advance(w, timestep)
-        _store(lanes, start, first, w)
+        _store(lanes, start, first, log.shape[1] - 1, w)

@@ -13,8 +13,6 @@ from armperturb.subject import Subject
 GROUP = 8
 """Lanes that are simulated side by side, as the vector instructions of processors have it."""
 
-_SEGMENTS = ("m_h", "m_f", "l_h", "l_f")
-
 
 class Start(NamedTuple):
     """Where each lane is before the first step; a simulation goes on in these arrays.
@@ -62,23 +60,21 @@ def lane_columns(
       environments: what the hands hold, one per lane, or one for all.
 
     Raises:
-      ValueError: a delay is shorter than three steps.
+      ValueError: a delay is shorter than three steps, or an arm has what `Subject.require_simulable` refuses.
     """
     for subject in subjects:
+        subject.require_simulable()
         if min(subject.Td_s, subject.Td_e) < 3 * timestep * (1 - 1e-12):
             raise ValueError(
                 f"subject {subject.name!r}: delay = {min(subject.Td_s, subject.Td_e):g} s; expected at least three "
                 f"steps of {timestep:g} s"
             )
-    m_h, m_f, l_h, l_f = (np.array([getattr(subject, name) for subject in subjects]) for name in _SEGMENTS)
-    # Of both segments about the shoulder, of the forearm about the elbow, and what couples them (point masses).
-    inertia = m_h * l_h**2 / 4 + m_f * (l_h**2 + l_f**2 / 4), m_f * l_f**2 / 4, m_f * l_h * l_f / 2
     if len(environments) == 1:
         environments = [*environments] * len(subjects)
     columns = {
         **control_columns(subjects, timestep, n_parts),
         **{name: np.array([getattr(subject, name) for subject in subjects]) for name in ("l_h", "l_f", "k_h", "b_h")},
-        "inertia": np.stack(inertia, axis=1),
+        "inertia": np.array([subject.segment_inertia for subject in subjects]),
         **{name: np.array([getattr(held, name) for held in environments]) for name in ("m_env", "b_env", "k_env")},
     }
     # Force feedback needs the torque of the law at once.

@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from mujoco.batch import Batch
 
+from armperturb.anthropometry import anthropometric_body
 from armperturb.environment import Environment
 from armperturb.models import rig as models
 from armperturb.models.rig import build_model, history_length
 from armperturb.subject import POSITION, RELAX, Subject
 
 TALL = replace(RELAX, name="tall", m_h=2.9, m_f=2.3, l_h=0.37, l_f=0.41, theta_s_deg=35.0, theta_e_deg=61.0, Td_s=0.025)
-PEOPLE = pytest.mark.parametrize("subject", [RELAX, POSITION, TALL], ids=lambda subject: subject.name)
+RIGID = replace(POSITION, name="rigid", **anthropometric_body("female", 1.69, 60.0, attached=0.25))
+PEOPLE = pytest.mark.parametrize("subject", [RELAX, POSITION, TALL, RIGID], ids=lambda subject: subject.name)
 ENVIRONMENT = Environment(m_env=2.5, b_env=1.7, k_env=31.0, workspace=0.2)
 
 
@@ -36,9 +38,10 @@ def jacobian(subject: Subject, q: np.ndarray) -> np.ndarray:
 
 
 def mass_matrix(subject: Subject, q: np.ndarray) -> np.ndarray:
-    """T_q^T M T_q with T of eq. B.2 differentiated by hand, (joint, joint)."""
+    """T_q^T M T_q with T of eq. B.2 differentiated by hand, and the segments' own turning, (joint, joint)."""
     s, se = q[0], q[0] + q[1]
-    c_h, c_f, l_h = subject.l_h / 2, subject.l_f / 2, subject.l_h
+    c_h, c_f, l_h = subject.c_h * subject.l_h, subject.c_f * subject.l_f, subject.l_h
+    of_h, of_f = subject.m_h * (subject.r_h * l_h) ** 2, subject.m_f * (subject.r_f * subject.l_f) ** 2
     t_q = np.array(
         [
             [-c_h * np.sin(s), 0.0],
@@ -47,7 +50,8 @@ def mass_matrix(subject: Subject, q: np.ndarray) -> np.ndarray:
             [c_f * np.cos(se) + l_h * np.cos(s), c_f * np.cos(se)],
         ]
     )
-    return t_q.T @ np.diag([subject.m_h, subject.m_h, subject.m_f, subject.m_f]) @ t_q
+    turning = np.array([[of_h + of_f, of_f], [of_f, of_f]])
+    return t_q.T @ np.diag([subject.m_h, subject.m_h, subject.m_f, subject.m_f]) @ t_q + turning
 
 
 def full_mass_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
@@ -61,7 +65,7 @@ def ideal_grip(subject: Subject, x: np.ndarray, xd: np.ndarray) -> np.ndarray:
 
 
 @PEOPLE
-def test_mass_matrix_is_that_of_two_point_masses_and_the_virtual_mass(subject):
+def test_mass_matrix_is_that_of_two_segments_and_the_virtual_mass(subject):
     model = build_model(subject, ENVIRONMENT)
     data = started(model)
     for bend in (np.zeros(2), np.array([0.2, -0.4])):
@@ -206,6 +210,37 @@ def test_pendulum_rope_carries_the_weight_and_pulls_back(subject):
     jacp = np.zeros((3, model.nv))
     mujoco.mj_jacSite(model, data, jacp, None, model.site("sling").id)
     np.testing.assert_allclose(data.qfrc_passive - ideal.qfrc_passive, jacp.T @ force, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("subject", [RELAX, RIGID], ids=lambda subject: subject.name)
+def test_a_push_leaves_the_energy_that_it_gave(subject):
+    still = dict.fromkeys(("b_s", "b_se", "b_e", "b_h", *(f"k{v}_{j}" for v in "vp" for j in ("s", "se", "e"))), 0.0)
+    model = build_model(replace(subject, **still), Environment(b_env=0.0), timestep=1e-4)
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    model.body_gravcomp[:] = 0.0
+    data = started(model)
+    data.qvel[:] = [1.5, -2.0, 0.0, 0.0]
+    mujoco.mj_forward(model, data)
+    given = data.energy.sum()
+    rate = data.qvel[:2]
+    assert data.energy[1] == pytest.approx(0.5 * rate @ mass_matrix(subject, data.qpos[:2]) @ rate, rel=1e-9)
+    mujoco.mj_step(model, data, 3000)
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.qpos[:2] - subject.posture).max() > 0.01
+    assert data.energy.sum() - given == pytest.approx(0.0, abs=1e-4 * data.energy[1])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"i_s": 0.1}, r"i_s, i_se, i_e = 0\.1, 0, 0; expected 0 in a simulation, .*with_rigid_segments finds such"),
+        ({"k_h": np.inf}, "k_h = inf; expected a finite grip stiffness in a simulation"),
+    ],
+)
+def test_what_only_the_linear_arm_can_have_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        build_model(replace(RELAX, **change))
 
 
 def test_ideal_rope_adds_no_force():

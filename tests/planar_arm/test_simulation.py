@@ -40,8 +40,11 @@ def test_people_of_the_cohort_move_as_in_mujoco(task, rms):
         assert np.abs(moved - recorded).max() < share * np.abs(recorded).max()
 
 
-def test_law_of_a_group_is_that_of_each_arm():
+def test_law_and_reflexes_of_a_group_are_those_of_each_arm():
     people = [draw_person(n, 3).subjects[task] for n in range(5) for task in ("RT", "PT")]
+    # Delays of whole, half and other numbers of steps.
+    for n, (shoulder, elbow) in enumerate([(0.025, 0.03375), (0.0312, 0.0296), (0.0075, 0.35)]):
+        people[2 * n + 1] = replace(people[2 * n + 1], Td_s=shoulder, Td_e=elbow)
     disturbances = Disturbances(np.array([made.push(n, 3.0, duration=3.0) for n in range(len(people))]), made.RATE)
     grouped = lane_table(people, [Environment()] * len(people), disturbances.timestep)
     assert grouped["grouped"].all()
@@ -74,7 +77,7 @@ def test_every_mechanism_acts_as_in_mujoco():
         "kf_s": -0.3,
         "ka_e": 0.02,
     }
-    person = replace(RELAX, muscle=law, Td_e=0.041, **reflexes)
+    person = replace(RELAX, muscle=law, Td_e=0.041, c_h=0.58, c_f=0.62, r_h=0.27, r_f=0.36, **reflexes)
     environment = Environment(m_env=3.0, b_env=4.0, k_env=60.0)
     force = made.push(2, 3.0, duration=6.0)
     recorded = made.record(person, [force])["displacement"].values[0]
@@ -113,6 +116,10 @@ def test_an_arm_that_diverges_is_nan_from_there_on():
 def test_what_the_compiled_arm_has_not_is_refused():
     with pytest.raises(ValueError, match=r"delay = 0.001 s; expected at least three steps of 0.0025 s"):
         lane_table([replace(RELAX, Td_s=0.001)], [Environment()], 2.5e-3)
+    with pytest.raises(ValueError, match=r"i_s, i_se, i_e = 0.1, 0, 0; expected 0 in a simulation"):
+        lane_table([replace(RELAX, i_s=0.1)], [Environment()], 2.5e-3)
+    with pytest.raises(ValueError, match=r"k_h = inf; expected a finite grip stiffness in a simulation"):
+        lane_table([replace(RELAX, k_h=np.inf)], [Environment()], 2.5e-3)
 
 
 def test_without_numba_the_extra_is_named(monkeypatch):

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from armperturb.analysis.arm.state_space import simulate_linear
+from armperturb.anthropometry import anthropometric_body
 from armperturb.environment import Environment
 from armperturb.muscle_law import MuscleLaw
 from armperturb.planar_arm.skeletal import STEP, simulate_skeletal
@@ -16,6 +17,7 @@ RATE = 200.0
 ONSET = 120
 """Sample at which the pulse starts."""
 WINDOW = {"PT": 0.3, "RT": 1.0}
+RIGID = replace(POSITION, **anthropometric_body("male", 1.85, 80.0, attached=0.3))
 HUGE = Environment(workspace=2.0)
 """No limit on the way."""
 
@@ -42,6 +44,9 @@ class Equations:
         self.arm, self.environment, self.force = arm, environment, force
         self.rest = np.radians([arm.theta_s_deg, arm.theta_e_deg])
         self.mass = np.diag([arm.m_h, arm.m_h, arm.m_f, arm.m_f])
+        of_forearm = arm.m_f * (arm.r_f * arm.l_f) ** 2
+        self.turning = np.full((2, 2), of_forearm)
+        self.turning[0, 0] += arm.m_h * (arm.r_h * arm.l_h) ** 2
 
         def matrix(name):
             s, se, e = (getattr(arm, f"{name}_{joint}") for joint in ("s", "se", "e"))
@@ -51,14 +56,14 @@ class Equations:
         self.delay, self.omega = np.array([arm.Td_s, arm.Td_e]), 2 * np.pi * np.array([arm.fact_s, arm.fact_e])
 
     def geometry(self, angle):
-        """Jacobian to the middles of the segments and to the hand, place of the hand."""
+        """Jacobian to the centres of mass of the segments and to the hand, place of the hand."""
         upper = np.array([np.cos(angle[0]), np.sin(angle[0])]) * self.arm.l_h
         lower = np.array([np.cos(angle.sum()), np.sin(angle.sum())]) * self.arm.l_f
         across = np.array([[0.0, -1.0], [1.0, 0.0]])
         upper_slope, lower_slope = across @ upper, across @ lower
         middles = np.zeros((4, 2))
-        middles[:2, 0] = upper_slope / 2
-        middles[2:, 0], middles[2:, 1] = upper_slope + lower_slope / 2, lower_slope / 2
+        middles[:2, 0] = self.arm.c_h * upper_slope
+        middles[2:, 0], middles[2:, 1] = upper_slope + self.arm.c_f * lower_slope, self.arm.c_f * lower_slope
         return middles, np.column_stack([upper_slope + lower_slope, lower_slope]), upper, lower
 
     def slope(self, time, state, linear):
@@ -72,7 +77,8 @@ class Equations:
             at_rest = self.geometry(self.rest)
             hand = upper + lower - at_rest[2] - at_rest[3]
             turning, both = q_dot[0] ** 2, q_dot.sum() ** 2
-            convective = -np.concatenate([upper / 2 * turning, upper * turning + lower / 2 * both])
+            of_forearm = upper * turning + arm.c_f * lower * both
+            convective = -np.concatenate([arm.c_h * upper * turning, of_forearm])
         grip = arm.b_h * (x_dot - jacobian @ q_dot) + arm.k_h * (x - hand)
         spindles = self.kv @ q_dot + self.kp @ q
         memory = state[8:14].reshape(3, 2)
@@ -85,7 +91,7 @@ class Equations:
         held = environment.b_env * x_dot + environment.k_env * x
         return np.concatenate(
             [
-                np.linalg.solve(middles.T @ self.mass @ middles, torque),
+                np.linalg.solve(middles.T @ self.mass @ middles + self.turning, torque),
                 q_dot,
                 (push - held - grip) / environment.m_env,
                 x_dot,
@@ -115,7 +121,7 @@ class Equations:
 
 
 @pytest.mark.slow(reason="integrates the equations of motion in small steps")
-@pytest.mark.parametrize("arm", [POSITION, RELAX], ids=["position", "relax"])
+@pytest.mark.parametrize("arm", [POSITION, RELAX, RIGID], ids=["position", "relax", "rigid"])
 def test_a_pulse_moves_the_arm_as_the_equations_of_motion_have_it(arm):
     force = disturbance(arm.task, 100.0)
     ours = simulate_skeletal(arm, HUGE, force, RATE, ONSET)
@@ -129,7 +135,7 @@ QUICK = replace(POSITION, m_h=0.6, m_f=0.5, k_h=30e3, b_h=80.0)
 
 
 @pytest.mark.parametrize("onset", [0, ONSET])
-@pytest.mark.parametrize("arm", [POSITION, RELAX, OTHER, QUICK], ids=["position", "relax", "other", "quick"])
+@pytest.mark.parametrize("arm", [POSITION, RELAX, OTHER, QUICK, RIGID], ids=["pt", "rt", "other", "quick", "rigid"])
 def test_under_small_forces_it_is_the_linear_model(arm, onset):
     force = disturbance(arm.task, 100.0) / 1e3
     ours = simulate_skeletal(arm, Environment(), force, RATE, onset)

@@ -1,9 +1,14 @@
 """Geometry of the arm at its start posture: Jacobians and the joint mass matrix (thesis appendix B)."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from armperturb.arrays import Array
 from armperturb.subject import Subject
+
+NEAR = 0.05
+"""Share of the range of centres of mass that `with_rigid_segments` keeps away from a humerus without mass [-]."""
 
 
 def _segment_velocities(subject: Subject) -> tuple[Array, Array]:
@@ -21,23 +26,60 @@ def hand_jacobian(subject: Subject) -> Array:
 
 
 def segment_jacobians(subject: Subject) -> tuple[Array, Array]:
-    """Jacobians from joint angles to the middles of humerus and forearm [m/rad], (axis, joint) each."""
+    """Jacobians from joint angles to the centres of mass of humerus and forearm [m/rad], (axis, joint) each."""
     humerus, forearm = _segment_velocities(subject)
-    t_h = np.column_stack([0.5 * humerus, np.zeros(2)])
-    t_f = np.column_stack([humerus + 0.5 * forearm, 0.5 * forearm])
+    t_h = np.column_stack([subject.c_h * humerus, np.zeros(2)])
+    t_f = np.column_stack([humerus + subject.c_f * forearm, subject.c_f * forearm])
     return t_h, t_f
 
 
 def segment_inertias(subject: Subject) -> tuple[Array, Array]:
     """Derivatives of the joint mass matrix with respect to m_h and m_f [m^2], (joint, joint) each."""
     t_h, t_f = segment_jacobians(subject)
-    return t_h.T @ t_h, t_f.T @ t_f
+    turned_h, turned_f = (subject.r_h * subject.l_h) ** 2, (subject.r_f * subject.l_f) ** 2
+    return t_h.T @ t_h + turned_h * np.array([[1, 0], [0, 0]]), t_f.T @ t_f + turned_f
 
 
 def mass_matrix(subject: Subject) -> Array:
-    """Joint mass matrix T_q^T M T_q at the start posture [kg m^2], (joint, joint).
+    """Joint mass matrix at the start posture [kg m^2], (joint, joint).
 
-    Source: eqs B.2, B.7 with point masses in the middle of the segments.
+    Source: T_q^T M T_q of eqs B.2, B.7, with what the segments' own turning and the joint inertia beyond them add.
     """
     inertia_h, inertia_f = segment_inertias(subject)
-    return subject.m_h * inertia_h + subject.m_f * inertia_f
+    return subject.m_h * inertia_h + subject.m_f * inertia_f + subject.joint_matrix("i")
+
+
+def with_rigid_segments(subject: Subject) -> Subject:
+    """The subject whose whole joint inertia at the start posture is that of rigid segments, as simulators want it.
+
+    Three numbers do not determine six: c_h, c_f and r_h stay as they are where they can. c_f moves no further than
+    masses and radii that are not negative ask; m_f, r_f and m_h follow.
+
+    Raises:
+      ValueError: no rigid segments have this joint inertia in this posture.
+    """
+    if not subject.has_extra_inertia:
+        return subject
+    (i_s, i_se), (_, b) = mass_matrix(subject).tolist()
+    cosine, l_h, l_f = np.cos(subject.posture[1]), subject.l_h, subject.l_f
+    c = (i_se - b) / cosine
+    a = i_s - b - 2.0 * c * cosine  # of the humerus, and of the forearm's mass at the elbow
+    # The forearm's mass is c / (c_f l_f l_h): less than leaves the humerus any, at least what b holds without turning.
+    least, most = c * l_h / (a * l_f), min(b * l_h / (c * l_f), 1.0)
+    if not (c > 0.0 and a > 0.0 and least < most):
+        raise ValueError(
+            f"subject {subject.name!r}: joint inertia = [[{i_s:.4g}, {i_se:.4g}], [{i_se:.4g}, {b:.4g}]] kg m^2; "
+            f"expected one that rigid segments can have at an elbow angle of {subject.theta_e_deg:g} deg"
+        )
+    c_f = min(max(subject.c_f, least + NEAR * (most - least)), most)
+    m_f = c / (c_f * l_f * l_h)
+    return replace(
+        subject,
+        m_h=(a - m_f * l_h**2) / ((subject.c_h**2 + subject.r_h**2) * l_h**2),
+        m_f=m_f,
+        c_f=c_f,
+        r_f=float(np.sqrt(max(b / (m_f * l_f**2) - c_f**2, 0.0))),
+        i_s=0.0,
+        i_se=0.0,
+        i_e=0.0,
+    )

@@ -127,6 +127,7 @@ class Joints(NamedTuple):
       active: that of the activation filter, (joint, ..., frequency).
       delay_slope: derivative by the delay, (joint, ..., frequency).
       active_slope: derivative by the cut-off frequency, (joint, ..., frequency).
+      damping_slope: derivative by the filter's damping, (joint, ..., frequency).
       loop: (1 - R Kf)^-1, (joint, joint, ..., frequency).
       muscle: from q to tau, (joint, joint, ..., frequency).
       reflex: from q to u_r, (joint, joint, ..., frequency).
@@ -137,6 +138,7 @@ class Joints(NamedTuple):
     active: ComplexArray
     delay_slope: ComplexArray
     active_slope: ComplexArray
+    damping_slope: ComplexArray
     loop: ComplexArray
     muscle: ComplexArray
     reflex: ComplexArray

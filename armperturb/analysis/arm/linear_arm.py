@@ -39,6 +39,7 @@ from armperturb.analysis.arm.joint_matrices import (
     product,
 )
 from armperturb.analysis.arm.parameters import (
+    ACTIVE_DAMPING,
     CUTOFFS,
     DELAYS,
     GRIP_DAMPING,
@@ -53,6 +54,11 @@ from armperturb.subject import Subject
 
 Delay = Literal["exact", "pade"]
 """A pure neural delay, or its third-order Pade approximation (eq. B.12)."""
+
+
+RIGID_GRIP = 1e5, 1e9
+"""Damping [Ns/m] and stiffness [N/m] of a rigid grip in equations of motion, where it is a state: a hundred thousand
+times stiffer than a hand, and so well damped that its own poles are never those that matter."""
 
 
 class LinearArm:
@@ -71,26 +77,24 @@ class LinearArm:
         """Prepare responses at frequencies.
 
         Args:
-          body: gives segment lengths, posture and damping of the activation filter; its parameters do not matter. A
-            sequence makes a batch.
+          body: gives posture, and lengths, centres of mass and radii of gyration of the segments; its parameters do not
+            matter. A sequence makes a batch.
           frequency: [Hz], (frequency,), or one row for each body.
           delay: "exact" or "pade".
         """
         if isinstance(body, Subject):
-            jacobian, zeta, inertias = hand_jacobian(body), np.array(body.zeta_act), np.array(segment_inertias(body))
+            jacobian, inertias = hand_jacobian(body), np.array(segment_inertias(body))
         else:
             # Trials of a person share a body; computing it once is worth it.
-            of_body = {
-                each: (hand_jacobian(each), each.zeta_act, segment_inertias(each)) for each in dict.fromkeys(body)
-            }
-            jacobian, zeta, inertias = (np.array([of_body[each][k] for each in body]) for k in range(3))
+            of_body = {each: (hand_jacobian(each), segment_inertias(each)) for each in dict.fromkeys(body)}
+            jacobian, inertias = (np.array([of_body[each][k] for each in body]) for k in range(2))
             inertias = inertias.swapaxes(0, 1)
         self.delay: Delay = delay
         f = np.asarray(frequency, dtype=float)
-        self._prepare(np.broadcast_to(f, (*zeta.shape, f.shape[-1])), jacobian, zeta, inertias)
+        self._prepare(np.broadcast_to(f, (*jacobian.shape[:-2], f.shape[-1])), jacobian, inertias)
 
-    def _prepare(self, frequency: Array, jacobian: Array, zeta: Array, inertias: Array) -> None:
-        self.frequency, self.jacobian, self._zeta, self._inertias = frequency, jacobian, zeta, inertias
+    def _prepare(self, frequency: Array, jacobian: Array, inertias: Array) -> None:
+        self.frequency, self.jacobian, self._inertias = frequency, jacobian, inertias
         self._s = laplace(frequency)
         self._s2 = self._s**2
         eye = np.broadcast_to(np.eye(2), jacobian.shape)
@@ -102,7 +106,7 @@ class LinearArm:
     def take(self, index: NDArray[np.int64]) -> Self:
         """Some arms of a batch, in this order."""
         taken = copy.copy(self)
-        taken._prepare(self.frequency[index], self.jacobian[index], self._zeta[index], self._inertias[:, index])
+        taken._prepare(self.frequency[index], self.jacobian[index], self._inertias[:, index])
         return taken
 
     def _at(self, s: ComplexArray) -> Self:
@@ -126,11 +130,10 @@ class LinearArm:
 
     def joint_impedance_gradient(self, values: Array) -> ComplexArray:
         """Derivative of `joint_impedance` by every parameter, (..., frequency, joint, joint, parameter)."""
-        groups = [group for group in GROUPS if group != "grip"]
-        gradient = Gradient(self._s.shape, groups, None)
+        gradient = Gradient(self._s.shape, tuple(GROUPS), None)
         self._joint_change(gradient, self._joints(values), self._eye, self._eye)
-        without_grip = np.zeros((2, *gradient.values.shape[1:]))
-        return parameter_last(np.concatenate([gradient.values, without_grip]))
+        gradient.put("grip", np.zeros((), dtype=complex))
+        return parameter_last(gradient.values)
 
     def admittance_and_gradient(self, values: Array) -> tuple[ComplexArray, ComplexArray]:
         """`admittance` and its derivative by every parameter, (..., frequency, output, input, parameter)."""
@@ -168,7 +171,7 @@ class LinearArm:
           values: (..., parameter); those that are not finite have poles of NaN.
           environment: what the hand holds, or those of a batch hold.
         """
-        dynamics = self._force_and_dynamics(values, environment)[1]
+        dynamics = self.force_and_dynamics(values, environment)[1]
         lost = np.asarray(~np.isfinite(dynamics).all(axis=(-2, -1)))
         # One of a batch must not cost the others theirs.
         poles = np.asarray(np.linalg.eigvals(np.where(lost[..., None, None], 0.0, dynamics)), dtype=complex)
@@ -208,23 +211,24 @@ class LinearArm:
 
         return here.admittance_and_weighted_gradient(values, weigh, groups)[1].sum(axis=(-4, -3, -2))
 
-    def _force_and_dynamics(self, values: Array, environment: Environment | Environments) -> tuple[Array, Array]:
-        """Hand reaction force f, (..., 2, 18), and matrix A, (..., 18, 18), of `StateSpace`."""
+    def force_and_dynamics(self, values: Array, environment: Environment | Environments) -> tuple[Array, Array]:
+        """Hand reaction force f, (..., 2, 18), and matrix A, (..., 18, 18), of `state_space.StateSpace`."""
+        b_h, k_h = _finite_grip(values)
         muscle = np.zeros((*values.shape[:-1], 2, states.N_STATES))
         muscle[..., states.Q_DOT], muscle[..., states.Q] = values[..., MATRIX["b"]], values[..., MATRIX["k"]]
         muscle[..., states.BOTH_JOINTS, states.ACTIVE] = 1.0
         force = np.zeros_like(muscle)
-        force[..., states.VELOCITIES] = values[..., GRIP_DAMPING, None, None] * self._deflection
-        force[..., states.POSITIONS] = values[..., GRIP_STIFFNESS, None, None] * self._deflection
+        force[..., states.VELOCITIES] = b_h * self._deflection
+        force[..., states.POSITIONS] = k_h * self._deflection
         m_h, m_f = values[..., 0, None, None], values[..., 1, None, None]
-        mass = m_h * self._inertias[0] + m_f * self._inertias[1]
+        mass = m_h * self._inertias[0] + m_f * self._inertias[1] + values[..., MATRIX["i"]]
         acceleration = np.linalg.solve(mass, self.jacobian.swapaxes(-1, -2) @ force - muscle)
 
         excitation = values[..., MATRIX["ka"]] @ acceleration + values[..., MATRIX["kf"]] @ muscle
         excitation[..., states.Q_DOT] += values[..., MATRIX["kv"]]
         excitation[..., states.Q] += values[..., MATRIX["kp"]]
 
-        delay, omega = values[..., DELAYS], 2 * np.pi * values[..., CUTOFFS]
+        delay, omega, zeta = values[..., DELAYS], 2 * np.pi * values[..., CUTOFFS], values[..., ACTIVE_DAMPING, None]
         first, second, third = states.PADE
         a = np.empty((*values.shape[:-1], states.N_STATES, states.N_STATES))
         a[...] = states.INTEGRATORS
@@ -235,7 +239,7 @@ class LinearArm:
         excitation[..., states.BOTH_JOINTS, first] -= 240 / delay**3
         excitation[..., states.BOTH_JOINTS, third] -= 24 / delay
         a[..., states.ACTIVE_DOT, :] = -(omega**2)[..., None] * excitation
-        a[..., states.ACTIVE_DOT, states.ACTIVE_DOT] -= 2 * self._zeta[..., None] * omega
+        a[..., states.ACTIVE_DOT, states.ACTIVE_DOT] -= 2 * zeta * omega
         a[..., states.ACTIVE_DOT, states.ACTIVE] -= omega**2
         a[..., states.Q_DOT, :] = acceleration
         m_env, b_env, k_env = columns_of(environment)
@@ -266,7 +270,7 @@ class LinearArm:
 
     def _joints(self, values: Array) -> Joints:
         s, s2, values = self._s, self._s2, np.moveaxis(values, -1, 0)
-        zeta = self._zeta[..., None]
+        zeta = values[ACTIVE_DAMPING, ..., None]
         delay, omega = values[DELAYS][..., None], 2 * np.pi * values[CUTOFFS][..., None]
         u = s * delay
         if self.delay == "exact":
@@ -279,6 +283,7 @@ class LinearArm:
         denominator = s2 + 2 * zeta * omega * s + omega**2
         active = omega**2 / denominator
         active_slope = 4 * np.pi * (omega - active * (zeta * s + omega)) / denominator
+        damping_slope = -2.0 * s * omega * active / denominator
 
         r = (delayed * active)[:, None]
         force = joint_matrix(values, "kf")
@@ -286,11 +291,13 @@ class LinearArm:
         loop = inverse(self._eye - r * force)
         muscle = product(loop, joint_matrix(values, "b") * s + joint_matrix(values, "k") + r * feedback)
         mass = values[0] * matrix_first(self._inertias[0]) + values[1] * matrix_first(self._inertias[1])
+        mass = mass + values[MATRIX["i"]]
         return Joints(
             delayed=delayed,
             active=active,
             delay_slope=delay_slope,
             active_slope=active_slope,
+            damping_slope=damping_slope,
             loop=loop,
             muscle=muscle,
             reflex=feedback + product(force, muscle),
@@ -335,6 +342,9 @@ class LinearArm:
         if out.wants("m"):
             inertias = (matrix_first(inertia)[..., None] for inertia in self._inertias)
             out.put("m", np.stack([out.weighted(s2 * product(product(left, each), right)) for each in inertias]))
+        if out.wants("i"):
+            changed = out.weighted(np.broadcast_to(right, (2, 1, *right.shape)))
+            out.put("i", s2 * by_triple(left[:, :, None, None] * changed))
         left = product(left, joints.loop)
         changed = out.weighted(np.broadcast_to(right, (2, 1, *right.shape)))
         reflexive = left * (joints.delayed * joints.active)
@@ -352,14 +362,24 @@ class LinearArm:
             sensed = product(joints.muscle, right)
             sensed = out.weighted(np.broadcast_to(sensed, (2, 1, *sensed.shape)))
             out.put("kf", by_triple(reflexive[:, :, None, None] * sensed))
-        if out.wants("Td", "fact"):
+        if out.wants("Td", "fact", "zeta"):
             moved = out.weighted(left[:, :, None] * product(joints.reflex, right)[None]).swapaxes(0, 1)
             for group, slope in (
                 ("Td", joints.delay_slope * joints.active),
                 ("fact", joints.delayed * joints.active_slope),
+                ("zeta", joints.delayed * joints.damping_slope),
             ):
                 if out.wants(group):
-                    out.put(group, moved * slope[:, None, None])
+                    change = moved * slope[:, None, None]
+                    # One damping ratio is that of both joints.
+                    out.put(group, change.sum(axis=0, keepdims=True) if group == "zeta" else change)
+
+
+def _finite_grip(values: Array) -> tuple[Array, Array]:
+    """Grip damping and stiffness with `RIGID_GRIP` in the place of infinity, (..., 1, 1) each."""
+    b_h, k_h = values[..., GRIP_DAMPING, None, None], values[..., GRIP_STIFFNESS, None, None]
+    is_rigid = np.isposinf(k_h)
+    return np.where(is_rigid, RIGID_GRIP[0], b_h), np.where(is_rigid, RIGID_GRIP[1], k_h)
 
 
 def joint_impedance(subject: Subject, frequency: ArrayLike, delay: Delay = "exact") -> ComplexArray:

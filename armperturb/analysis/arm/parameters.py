@@ -10,12 +10,15 @@ TRIPLES = ("b", "k", "kv", "kp", "ka", "kf")
 
 _OF_MUSCLES = [f"{quantity}_{joint}" for quantity in TRIPLES for joint in ("s", "se", "e")]
 
-PARAMETERS = ("m_h", "m_f", *_OF_MUSCLES, "Td_s", "Td_e", "fact_s", "fact_e", "b_h", "k_h")
+PARAMETERS = (
+    *("m_h", "m_f", *_OF_MUSCLES, "Td_s", "Td_e", "fact_s", "fact_e", "b_h", "k_h"),
+    *("i_s", "i_se", "i_e", "zeta_act"),
+)
 """Every parameter by which the arm's responses can be differentiated: fields of `Subject`, SI."""
 
-MASSES, DELAYS, CUTOFFS = slice(0, 2), slice(20, 22), slice(22, 24)
+MASSES, DELAYS, CUTOFFS, INERTIA = slice(0, 2), slice(20, 22), slice(22, 24), slice(26, 29)
 
-GRIP_DAMPING, GRIP_STIFFNESS = 24, 25
+GRIP_DAMPING, GRIP_STIFFNESS, ACTIVE_DAMPING = 24, 25, 29
 
 GROUPS = {
     "m": MASSES,
@@ -23,9 +26,16 @@ GROUPS = {
     "Td": DELAYS,
     "fact": CUTOFFS,
     "grip": slice(24, 26),
+    "i": INERTIA,
+    "zeta": slice(29, 30),
 }
 
-MATRIX = {quantity: np.array([[2 + 3 * n, 3 + 3 * n], [3 + 3 * n, 4 + 3 * n]]) for n, quantity in enumerate(TRIPLES)}
+MATRIX = {
+    quantity: np.array([[rows.start, rows.start + 1], [rows.start + 1, rows.start + 2]])
+    for quantity, rows in GROUPS.items()
+    if quantity in (*TRIPLES, "i")
+}
+"""Quantity to the indices of its joint matrix's entries, (joint, joint)."""
 
 
 def parameter_vector(subject: Subject) -> Array:

@@ -57,7 +57,7 @@ def state_space(subject: Subject, environment: Environment) -> StateSpace:
     """
     arm = LinearArm(subject, ())
     values = parameter_vector(subject)
-    force, a = arm._force_and_dynamics(values, environment)
+    force, a = arm.force_and_dynamics(values, environment)
     b = np.zeros((N_STATES, 2))
     b[X_DOT] = np.eye(2) / environment.m_env
     select = np.eye(N_STATES)
@@ -75,10 +75,10 @@ def strapped_dynamics(subject: Subject, environment: Environment, strap: Strap) 
     drive it.
     """
     arm, values = LinearArm(subject, ()), parameter_vector(subject)
-    fixed_force, fixed = arm._force_and_dynamics(values, environment)
+    fixed_force, fixed = arm.force_and_dynamics(values, environment)
     of_arm, shoulder = slice(0, N_STATES), slice(N_STATES, N_STATES + 4)
     p_dot, p = slice(N_STATES, N_STATES + 2), slice(N_STATES + 2, N_STATES + 4)
-    force = np.hstack([fixed_force, -subject.b_h * np.eye(2), -subject.k_h * np.eye(2)])
+    force = np.hstack([fixed_force, -fixed_force[:, X_DOT], -fixed_force[:, X]])
     mass, (t_h, t_f) = mass_matrix(subject), segment_jacobians(subject)
     coupling = subject.m_h * t_h + subject.m_f * t_f
     moved = (strap.mass + subject.m_h + subject.m_f) * np.eye(2)

@@ -117,7 +117,7 @@ def fit_admittance(
     Args:
       frequency: [Hz], (frequency,).
       admittance: estimated H_xf [m/N], (frequency, output, input).
-      body: gives task, segment lengths, posture and activation damping; its other parameters do not matter.
+      body: gives task, segments and posture; its other parameters do not matter.
       structure: model structure, or its name in `STRUCTURES`.
       environment: what the hand held, for the stability of the whole.
       coherence: multiple coherence [-], (frequency, output); one if not given.

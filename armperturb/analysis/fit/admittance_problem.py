@@ -33,7 +33,7 @@ class Target:
     Attributes:
       frequency: [Hz], (frequency,).
       admittance: estimated H_xf [m/N], (frequency, output, input).
-      body: gives task, segment lengths, posture and activation damping; its other parameters do not matter.
+      body: gives task, segments and posture; its other parameters do not matter.
       environment: what the hand held, for the stability of the whole.
       coherence: multiple coherence [-], (frequency, output); one if not given.
     """

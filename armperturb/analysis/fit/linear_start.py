@@ -21,7 +21,8 @@ N_TRIED = 3
 """Delays, and cut-offs, that are tried between their bounds."""
 
 _NONLINEAR = [
-    PARAMETERS.index(name) for name in ("b_h", "k_h", "kf_s", "kf_se", "kf_e", "Td_s", "Td_e", "fact_s", "fact_e")
+    PARAMETERS.index(name)
+    for name in ("b_h", "k_h", "kf_s", "kf_se", "kf_e", "Td_s", "Td_e", "fact_s", "fact_e", "zeta_act")
 ]
 
 
@@ -33,7 +34,7 @@ def linear_start(
     Args:
       frequency: [Hz], (frequency,).
       admittance: estimated H_xf [m/N], (frequency, output, input).
-      body: gives task, segment lengths, posture and damping of the activation filter.
+      body: gives task, segments and posture.
       structure: what is free.
       delay: "exact" or "pade".
     """

@@ -165,7 +165,7 @@ class Structure:
         """The arm with these free parameters.
 
         Args:
-          body: gives task, segment lengths, posture and activation damping.
+          body: gives task, segments and posture.
           values: of the free parameters, (parameter,).
         """
         parameters: dict[str, Any] = dict(zip(PARAMETERS, self.parameters(body.task, values).tolist(), strict=True))

@@ -18,7 +18,7 @@ import numpy as np
 from armperturb.analysis.nonlinear.model import EFFECTS, Parameters, person
 from armperturb.analysis.nonlinear.noise import Noise
 from armperturb.analysis.trials import ConditionTrials
-from armperturb.arrays import Array, ComplexArray
+from armperturb.arrays import Array, ComplexArray, Indices
 from armperturb.planar_arm.lanes import lane_table
 from armperturb.planar_arm.simulation import Disturbances
 from armperturb.subject import Subject
@@ -168,7 +168,7 @@ class Problem:
     def odd_and_even(self, state: State, draws: NoiseDraws) -> Iterator[tuple[Array, Array]]:
         """Parts of the response to each pair of draws [m] that change sign with the noise, and that do not."""
         for pair in self._disturbed(draws):
-            (plus,), (minus,) = self._responses([state], pair)
+            _, (plus, minus) = self._responses([state], pair)
             yield 0.5 * (plus - minus), 0.5 * (plus + minus)
 
     def subjects(self, state: State) -> list[Subject]:
@@ -181,23 +181,32 @@ class Problem:
             for task, condition, of_trial in zip(self._tasks, self.conditions, effects, strict=True)
         ]
 
-    def _responses(self, states: Sequence[State], disturbed: Sequence[Disturbances]) -> Iterator[Array]:
-        """Displacement [m] with each of the disturbances, (state, trial, time, axis)."""
+    def _responses(self, states: Sequence[State], disturbed: Sequence[Disturbances]) -> tuple[Indices, Iterator[Array]]:
+        """What differs between states: a parameter that acts in some trials leaves the others as in another state.
+
+        Returns:
+          Place of each answer among those that differ, (state, trial), and these with each of the disturbances:
+          displacement [m], (place, time, axis).
+        """
         subjects = [subject for state in states for subject in self.subjects(state)]
         lanes = lane_table(subjects, self._environments * len(states), disturbed[0].timestep)
-        trials = np.tile(np.arange(self.n_trials), len(states))
-        for disturbances in disturbed:
-            responses = disturbances.responses(lanes, trials, self._ends[trials])
-            yield responses.reshape(len(states), self.n_trials, *responses.shape[1:])
+        known: dict[tuple[int, bytes], int] = {}
+        keys = [(number % self.n_trials, lane.tobytes()) for number, lane in enumerate(lanes)]
+        place = np.array([known.setdefault(key, len(known)) for key in keys])
+        first = np.unique(place, return_index=True)[1]
+        trials = first % self.n_trials
+        place = place.reshape(len(states), self.n_trials)
+        return place, (each.responses(lanes[first], trials, self._ends[trials]) for each in disturbed)
 
     def predict(self, states: Sequence[State], *, n_draws: int | None = None) -> Array:
         """Displacement [m], (state, trial, time, axis)."""
         averaged = self._averaged[:n_draws]
-        responses = self._responses(states, averaged)
+        place, responses = self._responses(states, averaged)
         total = next(responses)
         for response in responses:
             total += response
-        return total / len(averaged)
+        total /= len(averaged)
+        return np.asarray(total[place])
 
     def limit_cycles(self, state: State) -> tuple[str, ...]:
         """Conditions in which an arm still moves a while after the last push: a self-sustained oscillation.
@@ -271,7 +280,8 @@ class Problem:
                 if places.start + effect < places.stop:
                     effects[places.start + effect] += COORDINATE_STEP
             states.append(state._replace(effects=effects))
-        changes = (self.predict(states, n_draws=n_draws) - self.predict([state], n_draws=n_draws)[0]) / COORDINATE_STEP
+        predicted = self.predict([state, *states], n_draws=n_draws)
+        changes = (predicted[1:] - predicted[0]) / COORDINATE_STEP
         slopes = []
         for rows, noise in zip(self.rows, self.noises, strict=True):
             for trial in range(rows.start, rows.stop):

@@ -58,7 +58,10 @@ def silent_simulator() -> Iterator[None]:
             handler.value = _HANDLERS.pop()
 
 
-COMPILED = ("m_h", "m_f", "l_h", "l_f", "theta_s_deg", "theta_e_deg", "b_h", "k_h", "Td_s", "Td_e")
+COMPILED = (
+    *("m_h", "m_f", "l_h", "l_f", "c_h", "c_f", "r_h", "r_f", "theta_s_deg", "theta_e_deg"),
+    *("b_h", "k_h", "Td_s", "Td_e"),
+)
 """Fields of a subject that only a new compilation changes in a model."""
 
 

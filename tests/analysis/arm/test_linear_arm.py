@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate
 
-from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix
+from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix, with_rigid_segments
 from armperturb.analysis.arm.joint_matrices import Environments
 from armperturb.analysis.arm.linear_arm import (
     LinearArm,
@@ -29,8 +29,12 @@ OTHER = replace(POSITION, Td_s=0.041, Td_e=0.024, fact_s=2.1, fact_e=5.2, zeta_a
 SENSING = replace(
     OTHER, ka_s=0.6, ka_se=0.3, ka_e=0.9, kf_s=-0.7, kf_se=-0.3, kf_e=-0.4, kp_s=20.0, kv_e=18.0, name="sensing"
 )
+RIGID = replace(SENSING, c_h=0.57, c_f=0.63, r_h=0.27, r_f=0.36, name="rigid")
+LIGHT = replace(POSITION, m_h=0.02, m_f=0.02, i_s=0.41, i_se=0.13, i_e=0.12, zeta_act=0.8)
 PEOPLE = pytest.mark.parametrize(
-    "subject", [RELAX, POSITION, OTHER, SENSING], ids=["relax", "position", "other", "sensing"]
+    "subject",
+    [RELAX, POSITION, OTHER, SENSING, RIGID, LIGHT],
+    ids=["relax", "position", "other", "sensing", "rigid", "light"],
 )
 
 
@@ -52,16 +56,87 @@ def test_jacobian_is_the_derivative_of_the_hand_position(subject):
 
 
 @PEOPLE
-def test_mass_matrix_gives_the_kinetic_energy_of_the_point_masses(subject):
+def test_mass_matrix_gives_the_kinetic_energy_of_the_segments(subject):
     rate, step = np.array([0.7, -1.3]), 1e-6
+    masses = np.array([subject.m_h, subject.m_f])
 
-    def masses(q):
+    def centres(q):
         elbow = subject.l_h * np.exp(1j * q[0])
-        return np.array([elbow / 2, elbow + subject.l_f / 2 * np.exp(1j * (q[0] + q[1]))])
+        return np.array([subject.c_h * elbow, elbow + subject.c_f * subject.l_f * np.exp(1j * (q[0] + q[1]))])
 
-    speed = np.abs(masses(subject.posture + step * rate) - masses(subject.posture - step * rate)) / (2 * step)
-    energy = 0.5 * np.array([subject.m_h, subject.m_f]) @ speed**2
+    speed = np.abs(centres(subject.posture + step * rate) - centres(subject.posture - step * rate)) / (2 * step)
+    turning = np.array([subject.r_h * subject.l_h, subject.r_f * subject.l_f]) * np.cumsum(rate)
+    energy = 0.5 * masses @ (speed**2 + turning**2) + 0.5 * rate @ subject.joint_matrix("i") @ rate
     assert 0.5 * rate @ mass_matrix(subject) @ rate == pytest.approx(energy, rel=1e-8)
+
+
+@PEOPLE
+def test_segments_have_the_inertia_of_the_mass_matrix(subject):
+    a, b, c = subject.segment_inertia
+    bend = c * np.cos(subject.posture[1])
+    of_segments = np.array([[a + 2 * bend, b + bend], [b + bend, b]])
+    np.testing.assert_allclose(of_segments + subject.joint_matrix("i"), mass_matrix(subject), rtol=1e-12)
+
+
+@pytest.mark.parametrize("theta_e_deg", [60.0, 82.3, 120.0])
+@pytest.mark.parametrize("c_f", [0.5, 0.05, 1.0])
+def test_rigid_segments_have_the_joint_inertia_that_was_asked(theta_e_deg, c_f):
+    body = replace(POSITION, c_h=0.57, r_h=0.27, c_f=0.65, r_f=0.35, theta_e_deg=theta_e_deg)
+    wanted = mass_matrix(body)
+    bare = replace(body, m_h=0.0, m_f=0.0, c_f=c_f, i_s=wanted[0, 0], i_se=wanted[0, 1], i_e=wanted[1, 1])
+    rigid = with_rigid_segments(bare)
+    assert not rigid.has_extra_inertia
+    np.testing.assert_allclose(mass_matrix(rigid), wanted, rtol=1e-12)
+    assert min(rigid.m_h, rigid.m_f) > 0.0
+    assert with_rigid_segments(rigid) is rigid
+
+
+def test_rigid_segments_of_an_impossible_inertia_are_refused():
+    # At 82 deg the elbow couples segments more than the forearm alone does, and never less.
+    bare = replace(POSITION, m_h=0.0, m_f=0.0, i_s=0.4, i_se=0.08, i_e=0.1)
+    with pytest.raises(
+        ValueError, match=r"joint inertia = \[\[0\.4, 0\.08\], \[0\.08, 0\.1\]\] kg m\^2; expected one that"
+    ):
+        with_rigid_segments(bare)
+
+
+def test_rigid_grip_adds_no_compliance():
+    rigid, stiff = (replace(SENSING, k_h=stiffness) for stiffness in (np.inf, 1e12))
+    for function in (arm_admittance, lambda arm, f: total(arm, f, "exact")):
+        np.testing.assert_allclose(function(rigid, FREQUENCY), function(stiff, FREQUENCY), rtol=1e-6)
+    gradient = LinearArm(rigid, FREQUENCY).total_and_gradient(parameter_vector(rigid), ENVIRONMENT)[1]
+    assert np.isfinite(gradient).all()
+
+
+# Force feedback would feel what the joints have of the environment.
+@pytest.mark.parametrize("subject", [RELAX, POSITION, replace(SENSING, kf_s=0.0, kf_se=0.0, kf_e=0.0)])
+def test_rigid_grip_moves_as_hand_and_handle_in_one(subject):
+    # An arm whose joints have the environment's mass, damper and spring, and whose hand holds as good as nothing.
+    square = hand_jacobian(subject).T @ hand_jacobian(subject)
+    with_both = {
+        f"{name}_{joint}": getattr(subject, f"{name}_{joint}") + value * square[place]
+        for name, value in (("i", ENVIRONMENT.m_env), ("b", ENVIRONMENT.b_env), ("k", ENVIRONMENT.k_env))
+        for joint, place in (("s", (0, 0)), ("se", (0, 1)), ("e", (1, 1)))
+    }
+    alone = Environment(m_env=1.0, b_env=0.0, k_env=1.0)
+    poles = np.linalg.eigvals(state_space(replace(subject, k_h=np.inf), ENVIRONMENT).a)
+    expected = np.linalg.eigvals(state_space(replace(subject, k_h=1e-9, b_h=0.0, **with_both), alone).a)
+    of_grip = np.abs(poles) > 1e3
+    assert of_grip.sum() == 4
+    assert poles[of_grip].real.max() < -1e3
+    for pole in expected[np.abs(np.abs(expected) - 1.0) > 1e-6]:
+        assert np.abs(poles - pole).min() < 1e-3 * np.abs(pole)
+
+
+def test_rigid_grip_moves_in_time_as_a_very_stiff_one():
+    rate = 200.0
+    time = np.arange(400) / rate
+    force = np.stack([np.sin(9 * time), 0.5 * np.cos(4 * time) - 0.5], axis=-1)
+    rigid, stiff = (
+        simulate_linear(replace(POSITION, k_h=k_h, b_h=100.0), ENVIRONMENT, force, rate) for k_h in (np.inf, 1e7)
+    )
+    for one, other in zip(rigid, stiff, strict=True):
+        assert np.abs(one - other).max() < 1e-3 * np.abs(other).max()
 
 
 @PEOPLE

@@ -138,7 +138,7 @@ def test_structures_travel_to_workers():
 
 def test_every_parameter_has_a_unit():
     assert {unit(name) for name in PARAMETERS} == {
-        "kg", "Nms/rad", "Nm/rad", "Nms^2/rad", "-", "s", "Hz", "Ns/m", "N/m",
+        "kg", "Nms/rad", "Nm/rad", "Nms^2/rad", "-", "s", "Hz", "Ns/m", "N/m", "kg m^2",
     }  # fmt: skip
 
 

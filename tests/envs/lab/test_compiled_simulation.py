@@ -16,7 +16,7 @@ from armperturb.perturbations import Multisine, MultisineThenPulse, Pulse
 from armperturb.subject import POSITION, RELAX
 
 PULSE = Pulse(peak=20.0, direction_deg=20.0, onset=0.2, duration=1.5)
-FEEDBACK = replace(POSITION, name="feedback", kf_s=-0.5, kf_e=-0.3, ka_e=0.3)
+FEEDBACK = replace(POSITION, name="feedback", kf_s=-0.5, kf_e=-0.3, ka_e=0.3, c_h=0.58, c_f=0.62, r_h=0.27, r_f=0.36)
 QUIET = Instruments(force_noise=0.0, encoder_bits=32, marker_noise=None)
 
 

@@ -45,6 +45,10 @@ OTHER = replace(
     l_f=0.37,
     theta_s_deg=40.0,
     theta_e_deg=70.0,
+    c_h=0.58,
+    c_f=0.62,
+    r_h=0.27,
+    r_f=0.36,
 )
 
 

@@ -1,0 +1,117 @@
+"""How well `identify` does on arms that the package did not make: truth in its intervals, fit, error over the bound.
+
+Run by `python -m benchmarks.foreign_arms --n 40`, with `--mujoco` on MuJoCo's rigid bodies. Each arm is drawn by
+`tests/foreign_recordings.py` (rigid segments, reflexes, grips, manipulators, excitations) and identified with the
+structure that is right as far as the package has one, or with a given `--model`. A line of JSON for each arm goes to
+`--out` as soon as it is there; a second run with the same file continues.
+"""
+
+import argparse
+import json
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+import numpy as np
+
+from armperturb.analysis.fit.identify import identify
+from armperturb.analysis.fit.structures import STRUCTURES, Structure
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+JUDGED = ("k_s", "k_se", "k_e", "b_s", "b_se", "b_e")
+NAMED = {"none": "1", "velocity": "2", "position": "3"}
+"""Kind of reflex to the structure that has it."""
+
+WIDE = {
+    **{name: (0.1, 1.5, 6.0) for name in ("m_h", "m_f")},
+    **{name: (0.010, 0.030, 0.080) for name in ("Td_s", "Td_e")},
+    **{name: (1.0, 2.5, 8.0) for name in ("fact_s", "fact_e")},
+}
+
+
+def right_structure(truth: dict) -> Structure:
+    """The structure of an arm, within wide bounds."""
+    named = STRUCTURES[NAMED[truth["reflex"]]]
+    wide = {name: bounds for name, bounds in WIDE.items() if name in named.bounds}
+    structure = named.freeing(**wide, k_h=(2e3, 2e4, 1e6))
+    return structure if truth["grip"] == "spring" else structure.fixing(k_h=1e6, b_h=0.0)
+
+
+def judge(seed: int, with_mujoco: bool, model: str | None, given: dict) -> dict:
+    """Draw, record and identify one arm."""
+    import foreign_arms
+    import foreign_mujoco
+    from foreign_recordings import draw_foreign
+
+    setup = draw_foreign(seed, **given)
+    truth = setup.truth
+    row = {"seed": seed, "kind": setup.kind, "period": setup.period, "lines": setup.lines, "amid": setup.amid}
+    row |= {name: getattr(setup, name) for name in ("n_trials", "duration", "rate", "load", "remnant", "spread")}
+    row |= {"reflex": truth["reflex"], "grip": truth["grip"]}
+    recording = setup.recording(foreign_mujoco.simulate if with_mujoco else foreign_arms.simulate)
+    start = time.process_time()
+    try:
+        result = identify(recording, model or right_structure(truth))
+    except ValueError as error:
+        return row | {"refused": str(error)}
+    fit, detail = result.fit, result.fit.detail
+    bound = np.sqrt(detail.dispersion)
+    for name in set(JUDGED) & fit.values.keys():
+        error = fit.values[name] - truth[name]
+        row[name] = [truth[name], fit.values[name], fit.standard_error[name], fit.standard_error[name] / bound, error]
+    row |= {"chi2": detail.chi2, "dof": detail.dof, "converged": fit.converged, "suspicious": detail.is_suspicious}
+    return row | {"seconds": time.process_time() - start, "remarks": list(fit.remarks)}
+
+
+def report(rows: list[dict]) -> None:
+    """Print what the arms of each kind, and all of them, gave."""
+    columns = ("n", "refused", "flagged", "chi2/dof", "inside %", "worst %", "e/bound")
+    print(f"{'arms':28}" + "".join(f"{column:>10}" for column in columns))
+    splits = {"all": lambda row: "all"}
+    splits |= {key: (lambda row, key=key: f"{key} {row[key]}") for key in ("kind", "reflex", "grip", "amid", "lines")}
+    splits["load"] = lambda row: f"load {row['load'][0]:g} kg {row['load'][2]:g} N/m"
+    for split in splits.values():
+        for label in sorted({split(row) for row in rows}):
+            of_label = [row for row in rows if split(row) == label]
+            fitted = [row for row in of_label if "refused" not in row]
+            cells = [f"{len(of_label)}", f"{len(of_label) - len(fitted)}"]
+            if fitted:
+                each = {name: np.array([row[name] for row in fitted if name in row]) for name in JUDGED}
+                inside = [100.0 * np.mean(np.abs(v[:, 4]) <= 1.96 * v[:, 2]) for v in each.values() if len(v)]
+                ratio = np.concatenate([v[:, 4] / v[:, 3] for v in each.values() if len(v)])
+                cells += [f"{sum(row['suspicious'] for row in fitted)}"]
+                cells += [f"{np.median([row['chi2'] / row['dof'] for row in fitted]):.2f}"]
+                cells += [f"{np.mean(inside):.1f}", f"{min(inside):.1f}", f"{np.sqrt(np.mean(ratio**2)):.2f}"]
+            print(f"{label:28}" + "".join(f"{cell:>10}" for cell in cells))
+    for reason in sorted({row["refused"] for row in rows if "refused" in row}):
+        print(f"refused: {reason}")
+
+
+def main() -> None:
+    """Identify the arms that are not in the file yet, and report on all."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--n", type=int, default=40, help="arms")
+    parser.add_argument("--seed", type=int, default=0, help="of the first arm; the others follow")
+    parser.add_argument("--mujoco", action="store_true", help="MuJoCo as the engine")
+    parser.add_argument("--model", help="a structure for all arms; by default the right one")
+    parser.add_argument("--given", type=json.loads, default={}, help='of every arm, e.g. \'{"kind": "multisine"}\'')
+    parser.add_argument("--out", type=Path, help="file of JSON lines")
+    asked = parser.parse_args()
+    rows = []
+    if asked.out and asked.out.exists():
+        rows = [json.loads(line) for line in asked.out.read_text(encoding="utf-8").splitlines()]
+    left = sorted({*range(asked.seed, asked.seed + asked.n)} - {row["seed"] for row in rows})
+    with ProcessPoolExecutor(2) as pool:
+        waiting = [pool.submit(judge, seed, asked.mujoco, asked.model, dict(asked.given)) for seed in left]
+        for future in as_completed(waiting):
+            rows.append(future.result())
+            if asked.out:
+                with asked.out.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(rows[-1]) + "\n")
+    report(rows)
+
+
+if __name__ == "__main__":
+    main()
