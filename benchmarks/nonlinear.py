@@ -40,7 +40,7 @@ from armperturb.analysis.nonlinear.prediction import PulsePrediction, median_pea
 from armperturb.analysis.nonlinear.result import UNCERTAIN, NonlinearEstimate
 from armperturb.analysis.nonlinear.start import linear_arms
 from armperturb.analysis.nonlinear.trials import fitted_conditions, training_sets
-from armperturb.analysis.results import normal_quantile
+from armperturb.analysis.results import quantile
 from armperturb.cohort import Person, draw_person
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
@@ -141,7 +141,7 @@ def _ratio(estimate: NonlinearEstimate, known: Mapping[str, float]) -> tuple[flo
     first, second = estimate.coordinate_error[above], estimate.coordinate_error[below]
     shared = estimate.correlation[names.index(above), names.index(below)] * first * second
     claimed = float(np.sqrt(first**2 + second**2 - 2.0 * shared))
-    return error, claimed, abs(error) < normal_quantile(0.95) * claimed
+    return error, claimed, abs(error) < quantile(0.95) * claimed
 
 
 def fit_person(part: str, path: Path, truth: Person) -> tuple[str, Results]:

@@ -11,7 +11,7 @@ standard error is infinite and its interval reaches from minus to plus infinity 
 import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -130,6 +130,7 @@ class FitResult(Result):
       converged: whether the search ended at an optimum.
       message: how the search ended, in words.
       remarks: what a reader must know before trusting the values, a sentence each.
+      degrees_of_freedom: of Student's t for the interval of a parameter; those not named have normal ones.
     """
 
     values: Mapping[str, float]
@@ -139,6 +140,7 @@ class FitResult(Result):
     converged: bool
     message: str
     remarks: tuple[str, ...]
+    degrees_of_freedom: Mapping[str, float] = field(default_factory=dict)
 
     def interval(self, name: str, level: float = 0.95) -> Interval:
         """Confidence interval of a free parameter, from its standard error.
@@ -147,7 +149,7 @@ class FitResult(Result):
           name: of the parameter, as in `values`.
           level: probability with which such intervals hold the true value [-].
         """
-        half = normal_quantile(level) * self.standard_error[name]
+        half = quantile(level, self.degrees_of_freedom.get(name, math.inf)) * self.standard_error[name]
         return Interval(self.values[name] - half, self.values[name] + half)
 
     def unit_of(self, name: str) -> str:
@@ -188,15 +190,19 @@ class FitResult(Result):
         return plot_parameters({str(label) or "all conditions": frame for label, frame in by_condition}, figure)
 
 
-def normal_quantile(level: float) -> float:
-    """Half a confidence interval over the standard error of a normal variable [-].
+def quantile(level: float, dof: float = math.inf) -> float:
+    """Half a confidence interval over the standard error of a variable that has Student's t distribution [-].
+
+    Args:
+      level: probability with which such intervals hold the truth [-].
+      dof: degrees of freedom; with infinitely many, the variable is normal.
 
     Raises:
       ValueError: the level is no probability.
     """
     if not 0.0 < level < 1.0:
         raise ValueError(f"interval: level = {level!r}; expected a probability between 0 and 1, e.g. 0.95")
-    return float(stats.norm.ppf(0.5 + level / 2.0))
+    return float(stats.norm.ppf(0.5 + level / 2.0) if math.isinf(dof) else stats.t.ppf(0.5 + level / 2.0, dof))
 
 
 def parameter_table(frame: pd.DataFrame, *keys: str) -> Table:

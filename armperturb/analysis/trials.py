@@ -22,7 +22,7 @@ from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
 from armperturb.analysis.numerics.periodicity import find_period, samples_of_period
 from armperturb.arrays import Array, Indices
 from armperturb.environment import Environment
-from armperturb.recording import check_recording
+from armperturb.recording import check_recording, join_recordings
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import require_number, require_one_of
 
@@ -31,6 +31,9 @@ APERIODIC = 1e-2
 
 NEGLIGIBLE = 1e-9
 """Disturbances below this count as zero [N]."""
+
+AT_REST = 0.02
+"""Distance from zero, and between two samples, over the RMS displacement below which a handle is at rest [-]."""
 
 ONE_VALUED = ("subject", "task", "condition", "l_h", "l_f", "theta_s_deg", "theta_e_deg")
 """Coordinates that all trials of a person in a condition share."""
@@ -210,6 +213,14 @@ class ConditionTrials:
         return self.instruments[1]
 
     @cached_property
+    def from_rest(self) -> bool:
+        """Whether every trial starts with the handle at rest at zero, as far as its first two samples tell."""
+        x = self.recorded_displacement
+        rms = np.sqrt(np.mean(x**2, axis=1))
+        place, step = np.abs(x[:, 0]), np.abs(x[:, 1] - x[:, 0])
+        return bool(np.all((place < AT_REST * rms) & (step < AT_REST * rms)))
+
+    @cached_property
     def skew(self) -> Skew:
         """Delay of force after displacement, as these trials show it."""
         return self.balance.skew(*self.instruments)
@@ -372,6 +383,32 @@ def prepared_recordings(recordings: SeveralTrials) -> list[ConditionTrials]:
     if len(rates) > 1:
         raise ValueError(f"recordings: rate = {', '.join(f'{rate:g}' for rate in rates)} Hz; expected one rate")
     return trials
+
+
+def parts_by_condition(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[str, tuple[ConditionTrials, ...]]:
+    """Condition to its trials, those of one length together, in the order of the recordings.
+
+    Args:
+      recordings: trials of one person, of any lengths.
+
+    Raises:
+      ValueError: as `trials_by_condition`, of all recordings together.
+    """
+    several = [recordings] if isinstance(recordings, xr.Dataset) else list(recordings)
+    people = list(dict.fromkeys(str(name) for each in several for name in each["subject"].values))
+    if len(people) > 1:
+        raise ValueError(f"recording: subject = {', '.join(people)}; expected one person")
+    parts: dict[str, dict[tuple[float, int], list[xr.Dataset]]] = {}
+    for each in several:
+        for label, trials in trials_by_condition(each).items():
+            clock = trials.rate, trials.n_samples
+            parts.setdefault(label, {}).setdefault(clock, []).append(trials.recording)
+    return {
+        label: tuple(
+            ConditionTrials.prepare(same[0] if len(same) == 1 else join_recordings(same)) for same in by_clock.values()
+        )
+        for label, by_clock in parts.items()
+    }
 
 
 def records_of(trials: Sequence[ConditionTrials], window_start: float) -> list[TrialRecord]:

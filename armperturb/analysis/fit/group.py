@@ -11,10 +11,11 @@ from armperturb.analysis.fit.likelihood import Likelihood, PeriodLikelihood, Rec
 from armperturb.analysis.fit.linear_start import linear_start
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.force_balance import EDGE
-from armperturb.analysis.response.spectra import averaged_spectra, line_spectra
-from armperturb.analysis.trials import ConditionTrials, Trials, per_trials, prepared
+from armperturb.analysis.response.condition_spectra import condition_spectra, periodic_lines
+from armperturb.analysis.trials import ConditionTrials, SeveralTrials, per_trials, prepared_recordings
 from armperturb.arrays import Array
-from armperturb.validation import require_number
+from armperturb.environment import Environment
+from armperturb.subject import Subject
 
 Method = Literal["frequency", "record"]
 """Whether the mean period of each trial is used, or all of it from its start."""
@@ -34,68 +35,70 @@ class Group:
     """Trials of one person in one condition, and the structure that is fitted to them.
 
     Attributes:
-      trials: the trials.
+      parts: the trials, those of one length together.
       structure: what is free.
       initial: values of the free parameters by linear least squares, from which a search may start, (parameter,).
-      period: likelihood of the mean periods.
-      record: likelihood of the whole records.
+      period: likelihood of the mean periods; None of a perturbation that is not periodic, or not for long enough.
+      records: likelihood of the whole records of each part.
     """
 
-    trials: ConditionTrials
+    parts: tuple[ConditionTrials, ...]
     structure: Structure
     initial: Array
-    period: Likelihood
-    record: Likelihood
+    period: Likelihood | None
+    records: tuple[Likelihood, ...]
 
     @classmethod
     def prepare(
         cls,
-        trials: Trials,
+        trials: SeveralTrials,
         structure: Structure,
         *,
         window_start: float = WINDOW_START,
         period: float | None = None,
-        settle: float = 0.0,
     ) -> Self:
         """Prepare trials. Of trials with pulses, what is before the earliest is used.
 
+        The perturbation may be of any kind. Records start at rest or amid the movement, see `likelihood`.
+
         Args:
-          trials: of one person in one condition, or their recording.
+          trials: of one person in one condition, or their recordings, which may differ in length.
           structure: what is to be estimated.
           window_start: start of the window of whole periods, after the transient has died away [s].
-          period: of the disturbance [s]; None to find it.
-          settle: time at the start of the records that "record" does not judge [s]: 0 where they start at rest, some 8
-            s where they start amid the perturbation, so that the response to what is not recorded has died away.
+          period: of the disturbance [s]; None to find it, if there is one.
 
         Raises:
-          ValueError: the recording is refused, gives no spectra, is of several people, tasks or postures, its
-            perturbation is not periodic, or settle leaves less than a period.
+          ValueError: a recording is refused, gives no spectra, or is of several people, tasks or postures.
         """
-        trials = prepared(trials)
-        body = trials.body
-        spectra = averaged_spectra(trials, window_start=window_start, period=period)
-        lines = line_spectra(trials, window_start=window_start, period=period)
-        rate = trials.rate
-        period = trials.period(window_start) if period is None else period
-        n_period, first = round(period * rate), round(window_start * rate)
-        d = trials.perturbation
-        _require_periodic(d, first, n_period, rate)
-        environment, white = trials.environment, _white(trials)
-        end = min(trials.first_onset, trials.n_samples - round(EDGE * rate))
-        require_number("Group", "settle", settle, at_least=0.0, at_most=end / rate - period)
-        top = min(1.1 * float(lines.frequency[-1]), 0.45 * rate)
-        last = first + n_period * max(1, (end - first) // n_period)
-
-        def signals(window: slice) -> Signals:
-            return Signals(d[:, window], white[:, window], body, environment, rate)
-
+        parts = tuple(prepared_recordings(trials))
+        for part in parts:
+            part.check_period(window_start, period)
+        spectra = condition_spectra(parts, window_start=window_start, period=period)
+        lines = periodic_lines(parts, window_start, period)
+        highest = float((spectra if lines is None else lines).frequency[-1])
+        top = min(1.1 * highest, 0.45 * parts[0].rate)
         return cls(
-            trials=trials,
+            parts=parts,
             structure=structure,
-            initial=linear_start(spectra.frequency, spectra.arm, body, structure),
-            period=PeriodLikelihood(signals(slice(first, last)), n_period, top),
-            record=RecordLikelihood(signals(slice(end)), top, settle),
+            initial=linear_start(spectra.frequency, spectra.arm, parts[0].body, structure),
+            period=None if lines is None else _period_likelihood(parts[0], window_start, period, top),
+            records=tuple(_record_likelihood(part, top) for part in parts),
         )
+
+    @property
+    def label(self) -> str:
+        """The condition."""
+        return self.parts[0].label
+
+    @property
+    def body(self) -> Subject:
+        """Task, segment lengths and posture."""
+        return self.parts[0].body
+
+    @property
+    def environment(self) -> Environment:
+        """What the hand held, of the first part."""
+        return self.parts[0].environment
 
 
 def require_one_person(groups: Sequence[Group]) -> None:
@@ -104,9 +107,9 @@ def require_one_person(groups: Sequence[Group]) -> None:
     Raises:
       ValueError: there are such.
     """
-    labels = [group.trials.label for group in groups]
+    labels = [group.label for group in groups]
     for field in ("name", "l_h", "l_f", "theta_s_deg", "theta_e_deg"):
-        values = {getattr(group.trials.body, field) for group in groups}
+        values = {getattr(group.body, field) for group in groups}
         if len(values) > 1:
             raise ValueError(
                 f"the conditions {', '.join(labels)} differ in {field} ({', '.join(map(str, sorted(values)))}); "
@@ -117,15 +120,30 @@ def require_one_person(groups: Sequence[Group]) -> None:
             raise ValueError(f"the condition {label!r} comes twice; expected each once (its trials in one group)")
 
 
-def _require_periodic(perturbation: Array, first: int, n_period: int, rate: float) -> None:
-    """Refuse a perturbation that is another before and in the window than a period later."""
+def _signals(trials: ConditionTrials, window: slice) -> Signals:
+    return Signals(
+        trials.perturbation[:, window], _white(trials)[:, window], trials.body, trials.environment, trials.rate
+    )
+
+
+def _record_likelihood(trials: ConditionTrials, top: float) -> Likelihood:
+    end = min(trials.first_onset, trials.n_samples - round(EDGE * trials.rate))
+    return RecordLikelihood(_signals(trials, slice(end)), top, from_rest=trials.from_rest)
+
+
+def _period_likelihood(
+    trials: ConditionTrials, window_start: float, period: float | None, top: float
+) -> Likelihood | None:
+    """That of the mean periods; None of a perturbation that was another a period earlier."""
+    rate = trials.rate
+    n_period = round((trials.period(window_start) if period is None else period) * rate)
+    first = round(window_start * rate)
+    end = min(trials.first_onset, trials.n_samples - round(EDGE * rate))
+    d = trials.perturbation
     n = min(n_period, first // 2)
-    earlier, later = perturbation[:, first - n : first], perturbation[:, first - n + n_period : first + n_period]
-    change = np.sqrt(np.mean((later - earlier) ** 2, axis=(1, 2))) if n else np.zeros(len(perturbation))
-    rms = np.sqrt(np.mean(perturbation[:, first : first + n_period] ** 2, axis=(1, 2)))
-    worst = int(np.argmax(change / rms))
-    if change[worst] > NOT_PERIODIC * rms[worst]:
-        raise ValueError(
-            f"the perturbation of trial {worst} changes by {change[worst] / rms[worst]:.0%} of its RMS from one period "
-            f"of {n_period / rate:g} s to the next; expected a periodic one (another period?)"
-        )
+    earlier, later = d[:, first - n : first], d[:, first - n + n_period : first + n_period]
+    change = np.sqrt(np.mean((later - earlier) ** 2, axis=(1, 2))) if n else np.zeros(len(d))
+    if (change > NOT_PERIODIC * np.sqrt(np.mean(d[:, first : first + n_period] ** 2, axis=(1, 2)))).any():
+        return None
+    last = first + n_period * max(1, (end - first) // n_period)
+    return PeriodLikelihood(_signals(trials, slice(first, last)), n_period, top)

@@ -9,19 +9,20 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from armperturb.analysis.arm.linear_arm import LinearArm, arm_admittance
-from armperturb.analysis.arm.parameters import parameter_vector
+from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
+from armperturb.analysis.fit.arm_fit import ArmFit
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.structures import Structure, structure_of, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, Wanted, fit_wanted
+from armperturb.analysis.measures.endpoint import EndpointImpedance
 from armperturb.analysis.measures.vaf import prediction_vaf
-from armperturb.analysis.response.frequency_response import Bands
-from armperturb.analysis.response.spectra import SpectralEstimate, averaged_spectra
-from armperturb.analysis.results import Description, FitResult, Result, Table, normal_quantile, parameter_table, plain
-from armperturb.analysis.trials import ConditionTrials, Trials, prepared, trials_by_condition
+from armperturb.analysis.response.condition_spectra import condition_spectra
+from armperturb.analysis.response.spectra import SpectralEstimate
+from armperturb.analysis.results import Description, Result, Table, parameter_table, plain
+from armperturb.analysis.trials import ConditionTrials, SeveralTrials, parts_by_condition, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -37,79 +38,6 @@ ESTIMATOR_NAMES: Mapping[Estimator, str] = {
     "record": "maximum likelihood of whole records",
 }
 """What each estimator is called where people read it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ArmFit(FitResult):
-    """The arm of one person in one condition, as an estimator gives it.
-
-    For the thesis's estimator, a standard error is the mean over trials of the SEM (eq. 2.22), intervals treat it as a
-    standard error, parameters at a bound are those that sit there in any trial, and correlations are unknown.
-
-    Attributes:
-      estimator: which.
-      structure: name of the model structure.
-      condition: in which the arm was perturbed.
-      arm: the estimated arm, fixed parameters included.
-      mixing: derivative of the arm's parameters (`arm.parameters.PARAMETERS`) by the free ones, (arm parameter,
-        parameter).
-      stable: whether arm and environment are stable together.
-      largest_real_pole: of arm and environment [1/s].
-      criterion: V of eq. 2.19, without penalty, of the arm against the averaged spectra.
-      detail: the estimator's own result.
-    """
-
-    estimator: Estimator
-    structure: str
-    condition: str
-    arm: Subject
-    mixing: Array
-    stable: bool
-    largest_real_pole: float
-    criterion: float
-    detail: Estimate | ThesisEstimate
-
-    def unit_of(self, name: str) -> str:
-        """SI unit of a parameter."""
-        return unit(name)
-
-    def place_of(self, name: str) -> tuple[str, str]:
-        """Name of a parameter in tables, and the condition."""
-        return name, self.condition
-
-    def admittance_bands(self, frequency: ArrayLike, level: float = 0.95) -> Bands | None:
-        """Confidence bands of the arm's admittance that follow from the errors of its parameters, linearised.
-
-        Args:
-          frequency: [Hz], (frequency,).
-          level: probability with which a band holds the true gain or phase, each by itself [-].
-
-        Returns:
-          Limits of gain and phase; None where an error or a correlation is not known.
-        """
-        error = np.array(list(self.standard_error.values()))
-        covariance = self.correlation * np.outer(error, error)
-        if not np.isfinite(covariance).all():
-            return None
-        values, slope = LinearArm(self.arm, frequency).admittance_and_gradient(parameter_vector(self.arm))
-        relative = slope @ self.mixing / values[..., None]
-
-        def half(part: Array) -> Array:
-            variance = np.einsum("...p,pq,...q", part, covariance, part)
-            return np.asarray(normal_quantile(level) * np.sqrt(np.maximum(variance, 0.0)))
-
-        gain, phase = np.abs(values), np.angle(values)
-        factor, angle = np.exp(half(relative.real)), np.minimum(half(relative.imag), np.pi)
-        return Bands(gain / factor, gain * factor, phase - angle, phase + angle)
-
-    def describe(self) -> Description:
-        """Estimates and how the search ended."""
-        return Description(
-            title=f"Arm of {self.arm.name} in {self.condition}: model {self.structure}, estimator {self.estimator!r}",
-            facts=(self.message, f"largest pole of arm and environment {plain(self.largest_real_pole, 3)} 1/s"),
-            table=parameter_table(self.to_frame()),
-            remarks=self.remarks,
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -148,6 +76,12 @@ class Identification(Result):
                 f"{plain(fit.largest_real_pole, 3)} 1/s; least coherence {self.spectra.coherence.min():.3f}",
             ),
         )
+
+    def endpoint(
+        self, *, posture_deg: tuple[float, float] | None = None, force: ArrayLike | None = None
+    ) -> EndpointImpedance:
+        """Stiffness, damping and inertia at the hand, see `ArmFit.endpoint`."""
+        return self.fit.endpoint(posture_deg=posture_deg, force=force)
 
     def to_frame(self) -> "pd.DataFrame":
         """One row per free parameter, with the columns of `results.PARAMETER_COLUMNS`."""
@@ -259,7 +193,7 @@ def _with_error(fit: ArmFit, name: str) -> str:
 
 
 def identify(
-    trials: Trials,
+    trials: SeveralTrials,
     model: Structure | str,
     *,
     estimator: Estimator = "record",
@@ -270,7 +204,8 @@ def identify(
     """Admittance, environment, arm model and its VAF from the trials of one subject in one condition.
 
     Args:
-      trials: each from rest at its first sample; of a larger recording, `recording.sel` or `.isel` picks them.
+      trials: of any perturbation, from rest or amid the movement; or several recordings, which may differ in length. Of
+        a larger recording, `recording.sel` or `.isel` picks them.
       model: structure or its name, see `structures.STRUCTURES`.
       estimator: "thesis", "frequency" or "record".
       window_start: start of the window of whole periods, after the transient has died away [s].
@@ -280,20 +215,21 @@ def identify(
     Raises:
       ValueError: the recording is refused, holds several subjects, conditions or postures, or gives no spectra.
     """
-    ready = prepared(trials)
-    ready.body  # noqa: B018  (refuses several conditions)
+    parts = tuple(prepared_recordings(trials))
+    for part in parts:
+        part.body  # noqa: B018  (refuses several conditions)
     return identify_conditions(
-        {ready.label: ready},
+        {parts[0].label: parts},
         model,
         estimator=estimator,
         window_start=window_start,
         period=period,
         lines_per_average=lines_per_average,
-    )[ready.label]
+    )[parts[0].label]
 
 
 def identify_conditions(
-    trials: Mapping[str, ConditionTrials] | xr.Dataset,
+    trials: Mapping[str, Sequence[ConditionTrials]] | xr.Dataset | Sequence[xr.Dataset],
     model: Structure | str,
     *,
     estimator: Estimator = "record",
@@ -305,7 +241,8 @@ def identify_conditions(
     """Admittance, environment, arm model and its VAF of one subject in every condition.
 
     Args:
-      trials: condition to trials of one subject, or their recording; a condition's have the same posture.
+      trials: condition to trials of one subject, those of one length together, or their recordings; a condition's have
+        the same posture.
       model: structure or its name, see `structures.STRUCTURES`.
       estimator: "thesis", "frequency" or "record".
       share: parameters that are the same in all conditions, see `maximum_likelihood.estimate`.
@@ -327,38 +264,54 @@ def identify_conditions(
             f"identify: share = {', '.join(share)}; expected nothing with estimator = 'thesis', which fits each trial "
             "alone (--estimator record shares)"
         )
-    conditions = trials_by_condition(trials) if isinstance(trials, xr.Dataset) else trials
-    perturbed = {label: part for label, part in conditions.items() if part.is_perturbed(window_start)}
+    conditions = parts_by_condition(trials) if isinstance(trials, (xr.Dataset, Sequence)) else trials
+    perturbed = {
+        label: parts for label, parts in conditions.items() if all(part.is_perturbed(window_start) for part in parts)
+    }
     conditions = perturbed or conditions
-    for part in conditions.values():
-        part.check_period(window_start, period)
+    for parts in conditions.values():
+        for part in parts:
+            part.check_period(window_start, period)
     spectra = {
-        label: averaged_spectra(part, window_start=window_start, period=period, lines_per_average=lines_per_average)
-        for label, part in conditions.items()
+        label: condition_spectra(parts, window_start=window_start, period=period, lines_per_average=lines_per_average)
+        for label, parts in conditions.items()
     }
     if estimator == "thesis":
-        wanted = [Wanted(part, model) for part in conditions.values()]
+        wanted = [Wanted(_only(parts), model) for parts in conditions.values()]
         fitted = fit_wanted(wanted, window_start=window_start, period=period)
         fits = {
-            label: _thesis_fit(of_trials, part, model, spectra[label])
-            for (label, part), of_trials in zip(conditions.items(), fitted, strict=True)
+            label: _thesis_fit(of_trials, parts[0], model, spectra[label])
+            for (label, parts), of_trials in zip(conditions.items(), fitted, strict=True)
         }
     else:
-        groups = [Group.prepare(part, model, window_start=window_start, period=period) for part in conditions.values()]
+        groups = [
+            Group.prepare(parts, model, window_start=window_start, period=period) for parts in conditions.values()
+        ]
         joint = estimate(groups, estimator, share=share)
-        fits = {group.trials.label: _likely_fit(joint, group, spectra[group.trials.label]) for group in groups}
+        fits = {group.label: _likely_fit(joint, group, spectra[group.label]) for group in groups}
     return Identifications(
         {
             label: Identification(
-                n_trials=conditions[label].n_trials,
+                n_trials=sum(part.n_trials for part in conditions[label]),
                 spectra=spectra[label],
-                environment=conditions[label].environment,
+                environment=conditions[label][0].environment,
                 fit=fit,
-                vaf=prediction_vaf(conditions[label], fit.arm, conditions[label].environment).mean(axis=0),
+                vaf=np.concatenate(
+                    [prediction_vaf(part, fit.arm, part.environment) for part in conditions[label]]
+                ).mean(axis=0),
             )
             for label, fit in fits.items()
         }
     )
+
+
+def _only(parts: Sequence[ConditionTrials]) -> ConditionTrials:
+    if len(parts) > 1:
+        lengths = ", ".join(f"{part.n_samples / part.rate:g} s" for part in parts)
+        raise ValueError(
+            f"trials of {lengths}; expected one length with estimator = 'thesis' (--estimator record takes any)"
+        )
+    return parts[0]
 
 
 def _thesis_fit(
@@ -386,7 +339,7 @@ def _thesis_fit(
 
 def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> ArmFit:
     """One condition's part of an estimate over several."""
-    condition, names = group.trials.label, group.structure.free
+    condition, names = group.label, group.structure.free
     label = {name: name if name in result.values else f"{name} [{condition}]" for name in names}
     rows = [list(result.values).index(name) for name in label.values()]
     return ArmFit(
@@ -394,12 +347,15 @@ def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> Ar
         values={name: result.values[label[name]] for name in names},
         standard_error={name: result.standard_error[label[name]] for name in names},
         at_bound=tuple(name for name in names if label[name] in result.at_bound),
+        degrees_of_freedom={
+            name: result.degrees_of_freedom[label[name]] for name in names if label[name] in result.degrees_of_freedom
+        },
         correlation=result.correlation[np.ix_(rows, rows)],
         message=result.message,
         converged=result.converged,
         remarks=result.remarks,
         detail=result,
-        **_about(result.arms[condition], group.structure, group.trials, spectra),
+        **_about(result.arms[condition], group.structure, group.parts[0], spectra),
     )
 
 
@@ -412,6 +368,7 @@ def _about(arm: Subject, structure: Structure, trials: ConditionTrials, spectra:
         "structure": structure.name,
         "condition": trials.label,
         "arm": arm,
+        "force": trials.force[:, : trials.first_onset].mean(axis=(0, 1)),
         "mixing": structure.mixing,
         "stable": pole < 0.0,
         "largest_real_pole": pole,

@@ -1,22 +1,20 @@
 """Free parameters of several conditions in one vector, and their likelihood."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.fit.group import Group, Method
-from armperturb.analysis.fit.likelihood import LackOfFit, Normal
+from armperturb.analysis.fit.likelihood import LackOfFit, Likelihood, Normal
 from armperturb.analysis.fit.structures import PUBLISHED, unit
+from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, TrialScore, scaled
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
 STABILISING = (0.0, 0.05, 0.1, 0.2, 0.4, 0.7, 1.0)
 """Shares of the default start that are mixed into an unstable one until it is stable [-]."""
-
-SINGULAR = 1e-12
-"""Least eigenvalue of the scaled information with which a structure can be identified [-]."""
 
 PART_OF = 1e-3
 """Share of a direction of parameters from which on a parameter belongs to it [-]."""
@@ -25,19 +23,37 @@ SHARES: Mapping[str, list[str]] = PUBLISHED["shares"]
 """Names for parameters that are shared together; single ones are named as they are."""
 
 
+Effects = Sequence[Array]
+"""Of each likelihood, by how much quantities are larger in a trial than on average [-], (trial, quantity)."""
+
+
 class JointLikelihood:
-    """Free parameters of all groups in one vector, and their likelihood."""
+    """Free parameters of all groups in one vector, and their likelihood.
+
+    Attributes:
+      groups: the trials.
+      parts: of which group each likelihood is, and the likelihood.
+      names: of the free parameters.
+      columns: of each group's free parameters among these.
+      lower: least value of each, (parameter,).
+      upper: largest value of each, (parameter,).
+    """
 
     def __init__(self, groups: Sequence[Group], method: Method, share: Sequence[str]) -> None:
         self.groups = tuple(groups)
-        self.likelihoods = [group.period if method == "frequency" else group.record for group in self.groups]
+        self.parts = [
+            (at, likelihood)
+            for at, group in enumerate(self.groups)
+            for likelihood in ([group.period] if method == "frequency" else group.records)
+            if likelihood is not None
+        ]
         shared = shared_names(self.groups, share)
         self.names: list[str] = []
         self.columns: list[list[int]] = []
         for group in self.groups:
             mine = []
             for name in group.structure.free:
-                label = name if len(self.groups) == 1 or name in shared else f"{name} [{group.trials.label}]"
+                label = name if len(self.groups) == 1 or name in shared else f"{name} [{group.label}]"
                 if label not in self.names:
                     self.names.append(label)
                 mine.append(self.names.index(label))
@@ -73,58 +89,87 @@ class JointLikelihood:
             count[columns] += 1.0
         return np.clip(total / count, self.lower, self.upper)
 
-    def parameters(self, values: Array) -> list[Array]:
-        """Parameters of the arm in each group."""
-        return [
-            group.structure.parameters(group.trials.body.task, values[columns])
-            for group, columns in zip(self.groups, self.columns, strict=True)
-        ]
+    def parameters(self, values: Array, effects: Effects | None = None) -> list[Array]:
+        """Parameters of the arm for each likelihood, (parameter,); with effects of trials (trial, parameter)."""
+        by_likelihood = []
+        for number, (at, _) in enumerate(self.parts):
+            group, free_values = self.groups[at], values[self.columns[at]]
+            if effects is None:
+                by_likelihood.append(group.structure.parameters(group.body.task, free_values))
+                continue
+            change = effects[number] @ self._design(at, values).T
+            by_likelihood.append(
+                np.array([group.structure.parameters(group.body.task, free_values + each) for each in change])
+            )
+        return by_likelihood
+
+    def _design(self, at: int, values: Array) -> Array:
+        """Change of a group's free parameters per relative change of each quantity, (parameter, quantity)."""
+        free = self.groups[at].structure.free
+        of_quantity = [{f"{quantity}_{joint}" for joint in ("s", "se", "e")} for quantity in QUANTITIES]  # no grip
+        of = np.array([[name in members for members in of_quantity] for name in free])
+        return np.asarray(of * values[self.columns[at], None])
+
+    def no_effects(self) -> Effects:
+        """Trials that are all alike."""
+        return [np.zeros((likelihood.n_trials, len(QUANTITIES))) for _, likelihood in self.parts]
 
     def arms(self, values: Array) -> list[Subject]:
         """The arm of each group."""
         return [
-            group.structure.arm(group.trials.body, values[columns])
+            group.structure.arm(group.body, values[columns])
             for group, columns in zip(self.groups, self.columns, strict=True)
         ]
 
     def pole(self, values: Array) -> float:
         """Largest real part of a pole of any arm on its environment [1/s]."""
         arms = zip(self.arms(values), self.groups, strict=True)
-        return max(largest_real_pole(arm, group.trials.environment) for arm, group in arms)
+        return max(largest_real_pole(arm, group.environment) for arm, group in arms)
 
-    def weigh(self, values: Array) -> None:
+    def _with_parameters(self, values: Array, effects: Effects | None) -> Iterator[tuple[Likelihood, Array]]:
+        likelihoods = (likelihood for _, likelihood in self.parts)
+        return zip(likelihoods, self.parameters(values, effects), strict=True)
+
+    def weigh(self, values: Array, effects: Effects | None = None) -> None:
         """Estimate the noise at these parameters; it holds until the next call."""
-        for likelihood, parameters in zip(self.likelihoods, self.parameters(values), strict=True):
+        for likelihood, parameters in self._with_parameters(values, effects):
             likelihood.weigh(parameters)
 
-    def cost(self, values: Array) -> float:
+    def cost(self, values: Array, effects: Effects | None = None) -> float:
         """Sum of squares of the white residual."""
-        pairs = zip(self.likelihoods, self.parameters(values), strict=True)
-        return sum(likelihood.cost(parameters) for likelihood, parameters in pairs)
+        return sum(likelihood.cost(parameters) for likelihood, parameters in self._with_parameters(values, effects))
 
     def objective(self, values: Array) -> float:
         """Minus twice the log-likelihood, up to a constant."""
-        pairs = zip(self.likelihoods, self.parameters(values), strict=True)
-        return sum(likelihood.objective(parameters) for likelihood, parameters in pairs)
+        return sum(likelihood.objective(parameters) for likelihood, parameters in self._with_parameters(values, None))
 
     def normal(self, values: Array) -> Normal:
-        """Normal equations of a Gauss-Newton step."""
-        cost, slope = 0.0, np.zeros(len(self.names))
-        information = np.zeros((len(self.names), len(self.names)))
-        every = zip(self.groups, self.likelihoods, self.columns, self.parameters(values), strict=True)
-        for group, likelihood, columns, parameters in every:
-            part = likelihood.normal(parameters, group.structure.mixing)
+        """Normal equations of a Gauss-Newton step, of all likelihoods together."""
+        cost, slope = 0.0, np.zeros((1, len(self.names)))
+        information = np.zeros((1, len(self.names), len(self.names)))
+        for (at, likelihood), parameters in zip(self.parts, self.parameters(values), strict=True):
+            part, columns = likelihood.normal(parameters, self.groups[at].structure.mixing), self.columns[at]
             cost += part.cost
-            slope[columns] += part.slope
-            information[np.ix_(columns, columns)] += part.information
+            slope[0, columns] += part.slope
+            information[0][np.ix_(columns, columns)] += part.information
         return Normal(cost, slope, information)
 
-    def lack_of_fit(self, values: Array) -> LackOfFit:
+    def scores(self, values: Array, effects: Effects) -> list[TrialScore]:
+        """What each trial tells, about trials with these effects."""
+        by_trial = []
+        every = zip(self.parts, self.parameters(values, effects), effects, strict=True)
+        for (at, likelihood), parameters, of_trials in every:
+            part = likelihood.normal(parameters, self.groups[at].structure.mixing)
+            design = self._design(at, values)
+            for slope, information, effect in zip(part.slopes, part.informations, of_trials, strict=True):
+                score = slope + information @ (design @ effect)
+                by_trial.append(TrialScore(self.columns[at], score, information, design))
+        return by_trial
+
+    def lack_of_fit(self, values: Array, effects: Effects | None = None) -> LackOfFit:
         """Of all groups together; the noise must have been weighed."""
-        parts = [
-            likelihood.lack_of_fit(parameters)
-            for likelihood, parameters in zip(self.likelihoods, self.parameters(values), strict=True)
-        ]
+        every = self._with_parameters(values, effects)
+        parts = [likelihood.lack_of_fit(parameters) for likelihood, parameters in every]
         dof = sum(part.dof for part in parts) - len(self.names)
         return LackOfFit(sum(part.chi2 for part in parts), max(dof, 1))
 
@@ -154,7 +199,7 @@ class JointLikelihood:
         for place in (values, self.published()):
             self.weigh(place)
             information += self.normal(place).information
-            if scaled_information(information)[1][0] > SINGULAR:
+            if scaled(information)[1][0] > SINGULAR:
                 return
         require_informative(information, self.names)
 
@@ -169,7 +214,7 @@ def require_informative(information: Array, names: Sequence[str]) -> None:
     Raises:
       ValueError: there is such a direction; the message names it.
     """
-    scale, power, directions = scaled_information(information)
+    scale, power, directions = scaled(information)
     if power[0] > SINGULAR:
         return
     silent = [name for name, size in zip(names, np.diag(information), strict=True) if not size > 0.0]
@@ -182,14 +227,6 @@ def require_informative(information: Array, names: Sequence[str]) -> None:
         f"the structure cannot be identified: a change of {' '.join(terms)} leaves the movement as it is; "
         "expected one of them fixed"
     )
-
-
-def scaled_information(information: Array) -> tuple[Array, Array, Array]:
-    """Scale that gives the information a diagonal of ones, its eigenvalues then, rising, and its directions."""
-    scale = np.sqrt(np.diag(information))
-    scale[scale == 0.0] = 1.0
-    power, directions = np.linalg.eigh(information / np.outer(scale, scale))
-    return scale, np.asarray(power), np.asarray(directions)
 
 
 def shared_names(groups: Sequence[Group], share: Sequence[str]) -> set[str]:

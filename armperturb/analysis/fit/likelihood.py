@@ -12,6 +12,11 @@ spectrum of the hand force u = P^-1 v that would move the handle like that which
 
 A finite record lets the strong low frequencies leak into the weak high ones. Both likelihoods therefore filter x and
 P d with the same two zeros, so that what is left is nearly white, before they are transformed.
+
+A record that begins amid the movement answers to what was before it as well. That is as if an unknown force had acted
+on the handle before the first sample. The response to such a force (`PAST`), and an offset and a drift of the
+displacement, are then least-squares fitted to each trial's residual and taken out of it, and out of the derivatives:
+the likelihood is that of the rest. Arms of trials may differ, so that P differs from trial to trial.
 """
 
 import itertools
@@ -19,7 +24,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft, sparse, stats
+from scipy import fft, linalg, sparse, stats
 
 from armperturb.analysis.arm.linear_arm import LinearArm
 from armperturb.arrays import Array, ComplexArray, Indices
@@ -42,8 +47,21 @@ EXCITED_POWER = 1e-3
 """Share of the largest power above which a frequency counts as excited. It is larger than that of the lines of a
 multisine (`spectra.EXCITED_LINE`), as whole records are tapered and leak power into neighbouring frequencies."""
 
+PAST = (0.0, 0.02, 0.05, 0.09, 0.15, 0.23, 0.35, 0.55, 0.9, 1.5, 2.5)
+"""Times before a record at which the unknown force before it may have its knots, linear between them [s]."""
+
+MEMORY = 20.0
+"""Time after which responses have surely died away [s]: by as much, at least, spectra of records are padded."""
+
+START_OF_MOVING = 0.5
+"""What is left out at the start of a record that begins amid the movement [s], which its filters spoil. From then on it
+fades in over half of `TAPER`."""
+
 ROUND_OFF = 1e-12
 """Noise cannot be less: amplitude over that of the strongest disturbance, power in one direction over all [-]."""
+
+
+ALL = slice(None)
 
 
 class Normal(NamedTuple):
@@ -51,13 +69,23 @@ class Normal(NamedTuple):
 
     Attributes:
       cost: sum of squares of the white residual, twice its complex square.
-      slope: derivative of the model times the residual, (parameter,): minus half the cost's gradient.
-      information: Fisher information, (parameter, parameter).
+      slopes: derivative of the model times the residual, (trial, parameter): minus half the cost's gradient.
+      informations: Fisher information of each trial, (trial, parameter, parameter).
     """
 
     cost: float
-    slope: Array
-    information: Array
+    slopes: Array
+    informations: Array
+
+    @property
+    def slope(self) -> Array:
+        """Of all trials together, (parameter,)."""
+        return np.asarray(self.slopes.sum(axis=0))
+
+    @property
+    def information(self) -> Array:
+        """Of all trials together, (parameter, parameter)."""
+        return np.asarray(self.informations.sum(axis=0))
 
 
 class Signals(NamedTuple):
@@ -115,7 +143,8 @@ def _pole(rate: float) -> float:
 class Likelihood:
     """Likelihood of the trials of one condition; subclasses say how an arm answers the disturbance.
 
-    Values are the parameters of an arm in the order of `arm_model.PARAMETERS`.
+    Values are the parameters of an arm in the order of `arm_model.PARAMETERS`, (parameter,), or those of each trial's
+    arm, (trial, parameter).
 
     Args:
       signals: of the trials.
@@ -152,10 +181,21 @@ class Likelihood:
         self._least = float(ROUND_OFF * np.abs(force).max()) ** 2
         self._white = np.zeros((2, 2, len(index)), dtype=complex)
         self._latest: tuple[bytes, ComplexArray] = b"", self._observed
+        self._unknown: ComplexArray | None = None
+        self._span: Array | None = None
 
-    def _predicted(self, values: Array) -> ComplexArray:
-        """DFT of the whitened P d where the arm answers, (trial, axis, answer)."""
+    @property
+    def n_trials(self) -> int:
+        """How many trials."""
+        return len(self._observed)
+
+    def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
+        """DFT of the whitened P d of some trials where the arm answers, (trial, axis, answer)."""
         raise NotImplementedError
+
+    def _unknowns(self, values: Array) -> ComplexArray | None:
+        """DFT of whitened displacements that a trial may have in any amount, (column, axis, answer); None of none."""
+        return None
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
         """Some trials and the derivatives of `_predicted` there, (free parameter, trial, axis, answer)."""
@@ -165,17 +205,24 @@ class Likelihood:
         # A search asks three times in a row about the same arm: cost, weights, slope.
         key, residual = self._latest
         if key != values.tobytes():
-            residual = self._observed - self._predicted(values)
+            if values.ndim == 1:
+                predicted = self._predicted(values)
+            else:
+                each = (self._predicted(arm, slice(at, at + 1)) for at, arm in enumerate(values))
+                predicted = np.concatenate(list(each))
+            residual = self._observed - predicted
             self._latest = values.tobytes(), residual
         return residual
 
     def weigh(self, values: Array) -> None:
-        """Estimate the noise that is left by an arm with these parameters; it holds until the next call."""
-        total = self._arm.total_admittance(values, self._environment) * self._filter[:, None, None]
+        """Estimate the noise that is left by arms with these parameters; it holds until the next call."""
+        mean = values if values.ndim == 1 else values.mean(axis=0)
+        total = self._arm.total_admittance(mean, self._environment) * self._filter[:, None, None]
         (a, b), (c, d) = np.moveaxis(total, 0, -1)
         to_force = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
         answers = to_force[..., self._answering]
-        force = _applied(answers, self._residual(values))
+        self._unknown = self._unknowns(mean)
+        force = _applied(answers, self._without_unknowns(values))
         power = np.empty(to_force.shape, dtype=complex)
         power[..., self._answering] = np.einsum("taf,tbf->abf", force, force.conj()) / len(force)
         quiet = to_force[..., self._quiet]
@@ -186,6 +233,26 @@ class Likelihood:
         root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(2))
         # Real and imaginary part of the residual have half its power each.
         self._white = np.moveaxis(np.sqrt(2.0) * np.linalg.solve(root, np.moveaxis(answers, -1, 0)), 0, -1)
+        if self._unknown is not None:
+            self._span = _orthonormal(_applied(self._white, self._unknown))
+
+    def _without_unknowns(self, values: Array) -> ComplexArray:
+        """The residual without what is unknown of each trial, as far as the noise is known yet."""
+        residual = self._residual(values)
+        if self._unknown is None:
+            return residual
+        white = self._white if self._white.any() else np.eye(2, dtype=complex)[..., None] + 0 * self._white
+        columns, rows = _rows(_applied(white, self._unknown)), _rows(_applied(white, residual))
+        amounts = np.asarray(linalg.lstsq(columns.T, rows.T, cond=1e-9)[0])
+        return np.asarray(residual - np.einsum("ct,caf->taf", amounts, self._unknown))
+
+    def _left(self, rows: Array) -> Array:
+        """Rows without what the unknown displacements span."""
+        return rows if self._span is None else rows - (rows @ self._span.T) @ self._span
+
+    def _white_rows(self, values: Array) -> Array:
+        """The white residual of each trial, real then imaginary parts, (trial, number)."""
+        return self._left(_rows(_applied(self._white, self._residual(values))))
 
     def objective(self, values: Array) -> float:
         """Minus twice the log likelihood, but for a constant, the noise being that which the arm leaves [-]."""
@@ -194,27 +261,33 @@ class Likelihood:
         return self.cost(values) - 4.0 * len(self._force) * float(np.sum(np.log(np.abs(a * d - b * c))))
 
     def cost(self, values: Array) -> float:
-        """`Normal.cost` of an arm."""
-        return float(np.sum(np.abs(_applied(self._white, self._residual(values))) ** 2))
+        """`Normal.cost` of arms."""
+        return float(np.sum(self._white_rows(values) ** 2))
 
     def normal(self, values: Array, mixing: Array) -> Normal:
-        """Least squares with respect to free parameters; mixing is (arm parameter, free parameter)."""
-        residual = _applied(self._white, self._residual(values))
-        n = mixing.shape[1]
-        slope, information = np.zeros(n), np.zeros((n, n))
-        for trials, derivatives in self._slopes(values, mixing):
-            rows = _real(_applied(self._white, derivatives).reshape(n, -1))
-            slope += rows @ _real(residual[trials].ravel())
-            information += rows @ rows.T
-        return Normal(float(np.sum(np.abs(residual) ** 2)), slope, information)
+        """Least squares with respect to free parameters; mixing is (arm parameter, free parameter).
+
+        Where the arms of trials differ, derivatives are those at their mean.
+        """
+        residual = self._white_rows(values)
+        mean = values if values.ndim == 1 else values.mean(axis=0)
+        n_trials, n = len(residual), mixing.shape[1]
+        slopes, informations = np.zeros((n_trials, n)), np.zeros((n_trials, n, n))
+        for trials, derivatives in self._slopes(mean, mixing):
+            white = _applied(self._white, derivatives)
+            for place, trial in enumerate(range(n_trials)[trials]):
+                rows = self._left(_rows(white[:, place]))
+                slopes[trial] = rows @ residual[trial]
+                informations[trial] = rows @ rows.T
+        return Normal(float(np.sum(residual**2)), slopes, informations)
 
     def lack_of_fit(self, values: Array) -> LackOfFit:
-        """Whether the arm leaves something that the disturbance explains, the noise being as last weighed.
+        """Whether the arms leave something that the disturbance explains, the noise being as last weighed.
 
         In each band of excited frequencies the white residual is regressed on what a change of P, the same all over the
         band, would add. Each regression has as many real parameters as P has numbers: eight.
         """
-        residual = _applied(self._white, self._residual(values))
+        residual = _complex(self._white_rows(values), self._observed.shape)
         changes = np.einsum("aof,tif->tafoi", self._white * self._filter[self._answering], self._force)
         chi2 = 0.0
         for band in self._bands:
@@ -249,8 +322,9 @@ class PeriodLikelihood(Likelihood):
         self._model = LinearArm(signals.body, frequency[used][excited])
         self._load = force[..., excited] * self._filter[excited]
 
-    def _predicted(self, values: Array) -> ComplexArray:
-        return _applied(np.moveaxis(self._model.total_admittance(values, self._environment), 0, -1), self._load)
+    def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
+        total = np.moveaxis(self._model.total_admittance(values, self._environment), 0, -1)
+        return _applied(total, self._load[trials])
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
         gradient = _mixed(self._model.total_and_gradient(values, self._environment)[1], mixing)[:, None]
@@ -264,20 +338,20 @@ class RecordLikelihood(Likelihood):
     Args:
       signals: of the whole record.
       top: highest frequency that counts [Hz].
-      settle: time at the start that is not judged [s]; 0 for records that start at rest. A response to what came before
-        the record must have died away by then.
+      from_rest: whether the records start at rest, the handle being at zero.
     """
 
-    def __init__(self, signals: Signals, top: float, settle: float) -> None:
+    def __init__(self, signals: Signals, top: float, *, from_rest: bool = True) -> None:
         rate, force = signals.rate, signals.perturbation.swapaxes(1, 2)
         n_taper = round(TAPER * rate)
-        self._judged = slice(round(settle * rate), force.shape[-1])
-        self._n_padded = fft.next_fast_len(2 * force.shape[-1], real=True)
+        self._judged = slice(0 if from_rest else round(START_OF_MOVING * rate), force.shape[-1])
+        n_samples = force.shape[-1]
+        self._n_padded = fft.next_fast_len(n_samples + max(n_samples, round(MEMORY * rate)), real=True)
         fade = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_taper) + 0.5) / n_taper)
         self._taper = np.ones(self._judged.stop - self._judged.start)
         self._taper[-n_taper:] = fade[::-1]
-        if settle > 0.0:
-            self._taper[:n_taper] *= fade
+        if not from_rest:
+            self._taper[: len(fade[::2])] *= fade[::2]
         frequency = fft.rfftfreq(len(self._taper), 1.0 / rate)
         self._used = slice(1, int(np.searchsorted(frequency, top)))
         observed = self._spectrum(signals.displacement.swapaxes(1, 2))
@@ -288,6 +362,14 @@ class RecordLikelihood(Likelihood):
         self._model = LinearArm(signals.body, np.maximum(fine, 1e-6))
         load = fft.rfft(force, self._n_padded, axis=-1)[..., : len(fine)]
         self._load = load * whitening(fine, rate)
+        self._past: ComplexArray | None = None
+        if not from_rest:
+            before = np.arange(self._n_padded) - self._n_padded
+            knots = -np.array(PAST[::-1]) * rate
+            bumps = np.array([np.interp(before, knots, bump, left=0.0) for bump in np.eye(len(knots))[1:]])
+            self._past = fft.rfft(bumps, self._n_padded, axis=-1)[:, : len(fine)] * whitening(fine, rate)
+            ramp = np.linspace(-1.0, 1.0, force.shape[-1])
+            self._drift = self._spectrum(np.stack([np.ones_like(ramp), ramp]))
 
     def _spectrum(self, values: Array) -> ComplexArray:
         """DFT of what is judged of records (..., time), faded out, at the frequencies that count."""
@@ -297,9 +379,17 @@ class RecordLikelihood(Likelihood):
         """The same of signals that are given by their DFT over the padded time."""
         return self._spectrum(fft.irfft(spectrum, self._n_padded, axis=-1))
 
-    def _predicted(self, values: Array) -> ComplexArray:
+    def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
         total = np.moveaxis(self._model.total_admittance(values, self._environment), 0, -1)
-        return self._cut(_applied(total, self._load))
+        return self._cut(_applied(total, self._load[trials]))
+
+    def _unknowns(self, values: Array) -> ComplexArray | None:
+        if self._past is None:
+            return None
+        total = np.moveaxis(self._model.total_admittance(values, self._environment), 0, -1)
+        moved = [self._cut(total[:, axis] * self._past[:, None]) for axis in range(2)]
+        offsets = self._drift[:, None, None] * np.eye(2)[..., None]
+        return np.concatenate([*moved, offsets.reshape(-1, 2, offsets.shape[-1])])
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
         gradient = _mixed(self._model.total_and_gradient(values, self._environment)[1], mixing)
@@ -321,8 +411,23 @@ def _mixed(gradient: ComplexArray, mixing: Array) -> ComplexArray:
     return np.tensordot(mixing.T, gradient.transpose(3, 1, 2, 0), 1)
 
 
-def _real(values: ComplexArray) -> Array:
-    return np.concatenate([values.real, values.imag], axis=-1)
+def _rows(values: ComplexArray) -> Array:
+    """Real then imaginary parts of the last two axes as one, (..., number)."""
+    flat = values.reshape(*values.shape[:-2], -1)
+    return np.concatenate([flat.real, flat.imag], axis=-1)
+
+
+def _complex(rows: Array, shape: tuple[int, ...]) -> ComplexArray:
+    """What `_rows` was made from."""
+    real, imaginary = np.split(rows, 2, axis=-1)
+    return np.asarray((real + 1j * imaginary).reshape(shape))
+
+
+def _orthonormal(values: ComplexArray) -> Array:
+    """Orthonormal rows that span the rows of what is unknown, (at most column, number)."""
+    rows = _rows(values)
+    _, size, basis = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True), full_matrices=False)
+    return np.asarray(basis[size > 1e-9 * size[0]])
 
 
 def smoother(n: int, n_trials: int) -> sparse.csr_array:

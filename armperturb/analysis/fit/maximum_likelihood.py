@@ -2,8 +2,8 @@
 
 Initial values come from linear least squares (`linear_start`), so that none has to be guessed. Gauss-Newton steps
 within the bounds follow, iteratively reweighted: the noise spectra are estimated before each (`likelihood`). Steps that
-lead to an unstable arm or to a smaller likelihood are shortened. Standard errors are those of the Fisher information,
-the Cramer-Rao bound.
+lead to an unstable arm or to a smaller likelihood are shortened. Then trials are allowed to differ (`trial_effects`).
+Standard errors are those of the Fisher information, the Cramer-Rao bound, if they do not.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,9 +14,10 @@ import numpy as np
 from scipy import optimize
 
 from armperturb.analysis.fit.group import Group, Method, require_one_person
-from armperturb.analysis.fit.joint_likelihood import PART_OF, SINGULAR, JointLikelihood, scaled_information
+from armperturb.analysis.fit.joint_likelihood import PART_OF, Effects, JointLikelihood
 from armperturb.analysis.fit.likelihood import LackOfFit, Normal
 from armperturb.analysis.fit.structures import unit
+from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, fit_mixed, scaled
 from armperturb.analysis.force_balance import Skew
 from armperturb.analysis.results import Description, FitResult, parameter_table
 from armperturb.arrays import Array
@@ -32,6 +33,15 @@ then on the noise is held."""
 
 SETTLED = 0.01
 """A step this small in units of the standard error ends the search [-]."""
+
+EFFECT_ROUNDS = 6
+"""Steps after which the search for the differences between trials ends."""
+
+FEWEST_TRIALS = 3
+"""Trials from which on they may differ: fewer do not tell by how much."""
+
+LEAST_SPREAD = 1e-3
+"""Spreads over trials below this are none [-]."""
 
 AT_BOUND = 1e-6
 """A parameter sits on a bound when it is closer to it than this share of the distance between its bounds."""
@@ -60,6 +70,8 @@ class Estimate(FitResult):
       objective: minus twice the log-likelihood, up to a constant that depends on the trials and the method.
       n_rounds: Gauss-Newton steps.
       skew: condition to the skew between the clocks of force and displacement.
+      trial_spread: quantity, as "k" of stiffness, to the standard deviation over trials of the factor by which it
+        differs from its mean [-]; without those of which no difference was found.
     """
 
     method: Method
@@ -71,6 +83,7 @@ class Estimate(FitResult):
     objective: float
     n_rounds: int
     skew: Mapping[str, Skew]
+    trial_spread: Mapping[str, float]
 
     @property
     def p_value(self) -> float:
@@ -148,6 +161,9 @@ class _Search(NamedTuple):
     status: str
     converged: bool
     n_rounds: int
+    effects: Effects | None = None
+    spread: Array | None = None
+    dof: Array | None = None
 
 
 def estimate(
@@ -173,26 +189,36 @@ def estimate(
     if not groups:
         raise ValueError("groups is empty; expected the trials of at least one condition")
     require_one_person(groups)
-    problem = JointLikelihood(groups, "frequency", share)
+    if method == "frequency":
+        for group in groups:
+            if group.period is None:
+                raise ValueError(
+                    f"estimator 'frequency': the perturbation of {group.label} is not periodic from the start of the "
+                    "window on; expected whole periods (--estimator record takes any perturbation)"
+                )
+    first_method: Method = "record" if any(group.period is None for group in groups) else "frequency"
+    problem = JointLikelihood(groups, first_method, share)
     first = problem.stabilised(problem.initial(initial or {}))
-    fitted = _judge(problem, "frequency", _search(problem, first))
+    search = _search(problem, first)
+    fitted = _judge(problem, first_method, search)
     if not np.isfinite(list(fitted.standard_error.values())).all():
         problem.require_identifiable(first)
     if not fitted.converged or fitted.is_suspicious:
-        other = _judge(problem, "frequency", _search(problem, problem.stabilised(problem.published())))
-        if other.objective < fitted.objective:
-            fitted = other
-    if method == "frequency":
-        return fitted
-    problem = JointLikelihood(groups, "record", share)
-    start_of_record = problem.stabilised(np.array(list(fitted.values.values())))
-    return _judge(problem, "record", _search(problem, start_of_record))
+        other = _search(problem, problem.stabilised(problem.published()))
+        if problem.objective(other.values) < fitted.objective:
+            search = other
+    if first_method != method:
+        problem = JointLikelihood(groups, method, share)
+        search = _search(problem, problem.stabilised(search.values))
+    return _judge(problem, method, _with_trial_effects(problem, search))
 
 
 def profile(
     groups: Sequence[Group], fitted: Estimate, name: str, points: Sequence[float], *, share: Sequence[str] = ()
 ) -> Array:
     """Profile likelihood of a parameter: the likelihood ratio where it is held and all others are fitted again.
+
+    Trials are taken to be alike: where they differ (`Estimate.trial_spread`), intervals are wider than this tells.
 
     Args:
       groups: the trials.
@@ -257,6 +283,40 @@ def _search(problem: JointLikelihood, values: Array, *, weigh: bool = True) -> _
     return _Search(values, normal.information, f"not converged: {MAX_ROUNDS} steps were not enough", False, MAX_ROUNDS)
 
 
+def _with_trial_effects(problem: JointLikelihood, search: _Search) -> _Search:
+    """The average arm where trials may differ, from one that takes them to be alike.
+
+    The noise is estimated with effects of trials that may be large, see `trial_effects.LOOSE`. Where no difference is
+    found, or a step leads to an unstable arm, the search before stands.
+    """
+    effects = problem.no_effects()
+    if sum(map(len, effects)) < FEWEST_TRIALS:
+        return search
+    values = search.values
+    for round_ in range(EFFECT_ROUNDS):
+        problem.weigh(values, effects)
+        scores = problem.scores(values, effects)
+        mixed = fit_mixed(scores, len(values))
+        normal = Normal(0.0, mixed.slope[None], mixed.information[None])
+        step = _bounded_step(normal, 0.0, problem.lower - values, problem.upper - values)
+        after = np.clip(values + step, problem.lower, problem.upper)
+        if not problem.pole(after) < 0.0:
+            return search
+        moved = (
+            weight @ trial.design.T @ (trial.score - trial.information @ step[trial.columns])
+            for trial, weight in zip(scores, mixed.weights, strict=True)
+        )
+        effects = [np.array([next(moved) for _ in each]) for each in effects]
+        values = after
+        if round_ > 0 and _size(normal, step) < SETTLED:
+            break
+    if not mixed.spread.any():
+        return search
+    return search._replace(
+        values=values, information=mixed.information, effects=effects, spread=mixed.spread, dof=mixed.dof
+    )
+
+
 def _size(normal: Normal, step: Array) -> float:
     """Largest change of a parameter in units of its error, were all others known."""
     return float(np.max(np.abs(step) * np.sqrt(np.diag(normal.information))))
@@ -264,7 +324,7 @@ def _size(normal: Normal, step: Array) -> float:
 
 def _bounded_step(normal: Normal, damping: float, lower: Array, upper: Array) -> Array:
     """Levenberg-Marquardt step that stays within bounds."""
-    scale, power, directions = scaled_information(normal.information)
+    scale, power, directions = scaled(normal.information)
     root = np.sqrt(np.maximum(power, 0.0) + damping + SINGULAR)
     target = directions.T @ (normal.slope / scale) / root
     design = root[:, None] * directions.T
@@ -275,11 +335,17 @@ def _bounded_step(normal: Normal, damping: float, lower: Array, upper: Array) ->
     return step / scale
 
 
+def _told(spread: Array) -> dict[str, float]:
+    return {name: float(value) for name, value in zip(QUANTITIES, spread, strict=True) if value > LEAST_SPREAD}
+
+
 def _judge(problem: JointLikelihood, method: Method, search: _Search) -> Estimate:
     values, names = search.values, problem.names
     objective = problem.objective(values)
-    fit = problem.lack_of_fit(values)
-    scale, power, directions = scaled_information(search.information)
+    if search.effects is not None:
+        problem.weigh(values, search.effects)
+    fit = problem.lack_of_fit(values, search.effects)
+    scale, power, directions = scaled(search.information)
     known = power > SINGULAR
     covariance = (directions[:, known] / power[known]) @ directions[:, known].T
     error = np.sqrt(np.diag(covariance)) / scale * np.sqrt(max(1.0, fit.chi2 / fit.dof))
@@ -295,9 +361,11 @@ def _judge(problem: JointLikelihood, method: Method, search: _Search) -> Estimat
         method=method,
         values=dict(zip(names, values.tolist(), strict=True)),
         standard_error=dict(zip(names, error.tolist(), strict=True)),
+        degrees_of_freedom={} if search.dof is None else dict(zip(names, search.dof.tolist(), strict=True)),
         correlation=correlation,
+        trial_spread={} if search.spread is None else _told(search.spread),
         at_bound=tuple(name for name, hit in zip(names, near, strict=True) if hit),
-        arms={group.trials.label: arm for group, arm in zip(problem.groups, problem.arms(values), strict=True)},
+        arms={group.label: arm for group, arm in zip(problem.groups, problem.arms(values), strict=True)},
         message=search.status,
         remarks=(),
         converged=search.converged,
@@ -307,6 +375,6 @@ def _judge(problem: JointLikelihood, method: Method, search: _Search) -> Estimat
         dof=fit.dof,
         objective=objective,
         n_rounds=search.n_rounds,
-        skew={group.trials.label: group.trials.skew for group in problem.groups},
+        skew={group.label: group.parts[0].skew for group in problem.groups},
     )
     return replace(result, remarks=_remarks(result))

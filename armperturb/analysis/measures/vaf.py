@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 from scipy import signal
 
 from armperturb.analysis.arm.state_space import largest_real_pole, simulate_linear
+from armperturb.analysis.defaults import SETTLED
 from armperturb.analysis.trials import ConditionTrials, Trials, per_trials, prepared
 from armperturb.arrays import Array
 from armperturb.environment import Environment
@@ -45,6 +46,11 @@ def _sections(rate: float, highpass: float) -> Array:
     return np.asarray(signal.butter(3, highpass, "highpass", fs=rate, output="sos"))
 
 
+def _judged(trials: ConditionTrials) -> slice:
+    """From when on a prediction that starts at rest is judged."""
+    return slice(0 if trials.from_rest else round(SETTLED * trials.rate), None)
+
+
 def _share(x: Array, model: Array) -> Array:
     return np.asarray(100.0 * (1.0 - np.sum((x - model) ** 2, axis=-2) / np.sum(x**2, axis=-2)))
 
@@ -64,11 +70,14 @@ def trial_vaf(trials: ConditionTrials, trial: int, arm: Subject, environment: En
         return np.full(2, -np.inf)
     driven = trials.perturbation[trial, : trials.onset[trial]]
     predicted = simulate_linear(arm, environment, driven, trials.rate).displacement
-    return _share(_recorded(trials)[trial], _highpassed(predicted, trials.rate, HIGHPASS))
+    judged = _judged(trials)
+    return _share(_recorded(trials)[trial][judged], _highpassed(predicted, trials.rate, HIGHPASS)[judged])
 
 
 def prediction_vaf(trials: Trials, arm: Subject, environment: Environment) -> Array:
     """VAF of the linear model's displacement up to the pulse [%], (trial, axis).
+
+    Of records that start amid the movement, the first `SETTLED` seconds are left out, as the model starts at rest.
 
     Args:
       trials: that are predicted, or their recording.

@@ -9,7 +9,7 @@ from armperturb.analysis.fit.likelihood import LackOfFit
 from armperturb.analysis.nonlinear.model import SIGNED, Model, Parameters, coordinate, stem, unit, value_at
 from armperturb.analysis.nonlinear.noise import Noise
 from armperturb.analysis.nonlinear.problem import State
-from armperturb.analysis.results import Description, FitResult, Interval, normal_quantile, parameter_table
+from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, quantile
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -61,7 +61,7 @@ class NonlinearEstimate(FitResult):
           name: of the parameter, as in `values`.
           level: probability with which such intervals hold the true value [-].
         """
-        return _interval(name, self.values[name], normal_quantile(level) * self.coordinate_error[name])
+        return _interval(name, self.values[name], quantile(level) * self.coordinate_error[name])
 
     def unit_of(self, name: str) -> str:
         """Unit of a parameter; "-" if it has none."""
@@ -113,7 +113,7 @@ def remarks_on(
       correlation: of the errors, (parameter, parameter).
       at_bound: parameters that sit on a bound.
     """
-    names, half = list(values), normal_quantile(0.95)
+    names, half = list(values), quantile(0.95)
     remarks = [f"{name} sits on a bound" for name in at_bound]
     for name in names:
         if error[name] > UNCERTAIN and name not in at_bound:

@@ -65,7 +65,8 @@ def linear_arms(
                 f"{task}: all pulses come before {window_start + length:g} s; expected a trial with a whole period of "
                 f"{length:g} s from {window_start:g} s on (an earlier --window-start)"
             )
-        results = identify_conditions(wide, LINEAR_MODELS[task], window_start=window_start, period=period)
+        parts = {label: (trials,) for label, trials in wide.items()}
+        results = identify_conditions(parts, LINEAR_MODELS[task], window_start=window_start, period=period)
         arms |= {label: result.fit.arm for label, result in results.items()}
     return arms
 

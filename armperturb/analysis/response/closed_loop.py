@@ -376,6 +376,30 @@ def _balanced(
     return fit(lambda frequency, perturbation, answer: answer), None
 
 
+def local_fits(recordings: SeveralTrials, window_start: float) -> tuple[list[LocalFit], ComplexArray]:
+    """Responses to d of f and x as they were recorded, near frequencies that d excites, and the power of d there.
+
+    Args:
+      recordings: trials of one subject in one condition; their lengths may differ.
+      window_start: start of what is used [s].
+
+    Returns:
+      The fits, and the mean of D D^H over the lines of each, (frequency, axis, axis).
+
+    Raises:
+      ValueError: as `estimate_noise`.
+    """
+    records = records_of(prepared_recordings(recordings), window_start)
+    spectra = [whole_window(record) for record in records]
+    fits, power = [], []
+    for centre in excited_band(records).tolist():
+        windows = _around(spectra, centre, HIGH_ORDERS[0])
+        fits.append(_fit(windows, centre, HIGH_ORDERS))
+        d = np.concatenate([window.perturbation for window in windows])
+        power.append(d.T @ d.conj() / len(d))
+    return fits, np.array(power)
+
+
 def whole_window(record: TrialRecord) -> Window:
     """DFT of a whole record, without the mean."""
     n = len(record.perturbation)

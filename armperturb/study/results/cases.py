@@ -163,7 +163,8 @@ def _by_thesis(
     failed: dict[str, tuple[str, ...]] = {}
     for (task, _), conditions in alike.items():
         try:
-            results |= identify_conditions(conditions, LINEAR_MODELS[task], estimator="thesis")
+            parts = {condition: (trials,) for condition, trials in conditions.items()}
+            results |= identify_conditions(parts, LINEAR_MODELS[task], estimator="thesis")
         except ValueError as error:
             for condition in conditions:
                 failed[condition] = (f"{name} in {condition} was not identified by the thesis's estimator: {error}",)

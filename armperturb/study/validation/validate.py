@@ -237,8 +237,8 @@ def run_group(settings: ValidateSettings, number: int) -> tuple[int, dict[Estima
     group = Group.prepare(trials, structure)
     values = true_values(truth, structure)
     right = at_truth(structure, truth).parameters(truth.task, values)
-    group.record.weigh(right)
-    information = group.record.normal(right, structure.mixing).information
+    group.records[0].weigh(right)
+    information = group.records[0].normal(right, structure.mixing).information
     judged = {
         name: _by_thesis(trials, structure, values) if name == "thesis" else _by_likelihood(group, name, values)
         for name in settings.estimators

@@ -10,6 +10,7 @@ from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.force_balance import Balance
 from armperturb.analysis.measures.vaf import variance_accounted_for
+from armperturb.analysis.results import quantile
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.environment import Environment
 from armperturb.study.report.tables import true_value
@@ -55,7 +56,7 @@ def test_noise_widens_intervals_that_hold_the_truth(noisy_relax_recording, relax
         assert error > 5 * clean.standard_error[name], name
         lower, upper = noisy.interval(name)
         assert (lower + upper) / 2 == pytest.approx(noisy.values[name])
-        assert upper - lower == pytest.approx(2 * 1.959964 * error)
+        assert upper - lower == pytest.approx(2 * quantile(0.95, noisy.degrees_of_freedom.get(name, np.inf)) * error)
         scores.append((noisy.values[name] - true_value(RELAX, name)) / error)
     assert np.abs(scores).max() < 4.0
     assert isinstance(noisy.detail, Estimate)

@@ -1,0 +1,177 @@
+"""People differ from trial to trial: how much, and what that does to the estimate of the average person.
+
+In trial t, damping, stiffness and each kind of feedback gain are those of the person times 1 + u_tq, one factor for
+each quantity q, with mean zero and standard deviation w_q over trials. About the present estimate, the white residual
+of a trial is
+
+    r_t = S_t (D u_t + dtheta) + e,    S_t: derivative by the free parameters,  D_jq: parameter j if it is of q, or 0,
+
+with white noise e: a linear mixed model, in which all that is needed of a trial is its score s_t = S_t^T r_t and its
+information I_t = S_t^T S_t. The spreads w are those of the restricted likelihood, of the whole of whose factors the
+average person has been estimated away (Patterson & Thompson 1971, Biometrika 58); dtheta follows by generalised least
+squares, and u_t as the best linear prediction. The variance of dtheta depends on w, which a few trials tell poorly: its
+degrees of freedom are Satterthwaite's (1946, Biometrics Bulletin 2), and intervals are those of Student's t.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize
+
+from armperturb.arrays import Array
+
+QUANTITIES = ("b", "k", "kv", "kp", "ka")
+"""Quantities that may differ from trial to trial, each with all its parameters in proportion."""
+
+RANGE = (1e-4, 1.0)
+"""Least and largest spread that is looked for [-]; the least is as good as none."""
+
+START = 0.05
+"""Spread from which the search starts [-]."""
+
+LOOSE = 0.3
+"""Spread with which the effects of each trial are predicted where the noise is estimated [-]: what tighter ones leave
+of them would pass for noise, and make them tighter still."""
+
+TOLD = 4.0
+"""By so much minus twice the restricted likelihood has to fall for trials to differ [-]."""
+
+FLAT = 0.5
+"""Curvature of minus twice the restricted likelihood, by a spread's logarithm, that is as good as none [-]."""
+
+LEAST_DOF = 2.0
+"""Degrees of freedom are not fewer than this."""
+
+STEP = 0.1
+"""Of the logarithm of a spread, for derivatives [-]."""
+
+
+SINGULAR = 1e-12
+"""Least eigenvalue of the scaled information with which a structure can be identified [-]."""
+
+
+class TrialScore(NamedTuple):
+    """What one trial tells.
+
+    Attributes:
+      columns: of the free parameters that act in it, among all.
+      score: of these, with the effects of the trial taken out of the model, (parameter,).
+      information: (parameter, parameter).
+      design: D, (parameter, quantity).
+    """
+
+    columns: Sequence[int]
+    score: Array
+    information: Array
+    design: Array
+
+
+class Mixed(NamedTuple):
+    """The mixed model at its most likely spreads.
+
+    Attributes:
+      spread: w of each quantity [-], (quantity,).
+      slope: of generalised least squares: its solution times `information`, (parameter,).
+      information: inverse covariance of the free parameters, (parameter, parameter).
+      weights: of each trial, from the score that an estimate leaves to its effects if these may be `LOOSE`, (quantity,
+        quantity).
+      dof: degrees of freedom of each parameter's variance, (parameter,).
+    """
+
+    spread: Array
+    slope: Array
+    information: Array
+    weights: tuple[Array, ...]
+    dof: Array
+
+
+def fit_mixed(trials: Sequence[TrialScore], n_parameters: int) -> Mixed:
+    """The most likely spreads, and what follows from them."""
+    n_quantities = trials[0].design.shape[1]
+    inner = [(trial.design.T @ trial.information @ trial.design, trial.information @ trial.design) for trial in trials]
+    tells = np.sum([np.diag(within) for within, _ in inner], axis=0) > 0.0
+
+    def solve(spread: Array) -> tuple[float, Array, Array, tuple[Array, ...]]:
+        slope, information, deviance = np.zeros(n_parameters), np.zeros((n_parameters, n_parameters)), 0.0
+        weights = []
+        for trial, (within, across) in zip(trials, inner, strict=True):
+            gram = np.eye(n_quantities) + spread[:, None] * within * spread
+            weight = spread[:, None] * np.linalg.solve(gram, np.diag(spread))
+            force = trial.design.T @ trial.score
+            slope[trial.columns] += trial.score - across @ weight @ force
+            information[np.ix_(trial.columns, trial.columns)] += trial.information - across @ weight @ across.T
+            deviance += float(np.linalg.slogdet(gram)[1] - force @ weight @ force)
+            weights.append(weight)
+        scale, power, directions = scaled(information)
+        known = power > SINGULAR
+        along = directions[:, known].T @ (slope / scale)
+        deviance += float(np.sum(np.log(power[known])) + 2 * np.sum(np.log(scale)) - np.sum(along**2 / power[known]))
+        return deviance, slope, information, tuple(weights)
+
+    def spread_of(logarithms: Array) -> Array:
+        spread = np.zeros(n_quantities)
+        spread[tells] = np.exp(logarithms)
+        return spread
+
+    loose = solve(np.where(tells, LOOSE, 0.0))[3]
+    bounds = [tuple(np.log(RANGE))] * int(tells.sum())
+    start = np.full(len(bounds), np.log(START))
+    logarithms = optimize.minimize(lambda v: solve(spread_of(v))[0], start, method="L-BFGS-B", bounds=bounds).x
+    if solve(spread_of(logarithms))[0] > solve(np.zeros(n_quantities))[0] - TOLD:
+        _, slope, information, _ = solve(np.zeros(n_quantities))
+        return Mixed(np.zeros(n_quantities), slope, information, loose, np.full(n_parameters, np.inf))
+    _, slope, information, _ = solve(spread_of(logarithms))
+
+    def deviance_and_variances(values: Array) -> tuple[float, Array]:
+        deviance, _, information, _ = solve(spread_of(values))
+        return deviance, _variances(information)
+
+    moving = [i for i, value in enumerate(logarithms) if value > bounds[i][0] + 1.0]
+    dof = _satterthwaite(deviance_and_variances, logarithms, moving)
+    return Mixed(spread_of(logarithms), slope, information, loose, dof)
+
+
+def _satterthwaite(
+    deviance_and_variances: Callable[[Array], tuple[float, Array]], at: Array, moving: Sequence[int]
+) -> Array:
+    """Degrees of freedom of variances that depend on spreads, by differences of both, (parameter,).
+
+    Args:
+      deviance_and_variances: minus twice the restricted likelihood, and the variances, (parameter,), as a function of
+        the spreads' logarithms.
+      at: the most likely ones.
+      moving: which of them are not at their least.
+    """
+    _, variances = deviance_and_variances(at)
+    if not moving:
+        return np.full(len(variances), np.inf)
+    steps = STEP * np.eye(len(at))[moving]
+    ends = [[deviance_and_variances(at + sign * step)[1] for sign in (1, -1)] for step in steps]
+    slopes = np.array([upper - lower for upper, lower in ends]) / (2 * STEP)
+    corners = [(1, 1, 1), (-1, -1, 1), (1, -1, -1), (-1, 1, -1)]
+    bend = [
+        [sum(sign * deviance_and_variances(at + a * step + b * other)[0] for a, b, sign in corners) for other in steps]
+        for step in steps
+    ]
+    # Where the restricted likelihood is flat, a spread is as good as unknown within its range.
+    power, directions = np.linalg.eigh(np.array(bend) / (4 * STEP**2))
+    covariance = (directions * (2.0 / np.maximum(power, FLAT))) @ directions.T
+    with np.errstate(divide="ignore"):
+        dof = 2.0 * variances**2 / np.einsum("ip,ij,jp->p", slopes, covariance, slopes)
+    return np.maximum(dof, LEAST_DOF)
+
+
+def scaled(information: Array) -> tuple[Array, Array, Array]:
+    """Scale that gives the information a diagonal of ones, its eigenvalues then, rising, and its directions."""
+    scale = np.sqrt(np.diag(information))
+    scale[scale == 0.0] = 1.0
+    power, directions = np.linalg.eigh(information / np.outer(scale, scale))
+    return scale, np.asarray(power), np.asarray(directions)
+
+
+def _variances(information: Array) -> Array:
+    """Diagonal of its pseudo-inverse, (parameter,)."""
+    scale, power, directions = scaled(information)
+    known = power > SINGULAR
+    return np.asarray(np.sum(directions[:, known] ** 2 / power[known], axis=1) / scale**2)

@@ -1,0 +1,71 @@
+"""Spectra of one condition, whatever its excitation: of whole periods where there are any, else of whole records."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from armperturb.analysis.defaults import LINES_PER_AVERAGE, SETTLED, WINDOW_START
+from armperturb.analysis.response.closed_loop import local_fits
+from armperturb.analysis.response.local_polynomial import frequency_response
+from armperturb.analysis.response.spectra import LineSpectra, SpectralEstimate, averaged_spectra, line_spectra
+from armperturb.analysis.trials import ConditionTrials
+
+
+def periodic_lines(
+    parts: Sequence[ConditionTrials], window_start: float = WINDOW_START, period: float | None = None
+) -> LineSpectra | None:
+    """Lines of whole periods; None where the disturbance has none, they are too short, or trials differ in length.
+
+    Args:
+      parts: trials of one condition, those of one length together.
+      window_start: start of the window of whole periods [s].
+      period: of the disturbance [s]; None to find it.
+
+    Raises:
+      ValueError: as `line_spectra`, with a stated period.
+    """
+    if len(parts) > 1 and period is None:
+        return None
+    try:
+        return line_spectra(parts[0], window_start=window_start, period=period)
+    except ValueError:
+        if period is not None:
+            raise
+        return None
+
+
+def condition_spectra(
+    parts: Sequence[ConditionTrials],
+    *,
+    window_start: float = WINDOW_START,
+    period: float | None = None,
+    lines_per_average: int = LINES_PER_AVERAGE,
+) -> SpectralEstimate:
+    """Admittances and coherence of one condition.
+
+    Args:
+      parts: trials of one condition, those of one length together.
+      window_start: start of the window of whole periods [s].
+      period: of the disturbance [s]; None to find it. Where there is none, or no whole period from `window_start` on,
+        whole records are used, see `closed_loop.estimate_noise`.
+      lines_per_average: of whole periods, see `estimate_spectra`.
+
+    Raises:
+      ValueError: as `averaged_spectra` with a stated period, and as `estimate_noise` otherwise.
+    """
+    if periodic_lines(parts, window_start, period) is not None:
+        return averaged_spectra(parts[0], window_start=window_start, period=period, lines_per_average=lines_per_average)
+    start = 0.0 if all(part.from_rest for part in parts) else SETTLED
+    fits, power = local_fits(parts, start)
+    noises = [(fit.noise, fit.dof) for fit in fits]
+    arm, environment, total = (frequency_response(fits, what, noises) for what in ("arm", "environment", "total"))
+    moved = np.einsum("fij,fjk,fik->fi", total.response, power, total.response.conj()).real
+    noise = np.array([np.diag(fit.noise)[2:].real for fit in fits])
+    return SpectralEstimate(
+        frequency=arm.frequency,
+        arm=arm.response,
+        environment=environment.response,
+        total=total.response,
+        coherence=moved / (moved + noise),
+        n_averages=np.round([fit.dof for fit in fits]).astype(np.int64),
+    )
