@@ -122,7 +122,10 @@ def edited(
             **(remaining(start.bounds) if start else {}),
             **{each: (low, high) for each, (low, _, high) in ranges.items()},
         },
-        initial={**(remaining(start.initial) if start else {}), **{each: first for each, (_, first, _) in ranges.items()}},
+        initial={
+            **(remaining(start.initial) if start else {}),
+            **{each: first for each, (_, first, _) in ranges.items()},
+        },
         fixed={task: {**(remaining(start.fixed[task]) if start else {}), **given[task]} for task in TASKS},
         tied={**(remaining(start.tied) if start else {}), **tied},
         prior={
