@@ -1,7 +1,8 @@
 """Trials of one person in one condition together with the structure that is fitted to them, and their likelihoods."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
@@ -12,6 +13,7 @@ from armperturb.analysis.fit.linear_start import linear_start
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.force_balance import EDGE
 from armperturb.analysis.response.condition_spectra import condition_spectra, periodic_lines
+from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.analysis.trials import ConditionTrials, SeveralTrials, per_trials, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.environment import Environment
@@ -37,14 +39,14 @@ class Group:
     Attributes:
       parts: the trials, those of one length together.
       structure: what is free.
-      initial: values of the free parameters by linear least squares, from which a search may start, (parameter,).
+      spectra: admittances and coherence.
       period: likelihood of the mean periods; None of a perturbation that is not periodic, or not for long enough.
       records: likelihood of the whole records of each part.
     """
 
     parts: tuple[ConditionTrials, ...]
     structure: Structure
-    initial: Array
+    spectra: SpectralEstimate
     period: Likelihood | None
     records: tuple[Likelihood, ...]
 
@@ -80,10 +82,19 @@ class Group:
         return cls(
             parts=parts,
             structure=structure,
-            initial=linear_start(spectra.frequency, spectra.arm, parts[0].body, structure),
+            spectra=spectra,
             period=None if lines is None else _period_likelihood(parts[0], window_start, period, top),
             records=tuple(_record_likelihood(part, top) for part in parts),
         )
+
+    def with_structure(self, structure: Structure) -> Self:
+        """The same trials, to be fitted by another structure."""
+        return replace(self, structure=structure)
+
+    @cached_property
+    def initial(self) -> Array:
+        """Free parameters by linear least squares, from which a search may start, (parameter,)."""
+        return linear_start(self.spectra.frequency, self.spectra.arm, self.body, self.structure)
 
     @property
     def label(self) -> str:
