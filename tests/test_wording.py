@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -26,23 +27,29 @@ def pages():
         yield from sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob(pattern))
 
 
-def strings(tree):
+@cache
+def nodes(path):
+    """Every node of a module's syntax tree."""
+    return tuple(ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))))
+
+
+def strings(path):
     """(line, text) of each string of a module, docstrings and the constant parts of f-strings included."""
-    for node in ast.walk(tree):
+    for node in nodes(path):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             yield node.lineno, node.value
 
 
 def phrases(path):
     text = (ROOT / path).read_text(encoding="utf-8")
-    parts = [(1, text), *(strings(ast.parse(text)) if path.endswith(".py") else ())]  # comments; joined strings
+    parts = [(1, text), *(strings(path) if path.endswith(".py") else ())]  # comments; joined strings
     for line, part in parts:
         for match in PHRASES.finditer(part):
             yield f"{path}:{line + part.count(chr(10), 0, match.start())}: {match.group()}"
 
 
 def names(path):
-    for node in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))):
+    for node in nodes(path):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
             name = node.id
         elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):

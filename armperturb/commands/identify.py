@@ -28,9 +28,9 @@ class Identify(Command):
     force, acceleration or both in addition; 3a and 3b total mass and reflexes, with grip, delay and cut-off fixed, 3b
     without negative gains; nonlinear a muscle law, from all trials of one or both tasks together."""
     out: Path
-    """Folder for admittance.csv, parameters.csv and fit.json; of the nonlinear model, for parameters.csv,
-    correlations.csv, predictions.csv, fit.json and pulses.svg, and for checkpoints from which an interrupted search
-    continues."""
+    """Folder for admittance.csv, parameters.csv, fit.json, and stiffness, damping and inertia at the hand in
+    endpoint.csv and endpoint.svg; of the nonlinear model, for parameters.csv, correlations.csv, predictions.csv,
+    fit.json and pulses.svg, and for checkpoints from which an interrupted search continues."""
     sidecar: Path | None = None
     """Sidecar of all recordings that need one, see docs/recordings.md; by default FILE.json beside each."""
     law: Literal["full", "short-range", "linear", "choose"] | None = None

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.arm.linear_arm import LinearArm, arm_admittance
 from armperturb.analysis.arm.parameters import parameter_vector
 from armperturb.analysis.fit.export import write_identification
@@ -152,6 +153,22 @@ def test_every_estimator_has_the_same_table(identified, tmp_path):
         for name in result.fit.values:
             assert tuple(part.loc[name, ["lower_95", "upper_95"]]) == result.fit.interval(name)
         assert part.loc["m_h", "unit"] == "kg"
+
+
+def test_impedance_at_the_hand_is_written(identified, tmp_path):
+    paths = {path.name: path for path in write_identification(identified, tmp_path)}
+    written = pd.read_csv(paths["endpoint.csv"])
+    frame = pd.concat([result.endpoint().to_frame() for result in identified.values()], ignore_index=True)
+    pd.testing.assert_frame_equal(written, frame)
+    result = identified["RT7.5"]
+    stiffness, arm = result.endpoint()["stiffness"], result.fit.arm
+    jacobian = hand_jacobian(arm)
+    recorded = jacobian.T @ stiffness.values @ jacobian
+    np.testing.assert_allclose(recorded, arm.joint_matrix("k"), rtol=1e-9)
+    known = result.fit.estimator != "thesis"
+    assert np.isfinite(stiffness.area_interval()).all() == known
+    assert b"<svg" in paths["endpoint.svg"].read_bytes()
+    require_readable(result.endpoint())
 
 
 def test_axes_are_labelled(identified):

@@ -33,7 +33,7 @@ from armperturb.study.results import cases
 from armperturb.study.results.cases import identify_person
 from armperturb.study.results.mean_admittance import by_task, main_conditions, mean_admittance
 from armperturb.subject import RELAX
-from tests.conftest import FEW_FITS, coarse_study
+from tests.studies import FEW_FITS, coarse_study
 
 RT = Condition(name="RT7.5", task="RT", rms_displacement=0.0075, published_force=0.9)
 

@@ -9,6 +9,7 @@ from typing import Any
 from armperturb.analysis.fit.identify import Identification, Identifications
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.thesis import ThesisEstimate
+from armperturb.analysis.measures.endpoint import is_straight, plot_endpoints
 from armperturb.files import write_csv, written_whole
 
 
@@ -58,7 +59,10 @@ def _estimator_summary(detail: Estimate | ThesisEstimate) -> dict[str, Any]:
 
 
 def write_identification(results: Identifications, folder: str | Path) -> list[Path]:
-    """Write `admittance.csv`, `parameters.csv` and `fit.json` into a folder, which is made if needed.
+    """Write `admittance.csv`, `parameters.csv`, `fit.json`, `endpoint.csv` and `endpoint.svg` into a folder.
+
+    The folder is made if needed. Impedance at the hand is that in the recorded postures; of a straight arm there is
+    none, and without any there are no such files.
 
     Args:
       results: of `identify_conditions`. The last column of each table is the condition; `fit.json` holds one summary,
@@ -73,16 +77,26 @@ def write_identification(results: Identifications, folder: str | Path) -> list[P
     """
     import pandas as pd
 
+    from armperturb.plots.style import new_figure, svg
+
     folder = Path(folder)
     summaries = {label: fit_summary(result) for label, result in results.items()}
     summary = json.dumps(next(iter(summaries.values())) if len(summaries) == 1 else summaries, indent=2)
+    bent = {label: result for label, result in results.items() if not is_straight(result.fit.arm.theta_e_deg)}
+    endpoints = {label: result.endpoint() for label, result in bent.items()}
 
     folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / name for name in ("admittance.csv", "parameters.csv", "fit.json")]
-    with ExitStack() as stack:  # all three take their places together, after all were written
-        admittance, parameters, fit = (stack.enter_context(written_whole(path)) for path in paths)
+    names = ("admittance.csv", "parameters.csv", "fit.json", *(("endpoint.csv", "endpoint.svg") if endpoints else ()))
+    paths = [folder / name for name in names]
+    with ExitStack() as stack:  # all take their places together, after all were written
+        admittance, parameters, fit, *of_hand = (stack.enter_context(written_whole(path)) for path in paths)
         frames = [result.spectra.to_frame().assign(condition=label) for label, result in results.items()]
         write_csv(pd.concat(frames), admittance)
         write_csv(results.to_frame(), parameters)
         fit.write_text(summary + "\n", encoding="utf-8")
+        if endpoints:
+            figure = new_figure(1.0)
+            plot_endpoints(endpoints, figure)
+            write_csv(pd.concat([endpoint.to_frame() for endpoint in endpoints.values()]), of_hand[0])
+            of_hand[1].write_bytes(svg(figure))
     return paths

@@ -9,19 +9,19 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from armperturb.analysis.arm.linear_arm import LinearArm, arm_admittance
-from armperturb.analysis.arm.parameters import parameter_vector
+from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
+from armperturb.analysis.fit.arm_fit import ArmFit
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.structures import Structure, structure_of, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, Wanted, fit_wanted
+from armperturb.analysis.measures.endpoint import EndpointImpedance
 from armperturb.analysis.measures.vaf import prediction_vaf
 from armperturb.analysis.response.condition_spectra import condition_spectra
-from armperturb.analysis.response.frequency_response import Bands
 from armperturb.analysis.response.spectra import SpectralEstimate
-from armperturb.analysis.results import Description, FitResult, Result, Table, parameter_table, plain, quantile
+from armperturb.analysis.results import Description, Result, Table, parameter_table, plain
 from armperturb.analysis.trials import ConditionTrials, SeveralTrials, parts_by_condition, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.environment import Environment
@@ -38,79 +38,6 @@ ESTIMATOR_NAMES: Mapping[Estimator, str] = {
     "record": "maximum likelihood of whole records",
 }
 """What each estimator is called where people read it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class ArmFit(FitResult):
-    """The arm of one person in one condition, as an estimator gives it.
-
-    For the thesis's estimator, a standard error is the mean over trials of the SEM (eq. 2.22), intervals treat it as a
-    standard error, parameters at a bound are those that sit there in any trial, and correlations are unknown.
-
-    Attributes:
-      estimator: which.
-      structure: name of the model structure.
-      condition: in which the arm was perturbed.
-      arm: the estimated arm, fixed parameters included.
-      mixing: derivative of the arm's parameters (`arm.parameters.PARAMETERS`) by the free ones, (arm parameter,
-        parameter).
-      stable: whether arm and environment are stable together.
-      largest_real_pole: of arm and environment [1/s].
-      criterion: V of eq. 2.19, without penalty, of the arm against the averaged spectra.
-      detail: the estimator's own result.
-    """
-
-    estimator: Estimator
-    structure: str
-    condition: str
-    arm: Subject
-    mixing: Array
-    stable: bool
-    largest_real_pole: float
-    criterion: float
-    detail: Estimate | ThesisEstimate
-
-    def unit_of(self, name: str) -> str:
-        """SI unit of a parameter."""
-        return unit(name)
-
-    def place_of(self, name: str) -> tuple[str, str]:
-        """Name of a parameter in tables, and the condition."""
-        return name, self.condition
-
-    def admittance_bands(self, frequency: ArrayLike, level: float = 0.95) -> Bands | None:
-        """Confidence bands of the arm's admittance that follow from the errors of its parameters, linearised.
-
-        Args:
-          frequency: [Hz], (frequency,).
-          level: probability with which a band holds the true gain or phase, each by itself [-].
-
-        Returns:
-          Limits of gain and phase; None where an error or a correlation is not known.
-        """
-        error = np.array(list(self.standard_error.values()))
-        covariance = self.correlation * np.outer(error, error)
-        if not np.isfinite(covariance).all():
-            return None
-        values, slope = LinearArm(self.arm, frequency).admittance_and_gradient(parameter_vector(self.arm))
-        relative = slope @ self.mixing / values[..., None]
-
-        def half(part: Array) -> Array:
-            variance = np.einsum("...p,pq,...q", part, covariance, part)
-            return np.asarray(quantile(level) * np.sqrt(np.maximum(variance, 0.0)))
-
-        gain, phase = np.abs(values), np.angle(values)
-        factor, angle = np.exp(half(relative.real)), np.minimum(half(relative.imag), np.pi)
-        return Bands(gain / factor, gain * factor, phase - angle, phase + angle)
-
-    def describe(self) -> Description:
-        """Estimates and how the search ended."""
-        return Description(
-            title=f"Arm of {self.arm.name} in {self.condition}: model {self.structure}, estimator {self.estimator!r}",
-            facts=(self.message, f"largest pole of arm and environment {plain(self.largest_real_pole, 3)} 1/s"),
-            table=parameter_table(self.to_frame()),
-            remarks=self.remarks,
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -149,6 +76,12 @@ class Identification(Result):
                 f"{plain(fit.largest_real_pole, 3)} 1/s; least coherence {self.spectra.coherence.min():.3f}",
             ),
         )
+
+    def endpoint(
+        self, *, posture_deg: tuple[float, float] | None = None, force: ArrayLike | None = None
+    ) -> EndpointImpedance:
+        """Stiffness, damping and inertia at the hand, see `ArmFit.endpoint`."""
+        return self.fit.endpoint(posture_deg=posture_deg, force=force)
 
     def to_frame(self) -> "pd.DataFrame":
         """One row per free parameter, with the columns of `results.PARAMETER_COLUMNS`."""
@@ -435,6 +368,7 @@ def _about(arm: Subject, structure: Structure, trials: ConditionTrials, spectra:
         "structure": structure.name,
         "condition": trials.label,
         "arm": arm,
+        "force": trials.force[:, : trials.first_onset].mean(axis=(0, 1)),
         "mixing": structure.mixing,
         "stable": pole < 0.0,
         "largest_real_pole": pole,

@@ -30,12 +30,18 @@ def _rows(name: str) -> tuple[dict[str, str], ...]:
     return tuple(csv.DictReader(text.splitlines()))
 
 
+@functools.cache
+def _first_rows(csv_name: str, columns: tuple[str, ...]) -> dict[tuple[str, ...], dict[str, str]]:
+    """Entries of some columns to the first row that has them."""
+    return {tuple(row[column] for column in columns): row for row in reversed(_rows(csv_name))}
+
+
 def _row(csv_name: str, missing: str, /, **wanted: str) -> dict[str, str]:
     """The first row whose columns have the wanted entries; KeyError with the words of `missing` if there is none."""
-    for row in _rows(csv_name):
-        if all(row[column] == entry for column, entry in wanted.items()):
-            return row
-    raise KeyError(missing)
+    try:
+        return _first_rows(csv_name, tuple(wanted))[tuple(wanted.values())]
+    except KeyError:
+        raise KeyError(missing) from None
 
 
 def _mean_sd(row: Mapping[str, str], factor: float, column: str = "") -> MeanSD:

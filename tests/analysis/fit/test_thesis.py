@@ -46,7 +46,6 @@ def estimate(first, other, once):
     return once("estimate of the thesis", lambda _: join_estimates([fit_trials(part, "3b") for part in (first, other)]))
 
 
-@pytest.mark.slow(reason="simulates and fits trials")
 def test_ideal_trials_give_the_person_back_and_are_predicted(estimate):
     truth = [true_value(POSITION, name) for name in estimate.parameters]
     for name, found, true in zip(estimate.parameters, estimate.values.mean(axis=0), truth, strict=True):

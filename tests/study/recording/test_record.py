@@ -293,23 +293,20 @@ def test_finished_subjects_are_not_done_again(settings, copied, monkeypatch):
     assert found == [copied / "recordings" / f"S0{number}.nc" for number in range(1, N_SUBJECTS + 1)]
 
 
-@pytest.mark.parametrize("workers", ["2"])
-def test_a_full_disk_is_one_line_and_spares_earlier_files(protocol, settings, undisturbed, copied, workers):
+def test_a_full_disk_is_one_line_and_spares_earlier_files(protocol, settings, undisturbed, copied, capfd):
     for name in ("S02.nc", "S04.nc"):
         (copied / "recordings" / name).unlink()
     before = files(copied)
     # A limit on the size of files stands for a full disk: the same call fails in the same place.
-    limit = len(undisturbed["S02.nc"]) // 2
-    run = subprocess.run(
-        command(copied, protocol, "--workers", workers),
-        capture_output=True,
-        text=True,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
-        check=False,
-    )
-    assert run.returncode == 1
-    assert len(run.stderr.splitlines()) == 1
-    assert "cannot be written (File too large); what was finished before is kept" in run.stderr
+    unlimited = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(undisturbed["S02.nc"]) // 2, unlimited[1]))
+    try:
+        status = main(arguments(copied, protocol, "--workers", "2"))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, unlimited)
+    assert status == 1
+    [line] = capfd.readouterr().err.splitlines()
+    assert "cannot be written (File too large); what was finished before is kept" in line
     assert files(copied) == before
     record_study(settings, copied, show_progress=False)
     assert_same_content(copied, undisturbed)

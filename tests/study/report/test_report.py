@@ -21,7 +21,7 @@ from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.formats import MISSING, chance, digits, mean_sd, signed, symbol, words
 from armperturb.study.report.sections import left_out, remarks
 from armperturb.study.report.tables import fit_rows
-from tests.conftest import coarse_study, sketch
+from tests.studies import coarse_study, sketch
 
 HEADERS = {
     "summary": "condition,subjects,identified,trials,trials_used,model,median_abs_error_percent",

@@ -39,8 +39,8 @@ from armperturb.study.results.appendix_fits import Fits, SecondStep
 from armperturb.study.results.nonlinear_fits import LeftOutPulse, NonlinearFit, fit_nonlinear
 from armperturb.study.results.person import PersonResults
 from armperturb.subject import RELAX
-from tests.conftest import sketch
 from tests.invented import SPRINGS, fitted, people_of, study_of
+from tests.studies import sketch
 
 PATH = np.outer(np.linspace(0.0, 1.0, 6), [0.03, 0.04])
 NO_EFFECTS = Effects(admittance={}, parameters={}, rows=(), pairs=(), remarks=())
@@ -390,6 +390,7 @@ def test_fits_are_kept_and_shown_later_without_being_asked_for(folder, asked, tm
     assert "figure-nonlinear_parameters_RT" in page
 
 
+@pytest.mark.slow(reason="fits the laws of two people")
 def test_a_search_that_was_interrupted_goes_on(folder, asked, monkeypatch):
     fit, found = analyse.fit_nonlinear, []
 

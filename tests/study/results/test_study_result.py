@@ -26,7 +26,7 @@ from armperturb.study.results.analyse import analyse_study
 from armperturb.study.results.appendix_fits import Fits, SecondStep
 from armperturb.study.results.person import PersonResults, missing_trials
 from armperturb.study.results.quantities import Cell
-from tests.conftest import FEW_FITS, sketch
+from tests.studies import FEW_FITS, sketch
 
 COMPUTING = ("analyse_person", "fit_second_step")
 

@@ -1,0 +1,121 @@
+"""The arm of one person in one condition, as an estimator gives it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from armperturb.analysis.arm.linear_arm import LinearArm
+from armperturb.analysis.arm.parameters import parameter_vector
+from armperturb.analysis.defaults import Estimator
+from armperturb.analysis.fit.maximum_likelihood import Estimate
+from armperturb.analysis.fit.structures import unit
+from armperturb.analysis.fit.thesis import ThesisEstimate
+from armperturb.analysis.measures.endpoint import EndpointImpedance, endpoint_impedance
+from armperturb.analysis.response.frequency_response import Bands
+from armperturb.analysis.results import Description, FitResult, parameter_table, plain, quantile
+from armperturb.arrays import Array
+from armperturb.subject import Subject
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ArmFit(FitResult):
+    """The arm of one person in one condition, as an estimator gives it.
+
+    For the thesis's estimator, a standard error is the mean over trials of the SEM (eq. 2.22), intervals treat it as a
+    standard error, parameters at a bound are those that sit there in any trial, and correlations are unknown.
+
+    Attributes:
+      estimator: which.
+      structure: name of the model structure.
+      condition: in which the arm was perturbed.
+      arm: the estimated arm, fixed parameters included.
+      force: mean force of the handle on the hand before the pulses [N], (axis,).
+      mixing: derivative of the arm's parameters (`arm.parameters.PARAMETERS`) by the free ones, (arm parameter,
+        parameter).
+      stable: whether arm and environment are stable together.
+      largest_real_pole: of arm and environment [1/s].
+      criterion: V of eq. 2.19, without penalty, of the arm against the averaged spectra.
+      detail: the estimator's own result.
+    """
+
+    estimator: Estimator
+    structure: str
+    condition: str
+    arm: Subject
+    force: Array
+    mixing: Array
+    stable: bool
+    largest_real_pole: float
+    criterion: float
+    detail: Estimate | ThesisEstimate
+
+    def unit_of(self, name: str) -> str:
+        """SI unit of a parameter."""
+        return unit(name)
+
+    def place_of(self, name: str) -> tuple[str, str]:
+        """Name of a parameter in tables, and the condition."""
+        return name, self.condition
+
+    def admittance_bands(self, frequency: ArrayLike, level: float = 0.95) -> Bands | None:
+        """Confidence bands of the arm's admittance that follow from the errors of its parameters, linearised.
+
+        Args:
+          frequency: [Hz], (frequency,).
+          level: probability with which a band holds the true gain or phase, each by itself [-].
+
+        Returns:
+          Limits of gain and phase; None where an error or a correlation is not known.
+        """
+        error = np.array(list(self.standard_error.values()))
+        covariance = self.correlation * np.outer(error, error)
+        if not np.isfinite(covariance).all():
+            return None
+        values, slope = LinearArm(self.arm, frequency).admittance_and_gradient(parameter_vector(self.arm))
+        relative = slope @ self.mixing / values[..., None]
+
+        def half(part: Array) -> Array:
+            variance = np.einsum("...p,pq,...q", part, covariance, part)
+            return np.asarray(quantile(level) * np.sqrt(np.maximum(variance, 0.0)))
+
+        gain, phase = np.abs(values), np.angle(values)
+        factor, angle = np.exp(half(relative.real)), np.minimum(half(relative.imag), np.pi)
+        return Bands(gain / factor, gain * factor, phase - angle, phase + angle)
+
+    def endpoint(
+        self, *, posture_deg: tuple[float, float] | None = None, force: ArrayLike | None = None
+    ) -> EndpointImpedance:
+        """Stiffness, damping and inertia at the hand, as matrices and ellipses with confidence intervals.
+
+        Args:
+          posture_deg: shoulder and elbow angle [deg]; None for the recorded posture.
+          force: mean force on the hand in that posture [N], (axis,); None for that of the recording.
+
+        Raises:
+          ValueError: as `measures.endpoint.endpoint_impedance`.
+        """
+        # Of the intervals, which need not be normal.
+        half = np.array([np.subtract(*self.interval(name)[::-1]) / 2.0 for name in self.values])
+        known = np.isfinite(half)
+        error, part = half[known] / quantile(0.95), self.mixing[:, known]
+        covariance = part @ (self.correlation[np.ix_(known, known)] * np.outer(error, error)) @ part.T
+        unknown = self.mixing[:, ~known].any(axis=1)
+        covariance[unknown, unknown] = np.inf
+        return endpoint_impedance(
+            self.arm,
+            covariance,
+            recorded_force=self.force,
+            posture_deg=posture_deg,
+            force=force,
+            condition=self.condition,
+        )
+
+    def describe(self) -> Description:
+        """Estimates and how the search ended."""
+        return Description(
+            title=f"Arm of {self.arm.name} in {self.condition}: model {self.structure}, estimator {self.estimator!r}",
+            facts=(self.message, f"largest pole of arm and environment {plain(self.largest_real_pole, 3)} 1/s"),
+            table=parameter_table(self.to_frame()),
+            remarks=self.remarks,
+        )
