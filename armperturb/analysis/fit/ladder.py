@@ -15,7 +15,6 @@ about two for each parameter, and more where a person differs from trial to tria
 twice its log-likelihood plus `CAUTION` times that loss, as further parameters must not come in by chance.
 """
 
-from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, get_args
 
@@ -28,7 +27,6 @@ from armperturb.analysis.fit.own_structures import Grip, Inertia, Reflex, compos
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.fit.trial_effects import SINGULAR, scaled
 from armperturb.analysis.results import Description, Result, Table, plain
-from armperturb.arrays import Array
 
 CAUTION = 2.0
 """Weight of the loss on left-out trials [-]; 1 would be the expected likelihood of a further trial."""
