@@ -1,20 +1,22 @@
 """Which structure? A ladder of them, of which the trials choose.
 
-The rungs are combinations of three choices (`own_structures.composed`): the joint inertia (three free numbers, two point
-masses, or the thesis's tie of one), the grip (rigid, or spring and damper) and the reflexes (none, velocity feedback,
-velocity and position feedback; delays, cut-offs and damping ratio free). Each is fitted by maximum likelihood. Grip and
-reflexes are chosen first, with free inertia, then the inertia.
+The rungs are combinations of three choices (`own_structures.composed`): the joint inertia (three free numbers, or the
+thesis's tie of one), the grip (rigid, or spring and damper) and the reflexes (none, velocity feedback, velocity and
+position feedback; delays, cut-offs and damping ratio free). All are fitted to the estimated admittance first, which
+takes no time; those that come near the nearest are fitted to the trials by maximum likelihood.
 
 Of two structures, that one predicts better whose parameters, found from all trials but one, make that one more likely.
-To first order the loss of likelihood that leaving trial t out costs it follows from its score s_t and information I_t at
-the estimate, with I the sum of I_t:
+To first order the loss of likelihood that leaving trial t out costs it follows from its score s_t and information I_t
+at the estimate, with I the sum of I_t:
 
     loss_t = 2 s_t^T v + v^T I_t v,    v = (I - I_t)^-1 s_t,
 
 about two for each parameter, and more where a person differs from trial to trial. The score of a structure is minus
-twice its log-likelihood plus `CAUTION` times that loss, as further parameters must not come in by chance.
+twice its log-likelihood plus `CAUTION` times that loss, as further parameters must not come in by chance. Where even
+the best structure leaves more than noise, its lack of fit (chi2 over degrees of freedom) is the unit of likelihoods.
 """
 
+import itertools
 from dataclasses import dataclass
 from typing import NamedTuple, get_args
 
@@ -30,6 +32,17 @@ from armperturb.analysis.results import Description, Result, Table, plain
 
 CAUTION = 2.0
 """Weight of the loss on left-out trials [-]; 1 would be the expected likelihood of a further trial."""
+
+NEAR = 60.0
+"""Difference of the squared distances from the estimated admittance within which a structure is fitted to the trials,
+over what a right one leaves [-]."""
+
+MOST = 5
+"""Structures that are fitted to the trials."""
+
+FREE_OR_TIED: tuple[Inertia, ...] = ("free", "tied")
+
+Place = tuple[Inertia, Grip, Reflex]
 
 CLOSE = 10.0
 """Difference of scores within which a structure is named as nearly as good [-]: a likelihood ratio of 150."""
@@ -137,30 +150,41 @@ def choose_structure(group: Group, method: Method = "record") -> Choice:
     Raises:
       ValueError: as `estimate`, of every structure that was tried.
     """
-    tried: dict[tuple[Inertia, Grip, Reflex], Rung] = {}
-    refusals: list[ValueError] = []
-
-    def attempt(inertia: Inertia, grip: Grip, reflex: Reflex) -> None:
-        structure = composed(inertia=inertia, grip=grip, reflex=reflex)
+    fitted: list[tuple[Place, Structure, Estimate, float]] = []
+    refusal: ValueError | None = None
+    for place in _near(group):
+        inertia, grip, reflex = place
+        candidate = group.with_structure(composed(inertia=inertia, grip=grip, reflex=reflex))
         try:
-            found = estimate([group.with_structure(structure)], method)
+            result = estimate([candidate], method)
         except ValueError as error:
-            refusals.append(error)
-            return
-        loss = left_out_loss(group.with_structure(structure), found, method)
-        score = found.objective + CAUTION * loss
-        tried[inertia, grip, reflex] = Rung(inertia, grip, reflex, structure, found, loss, score)
+            refusal = error
+            continue
+        fitted.append((place, candidate.structure, result, left_out_loss(candidate, result, method)))
+    if not fitted:
+        assert refusal is not None
+        raise refusal
+    likelihood_unit = min(result.dispersion for _, _, result, _ in fitted)
+    rungs = [
+        Rung(*place, structure, result, loss, result.objective / likelihood_unit + CAUTION * loss)
+        for place, structure, result, loss in fitted
+    ]
+    return Choice(condition=group.label, rungs=tuple(sorted(rungs, key=lambda rung: rung.score)))
 
-    for grip in get_args(Grip):
-        for reflex in get_args(Reflex):
-            attempt("free", grip, reflex)
-    if tried:
-        _, grip, reflex = min(tried, key=lambda place: tried[place].score)
-        attempt("points", grip, reflex)
-        attempt("tied", grip, reflex)
-    if not tried:
-        raise refusals[0]
-    return Choice(condition=group.label, rungs=tuple(sorted(tried.values(), key=lambda rung: rung.score)))
+
+def _near(group: Group) -> list[Place]:
+    """The rungs whose fit to the estimated admittance comes near the nearest, as many as `MOST`."""
+    distance, least = {}, np.inf
+    for inertia, grip, reflex in itertools.product(FREE_OR_TIED, get_args(Grip), get_args(Reflex)):
+        structure = composed(inertia=inertia, grip=grip, reflex=reflex)
+        far = group.with_structure(structure).fit_of_spectra[1]
+        distance[inertia, grip, reflex] = far + 2.0 * len(structure.free)
+        least = min(least, far)
+    # Neighbouring lines share noise and an arm is never quite linear: the nearest fit sets the scale.
+    scale = max(1.0, least / (8 * len(group.spectra.frequency)))
+    ordered = sorted(distance, key=lambda place: distance[place])
+    near = [place for place in ordered if distance[place] - distance[ordered[0]] < NEAR * scale]
+    return near[:MOST] if len(near) > 1 else ordered[:2]
 
 
 def left_out_loss(group: Group, fitted: Estimate, method: Method) -> float:

@@ -100,9 +100,9 @@ def edited(
         "tied": tied,
         "fixed": {each: value for values in given.values() for each, value in values.items()},
     }
-    for one, other in (("free", "tied"), ("free", "fixed"), ("tied", "fixed")):
-        if both := [each for each in kinds[one] if each in kinds[other]]:
-            raise ValueError(f"model {name}: {both[0]} is both {one} and {other}; expected one of them")
+    for kind, other in (("free", "tied"), ("free", "fixed"), ("tied", "fixed")):
+        if both := [each for each in kinds[kind] if each in kinds[other]]:
+            raise ValueError(f"model {name}: {both[0]} is both {kind} and {other}; expected one of them")
     alike = {each: value for each, value in given["PT"].items() if given["RT"].get(each) == value}
     start = base
     if base is not None and alike:
@@ -113,18 +113,21 @@ def edited(
     gone = {*free, *dropped}
     ranges = {each: _range(name, start, each, asked) for each, asked in free.items()}
 
-    def kept(table: Mapping[str, Any]) -> dict[str, Any]:
+    def remaining(table: Mapping[str, Any]) -> dict[str, Any]:
         return {each: value for each, value in table.items() if each not in gone}
 
     return Structure(
         name=name,
         bounds={
-            **(kept(start.bounds) if start else {}),
+            **(remaining(start.bounds) if start else {}),
             **{each: (low, high) for each, (low, _, high) in ranges.items()},
         },
-        initial={**(kept(start.initial) if start else {}), **{each: first for each, (_, first, _) in ranges.items()}},
-        fixed={task: {**(kept(start.fixed[task]) if start else {}), **given[task]} for task in TASKS},
-        tied={**(kept(start.tied) if start else {}), **tied},
+        initial={
+            **(remaining(start.initial) if start else {}),
+            **{each: first for each, (_, first, _) in ranges.items()},
+        },
+        fixed={task: {**(remaining(start.fixed[task]) if start else {}), **given[task]} for task in TASKS},
+        tied={**(remaining(start.tied) if start else {}), **tied},
         prior={
             **{each: known for each, known in (start.prior if start else {}).items() if each not in dropped},
             **prior,
@@ -189,13 +192,13 @@ def load_structure(path: str | Path) -> Structure:
             require_one_of("structure", "base", base, list(STRUCTURES))
         parts = {key: _table(key, table.get(key, {})) for key in ("free", "fixed", "tied", "prior")}
         in_both = {key: value for key, value in parts["fixed"].items() if key not in TASKS}
-        own = {task: _table(f"fixed.{task}", parts["fixed"].get(task, {})) for task in TASKS}
+        by_task = {task: _table(f"fixed.{task}", parts["fixed"].get(task, {})) for task in TASKS}
         return edited(
             base and structure_of(base, wide=True),
             name=str(table.get("name", Path(path).stem)),
             free={name: _range_of(name, value) for name, value in parts["free"].items()},
             fixed={
-                task: {name: _value_of(name, value) for name, value in {**in_both, **own[task]}.items()}
+                task: {name: _value_of(name, value) for name, value in {**in_both, **by_task[task]}.items()}
                 for task in TASKS
             },
             tied={

@@ -33,8 +33,8 @@ def unit(parameter: str) -> str:
 def wide_bounds(parameter: str) -> tuple[float, float, float] | None:
     """Least, usual and greatest value that a human arm can have, SI; None of what is no parameter of an arm."""
     wide, quantity = PUBLISHED["wide"], parameter.partition("_")[0]
-    found = wide.get(parameter) or (wide.get(quantity) if parameter in PARAMETERS else None)
-    return None if found is None else (float(found[0]), float(found[1]), float(found[2]))
+    values = wide.get(parameter) or (wide.get(quantity) if parameter in PARAMETERS else None)
+    return None if values is None else (float(values[0]), float(values[1]), float(values[2]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
