@@ -33,9 +33,9 @@ class Identify(Command):
     without negative gains; FILE.toml a structure of one's own, see docs/method.md; nonlinear a muscle law, from all
     trials of one or both tasks together."""
     out: Path
-    """Folder for admittance.csv, parameters.csv, fit.json, and stiffness, damping and inertia at the hand in
-    endpoint.csv and endpoint.svg; of the nonlinear model, for parameters.csv, correlations.csv, predictions.csv,
-    fit.json and pulses.svg, and for checkpoints from which an interrupted search continues."""
+    """Folder for admittance.csv, parameters.csv, fit.json, structure.toml, and stiffness, damping and inertia at the
+    hand in endpoint.csv and endpoint.svg; of the nonlinear model, for parameters.csv, correlations.csv,
+    predictions.csv, fit.json and pulses.svg, and for checkpoints from which an interrupted search continues."""
     sidecar: Path | None = None
     """Sidecar of all recordings that need one, see docs/recordings.md; by default FILE.json beside each."""
     law: Literal["full", "short-range", "linear", "choose"] | None = None
@@ -122,6 +122,7 @@ class Identify(Command):
     def _identify(self, recording: "xr.Dataset", structure: "Structure") -> list[str]:
         from armperturb.analysis.fit.export import write_identification
         from armperturb.analysis.fit.identify import identify_conditions
+        from armperturb.analysis.fit.own_structures import save_structure
 
         tasks = list(dict.fromkeys(recording["task"].values.tolist()))
         if len(tasks) > 1:
@@ -138,6 +139,7 @@ class Identify(Command):
             lines_per_average=self.lines_per_average,
         )
         write_identification(results, self.out)
+        save_structure(structure, self.out / "structure.toml")
         lines = []
         for condition, result in results.items():
             lines.append(f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %")

@@ -309,6 +309,8 @@ def test_a_structure_of_options_is_that_of_its_file(tmp_path):
         assert (one["value"], one["standard_error"]) == (other["value"], other["standard_error"])
     model = json.loads((tmp_path / "b" / "fit.json").read_text())
     assert "1 with fix k_h=rigid, prior m_f=1.8+-0.2" in str(model)
+    assert run(*common, tmp_path / "c", "--model", tmp_path / "b" / "structure.toml") == 0
+    assert (tmp_path / "c" / "parameters.csv").read_text() == (tmp_path / "b" / "parameters.csv").read_text()
 
 
 UNKNOWN = ["identify", "r.nc", "--model", "1", "--estimator", "guess", "--out", "x"]
