@@ -17,6 +17,7 @@ the best structure leaves more than noise, its lack of fit (chi2 over degrees of
 """
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, get_args
 
@@ -24,11 +25,13 @@ import numpy as np
 
 from armperturb.analysis.fit.group import Group, Method
 from armperturb.analysis.fit.joint_likelihood import JointLikelihood
-from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
+from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS, Estimate, estimate
 from armperturb.analysis.fit.own_structures import Grip, Inertia, Reflex, composed
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.fit.trial_effects import SINGULAR, scaled
+from armperturb.analysis.response.best_linear import best_linear
 from armperturb.analysis.results import Description, Result, Table, plain
+from armperturb.analysis.trials import ConditionTrials
 
 CAUTION = 2.0
 """Weight of the loss on left-out trials [-]; 1 would be the expected likelihood of a further trial."""
@@ -121,6 +124,23 @@ class Choice(Result):
             said += [f"{field}: {best} or {other}" for other in dict.fromkeys(others)]
         return tuple(said)
 
+    def remarks(self, parts: Sequence[ConditionTrials]) -> tuple[str, ...]:
+        """What a reader must know of the choice before trusting the parameters.
+
+        Args:
+          parts: the trials; of multisines in two or more, the distortion tells whether the arm is linear.
+        """
+        said = [self.sentence, *(f"the trials do not tell {each}" for each in self.undecided)]
+        if self.chosen.estimate.is_suspicious:
+            causes = ["inertia", "grip", "wrong geometry", "delay"]
+            distorted = _distorted_band(parts)
+            causes.insert(0 if distorted else len(causes), f"nonlinearity{distorted}")
+            said.append(
+                "no structure that was tried fits, and parameters are not to be trusted; likely causes in order: "
+                + ", ".join(causes)
+            )
+        return tuple(said)
+
     def describe(self) -> Description:
         """The ladder, the best structure first."""
         rows = tuple(
@@ -170,6 +190,18 @@ def choose_structure(group: Group, method: Method = "record") -> Choice:
         for place, structure, result, loss in fitted
     ]
     return Choice(condition=group.label, rungs=tuple(sorted(rungs, key=lambda rung: rung.score)))
+
+
+def _distorted_band(parts: Sequence[ConditionTrials]) -> str:
+    """Where the arm's response is distorted, in words; "" where it is not, or nothing tells."""
+    try:
+        linear = best_linear(parts)
+    except ValueError:
+        return ""
+    distorted = linear.response.frequency[(linear.distortion > 1.645 * linear.distortion_error).any(axis=1)]
+    if linear.p_value > SUSPICIOUS or not len(distorted):
+        return ""
+    return f" (distortion from {distorted[0]:.2g} to {distorted[-1]:.2g} Hz, p = {linear.p_value:.1g})"
 
 
 def _near(group: Group) -> list[Place]:
