@@ -112,9 +112,8 @@ def main() -> None:
         rows = [json.loads(line) for line in asked.out.read_text(encoding="utf-8").splitlines()]
     left = sorted({*range(asked.seed, asked.seed + asked.n)} - {row["seed"] for row in rows})
     with ProcessPoolExecutor(2) as pool:
-        waiting = [
-            pool.submit(judge, seed, asked.mujoco, asked.corrected, asked.model, dict(asked.given)) for seed in left
-        ]
+        options = asked.mujoco, asked.corrected, asked.model, asked.given
+        waiting = [pool.submit(judge, seed, *options) for seed in left]
         for future in as_completed(waiting):
             rows.append(future.result())
             if asked.out:
