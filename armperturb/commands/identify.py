@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 Model = Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear"]
 OF_A_STRUCTURE = ("free", "fix", "bounds", "tie", "prior")
-OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", *OF_A_STRUCTURE)
+OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", "body", *OF_A_STRUCTURE)
 OF_THE_NONLINEAR_MODEL = ("law", "pulses")
 
 
@@ -56,6 +56,9 @@ class Identify(Command):
     """Parameters that follow others, e.g. Td_e=Td_s, m_h=0.49*m_tot."""
     prior: tuple[str, ...] = ()
     """What is known beside the trials, mean and standard deviation, e.g. m_f=1.8+-0.3; with maximum likelihood only."""
+    body: tuple[Literal["male", "female"], float, float] | None = None
+    """Sex, height [m] and body mass [kg]: what tables (de Leva 1996) tell of the joint inertia becomes a prior; needs
+    --fix m=0 --free i, or a model that has them."""
     share: tuple[str, ...] = ()
     """Parameters that are the same in all conditions, e.g. mass grip k_s; with maximum likelihood only."""
     subject: str | None = None
@@ -120,7 +123,12 @@ class Identify(Command):
             known = ", ".join(get_args(Model))
             raise ValueError(f"identify: model = {self.model!r}; expected one of {known}, or FILE.toml")
         structure = with_options(base, **{kind: getattr(self, kind) for kind in OF_A_STRUCTURE})
-        if structure.prior and self.estimator == "thesis":
+        if self.body and "i_s" not in structure.free:
+            raise ValueError(
+                f"identify: body = {self.body!r} with model {structure.name}; expected one whose joint inertia is free "
+                "(--fix m=0 --free i)"
+            )
+        if (structure.prior or self.body) and self.estimator == "thesis":
             raise ValueError(
                 "identify: prior with estimator = 'thesis', which takes none into account; expected --estimator record"
             )
@@ -129,12 +137,18 @@ class Identify(Command):
     def _identify(self, recordings: "list[xr.Dataset]", structure: "Structure | None") -> list[str]:
         from armperturb.analysis.fit.export import write_identification
         from armperturb.analysis.fit.identify import identify_conditions
-        from armperturb.analysis.fit.own_structures import save_structure
+        from armperturb.analysis.fit.own_structures import inertia_prior, save_structure
+        from armperturb.analysis.trials import trials_by_condition
 
         tasks = list(dict.fromkeys(task for recording in recordings for task in recording["task"].values.tolist()))
         if len(tasks) > 1:
             raise ValueError(
                 f"trials of the tasks {' and '.join(tasks)}; expected only one task (choose a --condition)"
+            )
+        if self.body:
+            person = next(iter(trials_by_condition(recording).values())).body
+            structure = structure.knowing(**inertia_prior(person, *self.body)).named(
+                f"{structure.name}, body from tables"
             )
         results = identify_conditions(
             recordings,
@@ -147,9 +161,11 @@ class Identify(Command):
         )
         write_identification(results, self.out)
         for condition, result in results.items():
-            chosen = structure or result.fit.choice.chosen.structure
+            choice = result.fit.choice
+            chosen = structure if choice is None else choice.chosen.structure
             name = "structure.toml" if structure or len(results) == 1 else f"structure_{condition}.toml"
-            save_structure(chosen, self.out / name)
+            if chosen is not None:
+                save_structure(chosen, self.out / name)
         lines = []
         for condition, result in results.items():
             lines.append(f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %")
