@@ -180,8 +180,10 @@ def linear_states(subject: Subject, environment: Environment, perturbation: Arra
       perturbation: d [N], (..., time, axis); it runs straight between its samples.
       rate: of the samples [Hz].
     """
-    force = np.asarray(perturbation, dtype=float)
-    system = state_space(subject, environment)
+    return _states(state_space(subject, environment), np.asarray(perturbation, dtype=float), rate)
+
+
+def _states(system: StateSpace, force: Array, rate: float) -> Array:
     # Exponential of a sample's time of state, force and the force's rise within the sample.
     generator = np.zeros((N_STATES + 4, N_STATES + 4))
     generator[:N_STATES] = np.hstack([system.a / rate, system.b / rate, np.zeros((N_STATES, 2))])
@@ -201,5 +203,6 @@ def simulate_linear(subject: Subject, environment: Environment, perturbation: Ar
       perturbation: d [N], (..., time, axis).
       rate: of the samples [Hz].
     """
-    y = linear_states(subject, environment, perturbation, rate) @ state_space(subject, environment).c.T
+    system = state_space(subject, environment)
+    y = _states(system, np.asarray(perturbation, dtype=float), rate) @ system.c.T
     return LinearResponse(y[..., 0:2], y[..., 2:4], y[..., 4:6])
