@@ -108,7 +108,7 @@ class Identify(Command):
         from armperturb.analysis.fit.structures import structure_of
 
         if self.model is None:
-            for kind in OF_A_STRUCTURE:
+            for kind in (*OF_A_STRUCTURE, "body"):
                 if getattr(self, kind):
                     raise ValueError(
                         f"identify: {kind} = {getattr(self, kind)!r} without a model; expected the one that it changes "
@@ -145,8 +145,8 @@ class Identify(Command):
             raise ValueError(
                 f"trials of the tasks {' and '.join(tasks)}; expected only one task (choose a --condition)"
             )
-        if self.body:
-            person = next(iter(trials_by_condition(recording).values())).body
+        if structure and self.body:
+            person = next(iter(trials_by_condition(recordings[0]).values())).body
             structure = structure.knowing(**inertia_prior(person, *self.body)).named(
                 f"{structure.name}, body from tables"
             )

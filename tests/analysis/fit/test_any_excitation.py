@@ -23,7 +23,9 @@ def scores(fit, truth):
 @pytest.mark.parametrize("amid", [False, True], ids=["from rest", "amid"])
 @pytest.mark.parametrize("kind", ["multisine", "noise", "filtered noise", "chirp", "pulses"])
 def test_any_excitation_tells_the_arm(kind, amid):
-    setup = draw_foreign(3, kind=kind, amid=amid, reflex="none", grip="rigid", n_trials=4, duration=20.0, rate=200.0)
+    setup = draw_foreign(
+        3, kind=kind, amid=amid, reflex="none", grip="rigid", n_trials=4, duration=20.0, rate=200.0, linear=True
+    )
     result = identify(setup.recording(), composed(inertia="free", grip="rigid", reflex="none"))
     assert np.abs(scores(result.fit, setup.truth)).max() < 4.0
     assert result.fit.detail.chi2 < 1.5 * result.fit.detail.dof
