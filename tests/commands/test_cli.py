@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from armperturb import cli
+from armperturb.analysis.fit.own_structures import load_structure
 from armperturb.files import written_whole
 from armperturb.perturbations import Multisine, Pulse, save_perturbation
 from armperturb.recording import load_recording, save_recording
@@ -172,7 +173,7 @@ def test_missing_files_and_folders_are_named(inputs, capsys):
 DAMAGE = {
     "no force": (lambda r: r.drop_vars("force"), "variable 'force' is missing"),
     "rate": (lambda r: r.isel(time=slice(None, None, 4)), "rate = 200 Hz"),
-    "too short": (lambda r: r.isel(time=slice(2000)), "of a shorter record state the period"),
+    "too short": (lambda r: r.isel(time=slice(800)), "the recording lasts 4 s; expected at least 5 s"),
     "one direction": (lambda r: r.assign(perturbation=r["perturbation"] * [1.0, 0.0]), "are not independent"),
     "flipped": (lambda r: r.assign(force=-r["force"]), "force must be the reaction force"),
 }
@@ -246,9 +247,11 @@ def test_what_cannot_be_identified_together_is_refused(two_recordings, recording
     save_recording(other, tmp_path / "p.nc")
     line = refused(capsys, "identify", a, tmp_path / "p.nc", "--model", "1", *out)
     assert "trials of the tasks RT and PT; expected only one task (choose a --condition)" in line
-    line = refused(capsys, "identify", a, tmp_path / "short.nc", "--model", "1", *out)
+    line = refused(capsys, "identify", a, tmp_path / "short.nc", "--model", "1", "--estimator", "thesis", *out)
     assert "short.nc" in line
-    assert "expected one rate and duration" in line
+    assert "expected one length with estimator = 'thesis' (--estimator record takes any)" in line
+    line = refused(capsys, "identify", a, "--free", "zeta_act", *out)
+    assert "free = ('zeta_act',) without a model; expected the one that it changes" in line
     line = refused(capsys, "identify", a, b, "--model", "1", "--estimator", "thesis", "--share", "mass", *out)
     assert "share = mass; expected nothing with estimator = 'thesis'" in line
     line = refused(capsys, "identify", a, b, "--model", "1", "--share", "k_x", *out)
@@ -290,6 +293,10 @@ def test_study_draws_the_people_that_are_asked_for(tmp_path, monkeypatch, muscle
             ["--model", "1", "--prior", "m_f=2+-1", "--estimator", "thesis"],
             "identify: prior with estimator = 'thesis', which takes none into account; expected --estimator record",
         ),
+        (
+            ["--model", "1", "--body", "male", "1.8", "75"],
+            "body = ('male', 1.8, 75.0) with model 1; expected one whose joint inertia is free (--fix m=0 --free i)",
+        ),
         (["--model", "nonlinear", "--fix", "k_h=rigid"], "fix = ('k_h=rigid',); expected () with --model nonlinear"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -311,6 +318,23 @@ def test_a_structure_of_options_is_that_of_its_file(tmp_path):
     assert "1 with fix k_h=rigid, prior m_f=1.8+-0.2" in str(model)
     assert run(*common, tmp_path / "c", "--model", tmp_path / "b" / "structure.toml") == 0
     assert (tmp_path / "c" / "parameters.csv").read_text() == (tmp_path / "b" / "parameters.csv").read_text()
+
+
+def test_a_body_from_tables_narrows_the_inertia(tmp_path):
+    free = ("--model", "1", "--fix", "m=0", "--free", "i")
+    common = ("identify", RECORDING, "--estimator", "frequency", *free, "--out")
+    assert run(*common, tmp_path / "a") == 0
+    assert run(*common, tmp_path / "b", "--body", "male", "1.84", "76") == 0
+    prior = load_structure(tmp_path / "b" / "structure.toml").prior
+    assert list(prior) == ["i_s", "i_se", "i_e"]
+    bare, known = (
+        {row["parameter"]: row for row in csv.DictReader((tmp_path / name / "parameters.csv").read_text().splitlines())}
+        for name in "ab"
+    )
+    for name, (mean, sd) in prior.items():
+        value, error = (float(known[name][column]) for column in ("value", "standard_error"))
+        assert error < float(bare[name]["standard_error"])
+        assert abs(value - mean) < 3.0 * sd
 
 
 UNKNOWN = ["identify", "r.nc", "--model", "1", "--estimator", "guess", "--out", "x"]
