@@ -102,17 +102,18 @@ class Group:
     def initial(self) -> Array:
         """Free parameters from which a search may start, (parameter,)."""
         start = linear_start(self.spectra.frequency, self.spectra.arm, self.body, self.structure)
-        return start if self.period is not None else self.fit_of_spectra[0]
+        return start if self.period is not None else self.fit_of_spectra(start)[0]
 
-    @cached_property
-    def fit_of_spectra(self) -> tuple[Array, float]:
+    def fit_of_spectra(self, start: Array) -> tuple[Array, float]:
         """Free parameters nearest to the estimated admittance, (parameter,), and how far from it [-].
 
         The distance is the sum of squares of the admittance's relative errors over their variances, as far as the
         coherence tells these.
+
+        Args:
+          start: where the search starts, (parameter,).
         """
         spectra = self.spectra
-        start = linear_start(spectra.frequency, spectra.arm, self.body, self.structure)
         target = Target(
             frequency=spectra.frequency, admittance=spectra.arm, body=self.body, environment=self.environment
         )

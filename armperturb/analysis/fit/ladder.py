@@ -25,6 +25,7 @@ import numpy as np
 
 from armperturb.analysis.fit.group import Group, Method
 from armperturb.analysis.fit.joint_likelihood import JointLikelihood
+from armperturb.analysis.fit.linear_start import linear_start
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS, Estimate, estimate
 from armperturb.analysis.fit.own_structures import Grip, Inertia, Reflex, composed
 from armperturb.analysis.fit.structures import Structure
@@ -32,6 +33,7 @@ from armperturb.analysis.fit.trial_effects import SINGULAR, scaled
 from armperturb.analysis.response.best_linear import best_linear
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials
+from armperturb.arrays import Array
 
 CAUTION = 2.0
 """Weight of the loss on left-out trials [-]; 1 would be the expected likelihood of a further trial."""
@@ -42,6 +44,9 @@ over what a right one leaves [-]."""
 
 MOST = 5
 """Structures that are fitted to the trials."""
+
+STIFF = 1e5
+"""Stiffness from which a search starts where a rigid grip was tried before [N/m]."""
 
 FREE_OR_TIED: tuple[Inertia, ...] = ("free", "tied")
 
@@ -172,11 +177,11 @@ def choose_structure(group: Group, method: Method = "record") -> Choice:
     """
     fitted: list[tuple[Place, Structure, Estimate, float]] = []
     refusal: ValueError | None = None
-    for place in _near(group):
-        inertia, grip, reflex = place
-        candidate = group.with_structure(composed(inertia=inertia, grip=grip, reflex=reflex))
+    for place, near in _near(group).items():
+        candidate = group.with_structure(near.structure)
+        start = dict(zip(near.structure.free, near.values.tolist(), strict=True))
         try:
-            result = estimate([candidate], method)
+            result = estimate([candidate], method, initial=start)
         except ValueError as error:
             refusal = error
             continue
@@ -204,19 +209,49 @@ def _distorted_band(parts: Sequence[ConditionTrials]) -> str:
     return f" (distortion from {distorted[0]:.2g} to {distorted[-1]:.2g} Hz, p = {linear.p_value:.1g})"
 
 
-def _near(group: Group) -> list[Place]:
+class _Fitted(NamedTuple):
+    structure: Structure
+    values: Array
+    distance: float
+
+    @property
+    def score(self) -> float:
+        """Distance from the estimated admittance, with Akaike's penalty for each parameter."""
+        return self.distance + 2.0 * len(self.structure.free)
+
+
+def _near(group: Group) -> dict[Place, _Fitted]:
     """The rungs whose fit to the estimated admittance comes near the nearest, as many as `MOST`."""
-    distance, least = {}, np.inf
-    for inertia, grip, reflex in itertools.product(FREE_OR_TIED, get_args(Grip), get_args(Reflex)):
-        structure = composed(inertia=inertia, grip=grip, reflex=reflex)
-        far = group.with_structure(structure).fit_of_spectra[1]
-        distance[inertia, grip, reflex] = far + 2.0 * len(structure.free)
-        least = min(least, far)
+    fitted: dict[Place, _Fitted] = {}
+    for place in itertools.product(FREE_OR_TIED, get_args(Grip), get_args(Reflex)):
+        inertia, grip, reflex = place
+        candidate = group.with_structure(composed(inertia=inertia, grip=grip, reflex=reflex))
+        start = linear_start(group.spectra.frequency, group.spectra.arm, group.body, candidate.structure)
+        fitted[place] = _Fitted(candidate.structure, *candidate.fit_of_spectra(start))
+    # A search may end too early. What the nearest structure has found is another start for the others.
+    tried: set[Place] = set()
+    while (best := min(fitted, key=lambda place: fitted[place].score)) not in tried:
+        tried.add(best)
+        for place, rung in fitted.items():
+            start = _carried(fitted[best], rung.structure)
+            again = group.with_structure(rung.structure).fit_of_spectra(start)
+            if place != best and again[1] < rung.distance:
+                fitted[place] = _Fitted(rung.structure, *again)
     # Neighbouring lines share noise and an arm is never quite linear: the nearest fit sets the scale.
-    scale = max(1.0, least / (8 * len(group.spectra.frequency)))
-    ordered = sorted(distance, key=lambda place: distance[place])
-    near = [place for place in ordered if distance[place] - distance[ordered[0]] < NEAR * scale]
-    return near[:MOST] if len(near) > 1 else ordered[:2]
+    scale = max(1.0, fitted[best].distance / (8 * len(group.spectra.frequency)))
+    ordered = sorted(fitted, key=lambda place: fitted[place].score)
+    near = [place for place in ordered if fitted[place].score - fitted[best].score < NEAR * scale]
+    return {place: fitted[place] for place in (near[:MOST] if len(near) > 1 else ordered[:2])}
+
+
+def _carried(source: _Fitted, structure: Structure) -> Array:
+    """Values of a structure from those of another; gains that it has not are zero, and a rigid grip is a stiff one."""
+    known = dict(zip(source.structure.free, source.values.tolist(), strict=True))
+    start = []
+    for name, (lower, upper) in structure.bounds.items():
+        usual = 0.0 if name.startswith(("kv_", "kp_")) else STIFF if name == "k_h" else structure.initial[name]
+        start.append(min(max(known.get(name, usual), lower), upper))
+    return np.array(start)
 
 
 def left_out_loss(group: Group, fitted: Estimate, method: Method) -> float:
