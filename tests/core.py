@@ -9,7 +9,7 @@ from importlib.abc import MetaPathFinder
 from pathlib import Path
 
 DATA = Path(__file__).parents[1] / "examples" / "data"
-LIBRARIES = {"mujoco", "numba", "loky", "filelock", "jinja2", "gymnasium", "dm_control", "mediapy", "ezc3d", "joblib"}
+LIBRARIES = {"mujoco", "numba", "loky", "filelock", "gymnasium", "dm_control", "mediapy", "ezc3d", "joblib"}
 POSIX = {"fcntl", "resource"}
 
 

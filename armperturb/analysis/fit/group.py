@@ -82,7 +82,7 @@ class Group:
             structure=structure,
             initial=linear_start(spectra.frequency, spectra.arm, parts[0].body, structure),
             period=None if lines is None else _period_likelihood(parts[0], window_start, period, top),
-            records=tuple(_record_likelihood(part, top) for part in parts),
+            records=tuple(record_likelihood(part, top) for part in parts),
         )
 
     @property
@@ -126,7 +126,8 @@ def _signals(trials: ConditionTrials, window: slice) -> Signals:
     )
 
 
-def _record_likelihood(trials: ConditionTrials, top: float) -> Likelihood:
+def record_likelihood(trials: ConditionTrials, top: float) -> RecordLikelihood:
+    """Likelihood of whole records up to the first pulse, at frequencies up to `top` [Hz]."""
     end = min(trials.first_onset, trials.n_samples - round(EDGE * trials.rate))
     return RecordLikelihood(_signals(trials, slice(end)), top, from_rest=trials.from_rest)
 
