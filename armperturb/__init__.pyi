@@ -41,6 +41,7 @@ from .recording import save_recording as save_recording
 from .recording import stack_trials as stack_trials
 from .study.comparison.score import score as score
 from .study.experiments.calibration import calibrate as calibrate
+from .study.experiments.cohort_cells import measure_cohort as measure_cohort
 from .study.planning.plan import design as design
 from .study.planning.settings import DesignSettings as DesignSettings
 from .study.protocol import Condition as Condition

@@ -24,19 +24,24 @@ JUDGED = ("k_s", "k_se", "k_e", "b_s", "b_se", "b_e")
 NAMED = {"none": "1", "velocity": "2", "position": "3"}
 """Kind of reflex to the structure that has it."""
 
-WIDE = {
-    **{name: (0.1, 1.5, 6.0) for name in ("m_h", "m_f")},
-    **{name: (0.010, 0.030, 0.080) for name in ("Td_s", "Td_e")},
-    **{name: (1.0, 2.5, 8.0) for name in ("fact_s", "fact_e")},
+FREE = {
+    **{f"i_{joint}": bounds for joint, bounds in {"s": (0.01, 0.3, 2.0), "se": (-0.5, 0.05, 1.0)}.items()},
+    "i_e": (0.005, 0.1, 1.0),
+    **dict.fromkeys(("Td_s", "Td_e"), (0.010, 0.030, 0.080)),
+    **dict.fromkeys(("fact_s", "fact_e"), (1.0, 2.5, 8.0)),
+    "zeta_act": (0.3, 0.7, 1.5),
 }
+"""Lower bound, start and upper bound."""
 
 
 def right_structure(truth: dict) -> Structure:
-    """The structure of an arm, within wide bounds."""
-    named = STRUCTURES[NAMED[truth["reflex"]]]
-    wide = {name: bounds for name, bounds in WIDE.items() if name in named.bounds}
-    structure = named.freeing(**wide, k_h=(2e3, 2e4, 1e6))
-    return structure if truth["grip"] == "spring" else structure.fixing(k_h=1e6, b_h=0.0)
+    """The structure of an arm, within wide bounds: joint inertia free, reflex and grip as they are."""
+    named = STRUCTURES[NAMED[truth["reflex"]]].fixing(m_h=0.0, m_f=0.0)
+    free = {name: bounds for name, bounds in FREE.items() if name.startswith("i_") or "Td_s" in named.bounds}
+    structure = named.freeing(**free)
+    if truth["grip"] == "spring":
+        return structure.freeing(k_h=(2e3, 2e4, 1e6))
+    return structure.fixing(k_h=1e9, b_h=0.0)
 
 
 def judge(seed: int, with_mujoco: bool, model: str | None, given: dict) -> dict:

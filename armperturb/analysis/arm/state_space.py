@@ -1,5 +1,6 @@
 """Arm and environment as one linear system with Pade delays: poles, stability, movements (thesis appendix B)."""
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,9 @@ from armperturb.analysis.arm.states import ACTIVE_DOT, N_STATES, PADE, Q_DOT, X_
 from armperturb.arrays import Array
 from armperturb.environment import Environment, Strap
 from armperturb.subject import Subject
+
+N_REMEMBERED = 1024
+"""Arms whose dynamics are remembered: each trial of a person asks for the same ones."""
 
 
 class StateSpace(NamedTuple):
@@ -100,6 +104,7 @@ def strapped_dynamics(subject: Subject, environment: Environment, strap: Strap) 
     return a
 
 
+@functools.lru_cache(maxsize=N_REMEMBERED)
 def largest_real_pole(subject: Subject, environment: Environment, strap: Strap | None = None) -> float:
     """Largest real part of the poles of arm and environment [1/s]; the system is stable if it is negative.
 
@@ -112,7 +117,7 @@ def largest_real_pole(subject: Subject, environment: Environment, strap: Strap |
 
     Source: sigma_max of eq. 2.21.
     """
-    dynamics = (_dynamics(arm, environment, strap) for arm in subject.linear_arms)
+    dynamics = _dynamics(subject, environment, strap)
     return max(float(np.linalg.eigvals(a).real.max()) for a in dynamics)
 
 
@@ -136,13 +141,18 @@ def fastest_pole(subject: Subject, environment: Environment, strap: Strap | None
 
     Of a nonlinear arm, the largest among its `Subject.linear_arms`. With a strap, also of its poles.
     """
-    dynamics = [_dynamics(arm, environment, strap) for arm in subject.linear_arms]
+    dynamics = _dynamics(subject, environment, strap)
     passive = np.r_[:8, N_STATES : len(dynamics[0])]
     return max(float(np.abs(np.linalg.eigvals(a[np.ix_(passive, passive)])).max()) for a in dynamics)
 
 
-def _dynamics(arm: Subject, environment: Environment, strap: Strap | None) -> Array:
-    return state_space(arm, environment).a if strap is None else strapped_dynamics(arm, environment, strap)
+@functools.lru_cache(maxsize=N_REMEMBERED)
+def _dynamics(subject: Subject, environment: Environment, strap: Strap | None) -> list[Array]:
+    """Matrix A of each of the linear arms."""
+    return [
+        state_space(arm, environment).a if strap is None else strapped_dynamics(arm, environment, strap)
+        for arm in subject.linear_arms
+    ]
 
 
 def _accumulated(added: Array, step: Array) -> Array:
@@ -170,8 +180,10 @@ def linear_states(subject: Subject, environment: Environment, perturbation: Arra
       perturbation: d [N], (..., time, axis); it runs straight between its samples.
       rate: of the samples [Hz].
     """
-    force = np.asarray(perturbation, dtype=float)
-    system = state_space(subject, environment)
+    return _states(state_space(subject, environment), np.asarray(perturbation, dtype=float), rate)
+
+
+def _states(system: StateSpace, force: Array, rate: float) -> Array:
     # Exponential of a sample's time of state, force and the force's rise within the sample.
     generator = np.zeros((N_STATES + 4, N_STATES + 4))
     generator[:N_STATES] = np.hstack([system.a / rate, system.b / rate, np.zeros((N_STATES, 2))])
@@ -191,5 +203,6 @@ def simulate_linear(subject: Subject, environment: Environment, perturbation: Ar
       perturbation: d [N], (..., time, axis).
       rate: of the samples [Hz].
     """
-    y = linear_states(subject, environment, perturbation, rate) @ state_space(subject, environment).c.T
+    system = state_space(subject, environment)
+    y = _states(system, np.asarray(perturbation, dtype=float), rate) @ system.c.T
     return LinearResponse(y[..., 0:2], y[..., 2:4], y[..., 4:6])

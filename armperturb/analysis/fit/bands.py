@@ -37,8 +37,11 @@ def smoother(n: int, n_trials: int) -> sparse.csr_array:
     """Matrix that averages over nearby frequencies, the same of each of n_trials trials, (frequency, frequency)."""
     index = np.arange(n)
     half = np.maximum(int(np.ceil(N_SMOOTH / n_trials / 2)), (RELATIVE_WIDTH * index).astype(int))
-    near = np.abs(index - index[:, None]) <= half[:, None]
-    return sparse.csr_array(near / near.sum(axis=1, keepdims=True))
+    first = np.maximum(index - half, 0)
+    count = np.minimum(index + half, n - 1) - first + 1
+    ends = np.cumsum(count)
+    near = np.arange(ends[-1]) - np.repeat(ends - count - first, count)
+    return sparse.csr_array((np.repeat(1.0 / count, count), near, np.append(0, ends)), shape=(n, n))
 
 
 def excited_bands(frequency: Array, force: ComplexArray) -> list[slice]:

@@ -14,7 +14,7 @@ from armperturb.analysis.arm.linear_arm import arm_admittance, environment_admit
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.arrays import Array
 from armperturb.environment import Environment
-from armperturb.envs.lab.setup import Progress, Setup, Truth, in_threads
+from armperturb.envs.lab.setup import Progress, Setup, Truth, flushed, in_threads
 from armperturb.envs.lab.trial import Trial, noise_torque
 from armperturb.subject import Subject
 
@@ -80,7 +80,7 @@ def simulate_linear_arms(
         if progress is not None:
             progress(n_steps * timestep)
         limit = reached[0] * decimation * timestep if len(reached) else np.nan
-        return every[::decimation], excitation[::decimation], limit
+        return flushed(every[::decimation]), excitation[::decimation], limit
 
     every, excitation, limit_time = zip(*in_threads(run, len(trials), n_threads), strict=True)
     stacked = np.stack(every)

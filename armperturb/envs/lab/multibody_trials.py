@@ -9,7 +9,7 @@ from scipy import signal
 
 from armperturb.arrays import Array
 from armperturb.envs.lab.compiled_simulation import CompiledSimulation
-from armperturb.envs.lab.setup import Progress, Setup, Truth, in_threads
+from armperturb.envs.lab.setup import Progress, Setup, Truth, flushed, in_threads
 from armperturb.envs.lab.simulation import Simulation, silent_simulator
 from armperturb.envs.lab.stepping import ANGLE, EXCITATION, FORCE, HANDLE, SHOULDER
 from armperturb.envs.lab.trial import Trial, known_ahead
@@ -19,14 +19,6 @@ from armperturb.subject import Subject
 
 LEAP = 10.0
 """Displacement over the workspace limit [-] to which only an arm that diverges gets within a sample."""
-
-NOTHING = 1e-30
-"""Smaller values are rounded to zero: what dies away would end in denormal numbers, which are slow and pack badly."""
-
-
-def flushed(values: Array) -> Array:
-    """The same values, with zeros for those that are nothing."""
-    return np.where(np.abs(values) < NOTHING, 0.0, values)
 
 
 def simulate_multibody(

@@ -25,13 +25,13 @@ from armperturb.arrays import Array
 from armperturb.cohort import STABILITY_MARGIN
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
-from armperturb.envs.lab.experiment import run_experiment
 from armperturb.files import written_whole
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study.experiments.candidates import Candidate, Unknown, unknowns
+from armperturb.study.experiments.cohort_cells import cells_of_trials
 from armperturb.study.protocol import PULSE_LEAD, THESIS, Protocol, with_published_forces
 from armperturb.study.published.tables import MeanSD
-from armperturb.study.results.quantities import LIMITS, Cell, measured_cells, published_cells
+from armperturb.study.results.quantities import LIMITS, Cell, published_cells
 from armperturb.subject import TASKS
 from armperturb.validation import require_number
 
@@ -128,11 +128,9 @@ def simulated_cells(
                 ]
                 for person in people
             ]
-            everything = [trial for of_person in trials for trial in of_person]
-            recording = run_experiment(everything, environment, engine=engine, **options)
-            n_own = len(trials[0])
-            for place, number in enumerate(able):
-                cells_of[number].update(measured_cells(recording.isel(trial=slice(place * n_own, (place + 1) * n_own))))
+            measured = cells_of_trials(trials, environment, engine=engine, **options)
+            for number, cells in zip(able, measured, strict=True):
+                cells_of[number].update(cells)
     needed = _cells(candidates[0].subject.task, CALIBRATED + HELD_OUT)
     return [
         cells_of[number] if number in cells_of and cells_of[number].keys() >= needed.keys() else None

@@ -8,7 +8,7 @@ import hashlib
 import itertools
 import math
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -151,7 +151,7 @@ def _units(
     size, n_larger = divmod(len(missing), n_groups)
     starts = [size * number + min(number, n_larger) for number in range(n_groups + 1)]
     groups = [tuple(missing[first:last]) for first, last in itertools.pairwise(starts)]
-    multisines = _draw_multisines(protocol, settings.seed, pool)
+    multisines = draw_multisines(protocol, settings.seed, pool)
     progress = None
     if pool is not None and not pool.remote:
         progress = folder.staging / "progress"
@@ -172,7 +172,7 @@ def _units(
     ]
 
 
-def _draw_multisines(protocol: Protocol, seed: int, pool: Workers | None) -> dict[int, Multisine]:
+def draw_multisines(protocol: Protocol, seed: int, pool: Workers | None) -> dict[int, Multisine]:
     """`Protocol.draw_multisines`, shared out: some seconds' work that everybody's trials wait for."""
     if pool is None:
         return protocol.draw_multisines(seed)
@@ -222,21 +222,35 @@ def _do_numbered(unit: _Unit) -> tuple[int, list[_Finished]]:
 
 def _do(unit: _Unit, progress: Callable[[float], object] | None) -> list[_Finished]:
     """Let the people of a unit practise, perturb them, and write their files."""
-    people = [person for _, person in unit.people]
-    settings = unit.settings
-    forces = practise(people, unit.protocol, settings.seed, n_threads=unit.n_threads)
-    trials = [
-        trial
-        for (number, person), of_person in zip(unit.people, forces, strict=True)
-        for trial in unit.protocol.trials(
-            person, of_person, settings.seed, number, noisy=not settings.ideal, multisines=unit.multisines
-        )
-    ]
-    recording = _simulate(trials, unit, progress)
-    n_trials = len(trials) // len(people)
+    of_people = practised_trials(unit.people, unit.protocol, unit.settings, unit.multisines, unit.n_threads)
+    recording = _simulate([trial for trials in of_people for trial in trials], unit, progress)
+    n_trials = len(of_people[0])
     return [
         _write(recording.isel(trial=slice(place * n_trials, (place + 1) * n_trials)), person.name, unit.staging)
-        for place, person in enumerate(people)
+        for place, (_, person) in enumerate(unit.people)
+    ]
+
+
+def practised_trials(
+    people: Sequence[tuple[int, Person]],
+    protocol: Protocol,
+    settings: StudySettings,
+    multisines: Mapping[int, Multisine],
+    n_threads: int,
+) -> list[list[Trial]]:
+    """Each person's trials, with the forces of the practice session.
+
+    Args:
+      people: with their numbers in the cohort.
+      protocol: of the settings.
+      settings: of the study.
+      multisines: from `draw_multisines`.
+      n_threads: of the simulation; 0 takes all cores.
+    """
+    forces = practise([person for _, person in people], protocol, settings.seed, n_threads=n_threads)
+    return [
+        protocol.trials(person, force, settings.seed, number, noisy=not settings.ideal, multisines=multisines)
+        for (number, person), force in zip(people, forces, strict=True)
     ]
 
 

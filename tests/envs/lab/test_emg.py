@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import signal
 
-from armperturb.envs.lab.emg import SERVICES, Emg
+from armperturb.envs.lab.emg import CHUNK, HIGHPASS_ORDER, SERVICES, STULEN_DE_LUCA, Emg
 from armperturb.recording import MUSCLES
 from armperturb.subject import POSITION, RELAX
 
@@ -121,3 +122,18 @@ def test_muscles_are_independent():
 def test_bad_settings_are_named(change, message):
     with pytest.raises(ValueError, match=message):
         Emg(**change)
+
+
+def test_what_is_read_is_what_filters_of_scipy_make_of_the_noise():
+    emg, excitation = Emg(), np.random.default_rng(1).normal(0.0, 20.0, (round(2.2 * CHUNK / 10), 2))
+    volts = read(POSITION, excitation, emg, seed=5)
+    low, high = (2.0 * np.pi * frequency for frequency in STULEN_DE_LUCA)
+    colour = signal.zpk2sos(*signal.bilinear_zpk([0.0], [-low, -high, -high], 1.0, emg.rate))
+    amplifier = signal.butter(HIGHPASS_ORDER, emg.highpass, "highpass", fs=emg.rate, output="sos")
+    impulse = signal.unit_impulse(4000)
+    both, alone = (np.linalg.norm(signal.sosfilt(amplifier, of)) for of in (signal.sosfilt(colour, impulse), impulse))
+    amplitude = np.repeat(emg.gain * emg.activation(POSITION, excitation, RATE), 10, axis=1)
+    for muscle, stream in enumerate(np.random.default_rng(5).spawn(len(MUSCLES))):
+        own, electrode = (each.standard_normal(len(volts), dtype=np.float32) for each in stream.spawn(2))
+        expected = amplitude[muscle] * signal.sosfilt(colour, own) / both + emg.noise / alone * electrode
+        np.testing.assert_allclose(volts[:, muscle], signal.sosfilt(amplifier, expected), atol=0.6 * emg.adc_step)

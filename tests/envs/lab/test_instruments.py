@@ -5,7 +5,11 @@ import pytest
 from scipy import signal
 
 from armperturb.envs.lab.emg import Emg
+from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
+from armperturb.envs.lab.trial import Trial
+from armperturb.perturbations import Pulse
+from armperturb.subject import RELAX
 
 
 def test_strain_gauge_noise_has_the_set_size():
@@ -121,3 +125,14 @@ def test_lowpass_is_that_of_its_settings():
 def test_lowpass_that_lets_frequencies_fold_is_refused():
     with pytest.raises(ValueError, match=r"antialias = 80.0; expected a finite number above 0 and below 50"):
         Instruments().lowpass(1e-3, 100.0)
+
+
+@pytest.mark.parametrize("options", [{}, {"engine": "compiled"}, {"linear": True}])
+def test_what_dies_away_in_the_filter_does_not_end_in_denormal_numbers(options):
+    pulse = Pulse(peak=60.0, direction_deg=20.0, onset=0.1, duration=4.0)
+    recording = run_experiment([Trial(subject=RELAX, perturbation=pulse)], instruments=Instruments(emg=None), **options)
+    filtered = np.abs(recording["perturbation"].values)
+    assert not filtered[0, -1].any()
+    assert 0.0 < filtered[filtered > 0.0].min() < 1e-20
+    for values in (each.values for each in recording.data_vars.values()):
+        assert np.abs(values[values != 0.0]).min() > np.finfo(float).tiny

@@ -1,0 +1,72 @@
+"""Cells of a cohort whose recordings are not kept, against those of a study that keeps them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armperturb.recording import load_recording
+from armperturb.study.experiments.cohort_cells import measure_cohort
+from armperturb.study.recording.record import record_study
+from armperturb.study.recording.settings import StudySettings
+from armperturb.study.results.quantities import measured_cells, published_cells
+
+PROTOCOL = """
+forces = "practice"
+pulse_unit = 20.0
+multisine_duration = 28.5
+trial_duration = 30.0
+onset_window = [0.5, 1.0]
+
+[[conditions]]
+name = "RT7.5"
+task = "RT"
+rms_displacement = 0.0075
+pulse_levels = [1.0, 2.0]
+
+[[conditions]]
+name = "PT0"
+task = "PT"
+pulse_levels = [1.0]
+"""
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory):
+    path = tmp_path_factory.mktemp("cohort") / "protocol.toml"
+    path.write_text(PROTOCOL)
+    return StudySettings(subjects=3, seed=4, protocol=path, engine="compiled")
+
+
+@pytest.fixture(scope="module")
+def alone(settings):
+    return measure_cohort(settings, workers=1, show_progress=False)
+
+
+def test_cells_are_those_of_a_study_to_the_last_bit(settings, alone, tmp_path):
+    files = record_study(settings, tmp_path, show_progress=False)
+    assert alone.index.tolist() == [path.stem for path in files]
+    assert alone.columns.tolist() == [*published_cells()]
+    for path in files:
+        cells = measured_cells(load_recording(path))
+        assert len(cells) > 20
+        assert alone.loc[path.stem].dropna().to_dict() == cells
+
+
+def test_a_larger_cohort_begins_with_the_same_people(settings, alone):
+    first = measure_cohort(replace(settings, subjects=1), workers=1, show_progress=False)
+    np.testing.assert_array_equal(first, alone[:1])
+
+
+@pytest.mark.slow(reason="processes of a Dask cluster")
+def test_processes_and_a_dask_cluster_give_the_same_cells(settings, alone):
+    distributed = pytest.importorskip("distributed")
+    assert measure_cohort(settings, workers=2, show_progress=False).equals(alone)
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
+    with distributed.LocalCluster(**options) as cluster:
+        assert measure_cohort(settings, dask=cluster.scheduler_address, show_progress=False).equals(alone)
+
+
+def test_bad_input_is_named(settings):
+    with pytest.raises(ValueError, match=r"cohort: workers = 0; expected .* at least 1"):
+        measure_cohort(settings, workers=0)
