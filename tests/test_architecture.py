@@ -52,6 +52,7 @@ ARROWS = {
     "analysis.response": ARM,
     "analysis.measures": ARM,
     "analysis.fit": ARM | {"analysis.response", "analysis.measures"},
+    "analysis.page": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "pages"},
     "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "planar_arm", "archive"},
     "cohort": ARM,
     "convert": ARM,

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
-from armperturb.commands.command import Command, Positional
+from armperturb.commands.command import Command, Positional, command_line
 from armperturb.extras import MissingExtraError, naming_the_extra
 
 if TYPE_CHECKING:
@@ -79,22 +79,26 @@ class Identify(Command):
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         try:
-            lines = self._identify(recording) if linear else self._identify_nonlinear(recording)
+            lines = self._identify(recording, imported.notes) if linear else self._identify_nonlinear(recording)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
         return [*imported.notes, *lines, f"results: {self.out}"]
 
-    def _identify(self, recording: "xr.Dataset") -> list[str]:
+    def _identify(self, recording: "xr.Dataset", notes: tuple[str, ...]) -> list[str]:
         from armperturb.analysis.fit.export import write_identification
         from armperturb.analysis.fit.identify import identify_conditions
+        from armperturb.analysis.page.page import Origin, write_page
+        from armperturb.analysis.trials import parts_by_condition
+        from armperturb.files import checksum
 
         tasks = list(dict.fromkeys(recording["task"].values.tolist()))
         if len(tasks) > 1:
             raise ValueError(
                 f"trials of the tasks {' and '.join(tasks)}; expected only one task (choose a --condition)"
             )
+        trials = parts_by_condition(recording)
         results = identify_conditions(
-            recording,
+            trials,
             self.model,
             estimator=self.estimator,
             share=self.share,
@@ -103,8 +107,18 @@ class Identify(Command):
             lines_per_average=self.lines_per_average,
         )
         write_identification(results, self.out)
+        origin = Origin(
+            command=command_line(self),
+            files={path.name: checksum(path) for path in self.recordings},
+            notes=notes,
+            window_start=self.window_start,
+            period=self.period,
+        )
+        write_page(results, trials, self.out / "identify.html", origin)
         lines = []
         for condition, result in results.items():
+            held = result.environment
+            lines.append(f"{condition}: manipulator {held.m_env:.4g} kg, {held.b_env:.3g} Ns/m, {held.k_env:.4g} N/m")
             lines.append(f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %")
             lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
         return lines

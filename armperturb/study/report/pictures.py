@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 
 import armperturb
 from armperturb.archive import digest
+from armperturb.files import checksum
 from armperturb.pages.page import Picture
-from armperturb.study.recording import folder
 from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit
 from armperturb.study.results.cases import Case
 from armperturb.study.results.study_result import StudyResult
@@ -37,7 +37,7 @@ def picture_units(drawings: Mapping[str, "partial[Figure]"], out: Path) -> list[
     arguments = {id(argument): argument for draw in drawings.values() for argument in draw.args}
     digests = {key: digest(_shown(argument)) for key, argument in arguments.items()}
     paths = {argument.recording for argument in arguments.values() if isinstance(argument, Case)}
-    recordings = {path: folder.digest(path) for path in paths}
+    recordings = {path: checksum(path) for path in paths}
     units = []
     for name, draw in drawings.items():
         read = [argument.recording for argument in draw.args if isinstance(argument, Case)]

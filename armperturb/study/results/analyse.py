@@ -11,10 +11,11 @@ from typing import Any, NamedTuple, Self, TypeVar
 from armperturb.analysis.trials import trials_by_condition
 from armperturb.cohort import Person
 from armperturb.environment import Environment
+from armperturb.files import checksum
 from armperturb.progress import Progress
 from armperturb.recording import load_recording
 from armperturb.study.protocol import THESIS, Protocol
-from armperturb.study.recording.folder import RECORDINGS, digest, find_recordings
+from armperturb.study.recording.folder import RECORDINGS, find_recordings
 from armperturb.study.recording.manifest import Manifest, current_versions, read_manifest
 from armperturb.study.recording.record import record_study, worker_count
 from armperturb.study.recording.settings import BLOCK, StudySettings
@@ -195,7 +196,7 @@ class _Study:
         study = cls(
             root=root,
             settings=settings,
-            paths={path: digest(path) for path in paths},
+            paths={path: checksum(path) for path in paths},
             made=made,
             protocol=made.protocol if made else THESIS,
             environment=environment,
