@@ -2,6 +2,8 @@
 from .analysis.arm.linear_arm import arm_admittance as arm_admittance
 from .analysis.fit.identify import identify as identify
 from .analysis.fit.identify import identify_conditions as identify_conditions
+from .analysis.fit.own_structures import load_structure as load_structure
+from .analysis.fit.own_structures import save_structure as save_structure
 from .analysis.fit.structures import STRUCTURES as STRUCTURES
 from .analysis.fit.structures import Structure as Structure
 from .analysis.measures.vaf import variance_accounted_for as variance_accounted_for

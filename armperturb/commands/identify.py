@@ -3,7 +3,7 @@
 import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.commands.command import Command, Positional, command_line
@@ -12,7 +12,11 @@ from armperturb.extras import MissingExtraError, naming_the_extra
 if TYPE_CHECKING:
     import xarray as xr
 
-OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average")
+    from armperturb.analysis.fit.structures import Structure
+
+Model = Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear"]
+OF_A_STRUCTURE = ("free", "fix", "bounds", "tie", "prior")
+OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", *OF_A_STRUCTURE)
 OF_THE_NONLINEAR_MODEL = ("law", "pulses")
 
 
@@ -23,14 +27,15 @@ class Identify(Command):
     recordings: Positional[tuple[Path, ...]]
     """Recordings of one person to read: netCDF4, or CSV, MATLAB or C3D with a sidecar (see convert); the trials of a
     condition are identified together."""
-    model: Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear"]
+    model: str
     """Model structure: 1 intrinsic and grip; 2 with velocity, 3 with velocity and position feedback; 4, 5 and 6 with
     force, acceleration or both in addition; 3a and 3b total mass and reflexes, with grip, delay and cut-off fixed, 3b
-    without negative gains; nonlinear a muscle law, from all trials of one or both tasks together."""
+    without negative gains; FILE.toml a structure of one's own, see docs/method.md; nonlinear a muscle law, from all
+    trials of one or both tasks together."""
     out: Path
-    """Folder for admittance.csv, parameters.csv, fit.json, and stiffness, damping and inertia at the hand in
-    endpoint.csv and endpoint.svg; of the nonlinear model, for parameters.csv, correlations.csv, predictions.csv,
-    fit.json and pulses.svg, and for checkpoints from which an interrupted search continues."""
+    """Folder for identify.html, which tells all, admittance.csv, parameters.csv, fit.json, and stiffness, damping and
+    inertia at the hand in endpoint.csv and endpoint.svg; of the nonlinear model, for parameters.csv, correlations.csv,
+    predictions.csv, fit.json and pulses.svg, and for checkpoints from which an interrupted search continues."""
     sidecar: Path | None = None
     """Sidecar of all recordings that need one, see docs/recordings.md; by default FILE.json beside each."""
     law: Literal["full", "short-range", "linear", "choose"] | None = None
@@ -40,6 +45,17 @@ class Identify(Command):
     """Directions of the pulses that the nonlinear model is fitted to [deg], e.g. 20 200; the others are predicted."""
     estimator: Estimator = "record"
     """Maximum likelihood on whole records (record) or on mean periods (frequency), or the thesis's trial by trial."""
+    free: tuple[str, ...] = ()
+    """Parameters to estimate in addition, e.g. zeta_act, or i_s=0.05:1 within these bounds; by default within
+    the bounds of human arms."""
+    fix: tuple[str, ...] = ()
+    """Parameters to hold, e.g. k_h=rigid Td=0.03; the name of a quantity is that of its parameters at all joints."""
+    bounds: tuple[str, ...] = ()
+    """Bounds of parameters that are estimated, e.g. fact=1:6."""
+    tie: tuple[str, ...] = ()
+    """Parameters that follow others, e.g. Td_e=Td_s, m_h=0.49*m_tot."""
+    prior: tuple[str, ...] = ()
+    """What is known beside the trials, mean and standard deviation, e.g. m_f=1.8+-0.3; with maximum likelihood only."""
     share: tuple[str, ...] = ()
     """Parameters that are the same in all conditions, e.g. mass grip k_s; with maximum likelihood only."""
     subject: str | None = None
@@ -72,6 +88,7 @@ class Identify(Command):
                 raise ValueError(
                     f"identify: {field.name} = {value!r}; expected {field.default!r} {condition} --model nonlinear"
                 )
+        structure = self._structure() if linear else None
         imported = import_recording(self.recordings, sidecar=self.sidecar)
         (recording,) = select_trials(
             [imported.recording], self.recordings, self.subject, self.condition, single_condition=False
@@ -79,12 +96,33 @@ class Identify(Command):
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         try:
-            lines = self._identify(recording, imported.notes) if linear else self._identify_nonlinear(recording)
+            if structure:
+                lines = self._identify(recording, structure, imported.notes)
+            else:
+                lines = self._identify_nonlinear(recording)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
         return [*imported.notes, *lines, f"results: {self.out}"]
 
-    def _identify(self, recording: "xr.Dataset", notes: tuple[str, ...]) -> list[str]:
+    def _structure(self) -> "Structure":
+        from armperturb.analysis.fit.own_structures import load_structure, with_options
+        from armperturb.analysis.fit.structures import structure_of
+
+        if self.model.endswith(".toml"):
+            base = load_structure(self.model)
+        elif self.model in get_args(Model):
+            base = structure_of(self.model, wide=self.estimator != "thesis")
+        else:
+            known = ", ".join(get_args(Model))
+            raise ValueError(f"identify: model = {self.model!r}; expected one of {known}, or FILE.toml")
+        structure = with_options(base, **{kind: getattr(self, kind) for kind in OF_A_STRUCTURE})
+        if structure.prior and self.estimator == "thesis":
+            raise ValueError(
+                "identify: prior with estimator = 'thesis', which takes none into account; expected --estimator record"
+            )
+        return structure
+
+    def _identify(self, recording: "xr.Dataset", structure: "Structure", notes: tuple[str, ...]) -> list[str]:
         from armperturb.analysis.fit.export import write_identification
         from armperturb.analysis.fit.identify import identify_conditions
         from armperturb.analysis.page.page import Origin, write_page
@@ -99,7 +137,7 @@ class Identify(Command):
         trials = parts_by_condition(recording)
         results = identify_conditions(
             trials,
-            self.model,
+            structure,
             estimator=self.estimator,
             share=self.share,
             window_start=self.window_start,

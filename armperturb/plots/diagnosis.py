@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from armperturb.arrays import Array
 from armperturb.plots.panels import AXES, label_frequency, legend
@@ -96,6 +97,9 @@ def plot_fit_quality(
         for low, high, ratio in bands:
             axes[2].plot((low / 1.03, high * 1.03), (ratio, ratio), color=colours[label], linewidth=2.6)
     axes[2].set(title="left over noise", yscale="log")
+    axes[2].yaxis.set_major_locator(LogLocator(10, (1.0, 2.0, 5.0)))
+    axes[2].yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes[2].yaxis.set_minor_locator(NullLocator())
     for ax in axes:
         label_frequency(ax)
     if len(coherence) > 1:

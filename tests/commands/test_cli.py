@@ -278,6 +278,39 @@ def test_study_draws_the_people_that_are_asked_for(tmp_path, monkeypatch, muscle
     assert asked == [muscles or "nonlinear"]
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--model", "9"], "identify: model = '9'; expected one of 1, 2, 3, 4, 5, 6, 3a, 3b, nonlinear, or FILE.toml"),
+        (["--model", "none.toml"], "none.toml"),
+        (["--model", "1", "--free", "k_x"], "free parameter 'k_x' is unknown; expected one of m_h"),
+        (["--model", "1", "--bounds", "k_h=5:1"], "bounds of k_h = 5.0 to 1.0; expected a lower and a higher"),
+        (["--model", "1", "--prior", "m_f=2+-0"], "prior of m_f = 2.0 +- 0.0; expected a width above 0"),
+        (
+            ["--model", "1", "--prior", "m_f=2+-1", "--estimator", "thesis"],
+            "identify: prior with estimator = 'thesis', which takes none into account; expected --estimator record",
+        ),
+        (["--model", "nonlinear", "--fix", "k_h=rigid"], "fix = ('k_h=rigid',); expected () with --model nonlinear"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_bad_structures_end_in_one_line(tmp_path, capsys, options, message):
+    assert message in refused(capsys, "identify", RECORDING, *options, "--out", tmp_path / "r")
+
+
+def test_a_structure_of_options_is_that_of_its_file(tmp_path):
+    (tmp_path / "mine.toml").write_text("base = '1'\n[fixed]\nk_h = 'rigid'\n[prior]\nm_f = [1.8, 0.2]\n")
+    common = ("identify", RECORDING, "--estimator", "frequency", "--out")
+    assert run(*common, tmp_path / "a", "--model", tmp_path / "mine.toml") == 0
+    assert run(*common, tmp_path / "b", "--model", "1", "--fix", "k_h=rigid", "--prior", "m_f=1.8+-0.2") == 0
+    tables = [list(csv.DictReader((tmp_path / name / "parameters.csv").read_text().splitlines())) for name in "ab"]
+    assert [row["parameter"] for row in tables[0]] == ["m_h", "m_f", "b_s", "b_se", "b_e", "k_s", "k_se", "k_e"]
+    for one, other in zip(*tables, strict=True):
+        assert (one["value"], one["standard_error"]) == (other["value"], other["standard_error"])
+    model = json.loads((tmp_path / "b" / "fit.json").read_text())
+    assert "1 with fix k_h=rigid, prior m_f=1.8+-0.2" in str(model)
+
+
 UNKNOWN = ["identify", "r.nc", "--model", "1", "--estimator", "guess", "--out", "x"]
 
 
@@ -343,7 +376,7 @@ def test_a_file_that_cannot_be_written_is_named_as_the_user_did(tmp_path, monkey
 
 def test_usage_errors_leave_with_a_status(capsys):
     no_muscles = ["study", "--out", "x", "--muscles", "soft"]
-    for arguments in ([], ["fly"], ["identify", "r.nc", "--model", "9", "--out", "x"], UNKNOWN, no_muscles):
+    for arguments in ([], ["fly"], UNKNOWN, no_muscles):
         with pytest.raises(SystemExit) as caught:
             cli.main(arguments)
         assert caught.value.code != 0

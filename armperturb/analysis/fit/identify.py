@@ -206,7 +206,8 @@ def identify(
     Args:
       trials: of any perturbation, from rest or amid the movement; or several recordings, which may differ in length. Of
         a larger recording, `recording.sel` or `.isel` picks them.
-      model: structure or its name, see `structures.STRUCTURES`.
+      model: structure, or its name (see `structures.STRUCTURES`), which keeps the thesis's bounds with the thesis's
+        estimator only.
       estimator: "thesis", "frequency" or "record".
       window_start: start of the window of whole periods, after the transient has died away [s].
       period: of the disturbance [s]; None to find it.
@@ -243,7 +244,8 @@ def identify_conditions(
     Args:
       trials: condition to trials of one subject, those of one length together, or their recordings; a condition's have
         the same posture.
-      model: structure or its name, see `structures.STRUCTURES`.
+      model: structure, or its name (see `structures.STRUCTURES`), which keeps the thesis's bounds with the thesis's
+        estimator only.
       estimator: "thesis", "frequency" or "record".
       share: parameters that are the same in all conditions, see `maximum_likelihood.estimate`.
       window_start: start of the window of whole periods, after the transient has died away [s].
@@ -258,7 +260,7 @@ def identify_conditions(
       ValueError: as `identify`; or the thesis's estimator is to share parameters, but fits each trial alone.
     """
     require_one_of("identify", "estimator", estimator, get_args(Estimator))
-    model = structure_of(model)
+    model = structure_of(model, wide=estimator != "thesis")
     if estimator == "thesis" and share:
         raise ValueError(
             f"identify: share = {', '.join(share)}; expected nothing with estimator = 'thesis', which fits each trial "

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.arm.linear_arm import LinearArm
 from armperturb.analysis.fit.group import Group, Method
 from armperturb.analysis.fit.likelihood import LackOfFit, Likelihood, Normal
 from armperturb.analysis.fit.structures import PUBLISHED, unit
@@ -66,6 +66,12 @@ class JointLikelihood:
         for name, lower, upper in zip(self.names, self.lower, self.upper, strict=True):
             if not lower < upper:
                 raise ValueError(f"bounds of the shared {name} cross ({lower:g} to {upper:g}); expected some overlap")
+        self._known, self._sharpness = np.zeros(len(self.names)), np.zeros(len(self.names))
+        for group, columns in zip(self.groups, self.columns, strict=True):
+            for name, (mean, sd) in group.structure.prior.items():
+                column = columns[group.structure.free.index(name)]
+                self._known[column], self._sharpness[column] = mean, sd**-2
+        self._arms = [LinearArm(group.body, ()) for group in self.groups]
 
     def initial(self, given: Mapping[str, float]) -> Array:
         """Given values, and where there is none the mean over the groups of where linear least squares would start."""
@@ -123,8 +129,12 @@ class JointLikelihood:
 
     def pole(self, values: Array) -> float:
         """Largest real part of a pole of any arm on its environment [1/s]."""
-        arms = zip(self.arms(values), self.groups, strict=True)
-        return max(largest_real_pole(arm, group.environment) for arm, group in arms)
+        # Of what is no arm, too, as a search may ask for a joint inertia that is not positive.
+        every = zip(self._arms, self.groups, self.columns, strict=True)
+        return max(
+            float(arm.poles(group.structure.parameters(group.body.task, values[columns]), group.environment).real.max())
+            for arm, group, columns in every
+        )
 
     def _with_parameters(self, values: Array, effects: Effects | None) -> Iterator[tuple[Likelihood, Array]]:
         likelihoods = (likelihood for _, likelihood in self.parts)
@@ -136,17 +146,23 @@ class JointLikelihood:
             likelihood.weigh(parameters)
 
     def cost(self, values: Array, effects: Effects | None = None) -> float:
-        """Sum of squares of the white residual."""
-        return sum(likelihood.cost(parameters) for likelihood, parameters in self._with_parameters(values, effects))
+        """Sum of squares of the white residual, and of the distance from what is known beside the trials."""
+        every = self._with_parameters(values, effects)
+        return sum((likelihood.cost(parameters) for likelihood, parameters in every), self._distance(values))
 
     def objective(self, values: Array) -> float:
-        """Minus twice the log-likelihood, up to a constant."""
-        return sum(likelihood.objective(parameters) for likelihood, parameters in self._with_parameters(values, None))
+        """Minus twice the log-likelihood, or posterior probability where something is known, up to a constant."""
+        every = self._with_parameters(values, None)
+        return sum((likelihood.objective(parameters) for likelihood, parameters in every), self._distance(values))
+
+    def _distance(self, values: Array) -> float:
+        """Squared distance from what is known beside the trials, in standard deviations."""
+        return float(self._sharpness @ (values - self._known) ** 2)
 
     def normal(self, values: Array) -> Normal:
         """Normal equations of a Gauss-Newton step, of all likelihoods together."""
-        cost, slope = 0.0, np.zeros((1, len(self.names)))
-        information = np.zeros((1, len(self.names), len(self.names)))
+        cost, slope = self._distance(values), (self._sharpness * (self._known - values))[None]
+        information = np.diag(self._sharpness)[None].copy()
         for (at, likelihood), parameters in zip(self.parts, self.parameters(values), strict=True):
             part, columns = likelihood.normal(parameters, self.groups[at].structure.mixing), self.columns[at]
             cost += part.cost
@@ -155,7 +171,7 @@ class JointLikelihood:
         return Normal(cost, slope, information)
 
     def scores(self, values: Array, effects: Effects) -> list[TrialScore]:
-        """What each trial tells, about trials with these effects."""
+        """What each trial tells, about trials with these effects; last, as one that has none, what is known beside."""
         by_trial = []
         every = zip(self.parts, self.parameters(values, effects), effects, strict=True)
         for (at, likelihood), parameters, of_trials in every:
@@ -164,6 +180,9 @@ class JointLikelihood:
             for slope, information, effect in zip(part.slopes, part.informations, of_trials, strict=True):
                 score = slope + information @ (design @ effect)
                 by_trial.append(TrialScore(self.columns[at], score, information, design))
+        if self._sharpness.any():
+            score, design = self._sharpness * (self._known - values), np.zeros((len(values), len(QUANTITIES)))
+            by_trial.append(TrialScore(range(len(values)), score, np.diag(self._sharpness), design))
         return by_trial
 
     def lack_of_fit(self, values: Array, effects: Effects | None = None) -> LackOfFit:

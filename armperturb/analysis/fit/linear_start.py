@@ -20,6 +20,9 @@ from armperturb.subject import Subject
 N_TRIED = 3
 """Delays, and cut-offs, that are tried between their bounds."""
 
+WIDE = 4.0
+"""Upper over lower bound from which on those that are tried are spread by their ratio [-]."""
+
 _NONLINEAR = [
     PARAMETERS.index(name)
     for name in ("b_h", "k_h", "kf_s", "kf_se", "kf_e", "Td_s", "Td_e", "fact_s", "fact_e", "zeta_act")
@@ -62,7 +65,8 @@ def _guesses(structure: Structure) -> list[Array]:
         for columns, share in chosen:
             for column in columns:
                 lower, upper = structure.bounds[structure.free[column]]
-                guess[column] = lower + share * (upper - lower)
+                by_ratio = upper > WIDE * lower > 0.0
+                guess[column] = lower * (upper / lower) ** share if by_ratio else lower + share * (upper - lower)
         guesses.append(guess)
     return guesses
 

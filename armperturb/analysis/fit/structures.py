@@ -20,7 +20,7 @@ Bounds = tuple[float, float]
 PUBLISHED = packaged_table(__package__, "structures.toml")
 """Tables of the file beside this module."""
 _DEFAULTS = {each.name: each.default for each in fields(Subject) if isinstance(each.default, float)}
-_AT_LEAST_ZERO = ("b_s", "b_se", "b_e", "k_s", "k_se", "k_e", "b_h")
+_AT_LEAST_ZERO = ("b_s", "b_e", "k_s", "k_e", "b_h")
 _ABOVE_ZERO = ("m_h", "m_f", "k_h", "Td_s", "Td_e", "fact_s", "fact_e")
 
 
@@ -28,6 +28,13 @@ def unit(parameter: str) -> str:
     """SI unit of a parameter."""
     units = PUBLISHED["units"]
     return str(units.get(parameter) or units[parameter.partition("_")[0]])
+
+
+def wide_bounds(parameter: str) -> tuple[float, float, float] | None:
+    """Least, usual and greatest value that a human arm can have, SI; None of what is no parameter of an arm."""
+    wide, quantity = PUBLISHED["wide"], parameter.partition("_")[0]
+    values = wide.get(parameter) or (wide.get(quantity) if parameter in PARAMETERS else None)
+    return None if values is None else (float(values[0]), float(values[1]), float(values[2]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,11 +54,14 @@ class Structure:
       initial: value of each free parameter, SI; the default start of a fit.
       fixed: task to the value of parameters that are not estimated, SI.
       tied: parameter to the free ones whose weighted sum it is: {"m_h": {"m_tot": 0.49}}.
+      prior: free parameter to mean and standard deviation of what is known of it beside the trials, SI: a normal
+        distribution, which maximum likelihood estimates take into account.
       mixing: derivative of an arm's parameters by the free ones, (arm parameter, free parameter); follows from these.
 
     Raises:
-      ValueError: a name is unknown, a parameter is free, tied or fixed at the same time, or missing, bounds cross or
-        hold values that no arm can have, or an initial value is missing or outside its bounds.
+      ValueError: a name is unknown, a parameter is free, tied or fixed at the same time, or missing, ties form a
+        circle, bounds cross or hold values that no arm can have, an initial value is missing or outside its bounds, or
+        a prior has no width or a mean outside the bounds.
     """
 
     name: str
@@ -59,6 +69,7 @@ class Structure:
     initial: Mapping[str, float]
     fixed: Mapping[str, Mapping[str, float]]
     tied: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     mixing: Array = field(init=False, repr=False)
     _constant: Mapping[str, Array] = field(init=False, repr=False)
 
@@ -103,6 +114,7 @@ class Structure:
                 self._fail(f"tied parameter {name!r} is unknown; expected one of {', '.join(PARAMETERS)}")
             if name in self.bounds:
                 self._fail(f"{name} is both free and tied; expected one of them")
+            self._check_circle(name)
             for driver, share in shares.items():
                 if driver not in self.bounds:
                     self._fail(f"{name} is tied to {driver!r}, which is not free; expected {', '.join(self.bounds)}")
@@ -118,6 +130,14 @@ class Structure:
             for name in PARAMETERS:
                 if not (name in self.bounds or name in self.tied or name in values or name in _DEFAULTS):
                     self._fail(f"{name} is neither free nor tied nor fixed ({task}); expected one of them")
+
+    def _check_circle(self, name: str) -> None:
+        way = [name]
+        while (driver := next((each for each in self.tied.get(way[-1], ()) if each in self.tied), None)) not in way:
+            if driver is None:
+                return
+            way.append(driver)
+        self._fail(f"ties in a circle: {' to '.join([*way, driver])}; expected one of them free or fixed")
 
     def _check_values(self) -> None:
         if not self.bounds:
@@ -136,8 +156,16 @@ class Structure:
                 self._fail(f"initial value of {name} = {self.initial[name]!r}; expected {lower:g} to {upper:g}")
         for task, values in self.fixed.items():
             for name, value in values.items():
-                if not math.isfinite(value):
+                if not math.isfinite(value) and (name, value) != ("k_h", math.inf):
                     self._fail(f"{name} = {value!r} is fixed ({task}); expected a finite number")
+        for name, (mean, sd) in self.prior.items():
+            if name not in self.bounds:
+                self._fail(f"prior of {name!r}, which is not free; expected one of {', '.join(self.bounds)}")
+            lower, upper = self.bounds[name]
+            if not (math.isfinite(sd) and sd > 0.0):
+                self._fail(f"prior of {name} = {mean!r} +- {sd!r}; expected a width above 0")
+            if not lower <= mean <= upper:
+                self._fail(f"prior of {name} = {mean!r} +- {sd!r}; expected a mean of {lower:g} to {upper:g}")
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -199,6 +227,7 @@ class Structure:
             initial={name: value for name, value in self.initial.items() if name in bounds},
             fixed={task: {**fixed, **physical, **follow} for task, fixed in self.fixed.items()},
             tied=tied,
+            prior={name: known for name, known in self.prior.items() if name in bounds},
         )
 
     def freeing(self, **free: tuple[float, float, float]) -> Self:
@@ -235,7 +264,31 @@ class Structure:
             initial={name: value for name, value in self.initial.items() if name not in tied},
             fixed=self._fixed_without(tied),
             tied={**self.tied, **tied},
+            prior={name: known for name, known in self.prior.items() if name not in tied},
         )
+
+    def knowing(self, **prior: tuple[float, float]) -> Self:
+        """The structure in which these free parameters are known beside the trials.
+
+        Args:
+          **prior: name to mean and standard deviation, SI.
+
+        Raises:
+          ValueError: as the class.
+        """
+        return replace(self, name=f"{self.name} variant", prior={**self.prior, **prior})
+
+    def widened(self) -> Self:
+        """The same structure within the bounds of what a human arm can have.
+
+        Feedback gains that may not be negative stay so: that is what the structure says, not how far it looks.
+        """
+        wide = {}
+        for name, (lower, upper) in self.bounds.items():
+            least, _, most = wide_bounds(name) or (lower, 0.0, upper)
+            is_positive = name.startswith(("kv_", "kp_", "ka_", "kf_")) and lower >= 0.0
+            wide[name] = (lower if is_positive else least, most)
+        return replace(self, bounds=wide)
 
     def _fixed_without(self, names: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         return {
@@ -265,15 +318,19 @@ STRUCTURES = MappingProxyType({name: _published(name) for name in PUBLISHED["str
 mass, velocity and position feedback, with (3a) and without (3b) negative gains; grip, delay and cut-off fixed."""
 
 
-def structure_of(model: Structure | str) -> Structure:
+def structure_of(model: Structure | str, *, wide: bool = False) -> Structure:
     """A structure, or the one of that name.
+
+    Args:
+      model: a structure, which is returned as it is, or its name.
+      wide: whether the one of that name is `Structure.widened`; its bounds are otherwise those of the thesis.
 
     Raises:
       ValueError: there is none of that name.
     """
     if isinstance(model, str):
         require_one_of("structure", "model", model, list(STRUCTURES))
-        return STRUCTURES[model]
+        return STRUCTURES[model].widened() if wide else STRUCTURES[model]
     return model
 
 
@@ -295,6 +352,6 @@ def at_truth(structure: Structure, truth: Subject) -> Structure:
 
 def true_values(truth: Subject, structure: Structure) -> Array:
     """Values of a structure's free parameters that are nearest to an arm, (parameter,), SI."""
-    fixed = structure.parameters(truth.task, np.zeros(len(structure.free)))
     free = structure.mixing.any(axis=1)
-    return np.asarray(np.linalg.lstsq(structure.mixing[free], (parameter_vector(truth) - fixed)[free], rcond=None)[0])
+    others = parameter_vector(truth)[free] - structure.constant(truth.task)[free]
+    return np.asarray(np.linalg.lstsq(structure.mixing[free], others, rcond=None)[0])

@@ -7,6 +7,7 @@ import numpy as np
 
 from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
 from armperturb.analysis.fit.identify import identify_conditions
+from armperturb.analysis.fit.structures import structure_of
 from armperturb.analysis.nonlinear.model import QUANTITIES, Parameters, bounds, coordinate, stem
 from armperturb.analysis.nonlinear.problem import Problem, State
 from armperturb.analysis.trials import ConditionTrials
@@ -66,7 +67,8 @@ def linear_arms(
                 f"{length:g} s from {window_start:g} s on (an earlier --window-start)"
             )
         parts = {label: (trials,) for label, trials in wide.items()}
-        results = identify_conditions(parts, LINEAR_MODELS[task], window_start=window_start, period=period)
+        structure = structure_of(LINEAR_MODELS[task])
+        results = identify_conditions(parts, structure, window_start=window_start, period=period)
         arms |= {label: result.fit.arm for label, result in results.items()}
     return arms
 

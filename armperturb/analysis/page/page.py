@@ -14,7 +14,7 @@ from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.measures.endpoint import EndpointImpedance, is_straight
 from armperturb.analysis.page import figures
 from armperturb.analysis.page.data_check import DataCheck, check_data
-from armperturb.analysis.page.verdict import likely_causes, unknowns, verdict
+from armperturb.analysis.page.verdict import likely_causes, nonlinearity, unknowns, verdict
 from armperturb.analysis.response.best_linear import BestLinear, best_linear
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.frequency_response import FrequencyResponse
@@ -90,7 +90,7 @@ def _content(results: Identifications, trials: Mapping[str, Sequence[ConditionTr
     endpoints = {
         label: result.endpoint() for label, result in results.items() if not is_straight(result.fit.arm.theta_e_deg)
     }
-    responses = {label: _response(result, trials[label], distortions[label]) for label, result in results.items()}
+    responses = {label: _response(result, trials[label], checks[label].period) for label, result in results.items()}
     pictures = {
         "parameters": figures.parameters(results),
         "admittance": figures.admittance(results, responses),
@@ -108,7 +108,7 @@ def _content(results: Identifications, trials: Mapping[str, Sequence[ConditionTr
         for label, result in results.items()
         if verdicts[label].level != "trust"
     }
-    nonlinear = {label: each.describe().facts[0] for label, each in distortions.items() if each is not None}
+    nonlinear = {label: nonlinearity(each).evidence for label, each in distortions.items() if label not in causes}
     sections: dict[str, dict[str, Any]] = {
         "parameters": {"rows": _parameter_rows(results), "verdicts": verdicts},
         "endpoint": {"rows": _endpoint_rows(endpoints)},
@@ -154,14 +154,10 @@ def _distortion(parts: Sequence[ConditionTrials], check: DataCheck) -> BestLinea
         return None
 
 
-def _response(
-    result: Identification, parts: Sequence[ConditionTrials], distortion: BestLinear | None
-) -> FrequencyResponse:
+def _response(result: Identification, parts: Sequence[ConditionTrials], period: float | None) -> FrequencyResponse:
     """The admittance without a model, with limits where trials allow any."""
-    if distortion is not None:
-        return distortion.response
     try:
-        return response(parts, "noise")
+        return response(parts, "noise") if period is None else response(parts, "multisine", period=period)
     except ValueError:
         spectra = result.spectra
         return FrequencyResponse(frequency=spectra.frequency, response=spectra.arm, covariance=None, what="arm")

@@ -122,7 +122,7 @@ def likely_causes(
             "Free delays and cut-offs: --free Td_s Td_e fact_s fact_e.",
             middle > SUPPORTED,
         ),
-        _nonlinearity(distortion),
+        nonlinearity(distortion),
     ]
     return causes
 
@@ -134,7 +134,8 @@ def _share(bands: Sequence[BandOfLack], low: float, high: float) -> float:
     return sum(part for middle, part in excess if low <= middle < high) / total if total else 0.0
 
 
-def _nonlinearity(distortion: BestLinear | None) -> Cause:
+def nonlinearity(distortion: BestLinear | None) -> Cause:
+    """How nonlinear the arm is, where that is known."""
     remedy = "Identify a muscle law: --model nonlinear; or perturb less."
     if distortion is None:
         return Cause(

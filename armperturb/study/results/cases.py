@@ -12,6 +12,7 @@ from armperturb.analysis.cuts import of_condition
 from armperturb.analysis.defaults import LINEAR_MODELS, WINDOW_START
 from armperturb.analysis.fit.identify import Identification, identify, identify_conditions
 from armperturb.analysis.fit.maximum_likelihood import Estimate
+from armperturb.analysis.fit.structures import structure_of
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.response.spectra import SpectralEstimate, single_trial_spectra
 from armperturb.analysis.results import Description, Result
@@ -138,7 +139,7 @@ def _identify(
     try:
         return replace(
             case,
-            identification=identify(multisine, LINEAR_MODELS[condition.task]),
+            identification=identify(multisine, structure_of(LINEAR_MODELS[condition.task])),
             single_trials=single_trial_spectra(multisine),
             force=_rms(multisine.perturbation, multisine.rate),
             displacement=_rms(multisine.recorded_displacement, multisine.rate),

@@ -235,6 +235,27 @@ def test_an_unstable_start_is_made_stable(position_group):
         assert found.values[name] == pytest.approx(value, abs=0.1 * usual.standard_error[name])
 
 
+def test_a_prior_is_weighed_with_the_trials_by_its_width(position_group):
+    structure = position_group.structure
+    usual = estimate([position_group], "frequency")
+    value, error = usual.values["k_s"], usual.standard_error["k_s"] / np.sqrt(usual.dispersion)
+    for width in (0.01 * error, error):
+        known = replace(position_group, structure=structure.knowing(k_s=(value + 2.0 * error, width)))
+        found = estimate([known], "frequency")
+        share = error**2 / (error**2 + width**2)
+        assert found.converged
+        # Of a normal likelihood; the noise is estimated anew, and the model is not linear.
+        assert found.values["k_s"] == pytest.approx(value + 2.0 * share * error, abs=0.1 * error)
+        assert found.standard_error["k_s"] == pytest.approx(width * np.sqrt(share * found.dispersion), rel=0.05)
+
+
+def test_a_prior_identifies_what_no_trial_does(relax):
+    silent = STRUCTURES["1"].freeing(Td_s=(0.02, 0.03, 0.04)).knowing(Td_s=(0.031, 0.002))
+    found = estimate([group_of(relax, silent)], "frequency")
+    assert found.values["Td_s"] == pytest.approx(0.031, abs=1e-6)
+    assert found.standard_error["Td_s"] == pytest.approx(0.002 * np.sqrt(found.dispersion), rel=1e-6)
+
+
 def test_structures_that_no_trial_identifies_are_refused_with_the_direction(relax):
     silent = STRUCTURES["1"].freeing(Td_s=(0.02, 0.03, 0.04))
     with pytest.raises(ValueError, match=r"Td_s cannot be identified: no effect on the movement"):
