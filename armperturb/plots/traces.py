@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from armperturb.arrays import Array
+from armperturb.arrays import Array, Indices
 from armperturb.plots.panels import AXES, legend
 from armperturb.plots.style import PALE, PALETTE, figure_for, in_style
 
@@ -54,7 +54,7 @@ def plot_traces(signals: tuple[Array, Array, Array], rate: float, figure: Figure
     return axes
 
 
-def outline(values: Array) -> tuple[Array, Array]:
+def outline(values: Array) -> tuple[Indices, Array]:
     """Samples and values of a trace that looks the same in print: the extremes of each of `COLUMNS` pieces.
 
     Args:
