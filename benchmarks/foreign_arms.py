@@ -17,6 +17,7 @@ import numpy as np
 
 from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.structures import STRUCTURES, Structure
+from armperturb.analysis.measures.start_geometry import in_start_geometry
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -44,7 +45,7 @@ def right_structure(truth: dict) -> Structure:
     return structure.fixing(k_h=1e9, b_h=0.0)
 
 
-def judge(seed: int, with_mujoco: bool, model: str | None, given: dict) -> dict:
+def judge(seed: int, with_mujoco: bool, corrected: bool, model: str | None, given: dict) -> dict:
     """Draw, record and identify one arm."""
     import foreign_arms
     import foreign_mujoco
@@ -58,7 +59,8 @@ def judge(seed: int, with_mujoco: bool, model: str | None, given: dict) -> dict:
     recording = setup.recording(foreign_mujoco.simulate if with_mujoco else foreign_arms.simulate)
     start = time.process_time()
     try:
-        result = identify(recording, model or right_structure(truth))
+        trials = in_start_geometry(recording) if corrected else recording
+        result = identify(trials, model or right_structure(truth))
     except ValueError as error:
         return row | {"refused": str(error)}
     fit, detail = result.fit, result.fit.detail
@@ -100,6 +102,7 @@ def main() -> None:
     parser.add_argument("--n", type=int, default=40, help="arms")
     parser.add_argument("--seed", type=int, default=0, help="of the first arm; the others follow")
     parser.add_argument("--mujoco", action="store_true", help="MuJoCo as the engine")
+    parser.add_argument("--corrected", action="store_true", help="without what the arm's geometry makes nonlinear")
     parser.add_argument("--model", help="a structure for all arms; by default the right one")
     parser.add_argument("--given", type=json.loads, default={}, help='of every arm, e.g. \'{"kind": "multisine"}\'')
     parser.add_argument("--out", type=Path, help="file of JSON lines")
@@ -109,7 +112,8 @@ def main() -> None:
         rows = [json.loads(line) for line in asked.out.read_text(encoding="utf-8").splitlines()]
     left = sorted({*range(asked.seed, asked.seed + asked.n)} - {row["seed"] for row in rows})
     with ProcessPoolExecutor(2) as pool:
-        waiting = [pool.submit(judge, seed, asked.mujoco, asked.model, dict(asked.given)) for seed in left]
+        options = asked.mujoco, asked.corrected, asked.model, asked.given
+        waiting = [pool.submit(judge, seed, *options) for seed in left]
         for future in as_completed(waiting):
             rows.append(future.result())
             if asked.out:

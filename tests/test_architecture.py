@@ -15,7 +15,7 @@ BASE = {"arrays", "validation", "extras", "seeds", "files", "foreign", "recordin
 BASE |= {"muscle_law", "subject", "environment"}
 ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.force_balance",
-    "analysis.trials", "analysis.numerics", "analysis.results", "plots",
+    "analysis.trials", "analysis.numerics", "analysis.results", "plots", "anthropometry",
 }  # fmt: skip
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear"}
 LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 Model = Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear"]
 OF_A_STRUCTURE = ("free", "fix", "bounds", "tie", "prior")
-OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", *OF_A_STRUCTURE)
+OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", "body", *OF_A_STRUCTURE)
 OF_THE_NONLINEAR_MODEL = ("law", "pulses")
 
 
@@ -33,9 +33,10 @@ class Identify(Command):
     without negative gains; FILE.toml a structure of one's own, see docs/method.md; nonlinear a muscle law, from all
     trials of one or both tasks together."""
     out: Path
-    """Folder for identify.html, which tells all, admittance.csv, parameters.csv, fit.json, and stiffness, damping and
-    inertia at the hand in endpoint.csv and endpoint.svg; of the nonlinear model, for parameters.csv, correlations.csv,
-    predictions.csv, fit.json and pulses.svg, and for checkpoints from which an interrupted search continues."""
+    """Folder for identify.html, which tells all, admittance.csv, parameters.csv, fit.json, structure.toml, and
+    stiffness, damping and inertia at the hand in endpoint.csv and endpoint.svg; of the nonlinear model, for
+    parameters.csv, correlations.csv, predictions.csv, fit.json and pulses.svg, and for checkpoints from which an
+    interrupted search continues."""
     sidecar: Path | None = None
     """Sidecar of all recordings that need one, see docs/recordings.md; by default FILE.json beside each."""
     law: Literal["full", "short-range", "linear", "choose"] | None = None
@@ -56,6 +57,9 @@ class Identify(Command):
     """Parameters that follow others, e.g. Td_e=Td_s, m_h=0.49*m_tot."""
     prior: tuple[str, ...] = ()
     """What is known beside the trials, mean and standard deviation, e.g. m_f=1.8+-0.3; with maximum likelihood only."""
+    body: tuple[Literal["male", "female"], float, float] | None = None
+    """Sex, height [m] and body mass [kg]: what tables (de Leva 1996) tell of the joint inertia becomes a prior; needs
+    --fix m=0 --free i, or a model that has them."""
     share: tuple[str, ...] = ()
     """Parameters that are the same in all conditions, e.g. mass grip k_s; with maximum likelihood only."""
     subject: str | None = None
@@ -116,7 +120,12 @@ class Identify(Command):
             known = ", ".join(get_args(Model))
             raise ValueError(f"identify: model = {self.model!r}; expected one of {known}, or FILE.toml")
         structure = with_options(base, **{kind: getattr(self, kind) for kind in OF_A_STRUCTURE})
-        if structure.prior and self.estimator == "thesis":
+        if self.body and "i_s" not in structure.free:
+            raise ValueError(
+                f"identify: body = {self.body!r} with model {structure.name}; expected one whose joint inertia is free "
+                "(--fix m=0 --free i)"
+            )
+        if (structure.prior or self.body) and self.estimator == "thesis":
             raise ValueError(
                 "identify: prior with estimator = 'thesis', which takes none into account; expected --estimator record"
             )
@@ -125,6 +134,7 @@ class Identify(Command):
     def _identify(self, recording: "xr.Dataset", structure: "Structure", notes: tuple[str, ...]) -> list[str]:
         from armperturb.analysis.fit.export import write_identification
         from armperturb.analysis.fit.identify import identify_conditions
+        from armperturb.analysis.fit.own_structures import inertia_prior, save_structure
         from armperturb.analysis.page.page import Origin, write_page
         from armperturb.analysis.trials import parts_by_condition
         from armperturb.files import checksum
@@ -135,6 +145,11 @@ class Identify(Command):
                 f"trials of the tasks {' and '.join(tasks)}; expected only one task (choose a --condition)"
             )
         trials = parts_by_condition(recording)
+        if self.body:
+            person = next(iter(trials.values()))[0].body
+            structure = structure.knowing(**inertia_prior(person, *self.body)).named(
+                f"{structure.name}, body from tables"
+            )
         results = identify_conditions(
             trials,
             structure,
@@ -145,6 +160,7 @@ class Identify(Command):
             lines_per_average=self.lines_per_average,
         )
         write_identification(results, self.out)
+        save_structure(structure, self.out / "structure.toml")
         origin = Origin(
             command=command_line(self),
             files={path.name: checksum(path) for path in self.recordings},

@@ -11,42 +11,73 @@ import numpy as np
 from numba import njit
 
 from armperturb.arrays import Array, Indices
-from armperturb.controllers.compiled import (
-    Lane,
-    Memory,
-    act,
-    between,
-    bond_after,
-    delayed,
-    spindle_velocity,
-    thinned_torque,
-)
+from armperturb.controllers.compiled import Lane, Memory, act, delayed
 from armperturb.controllers.lanes import PARTS, Table
 from armperturb.planar_arm.lanes import GROUP, Start
+from armperturb.planar_arm.muscles import add_yielding, put_reflexes
+from armperturb.planar_arm.rows import (
+    B_E,
+    B_ENV,
+    B_H,
+    B_S,
+    B_SE,
+    BOND,
+    COUPLING,
+    DAMPING,
+    DENOMINATOR,
+    DIRECTION,
+    ELEMENT,
+    EXCITATION,
+    FILTER,
+    HAND_X,
+    HAND_Y,
+    INERTIA_E,
+    INERTIA_S,
+    INTACT,
+    K_E,
+    K_ENV,
+    K_H,
+    K_S,
+    K_SE,
+    KP,
+    KV,
+    KV_GROUP,
+    L_F,
+    L_H,
+    LAST,
+    LATE,
+    LAW,
+    LIMIT,
+    LIMIT_SLOPE,
+    LOSS,
+    LOWER,
+    M_ENV,
+    NUMERATOR,
+    PERSISTENCE,
+    POSTURE,
+    PUSH,
+    Q_E,
+    Q_S,
+    RING,
+    SATURATION,
+    SHARE,
+    SHORT_RANGE,
+    SLOWER,
+    STEPS,
+    STIFFNESS,
+    THINNING,
+    TORQUE,
+    UPPER,
+    V_BEFORE,
+    V_X,
+    V_Y,
+    W_E,
+    W_S,
+    X,
+    Y,
+)
 
 State = tuple[float, ...]
-
-(Q_S, Q_E, X, Y, W_S, W_E, V_X, V_Y) = range(8)
-PUSH, TORQUE = 8, 14
-(UPPER, LOWER, L_H, L_F, K_H, B_H, HAND_X, HAND_Y, INERTIA_S, INERTIA_E, COUPLING) = range(20, 31)
-(K_S, K_SE, K_E, B_S, B_SE, B_E, M_ENV, B_ENV, K_ENV) = range(31, 40)
-V_BEFORE, LAW = 40, 42
-(STRETCH, VELOCITY, INTACT, LOSS, PERSISTENCE, STIFFNESS, DAMPING, THINNING, SHORT_RANGE, LAST, TAKEN) = range(11)
-BOND, LIMIT, LIMIT_SLOPE = range(11, 11 + 3 * PARTS, PARTS)
-ELEMENT = 11 + 3 * PARTS
-REFLEX = LAW + 3 * ELEMENT
-(KV, KP, KV_GROUP, SATURATION, DIRECTION) = range(REFLEX, REFLEX + 15, 3)
-(POSTURE, EXCITATION, ACTIVE, FILTER, SLOWER) = range(REFLEX + 15, REFLEX + 25, 2)
-NUMERATOR, DENOMINATOR = REFLEX + 25, REFLEX + 31
-(STEPS, SHARE, LATE) = range(REFLEX + 37, REFLEX + 49, 4)
-BEFORE, OLDER, NEWER, AFTER = range(REFLEX + 49, REFLEX + 65, 4)
-RING = REFLEX + 65
-"""Rows of a group's numbers: state, force and torque at the start, middle and end of a step (x and y, or shoulder and
-elbow, of each), constants, velocities of the step before. From `LAW` on those of the muscle law, for each element
-`ELEMENT` rows, which are numbered from its first. From `REFLEX` on those of the reflexes: feedback of joints and
-spindles; excitation, active torque, states and coefficients of its filter; of the delayed torques in the middle and at
-the end of a step how many steps ago the sample after them was sent, their share of the way to it, and the four samples
-about them. From `RING` on the active torques of the last steps."""
 
 PI_REMAINDER = 1.2246467991473532e-16
 """What pi has beyond its nearest number."""
@@ -163,111 +194,6 @@ def _advance(w: Array, timestep: float) -> None:
         finite = 1.0 if abs(z[0]) + abs(z[1]) < 1e3 else np.nan
         w[Q_S, i], w[Q_E, i], w[X, i], w[Y, i] = finite * z[0], finite * z[1], finite * z[2], finite * z[3]
         w[W_S, i], w[W_E, i], w[V_X, i], w[V_Y, i] = finite * z[4], finite * z[5], finite * z[6], finite * z[7]
-
-
-@njit(cache=True, forceinline=True, error_model="numpy")
-def _yield(w: Array, timestep: float) -> None:
-    """Add to a group's torques what muscle laws take from springs and dampers over a step; `law_torque` of all lanes.
-
-    Parts are written out and an element's rows lie together, because only innermost loops are vectorised whose rows
-    have fixed distances.
-    """
-    both = LAW + ELEMENT
-    for i in range(GROUP):
-        for joint in range(2):
-            e = LAW + 2 * joint * ELEMENT
-            w[e + STRETCH, i] = w[Q_S + joint, i] + 0.5 * timestep * w[W_S + joint, i]
-            w[e + VELOCITY, i] = 1.5 * w[W_S + joint, i] - 0.5 * w[V_BEFORE + joint, i]
-            w[V_BEFORE + joint, i] = w[W_S + joint, i]
-        w[both + STRETCH, i] = w[LAW + STRETCH, i] + w[both + ELEMENT + STRETCH, i]
-        w[both + VELOCITY, i] = w[LAW + VELOCITY, i] + w[both + ELEMENT + VELOCITY, i]
-    for e in range(LAW, REFLEX, ELEMENT):
-        for i in range(GROUP):
-            move, speed = w[e + STRETCH, i] - w[e + LAST, i], abs(w[e + VELOCITY, i])
-            w[e + LAST, i] = w[e + STRETCH, i]
-            survival = 1.0 / (1.0 + abs(move) * w[e + LOSS, i])
-            intact, total = w[e + INTACT, i] * survival, 0.0
-            w[e + INTACT, i] = 1.0 - (1.0 - intact) * w[e + PERSISTENCE, i]
-            move *= intact
-            limit = intact * (w[e + LIMIT + 0, i] + w[e + LIMIT_SLOPE + 0, i] * speed)
-            w[e + BOND + 0, i] = bond_after(w[e + BOND + 0, i], survival, move, limit)
-            total += w[e + BOND + 0, i]
-            limit = intact * (w[e + LIMIT + 1, i] + w[e + LIMIT_SLOPE + 1, i] * speed)
-            w[e + BOND + 1, i] = bond_after(w[e + BOND + 1, i], survival, move, limit)
-            total += w[e + BOND + 1, i]
-            limit = intact * (w[e + LIMIT + 2, i] + w[e + LIMIT_SLOPE + 2, i] * speed)
-            w[e + BOND + 2, i] = bond_after(w[e + BOND + 2, i], survival, move, limit)
-            total += w[e + BOND + 2, i]
-            limit = intact * (w[e + LIMIT + 3, i] + w[e + LIMIT_SLOPE + 3, i] * speed)
-            w[e + BOND + 3, i] = bond_after(w[e + BOND + 3, i], survival, move, limit)
-            total += w[e + BOND + 3, i]
-            limit = intact * (w[e + LIMIT + 4, i] + w[e + LIMIT_SLOPE + 4, i] * speed)
-            w[e + BOND + 4, i] = bond_after(w[e + BOND + 4, i], survival, move, limit)
-            total += w[e + BOND + 4, i]
-            limit = intact * (w[e + LIMIT + 5, i] + w[e + LIMIT_SLOPE + 5, i] * speed)
-            w[e + BOND + 5, i] = bond_after(w[e + BOND + 5, i], survival, move, limit)
-            total += w[e + BOND + 5, i]
-            limit = intact * (w[e + LIMIT + 6, i] + w[e + LIMIT_SLOPE + 6, i] * speed)
-            w[e + BOND + 6, i] = bond_after(w[e + BOND + 6, i], survival, move, limit)
-            total += w[e + BOND + 6, i]
-            limit = intact * (w[e + LIMIT + 7, i] + w[e + LIMIT_SLOPE + 7, i] * speed)
-            w[e + BOND + 7, i] = bond_after(w[e + BOND + 7, i], survival, move, limit)
-            total += w[e + BOND + 7, i]
-            thinned = thinned_torque(w[e + VELOCITY, i], w[e + DAMPING, i], w[e + THINNING, i])
-            w[e + TAKEN, i] = w[e + SHORT_RANGE, i] * w[e + STRETCH, i] - total * w[e + STIFFNESS, i] + thinned
-    for stage in range(3):
-        for joint in range(2):
-            for i in range(GROUP):
-                taken = w[LAW + 2 * joint * ELEMENT + TAKEN, i] + w[both + TAKEN, i]
-                w[TORQUE + 2 * stage + joint, i] += taken
-
-
-@njit(cache=True, forceinline=True, error_model="numpy")
-def _reflect(w: Array, newest: int) -> None:
-    """Put the torques of a group's reflexes in the place of all torques; the reflexes of `act` of all lanes.
-
-    Samples are gathered lane by lane, as delays differ, so that the rest is vectorised.
-
-    Args:
-      w: work, see `RING`.
-      newest: where the active torque of this step comes into the ring.
-    """
-    last = (len(w) - RING) // 2 - 1
-    for i in range(GROUP):
-        w_s, w_e, both = w[W_S, i], w[W_E, i], w[W_S, i] + w[W_E, i]
-        # Angles from the posture are rounded as those of MuJoCo's joints.
-        q_s = w[POSTURE, i] + w[Q_S, i] - w[POSTURE, i]
-        q_e = w[POSTURE + 1, i] + w[Q_E, i] - w[POSTURE + 1, i]
-        shoulder = w[KV, i] * w_s + w[KV + 1, i] * w_e + w[KP, i] * q_s + w[KP + 1, i] * q_e
-        elbow = w[KV + 1, i] * w_s + w[KV + 2, i] * w_e + w[KP + 1, i] * q_s + w[KP + 2, i] * q_e
-        shoulder += w[KV_GROUP, i] * (spindle_velocity(w_s, w[SATURATION, i], w[DIRECTION, i]) - w_s)
-        missing = w[KV_GROUP + 1, i] * (spindle_velocity(both, w[SATURATION + 1, i], w[DIRECTION + 1, i]) - both)
-        elbow += missing
-        elbow += w[KV_GROUP + 2, i] * (spindle_velocity(w_e, w[SATURATION + 2, i], w[DIRECTION + 2, i]) - w_e)
-        w[EXCITATION, i], w[EXCITATION + 1, i] = shoulder + missing, elbow
-    for joint in range(2):
-        for i in range(GROUP):
-            excitation = w[EXCITATION + joint, i]
-            active = w[NUMERATOR + joint, i] * excitation + w[FILTER + joint, i]
-            w[ACTIVE + joint, i] = active
-            faster = w[NUMERATOR + 2 + joint, i] * excitation - w[DENOMINATOR + 2 + joint, i] * active
-            w[FILTER + joint, i] = faster + w[SLOWER + joint, i]
-            w[SLOWER + joint, i] = w[NUMERATOR + 4 + joint, i] * excitation - w[DENOMINATOR + 4 + joint, i] * active
-    for joint in range(2):
-        for i in range(GROUP):
-            w[RING + 2 * newest + joint, i] = w[ACTIVE + joint, i]
-            w[TORQUE + joint, i] = -w[LATE + 2 + joint, i]
-    for motor in range(4):
-        for i in range(GROUP):
-            first = newest - int(w[STEPS + motor, i]) - 2
-            for sample in range(4):
-                w[BEFORE + 4 * sample + motor, i] = w[RING + 2 * ((first + sample) & last) + motor % 2, i]
-    for motor in range(4):
-        for i in range(GROUP):
-            before, older = w[BEFORE + motor, i], w[OLDER + motor, i]
-            newer, after = w[NEWER + motor, i], w[AFTER + motor, i]
-            w[LATE + motor, i] = between(before, older, newer, after, w[SHARE + motor, i])
-            w[TORQUE + 2 + motor, i] = -w[LATE + motor, i]
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -417,7 +343,7 @@ def simulate_lanes(
         steps = (n_samples[first : first + n].max() - 1) * decimation
         for step in range(steps):
             if n_reflexive:
-                _reflect(w, step & (n_history - 1))
+                put_reflexes(w, step & (n_history - 1))
             else:
                 w[TORQUE : TORQUE + 6] = 0.0
             for i in range(n):
@@ -426,7 +352,7 @@ def simulate_lanes(
                 for stage in range(3):
                     for axis in range(2):
                         w[PUSH + 2 * stage + axis, i] = force[trial, 2 * step + stage, axis]
-            _yield(w, timestep)
+            add_yielding(w, timestep)
             _advance(w, timestep)
             if (step + 1) % decimation == 0:
                 sample = (step + 1) // decimation
@@ -473,7 +399,7 @@ def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Ar
             if step == log.shape[1] - 1:
                 break
             if n_reflexive:
-                _reflect(w, step & (n_history - 1))
+                put_reflexes(w, step & (n_history - 1))
             else:
                 w[TORQUE : TORQUE + 6] = 0.0
             for i in range(n):
@@ -483,6 +409,6 @@ def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Ar
                     for stage in range(3):
                         w[TORQUE + 2 * stage + j, i] += known[first + i, 2 * step + stage, j]
                         w[PUSH + 2 * stage + j, i] = known[first + i, 2 * step + stage, 2 + j]
-            _yield(w, timestep)
+            add_yielding(w, timestep)
             _advance(w, timestep)
         _store(lanes, start, first, log.shape[1] - 1, w)

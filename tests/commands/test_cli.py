@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from armperturb import cli
+from armperturb.analysis.fit.own_structures import load_structure
 from armperturb.files import written_whole
 from armperturb.perturbations import Multisine, Pulse, save_perturbation
 from armperturb.recording import load_recording, save_recording
@@ -290,6 +291,10 @@ def test_study_draws_the_people_that_are_asked_for(tmp_path, monkeypatch, muscle
             ["--model", "1", "--prior", "m_f=2+-1", "--estimator", "thesis"],
             "identify: prior with estimator = 'thesis', which takes none into account; expected --estimator record",
         ),
+        (
+            ["--model", "1", "--body", "male", "1.8", "75"],
+            "body = ('male', 1.8, 75.0) with model 1; expected one whose joint inertia is free (--fix m=0 --free i)",
+        ),
         (["--model", "nonlinear", "--fix", "k_h=rigid"], "fix = ('k_h=rigid',); expected () with --model nonlinear"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -309,6 +314,25 @@ def test_a_structure_of_options_is_that_of_its_file(tmp_path):
         assert (one["value"], one["standard_error"]) == (other["value"], other["standard_error"])
     model = json.loads((tmp_path / "b" / "fit.json").read_text())
     assert "1 with fix k_h=rigid, prior m_f=1.8+-0.2" in str(model)
+    assert run(*common, tmp_path / "c", "--model", tmp_path / "b" / "structure.toml") == 0
+    assert (tmp_path / "c" / "parameters.csv").read_text() == (tmp_path / "b" / "parameters.csv").read_text()
+
+
+def test_a_body_from_tables_narrows_the_inertia(tmp_path):
+    free = ("--model", "1", "--fix", "m=0", "--free", "i")
+    common = ("identify", RECORDING, "--estimator", "frequency", *free, "--out")
+    assert run(*common, tmp_path / "a") == 0
+    assert run(*common, tmp_path / "b", "--body", "male", "1.84", "76") == 0
+    prior = load_structure(tmp_path / "b" / "structure.toml").prior
+    assert list(prior) == ["i_s", "i_se", "i_e"]
+    bare, known = (
+        {row["parameter"]: row for row in csv.DictReader((tmp_path / name / "parameters.csv").read_text().splitlines())}
+        for name in "ab"
+    )
+    for name, (mean, sd) in prior.items():
+        value, error = (float(known[name][column]) for column in ("value", "standard_error"))
+        assert error < float(bare[name]["standard_error"])
+        assert abs(value - mean) < 3.0 * sd
 
 
 UNKNOWN = ["identify", "r.nc", "--model", "1", "--estimator", "guess", "--out", "x"]

@@ -15,6 +15,9 @@ from armperturb.planar_arm.lanes import lane_table
 from armperturb.planar_arm.simulation import Disturbances
 from armperturb.subject import POSITION, RELAX
 
+OPPOSED = replace(RELAX, k_s=80.0, k_se=-30.0, k_e=70.0, b_s=3.0, b_se=-0.8, b_e=2.5, c_f=0.64, r_f=0.35)
+"""Two-joint muscles that act against each other, and a forearm of distributed mass."""
+
 
 @pytest.fixture(autouse=True, scope="module")
 def compiled(once):
@@ -87,7 +90,7 @@ def test_every_mechanism_acts_as_in_mujoco():
     assert np.abs(answered([person], [force], environment)[0] - recorded).max() > 0.1 * np.abs(recorded).max()
 
 
-@pytest.mark.parametrize("arm", [RELAX, POSITION], ids=lambda arm: arm.task)
+@pytest.mark.parametrize("arm", [RELAX, POSITION, OPPOSED], ids=["relax", "position", "opposed"])
 def test_small_movements_are_those_of_the_linear_model(arm):
     force = made.push(3, 1e-4, duration=6.0, rate=400.0, top=6.0)
     environment = Environment(m_env=2.5, b_env=6.0, k_env=30.0)

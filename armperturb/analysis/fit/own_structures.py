@@ -18,15 +18,18 @@ A structure file is
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import tomli_w
 
+from armperturb.analysis.arm.geometry import mass_matrix
 from armperturb.analysis.arm.parameters import GROUPS, PARAMETERS
 from armperturb.analysis.fit.structures import STRUCTURES, Structure, structure_of, wide_bounds
+from armperturb.anthropometry import Sex, Source, anthropometric_body
 from armperturb.files import read_toml
-from armperturb.subject import HUMERUS_MASS_SHARE, TASKS
+from armperturb.subject import HUMERUS_MASS_SHARE, TASKS, Subject
 from armperturb.validation import require_keys, require_one_of
 
 Range = tuple[float, float | None, float] | None
@@ -35,6 +38,10 @@ Range = tuple[float, float | None, float] | None
 Inertia = Literal["tied", "points", "free"]
 Grip = Literal["rigid", "spring"]
 Reflex = Literal["none", "velocity", "position"]
+
+TABLE_ERROR = 0.15
+"""Error of a person's segment inertia as tables have it, over its value [-]: some 10 to 20 % between methods and
+people; assumed."""
 
 RIGID = "rigid"
 """What a grip stiffness without end is called in files and options."""
@@ -69,6 +76,36 @@ def composed(*, inertia: Inertia = "free", grip: Grip = "spring", reflex: Reflex
         fixed=dict.fromkeys(TASKS, fixed),
         tied=tied if inertia == "tied" else {},
     )
+
+
+def inertia_prior(
+    body: Subject,
+    sex: Sex,
+    height: float,
+    mass: float,
+    source: Source = "de Leva",
+    *,
+    attached: float = 0.0,
+    share: float = TABLE_ERROR,
+) -> dict[str, tuple[float, float]]:
+    """What tables tell of a person's joint inertia, for `Structure.knowing` where i_s, i_se and i_e are free.
+
+    Args:
+      body: posture and segment lengths, as `ConditionTrials.body`.
+      sex: see `anthropometry.anthropometric_body`, also for the next four.
+      height: [m].
+      mass: of the whole body [kg].
+      source: of the tables.
+      attached: mass of cuff and handle that moves with the hand [kg].
+      share: standard deviation over the value, of the coupling over the geometric mean of both joints' [-].
+
+    Raises:
+      ValueError: as `anthropometric_body`.
+    """
+    table = anthropometric_body(sex, height, mass, source, attached=attached)
+    segments: dict[str, Any] = {name: value for name, value in table.items() if name not in ("l_h", "l_f")}
+    (s, se), (_, e) = mass_matrix(replace(body, i_s=0.0, i_se=0.0, i_e=0.0, **segments)).tolist()
+    return {"i_s": (s, share * s), "i_se": (se, share * math.sqrt(s * e)), "i_e": (e, share * e)}
 
 
 def edited(

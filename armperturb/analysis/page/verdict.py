@@ -13,6 +13,7 @@ from armperturb.analysis.fit.maximum_likelihood import FEWEST_TRIALS, SKEWED, SU
 from armperturb.analysis.page.data_check import DataCheck
 from armperturb.analysis.response.best_linear import BestLinear
 from armperturb.analysis.results import plain
+from armperturb.pages.formats import chance
 from armperturb.recording import LABELS
 
 LARGE = 2.0
@@ -23,6 +24,9 @@ REFLEXES = (1.5, 6.0)
 
 SUPPORTED = 0.4
 """Share of the lack of fit at a cause's frequencies from which on these support it [-]."""
+
+NOTABLE = 0.02
+"""Share of the distortion in the response's power from which on it is a cause [-]."""
 
 INCOHERENT = 0.5
 """Coherence below which noise dominates [-]."""
@@ -66,7 +70,8 @@ def verdict(identification: Identification) -> Verdict:
     if not isinstance(fit.detail, Estimate):
         return Verdict("care", "The thesis's estimator gives no test of fit: judge by the variance accounted for.")
     ratio, p = fit.detail.chi2 / fit.detail.dof, fit.detail.p_value
-    numbers = f"lack of fit over its degrees of freedom {plain(ratio, 3)}, p = {p:.2g}"
+    p_value = f"p {'' if p < 1e-3 else '= '}{chance(p)}"
+    numbers = f"lack of fit over its degrees of freedom {plain(ratio, 3)}, {p_value}"
     if p >= SUSPICIOUS:
         return Verdict("trust", f"The model explains the movement as far as the noise lets one see ({numbers}).")
     if ratio <= LARGE:
@@ -146,7 +151,7 @@ def nonlinearity(distortion: BestLinear | None) -> Cause:
         for axis, share, error in zip(LABELS["axis"], distortion.share, distortion.share_error, strict=True)
     )
     if distortion.p_value >= SUSPICIOUS:
-        evidence = f"No distortion was found: of the response's power {shares}, p = {distortion.p_value:.2g}."
+        evidence = f"No distortion was found: of the response's power {shares}, p = {chance(distortion.p_value)}."
         return Cause("nonlinearity", evidence, remedy, False)
     clear = distortion.distortion > 2.0 * distortion.distortion_error
     where = " and ".join(
@@ -154,8 +159,8 @@ def nonlinearity(distortion: BestLinear | None) -> Cause:
         for axis, name in enumerate(LABELS["axis"])
         if clear[:, axis].any()
     )
-    evidence = f"Distortion is {shares} of the response's power (p = {distortion.p_value:.2g})"
-    return Cause("nonlinearity", f"{evidence}{f', clearest around {where}' if where else ''}.", remedy, True)
+    evidence = f"Distortion was found: of the response's power {shares}{f'; around {where}' if where else ''}."
+    return Cause("nonlinearity", evidence, remedy, bool(distortion.share.max() > NOTABLE))
 
 
 def _listed(frequency: np.ndarray) -> str:

@@ -154,7 +154,10 @@ def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
     """
     paths, sums = sorted((root / RECORDINGS).glob("*.nc")), _read_sums(root / RECORDINGS / SUMS)
     if not paths:
-        raise FileNotFoundError(f"{root}: holds no {RECORDINGS}/*.nc; expected the folder of a study")
+        raise FileNotFoundError(
+            f"{root}: holds no {RECORDINGS}/*.nc; expected the folder of a study (other recordings: armperturb "
+            "identify FILES --out DIR)"
+        )
     whole, remarks = [], []
     for path in paths:
         if sums and sums.get(path.stem) != checksum(path):

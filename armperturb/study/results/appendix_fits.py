@@ -97,8 +97,8 @@ def fit_person(conditions: Mapping[str, ConditionTrials], settings: AnalysisSett
 def fit_together(conditions: Mapping[str, ConditionTrials], settings: AnalysisSettings) -> None:
     """Fit appendix E and the position task of one person in one lockstep: they have the same number of parameters.
 
-    The published search is so sensitive that other partners in a lockstep, and so another rounding, move some fits by a
-    fifth of their standard error. Fits that are refused are left to those who ask for them.
+    The published search is so sensitive that other partners in a lockstep, and so another rounding, move two fifths of
+    the fits, some by a standard error. Fits that are refused are left to those who ask for them.
 
     Args:
       conditions: condition to the person's trials.

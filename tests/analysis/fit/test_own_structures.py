@@ -1,15 +1,26 @@
 """Structures of one's own: files, options and choices against structures made by hand, and every refusal."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from foreign_arms import Arm
 from foreign_recordings import Setup
 
+from armperturb.analysis.arm.geometry import mass_matrix
 from armperturb.analysis.arm.parameters import PARAMETERS
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.fit.identify import identify
-from armperturb.analysis.fit.own_structures import composed, edited, load_structure, save_structure, with_options
+from armperturb.analysis.fit.own_structures import (
+    composed,
+    edited,
+    inertia_prior,
+    load_structure,
+    save_structure,
+    with_options,
+)
 from armperturb.analysis.fit.structures import STRUCTURES, Structure, wide_bounds
+from armperturb.anthropometry import anthropometric_body
 from armperturb.environment import Environment
 from armperturb.subject import POSITION, RELAX
 
@@ -221,6 +232,19 @@ def test_free_inertia_gives_arms_of_distributed_mass_back(grip):
         assert abs(fit.values[name] - truth[name]) < 3.5 * fit.standard_error[name], name
     for name in ("i_s", "i_se", "i_e", "k_s", "k_se", "k_e"):
         assert fit.standard_error[name] < 0.25 * truth[name], name
+
+
+def test_tables_tell_the_inertia_of_a_body_of_their_own_mass_distribution():
+    segments = anthropometric_body("female", 1.68, 61.0, attached=0.2)
+    body = replace(POSITION, l_h=segments["l_h"], l_f=segments["l_f"])
+    prior = inertia_prior(body, "female", 1.68, 61.0, attached=0.2, share=0.1)
+    inertia = mass_matrix(replace(body, **segments))
+    assert [mean for mean, _ in prior.values()] == pytest.approx([inertia[0, 0], inertia[0, 1], inertia[1, 1]])
+    assert prior["i_s"][1] == pytest.approx(0.1 * inertia[0, 0])
+    structure = composed(inertia="free").knowing(**prior)
+    assert structure.prior == prior
+    with pytest.raises(ValueError, match="prior of 'i_s', which is not free; expected one of m_tot"):
+        composed(inertia="tied").knowing(**prior)
 
 
 def test_unknown_choices_are_named():

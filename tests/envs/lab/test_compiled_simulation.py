@@ -17,11 +17,12 @@ from armperturb.subject import POSITION, RELAX
 
 PULSE = Pulse(peak=20.0, direction_deg=20.0, onset=0.2, duration=1.5)
 FEEDBACK = replace(POSITION, name="feedback", kf_s=-0.5, kf_e=-0.3, ka_e=0.3, c_h=0.58, c_f=0.62, r_h=0.27, r_f=0.36)
+OPPOSED = replace(RELAX, name="opposed", k_s=80.0, k_se=-30.0, k_e=70.0, b_s=3.0, b_se=-0.8, b_e=2.5)
 QUIET = Instruments(force_noise=0.0, encoder_bits=32, marker_noise=None)
 
 
 def trials(duration=1.0):
-    people = [draw_person(0, 1).subjects["PT"], average_person().subjects["RT"], FEEDBACK, RELAX]
+    people = [draw_person(0, 1).subjects["PT"], average_person().subjects["RT"], FEEDBACK, OPPOSED]
     return [
         Trial(
             subject=person,
