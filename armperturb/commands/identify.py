@@ -1,6 +1,7 @@
 """`armperturb identify`."""
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
@@ -81,8 +82,7 @@ class Identify(Command):
 
     def run(self) -> list[str]:
         """Identify the arm and write the results."""
-        from armperturb.commands.selection import select_trials
-        from armperturb.convert.importer import import_recording
+        from armperturb.commands.selection import import_each, select_trials
 
         linear = self.model != "nonlinear"
         for field in fields(self):
@@ -93,20 +93,22 @@ class Identify(Command):
                     f"identify: {field.name} = {value!r}; expected {field.default!r} {condition} --model nonlinear"
                 )
         structure = self._structure() if linear else None
-        imported = import_recording(self.recordings, sidecar=self.sidecar)
-        (recording,) = select_trials(
-            [imported.recording], self.recordings, self.subject, self.condition, single_condition=False
+        imported = import_each(self.recordings, self.sidecar)
+        recordings = select_trials(
+            [each.recording for each in imported],
+            self.recordings,
+            self.subject,
+            self.condition,
+            single_condition=False,
         )
+        notes = tuple(dict.fromkeys(note for each in imported for note in each.notes))
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         try:
-            if structure:
-                lines = self._identify(recording, structure, imported.notes)
-            else:
-                lines = self._identify_nonlinear(recording)
+            lines = self._identify(recordings, structure, notes) if structure else self._identify_nonlinear(recordings)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
-        return [*imported.notes, *lines, f"results: {self.out}"]
+        return [*notes, *lines, f"results: {self.out}"]
 
     def _structure(self) -> "Structure":
         from armperturb.analysis.fit.own_structures import load_structure, with_options
@@ -131,20 +133,23 @@ class Identify(Command):
             )
         return structure
 
-    def _identify(self, recording: "xr.Dataset", structure: "Structure", notes: tuple[str, ...]) -> list[str]:
+    def _identify(
+        self, recordings: "Sequence[xr.Dataset]", structure: "Structure", notes: tuple[str, ...]
+    ) -> list[str]:
         from armperturb.analysis.fit.export import write_identification
         from armperturb.analysis.fit.identify import identify_conditions
         from armperturb.analysis.fit.own_structures import inertia_prior, save_structure
         from armperturb.analysis.page.page import Origin, write_page
         from armperturb.analysis.trials import parts_by_condition
+        from armperturb.commands.selection import manipulator
         from armperturb.files import checksum
 
-        tasks = list(dict.fromkeys(recording["task"].values.tolist()))
+        tasks = list(dict.fromkeys(task for each in recordings for task in each["task"].values.tolist()))
         if len(tasks) > 1:
             raise ValueError(
                 f"trials of the tasks {' and '.join(tasks)}; expected only one task (choose a --condition)"
             )
-        trials = parts_by_condition(recording)
+        trials = parts_by_condition(recordings)
         if self.body:
             person = next(iter(trials.values()))[0].body
             structure = structure.knowing(**inertia_prior(person, *self.body)).named(
@@ -171,24 +176,24 @@ class Identify(Command):
         write_page(results, trials, self.out / "identify.html", origin)
         lines = []
         for condition, result in results.items():
-            held = result.environment
-            lines.append(f"{condition}: manipulator {held.m_env:.4g} kg, {held.b_env:.3g} Ns/m, {held.k_env:.4g} N/m")
+            lines.append(f"{condition}: {manipulator(result.environment)}")
             lines.append(f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %")
             lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
         return lines
 
-    def _identify_nonlinear(self, recording: "xr.Dataset") -> list[str]:
+    def _identify_nonlinear(self, recordings: "Sequence[xr.Dataset]") -> list[str]:
         with naming_the_extra("identify --model nonlinear"):
             from armperturb.analysis.nonlinear.export import write_nonlinear
             from armperturb.analysis.nonlinear.identify import identify_nonlinear
             from armperturb.workers import cpu_count
         from armperturb.plots.style import save_plot
+        from armperturb.recording import join_recordings
 
         is_new = not self.out.exists()
         self.out.mkdir(parents=True, exist_ok=True)  # now, as checkpoints go there
         try:
             result = identify_nonlinear(
-                recording,
+                recordings[0] if len(recordings) == 1 else join_recordings(recordings),
                 self.law or "full",
                 pulse_directions_deg=self.pulses,
                 window_start=self.window_start,

@@ -6,6 +6,31 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from armperturb.convert.importer import Imported, import_recording
+from armperturb.environment import Environment
+
+
+def manipulator(environment: Environment) -> str:
+    """What the hand held, for people to read."""
+    return f"manipulator {environment.m_env:.4g} kg, {environment.b_env:.3g} Ns/m, {environment.k_env:.4g} N/m"
+
+
+def import_each(paths: Sequence[Path], sidecar: Path | None) -> list[Imported]:
+    """Recordings from files, whose trials may differ in length from file to file.
+
+    Args:
+      paths: of the files.
+      sidecar: of all that need one; None for that beside each.
+
+    Raises:
+      ValueError: a file comes twice, or as `import_recording`.
+      OSError: a file cannot be read.
+    """
+    for place, path in enumerate(paths):
+        if path.resolve() in [other.resolve() for other in paths[:place]]:
+            raise ValueError(f"{path} comes twice; expected each recording once")
+    return [import_recording([path], sidecar=sidecar) for path in paths]
+
 
 def select_trials(
     recordings: Sequence[xr.Dataset],

@@ -112,7 +112,7 @@ def likely_causes(
         )
     fast = f"{above:.0%} of the lack of fit lies above {REFLEXES[1]:g} Hz, where inertia and grip act."
     causes += [
-        Cause("inertia", fast, "Free the joint inertia: --free i_s i_se i_e.", above > SUPPORTED),
+        Cause("inertia", fast, "Free the joint inertia: --fix m=0 --free i.", above > SUPPORTED),
         Cause("grip", fast, "Hold the grip rigid (--fix k_h=rigid), or free it.", above > SUPPORTED),
         Cause(
             "wrong geometry",
