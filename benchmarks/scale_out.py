@@ -50,10 +50,13 @@ def draw(costs: list[dict[str, float]], picture: Path) -> None:
     """Each cost against people."""
     figure, axes = plt.subplots(1, 3, figsize=(9.0, 2.8), layout="constrained")
     for ax, (name, label) in zip(axes, COSTS.items(), strict=True):
-        ax.plot([each["people"] for each in costs], [each[name] for each in costs], "o-", markersize=4)
-        ax.set(xscale="log", xlabel="people", ylabel=label, ylim=(0, None))
-        if name != "memory":
-            ax.set(yscale="log", ylim=(10, None))
+        values = [each[name] for each in costs]
+        ax.plot([each["people"] for each in costs], values, "o-", markersize=4)
+        ax.set(xscale="log", xlabel="people", ylabel=label)
+        if name == "memory":
+            ax.set_ylim(0.0, 1.3 * max(values))
+        else:
+            ax.set(yscale="log", ylim=(10.0, 1000.0 * 10.0 ** (max(values) > 1000.0)))
     save_png(figure, picture, 110.0)
 
 

@@ -353,7 +353,7 @@ def test_gaps_are_refused_with_their_time_and_filled_if_asked(tmp_path):
     values = table()
     values[N_TIME + 600 : N_TIME + 605, 6] = np.nan
     path = write(tmp_path, values)
-    message = r"lab.csv: trial '2': X \(displacement\) has a gap of 0.025 s at 3 s; expected none \(convert --repair gaps"
+    message = r"lab.csv: trial '2': X \(displacement\) has a gap of 0.025 s at 3 s; .*\(convert --repair gaps"
     with pytest.raises(ValueError, match=message):
         import_recording([path])
     with pytest.raises(ValueError, match=r"--repair gaps"):

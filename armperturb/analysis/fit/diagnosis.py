@@ -7,7 +7,7 @@ import numpy as np
 
 from armperturb.analysis.arm.parameters import MATRIX, PARAMETERS, parameter_vector
 from armperturb.analysis.arm.state_space import simulate_linear
-from armperturb.analysis.fit.bands import BandOfLack
+from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.group import record_likelihood
 from armperturb.analysis.fit.identify import Identification
 from armperturb.analysis.fit.likelihood import RecordLikelihood

@@ -26,7 +26,7 @@ import numpy as np
 from scipy import fft, linalg, stats
 
 from armperturb.analysis.arm.linear_arm import LinearArm
-from armperturb.analysis.fit.bands import EXCITED_POWER, BandOfLack, excited_bands, smoother
+from armperturb.analysis.fit.frequency_bands import EXCITED_POWER, BandOfLack, excited_bands, smoother
 from armperturb.arrays import Array, ComplexArray, Indices
 from armperturb.environment import Environment
 from armperturb.subject import Subject

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.fit.diagnosis import diagnose
@@ -18,28 +18,13 @@ from armperturb.analysis.page.verdict import likely_causes, nonlinearity, unknow
 from armperturb.analysis.response.best_linear import BestLinear, best_linear
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.frequency_response import FrequencyResponse
-from armperturb.analysis.results import Description, plain
+from armperturb.analysis.results import plain
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.files import packaged_table, written_whole
 from armperturb.pages.page import rendered, versions
 
 WORDS: dict[str, dict[str, str]] = packaged_table(__package__, "words.toml")
 """Kind and name to words."""
-
-
-class Chosen(Protocol):
-    """How the structure of a condition was chosen."""
-
-    @property
-    def sentence(self) -> str:
-        """What was chosen, and how clearly."""
-
-    @property
-    def undecided(self) -> tuple[str, ...]:
-        """Choices that the trials leave open."""
-
-    def describe(self) -> Description:
-        """All structures that were tried."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +35,6 @@ class Origin:
       command: that made it; empty if none did.
       files: name of each file that was read to its checksum (SHA-256).
       notes: what reading them gave rise to, a sentence each.
-      choices: condition to how its structure was chosen; empty if it was given.
       window_start: from when on whole periods were used [s].
       period: of the perturbation, as it was given [s]; None if it was found.
     """
@@ -58,7 +42,6 @@ class Origin:
     command: str = ""
     files: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    choices: Mapping[str, Chosen] = field(default_factory=dict)
     window_start: float = WINDOW_START
     period: float | None = None
 
@@ -83,6 +66,7 @@ def write_page(
 
 
 def _content(results: Identifications, trials: Mapping[str, Sequence[ConditionTrials]], origin: Origin) -> str:
+    choices = {label: result.fit.choice for label, result in results.items() if result.fit.choice is not None}
     checks = {label: check_data(trials[label], origin.window_start, origin.period) for label in results}
     diagnoses = {label: diagnose(result, trials[label]) for label, result in results.items()}
     verdicts = {label: verdict(result) for label, result in results.items()}
@@ -118,14 +102,14 @@ def _content(results: Identifications, trials: Mapping[str, Sequence[ConditionTr
         "traces": {},
         "residual": {},
         "remarks": {"remarks": _remarks(results), "causes": causes, "nonlinear": nonlinear},
-        "unknown": {"unknowns": _unknowns(results, checks, origin)},
-        "structures": {"choices": {label: choice.describe() for label, choice in origin.choices.items()}},
+        "unknown": {"unknowns": _unknowns(results, checks)},
+        "structures": {"choices": {label: choice.describe() for label, choice in choices.items()}},
         "method": {"origin": origin, "licence": metadata.metadata("armperturb")["License-Expression"]},
     }
     absent = {
         "endpoint": not endpoints,
         "pulses": of_pulses is None,
-        "structures": not origin.choices,
+        "structures": not choices,
     }
     return rendered(
         __package__,
@@ -139,7 +123,7 @@ def _content(results: Identifications, trials: Mapping[str, Sequence[ConditionTr
         words=WORDS,
         plain=plain,
         estimator=ESTIMATOR_NAMES[next(iter(results.values())).fit.estimator],
-        choices=origin.choices,
+        choices=choices,
         versions=versions("armperturb", "numpy", "scipy", "matplotlib"),
     )
 
@@ -195,6 +179,8 @@ def _remarks(results: Identifications) -> list[str]:
     for result in results.values():
         detail = result.fit.detail
         apart = set(limits_of(detail)) if isinstance(detail, Estimate) else set()
+        if result.fit.choice is not None:  # the page says it elsewhere
+            apart |= set(result.fit.choice.describe().facts)
         said |= dict.fromkeys(remark for remark in result.fit.remarks if remark not in apart)
         if isinstance(detail, Estimate):
             said |= {
@@ -205,8 +191,6 @@ def _remarks(results: Identifications) -> list[str]:
     return list(said)
 
 
-def _unknowns(results: Identifications, checks: Mapping[str, DataCheck], origin: Origin) -> dict[str, list[str]]:
-    return {
-        label: unknowns(result, checks[label], origin.choices[label].undecided if label in origin.choices else ())
-        for label, result in results.items()
-    }
+def _unknowns(results: Identifications, checks: Mapping[str, DataCheck]) -> dict[str, list[str]]:
+    undecided = {label: result.fit.choice.undecided if result.fit.choice else () for label, result in results.items()}
+    return {label: unknowns(result, checks[label], undecided[label]) for label, result in results.items()}

@@ -6,8 +6,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from armperturb.analysis.fit.bands import BandOfLack
 from armperturb.analysis.fit.diagnosis import Diagnosis
+from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.identify import Identification
 from armperturb.analysis.fit.maximum_likelihood import FEWEST_TRIALS, SKEWED, SUSPICIOUS, Estimate, limits_of
 from armperturb.analysis.page.data_check import DataCheck
@@ -74,7 +74,7 @@ def verdict(identification: Identification) -> Verdict:
     numbers = f"lack of fit over its degrees of freedom {plain(ratio, 3)}, {p_value}"
     if p >= SUSPICIOUS:
         return Verdict("trust", f"The model explains the movement as far as the noise lets one see ({numbers}).")
-    if ratio <= LARGE:
+    if ratio <= LARGE and fit.choice is None:
         return Verdict(
             "care",
             f"The perturbation explains slightly more of the movement than the model does ({numbers}). Intervals have "
@@ -127,8 +127,9 @@ def likely_causes(
             "Free delays and cut-offs: --free Td_s Td_e fact_s fact_e.",
             middle > SUPPORTED,
         ),
-        nonlinearity(distortion),
     ]
+    last = nonlinearity(distortion)
+    causes.insert(0 if last.supported else len(causes), last)
     return causes
 
 

@@ -15,13 +15,12 @@ from foreign_recordings import Setup, recording_of
 
 import armperturb
 from armperturb.analysis.fit.diagnosis import diagnose
-from armperturb.analysis.fit.identify import identify_conditions
+from armperturb.analysis.fit.identify import Identifications, identify_conditions, parts_by_condition
 from armperturb.analysis.page.data_check import check_data
 from armperturb.analysis.page.page import WORDS, Origin, write_page
 from armperturb.analysis.page.verdict import likely_causes, nonlinearity, unknowns, verdict
 from armperturb.analysis.response.best_linear import best_linear
 from armperturb.analysis.results import Description, Table, plain
-from armperturb.analysis.trials import parts_by_condition
 from armperturb.plots.traces import COLUMNS, outline
 from armperturb.recording import stack_trials
 from tests.browser import BROKEN_IMAGES, CHROMIUM, DEAD_LINKS, SMALL_PRINT, TOO_WIDE, Browser, complaints, requests
@@ -59,11 +58,13 @@ def page(identified, tmp_path_factory):
         undecided=("grip: rigid or spring",),
         describe=lambda: Description(title="Structures tried", table=Table(("structure", "p"), (("1", "0.3"),))),
     )
+    first, second = results.values()
+    chosen = replace(first, fit=replace(first.fit, choice=choice))
+    results = Identifications({"multisine": chosen, "pulsed": second})
     origin = Origin(
         command="armperturb identify <a>.nc --model 1",
         files={"<a>.nc": "0" * 64},
         notes=("a gap & a <repair>",),
-        choices={"multisine": choice},
     )
     path = tmp_path_factory.mktemp("page") / "identify.html"
     write_page(results, trials, path, origin)

@@ -1,4 +1,4 @@
-"""Bands of frequency: those that a disturbance excites, and those over which the spectrum of noise is averaged."""
+"""Frequencies that are taken together: over which noise is averaged, and over which a lack of fit is looked for."""
 
 import itertools
 from typing import NamedTuple
