@@ -44,6 +44,7 @@ def check(folder):
     ):
         assert main(command) == 0, command
     assert (folder / "fit" / "parameters.csv").is_file()
+    assert (folder / "fit" / "identify.html").is_file()
     assert (folder / "response" / "response.svg").is_file()
     for command in (("study", "--out", "none"), ("identify", recording, "--model", "nonlinear", "--out", "none")):
         assert main(command) == 1, command

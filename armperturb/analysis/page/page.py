@@ -101,7 +101,7 @@ def _content(results: Identifications, trials: Mapping[str, Sequence[ConditionTr
         "data": {"checks": checks, "notes": origin.notes},
         "traces": {},
         "residual": {},
-        "remarks": {"remarks": _remarks(results), "causes": causes, "nonlinear": nonlinear},
+        "remarks": {"remarks": _remarks(results, trials), "causes": causes, "nonlinear": nonlinear},
         "unknown": {"unknowns": _unknowns(results, checks)},
         "structures": {"choices": {label: choice.describe() for label, choice in choices.items()}},
         "method": {"origin": origin, "licence": metadata.metadata("armperturb")["License-Expression"]},
@@ -173,14 +173,14 @@ def _endpoint_rows(endpoints: Mapping[str, EndpointImpedance]) -> list[tuple[str
     return rows
 
 
-def _remarks(results: Identifications) -> list[str]:
+def _remarks(results: Identifications, trials: Mapping[str, Sequence[ConditionTrials]]) -> list[str]:
     """What the fits say of themselves, but for what they say of single parameters."""
     said: dict[str, None] = {}
-    for result in results.values():
+    for label, result in results.items():
         detail = result.fit.detail
         apart = set(limits_of(detail)) if isinstance(detail, Estimate) else set()
         if result.fit.choice is not None:  # the page says it elsewhere
-            apart |= set(result.fit.choice.describe().facts)
+            apart |= set(result.fit.choice.remarks(trials[label]))
         said |= dict.fromkeys(remark for remark in result.fit.remarks if remark not in apart)
         if isinstance(detail, Estimate):
             said |= {

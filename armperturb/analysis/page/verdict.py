@@ -25,9 +25,6 @@ REFLEXES = (1.5, 6.0)
 SUPPORTED = 0.4
 """Share of the lack of fit at a cause's frequencies from which on these support it [-]."""
 
-NOTABLE = 0.02
-"""Share of the distortion in the response's power from which on it is a cause [-]."""
-
 INCOHERENT = 0.5
 """Coherence below which noise dominates [-]."""
 
@@ -80,9 +77,9 @@ def verdict(identification: Identification) -> Verdict:
             f"The perturbation explains slightly more of the movement than the model does ({numbers}). Intervals have "
             f"been widened by a factor of {plain(math.sqrt(ratio), 3)} for that.",
         )
-    return Verdict(
-        "reject", f"The perturbation explains more of the movement than the model does ({numbers}): the model is wrong."
-    )
+    wrong = "the model is wrong" if fit.choice is None else "none of the structures that were tried is right"
+    more = "The perturbation explains more of the movement than the model does"
+    return Verdict("reject", f"{more} ({numbers}): {wrong}.")
 
 
 def likely_causes(
@@ -110,10 +107,12 @@ def likely_causes(
                 True,
             )
         )
+    free = set(identification.fit.values)
     fast = f"{above:.0%} of the lack of fit lies above {REFLEXES[1]:g} Hz, where inertia and grip act."
+    slow = f"{middle:.0%} lies between {REFLEXES[0]:g} and {REFLEXES[1]:g} Hz, where reflexes act."
     causes += [
-        Cause("inertia", fast, "Free the joint inertia: --fix m=0 --free i.", above > SUPPORTED),
-        Cause("grip", fast, "Hold the grip rigid (--fix k_h=rigid), or free it.", above > SUPPORTED),
+        _unless_free("inertia", fast, "Free the joint inertia: --fix m=0 --free i.", above, "i_s" in free),
+        _unless_free("grip", fast, "Hold the grip rigid (--fix k_h=rigid), or free it.", above, "k_h" in free),
         Cause(
             "wrong geometry",
             f"Used: upper arm {arm.l_h:.3g} m, forearm {arm.l_f:.3g} m, shoulder {arm.theta_s_deg:.3g}°, elbow "
@@ -121,16 +120,17 @@ def likely_causes(
             "Compare with the person: labels l_h, l_f, theta_s_deg and theta_e_deg of the sidecar.",
             None,
         ),
-        Cause(
-            "delay",
-            f"{middle:.0%} of the lack of fit lies between {REFLEXES[0]:g} and {REFLEXES[1]:g} Hz, where reflexes act.",
-            "Free delays and cut-offs: --free Td_s Td_e fact_s fact_e.",
-            middle > SUPPORTED,
-        ),
+        _unless_free("delay", slow, "Free delays and cut-offs: --free Td fact.", middle, "Td_s" in free),
     ]
     last = nonlinearity(distortion)
     causes.insert(0 if last.supported else len(causes), last)
     return causes
+
+
+def _unless_free(name: str, evidence: str, remedy: str, share: float, is_free: bool) -> Cause:
+    if is_free:
+        return Cause(name, f"{evidence} The model has it free already.", "Look elsewhere first.", False)
+    return Cause(name, evidence, remedy, share > SUPPORTED)
 
 
 def _share(bands: Sequence[BandOfLack], low: float, high: float) -> float:
@@ -161,7 +161,7 @@ def nonlinearity(distortion: BestLinear | None) -> Cause:
         if clear[:, axis].any()
     )
     evidence = f"Distortion was found: of the response's power {shares}{f'; around {where}' if where else ''}."
-    return Cause("nonlinearity", evidence, remedy, bool(distortion.share.max() > NOTABLE))
+    return Cause("nonlinearity", evidence, remedy, True)
 
 
 def _listed(frequency: np.ndarray) -> str:

@@ -56,6 +56,7 @@ def page(identified, tmp_path_factory):
     choice = SimpleNamespace(
         sentence="the trials choose <this>",
         undecided=("grip: rigid or spring",),
+        remarks=lambda parts: (),
         describe=lambda: Description(title="Structures tried", table=Table(("structure", "p"), (("1", "0.3"),))),
     )
     first, second = results.values()
@@ -199,6 +200,7 @@ def test_causes_come_in_order_with_what_the_data_say(identified):
     distortion = best_linear(part)
     causes = likely_causes(results["multisine"], check, diagnose(results["multisine"], part), distortion)
     assert [cause.name for cause in causes] == ["inertia", "grip", "wrong geometry", "delay", "nonlinearity"]
+    assert [cause.supported for cause in causes][1] is False  # as model 1 has it free
     late = check._replace(skew=check.skew._replace(time=2e-3))
     assert likely_causes(results["multisine"], late, diagnose(results["multisine"], part), None)[0].name == "clocks"
     # The simulated arm is linear.
@@ -206,6 +208,8 @@ def test_causes_come_in_order_with_what_the_data_say(identified):
     assert nonlinearity(None).supported is None
     strong = replace(distortion, statistic=9.0, distortion=0.1 * distortion.linear)
     assert nonlinearity(strong).supported is True
+    causes = likely_causes(results["multisine"], check, diagnose(results["multisine"], part), strong)
+    assert causes[0].name == "nonlinearity"
     assert re.search(r"9.1% .* Hz in x", nonlinearity(strong).evidence)
 
 
