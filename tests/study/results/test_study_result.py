@@ -344,7 +344,10 @@ def test_the_command_reports_on_what_is_there(copied, capsys, monkeypatch):
 def test_a_folder_without_recordings_is_one_line(tmp_path, capsys, command):
     assert main([command, str(tmp_path)]) == 1
     [line] = capsys.readouterr().err.splitlines()
-    assert line == f"armperturb: error: {tmp_path}: holds no recordings/*.nc; expected the folder of a study"
+    assert line == (
+        f"armperturb: error: {tmp_path}: holds no recordings/*.nc; expected the folder of a study (other recordings: "
+        "armperturb identify FILES --out DIR)"
+    )
     assert not list(tmp_path.iterdir())
 
 
