@@ -184,7 +184,7 @@ def _remarks(results: Identifications, trials: Mapping[str, Sequence[ConditionTr
         said |= dict.fromkeys(remark for remark in result.fit.remarks if remark not in apart)
         if isinstance(detail, Estimate):
             said |= {
-                f"{WORDS['quantities'][name]} differ from trial to trial by {spread:.0%} (standard deviation); "
+                f"{WORDS['quantities'][name]} differ from trial to trial by {spread:.1%} (standard deviation); "
                 "intervals are of the mean over trials": None
                 for name, spread in detail.trial_spread.items()
             }
