@@ -15,6 +15,7 @@ from tyro import constructors
 from armperturb.commands.command import Command, field_texts
 from armperturb.envs.render.gl import require_simulator
 from armperturb.extras import naming_the_extra
+from armperturb.files import inputs_untouched
 
 _NAMES = "study report score simulate sidecar convert identify response validate design calibrate video view"
 
@@ -58,12 +59,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     command: Command | None = None
     try:
-        command = _parse(arguments)
-        with naming_the_extra(f"armperturb {type(command).__name__.lower()}"):
-            if command.needs_simulator:
-                require_simulator()
-            for line in command.run():
-                print(line)
+        with inputs_untouched():
+            command = _parse(arguments)
+            with naming_the_extra(f"armperturb {type(command).__name__.lower()}"):
+                if command.needs_simulator:
+                    require_simulator()
+                for line in command.run():
+                    print(line)
     except REFUSED as error:
         message = " ".join(str(error).split())
         print(f"armperturb: error: {message}", file=sys.stderr)

@@ -30,7 +30,7 @@ ARROWS = {
     "subject": {"files", "validation", "muscle_law"},
     "environment": {"validation"},
     "anthropometry": {"files", "validation"},
-    "foreign": {"extras"},
+    "foreign": {"extras", "files"},
     "recording": {"files", "foreign"},
     "archive": {"files"},
     "workers": {"extras"},

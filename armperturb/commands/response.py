@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from armperturb.analysis.defaults import SETTLED
 from armperturb.commands.command import Command, Positional
-from armperturb.files import write_csv
+from armperturb.files import require_no_input, write_csv
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +40,7 @@ class Response(Command):
         from armperturb.analysis.response.estimate import response
         from armperturb.analysis.trials import common_period, prepared_recordings
         from armperturb.commands.selection import select_trials
+        from armperturb.convert.checks import check_recordings
         from armperturb.convert.importer import import_recording
         from armperturb.plots.style import save_plot
 
@@ -47,6 +48,7 @@ class Response(Command):
             raise ValueError(f"response: period = {self.period:g}; expected none with the method {self.method}")
         imported = [import_recording([path], sidecar=self.sidecar) for path in self.recordings]
         recordings = [recording for recording, _ in imported]
+        check_recordings(recordings, list(map(str, self.recordings)))
         recordings = select_trials(recordings, self.recordings, self.subject, self.condition, single_condition=True)
         options: dict[str, Any] = {"window_start": self.window_start, "period": self.period}
         options = {name: value for name, value in options.items() if value is not None}
@@ -77,8 +79,9 @@ class Response(Command):
         for name, result in (("response", estimate), ("distortion", distortion)):
             table, figure = self.out / f"{name}.csv", self.out / f"{name}.svg"
             if result is None:  # those of an earlier run
-                table.unlink(missing_ok=True)
-                figure.unlink(missing_ok=True)
+                for path in (table, figure):
+                    require_no_input(path)
+                    path.unlink(missing_ok=True)
             else:
                 write_csv(result.to_frame().assign(condition=trials[0].label), table)
                 save_plot(result, figure)
