@@ -182,7 +182,7 @@ def sync(path: str | Path) -> None:
 
 
 def write_csv(table: "pd.DataFrame | Iterable[Mapping[str, Any]]", path: str | Path) -> None:
-    """Write a table as CSV with a header line, numbers in full precision.
+    """Write a table as CSV with a header line, numbers in full precision, and no text that a spreadsheet would run.
 
     Args:
       table: a pandas DataFrame, whose truth values are written as true and false; or at least one row, all with the
@@ -199,4 +199,15 @@ def write_csv(table: "pd.DataFrame | Iterable[Mapping[str, Any]]", path: str | P
     with written_whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=columns, lineterminator="\n")
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows({name: _as_text(cell) for name, cell in row.items()} for row in rows)
+
+
+def _as_text(cell: Any) -> Any:
+    """A cell that a spreadsheet does not run: one that begins as a formula does gets an apostrophe, unless a number."""
+    if not isinstance(cell, str) or not cell.startswith(("=", "+", "-", "@", "\t", "\r")):
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}"
+    return cell

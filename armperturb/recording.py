@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 
 from armperturb.files import packaged_table, written_whole
 from armperturb.foreign import read_foreign
+from armperturb.validation import require_name
 
 _TABLES = packaged_table(__package__, "recording.toml")
 
@@ -210,6 +211,9 @@ def check_recording(
                 f"{source}: {name} of trial {trial} is {variable.values[trial, sample, column]} at sample {sample}; "
                 "expected finite values"
             )
+    for name in TEXT_COORDINATES:
+        for text in map(str, recording[name].values.flat if name in recording.coords else ()):
+            require_name(source, name, text)
     for name in TRIAL_COORDINATES:
         if name in OPTIONAL_COORDINATES and name not in recording.coords:
             continue
