@@ -22,7 +22,7 @@ from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
 from armperturb.analysis.numerics.periodicity import find_period, samples_of_period
 from armperturb.arrays import Array, Indices
 from armperturb.environment import Environment
-from armperturb.recording import check_recording, join_recordings
+from armperturb.recording import check_recording
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import require_number, require_one_of
 
@@ -383,33 +383,6 @@ def prepared_recordings(recordings: SeveralTrials) -> list[ConditionTrials]:
     if len(rates) > 1:
         raise ValueError(f"recordings: rate = {', '.join(f'{rate:g}' for rate in rates)} Hz; expected one rate")
     return trials
-
-
-def parts_by_condition(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[str, tuple[ConditionTrials, ...]]:
-    """Condition to its trials, those of one length together, in the order of the recordings.
-
-    Args:
-      recordings: trials of one person, of any lengths.
-
-    Raises:
-      ValueError: as `trials_by_condition`, of all recordings together.
-    """
-    several = [recordings] if isinstance(recordings, xr.Dataset) else list(recordings)
-    people = list(dict.fromkeys(str(name) for each in several for name in each["subject"].values))
-    if len(people) > 1:
-        raise ValueError(f"recording: subject = {', '.join(people)}; expected one person")
-    parts: dict[str, dict[tuple[float, int], list[xr.Dataset]]] = {}
-    for each in several:
-        for label, trials in trials_by_condition(each).items():
-            clock = trials.rate, trials.n_samples
-            parts.setdefault(label, {}).setdefault(clock, []).append(trials.recording)
-    return {
-        label: tuple(
-            ConditionTrials.prepare(same[0] if len(same) == 1 else join_recordings(same).recording)
-            for same in by_clock.values()
-        )
-        for label, by_clock in parts.items()
-    }
 
 
 def records_of(trials: Sequence[ConditionTrials], window_start: float) -> list[TrialRecord]:

@@ -40,19 +40,16 @@ class Response(Command):
         from armperturb.analysis.response.estimate import response
         from armperturb.analysis.trials import common_period, prepared_recordings
         from armperturb.commands.selection import select_trials
-        from armperturb.convert.checks import check_recordings
-        from armperturb.convert.importer import import_recording
         from armperturb.plots.style import save_plot
 
         if self.period is not None and self.method not in ("multisine", "spectral"):
             raise ValueError(f"response: period = {self.period:g}; expected none with the method {self.method}")
-        imported = [import_recording([path], sidecar=self.sidecar) for path in self.recordings]
-        recordings = [recording for recording, _ in imported]
-        check_recordings(recordings, list(map(str, self.recordings)))
-        recordings = select_trials(recordings, self.recordings, self.subject, self.condition, single_condition=True)
+        recordings, lines = select_trials(
+            self.recordings, self.sidecar, self.subject, self.condition, single_condition=True
+        )
         options: dict[str, Any] = {"window_start": self.window_start, "period": self.period}
         options = {name: value for name, value in options.items() if value is not None}
-        lines, distortion = [note for _, notes in imported for note in notes], None
+        distortion = None
         try:
             trials = prepared_recordings(recordings)
             if self.method == "multisine":

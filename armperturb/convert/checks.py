@@ -25,7 +25,7 @@ AWAY = 0.01
 """Distance from its start at which no path stays throughout, unless it moves by more [m]; refuses places in a room."""
 
 
-_LABELS = ("l_h", "l_f", "theta_s_deg", "theta_e_deg", "pulse_onset", "limit_time")
+_POSTURE = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
 
 
 def require_signal(where: str, name: str, values: Array) -> None:
@@ -144,9 +144,9 @@ def require_plausible_recording(recording: xr.Dataset, source: str) -> None:
     signals = {name: recording[name] for name in SIGNALS if name in recording.data_vars}
     rates = {name: float(recording.attrs[CLOCKS[SIGNALS[name][0][0]]]) for name in signals}
     for trial in range(recording.sizes["trial"]):
-        where, labels = f"{source}: trial {trial}", {name: float(recording[name].values[trial]) for name in _LABELS}
-        for name in _LABELS:
-            if name in RANGES["Subject"] and not np.isnan(labels[name]):
+        where, labels = f"{source}: trial {trial}", {name: float(recording[name].values[trial]) for name in _POSTURE}
+        for name in _POSTURE:
+            if not np.isnan(labels[name]):
                 require_number(where, name, labels[name], **RANGES["Subject"][name])
         require_plausible(
             Timed(

@@ -19,14 +19,14 @@ displacement, are then least-squares fitted to each trial's residual and taken o
 the likelihood is that of the rest. Arms of trials may differ, so that P differs from trial to trial.
 """
 
-import itertools
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft, linalg, sparse, stats
+from scipy import fft, linalg, stats
 
 from armperturb.analysis.arm.linear_arm import LinearArm
+from armperturb.analysis.fit.frequency_bands import EXCITED_POWER, excited_bands, smoother
 from armperturb.arrays import Array, ComplexArray, Indices
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -34,18 +34,8 @@ from armperturb.subject import Subject
 CORNER = 1.5
 """From about this frequency on the displacement falls with inertia [Hz]: corner of the whitening filter."""
 
-N_SMOOTH = 40
-"""Trials times frequencies over which the spectrum of the noise is averaged at least."""
-
-RELATIVE_WIDTH = 0.05
-"""Half the band over which the spectrum of the noise is averaged at least, over its frequency [-]."""
-
 TAPER = 2.0
 """Length over which a record fades out before it is transformed [s]; one that begins at rest needs no fading in."""
-
-EXCITED_POWER = 1e-3
-"""Share of the largest power above which a frequency counts as excited. It is larger than that of the lines of a
-multisine (`spectra.EXCITED_LINE`), as whole records are tapered and leak power into neighbouring frequencies."""
 
 PAST = (0.0, 0.02, 0.05, 0.09, 0.15, 0.23, 0.35, 0.55, 0.9, 1.5, 2.5)
 """Times before a record at which the unknown force before it may have its knots, linear between them [s]."""
@@ -428,28 +418,3 @@ def _orthonormal(values: ComplexArray) -> Array:
     rows = _rows(values)
     _, size, basis = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True), full_matrices=False)
     return np.asarray(basis[size > 1e-9 * size[0]])
-
-
-def smoother(n: int, n_trials: int) -> sparse.csr_array:
-    """Matrix that averages over nearby frequencies, the same of each of n_trials trials, (frequency, frequency)."""
-    index = np.arange(n)
-    half = np.maximum(int(np.ceil(N_SMOOTH / n_trials / 2)), (RELATIVE_WIDTH * index).astype(int))
-    first = np.maximum(index - half, 0)
-    count = np.minimum(index + half, n - 1) - first + 1
-    ends = np.cumsum(count)
-    near = np.arange(ends[-1]) - np.repeat(ends - count - first, count)
-    return sparse.csr_array((np.repeat(1.0 / count, count), near, np.append(0, ends)), shape=(n, n))
-
-
-def excited_bands(frequency: Array, force: ComplexArray) -> list[slice]:
-    """Runs of excited frequencies, split where they are wider than a third of an octave."""
-    power = np.mean(np.abs(force) ** 2, axis=(0, 1))
-    excited = np.flatnonzero(power > EXCITED_POWER * power.max())
-    runs, first = [], excited[0]
-    for before, now in itertools.pairwise(excited):
-        if now - before > 2 or frequency[now] > 2 ** (1 / 3) * frequency[first] + 4 * frequency[0]:
-            runs.append(slice(int(first), int(before) + 1))
-            first = now
-    runs.append(slice(int(first), int(excited[-1]) + 1))
-    # Four complex numbers are estimated in each.
-    return [run for run in runs if 2 * len(force) * (run.stop - run.start) >= 8]
