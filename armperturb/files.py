@@ -1,6 +1,7 @@
 """Files that are there whole or not at all, and tables that lie beside the code."""
 
 import csv
+import hashlib
 import os
 import tempfile
 import tomllib
@@ -78,6 +79,16 @@ def written_whole(path: str | Path) -> Iterator[Path]:
         raise OSError(error.errno, error.strerror, str(path)) from error
     finally:
         Path(name).unlink(missing_ok=True)
+
+
+def checksum(path: str | Path) -> str:
+    """SHA-256 of a file, in hexadecimal digits.
+
+    Raises:
+      OSError: the file cannot be read.
+    """
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_durably(path: str | Path, content: bytes) -> None:

@@ -1,18 +1,13 @@
-"""Runs the benchmarks: the table of simulations in some three minutes, or with `--full` all but the longest.
+"""Runs the benchmarks: the table of simulations in some three minutes, with `--full` every target in one table.
 
-`distortion` and `design` take an hour each, `foreign_arms` has options: these are run by themselves.
+The others are run by themselves, `python -m benchmarks.NAME`.
 """
 
 import importlib
 import sys
 
 SHORT = ("simulation", "vector_env", "study_speed")
-FULL = (
-    *SHORT,
-    *("muscle_law", "multisine_crest", "thesis_fit", "thesis_sem", "estimators", "nonparametric", "frequency_response"),
-    *("sysid", "study_report", "study_kills", "nonlinear"),
-)
 
-for name in FULL if "--full" in sys.argv[1:] else SHORT:
+for name in ("targets",) if "--full" in sys.argv[1:] else SHORT:
     print(f"== {name}", flush=True)
     importlib.import_module(f"benchmarks.{name}").main()

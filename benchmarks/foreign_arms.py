@@ -12,39 +12,35 @@ import sys
 import time
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from armperturb.analysis.fit.identify import identify
-from armperturb.analysis.fit.structures import STRUCTURES, Structure
+from armperturb.analysis.fit.own_structures import composed
+from armperturb.analysis.fit.structures import Structure
+from armperturb.analysis.measures.start_geometry import in_start_geometry
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 JUDGED = ("k_s", "k_se", "k_e", "b_s", "b_se", "b_e")
-NAMED = {"none": "1", "velocity": "2", "position": "3"}
-"""Kind of reflex to the structure that has it."""
-
-FREE = {
-    **{f"i_{joint}": bounds for joint, bounds in {"s": (0.01, 0.3, 2.0), "se": (-0.5, 0.05, 1.0)}.items()},
-    "i_e": (0.005, 0.1, 1.0),
-    **dict.fromkeys(("Td_s", "Td_e"), (0.010, 0.030, 0.080)),
-    **dict.fromkeys(("fact_s", "fact_e"), (1.0, 2.5, 8.0)),
-    "zeta_act": (0.3, 0.7, 1.5),
-}
-"""Lower bound, start and upper bound."""
 
 
 def right_structure(truth: dict) -> Structure:
-    """The structure of an arm, within wide bounds: joint inertia free, reflex and grip as they are."""
-    named = STRUCTURES[NAMED[truth["reflex"]]].fixing(m_h=0.0, m_f=0.0)
-    free = {name: bounds for name, bounds in FREE.items() if name.startswith("i_") or "Td_s" in named.bounds}
-    structure = named.freeing(**free)
-    if truth["grip"] == "spring":
-        return structure.freeing(k_h=(2e3, 2e4, 1e6))
-    return structure.fixing(k_h=1e9, b_h=0.0)
+    """The structure of an arm, within wide bounds."""
+    return composed(inertia="free", grip=truth["grip"], reflex=truth["reflex"])
 
 
-def judge(seed: int, with_mujoco: bool, model: str | None, given: dict) -> dict:
+def hand_ellipse(arm: Any) -> tuple[float, float]:
+    """Area [(N/m)^2] and orientation [deg] of the true stiffness at the hand."""
+    inverse = np.linalg.inv(arm.jacobian())
+    k_s, k_se, k_e = arm.k
+    turned = inverse.T @ np.array([[k_s, k_se], [k_se, k_e]]) @ inverse
+    axes, directions = np.linalg.eigh(turned)
+    return float(np.pi * axes.prod()), float(np.degrees(np.arctan2(*directions[::-1, 1])))
+
+
+def judge(seed: int, with_mujoco: bool, corrected: bool, model: str | None, given: dict) -> dict:
     """Draw, record and identify one arm."""
     import foreign_arms
     import foreign_mujoco
@@ -58,7 +54,8 @@ def judge(seed: int, with_mujoco: bool, model: str | None, given: dict) -> dict:
     recording = setup.recording(foreign_mujoco.simulate if with_mujoco else foreign_arms.simulate)
     start = time.process_time()
     try:
-        result = identify(recording, model or right_structure(truth))
+        trials = in_start_geometry(recording) if corrected else recording
+        result = identify(trials, model or right_structure(truth))
     except ValueError as error:
         return row | {"refused": str(error)}
     fit, detail = result.fit, result.fit.detail
@@ -66,6 +63,11 @@ def judge(seed: int, with_mujoco: bool, model: str | None, given: dict) -> dict:
     for name in set(JUDGED) & fit.values.keys():
         error = fit.values[name] - truth[name]
         row[name] = [truth[name], fit.values[name], fit.standard_error[name], fit.standard_error[name] / bound, error]
+    area, orientation = hand_ellipse(setup.arm)
+    stiffness = fit.endpoint()["stiffness"]
+    low, high = stiffness.orientation_interval()
+    off = abs((orientation - (low + high) / 2.0 + 90.0) % 180.0 - 90.0)
+    row["ellipse"] = [bool(np.prod(np.subtract(area, stiffness.area_interval())) <= 0.0), bool(2.0 * off <= high - low)]
     row |= {"chi2": detail.chi2, "dof": detail.dof, "converged": fit.converged, "suspicious": detail.is_suspicious}
     return row | {"seconds": time.process_time() - start, "remarks": list(fit.remarks)}
 
@@ -90,6 +92,8 @@ def report(rows: list[dict]) -> None:
                 cells += [f"{np.median([row['chi2'] / row['dof'] for row in fitted]):.2f}"]
                 cells += [f"{np.mean(inside):.1f}", f"{min(inside):.1f}", f"{np.sqrt(np.mean(ratio**2)):.2f}"]
             print(f"{label:28}" + "".join(f"{cell:>10}" for cell in cells))
+    ellipses = 100.0 * np.mean([row["ellipse"] for row in rows if "ellipse" in row], axis=0)
+    print(f"ellipse of stiffness: true area inside {ellipses[0]:.1f} %, true orientation inside {ellipses[1]:.1f} %")
     for reason in sorted({row["refused"] for row in rows if "refused" in row}):
         print(f"refused: {reason}")
 
@@ -100,6 +104,7 @@ def main() -> None:
     parser.add_argument("--n", type=int, default=40, help="arms")
     parser.add_argument("--seed", type=int, default=0, help="of the first arm; the others follow")
     parser.add_argument("--mujoco", action="store_true", help="MuJoCo as the engine")
+    parser.add_argument("--corrected", action="store_true", help="without what the arm's geometry makes nonlinear")
     parser.add_argument("--model", help="a structure for all arms; by default the right one")
     parser.add_argument("--given", type=json.loads, default={}, help='of every arm, e.g. \'{"kind": "multisine"}\'')
     parser.add_argument("--out", type=Path, help="file of JSON lines")
@@ -109,7 +114,8 @@ def main() -> None:
         rows = [json.loads(line) for line in asked.out.read_text(encoding="utf-8").splitlines()]
     left = sorted({*range(asked.seed, asked.seed + asked.n)} - {row["seed"] for row in rows})
     with ProcessPoolExecutor(2) as pool:
-        waiting = [pool.submit(judge, seed, asked.mujoco, asked.model, dict(asked.given)) for seed in left]
+        options = asked.mujoco, asked.corrected, asked.model, asked.given
+        waiting = [pool.submit(judge, seed, *options) for seed in left]
         for future in as_completed(waiting):
             rows.append(future.result())
             if asked.out:

@@ -28,6 +28,7 @@ class Memory(threading.Thread):
     def __init__(self) -> None:
         super().__init__(daemon=True)
         self.peak = 0
+        self.processor_time = 0.0  # its own [s], which is no cost of what it watches
         self._ended = threading.Event()
 
     def run(self) -> None:
@@ -40,6 +41,7 @@ class Memory(threading.Thread):
                 except psutil.Error:
                     continue  # it has just ended
             self.peak = max(self.peak, total)
+        self.processor_time = time.thread_time()
 
     def stop(self) -> None:
         self._ended.set()
@@ -60,9 +62,10 @@ def main(arguments: list[str] | None = None) -> None:
             record_study(settings, Path(folder), workers=options.workers)
             took = time.perf_counter() - start
         memory.stop()
+        spent = processor_time() - before - memory.processor_time
         simulated = N_SUBJECTS * len(THESIS.planned_trials()) * THESIS.trial_duration
         print(
-            f"{engine}: {took:.1f} s wall on {os.cpu_count()} cores ({processor_time() - before:.0f} s of processor "
+            f"{engine}: {took:.1f} s wall on {os.cpu_count()} cores ({spent:.0f} s of processor "
             f"time, {simulated / took:.0f} x real time); target {target} s on 2 cores; {memory.peak / 2**20:.0f} MiB "
             "of all processes together"
         )

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
-from armperturb.commands.command import Command, Positional
+from armperturb.commands.command import Command, Positional, command_line
 from armperturb.extras import MissingExtraError, naming_the_extra
 
 if TYPE_CHECKING:
@@ -27,15 +27,16 @@ class Identify(Command):
     recordings: Positional[tuple[Path, ...]]
     """Recordings of one person to read: netCDF4, or CSV, MATLAB or C3D with a sidecar (see convert); the trials of a
     condition are identified together."""
-    model: str
-    """Model structure: 1 intrinsic and grip; 2 with velocity, 3 with velocity and position feedback; 4, 5 and 6 with
-    force, acceleration or both in addition; 3a and 3b total mass and reflexes, with grip, delay and cut-off fixed, 3b
-    without negative gains; FILE.toml a structure of one's own, see docs/method.md; nonlinear a muscle law, from all
-    trials of one or both tasks together."""
     out: Path
-    """Folder for admittance.csv, parameters.csv, fit.json, structure.toml, and stiffness, damping and inertia at the
-    hand in endpoint.csv and endpoint.svg; of the nonlinear model, for parameters.csv, correlations.csv,
-    predictions.csv, fit.json and pulses.svg, and for checkpoints from which an interrupted search continues."""
+    """Folder for identify.html, which tells all, admittance.csv, parameters.csv, fit.json, structure.toml, and
+    stiffness, damping and inertia at the hand in endpoint.csv and endpoint.svg; of the nonlinear model, for
+    parameters.csv, correlations.csv, predictions.csv, fit.json and pulses.svg, and for checkpoints from which an
+    interrupted search continues."""
+    model: str | None = None
+    """Model structure; by default the trials of each condition choose it. 1 intrinsic and grip; 2 with velocity, 3 with
+    velocity and position feedback; 4, 5 and 6 with force, acceleration or both in addition; 3a and 3b total mass and
+    reflexes, with grip, delay and cut-off fixed, 3b without negative gains; FILE.toml a structure of one's own, see
+    docs/method.md; nonlinear a muscle law, from all trials of one or both tasks together."""
     sidecar: Path | None = None
     """Sidecar of all recordings that need one, see docs/recordings.md; by default FILE.json beside each."""
     law: Literal["full", "short-range", "linear", "choose"] | None = None
@@ -81,7 +82,6 @@ class Identify(Command):
     def run(self) -> list[str]:
         """Identify the arm and write the results."""
         from armperturb.commands.selection import select_trials
-        from armperturb.convert.importer import import_recording
 
         linear = self.model != "nonlinear"
         for field in fields(self):
@@ -92,22 +92,30 @@ class Identify(Command):
                     f"identify: {field.name} = {value!r}; expected {field.default!r} {condition} --model nonlinear"
                 )
         structure = self._structure() if linear else None
-        imported = import_recording(self.recordings, sidecar=self.sidecar)
-        (recording,) = select_trials(
-            [imported.recording], self.recordings, self.subject, self.condition, single_condition=False
+        recordings, notes = select_trials(
+            self.recordings, self.sidecar, self.subject, self.condition, single_condition=False
         )
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         try:
-            lines = self._identify(recording, structure) if structure else self._identify_nonlinear(recording)
+            lines = self._identify(recordings, structure, notes) if linear else self._identify_nonlinear(recordings)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
-        return [*imported.notes, *lines, f"results: {self.out}"]
+        return [*notes, *lines, f"results: {self.out}"]
 
-    def _structure(self) -> "Structure":
+    def _structure(self) -> "Structure | None":
+        """The structure that is asked for; None if the trials are to choose it."""
         from armperturb.analysis.fit.own_structures import load_structure, with_options
         from armperturb.analysis.fit.structures import structure_of
 
+        if self.model is None:
+            for kind in (*OF_A_STRUCTURE, "body"):
+                if getattr(self, kind):
+                    raise ValueError(
+                        f"identify: {kind} = {getattr(self, kind)!r} without a model; expected the one that it changes "
+                        "(e.g. --model 3)"
+                    )
+            return None
         if self.model.endswith(".toml"):
             base = load_structure(self.model)
         elif self.model in get_args(Model):
@@ -127,24 +135,27 @@ class Identify(Command):
             )
         return structure
 
-    def _identify(self, recording: "xr.Dataset", structure: "Structure") -> list[str]:
+    def _identify(self, recordings: "list[xr.Dataset]", structure: "Structure | None", notes: list[str]) -> list[str]:
         from armperturb.analysis.fit.export import write_identification
-        from armperturb.analysis.fit.identify import identify_conditions
+        from armperturb.analysis.fit.identify import identify_conditions, parts_by_condition
         from armperturb.analysis.fit.own_structures import inertia_prior, save_structure
-        from armperturb.analysis.trials import trials_by_condition
+        from armperturb.analysis.page.page import Origin, write_page
+        from armperturb.commands.selection import manipulator
+        from armperturb.files import checksum
 
-        tasks = list(dict.fromkeys(recording["task"].values.tolist()))
+        tasks = list(dict.fromkeys(task for recording in recordings for task in recording["task"].values.tolist()))
         if len(tasks) > 1:
             raise ValueError(
                 f"trials of the tasks {' and '.join(tasks)}; expected only one task (choose a --condition)"
             )
-        if self.body:
-            person = next(iter(trials_by_condition(recording).values())).body
+        trials = parts_by_condition(recordings)
+        if structure and self.body:
+            person = next(iter(trials.values()))[0].body
             structure = structure.knowing(**inertia_prior(person, *self.body)).named(
                 f"{structure.name}, body from tables"
             )
         results = identify_conditions(
-            recording,
+            trials,
             structure,
             estimator=self.estimator,
             share=self.share,
@@ -153,25 +164,40 @@ class Identify(Command):
             lines_per_average=self.lines_per_average,
         )
         write_identification(results, self.out)
-        save_structure(structure, self.out / "structure.toml")
+        for condition, result in results.items():
+            choice = result.fit.choice
+            chosen = structure if choice is None else choice.chosen.structure
+            name = "structure.toml" if structure or len(results) == 1 else f"structure_{condition}.toml"
+            if chosen is not None:
+                save_structure(chosen, self.out / name)
+        origin = Origin(
+            command=command_line(self),
+            files={path.name: checksum(path) for path in self.recordings},
+            notes=tuple(notes),
+            window_start=self.window_start,
+            period=self.period,
+        )
+        write_page(results, trials, self.out / "identify.html", origin)
         lines = []
         for condition, result in results.items():
+            lines.append(f"{condition}: {manipulator(result.environment)}")
             lines.append(f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %")
             lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
         return lines
 
-    def _identify_nonlinear(self, recording: "xr.Dataset") -> list[str]:
+    def _identify_nonlinear(self, recordings: "list[xr.Dataset]") -> list[str]:
         with naming_the_extra("identify --model nonlinear"):
             from armperturb.analysis.nonlinear.export import write_nonlinear
             from armperturb.analysis.nonlinear.identify import identify_nonlinear
             from armperturb.workers import cpu_count
         from armperturb.plots.style import save_plot
+        from armperturb.recording import join_recordings
 
         is_new = not self.out.exists()
         self.out.mkdir(parents=True, exist_ok=True)  # now, as checkpoints go there
         try:
             result = identify_nonlinear(
-                recording,
+                recordings[0] if len(recordings) == 1 else join_recordings(recordings),
                 self.law or "full",
                 pulse_directions_deg=self.pulses,
                 window_start=self.window_start,

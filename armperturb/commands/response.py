@@ -2,11 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from armperturb.analysis.defaults import SETTLED
 from armperturb.commands.command import Command, Positional
 from armperturb.files import write_csv
+
+if TYPE_CHECKING:
+    from armperturb.analysis.trials import ConditionTrials
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,17 +43,16 @@ class Response(Command):
         from armperturb.analysis.response.estimate import response
         from armperturb.analysis.trials import common_period, prepared_recordings
         from armperturb.commands.selection import select_trials
-        from armperturb.convert.importer import import_recording
         from armperturb.plots.style import save_plot
 
         if self.period is not None and self.method not in ("multisine", "spectral"):
             raise ValueError(f"response: period = {self.period:g}; expected none with the method {self.method}")
-        imported = [import_recording([path], sidecar=self.sidecar) for path in self.recordings]
-        recordings = [recording for recording, _ in imported]
-        recordings = select_trials(recordings, self.recordings, self.subject, self.condition, single_condition=True)
+        recordings, lines = select_trials(
+            self.recordings, self.sidecar, self.subject, self.condition, single_condition=True
+        )
         options: dict[str, Any] = {"window_start": self.window_start, "period": self.period}
         options = {name: value for name, value in options.items() if value is not None}
-        lines, distortion = [note for _, notes in imported for note in notes], None
+        distortion = None
         try:
             trials = prepared_recordings(recordings)
             if self.method == "multisine":
@@ -60,11 +62,7 @@ class Response(Command):
             estimate = response(trials, self.method, what=self.what, **options)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
-        if (used := estimate.environment) is not None:
-            lines.append(
-                f"force balance of the manipulator used: {used.m_env:.4g} kg, {used.b_env:.3g} Ns/m, "
-                f"{used.k_env:.4g} N/m"
-            )
+        lines.append(_manipulator(trials[0], was_used=estimate.environment is not None))
         if estimate.covariance is None:
             lines.append(f"no uncertainty: {self.method} needs more trials for an estimate of it")
         if self.method == "multisine" and self.what == "arm":
@@ -83,3 +81,13 @@ class Response(Command):
                 write_csv(result.to_frame().assign(condition=trials[0].label), table)
                 save_plot(result, figure)
         return [*lines, f"results: {self.out}"]
+
+
+def _manipulator(trials: "ConditionTrials", *, was_used: bool) -> str:
+    """The manipulator as the trials show it, and whether its force balance made the signals better."""
+    from armperturb.commands.selection import manipulator
+
+    try:
+        return manipulator(trials.environment) + (", whose force balance was used" if was_used else "")
+    except ValueError as error:
+        return f"manipulator: not identified ({error})"

@@ -6,31 +6,44 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from armperturb.convert.importer import import_recording
+from armperturb.environment import Environment
+
+
+def manipulator(environment: Environment) -> str:
+    """What the hand held, for people to read."""
+    return f"manipulator {environment.m_env:.4g} kg, {environment.b_env:.3g} Ns/m, {environment.k_env:.4g} N/m"
+
 
 def select_trials(
-    recordings: Sequence[xr.Dataset],
     files: Sequence[Path],
+    sidecar: Path | None,
     subject: str | None,
     condition: str | None,
     *,
     single_condition: bool,
-) -> list[xr.Dataset]:
-    """The trials of one subject, in one condition or in all.
+) -> tuple[list[xr.Dataset], list[str]]:
+    """The trials of one subject, in one condition or in all, and what happened when they were read.
 
     Args:
-      recordings: what the files hold.
-      files: for messages.
+      files: to read, see `import_recording`.
+      sidecar: of all files that need one; None for that beside each.
       subject: name of the subject; None if there is only one.
       condition: name of the condition; None for all, or if there is only one.
       single_condition: whether all trials must be of one condition.
 
     Returns:
-      The recordings that have such trials, without their others.
+      The recordings that have such trials, without their others; and notes, a sentence each.
 
     Raises:
-      ValueError: no trial has the name, or one of several has to be chosen.
+      ValueError: as `import_recording`; no trial has the name, or one of several has to be chosen.
     """
-    source, selected = ", ".join(map(str, files)), list(recordings)
+    for place, path in enumerate(files):
+        if path.resolve() in [other.resolve() for other in files[:place]]:
+            raise ValueError(f"{path} comes twice; expected each recording once")
+    imported = [import_recording([path], sidecar=sidecar) for path in files]
+    notes = list(dict.fromkeys(note for _, of_file in imported for note in of_file))
+    source, selected = ", ".join(map(str, files)), [recording for recording, _ in imported]
     for label, wanted, single in (("subject", subject, True), ("condition", condition, single_condition)):
         names = list(dict.fromkeys(name for recording in selected for name in recording[label].values.tolist()))
         if wanted is None:
@@ -41,4 +54,4 @@ def select_trials(
             raise ValueError(f"{source}: no {label} {wanted!r}; expected one of {', '.join(names)}")
         selected = [recording.isel(trial=np.flatnonzero(recording[label].values == wanted)) for recording in selected]
         selected = [recording for recording in selected if recording.sizes["trial"]]
-    return selected
+    return selected, notes

@@ -4,6 +4,7 @@ import numpy as np
 
 from armperturb.arrays import Array
 from armperturb.convert.faults import Timed
+from armperturb.convert.tables import TABLES
 from armperturb.convert.units import UNITS
 from armperturb.recording import SIGNALS
 
@@ -12,6 +13,9 @@ LARGEST_NUMBER = 1e16
 
 LARGEST_FORCE = 2000.0
 """That people and manipulators bear [N]; refuses millinewtons."""
+
+LONGEST_SEGMENT: float = TABLES["ranges"]["l_h"][1]
+"""Of any person [m], where the person's own are unknown."""
 
 REACH = 1.0
 """Largest distance of the handle from its start, in arm lengths [-]; refuses millimetres."""
@@ -67,7 +71,7 @@ def require_plausible(trial: Timed) -> None:
       ValueError: a signal is too large, displacement is not from its start, or an instant lies outside the trial.
     """
     where, signals, rates, labels = trial.where, trial.signals, trial.rates, trial.labels
-    reach = REACH * (labels["l_h"] + labels["l_f"])
+    reach = REACH * (labels.get("l_h", LONGEST_SEGMENT) + labels.get("l_f", LONGEST_SEGMENT))
     limits = {"perturbation": LARGEST_FORCE, "force": LARGEST_FORCE, "displacement": reach, "shoulder_marker": reach}
     limits |= {"joint_angle": 2 * np.pi, "emg": 100.0}
     for name, values in signals.items():

@@ -158,5 +158,5 @@ def _aligned(
 def _advice(fault: Fault) -> str:
     if fault.repair == "trials" or not fault.can:
         why = "" if fault.repair == "trials" else ", which cannot be repaired"
-        return f"expected a trial without{why} (--repair trials leaves it out)"
-    return f"expected none (--repair {fault.repair} puts it right)"
+        return f"expected a trial without{why} (convert --repair trials leaves it out)"
+    return f"expected none (convert --repair {fault.repair} puts it right)"

@@ -36,7 +36,7 @@ BODIES = {"handle": 1.0, "hand": -1.0}
 FIRST = "first"
 """The handle's start is where its first sample is."""
 
-REQUIRED_LABELS = ("subject", "task", "l_h", "l_f", "theta_s_deg", "theta_e_deg")
+REQUIRED_LABELS = ("subject", "task")
 
 _RANGES: Mapping[str, tuple[float, float]] = TABLES["ranges"]
 """What labels of people can be, in our units: beyond it is a slip, or another unit."""

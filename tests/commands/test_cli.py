@@ -173,7 +173,7 @@ def test_missing_files_and_folders_are_named(inputs, capsys):
 DAMAGE = {
     "no force": (lambda r: r.drop_vars("force"), "variable 'force' is missing"),
     "rate": (lambda r: r.isel(time=slice(None, None, 4)), "rate = 200 Hz"),
-    "too short": (lambda r: r.isel(time=slice(2000)), "of a shorter record state the period"),
+    "too short": (lambda r: r.isel(time=slice(800)), "the recording lasts 4 s; expected at least 5 s"),
     "one direction": (lambda r: r.assign(perturbation=r["perturbation"] * [1.0, 0.0]), "are not independent"),
     "flipped": (lambda r: r.assign(force=-r["force"]), "force must be the reaction force"),
 }
@@ -247,9 +247,11 @@ def test_what_cannot_be_identified_together_is_refused(two_recordings, recording
     save_recording(other, tmp_path / "p.nc")
     line = refused(capsys, "identify", a, tmp_path / "p.nc", "--model", "1", *out)
     assert "trials of the tasks RT and PT; expected only one task (choose a --condition)" in line
-    line = refused(capsys, "identify", a, tmp_path / "short.nc", "--model", "1", *out)
+    line = refused(capsys, "identify", a, tmp_path / "short.nc", "--model", "1", "--estimator", "thesis", *out)
     assert "short.nc" in line
-    assert "expected one rate and duration" in line
+    assert "expected one length with estimator = 'thesis' (--estimator record takes any)" in line
+    line = refused(capsys, "identify", a, "--free", "zeta_act", *out)
+    assert "free = ('zeta_act',) without a model; expected the one that it changes" in line
     line = refused(capsys, "identify", a, b, "--model", "1", "--estimator", "thesis", "--share", "mass", *out)
     assert "share = mass; expected nothing with estimator = 'thesis'" in line
     line = refused(capsys, "identify", a, b, "--model", "1", "--share", "k_x", *out)

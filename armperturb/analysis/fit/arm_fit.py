@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from armperturb.analysis.arm.linear_arm import LinearArm
 from armperturb.analysis.arm.parameters import parameter_vector
 from armperturb.analysis.defaults import Estimator
+from armperturb.analysis.fit.ladder import Choice
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.fit.thesis import ThesisEstimate
@@ -37,6 +38,7 @@ class ArmFit(FitResult):
       largest_real_pole: of arm and environment [1/s].
       criterion: V of eq. 2.19, without penalty, of the arm against the averaged spectra.
       detail: the estimator's own result.
+      choice: of the structure, where the trials chose it.
     """
 
     estimator: Estimator
@@ -49,6 +51,7 @@ class ArmFit(FitResult):
     largest_real_pole: float
     criterion: float
     detail: Estimate | ThesisEstimate
+    choice: Choice | None = None
 
     def unit_of(self, name: str) -> str:
         """SI unit of a parameter."""

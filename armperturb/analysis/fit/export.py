@@ -30,6 +30,10 @@ def fit_summary(identification: Identification) -> dict[str, Any]:
         "at_bound": list(fit.at_bound),
         "remarks": list(fit.remarks),
         **_estimator_summary(fit.detail),
+        "structures_tried": [
+            {"structure": rung.name, "score": rung.score, "chi2": rung.estimate.chi2, "dof": rung.estimate.dof}
+            for rung in (fit.choice.rungs if fit.choice else ())
+        ],
         "environment": {
             "m_env_kg": environment.m_env,
             "b_env_Ns_per_m": environment.b_env,
@@ -54,6 +58,7 @@ def _estimator_summary(detail: Estimate | ThesisEstimate) -> dict[str, Any]:
         "p_value": detail.p_value,
         "dispersion": detail.dispersion,
         "n_rounds": detail.n_rounds,
+        "trial_spread": dict(detail.trial_spread),
         "correlation": {"parameters": list(detail.values), "matrix": detail.correlation.tolist()},
     }
 

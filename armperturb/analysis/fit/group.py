@@ -1,17 +1,22 @@
 """Trials of one person in one condition together with the structure that is fitted to them, and their likelihoods."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
+from scipy import signal
 
 from armperturb.analysis.defaults import WINDOW_START
+from armperturb.analysis.fit.admittance_problem import Target, checked_problem, least_squares
 from armperturb.analysis.fit.likelihood import Likelihood, PeriodLikelihood, RecordLikelihood, Signals, whitened
 from armperturb.analysis.fit.linear_start import linear_start
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.force_balance import EDGE
 from armperturb.analysis.response.condition_spectra import condition_spectra, periodic_lines
+from armperturb.analysis.response.joint_records import FILTER_CUTOFF, FILTER_REACH, MODEL_RATE
+from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.analysis.trials import ConditionTrials, SeveralTrials, per_trials, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.environment import Environment
@@ -22,6 +27,10 @@ Method = Literal["frequency", "record"]
 
 NOT_PERIODIC = 0.01
 """RMS of what changes from period to period over that of the perturbation from which on it is not periodic [-]."""
+
+
+COHERENCE = (0.05, 0.9999)
+"""Coherences beyond which an admittance counts as no less, or no more, well known [-]."""
 
 
 @per_trials
@@ -37,14 +46,14 @@ class Group:
     Attributes:
       parts: the trials, those of one length together.
       structure: what is free.
-      initial: values of the free parameters by linear least squares, from which a search may start, (parameter,).
+      spectra: admittances and coherence.
       period: likelihood of the mean periods; None of a perturbation that is not periodic, or not for long enough.
       records: likelihood of the whole records of each part.
     """
 
     parts: tuple[ConditionTrials, ...]
     structure: Structure
-    initial: Array
+    spectra: SpectralEstimate
     period: Likelihood | None
     records: tuple[Likelihood, ...]
 
@@ -80,10 +89,41 @@ class Group:
         return cls(
             parts=parts,
             structure=structure,
-            initial=linear_start(spectra.frequency, spectra.arm, parts[0].body, structure),
+            spectra=spectra,
             period=None if lines is None else _period_likelihood(parts[0], window_start, period, top),
-            records=tuple(_record_likelihood(part, top) for part in parts),
+            records=tuple(record_likelihood(part, top) for part in parts),
         )
+
+    def with_structure(self, structure: Structure) -> Self:
+        """The same trials, to be fitted by another structure."""
+        return replace(self, structure=structure)
+
+    @cached_property
+    def initial(self) -> Array:
+        """Free parameters from which a search may start, (parameter,)."""
+        start = linear_start(self.spectra.frequency, self.spectra.arm, self.body, self.structure)
+        return start if self.period is not None else self.fit_of_spectra[0]
+
+    @cached_property
+    def fit_of_spectra(self) -> tuple[Array, float]:
+        """Free parameters nearest to the estimated admittance, (parameter,), and how far from it [-].
+
+        The distance is the sum of squares of the admittance's relative errors over their variances, as far as the
+        coherence tells these.
+        """
+        spectra = self.spectra
+        start = linear_start(spectra.frequency, spectra.arm, self.body, self.structure)
+        target = Target(
+            frequency=spectra.frequency, admittance=spectra.arm, body=self.body, environment=self.environment
+        )
+        coherence = np.clip(spectra.coherence, *COHERENCE)
+        weight = np.sqrt(coherence / (1.0 - coherence) * spectra.n_averages[:, None])
+        problem = replace(
+            checked_problem(target, self.structure, "exact"),
+            weight=np.broadcast_to(weight[:, :, None], spectra.arm.shape),
+        )
+        solution = least_squares(problem, start, with_penalty=False)
+        return solution.x, float(2.0 * solution.cost)
 
     @property
     def label(self) -> str:
@@ -126,9 +166,25 @@ def _signals(trials: ConditionTrials, window: slice) -> Signals:
     )
 
 
-def _record_likelihood(trials: ConditionTrials, top: float) -> Likelihood:
+def record_likelihood(trials: ConditionTrials, top: float) -> RecordLikelihood:
+    """Likelihood of whole records up to the first pulse, at frequencies up to `top` [Hz]."""
     end = min(trials.first_onset, trials.n_samples - round(EDGE * trials.rate))
-    return RecordLikelihood(_signals(trials, slice(end)), top, from_rest=trials.from_rest)
+    factor = int(trials.rate // MODEL_RATE)
+    if factor < 2:
+        return RecordLikelihood(_signals(trials, slice(end)), top, from_rest=trials.from_rest)
+    rate, first = trials.rate / factor, 0 if trials.from_rest else FILTER_REACH
+    d, x = (_thinned(values[:, :end], factor)[:, first:] for values in (trials.perturbation, trials.displacement))
+    signals = Signals(d, whitened(x, rate), trials.body, trials.environment, rate)
+    return RecordLikelihood(signals, min(top, 0.45 * rate), from_rest=trials.from_rest)
+
+
+def _thinned(values: Array, factor: int) -> Array:
+    """Every factor-th sample of what a filter leaves of signals that are zero before their start, (trial, time, axis).
+
+    The same filter on disturbance and displacement cancels.
+    """
+    lowpass = signal.firwin(2 * FILTER_REACH * factor + 1, FILTER_CUTOFF / factor, window=("kaiser", 5.0))
+    return np.asarray(signal.resample_poly(values, 1, factor, axis=1, window=lowpass)[:, :-FILTER_REACH])
 
 
 def _period_likelihood(

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -14,7 +14,9 @@ from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.analysis.fit.arm_fit import ArmFit
 from armperturb.analysis.fit.group import Group
+from armperturb.analysis.fit.ladder import Choice, choose_structure
 from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
+from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.structures import Structure, structure_of, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, Wanted, fit_wanted
 from armperturb.analysis.measures.endpoint import EndpointImpedance
@@ -22,9 +24,10 @@ from armperturb.analysis.measures.vaf import prediction_vaf
 from armperturb.analysis.response.condition_spectra import condition_spectra
 from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.analysis.results import Description, Result, Table, parameter_table, plain
-from armperturb.analysis.trials import ConditionTrials, SeveralTrials, parts_by_condition, prepared_recordings
+from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_recordings, trials_by_condition
 from armperturb.arrays import Array
 from armperturb.environment import Environment
+from armperturb.recording import join_recordings
 from armperturb.subject import Subject
 from armperturb.validation import require_one_of
 
@@ -194,7 +197,7 @@ def _with_error(fit: ArmFit, name: str) -> str:
 
 def identify(
     trials: SeveralTrials,
-    model: Structure | str,
+    model: Structure | str | None = None,
     *,
     estimator: Estimator = "record",
     window_start: float = WINDOW_START,
@@ -207,7 +210,7 @@ def identify(
       trials: of any perturbation, from rest or amid the movement; or several recordings, which may differ in length. Of
         a larger recording, `recording.sel` or `.isel` picks them.
       model: structure, or its name (see `structures.STRUCTURES`), which keeps the thesis's bounds with the thesis's
-        estimator only.
+        estimator only. None lets the trials of each condition choose, see `ladder.choose_structure`.
       estimator: "thesis", "frequency" or "record".
       window_start: start of the window of whole periods, after the transient has died away [s].
       period: of the disturbance [s]; None to find it.
@@ -231,7 +234,7 @@ def identify(
 
 def identify_conditions(
     trials: Mapping[str, Sequence[ConditionTrials]] | xr.Dataset | Sequence[xr.Dataset],
-    model: Structure | str,
+    model: Structure | str | None = None,
     *,
     estimator: Estimator = "record",
     share: Sequence[str] = (),
@@ -245,7 +248,7 @@ def identify_conditions(
       trials: condition to trials of one subject, those of one length together, or their recordings; a condition's have
         the same posture.
       model: structure, or its name (see `structures.STRUCTURES`), which keeps the thesis's bounds with the thesis's
-        estimator only.
+        estimator only. None lets the trials of each condition choose, see `ladder.choose_structure`.
       estimator: "thesis", "frequency" or "record".
       share: parameters that are the same in all conditions, see `maximum_likelihood.estimate`.
       window_start: start of the window of whole periods, after the transient has died away [s].
@@ -260,7 +263,10 @@ def identify_conditions(
       ValueError: as `identify`; or the thesis's estimator is to share parameters, but fits each trial alone.
     """
     require_one_of("identify", "estimator", estimator, get_args(Estimator))
-    model = structure_of(model, wide=estimator != "thesis")
+    if model is None and (share or estimator == "thesis"):
+        field = f"share = {', '.join(share)}" if share else "estimator = 'thesis'"
+        raise ValueError(f"identify: {field} without a model; expected one, e.g. --model 3")
+    structure = composed() if model is None else structure_of(model, wide=estimator != "thesis")
     if estimator == "thesis" and share:
         raise ValueError(
             f"identify: share = {', '.join(share)}; expected nothing with estimator = 'thesis', which fits each trial "
@@ -279,18 +285,22 @@ def identify_conditions(
         for label, parts in conditions.items()
     }
     if estimator == "thesis":
-        wanted = [Wanted(_only(parts), model) for parts in conditions.values()]
+        wanted = [Wanted(_only(parts), structure) for parts in conditions.values()]
         fitted = fit_wanted(wanted, window_start=window_start, period=period)
         fits = {
-            label: _thesis_fit(of_trials, parts[0], model, spectra[label])
+            label: _thesis_fit(of_trials, parts[0], structure, spectra[label])
             for (label, parts), of_trials in zip(conditions.items(), fitted, strict=True)
         }
     else:
         groups = [
-            Group.prepare(parts, model, window_start=window_start, period=period) for parts in conditions.values()
+            Group.prepare(parts, structure, window_start=window_start, period=period) for parts in conditions.values()
         ]
-        joint = estimate(groups, estimator, share=share)
-        fits = {group.label: _likely_fit(joint, group, spectra[group.label]) for group in groups}
+        if model is None:
+            choices = [choose_structure(group, estimator) for group in groups]
+            fits = {group.label: _chosen_fit(choice, group) for choice, group in zip(choices, groups, strict=True)}
+        else:
+            joint = estimate(groups, estimator, share=share)
+            fits = {group.label: _likely_fit(joint, group, spectra[group.label]) for group in groups}
     return Identifications(
         {
             label: Identification(
@@ -305,6 +315,32 @@ def identify_conditions(
             for label, fit in fits.items()
         }
     )
+
+
+def parts_by_condition(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[str, tuple[ConditionTrials, ...]]:
+    """Condition to its trials, those of one length together, in the order of the recordings.
+
+    Args:
+      recordings: trials of one person, of any lengths.
+
+    Raises:
+      ValueError: as `trials_by_condition`, of all recordings together.
+    """
+    several = [recordings] if isinstance(recordings, xr.Dataset) else list(recordings)
+    people = list(dict.fromkeys(str(name) for each in several for name in each["subject"].values))
+    if len(people) > 1:
+        raise ValueError(f"recording: subject = {', '.join(people)}; expected one person")
+    parts: dict[str, dict[tuple[float, int], list[xr.Dataset]]] = {}
+    for each in several:
+        for label, trials in trials_by_condition(each).items():
+            clock = trials.rate, trials.n_samples
+            parts.setdefault(label, {}).setdefault(clock, []).append(trials.recording)
+    return {
+        label: tuple(
+            ConditionTrials.prepare(same[0] if len(same) == 1 else join_recordings(same)) for same in by_clock.values()
+        )
+        for label, by_clock in parts.items()
+    }
 
 
 def _only(parts: Sequence[ConditionTrials]) -> ConditionTrials:
@@ -337,6 +373,13 @@ def _thesis_fit(
         detail=result,
         **_about(structure.arm(trials.body, values), structure, trials, spectra),
     )
+
+
+def _chosen_fit(choice: Choice, group: Group) -> ArmFit:
+    """With the structure that the trials choose; what is said of the choice comes before other remarks."""
+    chosen = choice.chosen
+    fit = _likely_fit(chosen.estimate, group.with_structure(chosen.structure), group.spectra)
+    return replace(fit, choice=choice, remarks=(*choice.remarks(group.parts), *fit.remarks))
 
 
 def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> ArmFit:

@@ -10,7 +10,8 @@ from scipy import fft, sparse
 
 from armperturb.analysis.arm.linear_arm import LinearArm
 from armperturb.analysis.arm.parameters import parameter_vector
-from armperturb.analysis.fit.likelihood import ROUND_OFF, TAPER, excited_bands, smoother, whitened, whitening
+from armperturb.analysis.fit.frequency_bands import excited_bands, smoother
+from armperturb.analysis.fit.likelihood import ROUND_OFF, TAPER, whitened, whitening
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 from armperturb.subject import Subject

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from armperturb.arrays import Array
 from armperturb.cohort import draw_person
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
@@ -68,7 +69,7 @@ def measure_cohort(
     """
     require_number("cohort", "workers", workers, at_least=1, optional=True)
     protocol, n_people = settings.load_protocol(), settings.subjects
-    measured: dict[int, tuple[str, dict[Cell, float]]] = {}
+    measured: dict[int, tuple[str, Array]] = {}
     with (
         workers_for(worker_count(workers, n_people), dask) as pool,
         Progress("cohort", total=n_people, unit="people", show=show_progress) as bar,
@@ -82,20 +83,21 @@ def measure_cohort(
             bar.update(len(some))
     names, cells = zip(*(measured[number] for number in range(n_people)), strict=True)
     columns = pd.MultiIndex.from_tuples(published_cells(), names=Cell._fields)
-    return pd.DataFrame([[of.get(cell, math.nan) for cell in columns] for of in cells], names, columns)
+    return pd.DataFrame(np.stack(cells), names, columns)
 
 
 def _measure(
     settings: StudySettings, protocol: Protocol, multisines: Mapping[int, Multisine], n_threads: int, numbers: range
-) -> dict[int, tuple[str, dict[Cell, float]]]:
-    """Name and cells of each of these people."""
+) -> dict[int, tuple[str, Array]]:
+    """Name and cells of each of these people, in the order of `published_cells`; arrays, as there may be many."""
     environment = Environment()
     people = [(n, draw_person(settings.seed, n, environment, muscles=settings.muscles)) for n in numbers]
     of_people = practised_trials(people, protocol, settings, multisines, n_threads)
     options: dict[str, Any] = {"timestep": settings.timestep, "engine": settings.engine, "strap": protocol.strap}
     if not settings.ideal:
         options["instruments"] = Instruments(marker_noise=None, emg=None)  # each has noise of its own
-    return {
-        number: (person.name, cells_of_trials([trials], environment, n_threads=n_threads, **options)[0])
-        for (number, person), trials in zip(people, of_people, strict=True)
-    }
+    measured = {}
+    for (number, person), trials in zip(people, of_people, strict=True):
+        (cells,) = cells_of_trials([trials], environment, n_threads=n_threads, **options)
+        measured[number] = person.name, np.array([cells.get(cell, math.nan) for cell in published_cells()])
+    return measured

@@ -12,7 +12,6 @@ A checksum is on disk before its file takes its name. So whenever a run is kille
 a checksum: one that does not match is damaged, and one that is missing was never finished.
 """
 
-import hashlib
 import json
 import os
 import shutil
@@ -25,7 +24,7 @@ from typing import Any
 
 from filelock import AcquireReturnProxy, FileLock, Timeout
 
-from armperturb.files import sync, write_durably
+from armperturb.files import checksum, sync, write_durably
 
 MANIFEST = "manifest.json"
 RECORDINGS = "recordings"
@@ -71,10 +70,10 @@ class StudyFolder:
         """
         present = [name for name in names if self.recording(name).is_file()]
         with ThreadPoolExecutor() as pool:  # hashing lets go of the interpreter
-            digests = list(pool.map(digest, map(self.recording, present)))
+            digests = list(pool.map(checksum, map(self.recording, present)))
         whole, damaged = [], []
-        for name, checksum in zip(present, digests, strict=True):
-            if self._sums.get(name) == checksum:
+        for name, digest in zip(present, digests, strict=True):
+            if self._sums.get(name) == digest:
                 whole.append(name)
                 continue
             path = self.recording(name)
@@ -155,22 +154,19 @@ def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
     """
     paths, sums = sorted((root / RECORDINGS).glob("*.nc")), _read_sums(root / RECORDINGS / SUMS)
     if not paths:
-        raise FileNotFoundError(f"{root}: holds no {RECORDINGS}/*.nc; expected the folder of a study")
+        raise FileNotFoundError(
+            f"{root}: holds no {RECORDINGS}/*.nc; expected the folder of a study (other recordings: armperturb "
+            "identify FILES --out DIR)"
+        )
     whole, remarks = [], []
     for path in paths:
-        if sums and sums.get(path.stem) != digest(path):
+        if sums and sums.get(path.stem) != checksum(path):
             remarks.append(f"{path.name} does not match its checksum; it is left out")
         else:
             whole.append(path)
     if not whole:
         raise ValueError(f"{root}: no recording matches its checksum; expected one that does")
     return whole, remarks
-
-
-def digest(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal digits."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _locked(root: Path) -> AcquireReturnProxy:

@@ -292,8 +292,9 @@ def test_simulated_records_hold_the_predicted_information_and_estimates_scatter_
             )
             prepared = Group.prepare(recording, structure)
             values = structure.parameters("PT", plan.truth)
-            prepared.record.weigh(values)
-            information = prepared.record.normal(values, structure.mixing).information
+            (record,) = prepared.records
+            record.weigh(values)
+            information = record.normal(values, structure.mixing).information
             ratios.append(np.sqrt(np.diag(np.linalg.inv(information))) / lines.standard_error["follows"])
             error = np.array([*estimate([prepared]).values.values()]) - plan.truth
             distance += error @ predicted @ error

@@ -9,7 +9,8 @@ import sys
 
 import pytest
 
-from armperturb.study.recording.folder import digest, open_study
+from armperturb.files import checksum
+from armperturb.study.recording.folder import open_study
 
 MANIFEST = {"subjects": 2, "seed": 0, "protocol": {"forces": "practice", "conditions": [{"name": "A", "levels": [1]}]}}
 
@@ -160,7 +161,7 @@ def test_a_second_run_is_refused_until_the_first_is_killed(tmp_path):
 def test_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch):
     with open_study(tmp_path, MANIFEST) as folder:
         keep(folder, "S01", b"one")
-        before = {path: digest(path) for path in tmp_path.rglob("*") if path.is_file()}
+        before = {path: checksum(path) for path in tmp_path.rglob("*") if path.is_file()}
 
         def full(*_):
             raise OSError(28, "No space left on device")
@@ -170,7 +171,7 @@ def test_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch):
             with pytest.raises(OSError, match=r"S02.nc: cannot be written \(No space left on device\)"):
                 keep(folder, "S02", b"two")
         (folder.staging / "S02.nc").unlink()
-        assert {path: digest(path) for path in tmp_path.rglob("*") if path.is_file()} == before
+        assert {path: checksum(path) for path in tmp_path.rglob("*") if path.is_file()} == before
         assert folder.check(["S01", "S02"]) == (["S01"], [])
 
 

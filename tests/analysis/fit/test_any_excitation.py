@@ -1,0 +1,57 @@
+"""Estimates of arms that the package did not make, from any excitation, from rest or amid the movement."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armperturb.analysis.fit.identify import identify
+from armperturb.analysis.fit.own_structures import composed
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from foreign_recordings import draw_foreign
+
+JUDGED = ("k_s", "k_se", "k_e", "b_s", "b_se", "b_e")
+
+
+def scores(fit, truth):
+    return np.array([(fit.values[name] - truth[name]) / fit.standard_error[name] for name in JUDGED])
+
+
+@pytest.mark.parametrize("amid", [False, True], ids=["from rest", "amid"])
+@pytest.mark.parametrize("kind", ["multisine", "noise", "filtered noise", "chirp", "pulses"])
+def test_any_excitation_tells_the_arm(kind, amid):
+    setup = draw_foreign(
+        3, kind=kind, amid=amid, reflex="none", grip="rigid", n_trials=4, duration=20.0, rate=200.0, linear=True
+    )
+    result = identify(setup.recording(), composed(inertia="free", grip="rigid", reflex="none"))
+    assert np.abs(scores(result.fit, setup.truth)).max() < 4.0
+    assert result.fit.detail.chi2 < 1.5 * result.fit.detail.dof
+    assert not result.fit.detail.is_suspicious
+
+
+def test_records_may_differ_in_length():
+    options = {"kind": "noise", "reflex": "none", "grip": "rigid", "n_trials": 2, "rate": 200.0}
+    long, short = (draw_foreign(3, duration=duration, **options) for duration in (30.0, 17.5))
+    structure = composed(inertia="free", grip="rigid", reflex="none")
+    both = identify([long.recording(), short.recording()], structure)
+    alone = identify(long.recording(), structure)
+    assert both.n_trials == 4
+    assert np.abs(scores(both.fit, long.truth)).max() < 4.0
+    for name in JUDGED:
+        assert both.fit.standard_error[name] < alone.fit.standard_error[name]
+
+
+def test_trials_that_differ_widen_intervals_and_are_told():
+    options = {"kind": "multisine", "reflex": "none", "grip": "rigid", "n_trials": 8, "duration": 25.0, "rate": 200.0}
+    structure = composed(inertia="free", grip="rigid", reflex="none")
+    alike, differing = (
+        identify(draw_foreign(5, spread=spread, period=10.0, **options).recording(), structure).fit
+        for spread in (0.0, 0.1)
+    )
+    assert not alike.detail.trial_spread
+    assert 0.05 < differing.detail.trial_spread["k"] < 0.2
+    assert differing.standard_error["k_s"] > 3 * alike.standard_error["k_s"]
+    assert 6.0 < differing.degrees_of_freedom["k_e"] < 20.0
