@@ -10,7 +10,14 @@ import numpy.typing as npt
 from numpy.typing import ArrayLike
 
 from armperturb.arrays import Array
-from armperturb.envs.render.gl import Context, close_at_exit, give_memory_back, gl_help, new_context, require_own_process
+from armperturb.envs.render.gl import (
+    Context,
+    close_at_exit,
+    give_memory_back,
+    gl_help,
+    new_context,
+    require_own_process,
+)
 from armperturb.validation import require_one_of
 
 DISTURBANCE, REACTION, PATH = "#D55E00", "#0072B2", "#CC79A7"
