@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.commands.command import Command, Positional, command_line
 from armperturb.extras import MissingExtraError, naming_the_extra
+from armperturb.files import require_no_input
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -15,6 +16,17 @@ if TYPE_CHECKING:
     from armperturb.analysis.fit.structures import Structure
 
 Model = Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear"]
+RESULTS = [
+    "admittance.csv",
+    "parameters.csv",
+    "endpoint.csv",
+    "correlations.csv",
+    "predictions.csv",
+    "fit.json",
+    "structure.toml",
+]
+"""Files that are written and may be inputs by their ending."""
+
 OF_A_STRUCTURE = ("free", "fix", "bounds", "tie", "prior")
 OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", "body", *OF_A_STRUCTURE)
 OF_THE_NONLINEAR_MODEL = ("law", "pulses")
@@ -95,6 +107,8 @@ class Identify(Command):
         recordings, notes = select_trials(
             self.recordings, self.sidecar, self.subject, self.condition, single_condition=False
         )
+        for name in RESULTS:
+            require_no_input(self.out / name)
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         try:
@@ -197,7 +211,7 @@ class Identify(Command):
         self.out.mkdir(parents=True, exist_ok=True)  # now, as checkpoints go there
         try:
             result = identify_nonlinear(
-                recordings[0] if len(recordings) == 1 else join_recordings(recordings),
+                recordings[0] if len(recordings) == 1 else join_recordings(recordings).recording,
                 self.law or "full",
                 pulse_directions_deg=self.pulses,
                 window_start=self.window_start,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from armperturb.analysis.defaults import SETTLED
 from armperturb.commands.command import Command, Positional
-from armperturb.files import write_csv
+from armperturb.files import require_no_input, write_csv
 
 if TYPE_CHECKING:
     from armperturb.analysis.trials import ConditionTrials
@@ -75,8 +75,9 @@ class Response(Command):
         for name, result in (("response", estimate), ("distortion", distortion)):
             table, figure = self.out / f"{name}.csv", self.out / f"{name}.svg"
             if result is None:  # those of an earlier run
-                table.unlink(missing_ok=True)
-                figure.unlink(missing_ok=True)
+                for path in (table, figure):
+                    require_no_input(path)
+                    path.unlink(missing_ok=True)
             else:
                 write_csv(result.to_frame().assign(condition=trials[0].label), table)
                 save_plot(result, figure)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from armperturb.convert.checks import check_recordings
 from armperturb.convert.importer import import_recording
 from armperturb.environment import Environment
 
@@ -44,6 +45,7 @@ def select_trials(
     imported = [import_recording([path], sidecar=sidecar) for path in files]
     notes = list(dict.fromkeys(note for _, of_file in imported for note in of_file))
     source, selected = ", ".join(map(str, files)), [recording for recording, _ in imported]
+    of_files = list(map(str, files))
     for label, wanted, single in (("subject", subject, True), ("condition", condition, single_condition)):
         names = list(dict.fromkeys(name for recording in selected for name in recording[label].values.tolist()))
         if wanted is None:
@@ -53,5 +55,7 @@ def select_trials(
         if wanted not in names:
             raise ValueError(f"{source}: no {label} {wanted!r}; expected one of {', '.join(names)}")
         selected = [recording.isel(trial=np.flatnonzero(recording[label].values == wanted)) for recording in selected]
+        of_files = [file for file, recording in zip(of_files, selected, strict=True) if recording.sizes["trial"]]
         selected = [recording for recording in selected if recording.sizes["trial"]]
+    check_recordings(selected, of_files)
     return selected, notes

@@ -11,6 +11,7 @@ import numpy as np
 from armperturb.arrays import Array
 from armperturb.convert.tables import TABLES
 from armperturb.convert.units import factor_to, quantity
+from armperturb.files import require_input
 from armperturb.recording import LABELS, REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES
 from armperturb.subject import TASKS
 from armperturb.validation import require_number, require_one_of
@@ -254,9 +255,7 @@ def _parsed(path: Path) -> object:
             f"{path}: no such file, or a folder; expected the sidecar, which says what the channels mean (`armperturb "
             "sidecar FILE` writes one)"
         )
-    size = path.stat().st_size
-    if size > LARGEST:
-        raise ValueError(f"{path}: {size} bytes; expected a sidecar of at most {LARGEST}")
+    require_input(path, LARGEST)
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         content: dict[str, Any] = {}

@@ -483,7 +483,10 @@ def test_convert_goes_there_and_back_on_the_command_line(tmp_path, capsys):
     assert_is_the_laboratory(load_recording(tmp_path / "r2.nc"))
     values = table()[:-40]
     path = write(tmp_path, values)
-    assert cli.main(["convert", str(path), "--out", str(tmp_path / "r.nc"), "--repair", "lengths", "clock"]) == 0
+    assert (
+        cli.main(["convert", str(path), "--out", str(tmp_path / "r.nc"), "--overwrite", "--repair", "lengths", "clock"])
+        == 0
+    )
     assert "all are cut to the shortest" in capsys.readouterr().out
 
 
