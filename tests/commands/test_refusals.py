@@ -110,3 +110,22 @@ def test_an_identification_prints_the_manipulator_and_writes_its_page(folder, tm
     typed = page[page.index("<pre>") + 5 : page.index("</pre>")].split()
     assert typed[:2] == ["armperturb", name]
     assert set(typed[2:]) == {path, *options}
+
+
+@pytest.mark.slow(reason="tries all structures on a recording")
+def test_two_commands_lead_from_four_files_to_parameters_page_and_ellipse(tmp_path, capsys):
+    setup = replace(SETUP, n_trials=4)
+    files = []
+    for number, (d, f, x) in enumerate(zip(*setup.record(), strict=True)):
+        files.append(tmp_path / f"t{number}.csv")
+        time = np.arange(len(d)) / setup.rate
+        table = np.column_stack([time, d, f, 1e3 * x])
+        np.savetxt(files[-1], table, delimiter=",", header="t,Dx,Dy,Fx,Fy,X_mm,Y_mm", comments="")
+    assert run("sidecar", files[0]) == 0
+    said = capsys.readouterr().out
+    assert f"for other files with these channels: --sidecar {tmp_path / 't0.json'}" in said
+    assert run("identify", *files, "--sidecar", tmp_path / "t0.json", "--out", tmp_path / "r") == 0
+    assert {path.name for path in (tmp_path / "r").iterdir()} == {
+        "admittance.csv", "endpoint.csv", "endpoint.svg", "fit.json", "identify.html", "parameters.csv",
+        "structure.toml",
+    }  # fmt: skip
