@@ -3,8 +3,11 @@
 import ast
 import importlib
 import importlib.metadata
+import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import MISSING, fields, is_dataclass, make_dataclass
 from pathlib import Path
 from typing import Any, Union, get_type_hints
@@ -15,6 +18,7 @@ from tyro import constructors
 from armperturb.commands.command import Command, field_texts
 from armperturb.envs.render.gl import require_simulator
 from armperturb.extras import naming_the_extra
+from armperturb.files import inputs_untouched
 
 _NAMES = "study report score simulate sidecar convert identify response validate design calibrate video view"
 
@@ -50,7 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
       arguments: as typed after `armperturb`; by default those of this process.
 
     Returns:
-      The exit status: 0, 1 for invalid input (one line on stderr says why), 130 for Ctrl-C.
+      The exit status: 0, 1 for invalid input (one line on stderr says why), 130 for Ctrl-C, and 128 more than the
+      number of another signal that asked this process to end.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     if arguments == ["--version"]:
@@ -58,21 +63,50 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     command: Command | None = None
     try:
-        command = _parse(arguments)
-        with naming_the_extra(f"armperturb {type(command).__name__.lower()}"):
-            if command.needs_simulator:
-                require_simulator()
-            for line in command.run():
-                print(line)
+        with ended_in_order(), inputs_untouched():
+            command = _parse(arguments)
+            with naming_the_extra(f"armperturb {type(command).__name__.lower()}"):
+                if command.needs_simulator:
+                    require_simulator()
+                for line in command.run():
+                    print(printable(line))
     except REFUSED as error:
-        message = " ".join(str(error).split())
-        print(f"armperturb: error: {message}", file=sys.stderr)
+        print(f"armperturb: error: {printable(' '.join(str(error).split()))}", file=sys.stderr)
         return 1
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         resumes = "; the same command continues from here" if command is not None and command.resumes else ""
-        print(f"armperturb: interrupted{resumes}", file=sys.stderr)
-        return 130
+        number = interrupt.args[0] if interrupt.args else signal.SIGINT
+        with suppress(OSError):  # the terminal may be gone
+            print(f"armperturb: interrupted{resumes}", file=sys.stderr, flush=True)
+        return 128 + int(number)
     return 0
+
+
+@contextmanager
+def ended_in_order() -> Iterator[None]:
+    """Within the block, SIGTERM and SIGHUP interrupt as Ctrl-C does, so that nothing half-written is left."""
+
+    def interrupt(number: int, _: object) -> None:
+        for each in before:
+            signal.signal(each, signal.SIG_IGN)  # the end has begun
+        raise KeyboardInterrupt(signal.Signals(number))
+
+    before: dict[int, Any] = {}
+    try:
+        if threading.current_thread() is threading.main_thread():
+            for name in ("SIGTERM", "SIGHUP"):
+                number = getattr(signal, name, None)
+                if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # `nohup` ignores it
+                    before[number] = signal.signal(number, interrupt)
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def printable(text: str) -> str:
+    """The text with its control characters, which a terminal would obey, as Python writes them."""
+    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
 
 
 def _parse(arguments: Sequence[str]) -> Command:

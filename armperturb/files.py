@@ -1,17 +1,87 @@
 """Files that are there whole or not at all, and tables that lie beside the code."""
 
 import csv
+import hashlib
 import os
+import re
 import tempfile
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+_INPUTS: ContextVar[set[tuple[int, int]] | None] = ContextVar("inputs", default=None)
+"""Device and number of each file that was read, where those must not be written to."""
+
+LARGEST_TOML = 2**16
+"""Largest TOML file of a user's [byte]; the memory that a key takes is quadratic in its parts."""
+
+_LONG_KEY = re.compile(r"""(?:[ \t]{0,9}(?:[\w-]{1,99}|"[^"\n]{0,99}"|'[^'\n]{0,99}')[ \t]{0,9}\.){32}""")
+
+
+@contextmanager
+def inputs_untouched() -> Iterator[None]:
+    """Within the block, a file that `require_input` has accepted is neither replaced nor removed."""
+    token = _INPUTS.set(set())
+    try:
+        yield
+    finally:
+        _INPUTS.reset(token)
+
+
+def require_input(path: str | Path, largest: int) -> None:
+    """Refuse an input that is no file, or too large.
+
+    Args:
+      path: of the file.
+      largest: size that it may have [byte].
+
+    Raises:
+      FileNotFoundError: there is no such file; a pipe or a device, which may never end, is none.
+      ValueError: it is larger.
+    """
+    path = Path(path)
+    if not path.is_file():
+        what = "is a folder, a pipe or a device" if path.exists() else "no such file"
+        raise FileNotFoundError(f"{path}: {what}; expected a file")
+    status = path.stat()
+    if status.st_size > largest:
+        raise ValueError(f"{path}: size = {status.st_size} bytes; expected at most {largest}")
+    if (inputs := _INPUTS.get()) is not None:
+        inputs.add((status.st_dev, status.st_ino))
+
+
+def require_no_input(path: Path) -> None:
+    """Refuse an output that this command has read, within `inputs_untouched`.
+
+    Raises:
+      ValueError: it is an input.
+    """
+    if (inputs := _INPUTS.get()) and path.exists() and (path.stat().st_dev, path.stat().st_ino) in inputs:
+        raise ValueError(f"{path}: is an input of this command; expected another name to write to")
+
+
+def require_new(paths: Iterable[Path], *, overwrite: bool) -> None:
+    """Refuse outputs that are inputs, or that exist already.
+
+    Args:
+      paths: of the files to write.
+      overwrite: whether existing ones may be replaced, unless they are inputs.
+
+    Raises:
+      ValueError: one is an input, or exists and must not be replaced.
+    """
+    for path in paths:
+        require_no_input(path)
+        if path.is_file() and not overwrite:
+            raise ValueError(f"{path}: exists already; expected a new name (--overwrite replaces the file)")
 
 
 def packaged_table(package: str, name: str) -> dict[str, Any]:
@@ -27,12 +97,16 @@ def read_toml(path: str | Path, example: str) -> dict[str, Any]:
       example: a line as the file should have, for the message.
 
     Raises:
-      ValueError: the file is no TOML.
+      ValueError: the file is no TOML, or too large.
       OSError: the file cannot be read.
     """
+    require_input(path, LARGEST_TOML)
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        text = Path(path).read_text(encoding="utf-8-sig")
+        if _LONG_KEY.search(text):
+            raise ValueError(f"{path}: a key has more than 32 parts; expected lines such as '{example}'")
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(f"{path}: not a TOML file ({error}); expected lines such as '{example}'") from None
 
 
@@ -54,10 +128,12 @@ def written_whole(path: str | Path) -> Iterator[Path]:
       path: of the file to write; an existing one is replaced.
 
     Raises:
+      ValueError: `path` is an input of the command that writes.
       OSError: the folder is missing or cannot be written to; the message names `path`.
     """
     path = Path(path)
     require_folder_of(path)
+    require_no_input(path)
     if path.is_dir():
         raise IsADirectoryError(f"{path}: is a folder; expected the name of a file to write")
     try:
@@ -78,6 +154,16 @@ def written_whole(path: str | Path) -> Iterator[Path]:
         raise OSError(error.errno, error.strerror, str(path)) from error
     finally:
         Path(name).unlink(missing_ok=True)
+
+
+def checksum(path: str | Path) -> str:
+    """SHA-256 of a file, in hexadecimal digits.
+
+    Raises:
+      OSError: the file cannot be read.
+    """
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def write_durably(path: str | Path, content: bytes) -> None:
@@ -107,7 +193,7 @@ def sync(path: str | Path) -> None:
 
 
 def write_csv(table: "pd.DataFrame | Iterable[Mapping[str, Any]]", path: str | Path) -> None:
-    """Write a table as CSV with a header line, numbers in full precision.
+    """Write a table as CSV with a header line, numbers in full precision, and no text that a spreadsheet would run.
 
     Args:
       table: a pandas DataFrame, whose truth values are written as true and false; or at least one row, all with the
@@ -124,4 +210,15 @@ def write_csv(table: "pd.DataFrame | Iterable[Mapping[str, Any]]", path: str | P
     with written_whole(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=columns, lineterminator="\n")
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows({name: _as_text(cell) for name, cell in row.items()} for row in rows)
+
+
+def _as_text(cell: Any) -> Any:
+    """A cell that a spreadsheet does not run: one that begins as a formula does gets an apostrophe, unless a number."""
+    if not isinstance(cell, str) or not cell.startswith(("=", "+", "-", "@", "\t", "\r")):
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}"
+    return cell

@@ -17,16 +17,18 @@ every variable has its `units`. On disk it is netCDF4. EMG is in single precisio
 """
 
 import io
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
 from armperturb.files import packaged_table, written_whole
-from armperturb.foreign import Refused, read_foreign
+from armperturb.foreign import read_foreign
+from armperturb.validation import require_name
 
 _TABLES = packaged_table(__package__, "recording.toml")
 
@@ -102,12 +104,22 @@ def make_recording(
     return dataset
 
 
-def join_recordings(recordings: Sequence[xr.Dataset], source: str = "recordings") -> xr.Dataset:
-    """The trials of several recordings in one, without EMG and markers, which not all may have.
+class Joined(NamedTuple):
+    """Trials of several recordings in one, and what only some of these have, which is lost."""
+
+    recording: xr.Dataset
+    lost: tuple[str, ...]
+
+
+def join_recordings(
+    recordings: Sequence[xr.Dataset], source: str = "recordings", optional: Iterable[str] = ()
+) -> Joined:
+    """The trials of several recordings in one.
 
     Args:
       recordings: at least one; of the same rate and duration.
       source: where they come from, for the message.
+      optional: signals that are kept beside `REQUIRED_SIGNALS` where all recordings have them, sampled alike.
 
     Raises:
       ValueError: rates or durations differ.
@@ -116,9 +128,22 @@ def join_recordings(recordings: Sequence[xr.Dataset], source: str = "recordings"
     if len(clocks) > 1:
         trials = " and ".join(f"{n / rate:g} s at {rate:g} Hz" for rate, n in sorted(clocks))
         raise ValueError(f"{source}: trials of {trials}; expected one rate and duration")
+    signals = [*REQUIRED_SIGNALS, *(name for name in optional if _sampled_alike(name, recordings))]
     partial = [name for name in OPTIONAL_COORDINATES if not all(name in recording.coords for recording in recordings)]
-    required = list(REQUIRED_SIGNALS)
-    return stack_trials([recording[required].drop_vars(partial, errors="ignore") for recording in recordings])
+    joined = stack_trials([recording[signals].drop_vars(partial, errors="ignore") for recording in recordings])
+    there = [[*recording.variables, *recording.attrs] for recording in recordings]
+    left = {*joined.variables, *joined.attrs, *LABELS, *CLOCKS, *CLOCKS.values()}
+    return Joined(joined, tuple(dict.fromkeys(str(name) for names in there for name in names if name not in left)))
+
+
+def _sampled_alike(name: str, recordings: Sequence[xr.Dataset]) -> bool:
+    """Whether all recordings have a signal, with the same attributes and times."""
+    if not all(name in recording.data_vars for recording in recordings):
+        return False
+    first, clock = recordings[0][name], SIGNALS[name][0][0]
+    return all(
+        recording[name].attrs == first.attrs and recording[clock].equals(first[clock]) for recording in recordings
+    )
 
 
 def named(recordings: xr.Dataset | Sequence[xr.Dataset]) -> str:
@@ -186,6 +211,9 @@ def check_recording(
                 f"{source}: {name} of trial {trial} is {variable.values[trial, sample, column]} at sample {sample}; "
                 "expected finite values"
             )
+    for name in TEXT_COORDINATES:
+        for text in map(str, recording[name].values.flat if name in recording.coords else ()):
+            require_name(source, name, text)
     for name in TRIAL_COORDINATES:
         if name in OPTIONAL_COORDINATES and name not in recording.coords:
             continue
@@ -272,21 +300,12 @@ def save_recording(recording: xr.Dataset, path: str | Path) -> None:
         temporary.write_bytes(content)
 
 
-def _guarded(path: Path) -> xr.Dataset:
-    content = read_foreign(path)
-    variables = {name: (each["dims"], each["values"], each["attrs"]) for name, each in content["variables"].items()}
-    return xr.decode_cf(xr.Dataset(variables, attrs=content["attrs"]))
-
-
-def load_recording(
-    path: str | Path, optional: Iterable[str] = OPTIONAL_SIGNALS, *, guarded: bool = False
-) -> xr.Dataset:
-    """Read a recording and check what was read.
+def load_recording(path: str | Path, optional: Iterable[str] = OPTIONAL_SIGNALS) -> xr.Dataset:
+    """Read a recording, parsed in a child process which a damaged file may crash, and check what was read.
 
     Args:
       path: of the file.
       optional: what to read beside `REQUIRED_SIGNALS`, where there is any. EMG takes most of the memory.
-      guarded: whether to parse the file in a child process, which a file from elsewhere may crash.
 
     Raises:
       ValueError: the file is no netCDF4 file or no recording, or something else than `OPTIONAL_SIGNALS` is asked for.
@@ -298,13 +317,20 @@ def load_recording(
         raise ValueError(f"load_recording: optional has {refused}; expected some of {', '.join(OPTIONAL_SIGNALS)}")
     if not path.is_file():
         raise FileNotFoundError(f"{path}: no such file, or a folder; expected a recording (netCDF4)")
+    content = read_foreign(path, without=set(OPTIONAL_SIGNALS) - wanted)
     try:
-        with _guarded(path) if guarded else xr.open_dataset(path, engine="h5netcdf") as opened:
-            names = [name for name in opened.data_vars if name in wanted or name not in OPTIONAL_SIGNALS]
-            recording = opened[names].load()
-    except (PermissionError, Refused):
-        raise
-    except Exception as error:  # a damaged file makes HDF5 fail in any way
+        with warnings.catch_warnings(action="ignore"):
+            recording = xr.decode_cf(
+                xr.Dataset(
+                    {
+                        name: (each["dims"], each["values"], each["attrs"])
+                        for name, each in content["variables"].items()
+                    },
+                    attrs=content["attrs"],
+                )
+            )
+            recording = recording[list(recording.data_vars)].load()  # without coordinates of what is not there
+    except Exception as error:  # attributes contradict values in any way
         raise ValueError(f"{path}: not a readable netCDF4 file ({' '.join(str(error).split())})") from None
     for name in TEXT_COORDINATES:
         if name in recording.coords:

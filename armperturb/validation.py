@@ -11,6 +11,10 @@ RANGES: dict[str, dict[str, dict[str, Any]]] = packaged_table(__package__, "rang
 """Class to field to the bounds of its number, as arguments of `require_number`."""
 
 
+LONGEST_NAME = 100
+"""Of a person, a condition or a structure [characters]."""
+
+
 def require_number(
     owner: str,
     field: str,
@@ -74,6 +78,20 @@ def require_ranges(owner: str, settings: object) -> None:
     """
     for field, bounds in RANGES[type(settings).__name__].items():
         require_number(owner, field, getattr(settings, field), **bounds)
+
+
+def require_name(owner: str, field: str, value: object) -> None:
+    """Refuse anything but a name: text on one line that a terminal, a figure and a table show as it is.
+
+    Raises:
+      TypeError: it is no text, or empty.
+      ValueError: it holds a character that is not printable, or is longer than `LONGEST_NAME`.
+    """
+    if not isinstance(value, str) or not value.strip():
+        raise TypeError(f"{owner}: {field} = {value!r}; expected a text that is not empty")
+    if not value.isprintable() or len(value) > LONGEST_NAME:
+        expected = f"a text of at most {LONGEST_NAME} printable characters"
+        raise ValueError(f"{owner}: {field} = {value!r:.80}; expected {expected}")
 
 
 def require_whole(owner: str, field: str, value: object, *, at_least: int) -> None:

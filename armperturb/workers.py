@@ -21,11 +21,18 @@ from loky import ProcessPoolExecutor
 from loky import cpu_count as cpu_count
 
 from armperturb.extras import naming_the_extra
+from armperturb.validation import require_number
 
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
 
 LOG = logging.getLogger(__name__)
+
+ENDINGS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+"""Signals that ask this process to end."""
+
+MOST_WORKERS = 1000
+"""Processes on one machine; each takes some 200 MB."""
 
 MAX_DEATHS = 3
 """How often in succession workers may die before a unit is finished: beyond that, the unit itself is at fault."""
@@ -57,7 +64,7 @@ class LocalProcesses:
 
     def submit(self, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
         """Submit a unit, to processes that are started if there are none."""
-        with ctrl_c_held_back():
+        with signals_held_back():
             if self._executor is None:
                 # Libraries with a pool of their own (BLAS) must not take every core in every process.
                 names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -82,7 +89,7 @@ class LocalProcesses:
 
     def stop(self) -> None:
         """Kill the processes."""
-        with ctrl_c_held_back():
+        with signals_held_back():
             executor, self._executor = self._executor, None
             if executor is not None:
                 executor.shutdown(wait=True, kill_workers=True)
@@ -157,9 +164,11 @@ def workers_for(count: int, dask: str | None) -> Iterator[Workers | None]:
       dask: address of a Dask scheduler, which takes the place of local processes.
 
     Raises:
+      ValueError: there would be more processes than `MOST_WORKERS`.
       MissingExtraError: Dask is not installed.
       OSError: no scheduler answers.
     """
+    require_number("command", "workers", count, at_most=MOST_WORKERS)
     workers = DaskCluster(dask) if dask is not None else LocalProcesses(count) if count != 1 else None
     try:
         yield workers
@@ -223,29 +232,31 @@ def completed(
 
 
 @contextmanager
-def ctrl_c_held_back() -> Iterator[None]:
-    """Delay a Ctrl-C until the end of the block, and keep it from processes that start in it.
+def signals_held_back() -> Iterator[None]:
+    """Delay Ctrl-C and requests to end until the end of the block, and keep them from processes that start in it.
 
-    A terminal sends it to all processes, but this one stops the others; and a pool that is interrupted while its
+    A terminal sends them to all processes, but this one stops the others; and a pool that is interrupted while its
     processes start loses track of them.
     """
-    # Otherwise the pool would start this helper itself, and unblock the signal.
-    resource_tracker.ensure_running()
-    pressed: list[int] = []
+    received: list[int] = []
     in_main = threading.current_thread() is threading.main_thread()
-    # Processes inherit the blocked signal; here, another thread (BLAS) may still receive it.
-    before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number)) if in_main else None
+    # Processes inherit the blocked signals; here, another thread (BLAS) may still receive them.
+    before = {each: signal.signal(each, lambda number, _: received.append(number)) for each in ENDINGS if in_main}
     can_block = hasattr(signal, "pthread_sigmask")
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if can_block else ()
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, ENDINGS) if can_block else ()
+    # Otherwise the pool would start this helper itself, and unblock signals, as it does here.
+    resource_tracker.ensure_running()
+    if can_block:
+        signal.pthread_sigmask(signal.SIG_BLOCK, ENDINGS)
     try:
         yield
     finally:
         if can_block:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        if in_main:
-            signal.signal(signal.SIGINT, before)
-        if pressed:
-            signal.raise_signal(signal.SIGINT)
+        for each, handler in before.items():
+            signal.signal(each, handler)
+        if received:
+            signal.raise_signal(received[0])
 
 
 def _on_its_own(function: Callable[[Unit], Result], unit: Unit) -> Result:

@@ -9,7 +9,7 @@ from importlib.abc import MetaPathFinder
 from pathlib import Path
 
 DATA = Path(__file__).parents[1] / "examples" / "data"
-LIBRARIES = {"mujoco", "numba", "loky", "filelock", "jinja2", "gymnasium", "dm_control", "mediapy", "ezc3d", "joblib"}
+LIBRARIES = {"mujoco", "numba", "loky", "filelock", "gymnasium", "dm_control", "mediapy", "ezc3d", "joblib"}
 POSIX = {"fcntl", "resource"}
 
 
@@ -44,6 +44,7 @@ def check(folder):
     ):
         assert main(command) == 0, command
     assert (folder / "fit" / "parameters.csv").is_file()
+    assert (folder / "fit" / "identify.html").is_file()
     assert (folder / "response" / "response.svg").is_file()
     for command in (("study", "--out", "none"), ("identify", recording, "--model", "nonlinear", "--out", "none")):
         assert main(command) == 1, command

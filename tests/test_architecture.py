@@ -14,8 +14,8 @@ ROOT = Path(armperturb.__file__).parent
 BASE = {"arrays", "validation", "extras", "seeds", "files", "foreign", "recording"}
 BASE |= {"muscle_law", "subject", "environment"}
 ARM = BASE | {
-    "analysis.cuts", "analysis.defaults", "analysis.arm", "analysis.force_balance", "analysis.trials",
-    "analysis.numerics", "analysis.results", "plots", "anthropometry",
+    "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.force_balance",
+    "analysis.trials", "analysis.numerics", "analysis.results", "plots", "anthropometry",
 }  # fmt: skip
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear"}
 LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
@@ -30,10 +30,10 @@ ARROWS = {
     "subject": {"files", "validation", "muscle_law"},
     "environment": {"validation"},
     "anthropometry": {"files", "validation"},
-    "foreign": {"extras"},
-    "recording": {"files", "foreign"},
+    "foreign": {"extras", "files"},
+    "recording": {"files", "foreign", "validation"},
     "archive": {"files"},
-    "workers": {"extras"},
+    "workers": {"extras", "validation"},
     "progress": set(),
     "perturbations": BASE,
     "controllers": BASE,
@@ -41,15 +41,18 @@ ARROWS = {
     "models": BASE,
     "analysis.cuts": BASE,
     "analysis.defaults": BASE,
+    "analysis.plateaus": BASE,
     "analysis.numerics": BASE,
     "analysis.arm": BASE,
     "analysis.force_balance": BASE,
     "plots": BASE,
+    "pages": BASE | {"plots"},
     "analysis.results": BASE | {"plots"},
     "analysis.trials": ARM - {"analysis.trials"},
     "analysis.response": ARM,
     "analysis.measures": ARM,
     "analysis.fit": ARM | {"analysis.response", "analysis.measures"},
+    "analysis.page": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "pages"},
     "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "planar_arm", "archive"},
     "cohort": ARM,
     "convert": ARM,
@@ -65,7 +68,7 @@ ARROWS = {
     "study.planning": STUDY,
     "study.validation": STUDY,
     "study.report": STUDY
-    | {"study.recording", "study.results", "study.comparison", "study.experiments", "envs.render"},
+    | {"study.recording", "study.results", "study.comparison", "study.experiments", "envs.render", "pages"},
 }
 ARROWS["commands"] = {*ARROWS, "envs.learning"}
 ARROWS["cli"] = {*ARROWS}

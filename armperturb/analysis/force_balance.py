@@ -128,9 +128,8 @@ class Balance:
 
         Source: errors in variables, as above; the thesis's values are eqs C.1-C.3.
         """
-        # Low frequencies first, where noise hardly matters.
-        n_slow = max(20, len(self._roots) // 5)
-        slow = self._roots[:n_slow, :, :4].reshape(-1, 4)
+        # Low frequencies first.
+        slow = self._roots[: self._n_slow, :, :4].reshape(-1, 4)
         values = np.asarray(np.linalg.lstsq(slow[:, 1:], -slow[:, 0], rcond=None)[0], dtype=float)
         levels = self._levels(values)
         for _ in range(ROUNDS):
@@ -140,13 +139,26 @@ class Balance:
         sign = "force must be the reaction force that the handle exerts on the hand: the environment sees d - f"
         if not mass > 0.0:
             raise ValueError(f"the environment's mass comes out at {mass:.3g} kg; expected a positive mass ({sign})")
-        left = float(np.sum(self._noise(values)[:n_slow] ** 2) / np.sum(slow[:, 0] ** 2))
+        left = self._left(values)
         if left > LEFT_OVER:
             raise ValueError(
                 f"mass, damping and stiffness leave {left:.0%} of the load on the environment unexplained; expected "
                 f"less than {LEFT_OVER:.0%} ({sign})"
             )
         return Environment(m_env=mass, b_env=max(damping, 0.0), k_env=max(stiffness, 0.0)), levels
+
+    @property
+    def _n_slow(self) -> int:
+        """Number of low frequencies, where noise hardly matters."""
+        return max(20, len(self._roots) // 5)
+
+    def unexplained(self, environment: Environment) -> float:
+        """Share of the load's power at low frequencies that mass, damping and stiffness leave [-]."""
+        return self._left(np.array([environment.m_env, environment.b_env, environment.k_env]))
+
+    def _left(self, values: Array) -> float:
+        slow = slice(self._n_slow)
+        return float(np.sum(self._noise(values)[slow] ** 2) / np.sum(self._roots[slow, :, 0] ** 2))
 
     def _noise(self, values: Array) -> Array:
         """What is left of the balance, (frequency, 4): its power is the sum of squares."""

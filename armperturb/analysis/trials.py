@@ -22,7 +22,7 @@ from armperturb.analysis.force_balance import EDGE, Balance, NoiseLevels, Skew
 from armperturb.analysis.numerics.periodicity import find_period, samples_of_period
 from armperturb.arrays import Array, Indices
 from armperturb.environment import Environment
-from armperturb.recording import check_recording
+from armperturb.recording import TRIAL_COORDINATES, check_recording
 from armperturb.subject import POSITION, RELAX, TASKS, Subject
 from armperturb.validation import require_number, require_one_of
 
@@ -35,7 +35,10 @@ NEGLIGIBLE = 1e-9
 AT_REST = 0.02
 """Distance from zero, and between two samples, over the RMS displacement below which a handle is at rest [-]."""
 
-ONE_VALUED = ("subject", "task", "condition", "l_h", "l_f", "theta_s_deg", "theta_e_deg")
+ARM_LABELS = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
+"""Coordinates that only models of the arm need; NaN where they are unknown."""
+
+ONE_VALUED = ("subject", "task", "condition", *ARM_LABELS)
 """Coordinates that all trials of a person in a condition share."""
 
 P = ParamSpec("P")
@@ -100,10 +103,17 @@ class ConditionTrials:
         """Task, segment lengths and posture, in a subject whose muscles do not matter.
 
         Raises:
-          ValueError: trials differ in subject, condition or posture, or the task is unknown.
+          ValueError: trials differ in subject, condition or posture, segment lengths or posture are not known, or the
+            task is unknown.
         """
         values = {}
         for name in ONE_VALUED:
+            if name in ARM_LABELS and np.isnan(self.recording[name].values).any():
+                meaning = TRIAL_COORDINATES[name][1]
+                raise ValueError(
+                    f"recording: {name} is unknown in {self.label}; expected the {meaning}, which a model of the arm "
+                    f"needs (labels.{name} of the sidecar; of all: {', '.join(ARM_LABELS)})"
+                )
             distinct = list(dict.fromkeys(self.recording[name].values.tolist()))
             if len(distinct) > 1:
                 raise ValueError(
@@ -297,7 +307,8 @@ class ConditionTrials:
             for name, values in (("perturbation", d), ("force", f)):
                 if not np.ptp(values, axis=0).any():
                     raise ValueError(
-                        f"{name} of trial {trial} is constant from {window_start:g} s on; expected a perturbed trial"
+                        f"{name} of trial {trial} is constant from {window_start:g} s on; expected a perturbed trial "
+                        "(an earlier --window-start, or leave this trial out)"
                     )
             records.append(TrialRecord(d, np.concatenate([f, x], axis=1), self.rate))
         return records

@@ -2,9 +2,11 @@
 
 import ast
 import inspect
+import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from typing import ClassVar
+from dataclasses import fields
+from typing import Annotated, Any, ClassVar, cast, get_origin, get_type_hints
 
 from tyro.conf import Positional as Positional
 
@@ -35,6 +37,19 @@ class Command(ABC):
           RuntimeError: worker processes died repeatedly, or this machine lacks a library.
           OSError: a file cannot be read or written.
         """
+
+
+def command_line(command: Command) -> str:
+    """How a command is typed that does the same: what is not as by default."""
+    words = ["armperturb", type(command).__name__.lower()]
+    for field in fields(cast(Any, command)):
+        value = getattr(command, field.name)
+        if value == field.default:
+            continue
+        if get_origin(get_type_hints(type(command), include_extras=True)[field.name]) is not Annotated:
+            words.append(f"--{field.name.replace('_', '-')}")
+        words += [f"{each}" for each in (value if isinstance(value, tuple) else (value,))]
+    return shlex.join(words)
 
 
 def field_texts(kind: type) -> dict[str, str]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from armperturb.commands.command import Command, Positional
 from armperturb.convert.tables import Repair
-from armperturb.files import require_folder_of
+from armperturb.files import require_folder_of, require_new
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,14 +24,17 @@ class Convert(Command):
     lengths; trials leaves out those with other faults."""
     rate: float | None = None
     """Sampling rate of the recording [Hz]; by default that of the files."""
+    overwrite: bool = False
+    """Replace existing files of the output; an input is never replaced."""
 
     def run(self) -> list[str]:
         """Read the files and write their trials in the other format."""
-        from armperturb.convert.exporter import export_recording, require_ending
+        from armperturb.convert.exporter import export_recording, require_ending, written_files
         from armperturb.convert.importer import import_recording
 
         require_ending(self.out)  # before long recordings are read
         require_folder_of(self.out)
         imported = import_recording(self.files, sidecar=self.sidecar, repair=self.repair, rate=self.rate)
+        require_new(written_files(imported.recording, self.out), overwrite=self.overwrite)
         paths = export_recording(imported.recording, self.out)
         return [*imported.notes, f"recording: {', '.join(map(str, paths))}"]

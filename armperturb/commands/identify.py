@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
-from armperturb.commands.command import Command, Positional
+from armperturb.commands.command import Command, Positional, command_line
 from armperturb.extras import MissingExtraError, naming_the_extra
+from armperturb.files import require_no_input
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -15,6 +16,17 @@ if TYPE_CHECKING:
     from armperturb.analysis.fit.structures import Structure
 
 Model = Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear"]
+RESULTS = [
+    "admittance.csv",
+    "parameters.csv",
+    "endpoint.csv",
+    "correlations.csv",
+    "predictions.csv",
+    "fit.json",
+    "structure.toml",
+]
+"""Files that are written and may be inputs by their ending."""
+
 OF_A_STRUCTURE = ("free", "fix", "bounds", "tie", "prior")
 OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", "body", *OF_A_STRUCTURE)
 OF_THE_NONLINEAR_MODEL = ("law", "pulses")
@@ -28,9 +40,10 @@ class Identify(Command):
     """Recordings of one person to read: netCDF4, or CSV, MATLAB or C3D with a sidecar (see convert); the trials of a
     condition are identified together."""
     out: Path
-    """Folder for admittance.csv, parameters.csv, fit.json, structure.toml, and stiffness, damping and inertia at the
-    hand in endpoint.csv and endpoint.svg; of the nonlinear model, for parameters.csv, correlations.csv,
-    predictions.csv, fit.json and pulses.svg, and for checkpoints from which an interrupted search continues."""
+    """Folder for identify.html, which tells all, admittance.csv, parameters.csv, fit.json, structure.toml, and
+    stiffness, damping and inertia at the hand in endpoint.csv and endpoint.svg; of the nonlinear model, for
+    parameters.csv, correlations.csv, predictions.csv, fit.json and pulses.svg, and for checkpoints from which an
+    interrupted search continues."""
     model: str | None = None
     """Model structure; by default the trials of each condition choose it. 1 intrinsic and grip; 2 with velocity, 3 with
     velocity and position feedback; 4, 5 and 6 with force, acceleration or both in addition; 3a and 3b total mass and
@@ -94,10 +107,12 @@ class Identify(Command):
         recordings, notes = select_trials(
             self.recordings, self.sidecar, self.subject, self.condition, single_condition=False
         )
+        for name in RESULTS:
+            require_no_input(self.out / name)
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         try:
-            lines = self._identify(recordings, structure) if linear else self._identify_nonlinear(recordings)
+            lines = self._identify(recordings, structure, notes) if linear else self._identify_nonlinear(recordings)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
         return [*notes, *lines, f"results: {self.out}"]
@@ -134,24 +149,27 @@ class Identify(Command):
             )
         return structure
 
-    def _identify(self, recordings: "list[xr.Dataset]", structure: "Structure | None") -> list[str]:
+    def _identify(self, recordings: "list[xr.Dataset]", structure: "Structure | None", notes: list[str]) -> list[str]:
         from armperturb.analysis.fit.export import write_identification
-        from armperturb.analysis.fit.identify import identify_conditions
+        from armperturb.analysis.fit.identify import identify_conditions, parts_by_condition
         from armperturb.analysis.fit.own_structures import inertia_prior, save_structure
-        from armperturb.analysis.trials import trials_by_condition
+        from armperturb.analysis.page.page import Origin, write_page
+        from armperturb.commands.selection import manipulator
+        from armperturb.files import checksum
 
         tasks = list(dict.fromkeys(task for recording in recordings for task in recording["task"].values.tolist()))
         if len(tasks) > 1:
             raise ValueError(
                 f"trials of the tasks {' and '.join(tasks)}; expected only one task (choose a --condition)"
             )
+        trials = parts_by_condition(recordings)
         if structure and self.body:
-            person = next(iter(trials_by_condition(recordings[0]).values())).body
+            person = next(iter(trials.values()))[0].body
             structure = structure.knowing(**inertia_prior(person, *self.body)).named(
                 f"{structure.name}, body from tables"
             )
         results = identify_conditions(
-            recordings,
+            trials,
             structure,
             estimator=self.estimator,
             share=self.share,
@@ -166,8 +184,17 @@ class Identify(Command):
             name = "structure.toml" if structure or len(results) == 1 else f"structure_{condition}.toml"
             if chosen is not None:
                 save_structure(chosen, self.out / name)
+        origin = Origin(
+            command=command_line(self),
+            files={path.name: checksum(path) for path in self.recordings},
+            notes=tuple(notes),
+            window_start=self.window_start,
+            period=self.period,
+        )
+        write_page(results, trials, self.out / "identify.html", origin)
         lines = []
         for condition, result in results.items():
+            lines.append(f"{condition}: {manipulator(result.environment)}")
             lines.append(f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %")
             lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
         return lines
@@ -184,7 +211,7 @@ class Identify(Command):
         self.out.mkdir(parents=True, exist_ok=True)  # now, as checkpoints go there
         try:
             result = identify_nonlinear(
-                recordings[0] if len(recordings) == 1 else join_recordings(recordings),
+                recordings[0] if len(recordings) == 1 else join_recordings(recordings).recording,
                 self.law or "full",
                 pulse_directions_deg=self.pulses,
                 window_start=self.window_start,

@@ -2,11 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from armperturb.analysis.defaults import SETTLED
 from armperturb.commands.command import Command, Positional
-from armperturb.files import write_csv
+from armperturb.files import require_no_input, write_csv
+
+if TYPE_CHECKING:
+    from armperturb.analysis.trials import ConditionTrials
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,11 +62,7 @@ class Response(Command):
             estimate = response(trials, self.method, what=self.what, **options)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
-        if (used := estimate.environment) is not None:
-            lines.append(
-                f"force balance of the manipulator used: {used.m_env:.4g} kg, {used.b_env:.3g} Ns/m, "
-                f"{used.k_env:.4g} N/m"
-            )
+        lines.append(_manipulator(trials[0], was_used=estimate.environment is not None))
         if estimate.covariance is None:
             lines.append(f"no uncertainty: {self.method} needs more trials for an estimate of it")
         if self.method == "multisine" and self.what == "arm":
@@ -76,9 +75,20 @@ class Response(Command):
         for name, result in (("response", estimate), ("distortion", distortion)):
             table, figure = self.out / f"{name}.csv", self.out / f"{name}.svg"
             if result is None:  # those of an earlier run
-                table.unlink(missing_ok=True)
-                figure.unlink(missing_ok=True)
+                for path in (table, figure):
+                    require_no_input(path)
+                    path.unlink(missing_ok=True)
             else:
                 write_csv(result.to_frame().assign(condition=trials[0].label), table)
                 save_plot(result, figure)
         return [*lines, f"results: {self.out}"]
+
+
+def _manipulator(trials: "ConditionTrials", *, was_used: bool) -> str:
+    """The manipulator as the trials show it, and whether its force balance made the signals better."""
+    from armperturb.commands.selection import manipulator
+
+    try:
+        return manipulator(trials.environment) + (", whose force balance was used" if was_used else "")
+    except ValueError as error:
+        return f"manipulator: not identified ({error})"

@@ -6,7 +6,14 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from armperturb.convert.checks import check_recordings
 from armperturb.convert.importer import import_recording
+from armperturb.environment import Environment
+
+
+def manipulator(environment: Environment) -> str:
+    """What the hand held, for people to read."""
+    return f"manipulator {environment.m_env:.4g} kg, {environment.b_env:.3g} Ns/m, {environment.k_env:.4g} N/m"
 
 
 def select_trials(
@@ -36,8 +43,9 @@ def select_trials(
         if path.resolve() in [other.resolve() for other in files[:place]]:
             raise ValueError(f"{path} comes twice; expected each recording once")
     imported = [import_recording([path], sidecar=sidecar) for path in files]
-    notes = [note for _, of_file in imported for note in of_file]
+    notes = list(dict.fromkeys(note for _, of_file in imported for note in of_file))
     source, selected = ", ".join(map(str, files)), [recording for recording, _ in imported]
+    of_files = list(map(str, files))
     for label, wanted, single in (("subject", subject, True), ("condition", condition, single_condition)):
         names = list(dict.fromkeys(name for recording in selected for name in recording[label].values.tolist()))
         if wanted is None:
@@ -47,5 +55,7 @@ def select_trials(
         if wanted not in names:
             raise ValueError(f"{source}: no {label} {wanted!r}; expected one of {', '.join(names)}")
         selected = [recording.isel(trial=np.flatnonzero(recording[label].values == wanted)) for recording in selected]
+        of_files = [file for file, recording in zip(of_files, selected, strict=True) if recording.sizes["trial"]]
         selected = [recording for recording in selected if recording.sizes["trial"]]
+    check_recordings(selected, of_files)
     return selected, notes

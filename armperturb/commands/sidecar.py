@@ -22,4 +22,4 @@ class Sidecar(Command):
         from armperturb.convert.template import write_sidecar
 
         path, notes = write_sidecar(self.file, self.out, rate=self.rate)
-        return [*notes, f"sidecar: {path}"]
+        return [*notes, f"for other files with these channels: --sidecar {path}", f"sidecar: {path}"]

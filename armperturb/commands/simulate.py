@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from armperturb.commands.command import Command
-from armperturb.files import require_folder_of
+from armperturb.files import require_folder_of, require_new
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +28,8 @@ class Simulate(Command):
     """Sampling rate of the recording [Hz]."""
     seed: int = 0
     """Seed of the instruments' noise."""
+    overwrite: bool = False
+    """Replace an existing recording; an input is never replaced."""
 
     def run(self) -> list[str]:
         """Simulate the trial and write the recording."""
@@ -43,6 +45,7 @@ class Simulate(Command):
 
         person, perturbation = Subject.load(self.subject), load_perturbation(self.perturbation)
         require_folder_of(self.out)
+        require_new([self.out], overwrite=self.overwrite)
         environment = Environment()
         try:
             recording = run_experiment(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from armperturb.commands.command import Command, Positional
 from armperturb.envs.render.clip import Clip
+from armperturb.files import require_new
 from armperturb.progress import Progress
 
 
@@ -21,6 +22,8 @@ class Video(Command):
     trial: int
     """Which trial of the recording, from 0."""
     clip: Clip = field(default_factory=Clip)
+    overwrite: bool = False
+    """Replace an existing video; an input is never replaced."""
 
     def run(self) -> list[str]:
         """Draw the frames and write the video."""
@@ -30,6 +33,7 @@ class Video(Command):
 
         require_ending(self.out)
         recording = load_recording(self.recording, optional=SIGNALS)
+        require_new([self.out], overwrite=self.overwrite)
         replay = Replay.of_trial(recording, self.trial, str(self.recording))
         with Progress("video", total=0, unit="frames") as bar:
 

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from scipy import signal
 
+from armperturb.analysis.trials import ARM_LABELS
 from armperturb.arrays import Array
 from armperturb.convert.checks import require_consistent_unit, require_signal
 from armperturb.convert.faults import Fault, Timed, even_times
@@ -108,7 +109,7 @@ def resampled(trial: Timed, rate: float | None) -> Timed:
     present = {*rates.values()}
     if rate is None and len(present) > 1:
         several = ", ".join(f"{name} at {of_signal:g} Hz" for name, of_signal in rates.items())
-        raise ValueError(f"{trial.where}: {several}; expected one rate (choose it with --rate)")
+        raise ValueError(f"{trial.where}: {several}; expected one rate (convert --rate chooses it)")
     target = present.pop() if rate is None else rate
     signals = {name: trial.signals[name] for name in rates}
     for name, of_signal in rates.items():
@@ -155,7 +156,7 @@ def joined(trials: Sequence[Timed], repair: Collection[Repair], notes: list[str]
             odd = trials[int(np.argmin(lengths))]
             text = f"{odd.where}: {name} lasts {least / rate:.6g} s, in other trials {max(lengths) / rate:.6g} s"
             if "lengths" not in repair:
-                raise ValueError(f"{text}; expected equal lengths (--repair lengths cuts all to the shortest)")
+                raise ValueError(f"{text}; expected equal lengths (convert --repair lengths cuts all)")
             notes.append(f"{text}: all are cut to the shortest")
         signals[name] = np.stack([trial.signals[name][:least] for trial in trials])
     if signals["displacement"].shape[1] < 2:
@@ -169,7 +170,7 @@ def _coordinates(labels: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
     counts: dict[tuple[Any, ...], int] = {}
     rows = []
     for given in labels:
-        row = {name: float("nan") for name in ("pulse_direction", "pulse_onset", "limit_time")}
+        row = {name: float("nan") for name in (*ARM_LABELS, "pulse_direction", "pulse_onset", "limit_time")}
         row |= {"pulse_level": 0.0, "condition": given["task"], **given}
         key = (row["subject"], row["condition"], row["pulse_level"], str(row["pulse_direction"]))
         counts[key] = counts.get(key, -1) + 1

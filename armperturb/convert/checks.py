@@ -1,11 +1,17 @@
 """Refuses what no arm and manipulator do, as a wrong unit or start makes them do."""
 
+import hashlib
+from collections.abc import Sequence
+
 import numpy as np
+import xarray as xr
 
 from armperturb.arrays import Array
 from armperturb.convert.faults import Timed
+from armperturb.convert.tables import TABLES
 from armperturb.convert.units import UNITS
-from armperturb.recording import SIGNALS
+from armperturb.recording import CLOCKS, REQUIRED_SIGNALS, SIGNALS
+from armperturb.validation import RANGES, require_number
 
 LARGEST_NUMBER = 1e16
 """In a file, whatever its unit: microseconds since 1970 are less [-]."""
@@ -13,11 +19,17 @@ LARGEST_NUMBER = 1e16
 LARGEST_FORCE = 2000.0
 """That people and manipulators bear [N]; refuses millinewtons."""
 
+LONGEST_SEGMENT: float = TABLES["ranges"]["l_h"][1]
+"""Of any person [m], where the person's own are unknown."""
+
 REACH = 1.0
 """Largest distance of the handle from its start, in arm lengths [-]; refuses millimetres."""
 
 AWAY = 0.01
 """Distance from its start at which no path stays throughout, unless it moves by more [m]; refuses places in a room."""
+
+
+_POSTURE = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
 
 
 def require_signal(where: str, name: str, values: Array) -> None:
@@ -57,6 +69,43 @@ def require_consistent_unit(where: str, name: str, channel: str, unit: str, of_f
         )
 
 
+def check_different(recordings: Sequence[xr.Dataset], names: Sequence[str], files: Sequence[str]) -> tuple[str, ...]:
+    """Refuse trials that are in two files: copies would count as independent.
+
+    Args:
+      recordings: to compare; their trials follow one another in `names` and `files`.
+      names: of each trial, for messages.
+      files: that hold them.
+
+    Returns:
+      A note for each trial that equals another of its file, as those of an ideal person may.
+
+    Raises:
+      ValueError: a trial is in two files.
+    """
+    seen: dict[bytes, int] = {}
+    notes = []
+    trials = [recording.isel(trial=trial) for recording in recordings for trial in range(recording.sizes["trial"])]
+    for place, trial in enumerate(trials):
+        signals = [np.ascontiguousarray(trial[name].values, dtype=float) for name in REQUIRED_SIGNALS]
+        before = seen.setdefault(hashlib.sha256(b"".join(signal.tobytes() for signal in signals)).digest(), place)
+        if files[before] != files[place]:
+            raise ValueError(f"{names[place]} has the signals of {names[before]}; expected each trial in one file only")
+        if before != place:
+            notes.append(f"{names[place]} has the signals of {names[before]}: they do not count as independent trials")
+    return tuple(notes)
+
+
+def check_recordings(recordings: Sequence[xr.Dataset], files: Sequence[str]) -> tuple[str, ...]:
+    """The same for whole recordings, a file each."""
+    trials = [
+        (file, trial) for file, each in zip(files, recordings, strict=True) for trial in range(each.sizes["trial"])
+    ]
+    return check_different(
+        recordings, [f"{file}: trial {trial}" for file, trial in trials], [file for file, _ in trials]
+    )
+
+
 def require_plausible(trial: Timed) -> None:
     """Refuse forces, paths and instants that are out of range.
 
@@ -67,7 +116,7 @@ def require_plausible(trial: Timed) -> None:
       ValueError: a signal is too large, displacement is not from its start, or an instant lies outside the trial.
     """
     where, signals, rates, labels = trial.where, trial.signals, trial.rates, trial.labels
-    reach = REACH * (labels["l_h"] + labels["l_f"])
+    reach = REACH * (labels.get("l_h", LONGEST_SEGMENT) + labels.get("l_f", LONGEST_SEGMENT))
     limits = {"perturbation": LARGEST_FORCE, "force": LARGEST_FORCE, "displacement": reach, "shoulder_marker": reach}
     limits |= {"joint_angle": 2 * np.pi, "emg": 100.0}
     for name, values in signals.items():
@@ -92,3 +141,23 @@ def require_plausible(trial: Timed) -> None:
             raise ValueError(
                 f"{where}: {name} = {labels[name]:g} s; expected within the trial, which lasts {duration:g} s"
             )
+
+
+def require_plausible_recording(recording: xr.Dataset, source: str) -> None:
+    """Refuse a recording with a trial that is out of range; raises as `require_plausible`."""
+    signals = {name: recording[name] for name in SIGNALS if name in recording.data_vars}
+    rates = {name: float(recording.attrs[CLOCKS[SIGNALS[name][0][0]]]) for name in signals}
+    for trial in range(recording.sizes["trial"]):
+        where, labels = f"{source}: trial {trial}", {name: float(recording[name].values[trial]) for name in _POSTURE}
+        for name in _POSTURE:
+            if not np.isnan(labels[name]):
+                require_number(where, name, labels[name], **RANGES["Subject"][name])
+        require_plausible(
+            Timed(
+                where=where,
+                labels=labels,
+                signals={name: of_all.values[trial] for name, of_all in signals.items()},
+                rates=rates,
+                components={},
+            )
+        )

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from armperturb.convert.reading import C3D, TEXT
 from armperturb.convert.sidecar import Dialect
 from armperturb.convert.units import UNITS
-from armperturb.foreign import read_foreign, require_modest
+from armperturb.files import require_input
+from armperturb.foreign import LARGEST, read_foreign
 
 WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
 _UNITS = "|".join(sorted({unit for known in UNITS.values() for unit in known} - {""}))
@@ -55,7 +56,7 @@ def dialect_of(path: Path) -> Dialect:
       ValueError: the file is no text, or too large.
       OSError: it cannot be read.
     """
-    require_modest(path)
+    require_input(path, LARGEST)
     try:
         with path.open(encoding="utf-8-sig") as file:
             lines = "".join(islice(file, 50)).rstrip("\r\n").splitlines()

@@ -45,19 +45,26 @@ def export_recording(recording: xr.Dataset, path: str | Path) -> list[Path]:
     if path.suffix == ".nc":
         save_recording(recording, path)
         return [path]
-    sidecar = path.with_suffix(".json")
+    _, sidecar, *beside = written_files(recording, path)
     content, meaning = _text(recording) if path.suffix == ".csv" else _matlab(recording)
     files = {path: content}
-    if path.suffix == ".csv" and "emg" in recording.data_vars:
-        beside = path.with_name(f"{path.stem}_emg.csv")
-        files[beside] = _table(recording, ["emg"], float_format="%.9g")  # exact in single precision
-        meaning["signals"]["emg"]["file"] = beside.name
+    for of_emg in beside:
+        files[of_emg] = _table(recording, ["emg"], float_format="%.9g")  # exact in single precision
+        meaning["signals"]["emg"]["file"] = of_emg.name
     files[sidecar] = (json.dumps(meaning, indent=2, allow_nan=False) + "\n").encode()
     with ExitStack() as stack:  # files are moved to their places only after all were written
         parts = {file: stack.enter_context(written_whole(file)) for file in files}
         for file, part in parts.items():
             part.write_bytes(files[file])
     return list(files)
+
+
+def written_files(recording: xr.Dataset, path: Path) -> list[Path]:
+    """The file, and what `export_recording` writes beside it: a sidecar, and a file of EMG."""
+    if path.suffix == ".nc":
+        return [path]
+    has_emg = path.suffix == ".csv" and "emg" in recording.data_vars
+    return [path, path.with_suffix(".json"), *([path.with_name(f"{path.stem}_emg.csv")] if has_emg else [])]
 
 
 def require_ending(path: Path) -> None:

@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import interpolate
 
+from armperturb.analysis.plateaus import LEAST_RUN, clipped_stretches, runs
 from armperturb.arrays import Array
 from armperturb.convert.tables import Repair
 from armperturb.recording import REQUIRED_SIGNALS
@@ -36,15 +36,6 @@ ROUNDED = 0.15
 
 OFF = 0.1
 """Largest relative deviation of a clock from the stated rate that is repaired [-]; beyond, rate or unit is wrong."""
-
-LEAST_RUN = 3
-"""Smallest number of equal samples that counts as clipping."""
-
-STEEP = 0.3
-"""Slope into and out of a plateau that counts as clipping, relative to the RMS step of the channel [-]."""
-
-BEYOND = 3.0
-"""Extrapolated height above a plateau that counts as clipping, in resolutions of the channel [-]."""
 
 
 class Fault(NamedTuple):
@@ -173,7 +164,7 @@ def find_gaps(timed: Timed) -> tuple[Timed, list[Fault]]:
             if there.all():
                 continue
             n_there = int(there.sum())
-            for first, last in _runs(~there):
+            for first, last in runs(~there):
                 length = (last - first) / rate
                 can = first > 0 and last < len(values) and length <= longest + 1e-9 and n_there >= 4
                 place = f"at {first / rate:.6g} s" if n_there else "everywhere"
@@ -207,31 +198,12 @@ def find_stuck(timed: Timed) -> list[Fault]:
                 if name != "perturbation" or samples[0] != 0.0:
                     faults.append(Fault("trials", f"{channel} ({name}) is constant at {samples[0]:.6g}"))
                 continue
-            plateaus = [*_plateaus(samples), *(_plateaus(-samples))]
+            plateaus = clipped_stretches(samples)
             if plateaus:
                 first, last = min(plateaus)
                 clipped = f"clipped at {samples[first]:.6g} for {(last - first) / rate:.4g} s at {first / rate:.6g} s"
                 faults.append(Fault("trials", f"{channel} ({name}) is {clipped}, {len(plateaus)} times in all"))
     return [*faults, *_held(timed)]
-
-
-def _plateaus(values: Array) -> list[tuple[int, int]]:
-    """First sample and end of each stretch at the largest value that is entered and left steeply."""
-    top = float(values.max())
-    if top == 0.0:  # where a disturbance rests
-        return []
-    steps = np.abs(np.diff(values))
-    moving = steps[steps > 0.0]
-    resolution, usual = float(moving.min()), float(np.sqrt(np.mean(steps**2)))
-    plateaus = []
-    for first, last in _runs(values == top):
-        if last - first < LEAST_RUN or first < 2 or last > len(values) - 2:
-            continue
-        slope = min(top - values[first - 2], top - values[last + 1]) / 2.0
-        # A peak that is rounded to the resolution rises by less than that within its plateau.
-        if slope > STEEP * usual and 0.25 * slope * (last - first) > BEYOND * resolution:
-            plateaus.append((first, last))
-    return plateaus
 
 
 def _held(timed: Timed) -> list[Fault]:
@@ -244,7 +216,7 @@ def _held(timed: Timed) -> list[Fault]:
     rate = timed.rates["perturbation"]
     return [
         Fault("trials", f"all channels hold their value for {(last - first) / rate:.4g} s at {first / rate:.6g} s")
-        for first, last in _runs(same)
+        for first, last in runs(same)
         if last - first >= LEAST_RUN - 1 and first > 0 and last < len(same) and changes[first - 1] and changes[last]
     ]
 
@@ -259,9 +231,3 @@ def equal_lengths(timed: Timed, names: Collection[str]) -> tuple[Timed, list[Fau
     text = f"{longest} lasts {lengths[longest]:.6g} s and {shortest} {end:.6g} s; expected equal lengths"
     cut = {name: timed.signals[name][: round(end * timed.rates[name])] for name in names}
     return replace(timed, signals={**timed.signals, **cut}), [Fault("lengths", text)]
-
-
-def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First sample and end of each run."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return [(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]

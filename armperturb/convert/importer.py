@@ -10,13 +10,13 @@ import xarray as xr
 
 from armperturb.convert.alignment import in_si, joined, resampled, timed_signals
 from armperturb.convert.balance import check_balance, require_signs
-from armperturb.convert.checks import require_plausible
+from armperturb.convert.checks import check_different, check_recordings, require_plausible, require_plausible_recording
 from armperturb.convert.faults import Fault, Timed, equal_lengths, find_gaps, find_stuck, without_padding
 from armperturb.convert.raw import RawTrial
 from armperturb.convert.reading import C3D, MATLAB, TEXT, read_trials
 from armperturb.convert.sidecar import Sidecar
 from armperturb.convert.tables import Repair
-from armperturb.recording import join_recordings, load_recording
+from armperturb.recording import OPTIONAL_SIGNALS, join_recordings, load_recording
 from armperturb.validation import require_number, require_one_of
 
 OURS = (".nc",)
@@ -81,10 +81,16 @@ def import_recording(
     for name, value in (("sidecar", sidecar), ("repair", repair), ("rate", rate)):
         if value:
             raise ValueError(f"{ours[0]}: {name} = {value!r}; expected none with netCDF, which is complete itself")
-    recordings = [load_recording(path, guarded=True) for path in ours]
+    recordings = [load_recording(path) for path in ours]
     for path, recording in zip(ours, recordings, strict=True):
+        require_plausible_recording(recording, str(path))
         require_signs(recording, source=str(path))
-    return Imported(recordings[0] if len(ours) == 1 else join_recordings(recordings, ", ".join(map(str, ours))), ())
+    notes = check_recordings(recordings, list(map(str, ours)))
+    if len(ours) == 1:
+        return Imported(recordings[0], notes)
+    together = join_recordings(recordings, ", ".join(map(str, ours)), OPTIONAL_SIGNALS)
+    lost = [f"not in all files alike, so left out: {', '.join(together.lost)}"] if together.lost else []
+    return Imported(together.recording, (*notes, *lost))
 
 
 def _read(files: Sequence[Path], sidecar: str | Path | None) -> Iterable[tuple[Path, Sidecar, Sequence[RawTrial]]]:
@@ -110,13 +116,14 @@ def import_trials(
     """
     notes: list[str] = []
     trials: list[Timed] = []
-    paths, guesses, masses = [], [], set()
+    paths, guesses, masses, of_files = [], [], set(), list[str]()
     for path, meaning, raw_trials in files:
         paths.append(path)
         guesses += [note for note in meaning.notes if note not in guesses]
         masses.add(meaning.mass)
         aligned = (_aligned(path, raw, meaning, repair, rate, notes) for raw in raw_trials)
         trials += [trial for trial in aligned if trial is not None]
+        of_files += [str(path)] * (len(trials) - len(of_files))
     named = ", ".join(map(str, paths))
     if not trials:
         raise ValueError(f"{named}: all trials are left out; expected one without faults ({notes[0]})")
@@ -126,6 +133,7 @@ def import_trials(
         recording.attrs["repairs"] = "\n".join(notes)
     if len(masses) > 1:
         raise ValueError(f"{named}: environment.m_env differs between sidecars; expected one manipulator")
+    notes += check_different([recording], [trial.where for trial in trials], of_files)
     names = [trial.where.removeprefix(named).removeprefix(": ") for trial in trials]
     return Imported(recording, (*notes, *check_balance(recording, masses.pop(), names, named), *guesses))
 
@@ -158,5 +166,5 @@ def _aligned(
 def _advice(fault: Fault) -> str:
     if fault.repair == "trials" or not fault.can:
         why = "" if fault.repair == "trials" else ", which cannot be repaired"
-        return f"expected a trial without{why} (--repair trials leaves it out)"
-    return f"expected none (--repair {fault.repair} puts it right)"
+        return f"expected a trial without{why} (convert --repair trials leaves it out)"
+    return f"expected none (convert --repair {fault.repair} puts it right)"

@@ -11,6 +11,7 @@ import numpy as np
 from armperturb.arrays import Array
 from armperturb.convert.tables import TABLES
 from armperturb.convert.units import factor_to, quantity
+from armperturb.files import require_input
 from armperturb.recording import LABELS, REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES
 from armperturb.subject import TASKS
 from armperturb.validation import require_number, require_one_of
@@ -36,7 +37,7 @@ BODIES = {"handle": 1.0, "hand": -1.0}
 FIRST = "first"
 """The handle's start is where its first sample is."""
 
-REQUIRED_LABELS = ("subject", "task", "l_h", "l_f", "theta_s_deg", "theta_e_deg")
+REQUIRED_LABELS = ("subject", "task")
 
 _RANGES: Mapping[str, tuple[float, float]] = TABLES["ranges"]
 """What labels of people can be, in our units: beyond it is a slip, or another unit."""
@@ -254,9 +255,7 @@ def _parsed(path: Path) -> object:
             f"{path}: no such file, or a folder; expected the sidecar, which says what the channels mean (`armperturb "
             "sidecar FILE` writes one)"
         )
-    size = path.stat().st_size
-    if size > LARGEST:
-        raise ValueError(f"{path}: {size} bytes; expected a sidecar of at most {LARGEST}")
+    require_input(path, LARGEST)
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         content: dict[str, Any] = {}

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armperturb.analysis.force_balance import Balance
+from armperturb.analysis.trials import ARM_LABELS
 from armperturb.convert.checks import AWAY, LARGEST_FORCE
 from armperturb.convert.columns import WORD, Column, axis_of, columns_of, dialect_of
 from armperturb.convert.importer import import_trials
@@ -204,8 +205,8 @@ def _add_labels(
     varying = {name: values for name, values in lists.items() if name not in constant}
     is_relaxed = {word.lower() for word in WORD.findall(path.stem)} & {*WORDS["relaxed"]}
     defaults: dict[str, Any] = {"subject": "S01", "task": "RT" if is_relaxed else "PT"}
-    defaults |= {name: getattr(POSITION, name) for name in REQUIRED_LABELS if name not in defaults}
-    for name in REQUIRED_LABELS:
+    defaults |= {name: getattr(POSITION, name) for name in ARM_LABELS}
+    for name in (*REQUIRED_LABELS, *ARM_LABELS):
         if name not in labels:
             guessed[f"labels.{name}"] = CHECKS[name]
     content["labels"] = {name: constant.get(name, value) for name, value in defaults.items() if name not in varying}

@@ -11,7 +11,8 @@ import numpy as np
 from armperturb.convert.raw import RawTrial, missing_channel, split_trials
 from armperturb.convert.sidecar import Dialect
 from armperturb.convert.units import parsed_number
-from armperturb.foreign import require_modest
+from armperturb.files import require_input
+from armperturb.foreign import LARGEST
 
 MARKS = {b"PK\x03\x04": "a zip archive", b"\x89HDF": "an HDF5 file", b"MATLAB": "a MATLAB file", b"\x1f\x8b": "gzip"}
 """First bytes of files that are not text."""
@@ -30,7 +31,7 @@ def read_text(path: Path, names: Collection[str], number: str | None, dialect: D
       ValueError: the file is empty, no text, lacks a column, or holds what is no number; the message names the line.
       OSError: it cannot be read.
     """
-    require_modest(path)
+    require_input(path, LARGEST)
     with path.open("rb") as file:
         start = file.read(8)
     for mark, what in MARKS.items():

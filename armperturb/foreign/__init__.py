@@ -18,6 +18,7 @@ from typing import IO, Any
 import numpy as np
 
 from armperturb.extras import naming_the_extra
+from armperturb.files import require_input
 from armperturb.foreign.program import REFUSED
 from armperturb.foreign.program import Refused as Refused
 
@@ -31,18 +32,9 @@ _ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGI
 """One thread needs less address space, and no filter is loaded from a folder of plugins."""
 
 
-def require_modest(path: Path) -> None:
-    """Refuse a file that would take too much memory.
-
-    Raises:
-      Refused: it is larger than `LARGEST`.
-    """
-    size = path.stat().st_size
-    if size > LARGEST:
-        raise Refused(f"{path}: size = {size} bytes; expected at most {LARGEST} (1 GiB)")
-
-
-def read_foreign(path: Path, names: Collection[str] | None = None, *, seconds: float = LONGEST) -> dict[str, Any]:
+def read_foreign(
+    path: Path, names: Collection[str] | None = None, *, without: Collection[str] = (), seconds: float = LONGEST
+) -> dict[str, Any]:
     """Content of a file as nested dictionaries and lists of numbers, texts and arrays.
 
     | ending | content |
@@ -55,6 +47,7 @@ def read_foreign(path: Path, names: Collection[str] | None = None, *, seconds: f
     Args:
       path: of the file.
       names: variables or channels that are wanted; the others, or their values, are None. By default all are read.
+      without: variables of netCDF that are left out.
       seconds: time in which the file must be parsed.
 
     Raises:
@@ -62,14 +55,14 @@ def read_foreign(path: Path, names: Collection[str] | None = None, *, seconds: f
       ModuleNotFoundError: C3D is to be read, and ezc3d is not installed.
       OSError: the file cannot be read.
     """
-    require_modest(path)
+    require_input(path, LARGEST)
     with path.open("rb"):
         pass  # raises what the child process could not
     if path.suffix.lower() == ".c3d" and find_spec("ezc3d") is None:
         with naming_the_extra(f"{path}: C3D"):
             raise ModuleNotFoundError(name="ezc3d")
     program, wanted = Path(__file__).with_name("program.py"), json.dumps(None if names is None else sorted(names))
-    arguments = (program, path.resolve(), wanted, LARGEST, seconds)
+    arguments = (program, path.resolve(), wanted, LARGEST, seconds, json.dumps(sorted(without)))
     with tempfile.TemporaryFile() as output:
         try:
             done = subprocess.run(

@@ -57,13 +57,14 @@ class Budget:
         self.left -= size + OVERHEAD
 
 
-def parse(path: str, names: Collection[str] | None, largest: int) -> dict[str, Any]:
+def parse(path: str, names: Collection[str] | None, largest: int, without: Collection[str] = ()) -> dict[str, Any]:
     """Content of a file, see `read_foreign`.
 
     Args:
       path: of the file.
       names: variables or channels that are wanted, all others being None; None for all.
       largest: size that the content may have [byte].
+      without: variables of netCDF that are left out.
 
     Raises:
       Refused: the file is damaged, of another format, or its content too large.
@@ -76,7 +77,7 @@ def parse(path: str, names: Collection[str] | None, largest: int) -> dict[str, A
             raise Refused(f"no HDF5 file ({_beginning(head)}); expected netCDF4")
         try:
             if is_hdf5:
-                return _hdf5(file, head, names, budget)
+                return _hdf5(file, head, names, without, budget)
             return (_mat5 if suffix == ".mat" else _c3d)(file, names, budget)
         except Refused:
             raise
@@ -190,7 +191,9 @@ def _matrix(part: memoryview, order: str, budget: Budget, what: str, depth: int)
 # HDF5, as netCDF4 and MATLAB v7.3 use it.
 
 
-def _hdf5(file: IO[bytes], head: bytes, names: Collection[str] | None, budget: Budget) -> dict[str, Any]:
+def _hdf5(
+    file: IO[bytes], head: bytes, names: Collection[str] | None, without: Collection[str], budget: Budget
+) -> dict[str, Any]:
     import h5py
 
     with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
@@ -199,11 +202,11 @@ def _hdf5(file: IO[bytes], head: bytes, names: Collection[str] | None, budget: B
         raise Refused(f"a second HDF5 file begins at byte {again}; expected one recording (two files in one?)")
     with h5py.File(file.name, "r") as opened:
         is_matlab = file.name.lower().endswith(".mat")
-        read = _matlab_hdf5 if is_matlab else _array
+        read = _matlab_hdf5 if is_matlab else _variable
         values = {
             name: read(item, name, budget) if names is None or name in names else None
             for name, item in _members(opened)
-            if (name != "#refs#" if is_matlab else isinstance(item, h5py.Dataset))
+            if (name != "#refs#" if is_matlab else isinstance(item, h5py.Dataset) and name not in without)
         }
     if is_matlab:
         return values
@@ -213,6 +216,7 @@ def _hdf5(file: IO[bytes], head: bytes, names: Collection[str] | None, budget: B
         variables = {
             name: {"dims": list(item.dimensions), "attrs": dict(item.attrs), "values": values[name]}
             for name, item in described.variables.items()
+            if name in values
         }
         return {"attrs": dict(described.attrs), "variables": variables}
 
@@ -225,6 +229,14 @@ def _members(group: Any) -> Iterator[tuple[str, Any]]:
         if not isinstance(group.get(name, getlink=True), h5py.HardLink):
             raise Refused(f"{name!r} is a link; expected an array that the file itself holds")
         yield name, group[name]
+
+
+def _variable(item: Any, name: str, budget: Budget) -> Any:
+    import h5py
+
+    if item.dtype.kind not in "biufS" and h5py.check_string_dtype(item.dtype) is None:
+        raise Refused(f"{name!r} holds values of type {item.dtype}; expected numbers or texts")
+    return _array(item, name, budget)
 
 
 def _array(item: Any, name: str, budget: Budget) -> Any:
@@ -351,12 +363,12 @@ def _limit(largest: int, seconds: float) -> None:
         resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 
-def main(path: str, names: str, largest: str, seconds: str) -> None:
+def main(path: str, names: str, largest: str, seconds: str, without: str = "[]") -> None:
     """Write JSON in one line, then the arrays in NumPy's format."""
     _limit(int(largest), float(seconds))
     arrays: list[Any] = []
     try:
-        description = _described(parse(path, json.loads(names), int(largest)), arrays)
+        description = _described(parse(path, json.loads(names), int(largest), json.loads(without)), arrays)
     except Refused as error:
         sys.stderr.write(f"{error}")
         sys.exit(REFUSED)

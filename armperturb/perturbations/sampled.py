@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
+from armperturb.files import require_input, written_whole
 from armperturb.perturbations.perturbation import Perturbation, sample_times
 from armperturb.validation import require_number
 
@@ -17,6 +18,9 @@ COLUMNS = ("time_s", "d_x_N", "d_y_N")
 
 STEP_TOLERANCE = 1e-3
 """How far a time step may be off the others, as a share of it [-]: rounding passes, a jitter that matters does not."""
+
+LARGEST = 2**25
+"""Largest file [byte]: an hour at 200 Hz takes less."""
 
 INSIGNIFICANT_SHARE = 0.005
 """Share of the power that may lie above the highest significant frequency [-]."""
@@ -110,7 +114,7 @@ def save_perturbation(perturbation: Perturbation, path: str | Path, rate: float)
     if n_samples < 2:
         raise ValueError(f"save_perturbation: rate = {rate:g} Hz gives {n_samples} sample; expected at least 2")
     force = perturbation.sample(rate, n_samples)
-    with open(path, "w", encoding="utf-8", newline="") as file:
+    with written_whole(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         writer.writerows((k / rate, x, y) for k, (x, y) in enumerate(force.tolist()))
@@ -132,6 +136,7 @@ def load_perturbation(path: str | Path) -> Sampled:
 
 def _read_numbers(path: str | Path) -> tuple[np.ndarray, list[int]]:
     """The columns in the order of `COLUMNS`, (row, 3), and the line of the file that each row stands on."""
+    require_input(path, LARGEST)
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             reader = csv.reader(file)

@@ -19,6 +19,7 @@ from armperturb.plots.panels import (
     label_frequency,
     legend,
     plot_admittance,
+    within_turn,
 )
 from armperturb.plots.style import COLOURS, GREY, INK, figure_for, in_style
 
@@ -82,6 +83,9 @@ def draw_bands(panels: Mapping[Element, tuple[Axes, Axes]], curve: Curve, shade:
     if curve.bands is None:
         return
     gain_low, gain_high, phase_low, phase_high = curve.bands
+    if curve.look.get("linestyle") == "":
+        _draw_limits(panels, curve, shade["color"])
+        return
     for element, (gain_ax, phase_ax) in panels.items():
         at = (slice(None), *element)
         # A logarithmic axis has no zero.
@@ -96,6 +100,19 @@ def draw_bands(panels: Mapping[Element, tuple[Axes, Axes]], curve: Curve, shade:
         for turn in 360.0 * np.arange(first, last + 1):
             phase_ax.fill_between(curve.frequency, low + turn, high + turn, **shade)
         phase_ax.set_ylim(limits)
+
+
+def _draw_limits(panels: Mapping[Element, tuple[Axes, Axes]], curve: Curve, colour: str) -> None:
+    """The bands of single points as bars."""
+    assert curve.bands is not None
+    gain_low, gain_high, phase_low, phase_high = curve.bands
+    for element, (gain_ax, phase_ax) in panels.items():
+        at = (slice(None), *element)
+        gain = np.abs(curve.response[at])
+        gain_ax.vlines(curve.frequency, np.maximum(gain_low[at], 1e-2 * gain), gain_high[at], color=colour, lw=0.9)
+        frequency, middle = within_turn(curve.frequency, np.angle(curve.response[at]))
+        half = np.interp(frequency, curve.frequency, np.degrees(phase_high[at] - phase_low[at]) / 2.0)
+        phase_ax.vlines(frequency, middle - half, middle + half, color=colour, lw=0.9)
 
 
 @in_style()

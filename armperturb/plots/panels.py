@@ -100,8 +100,10 @@ def label_frequency(ax: Axes, **text: Any) -> None:
 
 
 def legend(figure: Figure, *handles: Line2D | Patch, n_columns: int = 6) -> None:
-    """One legend for the whole figure, above its panels."""
-    figure.legend(handles=list(handles), loc="outside upper center", ncols=min(len(handles), n_columns))
+    """One legend for the whole figure, above its panels; a $ in a name is no mathematics."""
+    drawn = figure.legend(handles=list(handles), loc="outside upper center", ncols=min(len(handles), n_columns))
+    for text in drawn.get_texts():
+        text.set_parse_math(False)
 
 
 def padded(values: list[float]) -> tuple[float, float]:

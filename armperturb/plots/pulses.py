@@ -55,7 +55,7 @@ def plot_pulses(pulses: Sequence[PredictedPulse], figure: Figure | None = None) 
             for model, look in LOOKS.items():
                 if model in pulse.predicted:
                     ax.plot(pulse.time, 1e3 * pulse.predicted[model][:, axis], **look, label=model)
-            ax.set_title(f"{pulse.title}: {name}", loc="left")
+            ax.set_title(f"{pulse.title}: {name}", loc="left", parse_math=False)
             ax.set_ylabel("displacement [mm]" if axis == 0 else "")
     for ax in axes[-1]:
         ax.set_xlabel("time from the onset [s]")

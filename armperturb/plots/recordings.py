@@ -71,8 +71,11 @@ def plot_recording(
         ax.set_xlabel("time [s]")
     who = ", ".join(dict.fromkeys(shown["subject"].values.tolist()))
     which = f"trial {chosen[0]}" if len(chosen) == 1 else f"{len(chosen)} trials"
-    figure.suptitle(f"{who}, {which}" + (f", {conditions[0]}" if len(conditions) == 1 else ""), fontsize=9)
+    title = f"{who}, {which}" + (f", {conditions[0]}" if len(conditions) == 1 else "")
+    figure.suptitle(title, fontsize=9, parse_math=False)
     if len(conditions) > 1:
         handles = [Line2D([], [], color=colours[condition], label=condition) for condition in conditions]
-        figure.legend(handles=handles, loc="outside lower center", ncols=min(len(conditions), 6))
+        legend = figure.legend(handles=handles, loc="outside lower center", ncols=min(len(conditions), 6))
+        for text in legend.get_texts():
+            text.set_parse_math(False)
     return axes

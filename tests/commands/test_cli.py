@@ -244,6 +244,7 @@ def test_what_cannot_be_identified_together_is_refused(two_recordings, recording
     line = refused(capsys, "identify", a, tmp_path / "p.nc", "--model", "1", *out)
     assert "subjects S01, subject; expected only one (choose a --subject)" in line
     other = recording.assign_coords(condition=("trial", ["PT7.5"] * 4), task=("trial", ["PT"] * 4))
+    other["force"] = other["force"].copy(data=1.001 * other["force"].values)  # a copy of the trial would be refused
     save_recording(other, tmp_path / "p.nc")
     line = refused(capsys, "identify", a, tmp_path / "p.nc", "--model", "1", *out)
     assert "trials of the tasks RT and PT; expected only one task (choose a --condition)" in line

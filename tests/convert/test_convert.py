@@ -212,7 +212,7 @@ def write_c3d(path, seed=0):
 def test_c3d_with_markers_and_converter_at_different_rates(tmp_path):
     write_c3d(tmp_path / "lab.c3d")
     with pytest.raises(
-        ValueError, match=r"perturbation at 1000 Hz.*displacement at 200 Hz; expected one rate \(choose"
+        ValueError, match=r"perturbation at 1000 Hz.*displacement at 200 Hz; expected one rate \(convert --rate"
     ):
         import_recording([tmp_path / "lab.c3d"])
     found = import_recording([tmp_path / "lab.c3d"], rate=200.0).recording
@@ -353,7 +353,7 @@ def test_gaps_are_refused_with_their_time_and_filled_if_asked(tmp_path):
     values = table()
     values[N_TIME + 600 : N_TIME + 605, 6] = np.nan
     path = write(tmp_path, values)
-    message = r"lab.csv: trial '2': X \(displacement\) has a gap of 0.025 s at 3 s; expected none \(--repair gaps"
+    message = r"lab.csv: trial '2': X \(displacement\) has a gap of 0.025 s at 3 s; .*\(convert --repair gaps"
     with pytest.raises(ValueError, match=message):
         import_recording([path])
     with pytest.raises(ValueError, match=r"--repair gaps"):
@@ -363,7 +363,7 @@ def test_gaps_are_refused_with_their_time_and_filled_if_asked(tmp_path):
     assert "has a gap of 0.025 s at 3 s: repaired" in found.notes[0]
     assert found.recording.attrs["repairs"] == found.notes[0]
     values[N_TIME + 600 : N_TIME + 625, 6] = np.nan
-    with pytest.raises(ValueError, match=r"gap of 0.125 s at 3 s.*cannot be repaired \(--repair trials"):
+    with pytest.raises(ValueError, match=r"gap of 0.125 s at 3 s.*cannot be repaired \(convert --repair trials"):
         import_recording([write(tmp_path, values)], repair=["gaps"])
     found = import_recording([write(tmp_path, values)], repair=["gaps", "trials"])
     assert found.recording.sizes["trial"] == 1
@@ -376,7 +376,7 @@ def test_dropped_samples_are_refused_with_their_time_and_filled_if_asked(tmp_pat
         import_recording([path], repair=["drops"])
     values = np.delete(table(), slice(700, 704), axis=0)
     path = write(tmp_path, values, meaning(**TIMED))
-    with pytest.raises(ValueError, match=r"trial '1': 4 samples are dropped at 3.495 s .*\(--repair drops"):
+    with pytest.raises(ValueError, match=r"trial '1': 4 samples are dropped at 3.495 s .*\(convert --repair drops"):
         import_recording([path])
     found = import_recording([path], repair=["drops"]).recording
     assert found.sizes["time"] == N_TIME
@@ -483,7 +483,10 @@ def test_convert_goes_there_and_back_on_the_command_line(tmp_path, capsys):
     assert_is_the_laboratory(load_recording(tmp_path / "r2.nc"))
     values = table()[:-40]
     path = write(tmp_path, values)
-    assert cli.main(["convert", str(path), "--out", str(tmp_path / "r.nc"), "--repair", "lengths", "clock"]) == 0
+    assert (
+        cli.main(["convert", str(path), "--out", str(tmp_path / "r.nc"), "--overwrite", "--repair", "lengths", "clock"])
+        == 0
+    )
     assert "all are cut to the shortest" in capsys.readouterr().out
 
 

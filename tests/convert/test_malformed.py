@@ -154,7 +154,7 @@ SIDECARS = {
     "sidecar a list": (resaid(lambda b: b"[]"), "the file = []; expected an object"),
     "NaN in sidecar": (resaid(lambda b: b.replace(b"200.0", b"NaN")), "NaN is no number of JSON"),
     "field twice": (resaid(lambda b: b'{"rate": 100, ' + b[1:]), "the field 'rate' comes twice"),
-    "sidecar of megabytes": (resaid(lambda b: b + b" " * 2**20), "expected a sidecar of at most"),
+    "sidecar of megabytes": (resaid(lambda b: b + b" " * 2**20), "expected at most"),
     "unknown field": (redefined(lambda s: s.update(frequency=200)), "frequency: unknown field; expected rate"),
     "field missing": (redefined(lambda s: s.pop("axes")), "axes is missing"),
     "signal missing": (redefined(lambda s: s["signals"].pop("force")), "signals.force is missing"),

@@ -1,6 +1,7 @@
 """Frequencies that are taken together: over which noise is averaged, and over which a lack of fit is looked for."""
 
 import itertools
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -16,6 +17,20 @@ RELATIVE_WIDTH = 0.05
 EXCITED_POWER = 1e-3
 """Share of the largest power above which a frequency counts as excited. It is larger than that of the lines of a
 multisine (`spectra.EXCITED_LINE`), as whole records are tapered and leak power into neighbouring frequencies."""
+
+
+class BandOfLack(NamedTuple):
+    """What is left in the residual that the disturbance explains, in one band of excited frequencies.
+
+    Attributes:
+      low: lowest frequency [Hz].
+      high: highest frequency [Hz].
+      chi2: of a further, free linear response in the band, eight real numbers [-].
+    """
+
+    low: float
+    high: float
+    chi2: float
 
 
 def smoother(n: int, n_trials: int) -> sparse.csr_array:

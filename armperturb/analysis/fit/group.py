@@ -91,7 +91,7 @@ class Group:
             structure=structure,
             spectra=spectra,
             period=None if lines is None else _period_likelihood(parts[0], window_start, period, top),
-            records=tuple(_record_likelihood(part, top) for part in parts),
+            records=tuple(record_likelihood(part, top) for part in parts),
         )
 
     def with_structure(self, structure: Structure) -> Self:
@@ -167,7 +167,8 @@ def _signals(trials: ConditionTrials, window: slice) -> Signals:
     )
 
 
-def _record_likelihood(trials: ConditionTrials, top: float) -> Likelihood:
+def record_likelihood(trials: ConditionTrials, top: float) -> RecordLikelihood:
+    """Likelihood of whole records up to the first pulse, at frequencies up to `top` [Hz]."""
     end = min(trials.first_onset, trials.n_samples - round(EDGE * trials.rate))
     factor = int(trials.rate // MODEL_RATE)
     if factor < 2:

@@ -339,7 +339,8 @@ def parts_by_condition(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[st
             parts.setdefault(label, {}).setdefault(clock, []).append(trials.recording)
     return {
         label: tuple(
-            ConditionTrials.prepare(same[0] if len(same) == 1 else join_recordings(same)) for same in by_clock.values()
+            ConditionTrials.prepare(same[0] if len(same) == 1 else join_recordings(same).recording)
+            for same in by_clock.values()
         )
         for label, by_clock in parts.items()
     }

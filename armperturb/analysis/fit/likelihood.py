@@ -26,7 +26,7 @@ import numpy as np
 from scipy import fft, linalg, stats
 
 from armperturb.analysis.arm.linear_arm import LinearArm
-from armperturb.analysis.fit.frequency_bands import EXCITED_POWER, excited_bands, smoother
+from armperturb.analysis.fit.frequency_bands import EXCITED_POWER, BandOfLack, excited_bands, smoother
 from armperturb.arrays import Array, ComplexArray, Indices
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -154,7 +154,7 @@ class Likelihood:
         answering: Indices | slice,
     ) -> None:
         self._arm, self._environment = LinearArm(signals.body, frequency), signals.environment
-        self._filter = whitening(frequency, signals.rate)
+        self._frequency, self._filter = frequency, whitening(frequency, signals.rate)
         self._answering = answering
         self._force, self._observed = force[..., answering], observed[..., answering]
         self._quiet = np.ones(len(frequency), dtype=bool)
@@ -279,18 +279,24 @@ class Likelihood:
         return Normal(float(np.sum(residual**2)), slopes, informations)
 
     def lack_of_fit(self, values: Array) -> LackOfFit:
-        """Whether the arms leave something that the disturbance explains, the noise being as last weighed.
+        """Whether the arms leave something that the disturbance explains, the noise being as last weighed."""
+        bands = self.lack_by_band(values)
+        return LackOfFit(sum(band.chi2 for band in bands), 8 * len(bands))
 
-        In each band of excited frequencies the white residual is regressed on what a change of P, the same all over the
-        band, would add. Each regression has as many real parameters as P has numbers: eight.
+    def lack_by_band(self, values: Array) -> tuple[BandOfLack, ...]:
+        """What the arms leave in each band of excited frequencies, the noise being as last weighed.
+
+        The white residual is regressed on what a change of P, the same all over the band, would add. Each regression
+        has as many real parameters as P has numbers: eight.
         """
         residual = _complex(self._white_rows(values), self._observed.shape)
         changes = np.einsum("aof,tif->tafoi", self._white * self._filter[self._answering], self._force)
-        chi2 = 0.0
+        frequency, left = self._frequency[self._answering], []
         for band in self._bands:
             basis, _ = np.linalg.qr(changes[:, :, band].reshape(-1, 4))
-            chi2 += float(np.sum(np.abs(basis.conj().T @ residual[..., band].ravel()) ** 2))
-        return LackOfFit(chi2, 8 * len(self._bands))
+            chi2 = float(np.sum(np.abs(basis.conj().T @ residual[..., band].ravel()) ** 2))
+            left.append(BandOfLack(float(frequency[band][0]), float(frequency[band][-1]), chi2))
+        return tuple(left)
 
 
 class PeriodLikelihood(Likelihood):
@@ -339,7 +345,8 @@ class RecordLikelihood(Likelihood):
     """
 
     def __init__(self, signals: Signals, top: float, *, from_rest: bool = True) -> None:
-        rate, force = signals.rate, signals.perturbation.swapaxes(1, 2)
+        self._rate = rate = signals.rate
+        force = signals.perturbation.swapaxes(1, 2)
         n_taper = round(TAPER * rate)
         self._judged = slice(0 if from_rest else round(START_OF_MOVING * rate), force.shape[-1])
         n_samples = force.shape[-1]
@@ -367,6 +374,20 @@ class RecordLikelihood(Likelihood):
             self._past = fft.rfft(bumps, self._n_padded, axis=-1)[:, : len(fine)] * whitening(fine, rate)
             ramp = np.linspace(-1.0, 1.0, force.shape[-1])
             self._drift = self._spectrum(np.stack([np.ones_like(ramp), ramp]))
+
+    def densities(self, values: Array) -> tuple[Array, Array, Array, Array]:
+        """One-sided spectral densities of displacement, residual and noise, the noise being as last weighed.
+
+        Returns:
+          Frequencies [Hz], (frequency,), and the densities, means over trials [m^2/Hz], (frequency, axis) each.
+        """
+        scale = 2.0 / (self._rate * np.sum(self._taper**2) * np.abs(self._filter) ** 2)[:, None]
+        moved, left = (
+            np.mean(np.abs(part) ** 2, axis=0).T for part in (self._observed, self._without_unknowns(values))
+        )
+        whitener = np.moveaxis(self._white, -1, 0)
+        noise = 2.0 * np.diagonal(np.linalg.inv(whitener.conj().swapaxes(1, 2) @ whitener), axis1=1, axis2=2).real
+        return self._frequency, scale * moved, scale * left, scale * noise
 
     def _spectrum(self, values: Array) -> ComplexArray:
         """DFT of what is judged of records (..., time), faded out, at the frequencies that count."""

@@ -142,7 +142,12 @@ def _remarks(fit: Estimate) -> tuple[str, ...]:
                 f"{label}: force is recorded {1e3 * time:.2f} ms later than displacement (standard error "
                 f"{1e3 * error:.2f} ms); expected clocks that agree, as skew turns inertia into damping"
             )
-    said += [f"{name} sits on a bound" for name in fit.at_bound]
+    return (*said, *limits_of(fit))
+
+
+def limits_of(fit: FitResult) -> tuple[str, ...]:
+    """What the trials do not tell of the parameters, a sentence each."""
+    said = [f"{name} sits on a bound" for name in fit.at_bound]
     for name, error in fit.standard_error.items():
         value = fit.values[name]
         if error == np.inf:

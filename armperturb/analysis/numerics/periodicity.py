@@ -44,7 +44,7 @@ def find_period(perturbation: Sequence[Array], rate: float, start: float = 0.0) 
     longest = max(map(len, perturbation)) / rate
     refusal = (
         f"the perturbation does not repeat within the {longest:.4g} s from {start:g} s on; expected a periodic one "
-        f"that is recorded for at least {1 + OVERLAP:g} periods (for noise there is the method noise; of a shorter "
+        f"that is recorded for at least {1 + OVERLAP:g} periods (for noise there is --method noise; of a shorter "
         "record state the period: --period)"
     )
     apart = np.flatnonzero(difference > DIFFERENT)
@@ -72,7 +72,7 @@ def find_period(perturbation: Sequence[Array], rate: float, start: float = 0.0) 
     samples = dips[best] + offset[best]
     raise ValueError(
         f"rate = {rate:g} Hz; expected one at which the perturbation's period of {samples / rate:.5g} s is a whole "
-        f"number of samples (it is {samples:.2f}): resample the recording"
+        f"number of samples (it is {samples:.2f}; convert --rate resamples)"
     )
 
 
@@ -105,6 +105,6 @@ def samples_of_period(period: float, rate: float) -> int:
     if abs(samples - round(samples)) > 1e-6 * samples:
         raise ValueError(
             f"rate = {rate:g} Hz; expected one at which the period of {period:g} s is a whole number of samples "
-            f"(it is {samples:.6g})"
+            f"(it is {samples:.6g}; convert --rate resamples)"
         )
     return round(samples)

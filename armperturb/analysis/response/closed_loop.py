@@ -206,12 +206,12 @@ def periodic_trials(
         if len(d) < n:
             raise ValueError(
                 f"trial {number} holds {len(d) / rate:g} s from {window_start:g} s on; expected a whole period of "
-                f"{period:g} s"
+                f"{period:g} s (an earlier --window-start)"
             )
         if np.mean((d[n:] - d[:-n]) ** 2 if len(d) > n else 0.0) > APERIODIC * np.mean(d**2):
             raise ValueError(
-                f"the perturbation of trial {number} does not repeat after {period:g} s; expected its own period (None "
-                "finds it; for noise there is the method noise)"
+                f"the perturbation of trial {number} does not repeat after {period:g} s; expected its own period "
+                "(without --period it is found; for noise there is --method noise)"
             )
         trials.append(_mean_period(record, n))
     power = np.sum([np.abs(trial.perturbation) ** 2 for trial in trials], axis=(0, 2))

@@ -55,7 +55,9 @@ def spectral_response(
       ValueError: as `line_spectra`, `estimate_spectra` and `join_recordings`; or there is no estimate at a frequency.
     """
     several = prepared_recordings(recording)
-    trials = several[0] if len(several) == 1 else prepared(join_recordings([part.recording for part in several]))
+    trials = (
+        several[0] if len(several) == 1 else prepared(join_recordings([part.recording for part in several]).recording)
+    )
     lines = line_spectra(trials, window_start=window_start, period=period)
     spectra = averaged_spectra(trials, window_start=window_start, period=period, lines_per_average=lines_per_average)
     if spectra.n_averages.min() <= N_INPUTS:

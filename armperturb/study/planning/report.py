@@ -150,6 +150,7 @@ def plot_design(design: Design, figure: Figure | None = None) -> Any:
         f"{settings.subject.name!r}, goal {settings.goal}: geometric mean (thick) and each SEM, "
         f"{design.factor:.2f} of the thesis's\n(noise {NOISE[settings.noise]})",
         fontsize=9,
+        parse_math=False,
     )
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return axes

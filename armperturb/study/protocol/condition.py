@@ -8,7 +8,7 @@ from typing import NamedTuple
 from armperturb.cohort import Person
 from armperturb.perturbations.perturbation import LARGEST_RMS_DISPLACEMENT
 from armperturb.subject import TASKS, Subject, at_level
-from armperturb.validation import require_number, require_one_of, require_ranges, require_whole
+from armperturb.validation import require_name, require_number, require_one_of, require_ranges, require_whole
 
 PULSE_UNIT = "pulse_unit"
 """Key of the peak force of pulse level 1 [N] in a mapping of forces, beside the conditions' names."""
@@ -47,8 +47,7 @@ class Condition:
     reached_spread: float = 0.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name.strip():
-            raise TypeError(f"name = {self.name!r}; expected a text that is not empty")
+        require_name("condition", "name", self.name)
         owner = f"condition {self.name!r}"
         if self.name == PULSE_UNIT:
             raise ValueError(f"{owner}: name = {self.name!r}; expected another, this one means the unit of the pulses")

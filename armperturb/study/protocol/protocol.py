@@ -14,6 +14,7 @@ from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Strap
 from armperturb.envs.lab.trial import Trial
 from armperturb.files import read_toml
+from armperturb.foreign import LARGEST
 from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, draw_onset
 from armperturb.seeds import random_stream, trial_seed
 from armperturb.study.protocol.condition import PULSE_UNIT, Condition, PlannedTrial, numbers, require_different
@@ -26,6 +27,9 @@ FORCES = ("practice", "published")
 
 PULSE_WIDTH = 0.08
 """Duration of a pulse [s] (thesis 2.4)."""
+
+BYTES_PER_SECOND = 8 * (200 * 10 + 2000 * 8)
+"""That a trial takes in memory, of handle, joints and shoulder at 200 Hz and EMG at 2 kHz [byte/s]."""
 
 PULSE_LEAD = 0.5
 """Time before a pulse that comes alone, in experiments beside a study [s]."""
@@ -75,6 +79,7 @@ class Protocol:
             raise TypeError(f"{owner}: strap = {self.strap!r}; expected Strap or None")
         require_ranges(owner, self)
         self._check_pulses(owner)
+        self._check_size(owner)
         if self.forces == "published":
             for condition in self.conditions:
                 if condition.has_multisine and not condition.published_force:
@@ -82,6 +87,17 @@ class Protocol:
                         f"condition {condition.name!r}: published_force = {condition.published_force!r}; "
                         'expected a number above 0, as forces = "published"'
                     )
+
+    def _check_size(self, owner: str) -> None:
+        """Refuse more than one file of a person can hold, before any trial is planned."""
+        n_pulses = [len(condition.pulse_levels) * len(self.pulse_directions_deg) for condition in self.conditions]
+        n_trials = sum(each.repetitions * max(n, 1) for each, n in zip(self.conditions, n_pulses, strict=True))
+        size = BYTES_PER_SECOND * n_trials * self.trial_duration
+        if size > LARGEST:
+            raise ValueError(
+                f"{owner}: {n_trials} trials of {self.trial_duration:g} s take {size / 2**30:.3g} GiB per person; "
+                f"expected at most {LARGEST / 2**30:g} GiB (fewer repetitions, or shorter trials)"
+            )
 
     def _check_pulses(self, owner: str) -> None:
         directions = numbers(owner, "pulse_directions_deg", self.pulse_directions_deg)

@@ -12,20 +12,19 @@ A checksum is on disk before its file takes its name. So whenever a run is kille
 a checksum: one that does not match is damaged, and one that is missing was never finished.
 """
 
-import hashlib
 import json
 import os
 import shutil
 import socket
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from filelock import AcquireReturnProxy, FileLock, Timeout
 
-from armperturb.files import sync, write_durably
+from armperturb.files import checksum, sync, write_durably
 
 MANIFEST = "manifest.json"
 RECORDINGS = "recordings"
@@ -71,10 +70,10 @@ class StudyFolder:
         """
         present = [name for name in names if self.recording(name).is_file()]
         with ThreadPoolExecutor() as pool:  # hashing lets go of the interpreter
-            digests = list(pool.map(digest, map(self.recording, present)))
+            digests = list(pool.map(checksum, map(self.recording, present)))
         whole, damaged = [], []
-        for name, checksum in zip(present, digests, strict=True):
-            if self._sums.get(name) == checksum:
+        for name, digest in zip(present, digests, strict=True):
+            if self._sums.get(name) == digest:
                 whole.append(name)
                 continue
             path = self.recording(name)
@@ -121,21 +120,35 @@ def open_study(root: Path, manifest: Mapping[str, Any]) -> Iterator[StudyFolder]
 
     Raises:
       RuntimeError: another run holds the folder.
-      ValueError: the folder was made with another manifest, which the message sets side by side, or holds recordings
-        of unknown origin.
+      ValueError: recordings in the folder were made with another manifest, which the message sets side by side, or
+        are of unknown origin; or the lock is a link.
       OSError: the folder cannot be written to.
     """
+    made = (*reversed(root.parents), root, root / LOCK, root / MANIFEST, root / RECORDINGS)
+    new = [path for path in made if not path.exists()]
     with _locked(root):
-        _agree(root, manifest)
-        with _naming(root):
-            (root / RECORDINGS).mkdir(exist_ok=True)
-            _sweep(root)
-            (root / STAGING).mkdir()
-            (root / STAGING / HOLDER).write_text(f"process {os.getpid()} on {socket.gethostname()}", encoding="utf-8")
         try:
+            _agree(root, manifest)
+            with _naming(root):
+                (root / RECORDINGS).mkdir(exist_ok=True)
+                _sweep(root)
+                (root / STAGING).mkdir()
+                holder = f"process {os.getpid()} on {socket.gethostname()}"
+                (root / STAGING / HOLDER).write_text(holder, encoding="utf-8")
             yield StudyFolder(root)
         finally:
             shutil.rmtree(root / STAGING, ignore_errors=True)
+            _remove_unused(root, new)
+
+
+def _remove_unused(root: Path, new: Iterable[Path]) -> None:
+    """Remove what a run has made, if nothing was recorded."""
+    recordings = root / RECORDINGS
+    if recordings.is_dir() and any(recordings.iterdir()):
+        return
+    for path in reversed(list(new)):  # the folder, the first, holds the others
+        with suppress(OSError):  # a folder of the user's holds other files, and stays
+            path.rmdir() if path.is_dir() else path.unlink()
 
 
 def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
@@ -155,10 +168,13 @@ def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
     """
     paths, sums = sorted((root / RECORDINGS).glob("*.nc")), _read_sums(root / RECORDINGS / SUMS)
     if not paths:
-        raise FileNotFoundError(f"{root}: holds no {RECORDINGS}/*.nc; expected the folder of a study")
+        raise FileNotFoundError(
+            f"{root}: holds no {RECORDINGS}/*.nc; expected the folder of a study (other recordings: armperturb "
+            "identify FILES --out DIR)"
+        )
     whole, remarks = [], []
     for path in paths:
-        if sums and sums.get(path.stem) != digest(path):
+        if sums and sums.get(path.stem) != checksum(path):
             remarks.append(f"{path.name} does not match its checksum; it is left out")
         else:
             whole.append(path)
@@ -167,15 +183,11 @@ def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
     return whole, remarks
 
 
-def digest(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal digits."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 def _locked(root: Path) -> AcquireReturnProxy:
     try:
         with _naming(root):
+            if (root / LOCK).is_symlink():  # the lock would empty the file that it points to
+                raise ValueError(f"{root / LOCK}: is a link; expected a file of this study, or none")
             root.mkdir(parents=True, exist_ok=True)
             return FileLock(root / LOCK, timeout=0).acquire()
     except Timeout:
@@ -187,25 +199,27 @@ def _locked(root: Path) -> AcquireReturnProxy:
 
 
 def _agree(root: Path, manifest: Mapping[str, Any]) -> None:
-    """Write the manifest if there is none, else compare."""
+    """Write the manifest if nothing is recorded, else compare."""
     path = root / MANIFEST
-    if not path.exists():
-        recording = next((root / RECORDINGS).glob("*.nc"), None)
-        if recording is not None:
-            raise ValueError(
-                f"{root}: holds {recording.relative_to(root)} but no {MANIFEST} that says how it was made; expected an "
-                "empty folder, or one with an unfinished study"
-            )
-        with _naming(path):
-            write_durably(path, (json.dumps(manifest, indent=1, ensure_ascii=False) + "\n").encode())
-        return
-    try:
-        before = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path}: not readable as JSON ({error}); expected what an earlier run wrote") from None
+    recording = next((root / RECORDINGS).glob("*.nc*"), None)
+    before = None
+    if path.exists():
+        try:
+            before = json.loads(path.read_text(encoding="utf-8"))
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"{path}: not readable as JSON ({error}); expected what an earlier run wrote") from None
+    elif recording is not None:
+        raise ValueError(
+            f"{root}: holds {recording.relative_to(root)} but no {MANIFEST} that says how it was made; expected an "
+            "empty folder, or one with an unfinished study"
+        )
     wanted = json.loads(json.dumps(manifest))
     different = list(differences(before, wanted))
-    if different:
+    is_ours = before is None or (isinstance(before, dict) and {"subjects", "protocol"} <= before.keys())
+    if different and recording is None and is_ours:
+        with _naming(path):
+            write_durably(path, (json.dumps(manifest, indent=1, ensure_ascii=False) + "\n").encode())
+    elif different:
         more = f", and {len(different) - 3} more" if len(different) > 3 else ""
         raise ValueError(
             f"{root}: was made with other settings: {'; '.join(different[:3])}{more}; expected the same settings, or "

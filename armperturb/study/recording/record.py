@@ -33,7 +33,7 @@ from armperturb.study.recording.manifest import Manifest
 from armperturb.study.recording.practice import practise
 from armperturb.study.recording.settings import BLOCK, StudySettings
 from armperturb.validation import require_number
-from armperturb.workers import LOG, Workers, completed, cpu_count, ctrl_c_held_back, workers_for
+from armperturb.workers import LOG, Workers, completed, cpu_count, signals_held_back, workers_for
 
 PROGRESS_INTERVAL = 0.2
 """Time between two reports of a worker's progress [s]."""
@@ -273,7 +273,7 @@ def _simulate(trials: Sequence[Trial], unit: _Unit, progress: Callable[[float], 
 
 def _write(recording: xr.Dataset, name: str, staging: Path | None) -> _Finished:
     """A subject's file: on disk for `StudyFolder.keep` to take over, or to be sent back."""
-    with ctrl_c_held_back():  # in the middle of a file, HDF5 makes other errors of it
+    with signals_held_back():  # in the middle of a file, HDF5 makes other errors of it
         content = encode_recording(recording)
     sha256 = hashlib.sha256(content).hexdigest()
     return _Finished(name=name, content=content if staging is None else _stage(content, staging, name), sha256=sha256)

@@ -6,8 +6,8 @@ import numpy as np
 
 from armperturb.analysis.nonlinear.model import BODY, GRIP, QUANTITIES, true_values, unit
 from armperturb.muscle_law import ELEMENTS
-from armperturb.study.report.formats import WORDS
 from armperturb.study.report.tables import Row, coverage_percent, groups_of, mean_sd_of
+from armperturb.study.report.words import WORDS
 from armperturb.study.results.nonlinear_fits import NonlinearFit
 from armperturb.study.results.study_result import StudyResult
 

@@ -5,46 +5,26 @@ this package and the versions of the libraries that draw. Unlike fits, figures t
 costs less than one that is out of date.
 """
 
-import base64
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, partial
 from importlib import metadata
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import xarray as xr
 from matplotlib.figure import Figure
 
 import armperturb
 from armperturb.archive import digest
-from armperturb.plots.style import svg
-from armperturb.study.recording import folder
+from armperturb.files import checksum
+from armperturb.pages.page import Picture
 from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit
 from armperturb.study.results.cases import Case
 from armperturb.study.results.study_result import StudyResult
 
 LIBRARIES = ("matplotlib", "mujoco", "numpy", "scipy")
-
-
-class Picture(NamedTuple):
-    """A figure inside the report.
-
-    Attributes:
-      svg: its file.
-      width: [inch].
-      height: [inch].
-    """
-
-    svg: str
-    width: float
-    height: float
-
-    @property
-    def uri(self) -> str:
-        """The SVG itself, as a data URI."""
-        return f"data:image/svg+xml;base64,{base64.b64encode(self.svg.encode()).decode('ascii')}"
 
 
 def picture_units(drawings: Mapping[str, "partial[Figure]"], out: Path) -> list[Unit[Picture]]:
@@ -57,7 +37,7 @@ def picture_units(drawings: Mapping[str, "partial[Figure]"], out: Path) -> list[
     arguments = {id(argument): argument for draw in drawings.values() for argument in draw.args}
     digests = {key: digest(_shown(argument)) for key, argument in arguments.items()}
     paths = {argument.recording for argument in arguments.values() if isinstance(argument, Case)}
-    recordings = {path: folder.digest(path) for path in paths}
+    recordings = {path: checksum(path) for path in paths}
     units = []
     for name, draw in drawings.items():
         read = [argument.recording for argument in draw.args if isinstance(argument, Case)]
@@ -77,8 +57,7 @@ def _picture(draw: Callable[[], Figure]) -> Picture | str:
         figure = draw()
     except RuntimeError as error:  # this machine cannot draw the rig
         return str(error)
-    width, height = figure.get_size_inches()
-    return Picture(svg(figure).decode(), float(width), float(height))
+    return Picture.of(figure)
 
 
 def _shown(argument: Any) -> Any:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from armperturb.analysis.fit.structures import unit
 from armperturb.study.comparison.score import WITHOUT_PENALTY, Score, ScoredCell, Share, share
 from armperturb.study.published.tables import MeanSD, place_of
-from armperturb.study.report.formats import WORDS
+from armperturb.study.report.words import WORDS
 
 FAR = (1.0, 2.0)
 """Beyond how many published SDs a cell is marked."""

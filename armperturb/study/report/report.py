@@ -2,14 +2,11 @@
 
 from collections.abc import Callable, Collection, Mapping
 from functools import partial
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import jinja2
-from markupsafe import Markup
-
 from armperturb.files import write_csv, written_whole
+from armperturb.pages.page import Picture, rendered, versions
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.progress import Progress
 from armperturb.study.comparison.effects import effects
@@ -17,12 +14,12 @@ from armperturb.study.comparison.score import score, write_score
 from armperturb.study.experiments.mechanisms import Yielding, has_law, why_people_yield
 from armperturb.study.experiments.moving_shoulder import MovingShoulder, moving_shoulder
 from armperturb.study.recording.record import worker_count
-from armperturb.study.report import formats
 from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.nonlinear_tables import nonlinear_tables
-from armperturb.study.report.pictures import Picture, picture_units
+from armperturb.study.report.pictures import picture_units
 from armperturb.study.report.sections import joint_rows, sections
 from armperturb.study.report.tables import write_tables
+from armperturb.study.report.words import WORDS
 from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit, kept_or_computed
 from armperturb.study.results.mean_admittance import by_task, main_conditions
 from armperturb.study.results.study_result import StudyResult
@@ -122,26 +119,15 @@ def _simulated(
 
 
 def _page(study: StudyResult, parts: Mapping[str, Mapping[str, Any]], drawn: Mapping[str, Picture | str]) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("armperturb.study.report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    for name in ("chance", "digits", "fixed", "mean_sd", "signed", "symbol", "words"):
-        environment.filters[name] = getattr(formats, name)
-    environment.globals.update(
+    return rendered(
+        "armperturb.study.report",
+        "report.html",
+        parts,
+        WORDS["sections"],
+        drawn,
         study=study,
         main={task: study.of(condition.name)[0] for task, condition in main_conditions(study).items()},
         tasks=by_task(study),
-        pictures=drawn,
         multisine={"period": PERIOD, "lines": CLUSTERS.size, "clusters": len(CLUSTERS)},
-        versions={name: metadata.version(name) for name in ("armperturb", "mujoco", "numpy", "scipy")},
+        versions=versions("armperturb", "mujoco", "numpy", "scipy"),
     )
-    # Sections come out as markup, escaped already.
-    bodies = {
-        template: Markup(environment.get_template(f"{template}.html").render(context))
-        for template, context in parts.items()
-    }
-    return environment.get_template("report.html").render(sections=bodies, titles=formats.WORDS["sections"])

@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
+from armperturb.pages.formats import digits, fixed
 from armperturb.study.comparison.effects import Effects
 from armperturb.study.comparison.elastic_limits import NAMES, elastic_rows
 from armperturb.study.comparison.headlines import Headline
 from armperturb.study.comparison.score import Score, missing_cells, shares
 from armperturb.study.experiments.mechanisms import PULSES, Yielding
 from armperturb.study.experiments.moving_shoulder import MovingShoulder
-from armperturb.study.report.formats import WORDS, digits, fixed
 from armperturb.study.report.nonlinear_tables import SHOWN_MODELS, nonlinear_tables, words_of
 from armperturb.study.report.published_tables import published_tables
 from armperturb.study.report.tables import Row, mean_sd_of
+from armperturb.study.report.words import WORDS
 from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.study.results.study_result import StudyResult
 

@@ -2,19 +2,23 @@
 
 import os
 import shlex
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Self, TypeVar
 
+import numpy as np
+
 from armperturb.analysis.trials import trials_by_condition
 from armperturb.cohort import Person
 from armperturb.environment import Environment
+from armperturb.files import checksum
 from armperturb.progress import Progress
 from armperturb.recording import load_recording
 from armperturb.study.protocol import THESIS, Protocol
-from armperturb.study.recording.folder import RECORDINGS, digest, find_recordings
+from armperturb.study.recording.folder import RECORDINGS, find_recordings
 from armperturb.study.recording.manifest import Manifest, current_versions, read_manifest
 from armperturb.study.recording.record import record_study, worker_count
 from armperturb.study.recording.settings import BLOCK, StudySettings
@@ -72,8 +76,8 @@ def analyse_study(
 ) -> StudyResult:
     """Analyse the recordings in a study folder; results of an earlier call are used again, see `results.cache`.
 
-    A folder that is incomplete, or was made by another version, is analysed as far as it goes. Without a manifest, the
-    protocol is taken to be the thesis's, and nothing is known of the people.
+    A folder that is incomplete, or was made by another version, is analysed as far as it goes. Without a manifest, its
+    conditions are taken to be those of the thesis's that have the same names, and nothing is known of the people.
 
     Args:
       root: the folder.
@@ -86,7 +90,8 @@ def analyse_study(
 
     Raises:
       TypeError: workers is no number.
-      ValueError: workers is below 1, no recording is whole, or one is refused or not of one person.
+      ValueError: workers is below 1, no recording is whole, one is refused or not of one person, or without a manifest
+        none is of the thesis's conditions.
       RuntimeError: workers die again and again.
       OSError: the folder holds no recording, or a file cannot be read.
     """
@@ -97,7 +102,8 @@ def analyse_study(
             people = study.people(pool, bar)
             appendices, second = study.appendices(people, pool, bar)
         fits, stale = _nonlinear(study.nonlinear_units(people), nonlinear, pool, show_progress)
-    missing += [line for person in people.values() for line in person.missing]
+    if study.made:
+        missing += [line for person in people.values() for line in person.missing]
     missing += study.unused_fits(fits, stale)
     remarks = [line for person in people.values() for line in (*person.measures.left_out, *person.fits.left_out)]
     remarks += [line for step in second for line in step.left_out]
@@ -107,7 +113,8 @@ def analyse_study(
     return StudyResult(
         made=study.made,
         protocol=study.protocol,
-        environment=study.environment,
+        environment=study.environment if study.made else _measured(people.values()),
+        recorded=study.recorded,
         cohort=study.cohort,
         cases=tuple(study.with_truth(case) for person in people.values() for case in person.cases),
         recordings={person.measures.name: path for path, person in people.items()},
@@ -166,6 +173,7 @@ class _Study:
       protocol: what everyone went through.
       environment: what the hands held.
       cohort: the people who were simulated; empty if nobody knows.
+      recorded: condition to the number of its trials; empty if `made` says how many there are to be.
     """
 
     root: Path
@@ -175,6 +183,7 @@ class _Study:
     protocol: Protocol
     environment: Environment
     cohort: tuple[Person, ...]
+    recorded: Mapping[str, int]
 
     @classmethod
     def find(cls, root: Path, settings: AnalysisSettings) -> tuple[Self, list[str]]:
@@ -192,14 +201,16 @@ class _Study:
             lacking = made.subjects - len(paths)
             line = f"the study is incomplete: {lacking} of {made.subjects} people have no whole recording"
             missing.append(line + named)
+        protocol, recorded = (made.protocol, {}) if made else _recorded(root, paths, missing)
         study = cls(
             root=root,
             settings=settings,
-            paths={path: digest(path) for path in paths},
+            paths={path: checksum(path) for path in paths},
             made=made,
-            protocol=made.protocol if made else THESIS,
+            protocol=protocol,
             environment=environment,
             cohort=cohort,
+            recorded=recorded,
         )
         return study, missing
 
@@ -291,7 +302,7 @@ def _manifest(root: Path, missing: list[str]) -> Manifest | None:
     try:
         made = read_manifest(root)
     except ValueError as error:
-        missing.append(f"how the recordings were made is not known, so the thesis's protocol is assumed: {error}")
+        missing.append(f"{error}")
         return None
     if made is not None:
         now = current_versions()
@@ -303,6 +314,36 @@ def _manifest(root: Path, missing: list[str]) -> Manifest | None:
         if others:
             missing.append(f"the recordings were made with other versions: {'; '.join(others)}")
     return made
+
+
+def _recorded(root: Path, paths: Sequence[Path], missing: list[str]) -> tuple[Protocol, dict[str, int]]:
+    """Conditions of the thesis that recordings of an unknown study hold, and how many trials of each."""
+    counts = Counter(name for path in paths for name in load_recording(path, [])["condition"].values.tolist())
+    conditions = tuple(condition for condition in THESIS.conditions if condition.name in counts)
+    others = ", ".join(name for name in counts if name not in {condition.name for condition in conditions})
+    if not conditions:
+        raise ValueError(
+            f"{root}: no manifest.json, and condition = {others}; expected the folder of a study, or conditions of the "
+            f"thesis (recordings of a laboratory: armperturb identify {root / RECORDINGS}/*.nc --out DIR)"
+        )
+    missing.append("how the recordings were made is not known: conditions are those of the thesis of the same names")
+    if others:
+        missing.append(f"conditions that the thesis lacks are left out: {others}")
+    unit = THESIS.pulse_unit_condition
+    known = {condition.name for condition in conditions}
+    protocol = replace(THESIS, conditions=conditions, pulse_unit_condition=unit if unit in known else "")
+    return protocol, {condition.name: counts[condition.name] for condition in conditions}
+
+
+def _measured(people: Iterable[PersonResults]) -> Environment:
+    """The manipulator as the recordings show it, mean over people and conditions."""
+    shown = [case.identification.environment for person in people for case in person.cases if case.identification]
+    if not shown:
+        return Environment()
+    values = {
+        field.name: float(np.mean([getattr(each, field.name) for each in shown])) for field in fields(Environment)
+    }
+    return Environment(**values)
 
 
 def _analyse(path: Path, protocol: Protocol, settings: AnalysisSettings) -> PersonResults:

@@ -34,6 +34,7 @@ class StudyResult(results.Result):
       environment: what the hands held.
       cohort: the people who were simulated; empty if nobody knows.
       cases: one per person who was recorded and condition that has a multisine, people in order.
+      recorded: condition to the number of trials that were recorded; empty if `made` says how many there are to be.
       recordings: everyone who was recorded, in order, to the path of the recording.
       people: what the thesis reports of each person.
       appendices: fits of appendices C to E.
@@ -47,6 +48,7 @@ class StudyResult(results.Result):
     environment: Environment
     cohort: tuple[Person, ...]
     cases: tuple[Case, ...]
+    recorded: Mapping[str, int] = field(default_factory=dict)
     recordings: Mapping[str, Path] = field(default_factory=dict)
     people: tuple[PersonMeasures, ...] = ()
     appendices: Appendices = field(default_factory=Appendices)
@@ -134,6 +136,8 @@ class StudyResult(results.Result):
 
     def n_trials(self, condition: str) -> int:
         """Trials of everyone in a condition."""
+        if self.recorded:
+            return self.recorded.get(condition, 0)
         return self.n_people * sum(trial.condition.name == condition for trial in self.protocol.planned_trials())
 
     def of(self, condition: str) -> list[Case]:

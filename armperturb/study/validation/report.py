@@ -116,7 +116,7 @@ def plot_validation(validation: Validation, figure: Figure | None = None) -> Any
         ax.set_xlim(min(least, 0.5), max(most, 2.0))
         ax.xaxis.set_minor_locator(NullLocator())
     ax.set_xlabel("RMS error over Cramér-Rao bound, with 95 % interval (names: true value ± bound)")
-    figure.suptitle(title(validation), fontsize=9)
+    figure.suptitle(title(validation), fontsize=9, parse_math=False)
     figure.legend(loc="outside lower center", ncols=len(estimators))
     ax.text(1.0, 1.005, "bound", transform=ax.get_xaxis_transform(), ha="center", va="bottom", fontsize=8, color=GREY)
     return ax

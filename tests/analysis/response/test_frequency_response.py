@@ -191,7 +191,7 @@ def test_without_a_period_there_is_one_line():
         find_period(realisations(7.7, 12.0, 199.3), 199.3)
     rng = np.random.default_rng(12)
     for d in (noise(rng, 2, 20.0), 0.0 * noise(rng, 1, 5.0), noise(rng, 1, 0.02), multisine(rng, 1, 21.0)):
-        with pytest.raises(ValueError, match=r"does not repeat within .* there is the method noise"):
+        with pytest.raises(ValueError, match=r"does not repeat within .* there is --method noise"):
             find_period(list(d), RATE)
 
 

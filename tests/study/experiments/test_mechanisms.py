@@ -11,6 +11,7 @@ import xarray as xr
 from armperturb.cohort import average_person, draw_cohort
 from armperturb.environment import Environment
 from armperturb.muscle_law import MuscleLaw
+from armperturb.pages.formats import MISSING, digits
 from armperturb.study.experiments import mechanisms as why
 from armperturb.study.experiments.mechanisms import (
     AMPLITUDES,
@@ -30,7 +31,6 @@ from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report import report
 from armperturb.study.report.figures import mechanisms as yielding_figures
 from armperturb.study.report.figures import rig as rig_figures
-from armperturb.study.report.formats import MISSING, digits
 from armperturb.study.report.report import write_report
 from armperturb.study.results.study_result import StudyResult
 

@@ -9,7 +9,8 @@ import sys
 
 import pytest
 
-from armperturb.study.recording.folder import digest, open_study
+from armperturb.files import checksum
+from armperturb.study.recording.folder import open_study
 
 MANIFEST = {"subjects": 2, "seed": 0, "protocol": {"forces": "practice", "conditions": [{"name": "A", "levels": [1]}]}}
 
@@ -86,8 +87,8 @@ def test_a_checksum_without_its_file_is_an_unfinished_subject(tmp_path):
     ],
 )
 def test_other_settings_are_refused_by_name(tmp_path, change, message):
-    with open_study(tmp_path, MANIFEST):
-        pass
+    with open_study(tmp_path, MANIFEST) as folder:
+        keep(folder, "S01", b"one")
     before = (tmp_path / "manifest.json").read_bytes()
     with (
         pytest.raises(ValueError, match="was made with other settings") as caught,
@@ -110,6 +111,39 @@ def test_foreign_and_unreadable_folders_are_refused(tmp_path):
     (tmp_path / "manifest.json").write_text('{"subjects": 2')
     with pytest.raises(ValueError, match=r"manifest.json: not readable as JSON"), open_study(tmp_path, MANIFEST):
         pass
+
+
+def test_a_study_that_recorded_nothing_leaves_nothing(tmp_path):
+    root = tmp_path / "studies" / "s"
+    with pytest.raises(RuntimeError, match="refused"), open_study(root, MANIFEST):
+        raise RuntimeError("refused")
+    assert not list(tmp_path.iterdir())
+    root.mkdir(parents=True)
+    (root / "notes.txt").write_text("mine")
+    with pytest.raises(RuntimeError, match="refused"), open_study(root, MANIFEST):
+        raise RuntimeError("refused")
+    assert [path.name for path in root.iterdir()] == ["notes.txt"]
+
+
+def test_a_manifest_without_recordings_is_replaced(tmp_path):
+    (tmp_path / "manifest.json").write_text(json.dumps({**MANIFEST, "seed": 4}))
+    with open_study(tmp_path, MANIFEST):
+        assert json.loads((tmp_path / "manifest.json").read_text()) == MANIFEST
+    (tmp_path / "manifest.json").write_text('{"name": "somebody\'s page"}')
+    with pytest.raises(ValueError, match="was made with other settings"), open_study(tmp_path, MANIFEST):
+        pass
+    assert "page" in (tmp_path / "manifest.json").read_text()
+
+
+def test_the_lock_is_no_link_to_somewhere_else(tmp_path):
+    target = tmp_path / "precious.txt"
+    target.write_text("mine")
+    root = tmp_path / "s"
+    root.mkdir()
+    (root / ".lock").symlink_to(target)
+    with pytest.raises(ValueError, match=r"\.lock: is a link"), open_study(root, MANIFEST):
+        pass
+    assert target.read_text() == "mine"
 
 
 def test_half_written_files_of_a_killed_run_go(tmp_path):
@@ -160,7 +194,7 @@ def test_a_second_run_is_refused_until_the_first_is_killed(tmp_path):
 def test_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch):
     with open_study(tmp_path, MANIFEST) as folder:
         keep(folder, "S01", b"one")
-        before = {path: digest(path) for path in tmp_path.rglob("*") if path.is_file()}
+        before = {path: checksum(path) for path in tmp_path.rglob("*") if path.is_file()}
 
         def full(*_):
             raise OSError(28, "No space left on device")
@@ -170,7 +204,7 @@ def test_a_full_disk_leaves_what_was_there(tmp_path, monkeypatch):
             with pytest.raises(OSError, match=r"S02.nc: cannot be written \(No space left on device\)"):
                 keep(folder, "S02", b"two")
         (folder.staging / "S02.nc").unlink()
-        assert {path: digest(path) for path in tmp_path.rglob("*") if path.is_file()} == before
+        assert {path: checksum(path) for path in tmp_path.rglob("*") if path.is_file()} == before
         assert folder.check(["S01", "S02"]) == (["S01"], [])
 
 

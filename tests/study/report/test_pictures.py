@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from armperturb.pages import page as pages
 from armperturb.study.comparison.effects import effects
 from armperturb.study.report import pictures
 from armperturb.study.report.figures import rig as rig_figures
@@ -80,11 +81,11 @@ def test_the_program_is_its_files_and_the_libraries_that_draw(tmp_path, monkeypa
 def test_a_figure_is_drawn_once(study, tmp_path, monkeypatch):
     drawn = []
 
-    def svg(figure, draw=pictures.svg):
+    def svg(figure, draw=pages.svg):
         drawn.append(figure)
         return draw(figure)
 
-    monkeypatch.setattr(pictures, "svg", svg)
+    monkeypatch.setattr(pages, "svg", svg)
     monkeypatch.setattr(rig_figures, "render", plain_picture)
     figures = ("fit_PT", "peak_displacement", "rig", "trajectories_PT")
     page = sketch(study, tmp_path, figures)

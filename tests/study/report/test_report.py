@@ -11,6 +11,7 @@ from html.parser import HTMLParser
 import pytest
 from markupsafe import escape
 
+from armperturb.pages.formats import MISSING, chance, digits, mean_sd, signed, symbol, words
 from armperturb.plots.style import COLOURS, TRUE, save_svg, shades
 from armperturb.study.comparison.effects import effects
 from armperturb.study.protocol import THESIS, Condition, Protocol
@@ -18,7 +19,6 @@ from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.figures import fit as fit_figures
 from armperturb.study.report.figures import rig as rig_figures
 from armperturb.study.report.figures.catalogue import drawings
-from armperturb.study.report.formats import MISSING, chance, digits, mean_sd, signed, symbol, words
 from armperturb.study.report.sections import left_out, remarks
 from armperturb.study.report.tables import fit_rows
 from tests.studies import coarse_study, sketch

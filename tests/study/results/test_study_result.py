@@ -6,6 +6,7 @@ import json
 import math
 import os
 import shutil
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -214,29 +215,52 @@ def test_manifests_of_other_versions_are_told(study, copied, asked, tmp_path):
     assert differences(score(found).cells, score(study).cells) == []
 
 
-def test_without_a_manifest_the_protocol_is_the_thesiss(study, copied, asked, tmp_path):
+def test_without_a_manifest_conditions_are_the_thesiss_of_the_same_names(study, copied, asked, tmp_path):
     for path in ("manifest.json", "recordings/S02.nc", "recordings/SHA256SUMS"):
         (copied / path).unlink()
     found = analysed(copied)
     assert len(asked) == len(COMPUTING)
-    assert (found.made, found.protocol, found.cohort) == (None, THESIS, ())
-    of_pt22 = [line for line in found.missing if line.startswith("S01 has 0 of ") and line.endswith("trials in PT22.5")]
-    assert len(of_pt22) == 1
+    assert (found.made, found.cohort) == (None, ())
+    counts = Counter(load_recording(copied / "recordings" / "S01.nc")["condition"].values.tolist())
+    assert found.recorded == counts
+    assert found.protocol.conditions == tuple(each for each in THESIS.conditions if each.name in counts)
+    assert found.environment.m_env == pytest.approx(study.environment.m_env, rel=0.02)
+    assert "how the recordings were made is not known" in found.missing[0]
     assert found.n_people == 1
     # The same multisines tell the same.
     mine, known = found.of("PT7.5")[0], study.of("PT7.5")[0]
     assert mine.identified.fit.values == known.identified.fit.values
     assert mine.truth is None
     assert cells_of(found)[Cell("2.1", "PT7.5", "rms_force")].ours.mean == pytest.approx(mine.force)
-    assert of_pt22[0] in sketch(found, tmp_path / "report")
+    page = sketch(found, tmp_path / "report")
+    assert f"{len(counts)} conditions" in " ".join(page.split())
+    assert f"{counts.total()} trials in all" in page
 
     for content, message in (("{", "not readable as JSON"), ("[]", "holds a list"), ("{}", "no 'versions'")):
         (copied / "manifest.json").write_text(content)
         again = analysed(copied)
-        assert "the thesis's protocol is assumed" in again.missing[0]
         assert message in again.missing[0]
+        assert again.protocol == found.protocol
         assert differences(again.people, found.people) == []
     assert len(asked) == len(COMPUTING)
+
+
+def test_recordings_of_other_conditions_are_no_study(copied):
+    (copied / "manifest.json").unlink()
+    path = copied / "recordings" / "S01.nc"
+    recording = load_recording(path)
+    named = np.where(recording["condition"].values == "PT7.5", "elsewhere", recording["condition"].values)
+    for labels, message in ((["elsewhere"] * len(named), "identify .*recordings/.*.nc --out DIR"), (named, "")):
+        (copied / "recordings" / "SHA256SUMS").unlink(missing_ok=True)
+        (copied / "recordings" / "S02.nc").unlink(missing_ok=True)
+        save_recording(recording.assign_coords(condition=("trial", labels)), path)
+        if message:
+            with pytest.raises(ValueError, match=message):
+                analysed(copied)
+        else:
+            found = analysed(copied)
+            assert "conditions that the thesis lacks are left out: elsewhere" in found.missing
+            assert "PT7.5" not in found.recorded
 
 
 def test_conditions_that_the_protocol_lacks_are_told(study, copied):
@@ -320,7 +344,10 @@ def test_the_command_reports_on_what_is_there(copied, capsys, monkeypatch):
 def test_a_folder_without_recordings_is_one_line(tmp_path, capsys, command):
     assert main([command, str(tmp_path)]) == 1
     [line] = capsys.readouterr().err.splitlines()
-    assert line == f"armperturb: error: {tmp_path}: holds no recordings/*.nc; expected the folder of a study"
+    assert line == (
+        f"armperturb: error: {tmp_path}: holds no recordings/*.nc; expected the folder of a study (other recordings: "
+        "armperturb identify FILES --out DIR)"
+    )
     assert not list(tmp_path.iterdir())
 
 

@@ -176,7 +176,7 @@ def coherence(study: StudyResult) -> Figure:
         panels = part.subplots(2, n_columns, sharex=True, sharey=True, squeeze=False)
         for column, condition in zip(panels.T, block, strict=False):
             _draw_coherence(column, study.of(condition.name))
-            column[0].set_title(condition.name)
+            column[0].set_title(condition.name, parse_math=False)
             label_frequency(column[-1])
         for column in panels.T[len(block) :]:
             for ax in column:

@@ -110,7 +110,7 @@ def draw_groups(ax: Axes, groups: Groups, scale: float = 1.0) -> dict[str, float
     ax.errorbar(left + 0.33 * slot, ours[:, 0], ours[:, 1], color=INK, **ERROR)
     known = np.isfinite(printed[:, 0])
     ax.errorbar(left[known] + 0.8 * slot, printed[known, 0], printed[known, 1], **PRINTED, **ERROR)
-    ax.set_xticks(range(len(drawn)), list(drawn))
+    ax.set_xticks(range(len(drawn)), list(drawn), parse_math=False)
     ax.set_xlim(-0.55, len(drawn) - 0.45)
     ax.grid(visible=False, axis="x")
     ax.tick_params(axis="x", length=0)

@@ -14,7 +14,7 @@ from armperturb.plots.panels import AXES, legend
 from armperturb.plots.style import GREY, INK, RECORDED, in_style, new_figure, shades
 from armperturb.study.report import nonlinear_tables as tables
 from armperturb.study.report.figures.bars import MODEL_LOOKS, Bar, draw_predictions
-from armperturb.study.report.formats import WORDS
+from armperturb.study.report.words import WORDS
 from armperturb.study.results.nonlinear_fits import PATHS, LeftOutPulse
 from armperturb.study.results.study_result import StudyResult
 

@@ -36,7 +36,7 @@ def perturbation(case: Case) -> Figure:
     for ax, axis, colour in zip(whole, range(2), colours, strict=True):
         ax.plot(time, force[:, axis], color=colour, linewidth=0.7)
         ax.set(ylabel=f"$d_{AXES[axis]}$ [N]", xlim=(0, time[-1]))
-    whole[0].set_title(f"one trial of {case.condition.name}")
+    whole[0].set_title(f"one trial of {case.condition.name}", parse_math=False)
     whole[1].set_xlabel("time [s]")
 
     for zoom in zooms:
@@ -88,7 +88,7 @@ def pulse_signal(recording: xr.Dataset) -> Figure:
     whole, zoom = figure.subplots(1, 2, sharey=True, width_ratios=(1.35, 1))
     whole.plot(time, force, color=INK, linewidth=1.0)
     whole.set(xlim=(0, time[-1]), xlabel="time [s]", ylabel=f"force at {angle:g}° [N]")
-    whole.set_title(f"one trial of {recording['condition'].values[0]}")
+    whole.set_title(f"one trial of {recording['condition'].values[0]}", parse_math=False)
 
     since = 1e3 * (time - onset)
     near = (since > -40.0) & (since < 120.0)

@@ -138,7 +138,8 @@ def trajectories(recording: xr.Dataset, estimate: ThesisEstimate | None, level: 
     ax.set_aspect("equal", adjustable="datalim")
     ax.set(xlabel="x, to the right [cm]", ylabel="y, forward [cm]")
     condition = str(recording["condition"].values[0])
-    ax.set_title(f"{condition}, {1e3 * WINDOWS[task]:g} ms from the onset, a dot every {1e3 * DOTS[task]:g} ms")
+    shown = f"{1e3 * WINDOWS[task]:g} ms from the onset, a dot every {1e3 * DOTS[task]:g} ms"
+    ax.set_title(f"{condition}, {shown}", parse_math=False)
     names = {"recorded": "recorded", "linear": "linear model", "skeletal": "skeletal model"}
     handles: list[Line2D | Patch] = [Line2D([], [], label=names[n], **look) for n, look in lines.items() if n in drawn]
     legend(figure, *handles, Patch(color=PALE, label="direction of the pulse"))

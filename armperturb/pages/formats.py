@@ -1,17 +1,11 @@
-"""How numbers and symbols are written in the report."""
+"""How numbers and symbols are written on pages."""
 
 import math
 import re
-from typing import Any
 
 from markupsafe import Markup
 
-from armperturb.files import packaged_table
-
 MISSING = "–"
-
-WORDS: dict[str, dict[str, Any]] = packaged_table(__package__, "words.toml")
-"""What the report calls things, by kind and name."""
 
 
 def digits(value: float | None, n: int = 3) -> str:

@@ -1,0 +1,209 @@
+"""What a reader is told first: whether to trust a fit, why it may be wrong, and what the data cannot tell."""
+
+import math
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from armperturb.analysis.fit.diagnosis import Diagnosis
+from armperturb.analysis.fit.frequency_bands import BandOfLack
+from armperturb.analysis.fit.identify import Identification
+from armperturb.analysis.fit.likelihood import LackOfFit
+from armperturb.analysis.fit.maximum_likelihood import FEWEST_TRIALS, SKEWED, SUSPICIOUS, Estimate, limits_of
+from armperturb.analysis.page.data_check import DataCheck
+from armperturb.analysis.response.best_linear import BestLinear
+from armperturb.analysis.results import plain
+from armperturb.pages.formats import chance
+from armperturb.recording import LABELS
+
+LARGE = 2.0
+"""Lack of fit over its degrees of freedom from which on parameters are not to be trusted [-]."""
+
+REFLEXES = (1.5, 6.0)
+"""Frequencies at which reflexes act most [Hz]; above, inertia and grip do."""
+
+SUPPORTED = 0.4
+"""Share of the lack of fit at a cause's frequencies from which on these support it [-]."""
+
+INCOHERENT = 0.5
+"""Coherence below which noise dominates [-]."""
+
+
+class Verdict(NamedTuple):
+    """Whether to trust the parameters of one condition.
+
+    Attributes:
+      level: in a word.
+      text: why, in a sentence or two.
+    """
+
+    level: Literal["trust", "care", "reject"]
+    text: str
+
+
+class Cause(NamedTuple):
+    """Why a fit may be wrong.
+
+    Attributes:
+      name: of the cause.
+      evidence: what the data say of it.
+      remedy: what to check or to try.
+      supported: whether the data speak for it; None if they do not tell.
+    """
+
+    name: str
+    evidence: str
+    remedy: str
+    supported: bool | None
+
+
+def verdict(identification: Identification, bands: Sequence[BandOfLack]) -> Verdict:
+    """Whether to trust the parameters of one condition.
+
+    Args:
+      identification: of the condition.
+      bands: its lack of fit, which counts where the fit is of several conditions together.
+    """
+    fit = identification.fit
+    if not fit.converged:
+        return Verdict("reject", f"The search did not end at an optimum ({fit.message}).")
+    if not fit.stable:
+        return Verdict("reject", "The estimated arm is unstable on the manipulator, which the recorded one was not.")
+    if not isinstance(fit.detail, Estimate):
+        return Verdict("care", "The thesis's estimator gives no test of fit: judge by the variance accounted for.")
+    lack = LackOfFit(fit.detail.chi2, fit.detail.dof)
+    if len(fit.detail.arms) > 1:
+        lack = LackOfFit(sum(band.chi2 for band in bands), max(8 * len(bands) - len(fit.values), 1))
+    ratio, p = lack.chi2 / lack.dof, lack.p_value
+    p_value = f"p {'' if p < 1e-3 else '= '}{chance(p)}"
+    numbers = f"lack of fit over its degrees of freedom {plain(ratio, 3)}, {p_value}"
+    if p >= SUSPICIOUS:
+        return Verdict("trust", f"The model explains the movement as far as the noise lets one see ({numbers}).")
+    if ratio <= LARGE and fit.choice is None:
+        return Verdict(
+            "care",
+            f"The perturbation explains slightly more of the movement than the model does ({numbers}). Intervals have "
+            f"been widened by a factor of {plain(math.sqrt(fit.detail.dispersion), 3)} for that.",
+        )
+    wrong = "the model is wrong" if fit.choice is None else "none of the structures that were tried is right"
+    more = "The perturbation explains more of the movement than the model does"
+    return Verdict("reject", f"{more} ({numbers}): {wrong}.")
+
+
+def likely_causes(
+    identification: Identification, check: DataCheck, diagnosis: Diagnosis, distortion: BestLinear | None
+) -> list[Cause]:
+    """Why a fit may be wrong, in the order in which to look.
+
+    Args:
+      identification: of the condition.
+      check: of its trials.
+      diagnosis: what the arm leaves of them.
+      distortion: best linear approximation; None where the trials do not allow one.
+    """
+    arm, bands = identification.fit.arm, diagnosis.bands
+    above, middle = _share(bands, REFLEXES[1], math.inf), _share(bands, *REFLEXES)
+    causes = []
+    time, error = check.skew
+    if abs(time) > max(SKEWED, 3.0 * error):
+        causes.append(
+            Cause(
+                "clocks",
+                f"Force is recorded {1e3 * time:.2f} ms later than displacement (standard error {1e3 * error:.2f} ms), "
+                "which turns inertia into damping.",
+                "Record both by one clock.",
+                True,
+            )
+        )
+    free = set(identification.fit.values)
+    fast = f"{above:.0%} of the lack of fit lies above {REFLEXES[1]:g} Hz, where inertia and grip act."
+    slow = f"{middle:.0%} lies between {REFLEXES[0]:g} and {REFLEXES[1]:g} Hz, where reflexes act."
+    causes += [
+        _unless_free("inertia", fast, "Free the joint inertia: --fix m=0 --free i.", above, "i_s" in free),
+        _unless_free("grip", fast, "Hold the grip rigid (--fix k_h=rigid), or free it.", above, "k_h" in free),
+        Cause(
+            "wrong geometry",
+            f"Used: upper arm {arm.l_h:.3g} m, forearm {arm.l_f:.3g} m, shoulder {arm.theta_s_deg:.3g}°, elbow "
+            f"{arm.theta_e_deg:.3g}°. The data do not tell these.",
+            "Compare with the person: labels l_h, l_f, theta_s_deg and theta_e_deg of the sidecar.",
+            None,
+        ),
+        _unless_free("delay", slow, "Free delays and cut-offs: --free Td fact.", middle, "Td_s" in free),
+    ]
+    last = nonlinearity(distortion)
+    causes.insert(0 if last.supported else len(causes), last)
+    return causes
+
+
+def _unless_free(name: str, evidence: str, remedy: str, share: float, is_free: bool) -> Cause:
+    if is_free:
+        return Cause(name, f"{evidence} The model has it free already.", "Look elsewhere first.", False)
+    return Cause(name, evidence, remedy, share > SUPPORTED)
+
+
+def _share(bands: Sequence[BandOfLack], low: float, high: float) -> float:
+    """Share of the lack of fit, beyond what noise makes, in bands whose middle is between two frequencies [-]."""
+    excess = [(math.sqrt(band.low * band.high), max(band.chi2 - 8.0, 0.0)) for band in bands]
+    total = sum(part for _, part in excess)
+    return sum(part for middle, part in excess if low <= middle < high) / total if total else 0.0
+
+
+def nonlinearity(distortion: BestLinear | None) -> Cause:
+    """How nonlinear the arm is, where that is known."""
+    remedy = "Identify a muscle law: --model nonlinear; or perturb less."
+    if distortion is None:
+        return Cause(
+            "nonlinearity", "Only multisines in two or more trials tell how nonlinear the arm is.", remedy, None
+        )
+    shares = " and ".join(
+        f"{max(share, 0.0):.1%} (± {error:.1%}) in {axis}"
+        for axis, share, error in zip(LABELS["axis"], distortion.share, distortion.share_error, strict=True)
+    )
+    if distortion.p_value >= SUSPICIOUS:
+        evidence = f"No distortion was found: of the response's power {shares}, p = {chance(distortion.p_value)}."
+        return Cause("nonlinearity", evidence, remedy, False)
+    clear = distortion.distortion > 2.0 * distortion.distortion_error
+    where = " and ".join(
+        f"{_listed(distortion.response.frequency[clear[:, axis]])} Hz in {name}"
+        for axis, name in enumerate(LABELS["axis"])
+        if clear[:, axis].any()
+    )
+    evidence = f"Distortion was found: of the response's power {shares}{f'; around {where}' if where else ''}."
+    return Cause("nonlinearity", evidence, remedy, True)
+
+
+def _listed(frequency: np.ndarray) -> str:
+    return ", ".join(f"{value:.2g}" for value in frequency[:6]) + (" and more" if len(frequency) > 6 else "")
+
+
+def unknowns(identification: Identification, check: DataCheck, undecided: Sequence[str] = ()) -> list[str]:
+    """What the trials of a condition cannot tell, a sentence each.
+
+    Args:
+      identification: of the condition.
+      check: of its trials.
+      undecided: choices of structure that they leave open.
+    """
+    fit, spectra = identification.fit, identification.spectra
+    said = [f"Which structure is right is open in this choice: {choice}." for choice in undecided]
+    said += [f"{text[0]}{text[1:]}." for text in limits_of(fit)]
+    low, high = spectra.frequency[0], spectra.frequency[-1]
+    said.append(
+        f"Below {plain(low, 2)} and above {plain(high, 3)} Hz nothing was perturbed: what is said there, static "
+        "stiffness included, extends the model."
+    )
+    for axis, name in enumerate(LABELS["axis"]):
+        poor = spectra.frequency[spectra.coherence[:, axis] < INCOHERENT]
+        if len(poor):
+            said.append(f"Around {_listed(poor)} Hz noise dominates the displacement along {name}.")
+    if check.n_trials < FEWEST_TRIALS:
+        said.append(
+            f"{check.n_trials} {'trial does' if check.n_trials == 1 else 'trials do'} not tell how much the person "
+            f"differs from trial to trial, which {FEWEST_TRIALS} or more would: intervals ignore it."
+        )
+    said.append(
+        f"All holds for this posture (shoulder {fit.arm.theta_s_deg:.3g}°, elbow {fit.arm.theta_e_deg:.3g}°), and for "
+        "movements as large as those recorded."
+    )
+    return said

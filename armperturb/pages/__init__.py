@@ -1,0 +1,1 @@
+"""Self-contained HTML pages: skeleton, style, how numbers are written, and figures inside a page."""

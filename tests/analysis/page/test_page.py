@@ -1,0 +1,286 @@
+"""The page of an identification: whole, self-contained, and true to the numbers that it comes from."""
+
+import math
+import re
+import tomllib
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from foreign_arms import Arm
+from foreign_recordings import Setup, recording_of
+
+import armperturb
+from armperturb.analysis.fit.diagnosis import diagnose
+from armperturb.analysis.fit.frequency_bands import BandOfLack
+from armperturb.analysis.fit.identify import Identifications, identify_conditions, parts_by_condition
+from armperturb.analysis.page.data_check import check_data
+from armperturb.analysis.page.page import WORDS, Origin, write_page
+from armperturb.analysis.page.verdict import likely_causes, nonlinearity, unknowns, verdict
+from armperturb.analysis.response.best_linear import best_linear
+from armperturb.analysis.results import Description, Table, plain
+from armperturb.plots.traces import COLUMNS, outline
+from armperturb.recording import stack_trials
+from tests.browser import BROKEN_IMAGES, CHROMIUM, DEAD_LINKS, SMALL_PRINT, TOO_WIDE, Browser, complaints, requests
+
+NAME = "<b>S & 1</b>"
+ROOT = Path(armperturb.__file__).parents[1]
+LEAST_CONTRAST = 4.5  # of small text, WCAG 2 level AA
+
+
+def session():
+    """Two conditions of one person: four multisines, and four of twice the size with a pulse at the end."""
+    still = Setup(arm=Arm(), seed=3, n_trials=4, duration=20.0, linear=True)
+    first = recording_of(still, *still.record())
+    second = first.assign_coords(
+        condition=("trial", ["pulsed"] * 4),
+        pulse_onset=("trial", [17.0] * 4),
+        pulse_direction=("trial", [20.0, 200.0] * 2),
+        pulse_level=("trial", [1.0] * 4),
+    )
+    both = stack_trials([first, second])
+    return both.assign_coords(subject=("trial", [NAME] * 8))
+
+
+@pytest.fixture(scope="module")
+def identified():
+    trials = parts_by_condition(session())
+    return identify_conditions(trials, "1"), trials
+
+
+@pytest.fixture(scope="module")
+def page(identified, tmp_path_factory):
+    results, trials = identified
+    choice = SimpleNamespace(
+        sentence="the trials choose <this>",
+        undecided=("grip: rigid or spring",),
+        remarks=lambda parts: (),
+        describe=lambda: Description(title="Structures tried", table=Table(("structure", "p"), (("1", "0.3"),))),
+    )
+    first, second = results.values()
+    chosen = replace(first, fit=replace(first.fit, choice=choice))
+    results = Identifications({"multisine": chosen, "pulsed": second})
+    origin = Origin(
+        command="armperturb identify <a>.nc --model 1",
+        files={"<a>.nc": "0" * 64},
+        notes=("a gap & a <repair>",),
+    )
+    path = tmp_path_factory.mktemp("page") / "identify.html"
+    write_page(results, trials, path, origin)
+    return path
+
+
+class Content(HTMLParser):
+    """Text, tags and headings of a page, without what its figures hold."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.text, self.tags, self.headings, self._open = [], [], [], []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        self._open.append(tag)
+
+    def handle_endtag(self, tag):
+        while self._open and self._open.pop() != tag:
+            pass
+
+    def handle_data(self, data):
+        if not {"style", "script"} & set(self._open):
+            self.text.append(data)
+        if self._open and self._open[-1] in ("h1", "h2"):
+            self.headings.append(data)
+
+
+@pytest.fixture(scope="module")
+def content(page):
+    return Content(page.read_text(encoding="utf-8"))
+
+
+def test_the_page_is_one_small_file(page, content):
+    assert page.stat().st_size < 3e6
+    sources = [value for _, attrs in content.tags for name, value in attrs.items() if name in ("src", "href")]
+    assert sources
+    assert all(source.startswith(("data:image/svg+xml;base64,", "#")) for source in sources)
+    assert not re.search(r"url\(|@import", page.read_text(encoding="utf-8"))
+
+
+def test_all_sections_are_there_in_order(content):
+    assert content.headings == [f"Arm of {NAME}", *WORDS["sections"].values()]
+    levels = [tag for tag, _ in content.tags if tag in ("h1", "h2", "h3")]
+    assert levels[0] == "h1"
+    assert levels.count("h1") == 1
+    figures = [attrs for tag, attrs in content.tags if tag == "img"]
+    assert len(figures) == 9
+    assert all(len(attrs["alt"]) > 20 for attrs in figures)
+    n_tables = sum(tag == "table" for tag, _ in content.tags)
+    assert n_tables == sum(tag == "thead" for tag, _ in content.tags) > 4
+    assert all("scope" in attrs for tag, attrs in content.tags if tag == "th")
+
+
+def test_names_are_text_and_numbers_are_numbers(page, content):
+    source, text = page.read_text(encoding="utf-8"), " ".join(content.text)
+    assert NAME not in source
+    assert not {"b>s", "a", "this", "repair"} & {tag for tag, attrs in content.tags if not attrs}
+    for shown in (NAME, "<a>.nc", "a gap & a <repair>", "The trials choose <this>.", "grip: rigid or spring"):
+        assert shown in text
+    assert not re.search(r"\bnan\b|\binf\b|None", text)
+
+
+def test_numbers_are_those_of_the_results(identified, content):
+    results, trials = identified
+    text = " ".join(content.text)
+    for label, result in results.items():
+        assert f"{result.vaf[0]:.1f} % of the movement's variance along x" in text
+        for value in result.fit.values.values():
+            assert plain(value) in text
+        assert verdict(result, diagnose(result, trials[label]).bands).text.rpartition(":")[0] in text
+        check = check_data(trials[label], 8.0)
+        assert (check.n_trials, check.period, check.from_rest) == (4, 10.0, False)
+        assert "amid the movement" in text
+        assert f"{check.environment.m_env:.3f} kg" in text
+        assert check.n_pulses == (4 if label == "pulsed" else 0)
+        assert (check.clipped, check.held) == ({}, 0.0)
+
+
+def test_clipped_and_constant_samples_are_counted(identified):
+    _, trials = identified
+    recording = trials["multisine"][0].recording.copy(deep=True)
+    force = recording["force"].values
+    top = 0.6 * force[1, :, 0].max()
+    n_clipped = int((force[1, :, 0] > top).sum())
+    force[1, :, 0] = np.minimum(force[1, :, 0], top)
+    for name in ("force", "displacement"):
+        recording[name].values[2, 1000:1100] = recording[name].values[2, 1000]
+    check = check_data(parts_by_condition(recording)["multisine"], 8.0)
+    assert set(check.clipped) == {"force x"}
+    assert 0.5 * n_clipped < check.clipped["force x"] <= n_clipped
+    assert check.held == pytest.approx(100 / check.rate)
+
+
+def test_lack_of_fit_by_band_adds_up_and_spectra_have_their_power(identified):
+    results, trials = identified
+    result, part = results["multisine"], trials["multisine"][0]
+    diagnosis = diagnose(result, [part])
+    estimate = result.fit.detail
+    assert len(diagnosis.bands) * 8 > estimate.dof / 2
+    widths = np.diff(diagnosis.frequency, append=2 * diagnosis.frequency[-1] - diagnosis.frequency[-2])
+    power = np.sum(diagnosis.moved * widths[:, None], axis=0)
+    np.testing.assert_allclose(power, np.mean(part.displacement**2, axis=(0, 1)), rtol=0.25)
+    # The model follows the noise that is left, and both are far below the movement.
+    ratio = np.mean(diagnosis.left / diagnosis.noise, axis=0)
+    assert ((ratio > 0.8) & (ratio < 1.2)).all()
+
+
+def test_verdicts_in_words(identified):
+    results, _ = identified
+    fine = results["multisine"]
+
+    def with_fit(**changes):
+        return replace(fine, fit=replace(fine.fit, **changes))
+
+    def with_chi2(chi2, dof=100):
+        return with_fit(detail=replace(fine.fit.detail, chi2=chi2, dof=dof, arms={"multisine": fine.fit.arm}))
+
+    assert verdict(with_chi2(100.0), ()).level == "trust"
+    care = verdict(with_chi2(150.0), ())
+    assert care.level == "care"
+    assert f"{math.sqrt(1.5):.2f}" in care.text
+    assert verdict(with_chi2(1000.0), ()).level == "reject"
+    # Of several conditions together, each is judged by its own lack of fit.
+    right = [BandOfLack(1.0, 2.0, 8.0)] * 20
+    assert verdict(fine, right).level == "trust"
+    assert verdict(fine, [*right, BandOfLack(2.0, 3.0, 500.0)]).level == "reject"
+    assert verdict(with_fit(converged=False), ()).level == verdict(with_fit(stable=False), ()).level == "reject"
+
+
+def test_causes_come_in_order_with_what_the_data_say(identified):
+    results, trials = identified
+    part = trials["multisine"]
+    check = check_data(part, 8.0)
+    distortion = best_linear(part)
+    causes = likely_causes(results["multisine"], check, diagnose(results["multisine"], part), distortion)
+    assert [cause.name for cause in causes] == ["inertia", "grip", "wrong geometry", "delay", "nonlinearity"]
+    assert [cause.supported for cause in causes][1] is False  # as model 1 has it free
+    late = check._replace(skew=check.skew._replace(time=2e-3))
+    assert likely_causes(results["multisine"], late, diagnose(results["multisine"], part), None)[0].name == "clocks"
+    # The simulated arm is linear.
+    assert nonlinearity(distortion).supported is False
+    assert nonlinearity(None).supported is None
+    strong = replace(distortion, statistic=9.0, distortion=0.1 * distortion.linear)
+    assert nonlinearity(strong).supported is True
+    causes = likely_causes(results["multisine"], check, diagnose(results["multisine"], part), strong)
+    assert causes[0].name == "nonlinearity"
+    assert re.search(r"9.1% .* Hz in x", nonlinearity(strong).evidence)
+
+
+def test_what_the_data_cannot_tell(identified):
+    results, trials = identified
+    check = check_data(trials["multisine"], 8.0)
+    said = unknowns(results["multisine"], check._replace(n_trials=1), ("grip: rigid or spring",))
+    assert any("grip: rigid or spring" in line for line in said)
+    assert any("1 trial does not tell" in line for line in said)
+    assert not any("trial to trial" in line for line in unknowns(results["multisine"], check))
+
+
+def test_the_citation_is_that_of_the_project(content):
+    cited = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    text = " ".join(" ".join(content.text).split())
+    for field in (r"^version", r"^license", r"^  - name", r"^    title", r"^        name", r"^      name"):
+        for value in re.findall(rf"{field}: (.*)$", cited, re.MULTILINE):
+            assert value in text
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["license"] in cited
+    assert project["description"].removesuffix(".") in text
+
+
+def test_an_outline_keeps_the_extremes():
+    values = np.random.default_rng(0).normal(size=10_000)
+    places, shown = outline(values)
+    assert len(shown) == 2 * COLUMNS
+    assert (np.diff(places) >= 0).all()
+    np.testing.assert_array_equal(values[places], shown)
+    assert (shown.min(), shown.max()) == (values.min(), values.max())
+    short = values[:COLUMNS]
+    np.testing.assert_array_equal(outline(short)[1], short)
+
+
+CONTRAST = """
+(() => {
+  const light = colour => {
+    const [r, g, b] = colour.match(/[\\d.]+/g).map(Number).map(v => v / 255)
+      .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const behind = one => {
+    const colour = getComputedStyle(one).backgroundColor;
+    if (colour !== "rgba(0, 0, 0, 0)") return colour;
+    return one.parentElement ? behind(one.parentElement) : "rgb(255, 255, 255)";
+  };
+  return Math.min(...[...document.querySelectorAll("p, li, td, th, a, h1, h2, figcaption, pre")].map(one => {
+    const [dark, bright] = [light(getComputedStyle(one).color), light(behind(one))].sort((a, b) => a - b);
+    return (bright + 0.05) / (dark + 0.05);
+  }));
+})()
+"""
+
+
+@pytest.mark.slow(reason="starts a browser")
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium, chromium-browser or google-chrome on PATH")
+def test_a_browser_shows_it_whole_at_both_widths(page, tmp_path):
+    browser = Browser(tmp_path / "profile")
+    try:
+        browser.open_page()
+        for width in (1280, 400):
+            browser.show(page, width)
+            assert browser.evaluate("document.images.length") == 9
+            for wrong in (BROKEN_IMAGES, TOO_WIDE, SMALL_PRINT, DEAD_LINKS):
+                assert browser.evaluate(wrong) == []
+            assert browser.evaluate(CONTRAST) > LEAST_CONTRAST
+            assert complaints(browser) == requests(browser) == []
+    finally:
+        browser.stop()

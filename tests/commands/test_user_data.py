@@ -1,0 +1,119 @@
+"""A user's own files are never lost: no command writes to what it has read, and none replaces a file unasked."""
+
+import shutil
+
+import numpy as np
+import pytest
+import xarray as xr
+from laboratory import write
+
+from armperturb import cli
+from armperturb.convert.importer import import_recording
+from armperturb.recording import load_recording, save_recording
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """A laboratory's file with its sidecar, and its recording."""
+    path = write(tmp_path_factory.mktemp("lab"))
+    save_recording(import_recording([path]).recording, path.with_suffix(".nc"))
+    return path.parent
+
+
+@pytest.fixture
+def folder(lab, tmp_path):
+    return shutil.copytree(lab, tmp_path / "lab")
+
+
+def refused(capsys, *arguments):
+    """The one line in which a command is refused."""
+    assert cli.main(list(map(str, arguments))) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def content_of(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("asked", ["", "--overwrite"])
+@pytest.mark.parametrize("ending", [".csv", ".mat"])
+def test_inputs_and_sidecars_stay(folder, capsys, ending, asked):
+    source, before = next(folder.glob("*.csv")), content_of(folder)
+    line = refused(capsys, "convert", source, "--out", source.with_suffix(ending), *([asked] if asked else []))
+    assert "is an input of this command" in line
+    assert content_of(folder) == before
+
+
+def test_existing_outputs_are_replaced_only_where_that_is_asked_for(folder, capsys):
+    source, before = next(folder.glob("*.csv")), content_of(folder)
+    recording = source.with_suffix(".nc")
+    assert "exists already" in refused(capsys, "convert", source, "--out", recording)
+    assert "exists already" in refused(capsys, "convert", recording, "--out", source.with_suffix(".mat"))
+    assert content_of(folder) == before
+    recording.write_bytes(b"old")
+    assert cli.main(["convert", str(source), "--out", str(recording), "--overwrite"]) == 0
+    assert load_recording(recording).sizes["trial"] == 2
+
+
+def test_a_result_of_the_name_of_an_input_is_refused(folder, capsys):
+    structure = folder / "structure.toml"
+    structure.write_text('base = "3b"\n', encoding="utf-8")
+    recording = next(folder.glob("*.nc"))
+    line = refused(capsys, "identify", recording, "--model", structure, "--out", folder)
+    assert "structure.toml: is an input of this command" in line
+    assert structure.read_text(encoding="utf-8") == 'base = "3b"\n'
+
+
+def test_joins_keep_what_all_have_and_name_the_rest(folder, capsys):
+    first = load_recording(next(folder.glob("*.nc")))
+    n_time = first.sizes["time"]
+    first = first.assign(joint_angle=(("trial", "time", "joint"), np.zeros((2, n_time, 2)), {"units": "rad"}))
+    first = first.assign_coords(joint=["shoulder", "elbow"])
+    second = first.copy(deep=True)
+    second["force"] = second["force"] * 1.001
+    paths = [folder / "j1.nc", folder / "j2.nc"]
+    for path, recording in zip(paths, (first, second), strict=True):
+        save_recording(recording, path)
+    out = folder / "j12.nc"
+    assert cli.main(["convert", *map(str, paths), "--out", str(out)]) == 0
+    capsys.readouterr()
+    assert load_recording(out)["joint_angle"].shape == (4, n_time, 2)
+    save_recording(second.drop_vars(["joint_angle", "joint"]), paths[1])
+    assert cli.main(["convert", *map(str, paths), "--out", str(out), "--overwrite"]) == 0
+    assert "left out: joint_angle" in capsys.readouterr().out
+    assert "joint_angle" not in load_recording(out)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".nc"])
+def test_copies_of_a_trial_do_not_count_as_another(folder, capsys, ending):
+    source = next(folder.glob("*.csv"))
+    copy = source.with_stem("copy")
+    for suffix in (".csv", ".json", ".nc"):
+        shutil.copy(source.with_suffix(suffix), copy.with_suffix(suffix))
+    files = [source.with_suffix(ending), copy.with_suffix(ending)]
+    assert "expected each trial in one file only" in refused(capsys, "convert", *files, "--out", folder / "both.nc")
+    for command in ("identify", "response"):
+        options = ["--model", "3b"] if command == "identify" else []
+        line = refused(capsys, command, *files, *options, "--out", folder / "results")
+        assert "expected each trial in one file only" in line
+        assert not (folder / "results").exists()
+
+
+def test_millimetres_that_are_declared_metres_are_refused(folder, capsys):
+    recording = load_recording(next(folder.glob("*.nc")))
+    attributes = recording["displacement"].attrs
+    recording["displacement"] = (1000.0 * recording["displacement"]).assign_attrs(attributes)
+    path = folder / "mm.nc"
+    save_recording(recording, path)
+    assert "displacement is" in refused(capsys, "identify", path, "--model", "3b", "--out", folder / "results")
+
+
+def test_lengths_of_no_arm_are_refused(folder, capsys):
+    recording = load_recording(next(folder.glob("*.nc")))
+    recording["l_h"] = xr.full_like(recording["l_h"], 1e-300)
+    path = folder / "short.nc"
+    save_recording(recording, path)
+    assert "l_h = 1e-300; expected a finite number at least 0.01" in refused(
+        capsys, "identify", path, "--model", "3b", "--out", folder / "results"
+    )

@@ -1,0 +1,51 @@
+"""A command that is asked to end leaves nothing half-written and says one line."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+SIGNALS = ["SIGINT", "SIGTERM", "SIGHUP"]
+
+PROGRAM = """
+import sys, time
+from pathlib import Path
+from armperturb import cli
+from armperturb.commands.command import Command
+from armperturb.files import written_whole
+from armperturb.workers import completed, workers_for
+
+class Long(Command):
+    def run(self):
+        out = Path(sys.argv[1])
+        with workers_for(2, None) as pool, written_whole(out / "result.csv") as part:
+            part.write_text("half")
+            for _ in completed(time.sleep, [0.0, 60.0, 60.0], pool):
+                (out / "ready").touch()
+        return []
+
+cli._parse = lambda arguments: Long()
+sys.exit(cli.main([]))
+"""
+
+
+@pytest.mark.parametrize("name", SIGNALS)
+@pytest.mark.parametrize("to_group", [False, True], ids=["process", "group"])
+def test_signals_end_a_command_in_order(tmp_path, name, to_group):
+    number = getattr(signal, name)
+    run = subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, str(tmp_path)],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(number, signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL),
+    )
+    while not (tmp_path / "ready").exists() and run.poll() is None:
+        time.sleep(0.05)
+    (os.killpg if to_group else os.kill)(run.pid, number)
+    _, errors = run.communicate(timeout=30.0)
+    assert (run.returncode, errors) == (128 + number, "armperturb: interrupted\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["ready"]
