@@ -41,11 +41,15 @@ FAR = 300.0
 """Difference of the squared distances from the estimated admittance beyond which a structure is not fitted to the
 trials, over what a right one leaves [-]; special cases of the best one always are."""
 
-STARTS = 4
+STARTS = 3
 """Starts from which each structure is fitted to the estimated admittance, which differ in delay and cut-off."""
 
 STIFF = 1e5
 """Stiffness from which a search starts where a rigid grip was tried before [N/m]."""
+
+TIE = 20.0
+"""What is added to the score of a tied inertia [-]: no arm is two point masses of exactly this ratio, and an inertia that
+is wrong by little makes stiffness and damping wrong beyond their intervals."""
 
 LEAST_POWER = 1e-6
 """Share of the information's power below which a direction of the parameters is left out of the loss [-]."""
@@ -189,17 +193,17 @@ def choose_structure(groups: Sequence[Group], method: Method = "record") -> Choi
     Raises:
       ValueError: as `estimate`, of every structure that was tried.
     """
-    starts = [_fits_of_spectra(group) for group in groups]
-    firsts = [min(fits, key=lambda place: fits[place].score) for fits in starts]
-    rungs = [
-        _sketched(group, first, fits[first], (), method)
-        for group, first, fits in zip(groups, firsts, starts, strict=True)
-    ]
-    at = min(range(len(groups)), key=lambda number: rungs[number].sketch.objective)
-    group, fits, place = groups[at], starts[at], firsts[at]
+    at = 0
+    if len(groups) > 1:
+        richest: Place = ("free", "spring", "position")
+        rungs = [_sketched(group, richest, _fit_of_spectra(group, richest), (), method) for group in groups]
+        at = min(range(len(groups)), key=lambda number: rungs[number].sketch.objective)
+    group = groups[at]
+    fits = _fits_of_spectra(group)
+    place = min(fits, key=lambda each: fits[each].score)
     # Neighbouring lines share noise and an arm is never quite linear: the nearest fit sets the scale.
     limit = fits[place].score + FAR * max(1.0, fits[place].distance / (8 * len(group.spectra.frequency)))
-    tried: dict[Place, Rung] = {place: rungs[at]}
+    tried = {place: _sketched(group, place, fits[place], (), method)}
     while True:
         for other in _neighbours(place):
             if other not in tried and (fits[other].score < limit or sum(_rank(other)) < sum(_rank(place))):
@@ -220,15 +224,20 @@ def _rank(place: Place) -> tuple[int, ...]:
 
 
 def _neighbours(place: Place) -> list[Place]:
-    """The rungs that differ in one choice by one step."""
+    """The rungs that differ in one choice."""
     places: list[Place] = list(itertools.product(*ORDER))
-    return [other for other in places if np.abs(np.subtract(_rank(other), _rank(place))).sum() == 1]
+    return [other for other in places if sum(a != b for a, b in zip(other, place, strict=True)) == 1]
 
 
 def _scored(rungs: Sequence[Rung]) -> list[Rung]:
     """The rungs with their scores, the best first."""
     likelihood_unit = max(1.0, min(rung.sketch.chi2 / rung.sketch.dof for rung in rungs))
-    scored = [rung._replace(score=rung.sketch.objective / likelihood_unit + CAUTION * rung.loss) for rung in rungs]
+    scored = [
+        rung._replace(
+            score=rung.sketch.objective / likelihood_unit + CAUTION * rung.loss + TIE * (rung.inertia == "tied")
+        )
+        for rung in rungs
+    ]
     return sorted(scored, key=lambda rung: rung.score)
 
 
@@ -262,16 +271,21 @@ class _Fitted(NamedTuple):
         return self.distance + 2.0 * len(self.structure.free)
 
 
+def _fit_of_spectra(group: Group, place: Place) -> _Fitted:
+    """The nearest of what several starts give."""
+    inertia, grip, reflex = place
+    candidate = group.with_structure(composed(inertia=inertia, grip=grip, reflex=reflex))
+    starts = linear_starts(group.spectra.frequency, group.spectra.arm, group.body, candidate.structure)
+    nearest = sorted(starts, key=lambda start: start[1])[:STARTS]
+    ends = [candidate.fit_of_spectra(start) for start, _ in nearest]
+    return _Fitted(candidate.structure, *min(ends, key=lambda end: end[1]))
+
+
 def _fits_of_spectra(group: Group) -> dict[Place, _Fitted]:
     """All rungs, each fitted to the estimated admittance."""
     fitted: dict[Place, _Fitted] = {}
     for place in itertools.product(*ORDER):
-        inertia, grip, reflex = place
-        candidate = group.with_structure(composed(inertia=inertia, grip=grip, reflex=reflex))
-        starts = linear_starts(group.spectra.frequency, group.spectra.arm, group.body, candidate.structure)
-        nearest = sorted(starts, key=lambda start: start[1])[:STARTS]
-        ends = [candidate.fit_of_spectra(start) for start, _ in nearest]
-        fitted[place] = _Fitted(candidate.structure, *min(ends, key=lambda end: end[1]))
+        fitted[place] = _fit_of_spectra(group, place)
     # A search may end too early. What the nearest structure has found is another start for the others.
     tried: set[Place] = set()
     while (best := min(fitted, key=lambda place: fitted[place].score)) not in tried:
