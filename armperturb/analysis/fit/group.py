@@ -14,10 +14,11 @@ from armperturb.analysis.fit.likelihood import Likelihood, PeriodLikelihood, Rec
 from armperturb.analysis.fit.linear_start import linear_start
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.force_balance import EDGE
+from armperturb.analysis.per_trials import per_trials
 from armperturb.analysis.response.condition_spectra import condition_spectra, periodic_lines
 from armperturb.analysis.response.joint_records import FILTER_CUTOFF, FILTER_REACH, MODEL_RATE
 from armperturb.analysis.response.spectra import SpectralEstimate
-from armperturb.analysis.trials import ConditionTrials, SeveralTrials, per_trials, prepared_recordings
+from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject

@@ -48,8 +48,8 @@ STIFF = 1e5
 """Stiffness from which a search starts where a rigid grip was tried before [N/m]."""
 
 TIE = 20.0
-"""What is added to the score of a tied inertia [-]: no arm is two point masses of exactly this ratio, and an inertia that
-is wrong by little makes stiffness and damping wrong beyond their intervals."""
+"""What is added to the score of a tied inertia [-]: no arm is two point masses of exactly this ratio, and an inertia
+that is wrong by little makes stiffness and damping wrong beyond their intervals."""
 
 LEAST_POWER = 1e-6
 """Share of the information's power below which a direction of the parameters is left out of the loss [-]."""

@@ -212,8 +212,8 @@ def estimate(
     fitted = _judge(problem, first_method, search)
     if not np.isfinite(list(fitted.standard_error.values())).all():
         problem.require_identifiable(first)
-    told = initial is not None and len(initial) == len(problem.names)
-    if not told and (not fitted.converged or fitted.is_suspicious):
+    is_given = initial is not None and len(initial) == len(problem.names)
+    if not is_given and (not fitted.converged or fitted.is_suspicious):
         other = _search(problem, problem.stabilised(problem.published()))
         if problem.objective(other.values) < fitted.objective:
             search = other
