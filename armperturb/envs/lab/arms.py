@@ -4,6 +4,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +41,16 @@ class Arms(ABC):
         n_blocks = min(n_threads or os.cpu_count() or 1, n_groups)
         size = group * -(-n_groups // n_blocks)
         self._blocks = [slice(first, first + size) for first in range(0, n_arms, size)]
-        self._pool = ThreadPoolExecutor(n_blocks) if n_blocks > 1 else None
+        self._pool: tuple[int, ThreadPoolExecutor] | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_pool": None}
+
+    def _threads(self) -> ThreadPoolExecutor:
+        """Threads of this process: a child that was forked has none of its parent's."""
+        if self._pool is None or self._pool[0] != os.getpid():
+            self._pool = os.getpid(), ThreadPoolExecutor(len(self._blocks))
+        return self._pool[1]
 
     @abstractmethod
     def start(self, trials: Indices, known: Array) -> None:
@@ -63,10 +73,10 @@ class Arms(ABC):
         if self.log.shape[1] != n_rows:
             self.log = np.zeros((n_arms, n_rows, self.log.shape[2]))
         known = self._prepared(known)
-        if self._pool is None:
+        if len(self._blocks) == 1:
             self._advance(slice(None), known)
         else:
-            list(self._pool.map(self._advance, self._blocks, [known] * len(self._blocks)))
+            list(self._threads().map(self._advance, self._blocks, [known] * len(self._blocks)))
 
     def _prepared(self, known: Array) -> Array:
         """What `_advance` wants to know."""

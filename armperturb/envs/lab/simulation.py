@@ -3,10 +3,12 @@
 import copy
 import ctypes
 import functools
+import os
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -38,6 +40,18 @@ _HANDLERS: list[int | None] = []
 """What was MuJoCo's handler when each of those began who keep it silent now: its own first, then what does nothing."""
 
 _HANDLERS_LOCK = threading.Lock()
+
+
+def _forget_handlers() -> None:
+    """Begin anew in a forked child, which has none of the threads that asked for silence."""
+    global _HANDLERS_LOCK
+    _HANDLERS_LOCK = threading.Lock()
+    if _HANDLERS:
+        warning_handler()[0].value = _HANDLERS[0]
+        _HANDLERS.clear()
+
+
+os.register_at_fork(after_in_child=_forget_handlers)
 
 
 @contextmanager
@@ -116,6 +130,13 @@ class Simulation(Arms):
         self._arms = arm_table(self._models, self._datas)
         everybody = np.arange(len(subjects))
         self._set_muscles(everybody, *(np.array([s.muscle_groups(name) for s in subjects]) for name in ("k", "b")))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in super().__getstate__().items() if name != "_arms"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._arms = arm_table(self._models, self._datas)  # addresses of this process
 
     def _model(self, body: Subject) -> mujoco.MjModel:
         return _compiled(body, *self._laboratory)

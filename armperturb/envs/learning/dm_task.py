@@ -1,11 +1,13 @@
 """The dm_control face: one person in trials of a task, whose nervous system is the agent, as a composer task."""
 
+import copy
 from collections import OrderedDict
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import fields
 from typing import Any
 
+import dm_env
 import numpy as np
 from dm_env import specs
 from numpy.typing import ArrayLike
@@ -18,6 +20,7 @@ from armperturb.envs.lab.trial import Trial
 from armperturb.envs.learning import participants
 from armperturb.envs.learning.dm import composer, mjcf, observable
 from armperturb.envs.learning.entities import Rig
+from armperturb.envs.learning.state import Turn
 from armperturb.envs.learning.task import TaskSettings, task_settings
 from armperturb.models.rig import REFLEXES, start_motors
 
@@ -130,6 +133,11 @@ class ArmPerturbTask(composer.Task):
                 )
         self._options = options
 
+    @property
+    def chosen(self) -> dict[str, Any]:
+        """What the next episode differs in from the settings."""
+        return dict(self._options)
+
     def after_compile(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
         """Find everything in a new model."""
         arm, manipulator = self._rig.arm, self._rig.manipulator
@@ -174,7 +182,7 @@ class ArmPerturbTask(composer.Task):
 
         Raises:
           TypeError: the action is no array of numbers.
-          ValueError: it has the wrong shape, or part of it is not finite or out of its bounds.
+          ValueError: it has the wrong shape, or part of it is not finite, or out of its bounds where these are refused.
         """
         changed, strength = self._people.decide(np.asarray(action)[np.newaxis])
         if len(changed):
@@ -211,12 +219,86 @@ class ArmPerturbTask(composer.Task):
         return self._terminated or self._truncated
 
 
-def compose(settings: Mapping[str, Any], random_state: int | np.random.RandomState | None) -> composer.Environment:
+class ArmPerturbDmEnv(composer.Environment):
+    """A composer environment that can be copied, pickled, and returned to a saved state.
+
+    A state is what an episode began with and the actions since: the way there is taken again. So it holds what steps
+    have led to, and nothing that was written into the physics by hand.
+    """
+
+    def __init__(self, settings: TaskSettings, random_state: int | np.random.RandomState | None) -> None:
+        """Make the environment; arguments and errors as in `load_dm_env`."""
+        self._turn = Turn()
+        self._began: tuple[Any, ...] | None = None
+        self._actions: list[Array] = []
+        super().__init__(
+            ArmPerturbTask(settings),
+            random_state=random_state,
+            strip_singleton_obs_buffer_dim=True,
+            recompile_mjcf_every_episode=False,
+            delayed_observation_padding=composer.ObservationPadding.INITIAL_VALUE,
+        )
+
+    def reset(self) -> dm_env.TimeStep:
+        """Begin the next trial."""
+        self._began, self._actions = (self.random_state.get_state(), self.task.chosen), []
+        return super().reset()
+
+    def step(self, action: ArrayLike) -> dm_env.TimeStep:
+        """One decision; after the last one of a trial, the beginning of the next.
+
+        Raises:
+          TypeError: the action is no array of numbers.
+          ValueError: it has the wrong shape, or part of it is refused.
+          RuntimeError: another thread is in here.
+        """
+        with self._turn:
+            taken = super().step(action)
+        if not taken.first():
+            self._actions.append(np.array(action))
+        return taken
+
+    def get_state(self) -> dict[str, Any]:
+        """All that trials to come depend on, and the rest of this one; it can be pickled."""
+        state = {"settings": self.task.settings, "began": self._began, "actions": self._actions}
+        enabled = [name for name, item in self.task.observables.items() if item.enabled]
+        return copy.deepcopy({**state, "random": self.random_state.get_state(), "next": self.task.chosen}) | {
+            "enabled": enabled
+        }
+
+    def set_state(self, state: dict[str, Any]) -> None:
+        """Continue from a state, to the last bit as where it was saved.
+
+        Args:
+          state: from `get_state` of an environment with the same settings, of this process or another.
+
+        Raises:
+          ValueError: it is of an environment of another kind or with other settings.
+        """
+        if not isinstance(state, dict) or "enabled" not in state or state["settings"] != self.task.settings:
+            raise ValueError("set_state: state of another environment; expected one of the same task and settings")
+        for name, item in self.task.observables.items():
+            item.enabled = name in state["enabled"]
+        if state["began"] is not None:
+            random, options = state["began"]
+            self.random_state.set_state(random)
+            self.task.choose(**options)
+            self.reset()
+            for action in state["actions"]:
+                self.step(action)
+        self.random_state.set_state(state["random"])
+        self.task.choose(**state["next"])
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _restored, (self.get_state(),)
+
+
+def _restored(state: dict[str, Any]) -> ArmPerturbDmEnv:
+    env = ArmPerturbDmEnv(state["settings"], None)
+    env.set_state(state)
+    return env
+
+
+def compose(settings: Mapping[str, Any], random_state: int | np.random.RandomState | None) -> ArmPerturbDmEnv:
     """The environment of a task; arguments and errors as in `load_dm_env`."""
-    return composer.Environment(
-        ArmPerturbTask(task_settings(dict(settings))),
-        random_state=random_state,
-        strip_singleton_obs_buffer_dim=True,
-        recompile_mjcf_every_episode=False,
-        delayed_observation_padding=composer.ObservationPadding.INITIAL_VALUE,
-    )
+    return ArmPerturbDmEnv(task_settings(dict(settings)), random_state)

@@ -9,9 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from armperturb.envs.learning.participants import ONLY, action_bounds, observation_bounds, own_action
 from armperturb.envs.learning.session import Session
+from armperturb.envs.learning.state import Saved
 from armperturb.envs.learning.task import TaskSettings, task_settings
 from armperturb.envs.render.gl import has_display
-from armperturb.envs.render.live_view import LiveView
+from armperturb.envs.render.live_view import LiveView, Moment
 from armperturb.envs.render.viewer import require_display
 from armperturb.validation import require_one_of, require_whole
 
@@ -34,7 +35,7 @@ def spaces(settings: TaskSettings) -> tuple[Box, Box]:
     )
 
 
-class ArmPerturbEnv(gym.Env):
+class ArmPerturbEnv(Saved, gym.Env):
     """A person holds a handle that is perturbed; docs/environments.md says what is sensed, set and rewarded.
 
     `ArmPerturb/Position-v0`, `ArmPerturb/Relax-v0` and `ArmPerturb/Pulse-v0` are this with different `TaskSettings`.
@@ -44,6 +45,7 @@ class ArmPerturbEnv(gym.Env):
       own_action: by which the person does the task as in the study, (action,).
     """
 
+    STATE = ("_session", "_running", "_np_random", "_np_random_seed", "_moment")
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 50}  # noqa: RUF012 - as gymnasium declares it
 
     def __init__(
@@ -76,7 +78,7 @@ class ArmPerturbEnv(gym.Env):
         # Only modes that work on this machine, as some tools try all of them.
         modes = [mode for mode in ArmPerturbEnv.metadata["render_modes"] if mode != "human" or has_display()]
         self.metadata = {"render_modes": modes, "render_fps": self.settings.control_rate}
-        self._live_view = live_view(self.settings)
+        self._live_view, self._moment = live_view(self.settings), Moment(1.0 / self.settings.control_rate)
         self._picture = checked_picture(view, width, height)
         self.observation_space, self.action_space = spaces(self.settings)
         self.own_action = own_action(self.settings).astype(np.float32)
@@ -104,7 +106,7 @@ class ArmPerturbEnv(gym.Env):
         trial = draw(self.np_random)
         self._session.start(ONLY, [trial])
         self._running = True
-        self._live_view.begin(trial.subject)
+        self._moment.begin(trial.subject)
         return self._session.people.observe()[0], self._watched_info()
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
@@ -119,7 +121,7 @@ class ArmPerturbEnv(gym.Env):
         Raises:
           RuntimeError: there is no trial, or it is over.
           TypeError: the action is no array of numbers.
-          ValueError: it has the wrong shape, or part of it is not finite or out of its bounds.
+          ValueError: it has the wrong shape, or part of it is not finite, or out of its bounds where these are refused.
         """
         if not self._running:
             raise RuntimeError("step: the trial is over, or none has begun; expected reset first")
@@ -136,9 +138,9 @@ class ArmPerturbEnv(gym.Env):
         """
         if self.render_mode != "rgb_array":
             return None
-        if not self._live_view.has_picture:
+        if self._moment.subject is None:
             raise RuntimeError("render: no trial has begun; expected reset first")
-        return self._live_view.picture(*self._picture)
+        return self._live_view.picture(self._moment, *self._picture)
 
     def close(self) -> None:
         """Close what rendering opened; a second time does nothing."""
@@ -147,9 +149,9 @@ class ArmPerturbEnv(gym.Env):
     def _watched_info(self) -> dict[str, Any]:
         info: dict[str, Any] = {name: values[0] for name, values in self._session.truth().items()}
         if self.render_mode is not None:
-            self._live_view.update(*(info[name].copy() for name in WATCHED))
+            self._moment.update(*(info[name].copy() for name in WATCHED))
             if self.render_mode == "human":
-                self._live_view.show()
+                self._live_view.show(self._moment)
         return {**info, "time": float(info["time"]), "diverged": bool(info["diverged"])}
 
 

@@ -15,11 +15,13 @@ from armperturb.envs.lab.trial import Trial
 from armperturb.envs.learning.gym_env import WATCHED, ArmPerturbEnv, checked_picture, live_view, spaces
 from armperturb.envs.learning.participants import own_action
 from armperturb.envs.learning.session import Session
+from armperturb.envs.learning.state import Saved
 from armperturb.envs.learning.task import task_settings
+from armperturb.envs.render.live_view import Moment
 from armperturb.validation import require_number, require_one_of, require_whole
 
 
-class ArmPerturbVectorEnv(VectorEnv):
+class ArmPerturbVectorEnv(Saved, VectorEnv):
     """`num_envs` of `ArmPerturbEnv`, as `gymnasium.vector.SyncVectorEnv` would run them, but side by side.
 
     `gymnasium.make_vec("ArmPerturb/Position-v0", num_envs=256)` makes one.
@@ -29,6 +31,7 @@ class ArmPerturbVectorEnv(VectorEnv):
       own_action: by which the person does the task as in the study, (action,).
     """
 
+    STATE = ("_session", "_subjects", "_streams", "_over", "_decisions")
     metadata: dict[str, Any] = dict(ArmPerturbEnv.metadata)  # noqa: RUF012 - as gymnasium declares it
 
     def __init__(
@@ -143,7 +146,7 @@ class ArmPerturbVectorEnv(VectorEnv):
         Raises:
           RuntimeError: a person has no trial, or one that is over in the mode DISABLED.
           TypeError: actions are no numbers.
-          ValueError: they have the wrong shape, or one of them is not finite or out of its bounds.
+          ValueError: they have the wrong shape, or one of them is not finite, or refused.
         """
         waiting = self._over
         if waiting.any() and (self.autoreset_mode is not AutoresetMode.NEXT_STEP or None in self._streams):
@@ -177,9 +180,10 @@ class ArmPerturbVectorEnv(VectorEnv):
             raise RuntimeError("render: no trial has begun; expected reset first")
         truth, pictures = self._session.truth(), []
         for i, subject in enumerate(self._subjects):
-            self._live_view.begin(subject)
-            self._live_view.update(*(truth[name][i] for name in WATCHED))
-            pictures.append(self._live_view.picture(*self._picture))
+            moment = Moment(1.0 / self.settings.control_rate)
+            moment.begin(subject)
+            moment.update(*(truth[name][i] for name in WATCHED))
+            pictures.append(self._live_view.picture(moment, *self._picture))
         return tuple(pictures)
 
     def close_extras(self, **_: Any) -> None:

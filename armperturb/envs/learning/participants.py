@@ -187,7 +187,7 @@ class Participants:
 
         Raises:
           TypeError: actions are no numbers.
-          ValueError: they have the wrong shape, or one of them is not finite or out of its bounds.
+          ValueError: they have the wrong shape, or one of them is not finite, or refused.
         """
         actions = self._checked(actions)
         settings = self.settings
@@ -235,7 +235,9 @@ class Participants:
             given, expected = values.shape[first:], shape[first:]
             raise ValueError(f"action of shape {given}; expected {expected}: {', '.join(self._names)}")
         values = values.astype(float)
-        good = (values >= self._low) & (values <= self._high)
+        good = np.isfinite(values)
+        if self.settings.out_of_bounds == "refuse":
+            good &= (values >= self._low) & (values <= self._high)
         if not good.all():
             person, column = np.argwhere(~good)[0]
             raise ValueError(
@@ -243,7 +245,7 @@ class Participants:
                 f"{f' of environment {person}' if len(values) > 1 else ''}; expected {self._low[column]:g} to "
                 f"{self._high[column]:g}"
             )
-        return values
+        return np.clip(values, self._low, self._high)
 
     def drive(self, angle: Array, velocity: Array) -> tuple[Array, Array]:
         """What acts during the next step, of a simulation that asks for each.

@@ -27,6 +27,9 @@ PEOPLE = ("average", "published")
 CO_CONTRACTION = ("groups", "common", "off")
 """Whether an agent sets the level of each muscle group, one for all, or none."""
 
+OUT_OF_BOUNDS = ("clip", "refuse")
+"""What is done with actions out of their bounds; those that are not finite are refused in any case."""
+
 OPTIONS = ("perturbation", "rms", "peak", "directions_deg", "onset_window", "randomise", "noise", "trial")
 """What may be chosen anew at each reset; all but the trial as in `TaskSettings`."""
 
@@ -62,6 +65,7 @@ class TaskSettings:
       co_contraction: "groups", "common" or "off", see `CO_CONTRACTION`.
       reflexes: whether the agent sets reflex gains.
       torque: whether the agent adds torque at the joints.
+      out_of_bounds: what is done with an action out of its bounds: "clip" or "refuse".
       highest_level: of co-contraction and reflex gains that an action of 1 stands for [-]: 0 is the person relaxed, 1
         the person's position task; beyond, torques are in proportion.
       highest_torque: that an action of 1 stands for [Nm].
@@ -97,6 +101,7 @@ class TaskSettings:
     co_contraction: str = "groups"
     reflexes: bool = True
     torque: bool = True
+    out_of_bounds: str = "clip"
     highest_level: float = 1.0
     highest_torque: float = 10.0
     activation_time: float = 0.064
@@ -114,6 +119,7 @@ class TaskSettings:
         require_one_of(owner, "perturbation", self.perturbation, PERTURBATIONS)
         require_one_of(owner, "engine", self.engine, ENGINES)
         require_one_of(owner, "co_contraction", self.co_contraction, CO_CONTRACTION)
+        require_one_of(owner, "out_of_bounds", self.out_of_bounds, OUT_OF_BOUNDS)
         if isinstance(self.person, Person):
             missing = [task for task in TASKS if task not in self.person.subjects]
             if missing:

@@ -10,7 +10,14 @@ import numpy.typing as npt
 from numpy.typing import ArrayLike
 
 from armperturb.arrays import Array
-from armperturb.envs.render.gl import close_at_exit, gl_help, new_context
+from armperturb.envs.render.gl import (
+    Context,
+    close_at_exit,
+    give_memory_back,
+    gl_help,
+    new_context,
+    require_own_process,
+)
 from armperturb.validation import require_one_of
 
 DISTURBANCE, REACTION, PATH = "#D55E00", "#0072B2", "#CC79A7"
@@ -25,6 +32,9 @@ TRAIL = 1.0
 
 MAX_SEGMENTS = 240
 """Of a trail; more would not show."""
+
+_OF_PARENT: list[object] = []
+"""What a forked child must neither use nor free."""
 
 
 class Arrow(NamedTuple):
@@ -61,6 +71,8 @@ def force_arrows(disturbance: ArrayLike, reaction: ArrayLike, scale: float) -> t
 class Camera:
     """Draws a model's poses, from one OpenGL context; a context manager, or to be closed with `close`.
 
+    Any thread may draw and close it; cameras take turns. A child that is forked afterwards may not.
+
     One that is left open is closed before the interpreter exits. It does without `mujoco.Renderer`, which frees its
     textures in whatever context is current: closing one spoils the pictures of another.
 
@@ -83,23 +95,19 @@ class Camera:
             if not 1 <= value <= largest:
                 raise ValueError(f"Camera: {field} = {value!r}; expected 1 to {largest} pixels")
         self.model, self.width, self.height = model, width, height
-        self._data = mujoco.MjData(model)
-        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + model.ntendon + 2 * MAX_SEGMENTS)
+        self._data: Any = mujoco.MjData(model)
+        self._scene: Any = mujoco.MjvScene(model, maxgeom=model.ngeom + model.nsite + model.ntendon + 2 * MAX_SEGMENTS)
         self._options, self._eye = mujoco.MjvOption(), mujoco.MjvCamera()
         self._eye.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._rectangle = mujoco.MjrRect(0, 0, width, height)
-        self._window: Any = new_context(width, height)
+        self._window: Context | None = new_context(width, height)
         try:
-            self._window.make_current()
-            self._context: Any = _small_context(model, width, height)
+            with self._window:
+                self._context: Any = _small_context(model, width, height)
         except Exception as error:
             self._window.free()
             raise RuntimeError(f"Camera: MuJoCo cannot draw ({' '.join(str(error).split())}); {gl_help()}") from error
         close_at_exit(self)
-        # The first picture of a context may be a hair different from the same one later; so it is none that counts.
-        self._eye.fixedcamid = 0
-        self._update(model.qpos0)
-        mujoco.mjr_render(mujoco.MjrRect(0, 0, 1, 1), self._scene, self._context)
 
     def __enter__(self) -> Self:
         return self
@@ -115,10 +123,14 @@ class Camera:
         """Give the context back; a second time does nothing."""
         if self._window is None:
             return
-        self._window.make_current()  # what is freed is what belongs to the current context
-        self._context.free()
-        self._window.free()
-        self._window = self._context = None
+        if self._window.usable:
+            with self._window:  # what is freed is what belongs to the current context
+                self._context.free()
+            self._window.free()
+        else:
+            _OF_PARENT.append((self._window, self._context))
+        self._window = self._context = self._scene = self._data = self.model = None
+        give_memory_back()
 
     def draw(
         self,
@@ -144,23 +156,24 @@ class Camera:
 
         Raises:
           ValueError: the model has no such view, or qpos or trail has another shape.
-          RuntimeError: the camera is closed.
+          RuntimeError: the camera is closed, or of the process that this one was forked from.
         """
+        if self._window is None:
+            raise RuntimeError("Camera: is closed; expected an open one")
+        require_own_process()
         self._eye.fixedcamid = self._view(view)
         pose = np.asarray(self.model.qpos0 if qpos is None else qpos, dtype=float)
         if pose.shape != (self.model.nq,):
             raise ValueError(f"Camera: qpos of shape {pose.shape}; expected ({self.model.nq},)")
-        if self._window is None:
-            raise RuntimeError("Camera: is closed; expected an open one")
         picture = np.empty((self.height, self.width, 3), dtype=np.uint8) if out is None else out
         self._update(pose)
         if trail is not None:
             self._add_trail(np.asarray(trail, dtype=float))
         for arrow in arrows:
             self._add_arrow(arrow)
-        self._window.make_current()
-        mujoco.mjr_render(self._rectangle, self._scene, self._context)
-        mujoco.mjr_readPixels(picture, None, self._rectangle, self._context)
+        with self._window:
+            mujoco.mjr_render(self._rectangle, self._scene, self._context)
+            mujoco.mjr_readPixels(picture, None, self._rectangle, self._context)
         picture[:] = picture[::-1].copy()  # OpenGL's first row is the lowest
         return picture
 
@@ -199,6 +212,7 @@ class Camera:
         """Let the scene show a pose."""
         self._data.qpos[:] = pose
         mujoco.mj_forward(self.model, self._data)
+        mujoco.mjv_updateCamera(self.model, self._data, self._eye, self._scene)  # before its headlight is placed
         mujoco.mjv_updateScene(
             self.model, self._data, self._options, None, self._eye, mujoco.mjtCatBit.mjCAT_ALL, self._scene
         )
@@ -270,6 +284,22 @@ def render(
         for index in np.ndindex(poses.shape[:-1]):
             eye.draw(poses[index], camera, out=pictures[index])
     return pictures
+
+
+def simplify(model: mujoco.MjModel, height: int) -> None:
+    """Leave out what takes long and shows little: fine shadows, fine facets and the floor's reflection.
+
+    Nor are edges smoothed: several samples per pixel take twice the time where the processor draws.
+
+    Args:
+      model: to be drawn, changed in place before its camera is made.
+      height: of the pictures [pixel].
+    """
+    quality = model.vis.quality
+    quality.offsamples = 0
+    quality.shadowsize = 1024 if height <= 480 else 2048
+    quality.numslices, quality.numstacks = 20, 10
+    model.mat_reflectance[:] = 0.0
 
 
 def _small_context(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjrContext:

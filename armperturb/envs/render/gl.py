@@ -6,13 +6,15 @@ otherwise this module chooses EGL, or OSMesa where EGL gives no context.
 """
 
 import atexit
+import ctypes
 import functools
 import importlib
 import os
 import sys
+import threading
 import warnings
 import weakref
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 PACKAGES = {"egl": "libegl1 libopengl0 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 """Libraries that draw without a window, the better one first, and their packages in Debian and Ubuntu."""
@@ -29,6 +31,90 @@ class Closeable(Protocol):
 
 
 _OPEN: weakref.WeakSet[Closeable] = weakref.WeakSet()
+
+
+_DRAWING = threading.RLock()
+"""Held by the thread that draws."""
+
+_STARTED_IN: list[int] = []
+"""The process that OpenGL was started in, once it was: children that are forked afterwards cannot draw."""
+
+
+class Context:
+    """An OpenGL context to draw in: `with context: ...`, in any thread, one after the other."""
+
+    def __init__(self, window: Any) -> None:
+        """Take over a context.
+
+        Args:
+          window: MuJoCo's, with `make_current()` and `free()`.
+        """
+        self._window, self._process = window, os.getpid()
+
+    @property
+    def usable(self) -> bool:
+        """Whether this is the process that it was opened in."""
+        return self._process == os.getpid()
+
+    def __enter__(self) -> Self:
+        _DRAWING.acquire()
+        self._window.make_current()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            if self._window is not None:
+                _release(self._window)
+        finally:
+            _DRAWING.release()
+
+    def free(self) -> None:
+        """Give it back."""
+        with _DRAWING:
+            self._window.free()
+            self._window = None
+
+
+def give_memory_back() -> None:
+    """Let the C library return what is free: where the processor draws, it would keep some 40 MB for each context."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None  # glibc has it
+    if trim is not None:
+        trim(0)
+
+
+def _release(window: Any) -> None:
+    """Let no context be current in this thread: another thread cannot use one that is."""
+    library = sys.modules[type(window).__module__]
+    if hasattr(library, "EGL"):
+        library.EGL.eglReleaseThread()
+    elif hasattr(library, "osmesa"):
+        library.osmesa.OSMesaMakeCurrent(None, None, library.GL.GL_FLOAT, 0, 0)
+    else:
+        library.glfw.make_context_current(None)
+
+
+def _leave_to_parent() -> None:
+    """Let a forked child not end EGL at its exit: it would wait for threads that only its parent has."""
+    for name in ("mujoco.egl", "dm_control._render.pyopengl.egl_renderer"):
+        library = sys.modules.get(name)
+        if library is not None:
+            atexit.unregister(library.EGL.eglTerminate)
+
+
+os.register_at_fork(after_in_child=_leave_to_parent)
+
+
+def require_own_process() -> None:
+    """Refuse to draw in a child that was forked after OpenGL had been started: it would hang.
+
+    Raises:
+      RuntimeError: this is such a child.
+    """
+    if _STARTED_IN and _STARTED_IN[0] != os.getpid():
+        raise RuntimeError(
+            "no pictures in this process: it was forked after its parent had drawn; expected the start method 'spawn' "
+            "or 'forkserver', or a fork before the first picture"
+        )
 
 
 def has_display() -> bool:
@@ -97,16 +183,18 @@ def stay_last() -> None:
     atexit.register(_close_all)
 
 
-def new_context(width: int, height: int) -> Any:
-    """An OpenGL context to draw in, with `make_current()` and `free()`.
+def new_context(width: int, height: int) -> Context:
+    """An OpenGL context to draw in.
 
     Args:
       width: of the largest picture [pixel].
       height: of the largest picture [pixel].
 
     Raises:
-      RuntimeError: this machine cannot draw; the message names what to install.
+      RuntimeError: this machine cannot draw, and the message names what to install; or this process was forked after
+        its parent had drawn.
     """
+    require_own_process()
     chosen = choose_backend()
     tried = f"MUJOCO_GL={chosen}" if chosen else "the display of this session"
     if chosen in OFF:
@@ -117,9 +205,10 @@ def new_context(width: int, height: int) -> Any:
         kind = importlib.import_module(module).GLContext
         if not hasattr(kind, "_context"):
             kind._context = None  # or one that does not open would print an error when it is freed
-        with warnings.catch_warnings():
+        with _DRAWING, warnings.catch_warnings():
             warnings.filterwarnings("error", category=UserWarning)  # which is all that glfw makes of its errors
-            return kind(width, height)
+            _STARTED_IN[:] = [os.getpid()]
+            return Context(kind(width, height))
     except Exception as error:  # whatever a window library raises
         raise RuntimeError(f"no OpenGL context with {tried}: {_in_one_line(error)}; {gl_help()}") from error
 

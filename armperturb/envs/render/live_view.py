@@ -10,20 +10,49 @@ from numpy.typing import NDArray
 
 from armperturb.arrays import Array
 from armperturb.environment import Environment
-from armperturb.envs.render.camera import TRAIL, Camera, force_arrows
+from armperturb.envs.render.camera import TRAIL, Camera, force_arrows, simplify
 from armperturb.envs.render.viewer import open_window
 from armperturb.models.rig import build_model
 from armperturb.subject import Subject
 
 
-class LiveView:
-    """One person in a running trial: disturbance and reaction force as arrows, and the handle's path.
+class Moment:
+    """What shows of one person in a running trial: the arm, disturbance and reaction force, and the handle's path.
 
-    The first picture opens an OpenGL context or a window, and `close` closes it.
+    Attributes:
+      subject: the person; None before the first trial.
+      pose: joint angles [rad] and displacement of the handle [m], (4,).
+      forces: disturbance and reaction force [N], (2, axis).
+      trail: displacements up to now [m], the oldest first.
     """
 
-    def __init__(self, environment: Environment, period: float, scale: float) -> None:
+    def __init__(self, period: float) -> None:
         """Begin with nothing to show.
+
+        Args:
+          period: between moments [s].
+        """
+        self.subject: Subject | None = None
+        self.pose, self.forces = np.zeros(4), np.zeros((2, 2))
+        self.trail: deque[Array] = deque(maxlen=round(TRAIL / period) + 1)
+
+    def begin(self, subject: Subject) -> None:
+        """Begin a trial, of this subject."""
+        self.subject = subject
+        self.trail.clear()
+
+    def update(self, angle: Array, handle: Array, disturbance: Array, reaction: Array) -> None:
+        """Set the next instant: joint angles [rad], displacement [m], and forces [N], two numbers each."""
+        self.pose = np.concatenate([angle, handle])
+        self.forces = np.array([disturbance, reaction])
+        self.trail.append(self.pose[2:])
+
+
+class LiveView:
+    """Shows moments of trials in pictures or in a window, which the first one opens and `close` closes."""
+
+    def __init__(self, environment: Environment, period: float, scale: float) -> None:
+        """Begin with nothing open.
 
         Args:
           environment: what the hand holds.
@@ -31,57 +60,41 @@ class LiveView:
           scale: length of an arrow per force [m/N].
         """
         self._environment, self._period, self._scale = environment, period, scale
-        self._trail: deque[Array] = deque(maxlen=round(TRAIL / period) + 1)
-        self._pose, self._forces = np.zeros(4), np.zeros((2, 2))
-        self._subject: Subject | None = None
-        self._model: mujoco.MjModel | None = None
+        self._size: tuple[float, ...] | None = None
         self._camera: Camera | None = None
         self._window: Any = None
         self._next = 0.0
 
-    @property
-    def has_picture(self) -> bool:
-        """Whether a trial has begun."""
-        return bool(self._trail)
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_size": None, "_camera": None, "_window": None}
 
-    def begin(self, subject: Subject) -> None:
-        """Begin a trial, of this subject."""
-        self._trail.clear()
-        if self._subject is None or _size(subject) != _size(self._subject):
-            self.close()
-            self._model = None
-        self._subject = subject
-
-    def update(self, angle: Array, handle: Array, disturbance: Array, reaction: Array) -> None:
-        """Set the next instant: joint angles [rad], displacement [m], and forces [N], two numbers each."""
-        self._pose = np.concatenate([angle, handle])
-        self._forces = np.array([disturbance, reaction])
-        self._trail.append(self._pose[2:])
-
-    def picture(self, view: str, width: int, height: int) -> NDArray[np.uint8]:
-        """The instant as a picture, (height, width, 3); arguments and errors as in `Camera`."""
+    def picture(self, moment: Moment, view: str, width: int, height: int) -> NDArray[np.uint8]:
+        """A moment as a picture, (height, width, 3); arguments and errors as in `Camera`."""
+        self._close_others(moment)
         if self._camera is None:
-            self._camera = Camera(self._drawn_model(), width=width, height=height)
-        disturbance, reaction = self._forces
-        arrows = force_arrows(disturbance, reaction, self._scale)
-        return self._camera.draw(self._pose, view, arrows=arrows, trail=np.array(self._trail))
+            model = self._model(moment)
+            simplify(model, height)
+            self._camera = Camera(model, width=width, height=height)
+        arrows = force_arrows(moment.forces[0], moment.forces[1], self._scale)
+        return self._camera.draw(moment.pose, view, arrows=arrows, trail=np.array(moment.trail))
 
-    def show(self) -> None:
-        """Show the instant in a window, in real time: wait until it is due.
+    def show(self, moment: Moment) -> None:
+        """Show a moment in a window, in real time: wait until it is due.
 
         Raises:
           RuntimeError: no window can be opened.
         """
+        self._close_others(moment)
         if self._window is None:
-            data = mujoco.MjData(self._drawn_model())
-            self._window = open_window(self._model, data), data
+            data = mujoco.MjData(self._model(moment))
+            self._window = open_window(data.model, data), data
             self._next = time.monotonic()
         window, data = self._window
         time.sleep(max(0.0, self._next - time.monotonic()))
         self._next = max(self._next, time.monotonic() - self._period) + self._period
         with window.lock():
-            data.qpos[:] = self._pose
-            mujoco.mj_forward(self._model, data)
+            data.qpos[:] = moment.pose
+            mujoco.mj_forward(data.model, data)
         window.sync()
 
     def close(self) -> None:
@@ -93,13 +106,14 @@ class LiveView:
             self._window[0].close()
             self._window = None
 
-    def _drawn_model(self) -> mujoco.MjModel:
-        if self._model is None:
-            assert self._subject is not None, "begin comes first"
-            self._model = build_model(self._subject, self._environment)
-        return self._model
+    def _close_others(self, moment: Moment) -> None:
+        """Close what shows a person of another size."""
+        assert moment.subject is not None, "begin comes first"
+        size = moment.subject.l_h, moment.subject.l_f, moment.subject.theta_s_deg, moment.subject.theta_e_deg
+        if size != self._size:
+            self.close()
+            self._size = size
 
-
-def _size(subject: Subject) -> tuple[float, ...]:
-    """What a picture shows of a person."""
-    return subject.l_h, subject.l_f, subject.theta_s_deg, subject.theta_e_deg
+    def _model(self, moment: Moment) -> mujoco.MjModel:
+        assert moment.subject is not None, "begin comes first"
+        return build_model(moment.subject, self._environment)

@@ -6,13 +6,12 @@ from pathlib import Path
 from shutil import copyfile
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
 from armperturb.arrays import Array
-from armperturb.envs.render.camera import TRAIL, Camera, force_arrows
+from armperturb.envs.render.camera import TRAIL, Camera, force_arrows, simplify
 from armperturb.envs.render.clip import VIEWS, Clip
 from armperturb.envs.render.overlay import StripChart, draw_clock, label_layer, nice_force, text_size
 from armperturb.envs.render.replay import Replay
@@ -70,7 +69,7 @@ def frames(replay: Replay, clip: Clip, times: Array) -> Iterator[Picture]:
     qpos, d, f, displacement = (
         replay.at(values, times) for values in (replay.qpos, replay.disturbance, replay.reaction, replay.displacement)
     )
-    _simplify(replay.model, height)
+    simplify(replay.model, height)
     chart = StripChart(shown, width=width * len(views), height=height // 2, unit=text_size(height))
     with Camera(replay.model, width=width, height=height) as camera:
         scale = arrow_scale(camera, views, shown)
@@ -207,15 +206,3 @@ def _encoder(path: Path, shape: tuple[int, int], frame_rate: float) -> Any:
     return mediapy.VideoWriter(
         path, shape, fps=frame_rate, codec="h264", crf=20, ffmpeg_args="-preset veryfast -movflags +faststart"
     )
-
-
-def _simplify(model: mujoco.MjModel, height: int) -> None:
-    """Leave out what takes long and shows little: fine shadows, fine facets and the floor's reflection.
-
-    Nor are edges smoothed: several samples per pixel take twice the time where the processor draws.
-    """
-    quality = model.vis.quality
-    quality.offsamples = 0
-    quality.shadowsize = 1024 if height <= 480 else 2048
-    quality.numslices, quality.numstacks = 20, 10
-    model.mat_reflectance[:] = 0.0

@@ -1,5 +1,7 @@
 """The dm_control face against the study, the gymnasium face and dm_env's own tests."""
 
+import copy
+import pickle
 import subprocess
 import sys
 from dataclasses import replace
@@ -450,3 +452,38 @@ def test_the_viewer_runs_it():
     runtime.tick(0.05, paused=True)
     assert not errors
     assert 0.0 < runtime.get_time() < 0.2
+
+
+def onwards(env):
+    """The rest of an episode and the next one, which nobody seeds."""
+    return np.vstack([episode_from_here(env, 1), episode(env, 2)])
+
+
+def episode_from_here(env, seed):
+    rows = []
+    for action in actions_of(env, seed):
+        timestep = env.step(action)
+        rows.append(np.append(sensed(timestep), [timestep.reward, timestep.discount]))
+        if timestep.last():
+            return np.array(rows)
+
+
+def test_copies_and_saved_states_go_on_to_the_last_bit():
+    env = armperturb.load_dm_env(PULSE_TASK, random_state=3, **SHORT)
+    episode(env)
+    env.task.choose(perturbation="multisine")
+    env.task.observables["perturbation"].enabled = True
+    env.reset()
+    for _, action in zip(range(7), actions_of(env, 5), strict=False):
+        env.step(action)
+    state, copies = env.get_state(), [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    expected = onwards(env)
+    env.task.choose(peak=20.0)
+    env.set_state(state)
+    fresh = armperturb.load_dm_env(PULSE_TASK, random_state=8, **SHORT)
+    fresh.set_state(state)
+    for other in (env, fresh, *copies):
+        np.testing.assert_array_equal(onwards(other), expected)
+        assert "perturbation" in other.observation_spec()
+    with pytest.raises(ValueError, match="state of another environment"):
+        armperturb.load_dm_env(RELAX_TASK, **SHORT).set_state(state)

@@ -497,7 +497,7 @@ def test_bad_settings_are_refused(settings, error, message):
     ],
 )
 def test_bad_actions_are_refused_and_change_nothing(column, value, message):
-    env, reference = made(**SHORT), made(**SHORT)
+    env, reference = (made(out_of_bounds="refuse", **SHORT) for _ in range(2))
     env.reset(seed=0)
     reference.reset(seed=0)
     action = env.own_action.astype(float)
@@ -506,10 +506,25 @@ def test_bad_actions_are_refused_and_change_nothing(column, value, message):
         env.step(action)
     one, other = env.step(env.own_action), reference.step(env.own_action)
     assert data_equivalence(one, other, exact=True)
-    envs = vectorised(2, **SHORT)
+    envs = vectorised(2, out_of_bounds="refuse", **SHORT)
     envs.reset(seed=0)
     with pytest.raises(ValueError, match="of environment 1"):
         envs.step(np.stack([env.own_action, action]))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_actions_out_of_their_bounds_are_clipped_and_others_refused(value):
+    env, reference = made(**SHORT), made(**SHORT)
+    env.reset(seed=0)
+    reference.reset(seed=0)
+    action = env.own_action.astype(float)
+    action[[0, 4, 9, 10]] = 1.0000001, -0.1, 7.0, -1e30
+    clipped = np.clip(action, env.action_space.low, env.action_space.high)
+    assert data_equivalence(env.step(action), reference.step(clipped), exact=True)
+    action[9] = value
+    with pytest.raises(ValueError, match=r"action\[9\] \(torque, shoulder\) = .*; expected -1 to 1"):
+        env.step(action)
+    assert data_equivalence(env.step(clipped), reference.step(clipped), exact=True)
 
 
 def test_actions_of_another_shape_or_kind_are_refused():

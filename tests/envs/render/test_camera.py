@@ -2,7 +2,9 @@ import ctypes.util
 import gc
 import math
 import os
+import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
 import numpy as np
@@ -81,6 +83,108 @@ def test_closing_one_camera_leaves_another_as_it_was(model):
     goes.close()
     with pytest.raises(RuntimeError, match="is closed"):
         goes.draw()
+
+
+@pytest.mark.slow(reason="draws many pictures")
+@needs_gl
+def test_a_state_has_one_picture_whatever_was_drawn_before(model):
+    pose = [0.5, 1.5, 0.01, 0.01]
+    with Camera(model, width=320, height=240) as camera:
+        first, second = camera.draw(pose), camera.draw(pose)
+        camera.draw(view="top")
+        np.testing.assert_array_equal(second, first)
+        np.testing.assert_array_equal(camera.draw(pose), first)
+    np.testing.assert_array_equal(render(model, pose, width=320, height=240), first)
+
+
+@pytest.mark.slow(reason="draws many pictures")
+@needs_gl
+def test_any_thread_may_draw_and_close(model):
+    camera = Camera(model, width=64, height=48)
+    expected = camera.draw()
+    with ThreadPoolExecutor(3) as threads:
+        for picture in threads.map(lambda _: camera.draw(), range(6)):
+            np.testing.assert_array_equal(picture, expected)
+        np.testing.assert_array_equal(camera.draw(), expected)
+        threads.submit(camera.close).result()
+    with pytest.raises(RuntimeError, match="is closed"):
+        camera.draw()
+
+
+FORKED = """
+import os, sys
+from armperturb.envs.render.camera import Camera
+from armperturb.models.rig import build_model
+from armperturb.subject import RELAX
+model = build_model(RELAX)
+camera = Camera(model, width=16, height=16)
+camera.draw()
+child = os.fork()
+if not child:
+    for attempt in (camera.draw, lambda: Camera(model, width=16, height=16)):
+        try:
+            attempt()
+        except RuntimeError as error:
+            print(error)
+    sys.exit()
+assert os.waitpid(child, 0)[1] == 0
+camera.draw()
+"""
+
+
+@pytest.mark.slow(reason="needs a process of its own")
+@needs_gl
+@pytest.mark.skipif(sys.platform != "linux", reason="forks")
+def test_a_forked_child_is_told_that_it_cannot_draw():
+    done = subprocess.run([sys.executable, "-c", FORKED], capture_output=True, text=True, check=True, timeout=120)
+    said = done.stdout.splitlines()
+    assert len(said) == 2
+    assert all(
+        line.startswith("no pictures in this process: it was forked after its parent had drawn") for line in said
+    )
+    assert done.stderr == ""
+
+
+MEMORY = """
+from pathlib import Path
+import gymnasium as gym
+import armperturb
+
+def used():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20
+
+def made():
+    env = gym.make("ArmPerturb/Position-v0", render_mode="rgb_array", width=320, height=240, duration=0.2)
+    env.reset(seed=0)
+    env.render()
+    return env
+
+made().close()
+before = used()
+envs = [made() for _ in range(10)]
+while envs:
+    envs.pop().close()
+together = used() - before
+for _ in range(40):
+    made().close()
+print(together, used() - before)
+env = gym.make("ArmPerturb/Position-v0", duration=0.2)
+env.reset(seed=0)
+before = used()
+for _ in range(1000):
+    env.reset()
+print(used() - before, 0)
+"""
+
+
+@pytest.mark.slow(reason="opens fifty contexts")
+@needs_gl
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_memory_comes_back():
+    done = subprocess.run([sys.executable, "-W", "ignore", "-c", MEMORY], capture_output=True, text=True, check=True)
+    grown = [float(word) for word in done.stdout.split()]
+    assert len(grown) == 4
+    assert max(grown) < 10.0, grown  # MB
 
 
 def pinhole(point, width, height):
@@ -203,7 +307,7 @@ def test_egl_is_preferred_and_osmesa_stands_in(headless, egl, osmesa, chosen):
     assert gl.choose_backend() == chosen
     assert os.environ["MUJOCO_GL"] == chosen
     assert "PYOPENGL_PLATFORM" not in os.environ
-    assert isinstance(gl.new_context(8, 8), sys.modules[f"mujoco.{chosen}"].GLContext)
+    assert isinstance(gl.new_context(8, 8)._window, sys.modules[f"mujoco.{chosen}"].GLContext)
 
 
 @pytest.mark.parametrize(("name", "value"), [("MUJOCO_GL", "osmesa"), ("DISPLAY", ":0"), ("WAYLAND_DISPLAY", "wl")])
