@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from armperturb.plots.panels import legend
 from armperturb.plots.style import GREY, colours_for, figure_for, in_style
@@ -59,6 +60,6 @@ def plot_parameters(fits: "Mapping[str, pd.DataFrame]", figure: Figure | None = 
         ax.grid(False, axis="y")
         ax.set_xlabel(f"[{unit}]", labelpad=1.0)
     if len(fits) > 1:
-        handles = {handle.get_label(): handle for ax in axes for handle in ax.get_lines() if handle.get_label() in fits}
-        legend(figure, *(handles[label] for label in fits if label in handles))
+        looks = zip(fits, colours, strict=True)
+        legend(figure, *(Line2D([], [], color=colour, marker="o", label=label) for label, colour in looks))
     return axes

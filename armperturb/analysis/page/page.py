@@ -69,7 +69,7 @@ def _content(results: Identifications, trials: Mapping[str, Sequence[ConditionTr
     choices = {label: result.fit.choice for label, result in results.items() if result.fit.choice is not None}
     checks = {label: check_data(trials[label], origin.window_start, origin.period) for label in results}
     diagnoses = {label: diagnose(result, trials[label]) for label, result in results.items()}
-    verdicts = {label: verdict(result) for label, result in results.items()}
+    verdicts = {label: verdict(result, diagnoses[label].bands) for label, result in results.items()}
     distortions = {label: _distortion(trials[label], check) for label, check in checks.items()}
     endpoints = {
         label: result.endpoint() for label, result in results.items() if not is_straight(result.fit.arm.theta_e_deg)
@@ -184,7 +184,7 @@ def _remarks(results: Identifications, trials: Mapping[str, Sequence[ConditionTr
         said |= dict.fromkeys(remark for remark in result.fit.remarks if remark not in apart)
         if isinstance(detail, Estimate):
             said |= {
-                f"{WORDS['quantities'][name]} differ from trial to trial by {spread:.0%} (standard deviation); "
+                f"{WORDS['quantities'][name]} differ from trial to trial by {spread:.1%} (standard deviation); "
                 "intervals are of the mean over trials": None
                 for name, spread in detail.trial_spread.items()
             }

@@ -9,6 +9,7 @@ import numpy as np
 from armperturb.analysis.fit.diagnosis import Diagnosis
 from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.identify import Identification
+from armperturb.analysis.fit.likelihood import LackOfFit
 from armperturb.analysis.fit.maximum_likelihood import FEWEST_TRIALS, SKEWED, SUSPICIOUS, Estimate, limits_of
 from armperturb.analysis.page.data_check import DataCheck
 from armperturb.analysis.response.best_linear import BestLinear
@@ -57,8 +58,13 @@ class Cause(NamedTuple):
     supported: bool | None
 
 
-def verdict(identification: Identification) -> Verdict:
-    """Whether to trust the parameters of one condition."""
+def verdict(identification: Identification, bands: Sequence[BandOfLack]) -> Verdict:
+    """Whether to trust the parameters of one condition.
+
+    Args:
+      identification: of the condition.
+      bands: its lack of fit, which counts where the fit is of several conditions together.
+    """
     fit = identification.fit
     if not fit.converged:
         return Verdict("reject", f"The search did not end at an optimum ({fit.message}).")
@@ -66,7 +72,10 @@ def verdict(identification: Identification) -> Verdict:
         return Verdict("reject", "The estimated arm is unstable on the manipulator, which the recorded one was not.")
     if not isinstance(fit.detail, Estimate):
         return Verdict("care", "The thesis's estimator gives no test of fit: judge by the variance accounted for.")
-    ratio, p = fit.detail.chi2 / fit.detail.dof, fit.detail.p_value
+    lack = LackOfFit(fit.detail.chi2, fit.detail.dof)
+    if len(fit.detail.arms) > 1:
+        lack = LackOfFit(sum(band.chi2 for band in bands), max(8 * len(bands) - len(fit.values), 1))
+    ratio, p = lack.chi2 / lack.dof, lack.p_value
     p_value = f"p {'' if p < 1e-3 else '= '}{chance(p)}"
     numbers = f"lack of fit over its degrees of freedom {plain(ratio, 3)}, {p_value}"
     if p >= SUSPICIOUS:
@@ -75,7 +84,7 @@ def verdict(identification: Identification) -> Verdict:
         return Verdict(
             "care",
             f"The perturbation explains slightly more of the movement than the model does ({numbers}). Intervals have "
-            f"been widened by a factor of {plain(math.sqrt(ratio), 3)} for that.",
+            f"been widened by a factor of {plain(math.sqrt(fit.detail.dispersion), 3)} for that.",
         )
     wrong = "the model is wrong" if fit.choice is None else "none of the structures that were tried is right"
     more = "The perturbation explains more of the movement than the model does"

@@ -18,11 +18,10 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import signal
 
-from armperturb.arrays import Array, Indices
+from armperturb.arrays import Array
 from armperturb.files import packaged_table
 from armperturb.recording import MUSCLES
 from armperturb.subject import POSITION, RELAX, Subject
@@ -126,6 +125,8 @@ class Emg:
           rate: as in `activation`.
           rng: what the noise is drawn from.
         """
+        from armperturb.envs.lab.amplifier import amplify
+
         amplitude = (self.gain * self.activation(subject, excitation, rate)).T.astype(np.float32, order="C")
         n_samples = self.n_samples(len(excitation), rate)
         # Held between the samples of the excitation: a straight line would need the one to come. The small number keeps
@@ -142,56 +143,8 @@ class Emg:
             chunk = slice(first, min(first + CHUNK, n_samples))
             for stream, row in zip(muscles + electrodes, white, strict=True):
                 stream.standard_normal(out=row[: chunk.stop - first], dtype=np.float32)
-            _amplify(white, amplitude, held[chunk], colour, amplifier, noise, step, work, read[chunk])
+            amplify(white, amplitude, held[chunk], colour, amplifier, noise, step, work, read[chunk])
         return read
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _amplify(
-    white: Float32,
-    amplitude: Float32,
-    held: Indices,
-    colour: Float32,
-    amplifier: Float32,
-    noise: np.float32,
-    step: np.float32,
-    work: Float32,
-    volts: Float32,
-) -> None:
-    """What the converter reads of white noise; the compiler makes one vector instruction of the muscles' scalar ones.
-
-    Args:
-      white: noise of unit RMS of the muscles and then of their electrodes, (2 muscle, sample).
-      amplitude: of the muscles [V], (excitation, muscle).
-      held: which of the excitation's samples each sample is of, (sample,).
-      colour: second-order sections, (section, 6).
-      amplifier: likewise.
-      noise: of the electrodes [V].
-      step: of the converter, which has 16 bits [V].
-      work: state of the sections, two rows each, which goes on, and room for a row, (row, muscle).
-      volts: to fill, (sample, muscle).
-    """
-    n_colour, n_muscles, value = len(colour), len(MUSCLES), len(work) - 1
-    for sample in range(len(held)):
-        for muscle in range(n_muscles):
-            work[value, muscle] = white[muscle, sample]
-        for section in range(n_colour + len(amplifier)):
-            if section == n_colour:
-                for muscle in range(n_muscles):
-                    work[value, muscle] *= amplitude[held[sample], muscle]
-                    work[value, muscle] += noise * white[n_muscles + muscle, sample]
-            b = colour[section] if section < n_colour else amplifier[section - n_colour]
-            b_0, b_1, b_2, a_1, a_2 = b[0], b[1], b[2], b[4], b[5]
-            z = 2 * section
-            for muscle in range(n_muscles):
-                given = work[value, muscle]
-                filtered = b_0 * given + work[z, muscle]
-                work[z, muscle] = b_1 * given - a_1 * filtered + work[z + 1, muscle]
-                work[z + 1, muscle] = b_2 * given - a_2 * filtered
-                work[value, muscle] = filtered
-        for muscle in range(n_muscles):
-            counts = min(max(np.rint(work[value, muscle] / step), np.float32(-(2**15))), np.float32(2**15 - 1))
-            volts[sample, muscle] = counts * step
 
 
 @lru_cache(maxsize=8)

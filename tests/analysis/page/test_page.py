@@ -15,6 +15,7 @@ from foreign_recordings import Setup, recording_of
 
 import armperturb
 from armperturb.analysis.fit.diagnosis import diagnose
+from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.identify import Identifications, identify_conditions, parts_by_condition
 from armperturb.analysis.page.data_check import check_data
 from armperturb.analysis.page.page import WORDS, Origin, write_page
@@ -137,7 +138,7 @@ def test_numbers_are_those_of_the_results(identified, content):
         assert f"{result.vaf[0]:.1f} % of the movement's variance along x" in text
         for value in result.fit.values.values():
             assert plain(value) in text
-        assert verdict(result).text in text
+        assert verdict(result, diagnose(result, trials[label]).bands).text.rpartition(":")[0] in text
         check = check_data(trials[label], 8.0)
         assert (check.n_trials, check.period, check.from_rest) == (4, 10.0, False)
         assert "amid the movement" in text
@@ -183,14 +184,18 @@ def test_verdicts_in_words(identified):
         return replace(fine, fit=replace(fine.fit, **changes))
 
     def with_chi2(chi2, dof=100):
-        return with_fit(detail=replace(fine.fit.detail, chi2=chi2, dof=dof))
+        return with_fit(detail=replace(fine.fit.detail, chi2=chi2, dof=dof, arms={"multisine": fine.fit.arm}))
 
-    assert verdict(with_chi2(100.0)).level == "trust"
-    care = verdict(with_chi2(150.0))
+    assert verdict(with_chi2(100.0), ()).level == "trust"
+    care = verdict(with_chi2(150.0), ())
     assert care.level == "care"
     assert f"{math.sqrt(1.5):.2f}" in care.text
-    assert verdict(with_chi2(1000.0)).level == "reject"
-    assert verdict(with_fit(converged=False)).level == verdict(with_fit(stable=False)).level == "reject"
+    assert verdict(with_chi2(1000.0), ()).level == "reject"
+    # Of several conditions together, each is judged by its own lack of fit.
+    right = [BandOfLack(1.0, 2.0, 8.0)] * 20
+    assert verdict(fine, right).level == "trust"
+    assert verdict(fine, [*right, BandOfLack(2.0, 3.0, 500.0)]).level == "reject"
+    assert verdict(with_fit(converged=False), ()).level == verdict(with_fit(stable=False), ()).level == "reject"
 
 
 def test_causes_come_in_order_with_what_the_data_say(identified):

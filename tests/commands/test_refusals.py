@@ -1,0 +1,131 @@
+"""What a user of a laboratory's own recording is refused, and the option or field that each refusal names."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from foreign_arms import Arm
+from foreign_recordings import Setup, write_csv
+from test_cli import refused, run
+
+SETUP = Setup(arm=Arm(), seed=3, n_trials=2, duration=24.0, linear=True)
+LENGTHS = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
+RESPONSE = ("response",)
+IDENTIFY = ("identify", "--model", "1")
+
+
+@pytest.fixture(scope="module")
+def signals():
+    return SETUP.record()
+
+
+@pytest.fixture(scope="module")
+def folder(signals, tmp_path_factory):
+    """A laboratory's table with its sidecar, that of its force turned, and sidecars that lack something."""
+    folder = tmp_path_factory.mktemp("laboratory")
+    write_csv(SETUP, *signals, folder)
+    sidecar = json.loads((folder / "foreign.json").read_text(encoding="utf-8"))
+    (folder / "fitting.json").write_text(json.dumps(sidecar))
+    for name in LENGTHS:
+        del sidecar["labels"][name]
+    (folder / "lengthless.json").write_text(json.dumps(sidecar))
+    sidecar["signals"]["force"]["exerted_by"] = "hand"
+    (folder / "turned.json").write_text(json.dumps(sidecar))
+    del sidecar["signals"]["force"]["exerted_by"]
+    (folder / "silent.json").write_text(json.dumps(sidecar))
+    return folder
+
+
+def asked(folder, out, command, sidecar, *options):
+    name, *more = command
+    return (name, folder / "foreign.csv", *more, "--sidecar", folder / f"{sidecar}.json", "--out", out, *options)
+
+
+REFUSALS = {
+    "whose force": (RESPONSE, "silent", (), r"force.exerted_by is missing; expected handle \(.*\) or hand \("),
+    "wrong sign": (RESPONSE, "turned", (), r"exerted_by of the sidecar: the other of handle and hand\)"),
+    "wrong sign, identified": (IDENTIFY, "turned", (), r"exerted_by of the sidecar: the other of handle and hand\)"),
+    "no lengths": (IDENTIFY, "lengthless", (), r"l_h is unknown .*labels.l_h of .* l_h, l_f, theta_s_deg, theta_e_deg"),
+    "late window": (
+        RESPONSE,
+        "fitting",
+        ("--window-start", "20"),
+        r"period of 10 s \(an earlier --window-start\)",
+    ),
+    "wrong period": (RESPONSE, "fitting", ("--period", "7"), r"\(without --period it is found; .* --method noise\)"),
+    "wrong period, identified": (IDENTIFY, "fitting", ("--period", "7"), r"\(without --period it is found\)"),
+    "uneven period": (RESPONSE, "fitting", ("--period", "7.0012"), r"\(it is 1400.24; convert --rate resamples\)"),
+    "condition": (IDENTIFY, "fitting", ("--condition", "PT"), "no condition 'PT'; expected one of multisine"),
+    "free inertia": (IDENTIFY, "fitting", ("--body", "male", "1.8", "80"), r"\(--fix m=0 --free i\)"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSALS)
+def test_refusals_name_what_mends_them(name, folder, tmp_path, capsys):
+    command, sidecar, options, message = REFUSALS[name]
+    out = tmp_path / "results"
+    line = refused(capsys, *asked(folder, out, command, sidecar, *options))
+    assert re.search(message, line)
+    assert not out.exists()
+
+
+def test_noise_names_its_method(tmp_path, capsys):
+    noise = replace(SETUP, kind="noise", n_trials=1, duration=12.0)
+    line = refused(capsys, "response", write_csv(noise, *noise.record(), tmp_path), "--out", tmp_path / "r")
+    assert re.search(r"does not repeat within .* \(for noise there is --method noise; .*: --period\)", line)
+
+
+def test_what_is_missing_in_a_table_names_the_repair(signals, tmp_path, capsys):
+    d, f, x = (part[:1].copy() for part in signals)
+    x[0, 1000:1010] = np.nan
+    path = write_csv(SETUP, d, f, x, tmp_path)
+    line = refused(capsys, "response", path, "--out", tmp_path / "r")
+    assert "(convert --repair gaps" in line
+    assert run("convert", path, "--out", tmp_path / "mended.nc", "--repair", "gaps") == 0
+    assert run("response", tmp_path / "mended.nc", "--out", tmp_path / "r") == 0
+
+
+@pytest.mark.slow(reason="draws figures")
+def test_a_response_needs_no_lengths_and_the_manipulator_is_printed(folder, tmp_path, capsys):
+    frames = []
+    for sidecar in ("lengthless", "fitting"):
+        assert run(*asked(folder, tmp_path / sidecar, RESPONSE, sidecar)) == 0
+        assert "manipulator 1.6 kg, 12 Ns/m, 60" in capsys.readouterr().out
+        frames.append((tmp_path / sidecar / "response.csv").read_text())
+    assert frames[0] == frames[1]
+    assert run(*asked(folder, tmp_path / "spectral", RESPONSE, "lengthless", "--method", "spectral")) == 0
+    assert "manipulator 1.6 kg, 12 Ns/m, 60" in capsys.readouterr().out
+
+
+@pytest.mark.slow(reason="identifies a recording")
+def test_an_identification_prints_the_manipulator_and_writes_its_page(folder, tmp_path, capsys):
+    out = tmp_path / "results"
+    command = asked(folder, out, IDENTIFY, "fitting", "--period", "10.0")
+    assert run(*command) == 0
+    assert "multisine: manipulator 1.6 kg, 12 Ns/m, 60" in capsys.readouterr().out
+    page = (out / "identify.html").read_text(encoding="utf-8")
+    name, path, *options = map(str, command)
+    typed = page[page.index("<pre>") + 5 : page.index("</pre>")].split()
+    assert typed[:2] == ["armperturb", name]
+    assert set(typed[2:]) == {path, *options}
+
+
+@pytest.mark.slow(reason="tries all structures on a recording")
+def test_two_commands_lead_from_four_files_to_parameters_page_and_ellipse(tmp_path, capsys):
+    setup = replace(SETUP, n_trials=4)
+    files = []
+    for number, (d, f, x) in enumerate(zip(*setup.record(), strict=True)):
+        files.append(tmp_path / f"t{number}.csv")
+        time = np.arange(len(d)) / setup.rate
+        table = np.column_stack([time, d, f, 1e3 * x])
+        np.savetxt(files[-1], table, delimiter=",", header="t,Dx,Dy,Fx,Fy,X_mm,Y_mm", comments="")
+    assert run("sidecar", files[0]) == 0
+    said = capsys.readouterr().out
+    assert f"for other files with these channels: --sidecar {tmp_path / 't0.json'}" in said
+    assert run("identify", *files, "--sidecar", tmp_path / "t0.json", "--out", tmp_path / "r") == 0
+    assert {path.name for path in (tmp_path / "r").iterdir()} == {
+        "admittance.csv", "endpoint.csv", "endpoint.svg", "fit.json", "identify.html", "parameters.csv",
+        "structure.toml",
+    }  # fmt: skip
