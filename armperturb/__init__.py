@@ -8,6 +8,7 @@ from typing import Any
 
 import lazy_loader
 
+from armperturb.compile_cache import provide_cache
 from armperturb.envs.learning.registration import register_environments
 from armperturb.extras import naming_the_extra
 
@@ -19,4 +20,5 @@ def __getattr__(name: str) -> Any:
         return _attribute(name)
 
 
+provide_cache()
 register_environments()

@@ -1,26 +1,37 @@
 """Results of an analysis as plain files, which can hold numbers, texts and classes of this package, but no code.
 
 Arrays are kept to the last bit, in base64 of NumPy's own format; classes are dataclasses and named tuples of this
-package, by name and field.
+package, by name and field. Below the JSON stands its digest with a key of the user's: what somebody else has written,
+or changed, is not believed. The key lies in the file that ARMPERTURB_KEY names, by default `armperturb/key` in the
+user's folder of data; where that cannot be written, results are not recalled by another process.
 """
 
 import base64
 import dataclasses
+import errno
 import gzip
 import hashlib
+import hmac
 import importlib
 import io
 import json
 import operator
+import os
+import secrets
+import zlib
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from armperturb.files import written_whole
+from armperturb.files import sync, written_whole
 
 PACKAGE = "armperturb"
+
+LARGEST = 2**26
+"""Largest content of a file, unpacked [byte]: JSON takes some 20 times as much in memory."""
 
 _KIND, _CONTENT = "kind", "content"
 
@@ -60,8 +71,33 @@ def write_archive(path: Path, source: Any, value: Any) -> None:
       OSError: the file cannot be written.
     """
     content = json.dumps({"source": source, "value": _plain(value)}, separators=(",", ":")).encode()
+    if len(content) > LARGEST:
+        raise OSError(errno.EFBIG, f"{len(content)} bytes; expected at most {LARGEST}", str(path))
     with written_whole(path) as temporary:
-        temporary.write_bytes(gzip.compress(content, compresslevel=1, mtime=0))
+        temporary.write_bytes(gzip.compress(content + b"\n" + _signature(content), compresslevel=1, mtime=0))
+        sync(temporary)
+
+
+@cache
+def _key() -> bytes:
+    given, home = os.environ.get("ARMPERTURB_KEY"), os.environ.get("XDG_DATA_HOME")
+    new = secrets.token_bytes(32)
+    try:
+        path = Path(given) if given else (Path(home) if home else Path.home() / ".local/share") / PACKAGE / "key"
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        try:
+            with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+                file.write(new)
+        except FileExistsError:
+            key = path.read_bytes()
+            return key if len(key) >= len(new) else new
+    except (OSError, RuntimeError):  # there is no home, or none that can be written to
+        pass
+    return new
+
+
+def _signature(content: bytes) -> bytes:
+    return hmac.new(_key(), content, hashlib.sha256).hexdigest().encode()
 
 
 def digest(value: Any) -> str:
@@ -74,10 +110,16 @@ def read_archive(path: Path) -> Archive:
 
     Raises:
       FileNotFoundError: there is no file.
-      ValueError: the file cannot be read, is damaged, or holds classes that this version of the package lacks.
+      ValueError: the file cannot be read, is damaged or too large, was written by somebody else or changed, or holds
+        classes that this version of the package lacks.
     """
     try:
-        content = json.loads(gzip.decompress(path.read_bytes()))
+        with path.open("rb") as file:
+            unpacker = zlib.decompressobj(wbits=31)  # of gzip
+            text, _, signature = unpacker.decompress(file.read(LARGEST), LARGEST + 128).rpartition(b"\n")
+        if not unpacker.eof or not hmac.compare_digest(signature, _signature(text)):
+            raise ValueError("written by somebody else, or changed since")
+        content = json.loads(text)
         return Archive(content["source"], _restored(content["value"]))
     except FileNotFoundError:
         raise

@@ -24,6 +24,7 @@ ARROWS = {
     "arrays": set(),
     "validation": {"files"},
     "files": set(),
+    "compile_cache": set(),
     "extras": {"files"},
     "seeds": set(),
     "muscle_law": {"validation"},

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from armperturb import archive
 from armperturb.archive import read_archive, write_archive
 from armperturb.environment import Environment
 from armperturb.study.published.tables import MeanSD
@@ -88,8 +89,11 @@ def test_what_is_not_plain_is_refused(value, tmp_path):
 )
 def test_a_file_cannot_make_anything_run(kind, tmp_path):
     content = {"source": "", "value": {"kind": kind, "content": {"command": "touch ran"}}}
-    (tmp_path / "a").write_bytes(gzip.compress(json.dumps(content).encode()))
-    with pytest.raises(ValueError, match="expected what this version writes"):
+    text = json.dumps(content).encode()
+    (tmp_path / "a").write_bytes(gzip.compress(text + b"\n" + archive._signature(text)))
+    with pytest.raises(
+        ValueError, match=r"expected (a class|a dataclass|one of)|No module|not enough values|attribute"
+    ):
         read_archive(tmp_path / "a")
 
 
@@ -117,3 +121,34 @@ def test_a_file_says_what_it_was_made_from(tmp_path):
     assert read_archive(tmp_path / "a") == ({"x": [1, "y"]}, 2)
     with pytest.raises(FileNotFoundError):
         read_archive(tmp_path / "b")
+
+
+def test_what_was_changed_or_written_with_another_key_is_not_believed(tmp_path, monkeypatch):
+    path = tmp_path / "a"
+    write_archive(path, {"x": 1}, {"k_s": 30.0})
+    text = gzip.decompress(path.read_bytes())
+    path.write_bytes(gzip.compress(text.replace(b"30.0", b"300.0")))
+    with pytest.raises(ValueError, match="written by somebody else, or changed since"):
+        read_archive(path)
+    path.write_bytes(gzip.compress(text))
+    assert read_archive(path).value == {"k_s": 30.0}
+    monkeypatch.setattr(archive, "_key", lambda: b"another")
+    with pytest.raises(ValueError, match="written by somebody else, or changed since"):
+        read_archive(path)
+
+
+def test_the_key_is_the_users_alone_and_lasts(tmp_path, monkeypatch):
+    monkeypatch.setenv("ARMPERTURB_KEY", str(tmp_path / "new" / "key"))
+    first = archive._key.__wrapped__()
+    assert first == archive._key.__wrapped__() == (tmp_path / "new" / "key").read_bytes()
+    assert (tmp_path / "new" / "key").stat().st_mode & 0o077 == 0
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("ARMPERTURB_KEY", str(tmp_path / "file" / "key"))
+    assert archive._key.__wrapped__() != archive._key.__wrapped__()  # nowhere to keep it
+
+
+def test_an_archive_that_unpacks_to_gigabytes_is_refused(tmp_path):
+    path = tmp_path / "a"
+    path.write_bytes(gzip.compress(b" " * (archive.LARGEST + 1000)))
+    with pytest.raises(ValueError, match="written by somebody else, or changed since"):
+        read_archive(path)

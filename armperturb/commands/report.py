@@ -1,5 +1,6 @@
 """`armperturb report`."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -22,15 +23,27 @@ class Report(Command):
     minutes per person. Later reports include these fits without the option."""
     workers: int | None = None
     """Number of processes; by default about one per core. It changes the files by rounding only."""
+    fresh: bool = False
+    """Compute anew what analysis/ has kept; nonlinear fits only with the option that asks for them."""
 
     def run(self) -> list[str]:
         """Analyse the folder and write the report."""
         from armperturb.study.report.report import write_report
         from armperturb.study.results.analyse import analyse_study
+        from armperturb.study.results.cache import forget_results, recalled_results
 
-        with stages(analysis_stages(nonlinear=bool(self.nonlinear))):
+        if self.fresh:
+            forget_results(self.folder, self.nonlinear)
+        with stages(analysis_stages(nonlinear=bool(self.nonlinear))), recalled_results() as recalled:
             result = analyse_study(self.folder, workers=self.workers, nonlinear=self.nonlinear)
-            return [f"report: {write_report(result, self.folder, workers=self.workers)}"]
+            path = write_report(result, self.folder, workers=self.workers)
+        return [*kept_lines(recalled), f"report: {path}"]
+
+
+def kept_lines(recalled: Sequence[Path]) -> list[str]:
+    """Which results were not computed now, in one line; none if all were."""
+    names = ", ".join(sorted(path.name.removesuffix(".json.gz") for path in recalled))
+    return [f"recalled from analysis/ (--fresh computes them anew): {names}"] if recalled else []
 
 
 def analysis_stages(*, nonlinear: bool) -> dict[str, float]:

@@ -7,6 +7,7 @@ element or more, before it allocates any of it. Where the operating system can, 
 import json
 import math
 import mmap
+import re
 import struct
 import sys
 import zlib
@@ -282,15 +283,24 @@ def _matlab_hdf5(item: Any, name: str, budget: Budget, depth: int = 0) -> Any:
 # C3D: https://www.c3d.org, "The C3D file format user guide".
 
 _BLOCK = 512
+_FRAMES = re.compile(rb"[\x06\xfa].FRAMES..\x02(?:\x00|\x01\x01)(..)", re.DOTALL)
+"""The parameter POINT:FRAMES: length of its name, group, name, place of the next, type, dimensions, value."""
+
 _PROCESSORS = {84: ("<", 15), 85: ("<", 13), 86: (">", 12)}
 """Intel, DEC and MIPS: order of bytes, and which byte of the header holds the sign of the scale."""
 
 
 def _c3d(file: IO[bytes], names: Collection[str] | None, budget: Budget) -> dict[str, Any]:
-    _require_whole_c3d(file, budget)
+    n_frames, claim, left = _require_one_c3d(file, budget)
     import ezc3d
 
     content = ezc3d.c3d(file.name)
+    # A header may count wrongly; ezc3d, which goes by the parameters, stops where the file ends.
+    if claim > left and content["data"]["points"].shape[2] < n_frames:
+        raise Refused(
+            f"header claims {claim} bytes of data ({n_frames} frames); expected at most {left}, which is what the file "
+            "holds (it is cut off or damaged)"
+        )
     points, analogs = np.asarray(content["data"]["points"][:3]), np.asarray(content["data"]["analogs"][0])
     seen = np.asarray(content["data"]["meta_points"]["residuals"][0]) >= 0.0
     coordinates = np.where(seen[None], points, np.nan)
@@ -309,8 +319,9 @@ def _c3d(file: IO[bytes], names: Collection[str] | None, budget: Budget) -> dict
     return channels
 
 
-def _require_whole_c3d(file: IO[bytes], budget: Budget) -> None:
-    """Refuse a file that holds less, or more, than its header claims."""
+def _require_one_c3d(file: IO[bytes], budget: Budget) -> tuple[int, int, int]:
+    """Refuse a file without data, or with two headers; frames that its parameter states, bytes that its header claims,
+    and bytes that it holds."""
     file.seek(0)
     content = file.read()
     if len(content) < _BLOCK or content[1] != 0x50:
@@ -321,21 +332,18 @@ def _require_whole_c3d(file: IO[bytes], budget: Budget) -> None:
         raise Refused(f"no parameters at byte {at}; expected them (the file is damaged)")
     order, of_sign = _PROCESSORS[processor]
     n_points, n_analogs, first, last = struct.unpack_from(f"{order}4H", content, 2)
+    start = (struct.unpack_from(f"{order}H", content, 16)[0] - 1) * _BLOCK
     n_frames = max(last - first + 1, 0)
     if n_points + n_analogs == 0 or n_frames == 0:
         raise Refused(f"{n_points + n_analogs} channels and {n_frames} frames; expected at least one of both")
-    start = (struct.unpack_from(f"{order}H", content, 16)[0] - 1) * _BLOCK
     n_elements = n_frames * (4 * n_points + n_analogs)
     claim = n_elements * (4 if content[of_sign] >> 7 else 2)  # a negative scale stands for floating numbers
     left = max(len(content) - start, 0)
-    if claim > left:
-        raise Refused(
-            f"header claims {claim} bytes of data ({n_frames} frames); expected at most {left}, which is what the file "
-            "holds (it is cut off or damaged)"
-        )
     budget.take(n_elements, "all of it")
     if content.find(content[:6], start + claim) >= 0:
         raise Refused("a second header follows the data; expected one recording (two files in one?)")
+    parameter = _FRAMES.search(content, at, max(start, at))
+    return struct.unpack(f"{order}H", parameter[1])[0] if parameter else n_frames, claim, left
 
 
 # The program.

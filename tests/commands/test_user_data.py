@@ -1,6 +1,7 @@
 """A user's own files are never lost: no command writes to what it has read, and none replaces a file unasked."""
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -117,3 +118,11 @@ def test_lengths_of_no_arm_are_refused(folder, capsys):
     assert "l_h = 1e-300; expected a finite number at least 0.01" in refused(
         capsys, "identify", path, "--model", "3b", "--out", folder / "results"
     )
+
+
+@pytest.mark.parametrize("estimator", ["record", "frequency", "thesis"])
+def test_a_wrong_period_is_refused_by_every_estimator(tmp_path, capsys, estimator):
+    recording = Path(__file__).parents[2] / "examples" / "data" / "relax.nc"
+    options = ("--model", "3b", "--estimator", estimator, "--period", 7, "--out", tmp_path / "r")
+    assert "period = 7 s; expected the perturbation's own" in refused(capsys, "identify", recording, *options)
+    assert not (tmp_path / "r").exists()

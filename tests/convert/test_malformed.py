@@ -352,7 +352,10 @@ BINARIES = {
     "netCDF empty": (netcdf(lambda b: b""), "no HDF5 file (the file is empty)"),
     "netCDF is text": (netcdf(lambda b: TEXT.encode()), "no HDF5 file (it begins with b'trial"),
     "C3D cut off": (c3d(lambda b: b[: len(b) // 2]), "header claims"),
-    "C3D claims 5 GB": (c3d(lambda b: b[:2] + struct.pack("<4H", 4000, 4000, 1, 60000) + b[10:]), "claims 4800000000"),
+    "C3D claims 5 GB": (
+        c3d(lambda b: b[:2] + struct.pack("<4H", 4000, 4000, 1, 60000) + b[10:]),
+        "unpacked = 9600000000 bytes; expected at most 1073741824",
+    ),
     "two C3D in one": (c3d(lambda b: b + b), "a second header follows the data"),
     "C3D empty": (c3d(lambda b: b""), "no C3D file (the file is empty)"),
     "C3D is text": (c3d(lambda b: TEXT.encode()), "no C3D file"),

@@ -218,3 +218,23 @@ def test_the_other_order_of_bytes(tmp_path):
     body = frame(6, (2, 1), b"big", ">") + element(3, struct.pack(">2h", 256, -2), ">")
     (tmp_path / "big.mat").write_bytes(mat5(body, order=">"))
     assert parse(str(tmp_path / "big.mat"), None, foreign.LARGEST)["big"].tolist() == [256.0, -2.0]
+
+
+@pytest.mark.slow(reason="four child processes")
+def test_c3d_frames_that_are_stated_wrongly_and_markers_without_forces(tmp_path):
+    ezc3d = pytest.importorskip("ezc3d")
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+    file["parameters"]["POINT"]["LABELS"]["value"] = ["A"]
+    file["data"]["points"] = np.ones((4, 1, 50))
+    path = tmp_path / "markers.c3d"
+    file.write(str(path))
+    whole = path.read_bytes()
+    for n_frames in (50, 60):  # in the header; POINT:FRAMES says 50
+        path.write_bytes(whole[:8] + struct.pack("<H", n_frames) + whole[10:])
+        content = read_foreign(path)
+        assert set(content) == {"A.X", "A.Y", "A.Z"}
+        assert len(content["A.X"]["values"]) == 50
+    path.write_bytes(whole[:-400])
+    with pytest.raises(ValueError, match="cut off or damaged"):
+        read_foreign(path)

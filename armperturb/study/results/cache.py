@@ -10,12 +10,15 @@
 | `analysis/figure-NAME.json.gz` | a figure of the report |
 
 A result is used again as long as its source agrees: the checksums of the recordings, the settings, and the version of
-the algorithm. Other changes of the code have no effect on it.
+the algorithm; and the file is the user's own, unchanged (see `armperturb.archive`). Other changes of the code have no
+effect on it.
 """
 
 import json
 import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -41,6 +44,31 @@ moves to another module. "step-2" follows from "person": raise both. Do not rais
 figures: everybody's results would be computed anew, which takes minutes per person for "nonlinear". Figures, which are
 quick to draw, depend on the whole code of the package besides (`report.pictures`).
 """
+
+
+_RECALLED: ContextVar[list[Path] | None] = ContextVar("recalled", default=None)
+
+
+@contextmanager
+def recalled_results() -> Iterator[list[Path]]:
+    """Within the block, the list that is given grows by each kept result that is used again."""
+    recalled: list[Path] = []
+    token = _RECALLED.set(recalled)
+    try:
+        yield recalled
+    finally:
+        _RECALLED.reset(token)
+
+
+def forget_results(root: Path, nonlinear: Collection[str] = ()) -> None:
+    """Remove what a study folder has kept, so that it is computed anew; nonlinear fits only of the tasks named.
+
+    Raises:
+      OSError: a file cannot be removed.
+    """
+    for path in (root / ANALYSIS).glob("*.gz"):
+        if "-nonlinear-" not in path.name or any(f"-nonlinear-{task}" in path.name for task in nonlinear):
+            path.unlink()
 
 
 class StaleResult(Exception):
@@ -156,6 +184,8 @@ def reusable(files: Iterable[CachedResult[Any]]) -> tuple[dict[Path, Any], dict[
             value = cached.read()
             if value is not None:
                 values[cached.path] = value
+                if (recalled := _RECALLED.get()) is not None:
+                    recalled.append(cached.path)
         except StaleResult as error:
             stale[cached.path] = str(error)
     return values, stale

@@ -7,7 +7,16 @@ import pytest
 from armperturb.archive import write_archive
 from armperturb.progress import Progress
 from armperturb.study.published.tables import MeanSD
-from armperturb.study.results.cache import VERSIONS, CachedResult, StaleResult, Unit, kept_or_computed
+from armperturb.study.results.cache import (
+    VERSIONS,
+    CachedResult,
+    StaleResult,
+    Unit,
+    forget_results,
+    kept_or_computed,
+    recalled_results,
+    reusable,
+)
 
 
 def cached(path, **changes):
@@ -77,7 +86,7 @@ def test_what_is_no_such_result_is_stale(tmp_path):
         with pytest.raises(StaleResult, match=reason):
             cached(tmp_path).read()
     cached(tmp_path).path.write_bytes(b"no archive")
-    with pytest.raises(StaleResult, match=r"^it cannot be read \(BadGzipFile: "):
+    with pytest.raises(StaleResult, match=r"^it cannot be read \(error: "):
         cached(tmp_path).read()
 
 
@@ -94,3 +103,16 @@ def test_what_is_missing_is_computed_and_only_results_are_kept(tmp_path):
     units = [Unit(cached=place, run=lambda value=value: value) for place, value in zip(places, computed, strict=True)]
     assert results(*units) == [(0.0, 0.0), (1.0, 2.0), "a reason"]
     assert [place.read() for place in places] == [(0.0, 0.0), (1.0, 2.0), None]
+
+
+def test_recalled_results_are_named_and_forgotten_where_that_is_asked_for(tmp_path):
+    (tmp_path / "analysis").mkdir()
+    names = ("S01.json.gz", "S01-nonlinear-RT.json.gz", "S01-nonlinear-PT-20.json.gz")
+    files = [CachedResult(path=tmp_path / "analysis" / name, kind="person", result=MeanSD) for name in names]
+    for each in files:
+        each.write(MeanSD(1.0, 2.0))
+    with recalled_results() as recalled:
+        reusable(files)
+    assert [path.name for path in recalled] == list(names)
+    forget_results(tmp_path, ["RT"])
+    assert [path.name for path in (tmp_path / "analysis").iterdir()] == [names[2]]
