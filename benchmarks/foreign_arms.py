@@ -2,8 +2,8 @@
 
 Run by `python -m benchmarks.foreign_arms --n 40`, with `--mujoco` on MuJoCo's rigid bodies. Each arm is drawn by
 `tests/foreign_recordings.py` (rigid segments, reflexes, grips, manipulators, excitations) and identified with the
-structure that its trials choose, with the right one (`--model right`), or with a given `--model`. A line of JSON for each arm goes to
-`--out` as soon as it is there; a second run with the same file continues.
+structure that its trials choose, with the right one (`--model right`), or with a given `--model`. A line of JSON for
+each arm goes to `--out` as soon as it is there; a second run with the same file continues.
 """
 
 import argparse
