@@ -19,7 +19,7 @@ from armperturb.envs.learning.gym_vector_env import ArmPerturbVectorEnv
 from armperturb.models.rig import build_model
 
 STEPS = round(0.02 / TIMESTEP)
-NAME, N, TURNS = "ArmPerturb/Position-v0", 256, 7
+NAME, N, TURNS = "ArmPerturb/Position-v1", 256, 7
 DECISIONS = {"bare Batch.step": 20, "vector": 20, "compiled": 20, "async": 4, "sync": 1}
 """Side to the decisions of everybody that are timed in a turn."""
 

@@ -8,8 +8,8 @@
 #
 # ## The task
 #
-# A multisine pushes the handle, and the reward is minus squared displacement and effort. Effort is made ten times as
-# expensive as by default, because otherwise the optimum is simply to be as stiff as possible.
+# A multisine pushes the handle. The reward is minus a cost of squared displacement and effort (`reward="cost"`). Effort
+# is made expensive, because otherwise the optimum is simply to be as stiff as possible. Observations are physical.
 
 # %%
 import gymnasium as gym
@@ -21,11 +21,14 @@ import armperturb  # registers the environments
 task = {
     "duration": 2.0,  # [s]; 50 decisions per second
     "timestep": 2.5e-3,
+    "senses": "physical",
     "co_contraction": "common",
+    "reward": "cost",
     "co_contraction_weight": 3.0,
     "reflex_weight": 1.0,
+    "torque_weight": 0.3,
 }
-env = gym.make("ArmPerturb/Position-v0", **task)
+env = gym.make("ArmPerturb/Position-v1", **task)
 print(f"{env.observation_space.shape[0]} observations, {env.action_space.shape[0]} actions")
 
 # %% [markdown]
@@ -46,7 +49,7 @@ def act(policies, observations):
 def rewards(policies, seeds):
     """Mean reward per decision of each policy in each trial, (policy, trial)."""
     people = np.repeat(policies, len(seeds), axis=0)
-    envs = gym.make_vec("ArmPerturb/Position-v0", num_envs=len(people), **task)
+    envs = gym.make_vec("ArmPerturb/Position-v1", num_envs=len(people), **task)
     observations, _ = envs.reset(seed=[*seeds] * len(policies))
     total, running = np.zeros(len(people)), np.ones(len(people), dtype=bool)
     for _ in range(100):

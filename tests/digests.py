@@ -3,6 +3,7 @@
 import hashlib
 import json
 import sys
+import warnings
 from collections.abc import Iterable
 
 import gymnasium as gym
@@ -61,7 +62,11 @@ def digests(n_threads: int) -> dict[str, str]:
         recording = run_experiment(trials(), n_threads=n_threads, **options)
         for name, signal in recording.data_vars.items():
             result[f"{laboratory}: {name}"] = digest([signal.values])
-    env = gym.make_vec("ArmPerturb/Pulse-v0", num_envs=4, n_threads=n_threads, duration=0.4, onset_window=(0.1, 0.2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # version 0 stays as it is
+        env = gym.make_vec(
+            "ArmPerturb/Pulse-v0", num_envs=4, n_threads=n_threads, duration=0.4, onset_window=(0.1, 0.2)
+        )
     env.action_space.seed(0)
     seen = [env.reset(seed=0)[0]]
     for _ in range(DECISIONS):

@@ -11,9 +11,9 @@ LABORATORY = (
     "trial = ap.Trial(subject=ap.RELAX, perturbation=ap.Pulse(peak=1, direction_deg=20, onset=0.1, duration=0.3))",
     "assert ap.run_experiment([trial], instruments=ap.Instruments()).sizes['time'] == 60",
 )
-AGENT = ("import gymnasium as gym", "gym.make_vec('ArmPerturb/Pulse-v0', num_envs=2).reset(seed=0)")
+AGENT = ("import gymnasium as gym", "gym.make_vec('ArmPerturb/Pulse-v1', num_envs=2).reset(seed=0)")
 PICTURE = ("from armperturb.envs.render.camera import render", "from armperturb.envs.render.viewer import watch_trial")
-DM = ("ap.load_dm_env('ArmPerturb/Position-v0').reset()",)
+DM = ("ap.load_dm_env('ArmPerturb/Position-v1').reset()",)
 
 
 @pytest.mark.slow(reason="imports the package in processes of their own")

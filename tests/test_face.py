@@ -20,7 +20,7 @@ validate ValidateSettings calibrate measure_cohort
 load_dm_env write_video
 """
 HEAVY = {"numpy", "scipy", "xarray", "pandas", "matplotlib", "numba", "gymnasium", "mujoco", "dm_control", "joblib"}
-KNOWN = "assert gym.spec('ArmPerturb/Pulse-v0').vector_entry_point"
+KNOWN = "assert gym.spec('ArmPerturb/Pulse-v1').vector_entry_point"
 
 
 def in_python(*lines):
@@ -56,7 +56,7 @@ def test_importing_is_quick_and_loads_no_heavy_library():
     [
         ("import gymnasium as gym", "import armperturb", KNOWN),
         ("import armperturb", "import gymnasium as gym", KNOWN),
-        ("import gymnasium as gym", "gym.make_vec('armperturb:ArmPerturb/Pulse-v0').close()"),
+        ("import gymnasium as gym", "gym.make_vec('armperturb:ArmPerturb/Pulse-v1').close()"),
     ],
     ids=["gymnasium first", "armperturb first", "by gymnasium"],
 )

@@ -33,8 +33,8 @@ from armperturb.study.published import tables as published
 FORCES = {name: THESIS.given_forces()[name] for name in ("PT2.5", "PT7.5", "PT22.5")}
 SHADES = dict(zip(FORCES, shades(COLOURS["PT"], len(FORCES)), strict=True))
 KNOWN = "PT7.5"  # where the person's level is 1, which tells the weight of effort
-TASK = TaskSettings(task="PT")
-UNIT = TASK.co_contraction_weight + TASK.reflex_weight  # effort of level 1, by the environment's own weights
+TASK = TaskSettings(task="PT", reward="cost", co_contraction_weight=0.3, reflex_weight=0.1)
+UNIT = TASK.co_contraction_weight + TASK.reflex_weight  # effort of level 1, by the weights of `TASK`
 HIGHEST = 4.0  # level that an action of 1 stands for
 LOST = 1e6  # cost of a trial that ends at the limit of the workspace
 CHOSEN, FIXED, OWN_LEVELS = "effort × 1", "level 1", "three levels"
@@ -73,12 +73,13 @@ def mean_cost(force: float, levels: np.ndarray, effort: float, size: Size, noise
     Args:
       force: RMS per axis [N].
       levels: of co-contraction, velocity and position feedback, (candidate, 3).
-      effort: factor on the environment's weights of effort.
+      effort: factor on the weights of effort.
       size: how much is tried.
       noise: whether candidates are noisy.
     """
     env = gym.make_vec(
-        "ArmPerturb/Position-v0",
+        "ArmPerturb/Position-v1",
+        reward=TASK.reward,
         num_envs=len(levels) * size.realisations,
         rms=force,
         noise=noise,

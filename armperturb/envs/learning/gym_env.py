@@ -1,9 +1,11 @@
 """The gymnasium environment: one person in trials of a task, whose nervous system is the agent."""
 
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.spaces import Box
 from numpy.typing import ArrayLike, NDArray
 
@@ -35,10 +37,28 @@ def spaces(settings: TaskSettings) -> tuple[Box, Box]:
     )
 
 
-class ArmPerturbEnv(Saved, gym.Env):
+class KnownLength:
+    """An environment whose `spec` has the number of decisions in a trial, where no other limit was given."""
+
+    settings: TaskSettings
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How gymnasium made it."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None and spec.max_episode_steps is None:
+            spec = replace(spec, max_episode_steps=round(self.settings.duration * self.settings.control_rate))
+        self._spec = spec
+
+
+class ArmPerturbEnv(KnownLength, Saved, gym.Env):
     """A person holds a handle that is perturbed; docs/environments.md says what is sensed, set and rewarded.
 
-    `ArmPerturb/Position-v0`, `ArmPerturb/Relax-v0` and `ArmPerturb/Pulse-v0` are this with different `TaskSettings`.
+    `ArmPerturb/Position-v1`, `ArmPerturb/Relax-v1` and `ArmPerturb/Pulse-v1` are this with different `TaskSettings`.
 
     Attributes:
       settings: the task.
@@ -152,7 +172,7 @@ class ArmPerturbEnv(Saved, gym.Env):
             self._moment.update(*(info[name].copy() for name in WATCHED))
             if self.render_mode == "human":
                 self._live_view.show(self._moment)
-        return {**info, "time": float(info["time"]), "diverged": bool(info["diverged"])}
+        return {name: value if value.ndim else value.item() for name, value in info.items()}
 
 
 def live_view(settings: TaskSettings) -> LiveView:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armperturb.arrays import Array, Flags, Indices
 from armperturb.envs.lab.trial import Trial
-from armperturb.envs.learning.gym_env import WATCHED, ArmPerturbEnv, checked_picture, live_view, spaces
+from armperturb.envs.learning.gym_env import WATCHED, ArmPerturbEnv, KnownLength, checked_picture, live_view, spaces
 from armperturb.envs.learning.participants import own_action
 from armperturb.envs.learning.session import Session
 from armperturb.envs.learning.state import Saved
@@ -21,10 +21,10 @@ from armperturb.envs.render.live_view import Moment
 from armperturb.validation import require_number, require_one_of, require_whole
 
 
-class ArmPerturbVectorEnv(Saved, VectorEnv):
+class ArmPerturbVectorEnv(KnownLength, Saved, VectorEnv):
     """`num_envs` of `ArmPerturbEnv`, as `gymnasium.vector.SyncVectorEnv` would run them, but side by side.
 
-    `gymnasium.make_vec("ArmPerturb/Position-v0", num_envs=256)` makes one.
+    `gymnasium.make_vec("ArmPerturb/Position-v1", num_envs=256)` makes one.
 
     Attributes:
       settings: the task.
@@ -229,6 +229,7 @@ class ArmPerturbVectorEnv(Saved, VectorEnv):
         observations, truth = self._session.people.observe(), self._session.truth()
         infos: dict[str, Any] = {}
         for i in np.flatnonzero(over).tolist():
-            final = {name: values[i] for name, values in truth.items()} | {"diverged": bool(truth["diverged"][i])}
+            values = {name: of_all[i] for name, of_all in truth.items()}
+            final = {name: value if value.ndim else value.item() for name, value in values.items()}
             infos = self._add_info(infos, {"final_obs": observations[i], "final_info": final}, i)
         return infos

@@ -28,6 +28,15 @@ SENSE_LIMITS = np.array([np.pi, np.pi, 100.0, 100.0, 2000.0, 2000.0, 1.0, 1.0])
 """Where senses saturate, the last two times the visual gain: far beyond what happens inside the workspace."""
 
 
+NORMALISED_LIMIT = 20.0
+"""Where normalised senses saturate [-]: beyond all that happens with a person's own muscles and reflexes."""
+
+TOLERANCE = 2.0
+"""Root-mean-square displacement in a trial that is a success, in displacements that halve the accuracy."""
+
+TERMS = ("reward_accuracy", "reward_co_contraction", "reward_reflexes", "reward_torque")
+"""What a bounded reward is the sum of."""
+
 START = AHEAD + 1
 """Samples of what is known ahead that motors are told before the first step."""
 
@@ -66,6 +75,8 @@ def own_action(settings: TaskSettings) -> Array:
 
 def observation_bounds(settings: TaskSettings) -> Array:
     """Largest absolute value of each part of an observation, (sense,)."""
+    if settings.senses == "normalised":
+        return np.full(len(SENSES), NORMALISED_LIMIT)
     # In darkness everything seen is zero; a space must have some extent all the same.
     return SENSE_LIMITS * np.append(np.ones(6), [max(settings.visual_gain, 1e-3)] * 2)
 
@@ -115,6 +126,9 @@ class Participants:
         # At least what happens between decisions, to tell how far the handle was.
         self._senses = np.zeros((max(*self.lags, self._every) + 1, n, len(SENSES)))
         self._newest = 0
+        normalised = settings.senses == "normalised"
+        self._scales = np.repeat(settings.sense_scales, 2) if normalised else np.ones(len(SENSES))
+        self._terms, self._square, self._success = np.zeros((n, len(TERMS))), np.zeros(n), np.zeros(n, dtype=bool)
 
     def start(self, people: Indices, trials: Sequence[Trial]) -> list[Subject]:
         """Begin trials at rest, with the person's own levels.
@@ -139,6 +153,7 @@ class Participants:
         ]
         self._put(people, subjects)
         self.step[people] = 0
+        self._terms[people], self._square[people], self._success[people] = 0.0, 0.0, False
         self._make_room(max(n_decisions))
         for person, n, (known, recorded) in zip(people.tolist(), n_decisions, signals, strict=True):
             self.n_steps[person] = n * self._every
@@ -289,6 +304,7 @@ class Participants:
         sensed = self._senses[(self._newest - lag) % len(self._senses)].copy()
         sensed[:, 0:2] -= self._posture
         sensed[:, 6:8] *= self.settings.visual_gain
+        sensed /= self._scales
         bounds = observation_bounds(self.settings)
         return np.clip(sensed, -bounds, bounds)
 
@@ -300,21 +316,48 @@ class Participants:
           diverged: whether the arm could not be integrated, (person,).
 
         Returns:
-          Rewards, terminations and truncations, (person,) each: minus displacement_weight |x|^2, minus the weighted
-          effort. A trial terminates at the limit of the workspace, or where it cannot be integrated: this decision and
-          all that were to come then cost the worst, so that to give up never pays. It is truncated when it is over.
+          Rewards, terminations and truncations, (person,) each. A trial terminates at the limit of the workspace, or
+          where it cannot be integrated, and is truncated when it is over. With the reward "bounded", a decision is
+          worth from 0 to 1, see `verdict`; the one that ends a trial early is worth 0, and so are those that were to
+          come, so that to give up never pays. With "cost" it is minus the cost displacement_weight |x|^2 and the
+          weighted effort; to end early costs the worst, at once for all decisions that were to come.
         """
         settings = self.settings
         self.step += self._every
-        level = np.square(self.levels).mean(axis=2)
-        effort = settings.co_contraction_weight * level[:, 0] + settings.reflex_weight * level[:, 1:].mean(axis=1)
-        effort += settings.torque_weight * np.square(self._command / settings.highest_torque).mean(axis=1)
         steps = np.arange(self._newest - self._every + 1, self._newest + 1)  # below 0, from the other end
         reach = np.abs(self._senses[steps, :, 6:8]).max(axis=0)
         terminated = (reach >= settings.environment.workspace).any(axis=1) | diverged
-        rewards = -settings.displacement_weight * np.square(handle).sum(axis=1) - effort
-        lost = 1 + np.maximum(self.n_steps - self.step, 0) // self._every
-        return np.where(terminated, -settings.worst * lost, rewards), terminated, self.step >= self.n_steps
+        level, square = np.square(self.levels).mean(axis=2), np.square(handle).sum(axis=1)
+        weights = settings.co_contraction_weight, settings.reflex_weight, settings.torque_weight
+        torque = np.square(self._command / settings.highest_torque).mean(axis=1)
+        squares = level[:, 0], level[:, 1:].mean(axis=1), torque
+        truncated = self.step >= self.n_steps
+        if settings.reward == "cost":
+            efforts = [weight * mean for weight, mean in zip(weights, squares, strict=True)]
+            rewards = -settings.displacement_weight * square - (efforts[0] + efforts[1] + efforts[2])
+            lost = 1 + np.maximum(self.n_steps - self.step, 0) // self._every
+            return np.where(terminated, -settings.worst * lost, rewards), terminated, truncated
+        highest = max(settings.highest_level, 1.0) ** 2
+        spared = [1.0 - mean / most for mean, most in zip(squares, (highest, highest, 1.0), strict=True)]
+        terms = [1.0 / (1.0 + settings.displacement_weight * square)]
+        terms += [weight * share for weight, share in zip(weights, spared, strict=True)]
+        self._terms = np.where(terminated[:, None], 0.0, np.stack(terms, axis=1) / (1.0 + sum(weights)))
+        self._square += square
+        mean = self._square * self._every / self.step
+        self._success = (settings.displacement_weight * mean <= TOLERANCE**2) & ~terminated
+        return self._terms.sum(axis=1), terminated, truncated
+
+    def verdict(self) -> dict[str, NDArray]:
+        """What the last decision's bounded reward is the sum of, and whether the trial is a success so far, (person,).
+
+        With w the weights over 1 plus the sum of the weights of effort, the terms are w / (1 + displacement_weight
+        |x|^2), and for co-contraction, reflexes and torque w (1 - mean square of what was set over the most that can be
+        set). A success is a trial up to now in which the root-mean-square displacement is at most `TOLERANCE` over the
+        root of displacement_weight.
+        """
+        if self.settings.reward == "cost":
+            return {}
+        return dict(zip(TERMS, self._terms.T.copy(), strict=True)) | {"success": self._success.copy()}
 
     def perturbation(self) -> Array:
         """Disturbance at this moment [N], (person, axis)."""

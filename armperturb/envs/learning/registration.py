@@ -1,6 +1,7 @@
 """Three tasks by name, for gymnasium and dm_control. This module imports neither, nor MuJoCo."""
 
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -18,8 +19,20 @@ if TYPE_CHECKING:
 ENTRY_POINT = "armperturb.envs.learning.gym_env:ArmPerturbEnv"
 VECTOR_ENTRY_POINT = "armperturb.envs.learning.gym_vector_env:ArmPerturbVectorEnv"
 
-TASKS: dict[str, dict[str, Any]] = packaged_table(__package__, "environments.toml")
-"""Name to the settings in which a task differs from `TaskSettings`; forces are the thesis's of PT7.5, RT7.5 and PT0."""
+NEWEST = "v1"
+"""Version of the environments to use; the others are there for what was trained in them."""
+
+_TABLE = packaged_table(__package__, "environments.toml")
+TASKS: dict[str, dict[str, Any]] = {
+    f"ArmPerturb/{task}-{version}": {**common, **settings}
+    for version, common in _TABLE["versions"].items()
+    for task, settings in _TABLE["tasks"].items()
+}
+"""Name to the settings in which a task differs from `TaskSettings`; forces are the thesis's of PT7.5, RT7.5 and PT0.
+
+Versions have the same trials. In v0 the reward is minus a cost without bounds and observations are physical; gymnasium
+says on `make` that it is out of date.
+"""
 
 
 def register_environments() -> None:
@@ -68,15 +81,20 @@ def load_dm_env(
     Its `task` is an `armperturb.envs.learning.dm_task.ArmPerturbTask`.
 
     Args:
-      name: as gymnasium knows it, e.g. "ArmPerturb/Position-v0".
+      name: as gymnasium knows it, e.g. "ArmPerturb/Position-v1".
       random_state: seed of all episodes, or what they are drawn from; None is another each time.
       **settings: of `TaskSettings` that differ from those of the name.
 
     Raises:
       TypeError: a setting is unknown or has the wrong type.
       ValueError: the name is unknown, or a setting out of its range.
+
+    Warns:
+      DeprecationWarning: there is a newer version.
     """
     require_one_of("load_dm_env", "name", name, tuple(TASKS))
+    if not name.endswith(NEWEST):
+        warnings.warn(f"{name} is out of date; expected version {NEWEST}", DeprecationWarning, stacklevel=2)
     with naming_the_extra("load_dm_env"):
         from armperturb.envs.learning.dm_task import compose
 

@@ -95,7 +95,7 @@ class Session:
         `time` of the trial [s], `perturbation` [N], `displacement` [m], `joint_angle` [rad] and `joint_velocity`
         [rad/s] at this moment; `force` [N] at the simulation's last step, as MuJoCo's sensors have it;
         level of `co_contraction` that the muscle groups have reached [-]; whether MuJoCo has put a trial back that had
-        `diverged`, as it could not integrate it.
+        `diverged`, as it could not integrate it; and what `Participants.verdict` says.
         """
         people, now = self.people, self.simulation.log[:, -1]
         columns = {"displacement": HANDLE, "joint_angle": ANGLE, "joint_velocity": VELOCITY, "force": FORCE}
@@ -105,4 +105,5 @@ class Session:
             **{name: now[:, columns[name]].copy() for name in columns},
             "co_contraction": people.reached.copy(),
             "diverged": self._diverged.copy(),
+            **people.verdict(),
         }

@@ -27,6 +27,12 @@ PEOPLE = ("average", "published")
 CO_CONTRACTION = ("groups", "common", "off")
 """Whether an agent sets the level of each muscle group, one for all, or none."""
 
+REWARDS = ("bounded", "cost")
+"""Rewards of a decision: from 0 to 1, the better the higher, or minus a cost without bounds."""
+
+SENSES = ("normalised", "physical")
+"""Whether an observation is divided by `sense_scales`."""
+
 OUT_OF_BOUNDS = ("clip", "refuse")
 """What is done with actions out of their bounds; those that are not finite are refused in any case."""
 
@@ -53,7 +59,7 @@ class TaskSettings:
       rms: force of a multisine per axis [N]; of several, each trial draws one.
       peak: force of a pulse [N]; likewise.
       directions_deg: of a pulse, from the x axis [deg]; likewise.
-      onset_window: earliest and latest onset of a pulse [s].
+      onset_window: earliest and latest onset of a pulse [s]; None is from a tenth to the half of the duration.
       randomise: whether trials draw realisation, force, direction and onset; if not, each takes the first of all.
       noise: whether the person is noisy and differs from trial to trial, as in the study.
       duration: of a trial [s]; it is truncated then.
@@ -74,7 +80,11 @@ class TaskSettings:
       proprioceptive_delay: after which joints and hand are felt [s].
       visual_delay: after which the handle is seen [s].
       visual_gain: displacement seen over displacement [-]; 0 is darkness.
-      displacement_weight: [1/m^2].
+      senses: "normalised" or "physical".
+      sense_scales: what is 1 in a normalised observation: stretch [rad], velocity [rad/s], force [N] and displacement
+        seen [m].
+      reward: "bounded" or "cost", see `Participants.judge`.
+      displacement_weight: [1/m^2]; a displacement of 1 over its root halves the accuracy.
       co_contraction_weight: on the mean square level of the muscle groups [-].
       reflex_weight: on the mean square reflex level [-].
       torque_weight: on the mean square torque over `highest_torque` [-].
@@ -90,7 +100,7 @@ class TaskSettings:
     rms: Choices = 5.4
     peak: Choices = (53.9, 107.8)
     directions_deg: Choices = (20.0, 200.0)
-    onset_window: tuple[float, float] = (1.0, 5.0)
+    onset_window: tuple[float, float] | None = None
     randomise: bool = True
     noise: bool = True
     duration: float = 10.0
@@ -108,10 +118,13 @@ class TaskSettings:
     proprioceptive_delay: float = 0.030
     visual_delay: float = 0.150
     visual_gain: float = 1.0
+    senses: str = "normalised"
+    sense_scales: tuple[float, ...] = (0.02, 0.2, 5.0, 0.01)
+    reward: str = "bounded"
     displacement_weight: float = 1e4
-    co_contraction_weight: float = 0.3
-    reflex_weight: float = 0.1
-    torque_weight: float = 0.3
+    co_contraction_weight: float = 0.15
+    reflex_weight: float = 0.05
+    torque_weight: float = 0.15
 
     def __post_init__(self) -> None:
         owner = "TaskSettings"
@@ -120,6 +133,12 @@ class TaskSettings:
         require_one_of(owner, "engine", self.engine, ENGINES)
         require_one_of(owner, "co_contraction", self.co_contraction, CO_CONTRACTION)
         require_one_of(owner, "out_of_bounds", self.out_of_bounds, OUT_OF_BOUNDS)
+        require_one_of(owner, "senses", self.senses, SENSES)
+        require_one_of(owner, "reward", self.reward, REWARDS)
+        if not isinstance(self.sense_scales, tuple | list) or len(self.sense_scales) != 4:
+            raise TypeError(f"{owner}: sense_scales = {self.sense_scales!r}; expected four numbers")
+        for value in self.sense_scales:
+            require_number(owner, "sense_scales", value, above=0.0, at_most=LARGEST)
         if isinstance(self.person, Person):
             missing = [task for task in TASKS if task not in self.person.subjects]
             if missing:
@@ -140,7 +159,9 @@ class TaskSettings:
         steps = f"steps of {self.timestep:g} s in a decision"
         _require_whole("control_rate", self.control_rate, "Hz", 1.0 / (self.control_rate * self.timestep), steps)
         _require_whole("duration", self.duration, "s", self.duration * self.control_rate, "decisions")
-        window = self.onset_window
+        if "pulse" in self.perturbation:
+            require_number(owner, "duration with a pulse", self.duration, above=Pulse.width)
+        window = self.onsets
         if not isinstance(window, tuple | list) or len(window) != 2:
             raise TypeError(f"{owner}: onset_window = {window!r}; expected the earliest and the latest onset [s]")
         for value in window:
@@ -175,6 +196,14 @@ class TaskSettings:
                     f"TaskSettings: co_contraction = 'groups'; expected 'common' or 'off', as a muscle group of "
                     f"subject {subject.name!r} has {quantity} = {least:.4g}, which would give energy by itself"
                 )
+
+    @property
+    def onsets(self) -> tuple[float, float]:
+        """Earliest and latest onset of a pulse [s]."""
+        if self.onset_window is not None:
+            return self.onset_window
+        latest = min(0.5 * self.duration, self.duration - Pulse.width)
+        return min(0.1 * self.duration, latest), latest
 
     @property
     def people(self) -> tuple[Subject, Subject]:
@@ -238,7 +267,7 @@ class TaskSettings:
     def _draw(self, rng: np.random.Generator) -> Trial:
         number = int(rng.integers(REALISATIONS)) if self.randomise else 0
         start = float(rng.uniform(0.0, PERIOD)) if self.randomise else 0.0
-        onset = float(rng.uniform(*self.onset_window)) if self.randomise else self.onset_window[0]
+        onset = float(rng.uniform(*self.onsets)) if self.randomise else self.onsets[0]
 
         def choose(choices: Choices) -> float:
             values = _choices("choices", choices)

@@ -27,17 +27,19 @@ from armperturb.perturbations import Multisine
 from armperturb.subject import at_level
 
 NAMES = tuple(TASKS)
+EACH = pytest.mark.parametrize("name", NAMES)
+pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")  # that of version 0
 SHORT = {"duration": 0.6, "onset_window": (0.1, 0.2)}
 PERSON = draw_person(0, 2)
 CALM = {"noise": False, "perturbation": "none"}
 LINEAR = {"person": "published", "co_contraction": "common"}
 
 
-def made(name="ArmPerturb/Position-v0", **settings):
+def made(name="ArmPerturb/Position-v1", **settings):
     return gym.make(name, **settings).unwrapped
 
 
-def vectorised(n, name="ArmPerturb/Position-v0", mode=None, **settings):
+def vectorised(n, name="ArmPerturb/Position-v1", mode=None, **settings):
     return gym.make_vec(name, num_envs=n, vectorization_mode=mode, **settings)
 
 
@@ -61,13 +63,13 @@ def same(one, other):
 
 
 @pytest.mark.slow(reason="draws pictures")
-@pytest.mark.parametrize("name", NAMES)
+@EACH
 def test_gymnasiums_checker_has_nothing_to_say(name):
     check_env(made(name, width=64, height=48))
 
 
 @pytest.mark.slow(reason="three trials of a second")
-@pytest.mark.parametrize("name", NAMES)
+@EACH
 def test_observations_are_as_specified_and_live(name):
     env = made(name, duration=6.0, onset_window=(0.2, 0.4))
     observations, rewards, _ = path(env, 60, seed=1)
@@ -83,7 +85,7 @@ def test_observations_are_as_specified_and_live(name):
 
 
 @pytest.mark.slow(reason="six trials of each task")
-@pytest.mark.parametrize("name", NAMES)
+@EACH
 def test_a_seed_gives_a_path_and_the_next_trial_is_another(name):
     env, other = made(name, **SHORT), made(name, **SHORT)
     first = path(env, 30, seed=4)
@@ -98,7 +100,7 @@ def test_the_compiled_engine_moves_people_as_mujoco_does():
     """In vectors, with all that an agent may set; and each person moves as alone."""
     paths = {}
     for engine in ("mujoco", "compiled"):
-        envs = vectorised(3, "ArmPerturb/Pulse-v0", engine=engine, **SHORT)
+        envs = vectorised(3, "ArmPerturb/Pulse-v1", engine=engine, **SHORT)
         first, _ = envs.reset(seed=7)
         envs.action_space.seed(7)
         paths[engine] = [first, *(envs.step(envs.action_space.sample())[0] for _ in range(30))]
@@ -106,9 +108,9 @@ def test_the_compiled_engine_moves_people_as_mujoco_does():
     spread = mujocos.std(axis=(0, 1))
     assert (np.abs(ours - mujocos).max(axis=(0, 1)) < 2e-3 * spread).all()
     assert (spread > 0).all()
-    alone = made("ArmPerturb/Pulse-v0", engine="compiled", **SHORT)
+    alone = made("ArmPerturb/Pulse-v1", engine="compiled", **SHORT)
     alone.reset(seed=8)
-    envs = vectorised(3, "ArmPerturb/Pulse-v0", engine="compiled", **SHORT)
+    envs = vectorised(3, "ArmPerturb/Pulse-v1", engine="compiled", **SHORT)
     envs.reset(seed=7)
     for _ in range(20):
         together = envs.step(np.tile(alone.own_action, (3, 1)))[0]
@@ -116,7 +118,7 @@ def test_the_compiled_engine_moves_people_as_mujoco_does():
 
 
 def digest():
-    env = made("ArmPerturb/Pulse-v0", **SHORT)
+    env = made("ArmPerturb/Pulse-v1", **SHORT)
     rows = [column for _ in range(2) for column in path(env, 30, seed=11)]
     return hashlib.sha256(b"".join(np.ascontiguousarray(column).tobytes() for column in rows)).hexdigest()
 
@@ -151,7 +153,7 @@ def test_own_parameters_reproduce_the_studys_trial_to_the_last_bit(task):
     trials = study_trials(task)
     recording = run_experiment(trials, rate=400.0)
     settings = {"task": task, "person": PERSON, "highest_level": 2.0}
-    single = made("ArmPerturb/Position-v0", **settings)
+    single = made("ArmPerturb/Position-v1", **settings)
     for number, trial in enumerate(trials):
         _, info = single.reset(options={"trial": trial})
         truncated, decision = False, 0
@@ -199,11 +201,12 @@ BREAKING = {
 
 
 @pytest.mark.slow(reason="eighty decisions of four people, twice")
+@pytest.mark.parametrize("name", ["ArmPerturb/Position-v1", "ArmPerturb/Position-v0"])
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_vector_environment_is_gymnasiums_own_to_the_last_bit(mode):
+def test_vector_environment_is_gymnasiums_own_to_the_last_bit(name, mode):
     n = 4
-    ours = vectorised(n, autoreset_mode=mode, **BREAKING)
-    theirs = vectorised(n, mode="sync", vector_kwargs={"autoreset_mode": mode}, **BREAKING)
+    ours = vectorised(n, name, autoreset_mode=mode, **BREAKING)
+    theirs = vectorised(n, name, mode="sync", vector_kwargs={"autoreset_mode": mode}, **BREAKING)
     assert ours.metadata["autoreset_mode"] is AutoresetMode(mode)
     assert ours.observation_space == theirs.observation_space
     assert ours.action_space == theirs.action_space
@@ -270,7 +273,8 @@ def test_each_part_of_the_action_can_be_switched_off(settings, size):
 
 
 def test_senses_are_late_by_their_delays_and_vision_has_its_gain():
-    env = made("ArmPerturb/Pulse-v0", proprioceptive_delay=0.04, visual_delay=0.1, visual_gain=3.0, **SHORT)
+    delays = {"proprioceptive_delay": 0.04, "visual_delay": 0.1}
+    env = made("ArmPerturb/Pulse-v1", **delays, visual_gain=3.0, senses="physical", **SHORT)
     observation, info = env.reset(seed=3)
     posture = env.settings.subject.posture
     infos, observations = [info], [observation]
@@ -294,13 +298,14 @@ def test_in_the_dark_nothing_is_seen():
     assert not observations[:, 6:].any()
 
 
-def test_reward_is_minus_squared_displacement_minus_effort():
+def test_cost_is_squared_displacement_minus_effort():
     weights = {
         "displacement_weight": 3e3,
         "co_contraction_weight": 0.5,
         "reflex_weight": 0.2,
         "torque_weight": 0.7,
         "activation_time": 0.0,
+        "reward": "cost",
     }
     env = made(**weights, highest_torque=4.0, highest_level=2.0, **SHORT)
     env.reset(seed=0)
@@ -660,7 +665,7 @@ def test_nothing_to_see_before_reset():
 
 @pytest.mark.slow(reason="draws pictures")
 def test_pictures_show_the_handle_moving():
-    env = made("ArmPerturb/Pulse-v0", render_mode="rgb_array", view="top", width=160, height=120, **SHORT)
+    env = made("ArmPerturb/Pulse-v1", render_mode="rgb_array", view="top", width=160, height=120, **SHORT)
     env.reset(seed=0)
     before = env.render()
     for _ in range(15):

@@ -20,7 +20,7 @@ def test_an_agent_that_keeps_to_its_levels_is_this_subject(task):
     subject = subject_at(TaskSettings(**settings), LEVELS)
     trial = Trial(subject=subject, perturbation=Multisine.draw(seed=3, rms=2.0, duration=1.5))
     recorded = run_experiment([trial], rate=50.0)["displacement"].values[0]
-    env = gym.make_vec("ArmPerturb/Position-v0", num_envs=1, autoreset_mode="Disabled", **settings)
+    env = gym.make_vec("ArmPerturb/Position-v1", num_envs=1, autoreset_mode="Disabled", **settings)
     env.reset(options={"trial": Trial(subject=TaskSettings(**settings).subject, perturbation=trial.perturbation)})
     for sample in recorded[1:]:
         *_, infos = env.step(LEVELS.reshape(1, 9) / 2.0)

@@ -18,7 +18,7 @@ from armperturb.cohort import draw_person
 from armperturb.perturbations import Pulse
 
 SHORT = {"duration": 0.6, "onset_window": (0.1, 0.2)}
-NAME = "ArmPerturb/Pulse-v0"
+NAME = "ArmPerturb/Pulse-v1"
 ENGINES = pytest.mark.parametrize("engine", ["mujoco", "compiled"])
 
 

@@ -154,7 +154,7 @@ def used():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 2**20
 
 def made():
-    env = gym.make("ArmPerturb/Position-v0", render_mode="rgb_array", width=320, height=240, duration=0.2)
+    env = gym.make("ArmPerturb/Position-v1", render_mode="rgb_array", width=320, height=240, duration=0.2)
     env.reset(seed=0)
     env.render()
     return env
@@ -168,7 +168,7 @@ together = used() - before
 for _ in range(40):
     made().close()
 print(together, used() - before)
-env = gym.make("ArmPerturb/Position-v0", duration=0.2)
+env = gym.make("ArmPerturb/Position-v1", duration=0.2)
 env.reset(seed=0)
 before = used()
 for _ in range(1000):

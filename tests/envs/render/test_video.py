@@ -377,7 +377,7 @@ def test_a_failing_encoder_leaves_the_old_file(file, capsys, monkeypatch):
     out = file.parent / "a.mp4"
     out.write_bytes(b"old")
     monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: "/bin/false")
-    options = ("--trial", 0, "--out", out, "--size", 160, 120, "--stop", 0.2)
+    options = ("--trial", 0, "--out", out, "--size", 160, 120, "--stop", 0.2, "--overwrite")
     assert "a.mp4: the encoder failed" in refused(capsys, "video", file, *options)
     assert out.read_bytes() == b"old"
     assert sorted(os.listdir(file.parent)) == ["a.mp4", "rec.nc"]
