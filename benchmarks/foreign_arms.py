@@ -2,8 +2,8 @@
 
 Run by `python -m benchmarks.foreign_arms --n 40`, with `--mujoco` on MuJoCo's rigid bodies. Each arm is drawn by
 `tests/foreign_recordings.py` (rigid segments, reflexes, grips, manipulators, excitations) and identified with the
-structure that is right as far as the package has one, or with a given `--model`. A line of JSON for each arm goes to
-`--out` as soon as it is there; a second run with the same file continues.
+structure that its trials choose, with the right one (`--model right`), or with a given `--model`. A line of JSON for
+each arm goes to `--out` as soon as it is there; a second run with the same file continues.
 """
 
 import argparse
@@ -55,14 +55,18 @@ def judge(seed: int, with_mujoco: bool, corrected: bool, model: str | None, give
     start = time.process_time()
     try:
         trials = in_start_geometry(recording) if corrected else recording
-        result = identify(trials, model or right_structure(truth))
+        result = identify(trials, right_structure(truth) if model == "right" else model)
     except ValueError as error:
         return row | {"refused": str(error)}
     fit, detail = result.fit, result.fit.detail
     bound = np.sqrt(detail.dispersion)
     for name in set(JUDGED) & fit.values.keys():
         error = fit.values[name] - truth[name]
-        row[name] = [truth[name], fit.values[name], fit.standard_error[name], fit.standard_error[name] / bound, error]
+        low, high = fit.interval(name)
+        inside = bool(low <= truth[name] <= high)
+        row[name] = [truth[name], fit.values[name], inside, fit.standard_error[name] / bound, error]
+    if fit.choice is not None:
+        row["right"] = fit.choice.chosen[:3] == ("free", truth["grip"], truth["reflex"])
     area, orientation = hand_ellipse(setup.arm)
     stiffness = fit.endpoint()["stiffness"]
     low, high = stiffness.orientation_interval()
@@ -74,7 +78,7 @@ def judge(seed: int, with_mujoco: bool, corrected: bool, model: str | None, give
 
 def report(rows: list[dict]) -> None:
     """Print what the arms of each kind, and all of them, gave."""
-    columns = ("n", "refused", "flagged", "chi2/dof", "inside %", "worst %", "e/bound")
+    columns = ("n", "refused", "right %", "flagged", "chi2/dof", "inside %", "worst %", "e/bound")
     print(f"{'arms':28}" + "".join(f"{column:>10}" for column in columns))
     splits = {"all": lambda row: "all"}
     splits |= {key: (lambda row, key=key: f"{key} {row[key]}") for key in ("kind", "reflex", "grip", "amid", "lines")}
@@ -86,8 +90,10 @@ def report(rows: list[dict]) -> None:
             cells = [f"{len(of_label)}", f"{len(of_label) - len(fitted)}"]
             if fitted:
                 each = {name: np.array([row[name] for row in fitted if name in row]) for name in JUDGED}
-                inside = [100.0 * np.mean(np.abs(v[:, 4]) <= 1.96 * v[:, 2]) for v in each.values() if len(v)]
+                inside = [100.0 * np.mean(v[:, 2]) for v in each.values() if len(v)]
                 ratio = np.concatenate([v[:, 4] / v[:, 3] for v in each.values() if len(v)])
+                right = [row["right"] for row in fitted if "right" in row]
+                cells += [f"{100.0 * np.mean(right):.0f}" if right else "-"]
                 cells += [f"{sum(row['suspicious'] for row in fitted)}"]
                 cells += [f"{np.median([row['chi2'] / row['dof'] for row in fitted]):.2f}"]
                 cells += [f"{np.mean(inside):.1f}", f"{min(inside):.1f}", f"{np.sqrt(np.mean(ratio**2)):.2f}"]
@@ -105,7 +111,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the first arm; the others follow")
     parser.add_argument("--mujoco", action="store_true", help="MuJoCo as the engine")
     parser.add_argument("--corrected", action="store_true", help="without what the arm's geometry makes nonlinear")
-    parser.add_argument("--model", help="a structure for all arms; by default the right one")
+    parser.add_argument("--model", help="for all arms, or right: each one's own; by default the trials choose")
     parser.add_argument("--given", type=json.loads, default={}, help='of every arm, e.g. \'{"kind": "multisine"}\'')
     parser.add_argument("--out", type=Path, help="file of JSON lines")
     asked = parser.parse_args()

@@ -15,7 +15,7 @@ BASE = {"arrays", "validation", "extras", "seeds", "files", "foreign", "recordin
 BASE |= {"muscle_law", "subject", "environment"}
 ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.force_balance",
-    "analysis.trials", "analysis.numerics", "analysis.results", "plots", "anthropometry",
+    "analysis.trials", "analysis.per_trials", "analysis.numerics", "analysis.results", "plots", "anthropometry",
 }  # fmt: skip
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear"}
 LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
@@ -49,7 +49,8 @@ ARROWS = {
     "plots": BASE,
     "pages": BASE | {"plots"},
     "analysis.results": BASE | {"plots"},
-    "analysis.trials": ARM - {"analysis.trials"},
+    "analysis.trials": ARM - {"analysis.trials", "analysis.per_trials"},
+    "analysis.per_trials": ARM - {"analysis.per_trials"},
     "analysis.response": ARM,
     "analysis.measures": ARM,
     "analysis.fit": ARM | {"analysis.response", "analysis.measures"},

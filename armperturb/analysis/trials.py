@@ -7,11 +7,10 @@ period, spectra.
 A trial is used up to its pulse; `cuts` says where that is.
 """
 
-import inspect
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, wraps
-from typing import Any, Concatenate, NamedTuple, ParamSpec, Self, TypeAlias, TypeVar
+from functools import cached_property
+from typing import Any, NamedTuple, ParamSpec, Self, TypeAlias, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -422,32 +421,6 @@ def trials_by_condition(recording: xr.Dataset, *, is_checked: bool = False) -> d
     }
 
 
-def per_trials(function: Callable[Concatenate[ConditionTrials, P], T]) -> Callable[Concatenate[Trials, P], T]:
-    """Decorator: the result for the same trials and options is computed once, and kept with the trials.
-
-    Args:
-      function: of prepared trials and hashable options.
-    """
-    signature = inspect.signature(function)
-
-    @wraps(function)
-    def remembered(trials: Trials, *args: P.args, **options: P.kwargs) -> T:
-        ready = prepared(trials)
-        call = signature.bind(ready, *args, **options)
-        call.apply_defaults()
-        key = (function, tuple(call.arguments.items())[1:])
-        if key not in ready.results:
-            ready.results[key] = function(ready, *args, **options)
-        return ready.results[key]
-
-    return remembered
-
-
-@per_trials
-def _period(trials: ConditionTrials, start: float) -> float:
-    return find_period([record.perturbation for record in trials.records(start)], trials.rate, start)
-
-
 def common_period(trials: Sequence[ConditionTrials], window_start: float) -> float:
     """Period of the perturbation of all trials together [s].
 
@@ -459,7 +432,8 @@ def common_period(trials: Sequence[ConditionTrials], window_start: float) -> flo
       ValueError: as `ConditionTrials.period`.
     """
     start = min(window_start, SETTLED)
-    if len(trials) == 1:
-        return _period(trials[0], start)
-    records = [record.perturbation for part in trials for record in part.records(start)]
-    return find_period(records, trials[0].rate, start)
+    key = ("period", start, len(trials))
+    if len(trials) > 1 or key not in trials[0].results:
+        records = [record.perturbation for part in trials for record in part.records(start)]
+        trials[0].results[key] = find_period(records, trials[0].rate, start)
+    return float(trials[0].results[key])

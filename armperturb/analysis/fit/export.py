@@ -31,7 +31,7 @@ def fit_summary(identification: Identification) -> dict[str, Any]:
         "remarks": list(fit.remarks),
         **_estimator_summary(fit.detail),
         "structures_tried": [
-            {"structure": rung.name, "score": rung.score, "chi2": rung.estimate.chi2, "dof": rung.estimate.dof}
+            {"structure": rung.name, "score": rung.score, "chi2": rung.sketch.chi2, "dof": rung.sketch.dof}
             for rung in (fit.choice.rungs if fit.choice else ())
         ],
         "environment": {

@@ -14,10 +14,11 @@ from armperturb.analysis.fit.likelihood import Likelihood, PeriodLikelihood, Rec
 from armperturb.analysis.fit.linear_start import linear_start
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.force_balance import EDGE
+from armperturb.analysis.per_trials import per_trials
 from armperturb.analysis.response.condition_spectra import condition_spectra, periodic_lines
 from armperturb.analysis.response.joint_records import FILTER_CUTOFF, FILTER_REACH, MODEL_RATE
 from armperturb.analysis.response.spectra import SpectralEstimate
-from armperturb.analysis.trials import ConditionTrials, SeveralTrials, per_trials, prepared_recordings
+from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -102,17 +103,18 @@ class Group:
     def initial(self) -> Array:
         """Free parameters from which a search may start, (parameter,)."""
         start = linear_start(self.spectra.frequency, self.spectra.arm, self.body, self.structure)
-        return start if self.period is not None else self.fit_of_spectra[0]
+        return start if self.period is not None else self.fit_of_spectra(start)[0]
 
-    @cached_property
-    def fit_of_spectra(self) -> tuple[Array, float]:
+    def fit_of_spectra(self, start: Array) -> tuple[Array, float]:
         """Free parameters nearest to the estimated admittance, (parameter,), and how far from it [-].
 
         The distance is the sum of squares of the admittance's relative errors over their variances, as far as the
         coherence tells these.
+
+        Args:
+          start: where the search starts, (parameter,).
         """
         spectra = self.spectra
-        start = linear_start(spectra.frequency, spectra.arm, self.body, self.structure)
         target = Target(
             frequency=spectra.frequency, admittance=spectra.arm, body=self.body, environment=self.environment
         )

@@ -20,6 +20,7 @@ from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.structures import Structure, structure_of, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, Wanted, fit_wanted
 from armperturb.analysis.measures.endpoint import EndpointImpedance
+from armperturb.analysis.measures.start_geometry import in_start_geometry
 from armperturb.analysis.measures.vaf import prediction_vaf
 from armperturb.analysis.response.condition_spectra import condition_spectra
 from armperturb.analysis.response.spectra import SpectralEstimate
@@ -296,8 +297,9 @@ def identify_conditions(
             Group.prepare(parts, structure, window_start=window_start, period=period) for parts in conditions.values()
         ]
         if model is None:
-            choices = [choose_structure(group, estimator) for group in groups]
-            fits = {group.label: _chosen_fit(choice, group) for choice, group in zip(choices, groups, strict=True)}
+            options = {"window_start": window_start, "period": period}
+            choices = [choose_structure([group, *_in_start_geometry(group, **options)], estimator) for group in groups]
+            fits = {choice.condition: _chosen_fit(choice) for choice in choices}
         else:
             joint = estimate(groups, estimator, share=share)
             fits = {group.label: _likely_fit(joint, group, spectra[group.label]) for group in groups}
@@ -376,10 +378,23 @@ def _thesis_fit(
     )
 
 
-def _chosen_fit(choice: Choice, group: Group) -> ArmFit:
+def _in_start_geometry(group: Group, **options: Any) -> list[Group]:
+    """The same trials as an arm of constant geometry would have given them; none where the arm cannot reach the handle.
+
+    Args:
+      group: the trials as they were recorded.
+      **options: of `Group.prepare`.
+    """
+    try:
+        return [Group.prepare([in_start_geometry(part) for part in group.parts], group.structure, **options)]
+    except ValueError:
+        return []
+
+
+def _chosen_fit(choice: Choice) -> ArmFit:
     """With the structure that the trials choose; what is said of the choice comes before other remarks."""
-    chosen = choice.chosen
-    fit = _likely_fit(chosen.estimate, group.with_structure(chosen.structure), group.spectra)
+    chosen, group = choice.chosen, choice.group
+    fit = _likely_fit(choice.estimate, group.with_structure(chosen.structure), group.spectra)
     return replace(fit, choice=choice, remarks=(*choice.remarks(group.parts), *fit.remarks))
 
 

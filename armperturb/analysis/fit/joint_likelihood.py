@@ -37,10 +37,11 @@ class JointLikelihood:
       columns: of each group's free parameters among these.
       lower: least value of each, (parameter,).
       upper: largest value of each, (parameter,).
+      quick: whether derivatives are, see `Likelihood.normal`.
     """
 
-    def __init__(self, groups: Sequence[Group], method: Method, share: Sequence[str]) -> None:
-        self.groups = tuple(groups)
+    def __init__(self, groups: Sequence[Group], method: Method, share: Sequence[str], *, quick: bool = False) -> None:
+        self.groups, self.quick = tuple(groups), quick
         self.parts = [
             (at, likelihood)
             for at, group in enumerate(self.groups)
@@ -164,7 +165,10 @@ class JointLikelihood:
         cost, slope = self._distance(values), (self._sharpness * (self._known - values))[None]
         information = np.diag(self._sharpness)[None].copy()
         for (at, likelihood), parameters in zip(self.parts, self.parameters(values), strict=True):
-            part, columns = likelihood.normal(parameters, self.groups[at].structure.mixing), self.columns[at]
+            part, columns = (
+                likelihood.normal(parameters, self.groups[at].structure.mixing, quick=self.quick),
+                self.columns[at],
+            )
             cost += part.cost
             slope[0, columns] += part.slope
             information[0][np.ix_(columns, columns)] += part.information
@@ -175,7 +179,7 @@ class JointLikelihood:
         by_trial = []
         every = zip(self.parts, self.parameters(values, effects), effects, strict=True)
         for (at, likelihood), parameters, of_trials in every:
-            part = likelihood.normal(parameters, self.groups[at].structure.mixing)
+            part = likelihood.normal(parameters, self.groups[at].structure.mixing, quick=self.quick)
             design = self._design(at, values)
             for slope, information, effect in zip(part.slopes, part.informations, of_trials, strict=True):
                 score = slope + information @ (design @ effect)

@@ -3,7 +3,7 @@
 The rungs are combinations of three choices (`own_structures.composed`): the joint inertia (three free numbers, or the
 thesis's tie of one), the grip (rigid, or spring and damper) and the reflexes (none, velocity feedback, velocity and
 position feedback; delays, cut-offs and damping ratio free). All are fitted to the estimated admittance first, which
-takes no time; those that come near the nearest are fitted to the trials by maximum likelihood.
+takes no time. From the nearest on, a search by maximum likelihood goes to whichever neighbour the trials prefer.
 
 Of two structures, that one predicts better whose parameters, found from all trials but one, make that one more likely.
 To first order the loss of likelihood that leaving trial t out costs it follows from its score s_t and information I_t
@@ -19,31 +19,47 @@ the best structure leaves more than noise, its lack of fit (chi2 over degrees of
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 import numpy as np
 
 from armperturb.analysis.fit.group import Group, Method
-from armperturb.analysis.fit.joint_likelihood import JointLikelihood
-from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS, Estimate, estimate
+from armperturb.analysis.fit.linear_start import linear_starts
+from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS, Estimate, Sketch, estimate, sketch
 from armperturb.analysis.fit.own_structures import Grip, Inertia, Reflex, composed
 from armperturb.analysis.fit.structures import Structure
-from armperturb.analysis.fit.trial_effects import SINGULAR, scaled
+from armperturb.analysis.fit.trial_effects import scaled
 from armperturb.analysis.response.best_linear import best_linear
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials
+from armperturb.arrays import Array
 
 CAUTION = 2.0
 """Weight of the loss on left-out trials [-]; 1 would be the expected likelihood of a further trial."""
 
-NEAR = 60.0
-"""Difference of the squared distances from the estimated admittance within which a structure is fitted to the trials,
-over what a right one leaves [-]."""
+FAR = 300.0
+"""Difference of the squared distances from the estimated admittance beyond which a structure is not fitted to the
+trials, over what a right one leaves [-]; special cases of the best one always are."""
 
-MOST = 5
-"""Structures that are fitted to the trials."""
+STARTS = 3
+"""Starts from which each structure is fitted to the estimated admittance, which differ in delay and cut-off."""
 
-FREE_OR_TIED: tuple[Inertia, ...] = ("free", "tied")
+STIFF = 1e5
+"""Stiffness from which a search starts where a rigid grip was tried before [N/m]."""
+
+TIE = 20.0
+"""What is added to the score of a tied inertia [-]: no arm is two point masses of exactly this ratio, and an inertia
+that is wrong by little makes stiffness and damping wrong beyond their intervals."""
+
+LEAST_POWER = 1e-6
+"""Share of the information's power below which a direction of the parameters is left out of the loss [-]."""
+
+ORDER: tuple[tuple[Inertia, ...], tuple[Grip, ...], tuple[Reflex, ...]] = (
+    ("tied", "free"),
+    ("rigid", "spring"),
+    ("none", "velocity", "position"),
+)
+"""Choices of inertia, grip and reflexes, each a special case of the next."""
 
 Place = tuple[Inertia, Grip, Reflex]
 
@@ -59,7 +75,7 @@ class Rung(NamedTuple):
       grip: likewise.
       reflex: likewise.
       structure: of these.
-      estimate: with it.
+      sketch: the fit with it.
       loss: on left-out trials, see the module [-].
       score: minus twice the log-likelihood plus `CAUTION` times the loss; smaller is better [-].
     """
@@ -68,7 +84,7 @@ class Rung(NamedTuple):
     grip: Grip
     reflex: Reflex
     structure: Structure
-    estimate: Estimate
+    sketch: Sketch
     loss: float
     score: float
 
@@ -84,10 +100,16 @@ class Choice(Result):
 
     Attributes:
       condition: the condition.
+      group: the trials that chose.
+      in_motion: whether they are those of `in_start_geometry`.
+      estimate: with the chosen structure.
       rungs: all structures that were tried, the chosen one first, by their scores.
     """
 
     condition: str
+    group: Group
+    in_motion: bool
+    estimate: Estimate
     rungs: tuple[Rung, ...]
 
     @property
@@ -97,8 +119,8 @@ class Choice(Result):
 
     @property
     def runner_up(self) -> Rung:
-        """The next."""
-        return self.rungs[1]
+        """The next; the chosen one if the trials told of no other."""
+        return self.rungs[min(1, len(self.rungs) - 1)]
 
     @property
     def sentence(self) -> str:
@@ -107,7 +129,8 @@ class Choice(Result):
         clear = "nearly as good" if behind < CLOSE else "clearly behind"
         return (
             f"structure chosen: {self.chosen.name}; runner-up: {self.runner_up.name}, {clear} "
-            f"({plain(behind, 3)} behind in left-out likelihood)"
+            f"({plain(behind, 3)} behind in left-out likelihood); "
+            + ("geometry of the moving arm" if self.in_motion else "geometry of the start posture")
         )
 
     @property
@@ -131,7 +154,7 @@ class Choice(Result):
           parts: the trials; of multisines in two or more, the distortion tells whether the arm is linear.
         """
         said = [self.sentence, *(f"the trials do not tell {each}" for each in self.undecided)]
-        if self.chosen.estimate.is_suspicious:
+        if self.estimate.is_suspicious:
             causes = ["inertia", "grip", "wrong geometry", "delay"]
             distorted = _distorted_band(parts)
             causes.insert(0 if distorted else len(causes), f"nonlinearity{distorted}")
@@ -148,48 +171,81 @@ class Choice(Result):
                 rung.name,
                 str(len(rung.structure.free)),
                 plain(rung.score - self.chosen.score, 4),
-                plain(rung.estimate.chi2 / rung.estimate.dof, 3),
-                plain(rung.estimate.p_value, 2),
+                plain(rung.sketch.chi2 / rung.sketch.dof, 3),
             )
             for rung in self.rungs
         )
         return Description(
             title=f"Structures tried for {self.condition}",
             facts=(self.sentence, *(f"the trials do not tell {each}" for each in self.undecided)),
-            table=Table(("structure", "free", "score - best", "chi2/dof", "p"), rows),
+            table=Table(("structure", "free", "score - best", "chi2/dof"), rows),
         )
 
 
-def choose_structure(group: Group, method: Method = "record") -> Choice:
+def choose_structure(groups: Sequence[Group], method: Method = "record") -> Choice:
     """Fit the structures of the ladder to the trials of one condition, and choose.
 
     Args:
-      group: the trials; its structure does not matter.
+      groups: the trials as they were recorded and, if the geometry allows, as `in_start_geometry` has them; their
+        structures do not matter. Those are used that a linear arm explains best.
       method: of the likelihood, see `maximum_likelihood.estimate`.
 
     Raises:
       ValueError: as `estimate`, of every structure that was tried.
     """
-    fitted: list[tuple[Place, Structure, Estimate, float]] = []
-    refusal: ValueError | None = None
-    for place in _near(group):
-        inertia, grip, reflex = place
-        candidate = group.with_structure(composed(inertia=inertia, grip=grip, reflex=reflex))
-        try:
-            result = estimate([candidate], method)
-        except ValueError as error:
-            refusal = error
-            continue
-        fitted.append((place, candidate.structure, result, left_out_loss(candidate, result, method)))
-    if not fitted:
-        assert refusal is not None
-        raise refusal
-    likelihood_unit = min(result.dispersion for _, _, result, _ in fitted)
-    rungs = [
-        Rung(*place, structure, result, loss, result.objective / likelihood_unit + CAUTION * loss)
-        for place, structure, result, loss in fitted
+    at = 0
+    if len(groups) > 1:
+        richest: Place = ("free", "spring", "position")
+        rungs = [_sketched(group, richest, _fit_of_spectra(group, richest), (), method) for group in groups]
+        at = min(range(len(groups)), key=lambda number: rungs[number].sketch.objective)
+    group = groups[at]
+    fits = _fits_of_spectra(group)
+    place = min(fits, key=lambda each: fits[each].score)
+    # Neighbouring lines share noise and an arm is never quite linear: the nearest fit sets the scale.
+    limit = fits[place].score + FAR * max(1.0, fits[place].distance / (8 * len(group.spectra.frequency)))
+    tried = {place: _sketched(group, place, fits[place], (), method)}
+    while True:
+        for other in _neighbours(place):
+            if other not in tried and (fits[other].score < limit or sum(_rank(other)) < sum(_rank(place))):
+                tried[other] = _sketched(group, other, fits[other], [tried[place]], method)
+        scored = _scored(tuple(tried.values()))
+        if scored[0][:3] == place:
+            break
+        place = scored[0][:3]
+    best = scored[0]
+    initial = dict(zip(best.structure.free, best.sketch.values.tolist(), strict=True))
+    estimate_of_best = estimate([group.with_structure(best.structure)], method, initial=initial)
+    return Choice(condition=group.label, group=group, in_motion=at > 0, estimate=estimate_of_best, rungs=tuple(scored))
+
+
+def _rank(place: Place) -> tuple[int, ...]:
+    """How far up each choice is."""
+    return tuple(order.index(choice) for order, choice in zip(ORDER, place, strict=True))
+
+
+def _neighbours(place: Place) -> list[Place]:
+    """The rungs that differ in one choice."""
+    places: list[Place] = list(itertools.product(*ORDER))
+    return [other for other in places if sum(a != b for a, b in zip(other, place, strict=True)) == 1]
+
+
+def _scored(rungs: Sequence[Rung]) -> list[Rung]:
+    """The rungs with their scores, the best first."""
+    likelihood_unit = max(1.0, min(rung.sketch.chi2 / rung.sketch.dof for rung in rungs))
+    scored = [
+        rung._replace(
+            score=rung.sketch.objective / likelihood_unit + CAUTION * rung.loss + TIE * (rung.inertia == "tied")
+        )
+        for rung in rungs
     ]
-    return Choice(condition=group.label, rungs=tuple(sorted(rungs, key=lambda rung: rung.score)))
+    return sorted(scored, key=lambda rung: rung.score)
+
+
+def _sketched(group: Group, place: Place, start: "_Fitted", others: Sequence[Rung], method: Method) -> Rung:
+    """One rung, from the fit to the admittance or from what other rungs have found, without its score."""
+    carried = [_carried(other.structure, other.sketch.values, start.structure) for other in others]
+    fit = sketch(group.with_structure(start.structure), [start.values, *carried], method)
+    return Rung(*place, start.structure, fit, left_out_loss(fit), np.inf)
 
 
 def _distorted_band(parts: Sequence[ConditionTrials]) -> str:
@@ -204,40 +260,62 @@ def _distorted_band(parts: Sequence[ConditionTrials]) -> str:
     return f" (distortion from {distorted[0]:.2g} to {distorted[-1]:.2g} Hz, p = {linear.p_value:.1g})"
 
 
-def _near(group: Group) -> list[Place]:
-    """The rungs whose fit to the estimated admittance comes near the nearest, as many as `MOST`."""
-    distance, least = {}, np.inf
-    for inertia, grip, reflex in itertools.product(FREE_OR_TIED, get_args(Grip), get_args(Reflex)):
-        structure = composed(inertia=inertia, grip=grip, reflex=reflex)
-        far = group.with_structure(structure).fit_of_spectra[1]
-        distance[inertia, grip, reflex] = far + 2.0 * len(structure.free)
-        least = min(least, far)
-    # Neighbouring lines share noise and an arm is never quite linear: the nearest fit sets the scale.
-    scale = max(1.0, least / (8 * len(group.spectra.frequency)))
-    ordered = sorted(distance, key=lambda place: distance[place])
-    near = [place for place in ordered if distance[place] - distance[ordered[0]] < NEAR * scale]
-    return near[:MOST] if len(near) > 1 else ordered[:2]
+class _Fitted(NamedTuple):
+    structure: Structure
+    values: Array
+    distance: float
+
+    @property
+    def score(self) -> float:
+        """Distance from the estimated admittance, with Akaike's penalty for each parameter."""
+        return self.distance + 2.0 * len(self.structure.free)
 
 
-def left_out_loss(group: Group, fitted: Estimate, method: Method) -> float:
-    """Loss of likelihood on trials that are left out one by one, see the module [-].
+def _fit_of_spectra(group: Group, place: Place) -> _Fitted:
+    """The nearest of what several starts give."""
+    inertia, grip, reflex = place
+    candidate = group.with_structure(composed(inertia=inertia, grip=grip, reflex=reflex))
+    starts = linear_starts(group.spectra.frequency, group.spectra.arm, group.body, candidate.structure)
+    nearest = sorted(starts, key=lambda start: start[1])[:STARTS]
+    ends = [candidate.fit_of_spectra(start) for start, _ in nearest]
+    return _Fitted(candidate.structure, *min(ends, key=lambda end: end[1]))
 
-    Args:
-      group: the trials.
-      fitted: the estimate from all.
-      method: of its likelihood.
-    """
-    problem = JointLikelihood([group], method, ())
-    values = np.array(list(fitted.values.values()))
-    problem.weigh(values)
-    scores = problem.scores(values, problem.no_effects())
-    whole = np.sum([trial.information for trial in scores], axis=0)
-    free = ~np.isin(list(fitted.values), fitted.at_bound)
+
+def _fits_of_spectra(group: Group) -> dict[Place, _Fitted]:
+    """All rungs, each fitted to the estimated admittance."""
+    fitted: dict[Place, _Fitted] = {}
+    for place in itertools.product(*ORDER):
+        fitted[place] = _fit_of_spectra(group, place)
+    # A search may end too early. What the nearest structure has found is another start for the others.
+    tried: set[Place] = set()
+    while (best := min(fitted, key=lambda place: fitted[place].score)) not in tried:
+        tried.add(best)
+        for place, rung in fitted.items():
+            start = _carried(fitted[best].structure, fitted[best].values, rung.structure)
+            again = group.with_structure(rung.structure).fit_of_spectra(start)
+            if place != best and again[1] < rung.distance:
+                fitted[place] = _Fitted(rung.structure, *again)
+    return fitted
+
+
+def _carried(source: Structure, values: Array, structure: Structure) -> Array:
+    """Values of a structure from those of another; gains that it has not are zero, and a rigid grip is a stiff one."""
+    known = dict(zip(source.free, values.tolist(), strict=True))
+    start = []
+    for name, (lower, upper) in structure.bounds.items():
+        usual = 0.0 if name.startswith(("kv_", "kp_")) else STIFF if name == "k_h" else structure.initial[name]
+        start.append(min(max(known.get(name, usual), lower), upper))
+    return np.array(start)
+
+
+def left_out_loss(fit: Sketch) -> float:
+    """Loss of likelihood on trials that are left out one by one, see the module [-]."""
+    whole = np.sum([trial.information for trial in fit.scores], axis=0)
     loss = 0.0
-    for trial in scores:
-        scale, power, directions = scaled((whole - trial.information)[np.ix_(free, free)])
-        known = power > max(SINGULAR, 1e-8)
-        along = directions[:, known].T @ (trial.score[free] / scale)
+    for trial in fit.scores:
+        scale, power, directions = scaled(whole - trial.information)
+        known = power > LEAST_POWER
+        along = directions[:, known].T @ (trial.score / scale)
         change = directions[:, known] @ (along / power[known]) / scale
-        loss += float(2.0 * trial.score[free] @ change + change @ trial.information[np.ix_(free, free)] @ change)
+        loss += float(2.0 * trial.score @ change + change @ trial.information @ change)
     return loss

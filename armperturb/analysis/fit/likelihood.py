@@ -191,6 +191,12 @@ class Likelihood:
         """Some trials and the derivatives of `_predicted` there, (free parameter, trial, axis, answer)."""
         raise NotImplementedError
 
+    def _quick_slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
+        gradient = _mixed(self._arm.total_and_gradient(values, self._environment)[1], mixing) * self._filter
+        gradient = gradient[..., self._answering]
+        for trial, (first, second) in enumerate(self._force):
+            yield slice(trial, trial + 1), (gradient[:, :, 0] * first + gradient[:, :, 1] * second)[:, None]
+
     def _residual(self, values: Array) -> ComplexArray:
         # A search asks three times in a row about the same arm: cost, weights, slope.
         key, residual = self._latest
@@ -254,16 +260,17 @@ class Likelihood:
         """`Normal.cost` of arms."""
         return float(np.sum(self._white_rows(values) ** 2))
 
-    def normal(self, values: Array, mixing: Array) -> Normal:
+    def normal(self, values: Array, mixing: Array, *, quick: bool = False) -> Normal:
         """Least squares with respect to free parameters; mixing is (arm parameter, free parameter).
 
-        Where the arms of trials differ, derivatives are those at their mean.
+        Where the arms of trials differ, derivatives are those at their mean. Quick ones leave out how the response to a
+        record's edges depends on the parameters.
         """
         residual = self._white_rows(values)
         mean = values if values.ndim == 1 else values.mean(axis=0)
         n_trials, n = len(residual), mixing.shape[1]
         slopes, informations = np.zeros((n_trials, n)), np.zeros((n_trials, n, n))
-        for trials, derivatives in self._slopes(mean, mixing):
+        for trials, derivatives in (self._quick_slopes if quick else self._slopes)(mean, mixing):
             white = _applied(self._white, derivatives)
             for place, trial in enumerate(range(n_trials)[trials]):
                 rows = self._left(_rows(white[:, place]))

@@ -41,14 +41,29 @@ def linear_start(
       structure: what is free.
       delay: "exact" or "pade".
     """
+    starts = linear_starts(frequency, admittance, body, structure, delay)
+    return min(starts, key=lambda start: start[1])[0]
+
+
+def linear_starts(
+    frequency: ArrayLike, admittance: ArrayLike, body: Subject, structure: Structure, delay: Delay = "exact"
+) -> list[tuple[Array, float]]:
+    """Such values for every delay and cut-off that is tried, and the sum of squares of the logarithmic error of each.
+
+    Args:
+      frequency: [Hz], (frequency,).
+      admittance: estimated H_xf [m/N], (frequency, output, input).
+      body: as `linear_start` has it.
+      structure: what is free.
+      delay: "exact" or "pade".
+    """
     arm, measured = LinearArm(body, frequency, delay), np.asarray(admittance, dtype=complex)
-    best, least = np.array([]), np.inf
+    starts = []
     for guess in _guesses(structure):
         values = with_linear_part(arm, measured, body, structure, guess)
         error = np.log(measured / arm.admittance(structure.parameters(body.task, values)))
-        if (criterion := float(np.sum(np.abs(error) ** 2))) < least:
-            best, least = values, criterion
-    return best
+        starts.append((values, float(np.sum(np.abs(error) ** 2))))
+    return starts
 
 
 def _guesses(structure: Structure) -> list[Array]:

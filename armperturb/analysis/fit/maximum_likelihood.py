@@ -17,7 +17,7 @@ from armperturb.analysis.fit.group import Group, Method, require_one_person
 from armperturb.analysis.fit.joint_likelihood import PART_OF, Effects, JointLikelihood
 from armperturb.analysis.fit.likelihood import LackOfFit, Normal
 from armperturb.analysis.fit.structures import unit
-from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, fit_mixed, scaled
+from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, TrialScore, fit_mixed, scaled
 from armperturb.analysis.force_balance import Skew
 from armperturb.analysis.results import Description, FitResult, parameter_table
 from armperturb.arrays import Array
@@ -33,6 +33,9 @@ then on the noise is held."""
 
 SETTLED = 0.01
 """A step this small in units of the standard error ends the search [-]."""
+
+SKETCHED, SKETCH_ROUNDS = 0.2, 12
+"""Size of the step, and number of steps, that end the search of a sketch."""
 
 EFFECT_ROUNDS = 6
 """Steps after which the search for the differences between trials ends."""
@@ -184,7 +187,8 @@ def estimate(
       groups: trials, one group per condition.
       method: "frequency" (mean periods; fast) or "record" (all of each trial; best, started from the former).
       share: parameters that are the same in all conditions: names of parameters, or of `SHARES`.
-      initial: values to start from, named as in `Estimate.values`, SI; linear least squares for those not given.
+      initial: values to start from, named as in `Estimate.values`, SI; linear least squares for those not given. Where
+        all are given, no other start is tried.
 
     Raises:
       ValueError: there is no group, groups differ in person or posture, a shared name is unknown, an initial value is
@@ -208,7 +212,8 @@ def estimate(
     fitted = _judge(problem, first_method, search)
     if not np.isfinite(list(fitted.standard_error.values())).all():
         problem.require_identifiable(first)
-    if not fitted.converged or fitted.is_suspicious:
+    is_given = initial is not None and len(initial) == len(problem.names)
+    if not is_given and (not fitted.converged or fitted.is_suspicious):
         other = _search(problem, problem.stabilised(problem.published()))
         if problem.objective(other.values) < fitted.objective:
             search = other
@@ -216,6 +221,41 @@ def estimate(
         problem = JointLikelihood(groups, method, share)
         search = _search(problem, problem.stabilised(search.values))
     return _judge(problem, method, _with_trial_effects(problem, search))
+
+
+class Sketch(NamedTuple):
+    """A fit that is good enough to compare structures.
+
+    Attributes:
+      values: of the free parameters, (parameter,).
+      objective: as `Estimate.objective`.
+      chi2: as `Estimate.chi2`.
+      dof: its degrees of freedom.
+      scores: what each trial tells at the estimate.
+    """
+
+    values: Array
+    objective: float
+    chi2: float
+    dof: int
+    scores: tuple[TrialScore, ...]
+
+
+def sketch(group: Group, starts: Sequence[Array], method: Method = "record") -> Sketch:
+    """Fit a structure with few steps and quick derivatives, all trials alike.
+
+    Args:
+      group: the trials and the structure.
+      starts: values of the free parameters, the most likely of which the search starts from, (parameter,) each.
+      method: of the likelihood, see `estimate`.
+    """
+    problem = JointLikelihood([group], method, (), quick=True)
+    stable = [problem.stabilised(np.clip(start, problem.lower, problem.upper)) for start in starts]
+    start = min(stable, key=problem.objective)
+    values = _search(problem, start, settled=SKETCHED, most=SKETCH_ROUNDS).values
+    objective = problem.objective(values)
+    fit = problem.lack_of_fit(values)
+    return Sketch(values, objective, fit.chi2, fit.dof, tuple(problem.scores(values, problem.no_effects())))
 
 
 def profile(
@@ -260,20 +300,22 @@ def profile(
     return deviance
 
 
-def _search(problem: JointLikelihood, values: Array, *, weigh: bool = True) -> _Search:
+def _search(
+    problem: JointLikelihood, values: Array, *, weigh: bool = True, settled: float = SETTLED, most: int = MAX_ROUNDS
+) -> _Search:
     """Gauss-Newton steps within bounds; if `weigh`, the noise is re-estimated before each of the first steps.
 
     No step leads to an unstable arm, or from an unstable start to one that is less stable.
     """
     damping = 0.0
     limit = max(0.0, problem.pole(values))
-    for n_rounds in range(1, MAX_ROUNDS + 1):
+    for n_rounds in range(1, most + 1):
         if weigh and n_rounds <= WEIGHED_ROUNDS:
             problem.weigh(values)
         normal = problem.normal(values)
         room = problem.lower - values, problem.upper - values
         reason = "no smaller step increases the likelihood"
-        if _size(normal, _bounded_step(normal, 0.0, *room)) < SETTLED:
+        if _size(normal, _bounded_step(normal, 0.0, *room)) < settled:
             return _Search(values, normal.information, "converged: steps are far below the errors", True, n_rounds)
         while True:
             after = np.clip(values + _bounded_step(normal, damping, *room), problem.lower, problem.upper)
@@ -285,7 +327,7 @@ def _search(problem: JointLikelihood, values: Array, *, weigh: bool = True) -> _
             if damping > 1e8:
                 return _Search(values, normal.information, f"not converged: {reason}", False, n_rounds)
         values, damping = after, damping / 10.0 if damping > 1e-6 else 0.0
-    return _Search(values, normal.information, f"not converged: {MAX_ROUNDS} steps were not enough", False, MAX_ROUNDS)
+    return _Search(values, normal.information, f"not converged: {most} steps were not enough", False, most)
 
 
 def _with_trial_effects(problem: JointLikelihood, search: _Search) -> _Search:

@@ -24,9 +24,10 @@ from armperturb.analysis.fit.admittance_fit import AdmittanceFit, fit_admittance
 from armperturb.analysis.fit.admittance_problem import Target
 from armperturb.analysis.fit.structures import MODEL_3_WIDE, STRUCTURES, Structure, published_starts, unit
 from armperturb.analysis.measures.vaf import trial_vaf
+from armperturb.analysis.per_trials import per_trials
 from armperturb.analysis.response.spectra import single_trial_spectra
 from armperturb.analysis.results import Description, Result, Table, plain
-from armperturb.analysis.trials import ConditionTrials, Trials, per_trials, prepared
+from armperturb.analysis.trials import ConditionTrials, Trials, prepared
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 

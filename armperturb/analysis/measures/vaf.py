@@ -8,7 +8,8 @@ from scipy import signal
 
 from armperturb.analysis.arm.state_space import largest_real_pole, simulate_linear
 from armperturb.analysis.defaults import SETTLED
-from armperturb.analysis.trials import ConditionTrials, Trials, per_trials, prepared
+from armperturb.analysis.per_trials import per_trials
+from armperturb.analysis.trials import ConditionTrials, Trials, prepared
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject

@@ -20,9 +20,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START
+from armperturb.analysis.per_trials import per_trials
 from armperturb.analysis.response.local_polynomial import N_INPUTS
 from armperturb.analysis.results import Description, Result, Table, plain, response_coordinates, response_frame
-from armperturb.analysis.trials import ConditionTrials, per_trials
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, ComplexArray
 
 if TYPE_CHECKING:
