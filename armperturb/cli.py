@@ -3,6 +3,7 @@
 import ast
 import importlib
 import importlib.metadata
+import os
 import signal
 import sys
 import threading
@@ -62,18 +63,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"armperturb {importlib.metadata.version('armperturb')}")
         return 0
     command: Command | None = None
+    new_folder: Path | None = None
     try:
         with ended_in_order(), inputs_untouched():
             command = _parse(arguments)
+            new_folder = _missing(getattr(command, "out", None))
             with naming_the_extra(f"armperturb {type(command).__name__.lower()}"):
                 if command.needs_simulator:
                     require_simulator()
                 for line in command.run():
                     print(printable(line))
     except REFUSED as error:
+        _remove_empty(new_folder)
         print(f"armperturb: error: {printable(' '.join(str(error).split()))}", file=sys.stderr)
         return 1
     except KeyboardInterrupt as interrupt:
+        _remove_empty(new_folder)
         resumes = "; the same command continues from here" if command is not None and command.resumes else ""
         number = interrupt.args[0] if interrupt.args else signal.SIGINT
         with suppress(OSError):  # the terminal may be gone
@@ -102,6 +107,19 @@ def ended_in_order() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _missing(folder: Path | None) -> Path | None:
+    """A folder that is not there yet; None if it is."""
+    return None if folder is None or folder.exists() else folder
+
+
+def _remove_empty(folder: Path | None) -> None:
+    """Remove a folder that the command has made, and those in it, as far as they are empty."""
+    if folder is not None and folder.is_dir():
+        for path, _, _ in os.walk(folder, topdown=False):
+            with suppress(OSError):
+                os.rmdir(path)
 
 
 def printable(text: str) -> str:

@@ -149,7 +149,7 @@ def written_whole(path: str | Path) -> Iterator[Path]:
         os.chmod(name, 0o666 & ~mask)
         os.replace(name, path)
     except OSError as error:
-        if error.filename != name:
+        if error.filename not in (name, None) or error.errno is None:  # a full disk names no file
             raise
         raise OSError(error.errno, error.strerror, str(path)) from error
     finally:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from importlib.util import find_spec
 from multiprocessing import resource_tracker
 from typing import TypeVar
 
@@ -33,6 +34,9 @@ ENDINGS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP"
 
 MOST_WORKERS = 1000
 """Processes on one machine; each takes some 200 MB."""
+
+LEAST_ADDRESSES = 10**9
+"""Address space with which a worker starts [byte]."""
 
 MAX_DEATHS = 3
 """How often in succession workers may die before a unit is finished: beyond that, the unit itself is at fault."""
@@ -165,16 +169,33 @@ def workers_for(count: int, dask: str | None) -> Iterator[Workers | None]:
 
     Raises:
       ValueError: there would be more processes than `MOST_WORKERS`.
+      MemoryError: a process may take too little memory to become one.
       MissingExtraError: Dask is not installed.
       OSError: no scheduler answers.
     """
     require_number("command", "workers", count, at_most=MOST_WORKERS)
+    if count != 1 and dask is None:
+        _require_addresses()
     workers = DaskCluster(dask) if dask is not None else LocalProcesses(count) if count != 1 else None
     try:
         yield workers
     finally:
         if workers is not None:
             workers.close()
+
+
+def _require_addresses() -> None:
+    """Refuse a limit within which worker processes die while they start."""
+    if find_spec("resource") is None:
+        return
+    import resource
+
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESSES:
+        raise MemoryError(
+            f"workers: memory of a process is limited to {limit} bytes (ulimit -v); expected at least "
+            f"{LEAST_ADDRESSES} for worker processes (--workers 1 starts none)"
+        )
 
 
 def completed(

@@ -150,3 +150,12 @@ def test_a_wrong_dask_address_is_told(monkeypatch):
         DaskCluster("tcp://127.0.0.1:1")
     with pytest.raises(OSError, match="no Dask scheduler answers at nonsense://x"):
         DaskCluster("nonsense://x")
+
+
+def test_too_little_memory_for_workers_is_refused_before_they_start(monkeypatch):
+    resource = pytest.importorskip("resource")
+    monkeypatch.setattr(resource, "getrlimit", lambda what: (600_000 * 1024, resource.RLIM_INFINITY))
+    with pytest.raises(MemoryError, match="expected at least 1000000000 for worker processes"), workers_for(2, None):
+        pass
+    with workers_for(1, None) as pool:
+        assert pool is None

@@ -1,5 +1,6 @@
 """A user's own files are never lost: no command writes to what it has read, and none replaces a file unasked."""
 
+import errno
 import shutil
 from pathlib import Path
 
@@ -126,3 +127,29 @@ def test_a_wrong_period_is_refused_by_every_estimator(tmp_path, capsys, estimato
     options = ("--model", "3b", "--estimator", estimator, "--period", 7, "--out", tmp_path / "r")
     assert "period = 7 s; expected the perturbation's own" in refused(capsys, "identify", recording, *options)
     assert not (tmp_path / "r").exists()
+
+
+@pytest.mark.parametrize("ending", [".nc", ".csv", ".mat"])
+def test_a_full_disk_names_the_file_and_leaves_nothing(folder, capsys, monkeypatch, ending):
+    def full(path, content):
+        with path.open("wb") as file:
+            file.write(content[:10])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    source, before = next(folder.glob("*.csv")), content_of(folder)
+    out = folder / f"o{ending}"
+    line = refused(capsys, "convert", source, "--out", out)
+    assert "No space left on device" in line
+    assert str(folder / "o") in line
+    assert content_of(folder) == before
+
+
+def test_a_folder_of_results_that_cannot_be_written_does_not_stay(folder, capsys, monkeypatch):
+    def full(path, *_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    recording = Path(__file__).parents[2] / "examples" / "data" / "relax.nc"
+    monkeypatch.setattr("armperturb.commands.response.write_csv", full)
+    assert "No space left" in refused(capsys, "response", recording, "--out", folder / "new" / "r")
+    assert not (folder / "new" / "r").exists()
