@@ -55,8 +55,10 @@ def penalty_factor(pole: ArrayLike) -> Array:
     return np.asarray(10.0 * 10.0 ** np.minimum(10.0 * (np.asarray(pole) + 0.5), 50.0) + 1.0)
 
 
-def least_squares(problem: "AdmittanceProblem", start: Array, *, with_penalty: bool) -> optimize.OptimizeResult:
-    """Bounded least squares from one start; the result holds parameters in SI."""
+def least_squares(
+    problem: "AdmittanceProblem", start: Array, *, with_penalty: bool, most: int = MAX_EVALUATIONS
+) -> optimize.OptimizeResult:
+    """Bounded least squares from one start, of so many evaluations at most; the result holds parameters in SI."""
     scale = np.where(start != 0, np.abs(start), 1.0)
     lower, upper = problem.lower, problem.upper
     solution = optimize.least_squares(
@@ -68,7 +70,7 @@ def least_squares(problem: "AdmittanceProblem", start: Array, *, with_penalty: b
         xtol=1e-10,
         ftol=1e-12,
         gtol=1e-12,
-        max_nfev=MAX_EVALUATIONS,
+        max_nfev=most,
     )
     solution.x = np.clip(solution.x * scale, lower, upper)
     return solution

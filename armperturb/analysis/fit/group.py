@@ -30,6 +30,9 @@ NOT_PERIODIC = 0.01
 """RMS of what changes from period to period over that of the perturbation from which on it is not periodic [-]."""
 
 
+EVALUATIONS = 40
+"""Of a structure, in a fit to the estimated admittance, which is but a start."""
+
 COHERENCE = (0.05, 0.9999)
 """Coherences beyond which an admittance counts as no less, or no more, well known [-]."""
 
@@ -124,7 +127,7 @@ class Group:
             checked_problem(target, self.structure, "exact"),
             weight=np.broadcast_to(weight[:, :, None], spectra.arm.shape),
         )
-        solution = least_squares(problem, start, with_penalty=False)
+        solution = least_squares(problem, start, with_penalty=False, most=EVALUATIONS)
         return solution.x, float(2.0 * solution.cost)
 
     @property

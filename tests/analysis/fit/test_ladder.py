@@ -1,0 +1,66 @@
+"""The trials choose the structure of arms that the package did not make."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armperturb.analysis.fit.identify import identify
+from armperturb.analysis.fit.ladder import left_out_loss
+from armperturb.analysis.fit.maximum_likelihood import Sketch
+from armperturb.analysis.fit.trial_effects import TrialScore
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from foreign_recordings import draw_foreign
+
+JUDGED = ("k_s", "k_se", "k_e", "b_s", "b_se", "b_e")
+
+
+def recorded(seed, **options):
+    setup = draw_foreign(seed, n_trials=4, duration=20.0, rate=200.0, period=10.0, **options)
+    return setup.truth, setup.recording()
+
+
+@pytest.mark.slow(reason="fits several structures to each recording")
+@pytest.mark.parametrize(("grip", "reflex"), [("rigid", "none"), ("spring", "position")])
+def test_right_structure_is_chosen_and_its_parameters_are_right(grip, reflex):
+    truth, recording = recorded(6, kind="multisine", grip=grip, reflex=reflex)
+    fit = identify(recording).fit
+    assert fit.choice.chosen[:3] == ("free", grip, reflex)
+    assert fit.choice.in_motion
+    error = np.array([(fit.values[name] - truth[name]) / fit.standard_error[name] for name in JUDGED])
+    assert np.abs(error).max() < 4.0
+    assert f"structure chosen: inertia free, grip {grip}, reflex {reflex}; runner-up: " in fit.remarks[0]
+    assert [rung.score for rung in fit.choice.rungs] == sorted(rung.score for rung in fit.choice.rungs)
+
+
+@pytest.mark.slow(reason="simulates and identifies a recording")
+def test_a_wrong_structure_is_said_to_be_wrong():
+    _, recording = recorded(6, kind="multisine", grip="spring", reflex="position")
+    assert any("the disturbance explains more" in remark for remark in identify(recording, "1").fit.remarks)
+
+
+def test_loss_on_left_out_trials_is_that_of_leaving_them_out():
+    """A linear problem, where the loss is exact but for what is of second order in the share of a trial."""
+    rng = np.random.default_rng(0)
+    designs, n_trials = rng.normal(size=(6, 40, 3)), 6
+    answers = designs @ [1.0, -2.0, 0.5] + rng.normal(size=(n_trials, 40))
+    whole = np.linalg.lstsq(designs.reshape(-1, 3), answers.ravel(), rcond=None)[0]
+    scores, loss = [], 0.0
+    for trial in range(n_trials):
+        design, left = designs[trial], answers[trial] - designs[trial] @ whole
+        scores.append(TrialScore(range(3), design.T @ left, design.T @ design, np.zeros((3, 5))))
+        others = np.delete(np.arange(n_trials), trial)
+        without = np.linalg.lstsq(designs[others].reshape(-1, 3), answers[others].ravel(), rcond=None)[0]
+        loss += np.sum((answers[trial] - design @ without) ** 2) - np.sum(left**2)
+    assert left_out_loss(Sketch(whole, 0.0, 0.0, 1, tuple(scores))) == pytest.approx(loss, rel=1e-9)
+
+
+def test_a_choice_of_structure_shares_nothing():
+    _, recording = recorded(6, kind="noise", grip="rigid", reflex="none")
+    with pytest.raises(
+        ValueError, match=r"identify: estimator = 'thesis' without a model; expected one, e.g. --model 3"
+    ):
+        identify(recording, estimator="thesis")
