@@ -215,7 +215,7 @@ def write_csv(table: "pd.DataFrame | Iterable[Mapping[str, Any]]", path: str | P
 
 def _as_text(cell: Any) -> Any:
     """A cell that a spreadsheet does not run: one that begins as a formula does gets an apostrophe, unless a number."""
-    if not isinstance(cell, str) or not cell.startswith(("=", "+", "-", "@", "\t", "\r")):
+    if not isinstance(cell, str) or cell == "-" or not cell.startswith(("=", "+", "-", "@", "\t", "\r")):
         return cell
     try:
         float(cell)

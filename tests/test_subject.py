@@ -57,7 +57,7 @@ def test_joint_matrix_and_muscle_groups():
     [
         ({"m_h": 0.0}, r"m_h = 0.0; expected a finite number above 0"),
         ({"m_f": -1.0}, r"m_f = -1.0; expected a finite number above 0"),
-        ({"l_h": -0.3}, r"l_h = -0.3; expected a finite number above 0"),
+        ({"l_h": -0.3}, r"l_h = -0.3; expected a finite number at least 0.01 and at most 2"),
         ({"Td_s": 0.0}, r"Td_s = 0.0; expected a finite number above 0"),
         ({"fact_e": 0.0}, r"fact_e = 0.0; expected a finite number at least 0.01 and at most 1000"),
         ({"k_h": float("nan")}, r"k_h = nan; expected a finite number above 0"),
@@ -70,7 +70,7 @@ def test_joint_matrix_and_muscle_groups():
         ({"b_s": -0.1}, r"b_s = -0.1; expected a finite number at least 0"),
         ({"kv_s": float("nan")}, r"kv_s = nan; expected a finite number"),
         ({"theta_e_deg": 180.0}, r"theta_e_deg = 180.0; expected a finite number at least 5 and at most 175"),
-        ({"l_h": 330.0}, r"l_h = 330.0; expected a finite number above 0 and at most 2"),
+        ({"l_h": 330.0}, r"l_h = 330.0; expected a finite number at least 0.01 and at most 2"),
         ({"Td_s": 30.0}, r"Td_s = 30.0; expected a finite number above 0 and at most 1"),
         ({"fact_s": 1e-9}, r"fact_s = 1e-09; expected a finite number at least 0.01"),
         ({"m_h": 10**400}, r"m_h = 1000.*; expected a finite number above 0"),

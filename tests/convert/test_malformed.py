@@ -160,7 +160,7 @@ SIDECARS = {
     "signal missing": (redefined(lambda s: s["signals"].pop("force")), "signals.force is missing"),
     "who exerts it": (redefined(lambda s: s["signals"]["force"].pop("exerted_by")), "force.exerted_by is missing"),
     "nobody exerts it": (of_signal("force", exerted_by="robot"), "exerted_by = 'robot'; expected one of handle, hand"),
-    "unit unknown": (of_signal("force", unit="kg"), "signals.force.unit = 'kg'; expected a unit: N, mN"),
+    "unit unknown": (of_signal("force", unit="kg"), "signals.force.unit = 'kg'; expected a unit: N, "),
     "unit of another": (of_signal("displacement", unit="deg"), "signals.displacement.unit = 'deg'; expected a unit: m"),
     "unit no text": (of_signal("displacement", unit=["m"]), "signals.displacement.unit = ['m']"),
     "one channel for both": (of_signal("force", channels={"x": "Fx", "y": "Fx"}), "= 'Fx' twice"),

@@ -314,7 +314,7 @@ def test_a_full_disk_is_one_line_and_spares_earlier_files(protocol, settings, un
 
 def test_a_second_run_and_other_settings_are_refused(protocol, settings, tmp_path, capsys):
     with subprocess.Popen(command(tmp_path, protocol, "--workers", "1", "--block", "1")) as run:
-        wait_for(lambda: (tmp_path / "recordings").is_dir())
+        wait_for(lambda: list((tmp_path / "recordings").glob("*.nc")))
         refused = main(arguments(tmp_path, protocol))
         still_running = run.poll() is None
         run.kill()

@@ -335,7 +335,9 @@ def test_the_command_reports_on_what_is_there(copied, capsys, monkeypatch):
     monkeypatch.setattr(report, "write_report", partial(whole, figures=(), simulate=False))
     monkeypatch.setattr(analyse, "analyse_study", lambda folder, **_: analysed(folder))
     assert main(["report", str(copied), "--workers", "1"]) == 0
-    assert capsys.readouterr().out == f"report: {copied / 'report.html'}\n"
+    recalled, written = capsys.readouterr().out.splitlines()
+    assert recalled.startswith("recalled from analysis/ (--fresh computes them anew): S01")
+    assert written == f"report: {copied / 'report.html'}"
     assert (copied / "report.html").is_file()
     assert (copied / "score" / "score.csv").is_file()
 

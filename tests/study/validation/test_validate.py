@@ -212,7 +212,9 @@ def test_the_command_writes_what_it_says(tmp_path, capsys):
 
 def test_the_command_refuses_in_one_line(tmp_path, capsys):
     assert main(["validate", "--out", str(tmp_path / "new"), "--groups", "0"]) == 1
-    assert capsys.readouterr().err == ("armperturb: error: validate: groups = 0; expected a finite number at least 1\n")
+    assert capsys.readouterr().err == (
+        "armperturb: error: validate: groups = 0; expected a finite number at least 1 and at most 100000\n"
+    )
     assert not (tmp_path / "new").exists()
 
 
