@@ -8,6 +8,7 @@ from laboratory import write
 
 from armperturb import cli
 from armperturb.convert.importer import import_recording
+from armperturb.foreign import read_foreign
 from armperturb.recording import load_recording, save_recording
 
 
@@ -68,7 +69,9 @@ HOSTILE = {
 @pytest.mark.slow(reason="a child process each")
 @pytest.mark.parametrize("damage", HOSTILE.values(), ids=HOSTILE)
 @pytest.mark.parametrize("command", ["convert", "identify", "response", "video", "report"])
-def test_each_ends_in_one_line(whole, tmp_path, capfd, damage, command):
+def test_each_ends_in_one_line(whole, tmp_path, capfd, monkeypatch, damage, command):
+    # What keeps the library busy for ever is given up earlier than users would be patient.
+    monkeypatch.setitem(read_foreign.__kwdefaults__, "seconds", 3.0)
     (tmp_path / "recordings").mkdir()
     path = tmp_path / "recordings" / "S01.nc"
     path.write_bytes(whole)
