@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from armperturb.convert.checks import check_recordings
-from armperturb.convert.importer import import_recording
+from armperturb.convert.importer import import_recording, require_each_once
 from armperturb.environment import Environment
 
 
@@ -39,9 +39,7 @@ def select_trials(
     Raises:
       ValueError: as `import_recording`; no trial has the name, or one of several has to be chosen.
     """
-    for place, path in enumerate(files):
-        if path.resolve() in [other.resolve() for other in files[:place]]:
-            raise ValueError(f"{path} comes twice; expected each recording once")
+    require_each_once(files)
     imported = [import_recording([path], sidecar=sidecar) for path in files]
     notes = list(dict.fromkeys(note for _, of_file in imported for note in of_file))
     source, selected = ", ".join(map(str, files)), [recording for recording, _ in imported]

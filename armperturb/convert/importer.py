@@ -67,12 +67,11 @@ def import_recording(
     for fault in repair:
         require_one_of("convert", "repair", fault, get_args(Repair))
     require_number("convert", "rate", rate, at_least=1.0, at_most=1e6, optional=True)
-    for place, path in enumerate(files):
+    for path in files:
         require_one_of(str(path), "ending", path.suffix.lower(), (*TEXT, *MATLAB, *C3D, *OURS))
         if not path.is_file():
             raise FileNotFoundError(f"{path}: no such file, or a folder; expected a recording")
-        if path.resolve() in [other.resolve() for other in files[:place]]:
-            raise ValueError(f"{path} comes twice; expected each recording once")
+    require_each_once(files)
     ours = [path for path in files if path.suffix.lower() in OURS]
     if not ours:
         return import_trials(_read(files, sidecar), repair, rate)
@@ -91,6 +90,17 @@ def import_recording(
     together = join_recordings(recordings, ", ".join(map(str, ours)), OPTIONAL_SIGNALS)
     lost = [f"not in all files alike, so left out: {', '.join(together.lost)}"] if together.lost else []
     return Imported(together.recording, (*notes, *lost))
+
+
+def require_each_once(files: Sequence[Path]) -> None:
+    """Refuse files of which one comes twice.
+
+    Raises:
+      ValueError: one does.
+    """
+    for place, path in enumerate(files):
+        if path.resolve() in [other.resolve() for other in files[:place]]:
+            raise ValueError(f"{path} comes twice; expected each recording once")
 
 
 def _read(files: Sequence[Path], sidecar: str | Path | None) -> Iterable[tuple[Path, Sidecar, Sequence[RawTrial]]]:

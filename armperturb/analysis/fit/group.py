@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
-from scipy import signal
 
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.fit.admittance_problem import Target, checked_problem, least_squares
@@ -16,7 +15,7 @@ from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.force_balance import EDGE
 from armperturb.analysis.per_trials import per_trials
 from armperturb.analysis.response.condition_spectra import condition_spectra, periodic_lines
-from armperturb.analysis.response.joint_records import FILTER_CUTOFF, FILTER_REACH, MODEL_RATE
+from armperturb.analysis.response.joint_records import FILTER_REACH, MODEL_RATE, thinned
 from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_recordings
 from armperturb.arrays import Array
@@ -178,18 +177,12 @@ def record_likelihood(trials: ConditionTrials, top: float) -> RecordLikelihood:
     if factor < 2:
         return RecordLikelihood(_signals(trials, slice(end)), top, from_rest=trials.from_rest)
     rate, first = trials.rate / factor, 0 if trials.from_rest else FILTER_REACH
-    d, x = (_thinned(values[:, :end], factor)[:, first:] for values in (trials.perturbation, trials.displacement))
+    d, x = (
+        thinned(values[:, :end], factor, axis=1)[:, first:-FILTER_REACH]
+        for values in (trials.perturbation, trials.displacement)
+    )
     signals = Signals(d, whitened(x, rate), trials.body, trials.environment, rate)
     return RecordLikelihood(signals, min(top, 0.45 * rate), from_rest=trials.from_rest)
-
-
-def _thinned(values: Array, factor: int) -> Array:
-    """Every factor-th sample of what a filter leaves of signals that are zero before their start, (trial, time, axis).
-
-    The same filter on disturbance and displacement cancels.
-    """
-    lowpass = signal.firwin(2 * FILTER_REACH * factor + 1, FILTER_CUTOFF / factor, window=("kaiser", 5.0))
-    return np.asarray(signal.resample_poly(values, 1, factor, axis=1, window=lowpass)[:, :-FILTER_REACH])
 
 
 def _period_likelihood(

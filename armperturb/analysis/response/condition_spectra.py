@@ -55,6 +55,14 @@ def condition_spectra(
     """
     if periodic_lines(parts, window_start, period) is not None:
         return averaged_spectra(parts[0], window_start=window_start, period=period, lines_per_average=lines_per_average)
+    key = ("whole records", tuple(parts))
+    if key not in parts[0].results:
+        parts[0].results[key] = _of_whole_records(parts)
+    spectra: SpectralEstimate = parts[0].results[key]
+    return spectra
+
+
+def _of_whole_records(parts: Sequence[ConditionTrials]) -> SpectralEstimate:
     start = 0.0 if all(part.from_rest for part in parts) else SETTLED
     fits, power = local_fits(parts, start)
     noises = [(fit.noise, fit.dof) for fit in fits]

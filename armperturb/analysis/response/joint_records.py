@@ -87,10 +87,17 @@ def _resampled(record: TrialRecord) -> TrialRecord:
     signals = np.concatenate(record[:2], axis=1)
     if len(signals) < 4 * FILTER_REACH * factor:
         raise ValueError(f"a trial holds {len(signals)} samples; expected at least {4 * FILTER_REACH * factor}")
-    # All signals pass the same filter, so that it cancels.
-    lowpass = signal.firwin(2 * FILTER_REACH * factor + 1, FILTER_CUTOFF / factor, window=("kaiser", 5.0))
-    signals = signal.resample_poly(signals, 1, factor, axis=0, window=lowpass)[FILTER_REACH:-FILTER_REACH]
+    signals = thinned(signals, factor, axis=0)[FILTER_REACH:-FILTER_REACH]
     return TrialRecord(signals[:, :2], signals[:, 2:], record.rate / factor)
+
+
+def thinned(signals: Array, factor: int, axis: int) -> Array:
+    """Every factor-th sample of what a low-pass leaves of signals that are zero before their start.
+
+    Signals that pass the same filter keep their relation: it cancels. It spoils `FILTER_REACH` samples at either end.
+    """
+    lowpass = signal.firwin(2 * FILTER_REACH * factor + 1, FILTER_CUTOFF / factor, window=("kaiser", 5.0))
+    return np.asarray(signal.resample_poly(signals, 1, factor, axis=axis, window=lowpass))
 
 
 def excited_frequencies(records: Sequence[TrialRecord]) -> Array:

@@ -55,6 +55,7 @@ def identified():
 def page(identified, tmp_path_factory):
     results, trials = identified
     choice = SimpleNamespace(
+        group=SimpleNamespace(parts=trials["multisine"]),
         sentence="the trials choose <this>",
         undecided=("grip: rigid or spring",),
         remarks=lambda parts: (),
