@@ -40,7 +40,7 @@ def select_trials(
       ValueError: as `import_recording`; no trial has the name, or one of several has to be chosen.
     """
     require_each_once(files)
-    imported = [import_recording([path], sidecar=sidecar) for path in files]
+    imported = [import_recording([path], sidecar=sidecar, optional=()) for path in files]
     notes = list(dict.fromkeys(note for _, of_file in imported for note in of_file))
     source, selected = ", ".join(map(str, files)), [recording for recording, _ in imported]
     of_files = list(map(str, files))
