@@ -7,7 +7,7 @@
 | `displacement` | trial, time, axis | m | of the handle, from its start |
 | `joint_angle` | trial, time, joint | rad | shoulder from the x axis, elbow from the humerus; may be absent |
 | `shoulder_marker` | trial, time, axis | m | of the marker on the shoulder, from its start; may be absent |
-| `scheduling` | trial, time, axis | m | imposed slow movement on which stiffness depends, with one axis; may be absent |
+| `scheduling` | trial, time, axis | m | slow movement on which stiffness depends, of one axis; may be absent |
 | `emg` | trial, emg_time, muscle | V | of the eight `MUSCLES`; may be absent |
 
 Axes are x = right, y = forward; the environment sees d - f, and admittance is displacement per f. A recording of one
