@@ -160,9 +160,7 @@ class Likelihood:
         # Where an arm answers: often everywhere.
         asked = frequency[answering]
         self._answer = (
-            self._total
-            if len(asked) == len(frequency)
-            else TotalAdmittance(signals.body, asked, signals.environment)
+            self._total if len(asked) == len(frequency) else TotalAdmittance(signals.body, asked, signals.environment)
         )
         self._frequency, self._filter = frequency, whitening(frequency, signals.rate)
         self._answering = answering

@@ -59,7 +59,7 @@ class TotalAdmittance:
 
     def _gradient(self, number: int, values: Array, mixing: Array, scale: ComplexArray | None) -> ComplexArray:
         """Derivatives of P by the free parameters in one run, (free parameter, output, input, frequency)."""
-        groups, index = groups_of(mixing.any(axis=1))
+        groups, index = groups_of(np.any(mixing != 0.0, axis=1))
         by_all = self._arms[number].total_and_gradient(values, self._environment, groups)[1].transpose(3, 1, 2, 0)
         # Real and imaginary parts beside one another: the mixing is real.
         mixed = mixing[index].T @ by_all.reshape(len(index), -1).view(float)

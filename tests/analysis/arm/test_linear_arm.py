@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate
 
+from armperturb.analysis.arm import state_space as state_space_module
 from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix, with_rigid_segments
 from armperturb.analysis.arm.joint_matrices import Environments
 from armperturb.analysis.arm.linear_arm import (
@@ -19,7 +20,6 @@ from armperturb.analysis.arm.linear_arm import (
     total_admittance,
 )
 from armperturb.analysis.arm.parameters import PARAMETERS, groups_of, parameter_vector
-from armperturb.analysis.arm import state_space as state_space_module
 from armperturb.analysis.arm.state_space import largest_real_pole, require_stable, simulate_linear, state_space
 from armperturb.environment import Environment
 from armperturb.subject import POSITION, RELAX

@@ -171,8 +171,9 @@ def test_no_noise_at_all_is_round_off(kind, n_trials):
     assert likelihood.objective(parameter_vector(POSITION)) < likelihood.objective(parameter_vector(RELAX))
 
 
-@pytest.mark.parametrize("from_rest", [True, False])
-def test_a_long_record_takes_less_memory_to_the_same_result(from_rest, monkeypatch):
+# What was before a record is fitted by responses that nearly depend on each other, which magnifies rounding.
+@pytest.mark.parametrize(("from_rest", "tolerance"), [(True, 1e-9), (False, 1e-8)])
+def test_a_long_record_takes_less_memory_to_the_same_result(from_rest, tolerance, monkeypatch):
     structure, arm = STRUCTURES["3"], POSITION
     rng = np.random.default_rng(3)
     d = np.stack([multisine(trial, 3000) for trial in range(2)])
@@ -191,7 +192,7 @@ def test_a_long_record_takes_less_memory_to_the_same_result(from_rest, monkeypat
     monkeypatch.setattr(frequency_bands, "LARGEST_MATRIX", 1)
     monkeypatch.setattr(likelihood_module, "LONGEST_SIGNALS", 1)
     for found, expected in zip(judged(), usual, strict=True):
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+        np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * np.abs(expected).max())
 
 
 def test_bands_of_any_number_of_frequencies_have_the_same_averages(monkeypatch):
