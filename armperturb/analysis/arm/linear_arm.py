@@ -161,8 +161,8 @@ class LinearArm:
     ) -> tuple[ComplexArray, ComplexArray]:
         """`total_admittance` and its derivative by the groups' parameters, by default all of them.
 
-        The derivative is (..., frequency, output, input, parameter). As P^-1 = E^-1 + H^-1, dP = P H^-1 dH H^-1 P, where
-        P H^-1 = H^-1 P = (1 + E^-1 H)^-1.
+        The derivative is (..., frequency, output, input, parameter). As P^-1 = E^-1 + H^-1, dP = P H^-1 dH H^-1 P,
+        where P H^-1 = H^-1 P = (1 + E^-1 H)^-1.
         """
         arm, gradient = self._arm_and_gradient(values, environment, None, groups)
         return matrix_last(product(arm, self._share(arm, environment))), parameter_last(gradient)

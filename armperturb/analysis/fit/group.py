@@ -178,7 +178,7 @@ def record_likelihood(trials: ConditionTrials, top: float) -> RecordLikelihood:
     """Likelihood of whole records up to the first pulse, at frequencies up to `top` [Hz]."""
     end = min(trials.first_onset, trials.n_samples - round(EDGE * trials.rate))
     if end > LONG_RECORD:
-        end = fft.prev_fast_len(end)
+        end = next(n for n in range(end, 0, -1) if fft.next_fast_len(n) == n)
     factor = int(trials.rate // MODEL_RATE)
     if factor < 2:
         return RecordLikelihood(_signals(trials, slice(end)), top, from_rest=trials.from_rest)
