@@ -146,8 +146,8 @@ def _wrong(status: int, said: str, before: dict[str, bytes], after: dict[str, by
     return f"neither the old nor the new file: {', '.join(halves)}" if halves else ""
 
 
-def _laboratory(folder: Path) -> None:
-    """A recording of two trials, as CSV with its sidecar and as netCDF, and a short protocol."""
+def _laboratory(folder: Path, *, with_study: bool) -> None:
+    """A recording of two trials, as CSV with its sidecar and as netCDF, a short protocol, and its study if asked."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     from foreign_arms import Arm
     from foreign_recordings import Setup, write_csv
@@ -157,6 +157,8 @@ def _laboratory(folder: Path) -> None:
     os.chdir(folder)
     assert run(["convert", "foreign.csv", "--out", "r.nc"])[0] == 0
     short_protocol(folder / "short.toml")
+    if not with_study:
+        return
     study = ["study", "--protocol", "short.toml", "--subjects", "1", "--workers", "1", "--record-only", "--out", "made"]
     assert run(study)[0] == 0
 
@@ -194,7 +196,7 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args([] if arguments is None else arguments)
     here = Path.cwd()
     with tempfile.TemporaryDirectory() as name:
-        _laboratory(Path(name))
+        _laboratory(Path(name), with_study=bool({"report", "score", "video"} & set(options.commands)))
         os.chdir(here)
         for command in options.commands:
             for kind in OPERATIONS:

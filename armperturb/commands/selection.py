@@ -20,7 +20,7 @@ def manipulator(environment: Environment) -> str:
 LARGEST_MEMORY = 4 * 2**30
 """Memory that an analysis may take [byte]."""
 
-AT_LEAST = 200_000_000
+AT_LEAST = 400_000_000
 """Memory that it takes in any case [byte]."""
 
 

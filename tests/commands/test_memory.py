@@ -18,7 +18,7 @@ def of_length(duration, n_trials=1, rate=200.0):
 def test_length_trials_and_memory_are_named():
     needs = MemoryPerSample(longest=2000, all=300)
     needs.require([of_length(3600.0), of_length(36.0, 320)])
-    message = r"2 trials of up to 36000 s at 200 Hz take some 15.6 GiB .* at most 4 GiB \(a lower rate .* --rate"
+    message = r"2 trials of up to 36000 s at 200 Hz take some 15.8 GiB .* at most 4 GiB \(a lower rate .* --rate"
     with pytest.raises(ValueError, match=message):
         needs.require([of_length(36000.0), of_length(36.0)])
 
