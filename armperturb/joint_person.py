@@ -162,8 +162,8 @@ def half_wave(person: JointPerson, threshold: float, slope: float = 0.0) -> Join
       slope: change of the threshold per unit of contraction [rad/s], see `JointPerson.at_level`.
     """
     law = person.muscle or MuscleLaw()
-    changes = {"spindle_direction": 1.0, "spindle_threshold": threshold, "spindle_threshold_slope": slope}
-    return replace(person, muscle=replace(law, **changes))
+    one_sided = replace(law, spindle_direction=1.0, spindle_threshold=threshold, spindle_threshold_slope=slope)
+    return replace(person, muscle=one_sided)
 
 
 def servo_of(joint: str, kind: str) -> Servo:

@@ -91,12 +91,12 @@ class MuscleLaw:
 
         Levels multiply: twice at a level of 2 is once at 4.
         """
-        slopes = self.of_elements("spindle_threshold_slope")
-        thresholds = zip(self.of_elements("spindle_threshold"), slopes, strict=True)
+        (v_s, v_se, v_e), (g_s, g_se, g_e) = map(self.of_elements, ("spindle_threshold", "spindle_threshold_slope"))
+        more = level - 1.0
         return replace(
             self.scaled(level),
-            spindle_threshold=tuple(threshold + slope * (level - 1.0) for threshold, slope in thresholds),
-            spindle_threshold_slope=tuple(slope * level for slope in slopes),
+            spindle_threshold=(v_s + g_s * more, v_se + g_se * more, v_e + g_e * more),
+            spindle_threshold_slope=(g_s * level, g_se * level, g_e * level),
         )
 
     def of_elements(self, field: str) -> tuple[float, float, float]:

@@ -28,6 +28,9 @@ from armperturb.subject import Subject
 LAWS: tuple[Law, ...] = ("linear", "short-range", "full", "half-wave")
 """From the simplest to the largest."""
 
+START_FROM: Mapping[Law, Law] = {"full": "short-range", "half-wave": "full"}
+"""Law to the one from whose estimates it starts."""
+
 MECHANISMS: Mapping[str, Mapping[str, float]] = {
     "thixotropy": {"loss_angle_deg": math.inf, "recovery_time": 1.0},
     "shear-thinning damping": {"thinning_velocity": math.inf},
@@ -203,7 +206,7 @@ def compare_laws(
     chosen: Law = laws[0]
     for law in laws:
         # A linear arm's stiffness is that of all bonds, so a yielding one starts from the arms of all amplitudes.
-        starts = in_folds.get({"full": "short-range", "half-wave": "full"}.get(law, law), [])
+        starts = in_folds.get(START_FROM[law], []) if law in START_FROM else []
         judged[law], in_folds[law] = fits.judge(folds, Model(law=law), law, starts, n_pairs_of_folds)
         if law != laws[0]:
             gains[law] = judged[law].gain(judged[chosen])

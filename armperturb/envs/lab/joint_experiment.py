@@ -15,6 +15,7 @@ from armperturb.controllers.lanes import control_columns, control_memory, histor
 from armperturb.controllers.remnant import HumanNoise
 from armperturb.envs.lab.joint_stepping import ANGLE, DAMPING, GAIN, HELD, NEUTRAL, STIFFNESS, VELOCITY, advance_joint
 from armperturb.envs.lab.setup import in_threads
+from armperturb.envs.lab.simulation import silent_simulator
 from armperturb.joint_person import JointPerson, Servo
 from armperturb.models.joint_rig import JOINT_TIMESTEP, build_joint_model
 from armperturb.recording import make_recording
@@ -215,12 +216,13 @@ def _simulate(trial: JointTrial, servo: Servo, rate: float, timestep: float, dec
         data.qpos[0], data.qvel[0] = command(0.0), command(0.0, 1)
     table = table_of(control_columns([person.subject], timestep))
     memory = control_memory(1, table["limit"].shape[2], history_of(table, timestep))
-    log = advance_joint(model, data, table, memory, course, drive, noise)
+    with silent_simulator():
+        log = advance_joint(model, data, table, memory, course, drive, noise)
     q, w, held = log[:, ANGLE], log[:, VELOCITY], log[:, HELD]
     if not np.abs(q).max() < LARGEST_ANGLE + np.abs(course[:, NEUTRAL]).max():  # NaN too
         raise RuntimeError(
-            f"{person.joint}: the joint diverged (angle beyond {LARGEST_ANGLE:g} rad); expected less feedback (kv, kp), "
-            "more damping, or a smaller perturbation"
+            f"{person.joint}: the joint diverged (angle beyond {LARGEST_ANGLE:g} rad); expected less feedback "
+            "(kv, kp), more damping, or a smaller perturbation"
         )
     acceleration = np.gradient(w, timestep, edge_order=2)
     acceleration[2:-2] = (8.0 * (w[3:-1] - w[1:-3]) - (w[4:] - w[:-4])) / (12.0 * timestep)

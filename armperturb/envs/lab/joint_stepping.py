@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 from numba import carray, njit
 
-from armperturb.arrays import Array
+from armperturb.arrays import Array, Indices
 from armperturb.controllers.compiled import act, delayed
 from armperturb.controllers.lanes import Table
 from armperturb.envs.lab.stepping import numbers_at, step_address, step_once
@@ -50,7 +50,7 @@ def advance_joint(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _advance(
-    addresses: Array,
+    addresses: Indices,
     timestep: float,
     person: Table,
     memory: Table,
