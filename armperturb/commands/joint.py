@@ -68,11 +68,12 @@ class Joint(Command):
         trials = []
         for i in range(self.trials):
             seed = 1000 * self.seed + i
-            common = {"seed": seed, "duration": self.duration, "rate": self.rate}
             if self.servo == "position":
-                perturbation = random_steps(size=0.03 if self.size is None else self.size, **common)
+                size = 0.03 if self.size is None else self.size
+                perturbation = random_steps(size=size, seed=seed, duration=self.duration, rate=self.rate)
             else:
-                perturbation = random_noise(rms=0.03 * person.stiffness if self.size is None else self.size, **common)
+                rms = 0.03 * person.stiffness if self.size is None else self.size
+                perturbation = random_noise(rms=rms, seed=seed, duration=self.duration, rate=self.rate)
             trial = JointTrial(person=person, perturbation=perturbation, seed=seed, repetition=i)
             if self.signal_to_noise is not None:
                 trial = at_signal_to_noise(trial, servo, self.signal_to_noise, rate=self.rate)

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -134,7 +135,7 @@ def run_joint_experiment(
     if any(trial.neutral is not None for trial in trials):
         signals["scheduling"] = np.stack([_series(trial, "neutral", 0.0) for trial in trials])
     nothing = np.full(len(trials), np.nan)
-    labels = {
+    labels: dict[str, Any] = {
         "subject": [trial.person.joint for trial in trials],
         "task": ["PT"] * len(trials),
         "condition": [trial.condition for trial in trials],
@@ -231,5 +232,5 @@ def _simulate(trial: JointTrial, servo: Servo, rate: float, timestep: float, dec
     law = person.muscle.of_elements("short_range_stiffness")[0] if person.muscle else 0.0
     torque = person.inertia * acceleration - muscle + course[:, DAMPING] * w + law * q
     torque += course[:, STIFFNESS] * (q - course[:, NEUTRAL])
-    kept = slice(0, n_steps - WIDTH, decimation)
-    return q[kept], torque[kept]
+    sampled = slice(0, n_steps - WIDTH, decimation)
+    return q[sampled], torque[sampled]
