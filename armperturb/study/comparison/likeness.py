@@ -10,6 +10,7 @@ and "people", people of our cohort with nonlinear muscles, whose admittance depe
 force that the arm met.
 """
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -20,11 +21,13 @@ import xarray as xr
 
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.arm.linear_arm import arm_admittance
+from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.measures.endpoint import EndpointMatrix
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.results import Description, Result, Table
 from armperturb.arrays import Array, ComplexArray
-from armperturb.cohort import draw_cohort, draw_subject
+from armperturb.cohort import draw_person, draw_subject
+from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Sampled
@@ -72,7 +75,7 @@ class Likeness(Result):
       gains: larger and smaller gain of the arm's admittance [m/N], (frequency, 2).
       reference_gains: of the people, (person, frequency, 2).
       table: group, quantity, value, people's mean and SD, unit, and the distance in SDs.
-      distance: group to the median of its quantities' distances [SD].
+      distance: group to the root mean square of its quantities' distances [SD].
       usual: group to the distance that 95 % of the people keep from the others [SD].
     """
 
@@ -151,7 +154,7 @@ def compare(recording: xr.Dataset | Sequence[xr.Dataset], reference: str = "peop
     frequency, admittance = estimate.frequency[chosen], estimate.response[chosen]
     geometry: dict[str, Any] = {name: float(first[name].values[0]) for name in GEOMETRY}
     known = bool(np.isfinite([*geometry.values()]).all())
-    bodies = [replace(body, **geometry) if known else body for body in _drawn(reference, task, seed)]
+    bodies = _drawn(reference, task, seed, geometry if known else {})
     if reference == "thesis":
         of_people = np.stack([arm_admittance(body, frequency) for body in bodies])
     else:
@@ -173,12 +176,20 @@ def compare(recording: xr.Dataset | Sequence[xr.Dataset], reference: str = "peop
     )
 
 
-def _drawn(reference: str, task: str, seed: int) -> list[Subject]:
-    """The people of a reference."""
-    if reference == "people":
-        return [person.subjects[task] for person in draw_cohort(N_DRAWN[reference], seed)]
+def _drawn(reference: str, task: str, seed: int, geometry: Mapping[str, Any]) -> list[Subject]:
+    """The people of a reference, in a posture in which they are stable on the thesis's manipulator."""
     preset, generator = (POSITION if task == POSITION.task else RELAX).name, np.random.default_rng(seed)
-    return [draw_subject(preset, generator) for _ in range(N_DRAWN[reference])]
+    people: list[Subject] = []
+    numbers = itertools.count()
+    while len(people) < N_DRAWN[reference]:
+        if reference == "thesis":
+            drawn = draw_subject(preset, generator)
+        else:
+            drawn = draw_person(seed, next(numbers)).subjects[task]
+        person = replace(drawn, **geometry)
+        if largest_real_pole(person, Environment()) < 0.0:
+            people.append(person)
+    return people
 
 
 def _under_the_same_force(people: Sequence[Subject], recording: xr.Dataset, frequency: Array) -> ComplexArray:
@@ -272,6 +283,6 @@ def _usual(each: Sequence[Rows]) -> dict[str, float]:
 
 
 def _distances(table: pd.DataFrame) -> dict[str, float]:
-    """Median distance of each group [SD]."""
-    groups, away = table["group"].to_numpy(), table["distance"].abs().to_numpy()
-    return {name: float(np.median(away[groups == name])) for name in dict.fromkeys(groups)}
+    """Root-mean-square distance of each group [SD]."""
+    groups, away = table["group"].to_numpy(), table["distance"].to_numpy()
+    return {name: float(np.sqrt(np.mean(away[groups == name] ** 2))) for name in dict.fromkeys(groups)}
