@@ -52,9 +52,10 @@ class Identify(Command):
     docs/method.md; nonlinear a muscle law, from all trials of one or both tasks together."""
     sidecar: Path | None = None
     """Sidecar of all recordings that need one, see docs/recordings.md; by default FILE.json beside each."""
-    law: Literal["full", "short-range", "linear", "choose"] | None = None
-    """Of the nonlinear model: the full muscle law (the default), short-range stiffness with yielding alone, the linear
-    law, or whichever predicts trials that were left out of the fits best (choose)."""
+    law: Literal["full", "half-wave", "short-range", "linear", "choose"] | None = None
+    """Of the nonlinear model: the full muscle law (the default), the same with half-wave rectified spindles that have a
+    threshold, short-range stiffness with yielding alone, the linear law, or whichever predicts trials that were left
+    out of the fits best (choose)."""
     pulses: tuple[float, ...] = ()
     """Directions of the pulses that the nonlinear model is fitted to [deg], e.g. 20 200; the others are predicted."""
     estimator: Estimator = "record"
