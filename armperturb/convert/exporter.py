@@ -15,11 +15,29 @@ from scipy.io import savemat
 from armperturb.arrays import Array
 from armperturb.convert.tables import TABLES
 from armperturb.files import written_whole
-from armperturb.recording import LABELS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES, check_recording, save_recording
+from armperturb.recording import (
+    LABELS,
+    SIGNALS,
+    TEXT_COORDINATES,
+    TRIAL_COORDINATES,
+    check_recording,
+    is_one_axis,
+    save_recording,
+)
 from armperturb.validation import require_one_of
 
 COLUMNS = {**TABLES["columns"], "emg": [f"{name}_V" for name in LABELS["muscle"]]}
 """Variable to its columns in text. EMG, which has another sampling rate, goes to a separate file."""
+
+
+def _columns(recording: xr.Dataset) -> dict[str, Sequence[str]]:
+    """Variable to its columns, of those that there are; with one axis they are named after quantity and unit."""
+    names = [name for name in SIGNALS if name in recording.data_vars]
+    if not is_one_axis(recording):
+        return {name: COLUMNS[name] for name in COLUMNS if name in names}
+    units = {name: recording[name].attrs["units"] for name in names}
+    return {name: COLUMNS[name] if name == "emg" else [f"{name}_{units[name]}"] for name in names}
+
 
 ENDINGS = (".nc", ".csv", ".mat")
 
@@ -77,7 +95,7 @@ def require_ending(path: Path) -> None:
 
 
 def _text(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
-    channels = {name: columns for name, columns in COLUMNS.items() if name in recording.data_vars}
+    channels = _columns(recording)
     meaning = _sidecar(recording, channels) | {"time": {"channel": "time_s", "unit": "s"}, "trial": "trial"}
     content = _table(recording, [name for name in channels if name != "emg"], recording["time"].values)
     return content, {**meaning, "trials": _trials(recording)}
@@ -89,7 +107,8 @@ def _table(
     """Signals as text, one line per sample, below a line of names; numbers are exact by default."""
     values = np.concatenate([recording[name].values for name in names], axis=2, dtype=float)
     n_trials, n_time, n_columns = values.shape
-    table = pd.DataFrame(values.reshape(-1, n_columns), columns=[column for name in names for column in COLUMNS[name]])
+    columns = [column for name in names for column in _columns(recording)[name]]
+    table = pd.DataFrame(values.reshape(-1, n_columns), columns=columns)
     if time is not None:
         table.insert(0, "time_s", np.tile(time, n_trials))
     table.insert(0, "trial", np.repeat(np.arange(1, n_trials + 1), n_time))
@@ -102,7 +121,7 @@ def _matlab(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
     trials = _trials(recording)
     content: dict[str, Any] = {name: recording[name].values for name in names}
     content |= {dim: recording[dim].values[:, None] for dim in ("time", "emg_time") if dim in recording.dims}
-    content["units"] = {name: SIGNALS[name][1] for name in names}
+    content["units"] = {name: recording[name].attrs["units"] for name in names}
     content["labels"] = {
         name: (values.astype(str).astype(object) if name in TEXT_COORDINATES else values)[:, None]
         for name, values in _labels(recording).items()
@@ -110,24 +129,30 @@ def _matlab(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
     content["rate"] = float(recording.attrs["rate"])
     file = io.BytesIO()
     savemat(file, content, format="5", do_compression=True, oned_as="column")
-    channels = {
-        name: tuple(f"{name}(trial,time,{i + 1})" for i in range(len(LABELS[SIGNALS[name][0][1]]))) for name in names
-    }
+    channels = {name: tuple(f"{name}(trial,time,{i + 1})" for i in range(recording[name].shape[2])) for name in names}
     # Importing names a single trial after the file.
-    labels = {"labels": trials["1"]} if len(trials) == 1 else {"trials": trials}
-    return file.getvalue(), {**_sidecar(recording, channels), **labels}
+    meaning = _sidecar(recording, channels)
+    if len(trials) == 1:
+        return file.getvalue(), {**meaning, "labels": meaning["labels"] | trials["1"]}
+    return file.getvalue(), {**meaning, "trials": trials}
 
 
-def _sidecar(recording: xr.Dataset, channels: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+def _sidecar(recording: xr.Dataset, channels: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     signals: dict[str, Any] = {}
     for name, of_signal in channels.items():
-        (_, dim), unit, _ = SIGNALS[name]
-        signals[name] = {"channels": dict(zip(LABELS[dim], of_signal, strict=True)), "unit": unit}
+        components = map(str, recording[SIGNALS[name][0][1]].values)
+        signals[name] = {
+            "channels": dict(zip(components, of_signal, strict=True)),
+            "unit": recording[name].attrs["units"],
+        }
     signals["force"]["exerted_by"] = "handle"
     if "emg" in signals:
         signals["emg"]["rate"] = float(recording.attrs["emg_rate"])
-    rate, axes = float(recording.attrs["rate"]), {"x": "right", "y": "forward"}
-    return {"rate": rate, "axes": axes, "signals": signals, "labels": {}}
+    rate = float(recording.attrs["rate"])
+    if is_one_axis(recording):
+        labels = {name: recording.attrs[name] for name in ("joint",) if name in recording.attrs}
+        return {"rate": rate, "servo": recording.attrs["servo"], "signals": signals, "labels": labels}
+    return {"rate": rate, "axes": {"x": "right", "y": "forward"}, "signals": signals, "labels": {}}
 
 
 def _labels(recording: xr.Dataset) -> dict[str, Array]:

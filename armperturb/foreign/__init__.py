@@ -1,4 +1,4 @@
-"""MATLAB, C3D and HDF5 files, parsed in a child process.
+"""MATLAB, NPZ, C3D and HDF5 files, parsed in a child process.
 
 Damaged or crafted files crash the libraries that parse them, keep them busy for ever, or make them allocate any amount
 of memory. All of that happens to `program.py`; this process reads plain arrays from a temporary file.
@@ -41,6 +41,7 @@ def read_foreign(
     |---|---|
     | .mat | variable to an array without dimensions of length 1, text, dictionary (a structure; of lists if it is an
       array of structures) or list (a cell array) |
+    | .npz | array to an array without dimensions of length 1 |
     | .c3d | channel to `values` (time,), `rate` [Hz] and `unit` |
     | other | netCDF4: `attrs`, and in `variables` each one's `dims`, `attrs` and `values` |
 

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -90,7 +91,7 @@ def run_experiment(
     simulate = simulate_linear_arms if linear else simulate_multibody
     truth = simulate(trials, subjects, setup, n_threads, progress)
     signals = {name: getattr(truth, name) for name in ("perturbation", "force", "displacement", "joint_angle")}
-    clock: dict[str, float] = {}
+    clock: dict[str, Any] = {}
     if instruments is not None:
         signals |= _readings(trials, instruments, truth)
     elif truth.shoulder is not None:
