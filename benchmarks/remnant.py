@@ -57,8 +57,8 @@ def rows(person: Person, task: str, noise: HumanNoise, seed: int) -> list[str]:
             published.goodness_of_fit(quantity, table, model=model, condition=name)
             for quantity in ("criterion", "VAF_x", "VAF_y")
         ]
-        own = inside["displacement"].values[inside["condition"].values == name]
-        rms = 1e3 * np.sqrt(np.mean(own[:, window] ** 2))
+        moved = inside["displacement"].values[inside["condition"].values == name]
+        rms = 1e3 * np.sqrt(np.mean(moved[:, window] ** 2))
         lines.append(
             f"{name:6} {len(spectra)} of {np.sum(recording['condition'].values == name)} trials: "
             f"criterion {estimate.criterion.mean():.0f} ({printed[0]:.0f}), VAF {vaf[0]:.0f} {vaf[1]:.0f} "
@@ -84,9 +84,9 @@ def main() -> None:
     noise = replace(HUMAN_NOISE[options.task], **{name: value for name, value in given.items() if value is not None})
     person = average_person()
     if options.calibrate:
-        found = calibrate(options.task, noise=noise, n_threads=1, max_iterations=8, progress=print)
-        print(found.summary())
-        person = found.candidate.person
+        calibration = calibrate(options.task, noise=noise, n_threads=1, max_iterations=8, progress=print)
+        print(calibration.summary())
+        person = calibration.candidate.person
     print(noise)
     print("\n".join(rows(person, options.task, noise, options.seed)))
 

@@ -15,6 +15,7 @@ from armperturb.study.comparison.score import ScoredCell, fitted_cells
 from armperturb.study.recording.folder import find_recordings
 from armperturb.study.results.appendix_fits import Appendices, fit_person, fit_second_step, joined, means_of
 from armperturb.study.results.settings import AnalysisSettings, Start
+from armperturb.subject import TASKS
 
 STARTS: tuple[Start, ...] = ("neutral", "published", "scattered")
 
@@ -39,7 +40,8 @@ def main() -> None:
     parser.add_argument("--people", type=int, help="only the first so many")
     options = parser.parse_args()
     paths = list(find_recordings(options.folder)[0])[: options.people]
-    cells = {start: fitted_cells(fits_from(start, paths)) for start in STARTS}
+    fits = {start: fits_from(start, paths) for start in STARTS}
+    cells = {start: fitted_cells(of_start) for start, of_start in fits.items()}
     kinds = {"C, PT": "PT", "C, RT": "RT", "C": ""}
     print(f"{len(paths)} people; cells of appendix C within 1 published SD")
     for name, task in kinds.items():
@@ -56,6 +58,11 @@ def main() -> None:
         pairs = zip(some["published"], some["scattered"], strict=True)
         made = sum(near(published) and not near(scattered) for published, scattered in pairs)
         print(f"{name:6} of {n}: {each}; made by the start: {made}")
+    for start, of_start in fits.items():
+        for task in TASKS:
+            of_6 = [fit for (condition, model), fit in of_start.second.items() if (condition[:2], model) == (task, "6")]
+            n, stable = sum(len(fit.fits) for fit in of_6), sum(fit.n_stable for fit in of_6)
+            print(f"{start}, {task}: {n - stable} of {n} fits of model 6 end unstable")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ PEOPLE = 10
 
 MODELS = "123456"
 
-OF_PRINTED_ARMS = {"C": (0, 0), "D": (0, 0), "E": (0, 0)}
+OF_PRINTED_ARMS = {"C": (48, 51), "D": (56, 60), "E": (64, 71)}
 """Appendix to the share of its cells within 1 SD that simulated people have who are the thesis's own mean arms [%]: the
 lower and the higher of models 3 and 5 in PT, under a remnant of 20 Hz and 0.9 (`benchmarks.print_ceiling`)."""
 

@@ -170,10 +170,10 @@ def ceiling_lines(people: int) -> tuple[str, ...]:
       people: number of people behind the score.
     """
     each = ", ".join(f"{100.0 * replicate_share(limit, people):.0f}" for limit in LIMITS)
-    own = ", ".join(f"{name} {low} to {high}" for name, (low, high) in OF_PRINTED_ARMS.items())
+    of_arms = ", ".join(f"{name} {low} to {high}" for name, (low, high) in OF_PRINTED_ARMS.items())
     return (
         f"as many other people of the published population would have {each} % of them",
-        f"people who are the mean arms of the tables have within 1 SD, in %: {own}",
+        f"people who are the mean arms of the tables have within 1 SD, in %: {of_arms}",
     )
 
 

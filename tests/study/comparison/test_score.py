@@ -196,7 +196,7 @@ def test_scores_of_several_cohorts_are_means_with_their_spread(result):
     (shown,) = [row for row in both.summary().splitlines() if row.split()[:1] == [line.name]]
     assert f"{mean:.3g} ({spread:.2g})" in shown
     assert len(repr(both).splitlines()) <= LINES
-    assert both.plot(new_figure()).has_data()
+    assert both.plot(new_figure(3.0)).has_data()
 
 
 def test_the_summary_says_what_can_be_reached(result):
