@@ -172,8 +172,8 @@ def ceiling_lines(people: int) -> tuple[str, ...]:
     each = ", ".join(f"{100.0 * replicate_share(limit, people):.0f}" for limit in LIMITS)
     of_arms = ", ".join(f"{name} {low} to {high}" for name, (low, high) in OF_PRINTED_ARMS.items())
     return (
-        f"as many other people of the published population would have {each} % of them",
-        f"people who are the mean arms of the tables have within 1 SD, in %: {of_arms}",
+        f"as many other people of the published population would have {each} % of cells within these SDs",
+        f"people who are the mean arms of the tables have within 1 SD [%]: {of_arms}",
     )
 
 

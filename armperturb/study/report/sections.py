@@ -181,9 +181,7 @@ def _differs(score: Score, factors: list[Row]) -> list[str]:
     off = [factor for factor in factors if factor["mark"] == "beyond-1"]
     lines = [f"{len(off)} of {len(factors)} headline numbers are off by more than {100.0 * NEAR:.0f} %"] if off else []
     if against := [factor for factor in off if factor["contradiction"]]:
-        lines.append(
-            f"{len(against)} of these are contradicted by other printed numbers, so that no people can have both"
-        )
+        lines.append(f"no people can have {len(against)} of these, which other printed numbers contradict")
     measured = [scored for scored in score.cells if scored.cell.table[0] in "2F"]
     beyond = [scored for scored in measured if abs(scored.z) > 2.0]
     if beyond:
