@@ -24,6 +24,7 @@ RESULTS = [
     "predictions.csv",
     "fit.json",
     "structure.toml",
+    "arm.toml",
 ]
 """Files that are written and may be inputs by their ending."""
 
@@ -40,10 +41,10 @@ class Identify(Command):
     """Recordings of one person to read: netCDF4, or CSV, MATLAB or C3D with a sidecar (see convert); the trials of a
     condition are identified together."""
     out: Path
-    """Folder for identify.html, which tells all, admittance.csv, parameters.csv, fit.json, structure.toml, and
-    stiffness, damping and inertia at the hand in endpoint.csv and endpoint.svg; of the nonlinear model, for
-    parameters.csv, correlations.csv, predictions.csv, fit.json and pulses.svg, and for checkpoints from which an
-    interrupted search continues."""
+    """Folder for identify.html, which tells all, admittance.csv, parameters.csv, fit.json, structure.toml, the fitted
+    arm in arm.toml, and stiffness, damping and inertia at the hand in endpoint.csv and endpoint.svg; of the nonlinear
+    model, for parameters.csv, correlations.csv, predictions.csv, fit.json and pulses.svg, and for checkpoints from
+    which an interrupted search continues."""
     model: str | None = None
     """Model structure; by default the trials of each condition choose it. 1 intrinsic and grip; 2 with velocity, 3 with
     velocity and position feedback; 4, 5 and 6 with force, acceleration or both in addition; 3a and 3b total mass and
@@ -51,9 +52,10 @@ class Identify(Command):
     docs/method.md; nonlinear a muscle law, from all trials of one or both tasks together."""
     sidecar: Path | None = None
     """Sidecar of all recordings that need one, see docs/recordings.md; by default FILE.json beside each."""
-    law: Literal["full", "short-range", "linear", "choose"] | None = None
-    """Of the nonlinear model: the full muscle law (the default), short-range stiffness with yielding alone, the linear
-    law, or whichever predicts trials that were left out of the fits best (choose)."""
+    law: Literal["full", "half-wave", "short-range", "linear", "choose"] | None = None
+    """Of the nonlinear model: the full muscle law (the default), the same with half-wave rectified spindles that have a
+    threshold, short-range stiffness with yielding alone, the linear law, or whichever predicts trials that were left
+    out of the fits best (choose)."""
     pulses: tuple[float, ...] = ()
     """Directions of the pulses that the nonlinear model is fitted to [deg], e.g. 20 200; the others are predicted."""
     estimator: Estimator = "record"
@@ -93,7 +95,7 @@ class Identify(Command):
 
     def run(self) -> list[str]:
         """Identify the arm and write the results."""
-        from armperturb.commands.selection import select_trials
+        from armperturb.commands.selection import MemoryPerSample, select_trials
 
         linear = self.model != "nonlinear"
         for field in fields(self):
@@ -112,6 +114,8 @@ class Identify(Command):
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         try:
+            if linear:
+                MemoryPerSample(longest=2000, all=300).require(recordings)
             lines = self._identify(recordings, structure, notes) if linear else self._identify_nonlinear(recordings)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
@@ -184,6 +188,7 @@ class Identify(Command):
             name = "structure.toml" if structure or len(results) == 1 else f"structure_{condition}.toml"
             if chosen is not None:
                 save_structure(chosen, self.out / name)
+            result.fit.arm.save(self.out / ("arm.toml" if len(results) == 1 else f"arm_{condition}.toml"))
         origin = Origin(
             command=command_line(self),
             files={path.name: checksum(path) for path in self.recordings},
