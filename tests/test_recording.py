@@ -120,7 +120,9 @@ def test_emg_that_16_bits_cannot_hold_is_named(whole_recording, tmp_path, value)
     [
         (lambda r: r.assign_attrs(emg_rate=1000.0), "emg_time runs at 2000 Hz.*emg_rate = 1000 Hz"),
         (lambda r: r.drop_attrs(deep=False).assign_attrs(rate=200.0), "emg_rate = None; expected the sampling rate"),
-        (lambda r: r.isel(muscle=slice(None, None, -1)), "dimension 'muscle' is not labelled; expected pectoralis"),
+        (lambda r: r.drop_vars("muscle"), "dimension 'muscle' is not labelled; expected the names of the muscles"),
+        (lambda r: r.isel(muscle=[0, 0]), "muscle 'pectoralis_major_clavicular' comes twice; expected each once"),
+        (lambda r: r.assign_coords(muscle_sign=("muscle", [2] * 8), muscle_joints=("muscle", ["s"] * 8)), "sign 2; ex"),
         (lambda r: r.rename(emg_time="t"), r"emg has dims .*; expected \('trial', 'emg_time', 'muscle'\)"),
     ],
 )

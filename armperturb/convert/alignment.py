@@ -86,7 +86,17 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
         even, rate, faults = even_times(f"{where}: {channel}", sampled, time[:n_time], meaning.rate)
         signals |= even
         rates |= dict.fromkeys(even, rate)
-    return Timed(where=where, labels=labels, signals=signals, rates=rates, components=components), faults
+    emg = meaning.signals.get("emg")
+    timed = Timed(
+        where=where,
+        labels=labels,
+        signals=signals,
+        rates=rates,
+        components=components,
+        muscles=emg.muscles if emg else None,
+        emg_lead=emg.lead if emg else 0.0,
+    )
+    return timed, faults
 
 
 def in_si(values: Array, meaning: Signal) -> Array:
@@ -143,6 +153,10 @@ def joined(trials: Sequence[Timed], repair: Collection[Repair], notes: list[str]
         for name in {*first.signals, *trial.signals}:
             if name not in first.signals or name not in trial.signals:
                 raise ValueError(f"{trial.where}: {name} is not in all trials; expected the same signals in all")
+            if name == "emg" and (trial.muscles, trial.emg_lead) != (first.muscles, first.emg_lead):
+                raise ValueError(
+                    f"{trial.where}: emg of other muscles, or another lead; expected the same in all trials"
+                )
             if trial.rates[name] != first.rates[name]:
                 raise ValueError(
                     f"{trial.where}: {name} at {trial.rates[name]:g} Hz and in others at {first.rates[name]:g} Hz; "
@@ -162,7 +176,14 @@ def joined(trials: Sequence[Timed], repair: Collection[Repair], notes: list[str]
     if signals["displacement"].shape[1] < 2:
         raise ValueError(f"{first.where}: one sample is left; expected at least 2")
     labels = _coordinates([trial.labels for trial in trials])
-    return make_recording(signals, labels, first.rates["displacement"], emg_rate=first.rates.get("emg"))
+    return make_recording(
+        signals,
+        labels,
+        first.rates["displacement"],
+        emg_rate=first.rates.get("emg"),
+        emg_lead=first.emg_lead,
+        muscles=first.muscles,
+    )
 
 
 def _coordinates(labels: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:

@@ -15,11 +15,25 @@ from scipy.io import savemat
 from armperturb.arrays import Array
 from armperturb.convert.tables import TABLES
 from armperturb.files import written_whole
-from armperturb.recording import LABELS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES, check_recording, save_recording
+from armperturb.recording import (
+    SIGNALS,
+    TEXT_COORDINATES,
+    TRIAL_COORDINATES,
+    check_recording,
+    labels_of,
+    muscle_actions,
+    save_recording,
+)
 from armperturb.validation import require_one_of
 
-COLUMNS = {**TABLES["columns"], "emg": [f"{name}_V" for name in LABELS["muscle"]]}
+COLUMNS: Mapping[str, Sequence[str]] = TABLES["columns"]
 """Variable to its columns in text. EMG, which has another sampling rate, goes to a separate file."""
+
+
+def columns_of(recording: xr.Dataset, name: str) -> list[str]:
+    """Columns of a signal in text."""
+    return [f"{muscle}_V" for muscle in labels_of(recording, "muscle")] if name == "emg" else list(COLUMNS[name])
+
 
 ENDINGS = (".nc", ".csv", ".mat")
 
@@ -77,7 +91,7 @@ def require_ending(path: Path) -> None:
 
 
 def _text(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
-    channels = {name: columns for name, columns in COLUMNS.items() if name in recording.data_vars}
+    channels = {name: tuple(columns_of(recording, name)) for name in (*COLUMNS, "emg") if name in recording.data_vars}
     meaning = _sidecar(recording, channels) | {"time": {"channel": "time_s", "unit": "s"}, "trial": "trial"}
     content = _table(recording, [name for name in channels if name != "emg"], recording["time"].values)
     return content, {**meaning, "trials": _trials(recording)}
@@ -89,7 +103,9 @@ def _table(
     """Signals as text, one line per sample, below a line of names; numbers are exact by default."""
     values = np.concatenate([recording[name].values for name in names], axis=2, dtype=float)
     n_trials, n_time, n_columns = values.shape
-    table = pd.DataFrame(values.reshape(-1, n_columns), columns=[column for name in names for column in COLUMNS[name]])
+    table = pd.DataFrame(
+        values.reshape(-1, n_columns), columns=[each for name in names for each in columns_of(recording, name)]
+    )
     if time is not None:
         table.insert(0, "time_s", np.tile(time, n_trials))
     table.insert(0, "trial", np.repeat(np.arange(1, n_trials + 1), n_time))
@@ -111,7 +127,8 @@ def _matlab(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
     file = io.BytesIO()
     savemat(file, content, format="5", do_compression=True, oned_as="column")
     channels = {
-        name: tuple(f"{name}(trial,time,{i + 1})" for i in range(len(LABELS[SIGNALS[name][0][1]]))) for name in names
+        name: tuple(f"{name}(trial,time,{i + 1})" for i in range(recording.sizes[SIGNALS[name][0][1]]))
+        for name in names
     }
     # Importing names a single trial after the file.
     labels = {"labels": trials["1"]} if len(trials) == 1 else {"trials": trials}
@@ -122,10 +139,17 @@ def _sidecar(recording: xr.Dataset, channels: Mapping[str, tuple[str, ...]]) -> 
     signals: dict[str, Any] = {}
     for name, of_signal in channels.items():
         (_, dim), unit, _ = SIGNALS[name]
-        signals[name] = {"channels": dict(zip(LABELS[dim], of_signal, strict=True)), "unit": unit}
+        signals[name] = {"channels": dict(zip(labels_of(recording, dim), of_signal, strict=True)), "unit": unit}
     signals["force"]["exerted_by"] = "handle"
     if "emg" in signals:
         signals["emg"]["rate"] = float(recording.attrs["emg_rate"])
+        if lead := recording["emg"].attrs.get("lead"):
+            signals["emg"]["lead"] = float(lead)
+        if "muscle_joints" in recording.coords:
+            signals["emg"]["muscles"] = {
+                name: {"joints": action.joints, "sign": action.sign}
+                for name, action in muscle_actions(recording).items()
+            }
     rate, axes = float(recording.attrs["rate"]), {"x": "right", "y": "forward"}
     return {"rate": rate, "axes": axes, "signals": signals, "labels": {}}
 

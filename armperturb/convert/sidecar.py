@@ -12,7 +12,17 @@ from armperturb.arrays import Array
 from armperturb.convert.tables import TABLES
 from armperturb.convert.units import factor_to, quantity
 from armperturb.files import require_input
-from armperturb.recording import LABELS, REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES
+from armperturb.recording import (
+    ACTIONS,
+    JOINTS_OF_MUSCLES,
+    LABELS,
+    LONGEST_LEAD,
+    REQUIRED_SIGNALS,
+    SIGNALS,
+    TEXT_COORDINATES,
+    TRIAL_COORDINATES,
+    Action,
+)
 from armperturb.subject import TASKS
 from armperturb.validation import require_number, require_one_of
 
@@ -68,6 +78,8 @@ class Signal:
       start: handle's start in the file's unit and axes, (component,), or "first".
       rate: sampling rate of this signal, if it is not that of the others [Hz].
       file: name of the text file beside the sidecar that holds it, if it is not that of the others.
+      lead: of EMG: delay of filters that the other signals pass and it does not [s].
+      muscles: of EMG: what each muscle does.
     """
 
     channels: Mapping[str, str]
@@ -76,6 +88,8 @@ class Signal:
     start: tuple[float, ...] | str
     rate: float | None
     file: str | None
+    lead: float = 0.0
+    muscles: Mapping[str, Action] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -305,10 +319,16 @@ def _axes(fields: _Fields) -> Array:
 
 def _signal(fields: _Fields, name: str, axes: Array) -> Signal:
     dims, ours, _ = SIGNALS[name]
-    components = LABELS[dims[1]]
     known = TABLES["fields"][name]
     fields.require_only(known, [field for field in known if field in ("channels", "unit", "exerted_by")])
-    of_channels = fields.fields("channels", components, components)
+    if name == "emg":  # any muscles
+        of_channels = fields.fields("channels")
+        components = tuple(of_channels)
+        if not components or not all(0 < len(each) <= LONGEST_TEXT and each.isprintable() for each in components):
+            raise ValueError(f"{fields.where('channels')} = {dict(of_channels)!r:.60}; expected muscle to channel")
+    else:
+        components = LABELS[dims[1]]
+        of_channels = fields.fields("channels", components, components)
     channels = {component: of_channels.text(component) for component in components}
     for component, channel in channels.items():
         if list(channels.values()).count(channel) > 1:
@@ -325,7 +345,38 @@ def _signal(fields: _Fields, name: str, axes: Array) -> Signal:
         start=_start(fields, components) if "start" in fields else (0.0,) * len(components),
         rate=fields.rate("rate"),
         file=_file(fields) if "file" in fields else None,
+        lead=_lead(fields),
+        muscles=_muscles(fields, components) if name == "emg" else None,
     )
+
+
+def _lead(fields: _Fields) -> float:
+    if "lead" not in fields:
+        return 0.0
+    lead = quantity(fields["lead"], "s", fields.where("lead"))
+    require_number(fields.file, fields.place_of("lead"), lead, at_least=0.0, at_most=LONGEST_LEAD)
+    return lead
+
+
+def _muscles(fields: _Fields, names: Sequence[str]) -> dict[str, Action]:
+    """What each muscle does: as the sidecar says, or as its name does."""
+    said = fields.fields("muscles")
+    for name in said:
+        if name not in names:
+            raise ValueError(f"{said.where(name)}: unknown muscle; expected one of channels: {', '.join(names)}")
+    actions = {}
+    for name in names:
+        if name not in said:
+            actions[name] = ACTIONS.get(name, Action("", 0))
+            continue
+        of_muscle = said.fields(name, Action._fields, Action._fields)
+        joints = of_muscle.choice("joints", JOINTS_OF_MUSCLES)
+        if of_muscle["sign"] not in (-1, 0, 1):
+            raise ValueError(
+                f"{of_muscle.where('sign')} = {of_muscle['sign']!r:.60}; expected 1 (flexes), -1 (extends) or 0"
+            )
+        actions[name] = Action(joints, int(of_muscle["sign"]))
+    return actions
 
 
 def _file(fields: _Fields) -> str:
