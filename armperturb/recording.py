@@ -2,18 +2,23 @@
 
 | variable | dims | unit | |
 |---|---|---|---|
-| `perturbation` | trial, time, axis | N | disturbance force d on the manipulator |
+| `perturbation` | trial, time, axis | N | disturbance force d on the manipulator; absent if movement is imposed |
 | `force` | trial, time, axis | N | reaction force f that the handle exerts on the hand |
 | `displacement` | trial, time, axis | m | of the handle, from its start |
 | `joint_angle` | trial, time, joint | rad | shoulder from the x axis, elbow from the humerus; may be absent |
 | `shoulder_marker` | trial, time, axis | m | of the marker on the shoulder, from its start; may be absent |
+| `scheduling` | trial, time, axis | m | slow movement on which stiffness depends, of one axis; may be absent |
 | `emg` | trial, emg_time, muscle | V | of `MUSCLES` or any others; may be absent |
 
-Axes are x = right, y = forward; the environment sees d - f, and admittance is displacement per f. Along `trial` lie the
-coordinates of `TRIAL_COORDINATES`. `rate` [Hz] is an attribute of the dataset, and `emg_rate` [Hz] where there is EMG;
-every variable has its `units`. Muscles that are not among `MUSCLES` may say what they move in the coordinates
-`muscle_joints` ("s", "e" or "se") and `muscle_sign` (1 flexes, -1 extends, 0 unknown). If the other signals pass a
-filter that the EMG does not, its attribute `lead` [s] is the delay of that filter. On disk it is netCDF4. EMG is in
+Axes are x = right, y = forward; the environment sees d - f, and admittance is displacement per f. A recording of one
+axis, of a joint or a single direction, has the axis x alone; its signals are forces and displacements [N, m] or torques
+and angles [Nm, rad], as their `units` and `quantity` say. Its attribute `servo` says what the device does: "force" is a
+virtual environment that d perturbs, "position" imposes the movement, whoever holds it; its attribute `joint`, where
+there is one, which joint moves. Along `trial` lie the coordinates of `TRIAL_COORDINATES`. `rate` [Hz] is an attribute
+of the dataset, and `emg_rate` [Hz] where there is EMG; every variable has its `units`. Muscles that are not among
+`MUSCLES` may say what they move in the coordinates `muscle_joints` ("s", "e" or "se") and `muscle_sign` (1 flexes, -1
+extends, 0 unknown). If the other signals pass a filter that the EMG does not, its attribute `lead` [s] is the delay of
+that filter. On disk it is netCDF4. EMG is in
 single precision in memory; if its attribute `adc_step` [V] says so, it holds whole numbers of that step, and the file
 holds the 16-bit counts with the step as `scale_factor` (CF packing, which readers of netCDF undo).
 """
@@ -30,7 +35,7 @@ from numpy.typing import ArrayLike
 
 from armperturb.files import packaged_table, written_whole
 from armperturb.foreign import read_foreign
-from armperturb.validation import require_name
+from armperturb.validation import require_name, require_one_of
 
 _TABLES = packaged_table(__package__, "recording.toml")
 
@@ -63,7 +68,18 @@ SIGNALS: Mapping[str, tuple[tuple[str, str], str, str]] = {
 """Variable name to dimensions after trial, unit and description."""
 
 REQUIRED_SIGNALS = ("perturbation", "force", "displacement")
-OPTIONAL_SIGNALS = ("joint_angle", "shoulder_marker", "emg")
+OPTIONAL_SIGNALS = ("joint_angle", "shoulder_marker", "scheduling", "emg")
+ONE_AXIS_SIGNALS = (*REQUIRED_SIGNALS, "scheduling", "emg")
+"""Those that a recording of one axis can hold."""
+
+ANGULAR: Mapping[str, str] = _TABLES["angular"]
+"""Unit of a signal to that in a recording of torques and angles."""
+
+QUANTITIES: Mapping[str, str] = _TABLES["quantities"]
+"""Unit of a signal of one axis to its quantity."""
+
+SERVOS = ("force", "position")
+"""What the device of a recording of one axis does."""
 
 LABELS = {"axis": ("x", "y"), "joint": ("shoulder", "elbow")}
 """Dimension to its labels; those of `muscle` are names of any muscles."""
@@ -80,6 +96,22 @@ OPTIONAL_COORDINATES = ("order",)
 TEXT_COORDINATES = ("subject", "task", "condition")
 
 
+def is_one_axis(recording: xr.Dataset) -> bool:
+    """Whether a recording is of one axis: of a joint, or of a single direction."""
+    return recording.sizes.get("axis") == 1
+
+
+def required_signals(servo: str | None) -> tuple[str, ...]:
+    """What a recording must hold: without a perturbation where a position servo imposes the movement."""
+    return REQUIRED_SIGNALS[1:] if servo == "position" else REQUIRED_SIGNALS
+
+
+def signal_unit(name: str, *, angular: bool = False) -> str:
+    """SI unit of a signal, in a recording of forces and displacements or of torques and angles."""
+    unit = SIGNALS[name][1]
+    return ANGULAR.get(unit, unit) if angular else unit
+
+
 def make_recording(
     signals: Mapping[str, ArrayLike],
     trials: Mapping[str, ArrayLike],
@@ -89,6 +121,9 @@ def make_recording(
     adc_step: float | None = None,
     emg_lead: float = 0.0,
     muscles: Mapping[str, Action] | None = None,
+    servo: str | None = None,
+    joint: str | None = None,
+    angular: bool = False,
     **attributes: Any,
 ) -> xr.Dataset:
     """A checked recording.
@@ -101,6 +136,9 @@ def make_recording(
       adc_step: voltage of which the EMG holds whole numbers [V]; None if it holds any number.
       emg_lead: delay of the filter that the other signals pass and the EMG does not [s].
       muscles: names of the EMG's columns, and what each does; those of `ACTIONS` if None.
+      servo: what the device of a recording of one axis does, of `SERVOS`; None with two axes.
+      joint: which joint a recording of one axis is of, e.g. "ankle"; None if unknown.
+      angular: whether a recording of one axis holds torques and angles.
       **attributes: further attributes of the dataset.
 
     Raises:
@@ -108,11 +146,13 @@ def make_recording(
     """
     variables = {}
     for name, values in signals.items():
-        dims, units, description = SIGNALS[name]
+        dims, _, description = SIGNALS[name]
+        units = signal_unit(name, angular=angular)
         # Half the memory for a signal that is ten times as long as the others, and 16 bits deep at its source.
         # In the order of its file, as sums over it round otherwise.
         array = np.asarray(values, dtype=np.float32 if name == "emg" else float, order="C")
-        variables[name] = (("trial", *dims), array, _describe(units, description))
+        quantity = {} if servo is None or "axis" not in dims else {"quantity": QUANTITIES[units]}
+        variables[name] = (("trial", *dims), array, _describe(units, description) | quantity)
     if "emg" in variables and adc_step is not None:
         variables["emg"][2]["adc_step"] = float(adc_step)
     if "emg" in variables and emg_lead:
@@ -124,7 +164,11 @@ def make_recording(
     coords: dict[str, Any] = {
         dim: (dim, np.arange(sizes[dim]) / clock, {"units": "s"}) for dim, clock in rates.items() if dim in sizes
     }
-    coords |= {dim: (dim, list(labels)) for dim, labels in LABELS.items() if dim in sizes}
+    coords |= {
+        dim: (dim, list(labels[:1] if dim == "axis" and sizes[dim] == 1 else labels))
+        for dim, labels in LABELS.items()
+        if dim in sizes
+    }
     if "muscle" in sizes:
         actions = ACTIONS if muscles is None else muscles
         coords["muscle"] = "muscle", list(actions)
@@ -134,7 +178,8 @@ def make_recording(
     for name, values in trials.items():
         coords[name] = "trial", np.asarray(values), _describe(*TRIAL_COORDINATES[name])
     clocks = {CLOCKS[dim]: float(clock) for dim, clock in rates.items()}
-    dataset = xr.Dataset(variables, coords=coords, attrs=clocks | attributes)
+    device = {name: value for name, value in (("servo", servo), ("joint", joint)) if value is not None}
+    dataset = xr.Dataset(variables, coords=coords, attrs=clocks | device | attributes)
     check_recording(dataset)
     return dataset
 
@@ -157,13 +202,18 @@ def join_recordings(
       optional: signals that are kept beside `REQUIRED_SIGNALS` where all recordings have them, sampled alike.
 
     Raises:
-      ValueError: rates or durations differ.
+      ValueError: rates, durations, axes, units or servos differ.
     """
+    kinds = {(f"{each.attrs.get('servo')}", each.sizes["axis"], each["force"].attrs["units"]) for each in recordings}
+    if len(kinds) > 1:
+        several = " and ".join(sorted(f"servo {servo}, axes {n}, force in {unit}" for servo, n, unit in kinds))
+        raise ValueError(f"{source}: trials of {several}; expected one kind of recording")
     clocks = {(float(recording.attrs["rate"]), recording.sizes["time"]) for recording in recordings}
     if len(clocks) > 1:
         trials = " and ".join(f"{n / rate:g} s at {rate:g} Hz" for rate, n in sorted(clocks))
         raise ValueError(f"{source}: trials of {trials}; expected one rate and duration")
-    signals = [*REQUIRED_SIGNALS, *(name for name in optional if _sampled_alike(name, recordings))]
+    required = required_signals(recordings[0].attrs.get("servo"))
+    signals = [*required, *(name for name in optional if _sampled_alike(name, recordings))]
     partial = [name for name in OPTIONAL_COORDINATES if not all(name in recording.coords for recording in recordings)]
     joined = stack_trials([recording[signals].drop_vars(partial, errors="ignore") for recording in recordings])
     there = [[*recording.variables, *recording.attrs] for recording in recordings]
@@ -209,14 +259,30 @@ def _describe(units: str, description: str) -> dict[str, Any]:
     return {"units": units, "long_name": description} if units else {"long_name": description}
 
 
-def check_recording(
-    recording: xr.Dataset, signals: Iterable[str] = REQUIRED_SIGNALS, source: str = "recording"
-) -> None:
+def _check_kind(recording: xr.Dataset, source: str) -> None:
+    """Refuse a recording of one axis that does not say what its device does, or mixes torques with displacements."""
+    servo = recording.attrs.get("servo")
+    if not is_one_axis(recording):
+        for name in ("servo", "joint"):
+            if name in recording.attrs:
+                raise ValueError(
+                    f"{source}: {name} = {recording.attrs[name]!r} with two axes; expected it with one axis alone"
+                )
+        return
+    require_one_of(source, "servo", servo, SERVOS)
+    if "joint" in recording.attrs:
+        require_name(source, "joint", recording.attrs["joint"])
+    for name in map(str, recording.data_vars):
+        if name in SIGNALS and name not in ONE_AXIS_SIGNALS:
+            raise ValueError(f"{source}: {name} with one axis; expected only {', '.join(ONE_AXIS_SIGNALS)}")
+
+
+def check_recording(recording: xr.Dataset, signals: Iterable[str] | None = None, source: str = "recording") -> None:
     """Refuse a recording that does not hold what an analysis needs.
 
     Args:
       recording: the dataset to check.
-      signals: variables that must be there.
+      signals: variables that must be there; None for `required_signals`.
       source: where the recording comes from, for the message.
 
     Raises:
@@ -225,21 +291,26 @@ def check_recording(
     """
     if not recording.sizes.get("trial"):
         raise ValueError(f"{source}: there are no trials; expected at least one along the dimension 'trial'")
+    signals = required_signals(recording.attrs.get("servo")) if signals is None else tuple(signals)
     for name in signals:
         if name not in recording.data_vars:
             raise ValueError(f"{source}: variable {name!r} is missing; expected {', '.join(signals)}")
-    for name, (dims, units, _) in SIGNALS.items():
+    _check_kind(recording, source)
+    single = is_one_axis(recording)
+    angular = single and "displacement" in recording and recording["displacement"].attrs.get("units") == "rad"
+    for name, (dims, _, _) in SIGNALS.items():
         if name not in recording.data_vars:
             continue
-        variable, last = recording[name], dims[-1]
+        variable, last, units = recording[name], dims[-1], signal_unit(name, angular=angular)
+        labels = LABELS["axis"][:1] if single and last == "axis" else LABELS.get(last, ())
         if variable.dims != ("trial", *dims):
             raise ValueError(f"{source}: {name} has dims {variable.dims}; expected {('trial', *dims)}")
         if not isinstance(variable.attrs.get("units"), str) or variable.attrs["units"] != units:
             raise ValueError(f"{source}: {name} has units {variable.attrs.get('units')!r}; expected {units!r}")
         if name == "emg":
             _check_muscles(recording, source)
-        elif last not in recording.coords or tuple(map(str, recording[last].values)) != LABELS[last]:
-            raise ValueError(f"{source}: dimension {last!r} is not labelled; expected {', '.join(LABELS[last])}")
+        elif last not in recording.coords or tuple(map(str, recording[last].values)) != labels:
+            raise ValueError(f"{source}: dimension {last!r} is not labelled; expected {', '.join(labels)}")
         _require_numbers(variable, source)
         finite = np.isfinite(variable.values)
         if not finite.all():
@@ -263,11 +334,6 @@ def check_recording(
     _check_clock(recording, "time", source)
     if "emg" in recording.data_vars:
         _check_clock(recording, "emg_time", source)
-
-
-def labels_of(recording: xr.Dataset, dim: str) -> tuple[str, ...]:
-    """Labels along a dimension of components."""
-    return tuple(map(str, recording[dim].values)) if dim == "muscle" else LABELS[dim]
 
 
 def muscle_actions(recording: xr.Dataset) -> dict[str, Action]:

@@ -59,7 +59,7 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
             several = " and ".join(f"{rate:g}" for rate in sorted(stated))
             raise ValueError(f"{where}: {name} at {several} Hz; expected one rate")
         for channel in components[name]:
-            require_consistent_unit(where, name, channel, of_signal.unit, raw.units.get(channel))
+            require_consistent_unit(where, name, channel, of_signal.unit, of_signal.ours, raw.units.get(channel))
         if stated:
             rates[name] = stated.pop()
     without_rate = [name for name in signals if name not in rates]
@@ -87,6 +87,7 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
         signals |= even
         rates |= dict.fromkeys(even, rate)
     emg = meaning.signals.get("emg")
+    units = {name: of_signal.ours for name, of_signal in meaning.signals.items()}
     timed = Timed(
         where=where,
         labels=labels,
@@ -95,6 +96,8 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
         components=components,
         muscles=emg.muscles if emg else None,
         emg_lead=emg.lead if emg else 0.0,
+        units=units,
+        servo=meaning.servo,
     )
     return timed, faults
 
@@ -137,11 +140,14 @@ def resampled(trial: Timed, rate: float | None) -> Timed:
     return replace(trial, signals={**trial.signals, **cut}, rates={**trial.rates, **dict.fromkeys(rates, target)})
 
 
-def joined(trials: Sequence[Timed], repair: Collection[Repair], notes: list[str]) -> xr.Dataset:
+def joined(
+    trials: Sequence[Timed], repair: Collection[Repair], notes: list[str], joint: str | None = None
+) -> xr.Dataset:
     """One recording of trials.
 
     Args:
       trials: at least one.
+      joint: of a recording of one axis; None if unknown.
       repair: "lengths" cuts trials of unequal length to the shortest.
       notes: to which such a cut is added.
 
@@ -150,6 +156,8 @@ def joined(trials: Sequence[Timed], repair: Collection[Repair], notes: list[str]
     """
     first = trials[0]
     for trial in trials[1:]:
+        if (trial.servo, trial.units["force"]) != (first.servo, first.units["force"]):
+            raise ValueError(f"{trial.where}: another servo or unit than {first.where}; expected one kind of recording")
         for name in {*first.signals, *trial.signals}:
             if name not in first.signals or name not in trial.signals:
                 raise ValueError(f"{trial.where}: {name} is not in all trials; expected the same signals in all")
@@ -183,6 +191,9 @@ def joined(trials: Sequence[Timed], repair: Collection[Repair], notes: list[str]
         emg_rate=first.rates.get("emg"),
         emg_lead=first.emg_lead,
         muscles=first.muscles,
+        servo=first.servo,
+        joint=joint,
+        angular=first.units["displacement"] == "rad",
     )
 
 

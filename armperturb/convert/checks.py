@@ -19,6 +19,15 @@ LARGEST_NUMBER = 1e16
 LARGEST_FORCE = 2000.0
 """That people and manipulators bear [N]; refuses millinewtons."""
 
+LARGEST_TORQUE = 500.0
+"""That a joint bears [Nm]; refuses millinewton metres."""
+
+DEGREES = 180.0 / np.pi
+"""In a radian; factor by which an inertia is too small where an angle in degrees is declared in radians [-]."""
+
+LARGEST_ANGLE = 2 * np.pi
+"""Of any joint [rad]."""
+
 LONGEST_SEGMENT: float = TABLES["ranges"]["l_h"][1]
 """Of any person [m], where the person's own are unknown."""
 
@@ -49,7 +58,7 @@ def require_signal(where: str, name: str, values: Array) -> None:
         raise ValueError(f"{where}: {name} is {values[at].max():.6g} at sample {at}; expected numbers of a signal")
 
 
-def require_consistent_unit(where: str, name: str, channel: str, unit: str, of_file: str | None) -> None:
+def require_consistent_unit(where: str, name: str, channel: str, unit: str, ours: str, of_file: str | None) -> None:
     """Refuse a unit that the file contradicts.
 
     Args:
@@ -57,12 +66,13 @@ def require_consistent_unit(where: str, name: str, channel: str, unit: str, of_f
       name: of the signal.
       channel: of the file.
       unit: that the sidecar states.
+      ours: SI unit of the signal.
       of_file: unit that the file states; None if it states none.
 
     Raises:
       ValueError: they differ.
     """
-    known = UNITS[SIGNALS[name][1]]
+    known = UNITS[ours]
     if of_file is not None and known.get(of_file) != known[unit]:
         raise ValueError(
             f"{where}: {channel} is in {of_file!r}; expected {unit!r}, as signals.{name}.unit of the sidecar says"
@@ -87,7 +97,11 @@ def check_different(recordings: Sequence[xr.Dataset], names: Sequence[str], file
     notes = []
     trials = [recording.isel(trial=trial) for recording in recordings for trial in range(recording.sizes["trial"])]
     for place, trial in enumerate(trials):
-        signals = [np.ascontiguousarray(trial[name].values, dtype=float) for name in REQUIRED_SIGNALS]
+        signals = [
+            np.ascontiguousarray(trial[name].values, dtype=float)
+            for name in REQUIRED_SIGNALS
+            if name in trial.data_vars
+        ]
         before = seen.setdefault(hashlib.sha256(b"".join(signal.tobytes() for signal in signals)).digest(), place)
         if files[before] != files[place]:
             raise ValueError(f"{names[place]} has the signals of {names[before]}; expected each trial in one file only")
@@ -117,18 +131,21 @@ def require_plausible(trial: Timed) -> None:
     """
     where, signals, rates, labels = trial.where, trial.signals, trial.rates, trial.labels
     reach = REACH * (labels.get("l_h", LONGEST_SEGMENT) + labels.get("l_f", LONGEST_SEGMENT))
-    limits = {"perturbation": LARGEST_FORCE, "force": LARGEST_FORCE, "displacement": reach, "shoulder_marker": reach}
-    limits |= {"joint_angle": 2 * np.pi, "emg": 100.0}
+    limits = {"N": LARGEST_FORCE, "Nm": LARGEST_TORQUE, "m": reach, "rad": LARGEST_ANGLE, "V": 100.0}
+    if trial.servo is not None:  # `check_joint` names an angle in degrees by the inertia
+        limits["rad"] *= DEGREES
     for name, values in signals.items():
-        size = np.abs(values).max(axis=1)
-        if size.max() > limits[name]:
-            at = int(np.argmax(size > limits[name]))
+        size, unit = np.abs(values).max(axis=1), trial.units[name]
+        if size.max() > limits[unit]:
+            at = int(np.argmax(size > limits[unit]))
             raise ValueError(
-                f"{where}: {name} is {size[at]:.4g} {SIGNALS[name][1]} at {at / rates[name]:.6g} s; expected at most "
-                f"{limits[name]:.4g} (a wrong signals.{name}.unit, or displacement not from its start?)"
+                f"{where}: {name} is {size[at]:.4g} {unit} at {at / rates[name]:.6g} s; expected at most "
+                f"{limits[unit]:.4g} (a wrong signals.{name}.unit, or displacement not from its start?)"
             )
     path = signals["displacement"]
-    for axis, low, high in zip("xy", path.min(axis=0), path.max(axis=0), strict=True):
+    # The place of a joint, or of a device of one axis, has no start of its own.
+    of_path = () if trial.servo is not None else zip("xy", path.min(axis=0), path.max(axis=0), strict=True)
+    for axis, low, high in of_path:
         away = max(low, -high)
         if away > max(AWAY, high - low):
             raise ValueError(
@@ -159,5 +176,7 @@ def require_plausible_recording(recording: xr.Dataset, source: str) -> None:
                 signals={name: of_all.values[trial] for name, of_all in signals.items()},
                 rates=rates,
                 components={},
+                units={name: recording[name].attrs["units"] for name in signals},
+                servo=recording.attrs.get("servo"),
             )
         )

@@ -20,7 +20,7 @@ from armperturb.recording import (
     TEXT_COORDINATES,
     TRIAL_COORDINATES,
     check_recording,
-    labels_of,
+    is_one_axis,
     muscle_actions,
     save_recording,
 )
@@ -30,9 +30,16 @@ COLUMNS: Mapping[str, Sequence[str]] = TABLES["columns"]
 """Variable to its columns in text. EMG, which has another sampling rate, goes to a separate file."""
 
 
-def columns_of(recording: xr.Dataset, name: str) -> list[str]:
-    """Columns of a signal in text."""
-    return [f"{muscle}_V" for muscle in labels_of(recording, "muscle")] if name == "emg" else list(COLUMNS[name])
+def _columns(recording: xr.Dataset) -> dict[str, Sequence[str]]:
+    """Variable to its columns, of those that there are; with one axis they are named after quantity and unit."""
+    names = [name for name in SIGNALS if name in recording.data_vars]
+    if is_one_axis(recording):
+        columns: dict[str, Sequence[str]] = {name: [f"{name}_{recording[name].attrs['units']}"] for name in names}
+    else:
+        columns = {name: COLUMNS[name] for name in COLUMNS if name in names}
+    if "emg" in names:
+        columns["emg"] = [f"{muscle}_V" for muscle in recording["muscle"].values]
+    return columns
 
 
 ENDINGS = (".nc", ".csv", ".mat")
@@ -91,7 +98,7 @@ def require_ending(path: Path) -> None:
 
 
 def _text(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
-    channels = {name: tuple(columns_of(recording, name)) for name in (*COLUMNS, "emg") if name in recording.data_vars}
+    channels = _columns(recording)
     meaning = _sidecar(recording, channels) | {"time": {"channel": "time_s", "unit": "s"}, "trial": "trial"}
     content = _table(recording, [name for name in channels if name != "emg"], recording["time"].values)
     return content, {**meaning, "trials": _trials(recording)}
@@ -103,9 +110,8 @@ def _table(
     """Signals as text, one line per sample, below a line of names; numbers are exact by default."""
     values = np.concatenate([recording[name].values for name in names], axis=2, dtype=float)
     n_trials, n_time, n_columns = values.shape
-    table = pd.DataFrame(
-        values.reshape(-1, n_columns), columns=[each for name in names for each in columns_of(recording, name)]
-    )
+    columns = [column for name in names for column in _columns(recording)[name]]
+    table = pd.DataFrame(values.reshape(-1, n_columns), columns=columns)
     if time is not None:
         table.insert(0, "time_s", np.tile(time, n_trials))
     table.insert(0, "trial", np.repeat(np.arange(1, n_trials + 1), n_time))
@@ -118,7 +124,7 @@ def _matlab(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
     trials = _trials(recording)
     content: dict[str, Any] = {name: recording[name].values for name in names}
     content |= {dim: recording[dim].values[:, None] for dim in ("time", "emg_time") if dim in recording.dims}
-    content["units"] = {name: SIGNALS[name][1] for name in names}
+    content["units"] = {name: recording[name].attrs["units"] for name in names}
     content["labels"] = {
         name: (values.astype(str).astype(object) if name in TEXT_COORDINATES else values)[:, None]
         for name, values in _labels(recording).items()
@@ -126,20 +132,22 @@ def _matlab(recording: xr.Dataset) -> tuple[bytes, dict[str, Any]]:
     content["rate"] = float(recording.attrs["rate"])
     file = io.BytesIO()
     savemat(file, content, format="5", do_compression=True, oned_as="column")
-    channels = {
-        name: tuple(f"{name}(trial,time,{i + 1})" for i in range(recording.sizes[SIGNALS[name][0][1]]))
-        for name in names
-    }
+    channels = {name: tuple(f"{name}(trial,time,{i + 1})" for i in range(recording[name].shape[2])) for name in names}
     # Importing names a single trial after the file.
-    labels = {"labels": trials["1"]} if len(trials) == 1 else {"trials": trials}
-    return file.getvalue(), {**_sidecar(recording, channels), **labels}
+    meaning = _sidecar(recording, channels)
+    if len(trials) == 1:
+        return file.getvalue(), {**meaning, "labels": meaning["labels"] | trials["1"]}
+    return file.getvalue(), {**meaning, "trials": trials}
 
 
-def _sidecar(recording: xr.Dataset, channels: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+def _sidecar(recording: xr.Dataset, channels: Mapping[str, Sequence[str]]) -> dict[str, Any]:
     signals: dict[str, Any] = {}
     for name, of_signal in channels.items():
-        (_, dim), unit, _ = SIGNALS[name]
-        signals[name] = {"channels": dict(zip(labels_of(recording, dim), of_signal, strict=True)), "unit": unit}
+        components = map(str, recording[SIGNALS[name][0][1]].values)
+        signals[name] = {
+            "channels": dict(zip(components, of_signal, strict=True)),
+            "unit": recording[name].attrs["units"],
+        }
     signals["force"]["exerted_by"] = "handle"
     if "emg" in signals:
         signals["emg"]["rate"] = float(recording.attrs["emg_rate"])
@@ -150,8 +158,11 @@ def _sidecar(recording: xr.Dataset, channels: Mapping[str, tuple[str, ...]]) -> 
                 name: {"joints": action.joints, "sign": action.sign}
                 for name, action in muscle_actions(recording).items()
             }
-    rate, axes = float(recording.attrs["rate"]), {"x": "right", "y": "forward"}
-    return {"rate": rate, "axes": axes, "signals": signals, "labels": {}}
+    rate = float(recording.attrs["rate"])
+    if is_one_axis(recording):
+        labels = {name: recording.attrs[name] for name in ("joint",) if name in recording.attrs}
+        return {"rate": rate, "servo": recording.attrs["servo"], "signals": signals, "labels": labels}
+    return {"rate": rate, "axes": {"x": "right", "y": "forward"}, "signals": signals, "labels": {}}
 
 
 def _labels(recording: xr.Dataset) -> dict[str, Array]:

@@ -64,6 +64,8 @@ class Timed:
       components: name to what its components are called in the file.
       muscles: of the EMG, and what each does; None for those that recordings have anyway.
       emg_lead: delay of filters that the other signals pass and the EMG does not [s].
+      units: name to its SI unit.
+      servo: what the device of a recording of one axis does; None with two axes.
     """
 
     where: str
@@ -71,6 +73,8 @@ class Timed:
     signals: Mapping[str, Array]
     rates: Mapping[str, float]
     components: Mapping[str, tuple[str, ...]]
+    units: Mapping[str, str]
+    servo: str | None = None
     muscles: Mapping[str, Action] | None = None
     emg_lead: float = 0.0
 
@@ -193,7 +197,7 @@ def without_padding(timed: Timed) -> Timed:
 def find_stuck(timed: Timed) -> list[Fault]:
     """Channels that are constant, clipped or hold their last value, in signals without gaps."""
     faults = []
-    for name in REQUIRED_SIGNALS:
+    for name in _required(timed):
         values, rate = timed.signals[name], timed.rates[name]
         for column, channel in enumerate(timed.components[name]):
             samples = values[:, column]
@@ -201,6 +205,8 @@ def find_stuck(timed: Timed) -> list[Fault]:
                 # A disturbance may leave an axis, or a trial, alone.
                 if name != "perturbation" or samples[0] != 0.0:
                     faults.append(Fault("trials", f"{channel} ({name}) is constant at {samples[0]:.6g}"))
+                continue
+            if name == "displacement" and timed.servo == "position":  # which may hold its position
                 continue
             plateaus = clipped_stretches(samples)
             if plateaus:
@@ -210,14 +216,19 @@ def find_stuck(timed: Timed) -> list[Fault]:
     return [*faults, *_held(timed)]
 
 
+def _required(timed: Timed) -> list[str]:
+    return [name for name in REQUIRED_SIGNALS if name in timed.signals]
+
+
 def _held(timed: Timed) -> list[Fault]:
     """Stretches in which no signal changes although the disturbance does before and after: the recorder stopped."""
-    parts = [timed.signals[name] for name in REQUIRED_SIGNALS]
-    if len({len(part) for part in parts}) > 1 or len({timed.rates[name] for name in REQUIRED_SIGNALS}) > 1:
+    names = _required(timed)
+    parts = [timed.signals[name] for name in names]
+    if len({len(part) for part in parts}) > 1 or len({timed.rates[name] for name in names}) > 1:
         return []
     same = (np.diff(np.concatenate(parts, axis=1), axis=0) == 0.0).all(axis=1)
     changes = (np.diff(parts[0], axis=0) != 0.0).any(axis=1)
-    rate = timed.rates["perturbation"]
+    rate = timed.rates[names[0]]
     return [
         Fault("trials", f"all channels hold their value for {(last - first) / rate:.4g} s at {first / rate:.6g} s")
         for first, last in runs(same)

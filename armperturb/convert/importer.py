@@ -12,11 +12,12 @@ from armperturb.convert.alignment import in_si, joined, resampled, timed_signals
 from armperturb.convert.balance import check_balance, require_signs
 from armperturb.convert.checks import check_different, check_recordings, require_plausible, require_plausible_recording
 from armperturb.convert.faults import Fault, Timed, equal_lengths, find_gaps, find_stuck, without_padding
+from armperturb.convert.joint_balance import check_joint
 from armperturb.convert.raw import RawTrial
-from armperturb.convert.reading import C3D, MATLAB, TEXT, read_trials
+from armperturb.convert.reading import ARRAYS, C3D, TEXT, read_trials
 from armperturb.convert.sidecar import Sidecar
 from armperturb.convert.tables import Repair
-from armperturb.recording import OPTIONAL_SIGNALS, join_recordings, load_recording
+from armperturb.recording import OPTIONAL_SIGNALS, is_one_axis, join_recordings, load_recording
 from armperturb.validation import require_number, require_one_of
 
 OURS = (".nc",)
@@ -45,7 +46,7 @@ def import_recording(
     """Read the trials of one or more files of a laboratory, or recordings of our own.
 
     Args:
-      paths: CSV (.csv, .tsv, .txt), MATLAB (.mat) or C3D files, or only recordings (.nc).
+      paths: CSV (.csv, .tsv, .txt), MATLAB (.mat), NumPy (.npz) or C3D files, or only recordings (.nc).
       sidecar: JSON file that says what the channels mean, see docs/recordings.md; by default that beside each file, of
         the same name but for its ending.
       repair: which faults to repair, see `faults`; all others are refused.
@@ -68,7 +69,7 @@ def import_recording(
         require_one_of("convert", "repair", fault, get_args(Repair))
     require_number("convert", "rate", rate, at_least=1.0, at_most=1e6, optional=True)
     for path in files:
-        require_one_of(str(path), "ending", path.suffix.lower(), (*TEXT, *MATLAB, *C3D, *OURS))
+        require_one_of(str(path), "ending", path.suffix.lower(), (*TEXT, *ARRAYS, *C3D, *OURS))
         if not path.is_file():
             raise FileNotFoundError(f"{path}: no such file, or a folder; expected a recording")
     require_each_once(files)
@@ -83,7 +84,10 @@ def import_recording(
     recordings = [load_recording(path) for path in ours]
     for path, recording in zip(ours, recordings, strict=True):
         require_plausible_recording(recording, str(path))
-        require_signs(recording, source=str(path))
+        if is_one_axis(recording):
+            check_joint(recording, source=str(path))
+        else:
+            require_signs(recording, source=str(path))
     notes = check_recordings(recordings, list(map(str, ours)))
     if len(ours) == 1:
         return Imported(recordings[0], notes)
@@ -126,18 +130,22 @@ def import_trials(
     """
     notes: list[str] = []
     trials: list[Timed] = []
-    paths, guesses, masses, of_files = [], [], set(), list[str]()
+    paths, guesses, masses, joints, of_files = [], [], set(), set(), list[str]()
     for path, meaning, raw_trials in files:
         paths.append(path)
         guesses += [note for note in meaning.notes if note not in guesses]
         masses.add(meaning.mass)
+        joints.add(meaning.joint)
         aligned = (_aligned(path, raw, meaning, repair, rate, notes) for raw in raw_trials)
         trials += [trial for trial in aligned if trial is not None]
         of_files += [str(path)] * (len(trials) - len(of_files))
     named = ", ".join(map(str, paths))
     if not trials:
         raise ValueError(f"{named}: all trials are left out; expected one without faults ({notes[0]})")
-    recording = joined(trials, repair, notes)
+    if len(joints) > 1:
+        several = " and ".join(map(str, sorted(joints, key=str)))
+        raise ValueError(f"{named}: labels.joint = {several}; expected trials of one joint")
+    recording = joined(trials, repair, notes, joints.pop())
     recording.attrs["source"] = ", ".join(path.name for path in paths)
     if notes:
         recording.attrs["repairs"] = "\n".join(notes)
@@ -145,7 +153,12 @@ def import_trials(
         raise ValueError(f"{named}: environment.m_env differs between sidecars; expected one manipulator")
     notes += check_different([recording], [trial.where for trial in trials], of_files)
     names = [trial.where.removeprefix(named).removeprefix(": ") for trial in trials]
-    return Imported(recording, (*notes, *check_balance(recording, masses.pop(), names, named), *guesses))
+    mass = masses.pop()
+    if is_one_axis(recording):
+        physics = check_joint(recording, mass, named)
+    else:
+        physics = check_balance(recording, mass, names, named)
+    return Imported(recording, (*notes, *physics, *guesses))
 
 
 def _aligned(

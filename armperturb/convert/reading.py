@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from armperturb.convert.matlab import read_matlab
+from armperturb.convert.arrays import read_arrays
 from armperturb.convert.raw import RawTrial, missing_channel
 from armperturb.convert.sidecar import Sidecar, Signal
 from armperturb.convert.text import read_text
 from armperturb.foreign import read_foreign
 
-TEXT, MATLAB, C3D = (".csv", ".tsv", ".txt"), (".mat",), (".c3d",)
-"""Endings of the formats that need a sidecar."""
+TEXT, ARRAYS, C3D = (".csv", ".tsv", ".txt"), (".mat", ".npz"), (".c3d",)
+"""Endings of the formats that need a sidecar: columns of text, arrays of MATLAB or NumPy, motion capture."""
 
 
 def read_trials(path: Path, meaning: Sidecar) -> Sequence[RawTrial]:
@@ -40,8 +40,8 @@ def read_trials(path: Path, meaning: Sidecar) -> Sequence[RawTrial]:
         return [_c3d_trial(path, sorted(names))]
     if meaning.trial is not None:
         names.add(meaning.trial)
-    if path.suffix.lower() in MATLAB:
-        return read_matlab(path, sorted(names), meaning.trial)
+    if path.suffix.lower() in ARRAYS:
+        return read_arrays(path, sorted(names), meaning.trial)
     if emg is not None and emg.rate is not None and emg.file is None:
         raise ValueError(f"{meaning.path}: signals.emg.rate without signals.emg.file; expected both with text, or none")
     trials = read_text(path, sorted(names), meaning.trial, meaning.dialect)

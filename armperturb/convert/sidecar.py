@@ -10,18 +10,21 @@ import numpy as np
 
 from armperturb.arrays import Array
 from armperturb.convert.tables import TABLES
-from armperturb.convert.units import factor_to, quantity
+from armperturb.convert.units import UNITS, factor_to, quantity
 from armperturb.files import require_input
 from armperturb.recording import (
     ACTIONS,
     JOINTS_OF_MUSCLES,
     LABELS,
     LONGEST_LEAD,
-    REQUIRED_SIGNALS,
+    ONE_AXIS_SIGNALS,
+    SERVOS,
     SIGNALS,
     TEXT_COORDINATES,
     TRIAL_COORDINATES,
     Action,
+    required_signals,
+    signal_unit,
 )
 from armperturb.subject import TASKS
 from armperturb.validation import require_number, require_one_of
@@ -74,6 +77,7 @@ class Signal:
     Attributes:
       channels: component, e.g. "x", to the channel that holds it, in the order of our components.
       unit: as the file has it.
+      ours: SI unit of the recording.
       matrix: ours = (values - start) @ matrix, (component, component): units, axes and sign.
       start: handle's start in the file's unit and axes, (component,), or "first".
       rate: sampling rate of this signal, if it is not that of the others [Hz].
@@ -84,6 +88,7 @@ class Signal:
 
     channels: Mapping[str, str]
     unit: str
+    ours: str
     matrix: Array
     start: tuple[float, ...] | str
     rate: float | None
@@ -105,6 +110,8 @@ class Sidecar:
       labels: of all trials, in our units.
       trials: name of a trial to labels of its own; empty if all are alike.
       mass: that the manipulator was set to [kg]; None if unknown.
+      servo: what the device of a recording of one axis does, see `recording.SERVOS`; None with two axes.
+      joint: of a recording of one axis; None if unknown.
       dialect: of a text file.
       notes: that fields are guesses which nobody has confirmed, if there are any.
     """
@@ -117,6 +124,8 @@ class Sidecar:
     labels: Mapping[str, Any]
     trials: Mapping[str, Mapping[str, Any]]
     mass: float | None
+    servo: str | None
+    joint: str | None
     dialect: Dialect
     notes: tuple[str, ...] = ()
 
@@ -143,19 +152,37 @@ class Sidecar:
             value and what was expected.
         """
         top = _Fields(content, str(path), "")
-        top.require_only(
-            ("rate", "time", "trial", "axes", "signals", "labels", "trials", "environment", "csv", "guessed"),
-            ("axes", "signals", "labels"),
+        known = (
+            "rate",
+            "time",
+            "trial",
+            "axes",
+            "servo",
+            "signals",
+            "labels",
+            "trials",
+            "environment",
+            "csv",
+            "guessed",
         )
+        # A recording of one axis says what its device does, and has no directions.
+        kind, other = ("servo", "axes") if "servo" in top else ("axes", "servo")
+        top.require_only([name for name in (*known, "guessed") if name != other], (kind, "signals", "labels"))
         guessed = top.fields("guessed")
         _require_closed(top, {name: guessed.text(name) for name in guessed})
         rate, time, mass = top.rate("rate"), None, None
         if "time" in top:
             of_time = top.fields("time", ("channel", "unit"), ("channel", "unit"))
             time = of_time.text("channel"), factor_to("s", of_time["unit"], of_time.where("unit"))
-        of_signals = top.fields("signals", SIGNALS, REQUIRED_SIGNALS)
-        axes = _axes(top)
-        signals = {name: _signal(of_signals.fields(name), name, axes) for name in SIGNALS if name in of_signals}
+        servo = top.choice("servo", SERVOS) if "servo" in top else None
+        known_signals = SIGNALS if servo is None else ONE_AXIS_SIGNALS
+        of_signals = top.fields("signals", known_signals, required_signals(servo))
+        axes = _axes(top) if servo is None else None
+        of_path = of_signals.fields("displacement")
+        angular = servo is not None and "unit" in of_path and of_path["unit"] not in [*UNITS["m"], OPEN]
+        signals = {
+            name: _signal(of_signals.fields(name), name, axes, angular) for name in known_signals if name in of_signals
+        }
         owners: dict[str, str] = {}
         for name, signal in signals.items():
             for channel in signal.channels.values():
@@ -170,8 +197,11 @@ class Sidecar:
             raise ValueError(f"{path}: trials is empty; expected labels of each trial, or no such field")
         if "environment" in top:
             of_environment = top.fields("environment", ("m_env",), ("m_env",))
-            mass = quantity(of_environment["m_env"], "kg", of_environment.where("m_env"))
+            mass = quantity(of_environment["m_env"], "kg m^2" if angular else "kg", of_environment.where("m_env"))
             require_number(str(path), "environment.m_env", mass, above=0.0, at_most=1e3)
+        of_labels = top.fields("labels")
+        joint = of_labels.text("joint") if servo is not None and "joint" in of_labels else None
+        of_labels = of_labels.without("joint") if joint is not None else of_labels
         unconfirmed = f"{path}: guesses that nobody has confirmed: {', '.join(guessed)}"
         return cls(
             path=path,
@@ -179,9 +209,11 @@ class Sidecar:
             time=time,
             trial=top.text("trial") if "trial" in top else None,
             signals=signals,
-            labels=_labels(top.fields("labels")),
+            labels=_labels(of_labels),
             trials={name: _labels(of_trials.fields(name)) for name in of_trials},
             mass=mass,
+            servo=servo,
+            joint=joint,
             dialect=_dialect(top.fields("csv", Dialect._fields)),
             notes=(f"{unconfirmed} (delete what you have checked from guessed)",) if guessed else (),
         )
@@ -231,6 +263,10 @@ class _Fields(dict[str, Any]):
         if known:
             fields.require_only(known, required)
         return fields
+
+    def without(self, name: str) -> "_Fields":
+        """The same object without a field."""
+        return _Fields({each: value for each, value in self.items() if each != name}, self.file, self.place)
 
     def require_only(self, known: Collection[str], required: Collection[str] = ()) -> None:
         for name in self:
@@ -317,9 +353,11 @@ def _axes(fields: _Fields) -> Array:
     return directions
 
 
-def _signal(fields: _Fields, name: str, axes: Array) -> Signal:
-    dims, ours, _ = SIGNALS[name]
-    known = TABLES["fields"][name]
+def _signal(fields: _Fields, name: str, axes: Array | None, angular: bool) -> Signal:
+    """A signal; without directions of axes it has a single component."""
+    dims, ours = SIGNALS[name][0], signal_unit(name, angular=angular)
+    single = axes is None and dims[1] == "axis"
+    known = [field for field in TABLES["fields"][name] if axes is not None or field != "axes"]
     fields.require_only(known, [field for field in known if field in ("channels", "unit", "exerted_by")])
     if name == "emg":  # any muscles
         of_channels = fields.fields("channels")
@@ -327,20 +365,21 @@ def _signal(fields: _Fields, name: str, axes: Array) -> Signal:
         if not components or not all(0 < len(each) <= LONGEST_TEXT and each.isprintable() for each in components):
             raise ValueError(f"{fields.where('channels')} = {dict(of_channels)!r:.60}; expected muscle to channel")
     else:
-        components = LABELS[dims[1]]
+        components = LABELS[dims[1]][:1] if single else LABELS[dims[1]]
         of_channels = fields.fields("channels", components, components)
     channels = {component: of_channels.text(component) for component in components}
     for component, channel in channels.items():
         if list(channels.values()).count(channel) > 1:
             raise ValueError(f"{of_channels.where(component)} = {channel!r} twice; expected a channel for each")
     matrix = np.eye(len(components)) * factor_to(ours, fields["unit"], fields.where("unit"))
-    if "axes" in known:
+    if "axes" in known and axes is not None:
         matrix = matrix @ (_axes(fields) if "axes" in fields else axes)
     if name == "force":
         matrix = matrix * BODIES[fields.choice("exerted_by", BODIES)]
     return Signal(
         channels=channels,
         unit=fields["unit"],
+        ours=ours,
         matrix=matrix,
         start=_start(fields, components) if "start" in fields else (0.0,) * len(components),
         rate=fields.rate("rate"),
@@ -393,7 +432,8 @@ def _start(fields: _Fields, components: tuple[str, ...]) -> tuple[float, ...] | 
     if value == FIRST:
         return FIRST
     if not isinstance(value, list) or len(value) != len(components):
-        raise ValueError(f"{fields.where('start')} = {value!r:.60}; expected 'first', or [x, y] in the signal's unit")
+        place = f"[{', '.join(components)}]"
+        raise ValueError(f"{fields.where('start')} = {value!r:.60}; expected 'first', or {place} in the signal's unit")
     for coordinate in value:
         require_number(fields.file, fields.place_of("start"), coordinate, at_least=-1e6, at_most=1e6)
     return tuple(map(float, value))

@@ -18,7 +18,7 @@ from armperturb.convert.checks import AWAY, LARGEST_FORCE
 from armperturb.convert.columns import WORD, Column, axis_of, columns_of, dialect_of
 from armperturb.convert.importer import import_trials
 from armperturb.convert.raw import trial_name
-from armperturb.convert.reading import C3D, MATLAB, TEXT, read_trials
+from armperturb.convert.reading import ARRAYS, C3D, TEXT, read_trials
 from armperturb.convert.sidecar import BODIES, FIRST, MEANINGS, OPEN, REQUIRED_LABELS, Dialect, Sidecar
 from armperturb.convert.tables import TABLES, Repair
 from armperturb.convert.units import UNITS
@@ -76,7 +76,7 @@ def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: floa
     """
     path = Path(file)
     target = path.with_suffix(".json") if out is None else Path(out)
-    require_one_of(str(path), "ending", path.suffix.lower(), (*TEXT, *MATLAB, *C3D))
+    require_one_of(str(path), "ending", path.suffix.lower(), (*TEXT, *ARRAYS, *C3D))
     if target.exists():
         raise FileExistsError(f"{target} exists; expected a new file (sidecars are never overwritten; choose --out)")
     if not path.is_file():

@@ -1,26 +1,30 @@
-"""Child process that parses one MATLAB, C3D or HDF5 file and writes its arrays to standard output.
+"""Child process that parses MATLAB, NPZ, C3D and HDF5 files and writes their arrays to standard output.
 
-It runs as a file and imports nothing of this package. Each parser counts what a file claims to hold, at 8 bytes per
-element or more, before it allocates any of it. Where the operating system can, the address space is limited as well.
+It runs as a file and imports nothing of this package. Each line of standard input asks for one file; the process ends
+with the first that it refuses, since a damaged file may leave a library damaged. Each parser counts what a file claims
+to hold, at 8 bytes per element or more, before it allocates any of it. Where the operating system can, the address
+space is limited as well.
 """
 
 import json
 import math
 import mmap
+import os
 import re
+import signal
 import struct
 import sys
+import time
+import zipfile
 import zlib
 from collections.abc import Collection, Iterator
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO, Any
 
 import numpy as np
-
-REFUSED = 3
-"""Exit status with which standard error holds the reason in one line."""
 
 DEEPEST = 32
 """Largest number of structures and cell arrays within one another."""
@@ -73,17 +77,18 @@ def parse(path: str, names: Collection[str] | None, largest: int, without: Colle
     suffix, budget = Path(path).suffix.lower(), Budget(largest)
     with open(path, "rb") as file:
         head = file.read(1024)
-        is_hdf5 = suffix != ".c3d" and SIGNATURE in (head[:8], head[512:520])
-        if not is_hdf5 and suffix not in (".mat", ".c3d"):
+        is_hdf5 = suffix not in (".c3d", ".npz") and SIGNATURE in (head[:8], head[512:520])
+        readers = {".mat": ("MATLAB", _mat5), ".c3d": ("C3D", _c3d), ".npz": ("NPZ", _npz)}
+        if not is_hdf5 and suffix not in readers:
             raise Refused(f"no HDF5 file ({_beginning(head)}); expected netCDF4")
         try:
             if is_hdf5:
                 return _hdf5(file, head, names, without, budget)
-            return (_mat5 if suffix == ".mat" else _c3d)(file, names, budget)
+            return readers[suffix][1](file, names, budget)
         except Refused:
             raise
         except Exception as error:  # damage makes libraries fail in any way
-            kind = "C3D" if suffix == ".c3d" else "MATLAB" if suffix == ".mat" else "netCDF4"
+            kind = readers[suffix][0] if suffix in readers else "netCDF4"
             reason = " ".join(str(error).split()) or type(error).__name__
             raise Refused(f"not a readable {kind} file ({reason:.300}); expected an undamaged one") from None
 
@@ -98,7 +103,7 @@ def _beginning(head: bytes) -> str:
 
 _MATRIX, _COMPRESSED = 14, 15
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-_CELL, _STRUCT, _CHAR, _OPAQUE = 1, 2, 4, 17
+_CELL, _STRUCT, _OBJECT, _CHAR, _OPAQUE = 1, 2, 3, 4, 17
 _CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
 _CODECS = {1: "latin-1", 2: "latin-1", 16: "utf-8", 3: "utf-16", 4: "utf-16", 17: "utf-16", 18: "utf-32"}
 
@@ -169,7 +174,9 @@ def _matrix(part: memoryview, order: str, budget: Budget, what: str, depth: int)
     budget.take(n_elements, what)
     if kind == _CELL:
         return [_matrix(inner, order, budget, what, depth + 1) for _, inner in islice(elements, n_elements)]
-    if kind == _STRUCT:
+    if kind == _OBJECT:  # a structure below the name of its class
+        next(elements)
+    if kind in (_STRUCT, _OBJECT):
         width = struct.unpack_from(f"{order}i", next(elements)[1])[0]
         text = bytes(next(elements)[1])
         fields = [text[at : at + width].split(b"\0")[0].decode("latin-1") for at in range(0, len(text), width)]
@@ -280,6 +287,36 @@ def _matlab_hdf5(item: Any, name: str, budget: Budget, depth: int = 0) -> Any:
     return values.T.squeeze()
 
 
+# NPZ: NumPy Enhancement Proposal 1, arrays in a zip archive.
+
+
+def _npz(file: IO[bytes], names: Collection[str] | None, budget: Budget) -> dict[str, Any]:
+    file.seek(0)
+    values: dict[str, Any] = {}
+    with zipfile.ZipFile(file) as archive:
+        for member in archive.infolist():
+            name = member.filename.removesuffix(".npy")
+            if name in values:
+                raise Refused(f"the array {name!r:.60} comes twice; expected it once")
+            values[name] = None
+            if names is None or name in names:
+                budget.take(member.file_size, f"{name!r:.60}", 1)
+                with archive.open(member) as part:
+                    values[name] = _npy(part, name, member.file_size)
+    return values
+
+
+def _npy(part: IO[bytes], name: str, size: int) -> Any:
+    major = np.lib.format.read_magic(part)[0]
+    read = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
+    shape, is_fortran, dtype = read(part)
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize > size:
+        what = "objects" if dtype.hasobject else f"{math.prod(shape)} values in {size} bytes"
+        raise Refused(f"{name!r:.60} holds {what}; expected numbers")
+    values = np.frombuffer(part.read(), dtype, math.prod(shape))
+    return values.reshape(shape, order="F" if is_fortran else "C").squeeze()
+
+
 # C3D: https://www.c3d.org, "The C3D file format user guide".
 
 _BLOCK = 512
@@ -360,30 +397,39 @@ def _described(item: Any, arrays: list[Any]) -> Any:
 
 
 def _limit(largest: int, seconds: float) -> None:
-    """Limit memory and processor time, where the operating system can."""
+    """Limit memory, and processor time from now on, where the operating system can."""
     if find_spec("resource") is None:
         return
     import resource
 
-    limits = {resource.RLIMIT_AS: 4 * largest, resource.RLIMIT_CPU: math.ceil(seconds) + 1, resource.RLIMIT_CORE: 0}
+    latest = math.ceil(time.process_time() + seconds) + 1
+    limits = {resource.RLIMIT_AS: 4 * largest, resource.RLIMIT_CPU: latest, resource.RLIMIT_CORE: 0}
     for what, limit in limits.items():
         hard = resource.getrlimit(what)[1]
         resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 
-def main(path: str, names: str, largest: str, seconds: str, without: str = "[]") -> None:
-    """Write JSON in one line, then the arrays in NumPy's format."""
-    _limit(int(largest), float(seconds))
-    arrays: list[Any] = []
-    try:
-        description = _described(parse(path, json.loads(names), int(largest), json.loads(without)), arrays)
-    except Refused as error:
-        sys.stderr.write(f"{error}")
-        sys.exit(REFUSED)
-    sys.stdout.buffer.write(json.dumps(description, default=str).encode() + b"\n")
-    for array in arrays:
-        np.save(sys.stdout.buffer, array, allow_pickle=False)
+def main() -> None:
+    """Answer each request with JSON in one line, then the arrays in NumPy's format."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the one that asks ends this one
+    output = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints is no answer
+    for line in sys.stdin.buffer:
+        request = json.loads(line)
+        _limit(request["largest"], request["seconds"])
+        arrays: list[Any] = []
+        try:
+            content = parse(request["path"], request["names"], request["largest"], request["without"])
+            answer = {"content": _described(content, arrays)}
+        except Refused as error:
+            output.write(json.dumps({"refused": f"{error}"}).encode() + b"\n")
+            return
+        output.write(json.dumps(answer, default=str).encode() + b"\n")
+        for array in arrays:
+            np.save(SimpleNamespace(write=output.write), array, allow_pickle=False)  # NumPy cannot seek in a pipe
+        output.flush()
+        del content, answer, arrays
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

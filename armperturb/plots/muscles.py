@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from scipy import ndimage
 
-from armperturb.arrays import Array
+from armperturb.arrays import Array, ComplexArray
 from armperturb.plots.style import GREY, PALETTE, colours_for, figure_for, in_style
 from armperturb.recording import Action
 
@@ -128,6 +128,77 @@ def plot_activity(levels: pd.DataFrame, cocontraction: pd.DataFrame, unit: str, 
     axes[0].set_title(f"mean amplitude in {unit}", loc="left")
     axes[1].set_title("index of co-contraction", loc="left")
     axes[1].set_xticks(x, [f"{condition}\n{part}" for condition, part in places])
+    return axes
+
+
+class ReflexesLike(Protocol):
+    """What is drawn of `analysis.emg.reflex.Reflexes`."""
+
+    @property
+    def condition(self) -> str:
+        """Where it was measured."""
+        ...
+
+    @property
+    def subject(self) -> str:
+        """Of whom."""
+        ...
+
+    @property
+    def responses(self) -> pd.DataFrame:
+        """One row per muscle."""
+        ...
+
+    @property
+    def frequency(self) -> Array:
+        """[Hz], (band,)."""
+        ...
+
+    @property
+    def response(self) -> ComplexArray:
+        """(muscle, joint, band)."""
+        ...
+
+    @property
+    def response_error(self) -> Array:
+        """(muscle, joint, band)."""
+        ...
+
+    @property
+    def coherence(self) -> Array:
+        """(muscle, band)."""
+        ...
+
+
+@in_style()
+def plot_reflexes(reflexes: ReflexesLike, figure: Figure | None) -> Any:
+    """Modulus with 95 % limits, phase and coherence of the responses from rotation to EMG.
+
+    Args:
+      reflexes: to draw.
+      figure: where to draw; its height is set. None makes a new one of pyplot.
+
+    Returns:
+      Axes, (3, joint).
+    """
+    names, f = list(reflexes.responses["muscle"]), reflexes.frequency
+    figure = figure_for(figure, 0.9 + 3 * ROW)
+    axes = figure.subplots(3, 2, sharex=True, squeeze=False)
+    for joint, word in enumerate(("shoulder", "elbow")):
+        for row, (name, colour) in enumerate(zip(names, (PALETTE * 4)[: len(names)], strict=False)):
+            modulus, error = np.abs(reflexes.response[row, joint]), 1.96 * reflexes.response_error[row, joint]
+            axes[0, joint].plot(f, modulus, color=colour, linewidth=0.9, label=_words(name))
+            axes[0, joint].fill_between(f, modulus - error, modulus + error, color=colour, alpha=0.12, linewidth=0)
+            axes[1, joint].plot(f, np.degrees(np.angle(reflexes.response[row, joint])), ".", color=colour, markersize=3)
+            axes[2, joint].plot(f, reflexes.coherence[row], color=colour, linewidth=0.9)
+        axes[0, joint].set_ylim(bottom=0.0)
+        axes[0, joint].set_title(f"from rotation of the {word}", loc="left")
+        axes[2, joint].set_ylim(0.0, 1.0)
+        axes[2, joint].set_xlabel("frequency [Hz]")
+    for ax, label in zip(axes[:, 0], ("modulus [1/rad]", "phase [deg]", "coherence"), strict=True):
+        ax.set_ylabel(label)
+    axes[0, 1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=6.5)
+    figure.suptitle(f"{reflexes.subject}, {reflexes.condition}: EMG", fontsize=9, parse_math=False)
     return axes
 
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from armperturb.plots.style import GREY, colours_for, figure_for, in_style
-from armperturb.recording import SIGNALS, check_recording
+from armperturb.recording import SIGNALS, check_recording, is_one_axis
 
 SHOWN = {
     "perturbation": ("perturbation", 1.0, "N"),
@@ -18,6 +18,9 @@ SHOWN = {
     "joint_angle": ("joint angle", np.degrees(1.0), "deg"),
 }
 """Signal to its name in the figure, and the factor to the unit in which it is drawn."""
+
+SHOWN_UNITS = {"N": (1.0, "N"), "m": (1e3, "mm"), "Nm": (1.0, "Nm"), "rad": (np.degrees(1.0), "deg")}
+"""Unit of a signal of one axis to the factor to the unit in which it is drawn, and that unit."""
 
 ROW = 1.35
 """Height of a signal's panels [inch]."""
@@ -35,7 +38,8 @@ def plot_recording(
       figure: where to draw; its height is set. None makes a new one of pyplot.
 
     Returns:
-      Axes, (signal, 2): along x and y, and of joint angles shoulder and elbow. A dotted line is the onset of a pulse.
+      Axes, (signal, 2): along x and y, and of joint angles shoulder and elbow; (signal, 1) of one axis. A dotted
+      line is the onset of a pulse.
 
     Raises:
       ValueError: the recording is refused, or has no such trial.
@@ -52,9 +56,11 @@ def plot_recording(
     colours = dict(zip(conditions, colours_for(len(conditions)), strict=True))
     alpha = max(0.25, 1.0 / np.sqrt(len(chosen)))
     figure = figure_for(figure, 0.7 + ROW * len(names))
-    axes = figure.subplots(len(names), 2, squeeze=False, sharex=True)
+    axes = figure.subplots(len(names), 1 if is_one_axis(shown) else 2, squeeze=False, sharex=True)
     for row, name in zip(axes, names, strict=True):
         label, factor, unit = SHOWN[name]
+        if is_one_axis(shown):
+            factor, unit = SHOWN_UNITS[shown[name].attrs["units"]]
         components = shown[SIGNALS[name][0][-1]].values
         for column, (ax, component) in enumerate(zip(row, components, strict=True)):
             for values, condition in zip(shown[name].values, shown["condition"].values.tolist(), strict=True):
@@ -63,7 +69,7 @@ def plot_recording(
             for onset in np.unique(shown["pulse_onset"].values[np.isfinite(shown["pulse_onset"].values)]):
                 ax.axvline(onset, color=GREY, linewidth=0.8, linestyle=":", zorder=0.5)
             ax.set_title(f"{label}, {component}", loc="left")
-        if name != "joint_angle":
+        if name != "joint_angle" and len(row) > 1:
             row[1].sharey(row[0])
             row[0].autoscale()
         row[0].set_ylabel(f"[{unit}]")

@@ -1,6 +1,7 @@
 """How active muscles are apart from their reflexes: whether a person relaxed, and how much antagonists co-contract."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -218,3 +219,27 @@ def _index(amplitude: Array, flexors: list[int], extensors: list[int]) -> tuple[
     index = float(np.mean(np.minimum(flexed, extended)))
     both = float(np.mean(flexed + extended)) / 2.0
     return index, index / both if both > 0.0 else math.nan
+
+
+def relaxation_sentence(people: Iterable[Activity], conditions: Iterable[str], task: str = "relax task") -> str:
+    """One sentence on whether people relaxed, with its figures.
+
+    Args:
+      people: activity of each person.
+      conditions: in which they were to relax.
+      task: what these are called.
+    """
+    wanted, everyone = list(conditions), list(people)
+    known = [person for person in everyone if person.levels["condition"].isin(wanted).any()]
+    if not known:
+        return f"Nothing is known of relaxation: no EMG in the {task}."
+    active = {
+        person.subject: [name for name in wanted if person.active_muscles(name)]
+        for person in known
+        if any(person.active_muscles(name) for name in wanted)
+    }
+    limit = f"{100.0 * known[0].limit:g} {known[0].unit}"
+    if not active:
+        return f"In the {task}, all muscles of all {len(known)} people stayed below {limit}: they relaxed."
+    named = "; ".join(f"{name} in {', '.join(where)}" for name, where in active.items())
+    return f"In the {task}, {len(active)} of {len(known)} people did not relax (a muscle above {limit}): {named}."

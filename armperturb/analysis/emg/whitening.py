@@ -23,6 +23,9 @@ WHITE = 0.1
 REWEIGHTED = 3
 """Times that the parts of a spectrum are estimated, each with the weights of the estimate before."""
 
+SILENT = 0.1
+"""Share of a channel's power above the noise below which its muscle counts as silent [-]."""
+
 DEAD_SHARE = 1e-9
 """A trial with less than this share of the power of the loudest one is dead, not quiet [-]."""
 
@@ -183,7 +186,9 @@ def whitening(
         # The geometric mean: between strong and weak contractions, rather than the strongest.
         total = np.exp(np.mean(np.log(np.maximum(of_trials, 1e-9 * of_trials.max() + 1e-30)), axis=0))
         muscle = np.maximum(total - noise[column], 1e-6 * total)
-        power = passed * (muscle / total**2 if whiten else np.ones(len(total)))
+        # Of a muscle that is always silent, what is above the noise is chance, and must not choose what is let through.
+        is_silent = np.sum(passed * (total - noise[column])) < SILENT * np.sum(passed * total)
+        power = passed * (muscle / total**2 if whiten and not is_silent else np.ones(len(total)))
         power /= power.max()
         root = np.interp(fine, frequency, np.sqrt(power))
         lines = hum_lines(spectra.periodogram[column], fine, mains)

@@ -18,7 +18,7 @@ from armperturb.analysis.arm.joint_matrices import Environments
 from armperturb.analysis.arm.linear_arm import Delay, LinearArm
 from armperturb.analysis.fit import admittance_problem
 from armperturb.analysis.fit.linear_start import with_linear_part
-from armperturb.analysis.fit.structures import Structure, structure_of, unit
+from armperturb.analysis.fit.structures import Structure, start_in, structure_of, unit
 from armperturb.analysis.numerics.trust_region import NOT_FINITE, minimise
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array
@@ -121,7 +121,7 @@ def fit_admittance(
       structure: model structure, or its name in `STRUCTURES`.
       environment: what the hand held, for the stability of the whole.
       coherence: multiple coherence [-], (frequency, output); one if not given.
-      initial: values of free parameters to start from, SI; the published value where not given.
+      initial: values of free parameters to start from, SI; where not given, those of `structures.start_in`.
       as_published: optimise as appendices C to E do: from the given start only, on the modulus, penalised from the
         first step on, and with their tolerances. It mostly stops short of the minimum, where the data say little.
       use_penalty: whether to push the fit away from instability (eq. 2.21).
@@ -139,7 +139,7 @@ def fit_admittance(
     structure = structure_of(structure)
     batch = _Batch.of([target], [structure], delay)
     problem = admittance_problem.checked_problem(target, structure, delay)
-    first = _checked_initial(structure, initial)
+    first = _checked_initial(structure, body.task, initial)
     batch.require_identifiable(first[None])
     starts = [first, with_linear_part(problem.model, problem.admittance, body, structure, first)]
     solutions = [admittance_problem.least_squares(problem, values, with_penalty=False) for values in starts]
@@ -147,7 +147,8 @@ def fit_admittance(
     if use_penalty and problem.penalty(best.x) > 1.0 + 1e-6:
         # An unstable start has no use for a criterion that its penalty dwarfs; a stable optimum competes, whatever its
         # penalty: without noise it is the minimum all the same.
-        stable = [values for values in starts if problem.penalty(values) < 1e3] or [_checked_initial(structure, None)]
+        stable = [values for values in starts if problem.penalty(values) < 1e3]
+        stable = stable or [_checked_initial(structure, body.task, None)]
         if problem.penalty(best.x) < admittance_problem.penalty_factor(0.0):
             stable.insert(0, best.x)
         solutions = [admittance_problem.least_squares(problem, stable[0], with_penalty=True)]
@@ -173,7 +174,8 @@ def fit_admittances(
       targets: what to fit to, with the same number of frequencies; of any people and tasks. One that several starts
         share stands here once for each.
       structures: model structure of each fit, or its name in `STRUCTURES`.
-      initials: where each fit starts, (target,): values of free parameters, SI; the published value where not given.
+      initials: where each fit starts, (target,): values of free parameters, SI; where not given, those of
+        `structures.start_in`.
       use_penalty: whether to push fits away from instability (eq. 2.21); of all, or each.
       delay: "exact", or the thesis's "pade".
 
@@ -192,7 +194,7 @@ def fit_admittances(
     problem, sizes = batch.problem, batch.sizes
     first = np.zeros_like(problem.lower)
     for row, structure, i in zip(first, batch.structures, order, strict=True):
-        row[: len(structure.free)] = _checked_initial(structure, initials[i])
+        row[: len(structure.free)] = _checked_initial(structure, targets[i].body.task, initials[i])
     batch.require_identifiable(first)
     scale = np.where(first != 0, np.abs(first), 1.0)
     search = minimise(
@@ -387,8 +389,8 @@ class _Published:
         return n, whole if n == len(self.scale) else whole.take(np.arange(n))
 
 
-def _checked_initial(structure: Structure, initial: Mapping[str, float] | None) -> Array:
-    values = dict(structure.initial)
+def _checked_initial(structure: Structure, task: str, initial: Mapping[str, float] | None) -> Array:
+    values = dict(start_in(structure, task))
     for name, value in (initial or {}).items():
         if name not in values:
             raise ValueError(

@@ -51,7 +51,7 @@ class Structure:
       name: as the thesis numbers it.
       bounds: lower and upper bound of each free parameter, SI. Names that are no parameter of an arm, as m_tot, exist
         through those that are tied to them.
-      initial: value of each free parameter, SI; the default start of a fit.
+      initial: value of each free parameter, SI; the default start of a fit, see `start_in`.
       fixed: task to the value of parameters that are not estimated, SI.
       tied: parameter to the free ones whose weighted sum it is: {"m_h": {"m_tot": 0.49}}.
       prior: free parameter to mean and standard deviation of what is known of it beside the trials, SI: a normal
@@ -343,6 +343,45 @@ def published_starts(appendix: str, structure: Structure) -> Mapping[str, Mappin
     """
     starts = PUBLISHED["starts"][appendix].items()
     return MappingProxyType({name: dict(zip(structure.free, values, strict=True)) for name, values in starts})
+
+
+def neutral_start(structure: Structure, task: str) -> dict[str, float]:
+    """Where a search begins that is not to know what feedback it will find, SI.
+
+    Masses, damping, stiffness and grip are those of model 1 in the task (tables C.3 and C.13), feedback gains are zero,
+    delays and cut-offs in the middle of their bounds. All are moved into the bounds.
+
+    Args:
+      structure: whose free parameters get values.
+      task: "PT" or "RT".
+
+    Raises:
+      ValueError: the task is unknown.
+    """
+    require_one_of("neutral_start", "task", task, TASKS)
+    intrinsic = PUBLISHED["starts"]["C"][task]
+    intrinsic = {**intrinsic, "m_tot": intrinsic["m_h"] + intrinsic["m_f"]}
+    start = {}
+    for name, (lower, upper) in structure.bounds.items():
+        unknown = 0.0 if name.partition("_")[0] in ("kf", "ka", "kv", "kp") else 0.5 * (lower + upper)
+        start[name] = min(max(intrinsic.get(name, unknown), lower), upper)
+    return start
+
+
+def start_in(structure: Structure, task: str) -> Mapping[str, float]:
+    """The structure's initial values, or where these are the thesis's for the other task, the neutral ones, SI.
+
+    The published initial values of model 1 are those of the relax task, and those of all others of the position task.
+
+    Args:
+      structure: any.
+      task: "PT" or "RT".
+    """
+    published = STRUCTURES.get(structure.name)
+    is_published = published is not None and dict(structure.initial) == dict(published.initial)
+    if is_published and task != ("RT" if structure.name == "1" else "PT"):
+        return neutral_start(structure, task)
+    return structure.initial
 
 
 def at_truth(structure: Structure, truth: Subject) -> Structure:

@@ -8,16 +8,23 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+
 from armperturb.analysis.defaults import LINEAR_MODELS
 from armperturb.analysis.fit import thesis
-from armperturb.analysis.fit.structures import structure_of
+from armperturb.analysis.fit.structures import neutral_start, structure_of
 from armperturb.analysis.response.spectra import single_trial_spectra
 from armperturb.analysis.trials import ConditionTrials
+from armperturb.seeds import random_stream
 from armperturb.study.published import tables as published
-from armperturb.study.results.settings import AnalysisSettings
+from armperturb.study.results.settings import AnalysisSettings, Start
+from armperturb.subject import TASKS
 
 FIRST_STEP = {"PT": "PT7.5", "RT": "RT7.5"}
 """Task to the condition of the first step of appendix C."""
+
+WITHOUT_PENALTY = {"PT": "C.3", "RT": "C.13"}
+"""Task to the table of the estimates of the first step."""
 
 Key = tuple[str, str]
 """Condition and structure."""
@@ -66,6 +73,30 @@ class Appendices:
     starts: Mapping[str, thesis.ThesisEstimate] = field(default_factory=dict)
 
 
+SCATTER = 0.4
+"""SD of the logarithm of the factors of scattered starts [-]."""
+
+
+def first_start(model: str, task: str, start: Start) -> dict[str, float]:
+    """Where the first step of appendix C starts, SI, within the bounds of the model.
+
+    Args:
+      model: structure of appendix C, "1" to "6".
+      task: "PT" or "RT".
+      start: see `AnalysisSettings.start`.
+    """
+    structure = structure_of(model)
+    if start == "neutral":
+        return neutral_start(structure, task)
+    table = WITHOUT_PENALTY[task]
+    values = np.array([published.estimate(name, table, model=model).mean for name in structure.free])
+    if start == "scattered":
+        rng = np.random.default_rng(random_stream(0, "appendix C", TASKS.index(task), int(model)))
+        values = values * np.exp(SCATTER * rng.standard_normal(len(values)))
+    lower, upper = np.array(list(structure.bounds.values())).T
+    return dict(zip(structure.free, np.clip(values, lower, upper).tolist(), strict=True))
+
+
 def fit_person(conditions: Mapping[str, ConditionTrials], settings: AnalysisSettings) -> Fits:
     """Step 1 of appendix C, and appendices D and E, for one person.
 
@@ -81,7 +112,9 @@ def fit_person(conditions: Mapping[str, ConditionTrials], settings: AnalysisSett
     try:
         first = _fitted(
             {
-                (condition, model): thesis.Wanted(trials, model, use_penalty=False)
+                (condition, model): thesis.Wanted(
+                    trials, model, first_start(model, condition[:2], settings.start), use_penalty=False
+                )
                 for condition, trials in prepared.items()
                 for model in settings.structures
             }

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from invented_emg import noise, recorded
 
-from armperturb.analysis.emg.activity import activity, holm
+from armperturb.analysis.emg.activity import activity, holm, relaxation_sentence
 from armperturb.analysis.emg.envelope import envelopes
 
 N = 10_000
@@ -54,3 +54,15 @@ def test_a_result_describes_itself():
     result, _ = person(0.2)
     assert "RT7.5      during             all" in result.summary()
     assert len(result.plot()) == 2
+
+
+def test_sentence_names_who_did_not_relax():
+    relaxed, active = person(0.0)[0], person(0.05)[0]
+    limit = "2 % of maximal contraction"
+    assert relaxation_sentence([relaxed], ["RT7.5"]) == (
+        f"In the relax task, all muscles of all 1 people stayed below {limit}: they relaxed."
+    )
+    assert relaxation_sentence([relaxed, active], ["RT7.5"]) == (
+        f"In the relax task, 1 of 2 people did not relax (a muscle above {limit}): A in RT7.5."
+    )
+    assert "no EMG" in relaxation_sentence([], ["RT7.5"])

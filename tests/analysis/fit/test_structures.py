@@ -9,7 +9,7 @@ import pytest
 
 from armperturb.analysis.arm.linear_arm import LinearArm, total_admittance
 from armperturb.analysis.arm.parameters import PARAMETERS, parameter_vector
-from armperturb.analysis.fit.structures import STRUCTURES, Structure, unit
+from armperturb.analysis.fit.structures import STRUCTURES, Structure, neutral_start, start_in, unit
 from armperturb.environment import Environment
 from armperturb.subject import POSITION, RELAX
 
@@ -185,3 +185,28 @@ def test_bad_structures_are_named(change, message):
 def test_bad_variants_are_named(variant, message):
     with pytest.raises(ValueError, match=message):
         variant(STRUCTURES["3b"])
+
+
+@pytest.mark.parametrize(("task", "table"), [("PT", "C.3"), ("RT", "C.13")])
+def test_the_neutral_start_is_model_1_without_feedback(task, table):
+    intrinsic = published(table, "1")
+    for name in "123456":
+        start = neutral_start(STRUCTURES[name], task)
+        assert list(start) == list(STRUCTURES[name].free)
+        assert {parameter: start[parameter] for parameter in intrinsic} == pytest.approx(intrinsic, rel=1e-12)
+        others = {parameter: value for parameter, value in start.items() if parameter not in intrinsic}
+        assert {value for parameter, value in others.items() if parameter[:2] in ("kf", "ka", "kv", "kp")} <= {0.0}
+        assert all(low < start[parameter] < high for parameter, (low, high) in STRUCTURES[name].bounds.items())
+    assert neutral_start(STRUCTURES["3b"], task)["m_tot"] == pytest.approx(intrinsic["m_h"] + intrinsic["m_f"])
+    with pytest.raises(ValueError, match="task = 'X'"):
+        neutral_start(STRUCTURES["3"], "X")
+
+
+def test_a_published_structure_starts_where_its_task_does():
+    for name, structure in STRUCTURES.items():
+        its_task, other = ("RT", "PT") if name == "1" else ("PT", "RT")
+        assert start_in(structure, its_task) == structure.initial
+        assert start_in(structure, other) == neutral_start(structure, other)
+        assert start_in(structure.widened(), other) == neutral_start(structure.widened(), other)
+    own = STRUCTURES["3"].freeing(k_s=(0.0, 20.0, 400.0)).named("3")
+    assert start_in(own, "RT") == own.initial

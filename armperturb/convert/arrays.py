@@ -1,8 +1,8 @@
-"""Channels of MATLAB files, v5 to v7 and v7.3.
+"""Channels of files of arrays: MATLAB, v5 to v7 and v7.3, and NumPy's NPZ.
 
 A channel is a variable, or a field of structures, with what its dimensions mean: `data.force(time,2)` is the second
 column of a matrix, `force(trial,time,2)` of an array of all trials, `trials(trial).force(time,2)` of an array of
-structures and `force{trial}(time,2)` of a cell array. A bare name is a vector over time.
+structures and `force{trial}(time,2)` of a cell array. A bare name is a vector over time; in NPZ it is that of an array.
 """
 
 import re
@@ -20,8 +20,8 @@ _ADDRESS = re.compile(r"(?P<path>[A-Za-z]\w*(?:\.[A-Za-z]\w*)*)(?:\((?P<index>[^
 _Dims = list[str | int]
 
 
-def read_matlab(path: Path, names: Collection[str], number: str | None) -> Sequence[RawTrial]:
-    """Read channels of a MATLAB file.
+def read_arrays(path: Path, names: Collection[str], number: str | None) -> Sequence[RawTrial]:
+    """Read channels of a MATLAB or NPZ file.
 
     Args:
       path: of the file.
@@ -29,7 +29,7 @@ def read_matlab(path: Path, names: Collection[str], number: str | None) -> Seque
       number: channel that numbers the trials, if there is one.
 
     Raises:
-      ValueError: the file is damaged, too large or no MATLAB file, a channel is not in it, or holds no numbers.
+      ValueError: the file is damaged, too large or of another format, a channel is not in it, or holds no numbers.
       OSError: it cannot be read.
     """
     addresses = {name: _address(path, name) for name in names}

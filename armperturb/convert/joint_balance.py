@@ -1,0 +1,147 @@
+"""Whether a recording of one axis obeys physics: a limb has a positive inertia, of the size that a joint can have.
+
+Torque is regressed on acceleration, velocity and angle over a band of frequencies; inertia dominates its upper end. On
+a force servo d - f must move the virtual environment besides, as in `balance`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+from scipy import fft, signal
+
+from armperturb.analysis.force_balance import EDGE
+from armperturb.arrays import Array
+from armperturb.convert.checks import DEGREES, LARGEST_ANGLE
+from armperturb.convert.tables import TABLES
+
+BAND = (1.0, 30.0)
+"""Frequencies of the regression [Hz]."""
+
+SEGMENT = 2.0
+"""Length of the stretches whose differences give standard errors [s]."""
+
+SURE = 6.0
+"""Inertia over its standard error from which on its sign and size are judged [-]."""
+
+TOO_MUCH = 0.5
+"""Share of d - f that a virtual environment may leave unexplained [-]."""
+
+
+class Regression(NamedTuple):
+    """Inertia, damping and stiffness with which a load moves.
+
+    Attributes:
+      inertia: [kg m^2], or mass [kg].
+      standard_error: of the inertia.
+      left: unexplained share of the load [-].
+    """
+
+    inertia: float
+    standard_error: float
+    left: float
+
+
+def check_joint(recording: xr.Dataset, mass: float | None = None, source: str = "recording") -> list[str]:
+    """Refuse a recording of one axis whose signals do not belong together.
+
+    Args:
+      recording: the trials.
+      mass: inertia that a force servo was set to [kg m^2, or kg]; None if unknown.
+      source: where the recording comes from, for the message.
+
+    Returns:
+      Notes for the reader, one sentence each.
+
+    Raises:
+      ValueError: the limb's inertia is negative or not a joint's, or d - f does not move a virtual environment.
+    """
+    rate, angular = float(recording.attrs["rate"]), recording["displacement"].attrs["units"] == "rad"
+    x, f = (recording[name].values[..., 0] for name in ("displacement", "force"))
+    unit = "kg m^2" if angular else "kg"
+    limb = _regression(f, x, rate)
+    if limb is None:
+        _require_angles(recording, source)
+        return [f"{x.shape[1] / rate:.3g} s at {rate:g} Hz are too short, or too slow, to show an inertia: unchecked"]
+    if recording.attrs["servo"] == "force":
+        _require_environment(recording["perturbation"].values[..., 0] - f, x, rate, mass, unit, source)
+    if abs(limb.inertia) < SURE * limb.standard_error:
+        _require_angles(recording, source)
+        return ["the movement is too slow to show an inertia: signs and units are unchecked"]
+    joint = recording.attrs.get("joint")
+    lower, upper = TABLES["inertias"].get(joint if angular else "mass") or TABLES["inertias"]["any"]
+    shown = f"{source}: the limb's inertia comes out at {limb.inertia:.3g} {unit}"
+    of_joint = f" of the {joint}" if joint in TABLES["inertias"] else ""
+    expected = f"expected {lower:g} to {upper:g} {unit}{of_joint}"
+    if limb.inertia < 0.0:
+        raise ValueError(
+            f"{shown}; {expected}, as it would if the sign of force were turned (signals.force.exerted_by: the other "
+            "of handle and hand)"
+        )
+    if not lower <= limb.inertia <= upper:
+        is_degrees = angular and limb.inertia < lower and lower <= limb.inertia * DEGREES <= upper
+        remedy = "an angle in degrees declared rad?" if is_degrees else "a wrong unit of displacement or force?"
+        raise ValueError(f"{shown}; {expected} ({remedy} signals.displacement.unit)")
+    _require_angles(recording, source)
+    return []
+
+
+def _require_angles(recording: xr.Dataset, source: str) -> None:
+    largest = float(np.abs(recording["displacement"].values).max())
+    if recording["displacement"].attrs["units"] == "rad" and largest > LARGEST_ANGLE:
+        raise ValueError(
+            f"{source}: displacement is {largest:.4g} rad; expected at most {LARGEST_ANGLE:.4g} (an angle in degrees "
+            "declared rad? signals.displacement.unit)"
+        )
+
+
+def _require_environment(load: Array, x: Array, rate: float, mass: float | None, unit: str, source: str) -> None:
+    """Refuse a force servo whose d - f does not move a positive inertia."""
+    moved = _regression(load, x, rate)
+    if moved is None:
+        return
+    what = f"its inertia comes out at {moved.inertia:.3g} {unit}, and {moved.left:.2g} of the load is left unexplained"
+    if moved.left > TOO_MUCH or moved.inertia <= 0.0:
+        raise ValueError(
+            f"{source}: d - f does not move an inertia, damper and spring ({what}); expected the perturbation of a "
+            "virtual environment (servo = position for an imposed movement; signals.force.exerted_by the other?)"
+        )
+    if mass is not None and not mass / 1.5 <= moved.inertia <= 1.5 * mass:
+        raise ValueError(
+            f"{source}: d - f moves an inertia of {moved.inertia:.4g} {unit}; expected {mass:.4g} {unit} as "
+            "environment.m_env of the sidecar says (a wrong unit of displacement, or of both forces?)"
+        )
+
+
+def _regression(load: Array, x: Array, rate: float) -> Regression | None:
+    """Least squares of a load on acceleration, velocity and displacement, (trial, time) each; None if too short."""
+    n_edge, n_segment = round(EDGE * rate), round(SEGMENT * rate)
+    n_inner = x.shape[1] - 2 * n_edge
+    top = min(BAND[1], 0.25 * rate)
+    if n_inner < n_segment // 2 or top < 4.0 * BAND[0]:
+        return None
+    n_segment = min(n_segment, n_inner)
+    s = 2j * np.pi * fft.rfftfreq(fft.next_fast_len(x.shape[1] + 4 * n_edge, real=True), 1.0 / rate)
+    smooth = 0.5 - 0.5 * np.cos(np.pi * np.clip((1.4 * top - np.abs(s) / (2 * np.pi)) / (0.3 * top), 0.0, 1.0))
+    frequency = fft.rfftfreq(n_segment, 1.0 / rate)
+    used = (frequency >= BAND[0]) & (frequency <= top)
+    taper = signal.windows.hann(n_segment, sym=False)
+    columns = []
+    for values, powers in ((load, (0,)), (x, (2, 1, 0))):
+        line = values - values.mean(axis=1, keepdims=True)
+        spectrum = fft.rfft(line, 2 * (len(s) - 1), axis=1) * smooth
+        for power in powers:
+            inner = fft.irfft(spectrum * s**power, 2 * (len(s) - 1), axis=1)[:, n_edge : n_edge + n_inner]
+            pieces = inner[:, : n_inner // n_segment * n_segment].reshape(-1, n_segment)
+            columns.append(fft.rfft(pieces * taper, axis=1)[:, used])
+    stacked = np.stack(columns)
+    grams = np.einsum("apf,bpf->pab", stacked.conj(), stacked).real
+    gram = grams.sum(axis=0)
+    if not (np.diag(gram) > 0.0).all():
+        return None
+    inverse = np.linalg.pinv(gram[1:, 1:], hermitian=True)
+    weights = inverse @ gram[1:, 0]
+    scores = grams[:, 1:, 0] - grams[:, 1:, 1:] @ weights
+    covariance = inverse @ (scores.T @ scores) @ inverse
+    left = float((gram[0, 0] - weights @ gram[1:, 0]) / gram[0, 0])
+    return Regression(float(weights[0]), float(np.sqrt(covariance[0, 0])), left)

@@ -1,0 +1,148 @@
+"""Recordings of one axis: format, import, export, and the errors of bad ones."""
+
+import json
+
+import numpy as np
+import pytest
+
+from armperturb.convert.exporter import export_recording
+from armperturb.convert.importer import import_recording
+from armperturb.recording import check_recording, is_one_axis, make_recording
+
+RATE = 200.0
+INERTIA = 0.01
+SIDECAR = {
+    "rate": RATE,
+    "servo": "position",
+    "signals": {
+        "displacement": {"channels": {"x": "angle_rad"}, "unit": "rad"},
+        "force": {"channels": {"x": "torque_Nm"}, "unit": "Nm", "exerted_by": "hand"},
+    },
+    "labels": {"subject": "A", "task": "PT", "joint": "ankle"},
+}
+
+
+def ankle():
+    """Angle and torque that the limb exerts, of a plain inertia, damper and spring at tones of whole cycles."""
+    time = np.arange(round(12 * RATE)) / RATE
+    angle, torque = 0.2 + 0 * time, 0 * time
+    for f in (1.5, 4.0, 9.0, 17.0, 26.0):
+        s, tone = 2j * np.pi * f, 0.01 / f * np.exp(2j * np.pi * f * time + 1j * f)
+        angle, torque = angle + tone.real, torque - ((INERTIA * s**2 + 0.6 * s + 40.0) * tone).real
+    return angle, torque
+
+
+def files(folder, angle, torque, *, sidecar=SIDECAR, **more):
+    path = folder / "trial.npz"
+    np.savez(path, angle_rad=angle, torque_Nm=torque, **more)
+    path.with_suffix(".json").write_text(json.dumps(sidecar))
+    return path
+
+
+def changed(**fields):
+    content = json.loads(json.dumps(SIDECAR))
+    for place, value in fields.items():
+        *way, last = place.split("__")
+        part = content
+        for name in way:
+            part = part[name]
+        part[last] = value
+    return content
+
+
+def test_a_sidecar_of_one_axis_reads_npz(tmp_path):
+    angle, torque = ankle()
+    recording = import_recording([files(tmp_path, angle, torque)]).recording
+    assert is_one_axis(recording)
+    assert recording.attrs["servo"] == "position"
+    assert recording.attrs["joint"] == "ankle"
+    assert recording["displacement"].attrs["units"] == "rad"
+    assert recording["force"].attrs["quantity"] == "torque"
+    np.testing.assert_array_equal(recording["displacement"].values[0, :, 0], angle)
+    np.testing.assert_array_equal(recording["force"].values[0, :, 0], -torque)
+
+
+def test_trials_along_a_dimension_of_an_array(tmp_path):
+    angle, torque = ankle()
+    channels = {"signals__displacement__channels__x": "angle_rad(trial,time)"}
+    sidecar = changed(**channels, signals__force__channels__x="torque_Nm(trial,time)")
+    path = files(tmp_path, np.stack([angle, angle + 0.01]), np.stack([torque, torque]), sidecar=sidecar)
+    assert import_recording([path]).recording.sizes["trial"] == 2
+
+
+@pytest.mark.parametrize("ending", [".nc", ".csv", ".mat"])
+def test_export_and_import_give_the_same(tmp_path, ending):
+    recording = import_recording([files(tmp_path, *ankle())]).recording
+    target = tmp_path / f"again{ending}"
+    export_recording(recording, target)
+    again = import_recording([target]).recording
+    for name in ("force", "displacement"):
+        np.testing.assert_array_equal(again[name].values, recording[name].values)
+        assert again[name].attrs["units"] == recording[name].attrs["units"]
+    assert (again.attrs["servo"], again.attrs["joint"]) == ("position", "ankle")
+
+
+def test_angles_in_degrees_are_converted(tmp_path):
+    angle, torque = ankle()
+    path = files(tmp_path, np.degrees(angle), torque, sidecar=changed(signals__displacement__unit="deg"))
+    np.testing.assert_allclose(import_recording([path]).recording["displacement"].values[0, :, 0], angle, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"servo": "force"}, r"signals.perturbation is missing.*servo = position"),
+        ({"servo": "velocity"}, r"servo = 'velocity'; expected one of force, position"),
+        ({"axes": {"x": "right", "y": "forward"}}, r"axes: unknown field"),
+        ({"signals__force__exerted_by": "handle"}, r"inertia comes out at -0.01.*exerted_by"),
+        ({"signals__force__unit": "N"}, r"signals.force.unit = 'N'; expected a unit: Nm"),
+        ({"signals__displacement__channels__x": "angle"}, r"no channel 'angle'; expected one of 'angle_rad'"),
+    ],
+)
+def test_bad_sidecars_are_named(tmp_path, fields, message):
+    path = files(tmp_path, *ankle(), sidecar=changed(**fields))
+    with pytest.raises(ValueError, match=message):
+        import_recording([path])
+
+
+def test_degrees_declared_radians_are_named_by_the_inertia(tmp_path):
+    angle, torque = ankle()
+    with pytest.raises(ValueError, match=r"inertia comes out at 0.000\d+ kg m\^2; expected .*an angle in degrees"):
+        import_recording([files(tmp_path, np.degrees(angle), torque)])
+
+
+def test_a_constant_angle_and_a_saturated_torque_are_named(tmp_path):
+    angle, torque = ankle()
+    with pytest.raises(ValueError, match=r"angle_rad \(displacement\) is constant at 0.1"):
+        import_recording([files(tmp_path, np.full_like(angle, 0.1), torque)])
+    with pytest.raises(ValueError, match=r"torque_Nm \(force\) is clipped at"):
+        import_recording([files(tmp_path, angle, np.clip(torque, None, np.quantile(torque, 0.9)))])
+
+
+def test_an_imposed_movement_is_no_force_servo(tmp_path):
+    sidecar = changed(servo="force")
+    sidecar["signals"]["perturbation"] = {"channels": {"x": "d"}, "unit": "Nm"}
+    path = files(tmp_path, *ankle(), sidecar=sidecar, d=np.random.default_rng(1).normal(size=2400))
+    with pytest.raises(ValueError, match=r"d - f does not move.*servo = position for an imposed movement"):
+        import_recording([path])
+
+
+def test_two_axes_have_no_servo():
+    signals = {name: np.random.default_rng(2).normal(size=(1, 50, 2)) for name in ("perturbation", "force")}
+    labels = {"subject": ["A"], "task": ["PT"], "condition": ["PT"], "repetition": [0], "pulse_level": [0.0]}
+    missing = ("pulse_direction", "pulse_onset", "l_h", "l_f", "theta_s_deg", "theta_e_deg", "limit_time")
+    recording = make_recording(
+        signals | {"displacement": signals["force"]}, labels | {name: [np.nan] for name in missing}, 50
+    )
+    with pytest.raises(ValueError, match="servo = 'position' with two axes"):
+        check_recording(recording.assign_attrs(servo="position"))
+
+
+def test_archives_with_objects_or_false_sizes_are_refused(tmp_path):
+    path = files(tmp_path, *ankle())
+    np.savez(path, angle_rad=np.array([{}], dtype=object), torque_Nm=np.zeros(4))
+    with pytest.raises(ValueError, match="'angle_rad' holds objects; expected numbers"):
+        import_recording([path])
+    path.write_bytes(b"PK\x03\x04 and nothing more")
+    with pytest.raises(ValueError, match="not a readable NPZ file"):
+        import_recording([path])
