@@ -124,7 +124,7 @@ def test_crafted_files_are_refused_before_they_take_memory(tmp_path, name):
 
 
 @pytest.mark.slow(reason="a child process for each file")
-@pytest.mark.parametrize("name", CRAFTED)
+@pytest.mark.parametrize("name", ["20,000 nested cells.mat", "2 GB, zipped.mat", "a link to a pipe.nc"])
 def test_the_child_process_says_the_same(tmp_path, name):
     path, message = crafted(tmp_path, name)
     with pytest.raises(Refused) as caught:
