@@ -82,15 +82,11 @@ QUANTITIES: Mapping[str, str] = _TABLES["quantities"]
 SERVOS = ("force", "position")
 """What the device of a recording of one axis does."""
 
-<<<<<<< HEAD
-LABELS = {"axis": ("x", "y"), "joint": ("shoulder", "elbow")}
-"""Dimension to its labels; those of `muscle` are names of any muscles."""
-=======
 LARGEST_CHUNK = 2**20
 """Of what one checksum of a file is about [byte]."""
 
-LABELS = {"axis": ("x", "y"), "joint": ("shoulder", "elbow"), "muscle": MUSCLES}
->>>>>>> main
+LABELS = {"axis": ("x", "y"), "joint": ("shoulder", "elbow")}
+"""Dimension to its labels; those of `muscle` are names of any muscles."""
 
 CLOCKS = {"time": "rate", "emg_time": "emg_rate"}
 """Dimension to the attribute that holds its sampling rate [Hz]."""
