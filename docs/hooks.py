@@ -14,6 +14,7 @@ import tyro
 
 from armperturb.cli import COMMANDS, command_class, files
 from armperturb.commands.command import Command, field_texts
+from armperturb.live.page import write_live
 
 PLACE = "<!-- commands -->"
 """Where the reference stands in `commands.md`."""
@@ -47,6 +48,11 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         place, write = generated[page.file.src_uri]
         return markdown.replace(place, write())
     return re.sub(r"^::: (\S+)\.\*$", lambda folder: modules(folder[1]), markdown, flags=re.MULTILINE)
+
+
+def on_post_build(config: Any, **_: Any) -> None:
+    """Called by mkdocs when the site is there; writes the live laboratory beside its page."""
+    write_live(Path(config["site_dir"]) / "live.html")
 
 
 def modules(package: str) -> str:

@@ -62,6 +62,7 @@ ARROWS = {
     "envs.lab": LAB,
     "envs.render": LAB | {"analysis.measures"},
     "envs.learning": LAB | {"envs.lab", "envs.render"},
+    "live": LAB | {"pages"},
     "study.published": BASE,
     "study.protocol": LAB | {"envs.lab"},
     "study.recording": LAB | {"envs.lab", "workers", "progress", "study.protocol"},

@@ -24,6 +24,7 @@ RESULTS = [
     "predictions.csv",
     "fit.json",
     "structure.toml",
+    "arm.toml",
 ]
 """Files that are written and may be inputs by their ending."""
 
@@ -41,10 +42,10 @@ class Identify(Command):
     """Recordings of one person to read: netCDF4, or CSV, MATLAB, NPZ or C3D with a sidecar (see convert); trials of a
     condition are identified together."""
     out: Path
-    """Folder for identify.html, which tells all, admittance.csv, parameters.csv, fit.json, structure.toml, and
-    stiffness, damping and inertia at the hand in endpoint.csv and endpoint.svg; of the nonlinear model, for
-    parameters.csv, correlations.csv, predictions.csv, fit.json and pulses.svg, and for checkpoints from which an
-    interrupted search continues."""
+    """Folder for identify.html, which tells all, admittance.csv, parameters.csv, fit.json, structure.toml, the fitted
+    arm in arm.toml, and stiffness, damping and inertia at the hand in endpoint.csv and endpoint.svg; of the nonlinear
+    model, for parameters.csv, correlations.csv, predictions.csv, fit.json and pulses.svg, and for checkpoints from
+    which an interrupted search continues."""
     model: str | None = None
     """Model structure; by default the trials of each condition choose it. 1 intrinsic and grip; 2 with velocity, 3 with
     velocity and position feedback; 4, 5 and 6 with force, acceleration or both in addition; 3a and 3b total mass and
@@ -240,6 +241,7 @@ class Identify(Command):
             name = "structure.toml" if structure or len(results) == 1 else f"structure_{condition}.toml"
             if chosen is not None:
                 save_structure(chosen, self.out / name)
+            result.fit.arm.save(self.out / ("arm.toml" if len(results) == 1 else f"arm_{condition}.toml"))
         origin = Origin(
             command=command_line(self),
             files={path.name: checksum(path) for path in self.recordings},

@@ -1,0 +1,445 @@
+const Lab = (() => {
+  const data = JSON.parse(document.getElementById("data").textContent);
+  const BLUE = "#0072b2", RED = "#d55e00", GREY = "#6b7480", INK = "#262a30", LINE = "#e6e8eb";
+  const MIN_FREQUENCY = 0.15, MAX_FREQUENCY = 45, DURATION = { pulse: 1.2, multisine: 8 }, ONSET = 0.1;
+  const frequencies = Array.from({ length: 120 }, (_, i) => MIN_FREQUENCY * (MAX_FREQUENCY / MIN_FREQUENCY) ** (i / 119));
+  const unit = ArmModel.multisine(data.multisine.frequencies, data.multisine.amplitudes, data.multisine.phases, DURATION.multisine);
+  const at = id => document.getElementById(id);
+
+  // Name, label, unit, least, most, whether logarithmic; `of` gives the chosen person's value, else 1 is a factor.
+  const SLIDERS = {
+    "Muscle": [
+      { name: "level", label: "co-contraction", unit: "×", min: 0.25, max: 4, log: true },
+      { name: "k", label: "stiffness", unit: "×", min: 0.25, max: 4, log: true },
+      { name: "b", label: "damping", unit: "×", min: 0.25, max: 4, log: true },
+    ],
+    "Reflexes": [
+      { name: "kv", label: "velocity feedback", unit: "×", min: 0, max: 3 },
+      { name: "kp", label: "position feedback", unit: "×", min: 0, max: 3 },
+      { name: "delay", label: "delay", unit: "ms", min: 10, max: 100, of: arm => 1e3 * arm.Td_s },
+      { name: "cutoff", label: "cut-off of activation", unit: "Hz", min: 1, max: 10, of: arm => arm.fact_s },
+    ],
+    "Muscle law": [
+      { name: "law", label: "short-range stiffness (0: linear muscle)", unit: "×", min: 0, max: 3 },
+      { name: "limit", label: "elastic limit", unit: "×", min: 0.25, max: 4, log: true },
+      { name: "thin", label: "speed that halves damping", unit: "×", min: 0.25, max: 4, log: true },
+    ],
+    "Load": [
+      { name: "mass", label: "mass", unit: "kg", min: 0.5, max: 12, of: () => data.load.m_env },
+      { name: "damper", label: "damper", unit: "Ns/m", min: 0, max: 60, of: () => data.load.b_env },
+      { name: "spring", label: "spring", unit: "N/m", min: 0, max: 500, of: () => data.load.k_env },
+    ],
+    "Posture": [
+      { name: "shoulder", label: "shoulder", unit: "°", min: 0, max: 80, of: arm => arm.theta_s_deg },
+      { name: "elbow", label: "elbow", unit: "°", min: 20, max: 140, of: arm => arm.theta_e_deg },
+    ],
+    "Force": [
+      { name: "peak", label: "peak of the pulse", unit: "N", min: 1, max: 150, of: arm => (arm.task === "PT" ? 54 : 18) },
+      { name: "direction", label: "direction of the pulse", unit: "°", min: 0, max: 360, of: () => 20 },
+      { name: "rms", label: "RMS of the multisine", unit: "N", min: 0.2, max: 20, of: arm => (arm.task === "PT" ? 5 : 1) },
+    ],
+  };
+  const ALL = Object.values(SLIDERS).flat();
+  const state = { preset: Object.keys(data.presets)[0], kind: "pulse", values: {} };
+
+  const person = () => data.presets[state.preset];
+  const standard = slider => (slider.of ? slider.of(person()) : slider.name === "law" && !person().muscle ? 0 : 1);
+  const value = name => state.values[name] ?? standard(ALL.find(slider => slider.name === name));
+  const reflexive = () => ["kv", "kp"].some(gain => ["s", "se", "e"].some(place => person()[`${gain}_${place}`] !== 0));
+  const infinite = values => values.map(each => (each === null ? Infinity : each));
+
+  // The arm of the person with every slider where it is, or as the person was chosen.
+  function armOf(get) {
+    const arm = { ...person() };
+    const scale = (quantity, factor) => ["s", "se", "e"].forEach(place => { arm[`${quantity}_${place}`] *= factor; });
+    const level = get("level");
+    scale("k", level * get("k"));
+    scale("b", level * get("b"));
+    scale("kv", level * get("kv"));
+    scale("kp", level * get("kp"));
+    // Places whose values differ keep their ratio.
+    const ratio = (a, b) => (a ? b / a : 1);
+    arm.Td_e = 1e-3 * get("delay") * ratio(person().Td_s, person().Td_e);
+    arm.Td_s = 1e-3 * get("delay");
+    arm.fact_e = get("cutoff") * ratio(person().fact_s, person().fact_e);
+    arm.fact_s = get("cutoff");
+    if (arm.muscle && get("law") > 0) {
+      const law = { ...arm.muscle };
+      ["elastic_limit_deg", "loss_angle_deg", "recovery_time", "thinning_velocity", "spindle_saturation"].forEach(name => { law[name] = infinite(law[name]); });
+      law.short_range_stiffness = law.short_range_stiffness.map(each => each * level * get("law"));
+      law.elastic_limit_deg = law.elastic_limit_deg.map(each => each * get("limit"));
+      law.thinning_velocity = law.thinning_velocity.map(each => each * get("thin"));
+      arm.muscle = law;
+    } else {
+      arm.muscle = null;
+    }
+    Object.assign(arm, { m_env: get("mass"), b_env: get("damper"), k_env: get("spring"), workspace: data.load.workspace });
+    Object.assign(arm, { theta_s_deg: get("shoulder"), theta_e_deg: get("elbow") });
+    return arm;
+  }
+  const chosen = () => armOf(name => standard(ALL.find(slider => slider.name === name)));
+
+  function forceOf(get) {
+    if (state.kind === "pulse") return ArmModel.pulse(get("peak"), get("direction"), ONSET, DURATION.pulse);
+    const rms = get("rms");
+    return unit.map(each => each * rms);
+  }
+
+  // ---- drawing
+  function context(canvas) {
+    const ratio = window.devicePixelRatio || 1, { width, height } = canvas.getBoundingClientRect();
+    if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+      canvas.width = Math.round(width * ratio);
+      canvas.height = Math.round(height * ratio);
+    }
+    const c = canvas.getContext("2d");
+    c.setTransform(ratio, 0, 0, ratio, 0, 0);
+    c.clearRect(0, 0, width, height);
+    c.font = "12px system-ui, sans-serif";
+    return [c, width, height];
+  }
+
+  const plain = number => (Math.abs(number) >= 100 ? number.toFixed(0) : `${+number.toPrecision(2)}`);
+
+  function ticksOf(low, high, log) {
+    if (log) {
+      const ticks = [];
+      for (let power = Math.floor(Math.log10(low)); power <= Math.ceil(Math.log10(high)); power += 1) {
+        (high / low > 200 ? [1] : [1, 2, 5]).forEach(lead => ticks.push(lead * 10 ** power));
+      }
+      return ticks.filter(tick => tick >= low * 0.999 && tick <= high * 1.001);
+    }
+    const rough = (high - low) / 5, power = 10 ** Math.floor(Math.log10(rough));
+    const step = [1, 2, 5, 10].map(lead => lead * power).find(each => each >= rough);
+    const ticks = [];
+    for (let tick = Math.ceil(low / step) * step; tick <= high + 1e-9; tick += step) ticks.push(Math.abs(tick) < 1e-12 ? 0 : tick);
+    return ticks;
+  }
+
+  function plot(canvas, { series, x, y, title, xLabel, legend, xTicks, yTicks }) {
+    const [c, width, height] = context(canvas);
+    const box = { left: 46, right: width - 10, top: 24, bottom: height - (xLabel ? 34 : 20) };
+    const scale = (range, from, to) => {
+      const map = range.log ? Math.log10 : v => v;
+      const [low, high] = [map(range.low), map(range.high)];
+      return v => from + (map(v) - low) / (high - low) * (to - from);
+    };
+    const px = scale(x, box.left, box.right), py = scale(y, box.bottom, box.top);
+    c.strokeStyle = LINE;
+    c.fillStyle = INK;
+    c.lineWidth = 1;
+    (xTicks || ticksOf(x.low, x.high, x.log)).forEach(tick => {
+      c.beginPath();
+      c.moveTo(px(tick), box.top);
+      c.lineTo(px(tick), box.bottom);
+      c.stroke();
+      c.textAlign = "center";
+      c.fillText(plain(tick), px(tick), box.bottom + 14);
+    });
+    (yTicks || ticksOf(y.low, y.high, y.log)).forEach(tick => {
+      c.beginPath();
+      c.moveTo(box.left, py(tick));
+      c.lineTo(box.right, py(tick));
+      c.stroke();
+      c.textAlign = "right";
+      c.fillText(plain(tick), box.left - 5, py(tick) + 4);
+    });
+    c.textAlign = "left";
+    c.fillText(title, 6, 15);
+    let place = width - 8;
+    c.textAlign = "right";
+    [...(legend || [])].reverse().forEach(([text, colour]) => {
+      c.fillStyle = colour;
+      c.fillText(text, place, 15);
+      place -= c.measureText(text).width + 12;
+    });
+    c.fillStyle = INK;
+    if (xLabel) {
+      c.textAlign = "center";
+      c.fillText(xLabel, 0.5 * (box.left + box.right), height - 5);
+    }
+    c.save();
+    c.beginPath();
+    c.rect(box.left, box.top - 4, box.right - box.left, box.bottom - box.top + 8);
+    c.clip();
+    series.forEach(each => {
+      c.strokeStyle = each.colour;
+      c.lineWidth = each.width || 2;
+      c.setLineDash(each.dash || []);
+      c.beginPath();
+      each.y.forEach((v, i) => (i ? c.lineTo(px(each.x[i]), py(v)) : c.moveTo(px(each.x[i]), py(v))));
+      c.stroke();
+    });
+    c.restore();
+    return { px, box, c };
+  }
+
+  // What moves now, and what the person as chosen would do under the same force, which is kept.
+  let movement = null, reference = null, cursor = 0;
+  const kept = {};
+
+  // The path once more, enlarged, at the upper left, where no arm comes.
+  function drawPath(c, width, index) {
+    const size = Math.min(0.36 * width, 150), left = 8, top = 8;
+    const reach = 1.15 * Math.max(...[movement.log, reference.log].flatMap(log => log.x.map((x, i) => Math.max(Math.abs(x), Math.abs(log.y[i])))), 1e-4);
+    const bar = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1].filter(each => each <= reach).pop() || 0.001;
+    c.fillStyle = "#fff";
+    c.strokeStyle = LINE;
+    c.lineWidth = 1;
+    c.fillRect(left, top, size, size);
+    c.strokeRect(left, top, size, size);
+    const scale = size / (2 * reach), x0 = left + 0.5 * size, y0 = top + 0.5 * size;
+    [[reference.log, GREY, 1.2, [5, 4]], [movement.log, BLUE, 2, []]].forEach(([log, colour, lineWidth, dash], which) => {
+      if (!which && reference.log === movement.log) return;
+      const n = Math.min(index, log.x.length - 1);
+      c.strokeStyle = colour;
+      c.lineWidth = lineWidth;
+      c.setLineDash(dash);
+      c.beginPath();
+      for (let i = 0; i <= n; i += 1) c.lineTo(x0 + scale * log.x[i], y0 - scale * log.y[i]);
+      c.stroke();
+      c.setLineDash([]);
+      c.fillStyle = colour;
+      c.beginPath();
+      c.arc(x0 + scale * log.x[n], y0 - scale * log.y[n], which ? 4 : 2.5, 0, 7);
+      c.fill();
+    });
+    c.fillStyle = INK;
+    c.textAlign = "left";
+    c.fillRect(left + 6, top + size - 7, bar * scale, 2);
+    c.fillText(`${1000 * bar} mm`, left + 6, top + size - 11);
+  }
+
+  function drawArm(index) {
+    const [c, width, height] = context(at("arm"));
+    const arm = movement.arm, scale = Math.min(width / 0.95, height / 0.85), originX = 0.36 * width, originY = height - 0.12 * scale;
+    const to = ([x, y]) => [originX + x * scale, originY - y * scale];
+    const joints = (shoulder, elbow) => {
+      const e = [arm.l_h * Math.cos(shoulder), arm.l_h * Math.sin(shoulder)];
+      return [[0, 0], e, [e[0] + arm.l_f * Math.cos(shoulder + elbow), e[1] + arm.l_f * Math.sin(shoulder + elbow)]];
+    };
+    const draw = (points, colour, lineWidth, dash) => {
+      c.strokeStyle = colour;
+      c.lineWidth = lineWidth;
+      c.setLineDash(dash || []);
+      c.lineJoin = c.lineCap = "round";
+      c.beginPath();
+      points.forEach((point, i) => (i ? c.lineTo(...to(point)) : c.moveTo(...to(point))));
+      c.stroke();
+      c.setLineDash([]);
+    };
+    const log = movement.log, rest = joints(log.shoulder[0], log.elbow[0]), handle = rest[2];
+    c.fillStyle = "#eef1f4";
+    c.beginPath();
+    c.ellipse(...to([-0.16, -0.02]), 0.2 * scale, 0.09 * scale, 0, 0, 7);
+    c.fill();
+    draw(rest, "#d3d8de", 10, []);
+    draw(joints(log.shoulder[index], log.elbow[index]), "#8b929c", 10);
+    const path = k => Array.from({ length: k + 1 }, (_, i) => [handle[0] + movement.log.x[i], handle[1] + movement.log.y[i]]);
+    if (reference.log !== log) {
+      const n = Math.min(index, reference.log.x.length - 1);
+      draw(Array.from({ length: n + 1 }, (_, i) => [handle[0] + reference.log.x[i], handle[1] + reference.log.y[i]]), GREY, 1.4, [5, 4]);
+    }
+    draw(path(index), BLUE, 2.2);
+    const now = [handle[0] + log.x[index], handle[1] + log.y[index]];
+    c.fillStyle = INK;
+    c.beginPath();
+    c.arc(...to(now), 7, 0, 7);
+    c.fill();
+    const fx = movement.force[4 * index], fy = movement.force[4 * index + 1], size = Math.hypot(fx, fy);
+    if (size > 0.02 * movement.largest) {
+      const reach = 0.22 / movement.largest, tip = [now[0] + fx * reach, now[1] + fy * reach];
+      draw([now, tip], RED, 4);
+      const angle = Math.atan2(fy, fx);
+      draw([[tip[0] - 0.03 * Math.cos(angle - 0.5), tip[1] - 0.03 * Math.sin(angle - 0.5)], tip, [tip[0] - 0.03 * Math.cos(angle + 0.5), tip[1] - 0.03 * Math.sin(angle + 0.5)]], RED, 4);
+    }
+    drawPath(c, width, index);
+    c.fillStyle = INK;
+    c.textAlign = "right";
+    c.fillText(`${(index * log.timestep).toFixed(2)} s`, width - 8, 16);
+    c.fillStyle = RED;
+    c.fillText("force", width - 8, 32);
+    c.fillStyle = BLUE;
+    c.fillText("path of the handle", width - 8, 48);
+    c.fillStyle = INK;
+    c.textAlign = "left";
+    c.fillText("10 cm", 8, height - 16);
+    c.fillRect(8, height - 10, 0.1 * scale, 2);
+  }
+
+  function drawCurves() {
+    const arms = ArmModel.linearArms(movement.arm), now = ArmModel.bode(arms[0], frequencies), before = kept.curves;
+    const stiff = arms[1] && ArmModel.bode(arms[1], frequencies), mm = values => values.map(each => 1e3 * each);
+    const x = { low: MIN_FREQUENCY, high: MAX_FREQUENCY, log: true }, xTicks = [0.2, 0.5, 1, 2, 5, 10, 20, 40];
+    const lines = (key, map) => [
+      ...before[key].map(y => ({ x: frequencies, y: map(y), colour: GREY, width: 1.2, dash: [5, 4] })),
+      ...(stiff ? stiff[key].map((y, i) => ({ x: frequencies, y: map(y), colour: [BLUE, RED][i], width: 0.8 })) : []),
+      ...now[key].map((y, i) => ({ x: frequencies, y: map(y), colour: [BLUE, RED][i] })),
+    ];
+    const gains = lines("gain", mm), every = gains.flatMap(each => each.y);
+    const legend = [["x", BLUE], ["y", RED]];
+    plot(at("gain"), {
+      series: gains, x, xTicks, title: "gain of the admittance [mm/N]", legend,
+      y: { low: 10 ** Math.floor(Math.log10(Math.min(...every))), high: 10 ** Math.ceil(Math.log10(Math.max(...every))), log: true },
+    });
+    const phases = lines("phase", values => values), angles = phases.flatMap(each => each.y);
+    const lowest = 90 * Math.floor(Math.min(...angles, -180) / 90), highest = 90 * Math.ceil(Math.max(...angles, 0) / 90);
+    const turn = [45, 90, 180, 360].find(each => (highest - lowest) / each <= 6) || 720;
+    plot(at("phase"), {
+      series: phases, x, xTicks, title: "phase, unwrapped [°]", xLabel: "frequency [Hz]", legend,
+      y: { low: lowest, high: highest },
+      yTicks: Array.from({ length: 2 * Math.ceil(1440 / turn) + 1 }, (_, i) => turn * (i - Math.ceil(1440 / turn))).filter(tick => tick >= lowest && tick <= highest),
+    });
+    return now;
+  }
+
+  function drawCourse() {
+    const time = log => log.x.map((_, i) => i * log.timestep), cm = values => values.map(each => 100 * each);
+    const series = [];
+    if (reference.log !== movement.log) {
+      [reference.log.x, reference.log.y].forEach(y => series.push({ x: time(reference.log), y: cm(y), colour: GREY, width: 1.2, dash: [5, 4] }));
+    }
+    [movement.log.x, movement.log.y].forEach((y, i) => series.push({ x: time(movement.log), y: cm(y), colour: [BLUE, RED][i] }));
+    const every = series.flatMap(each => each.y), low = Math.min(...every, -0.1), high = Math.max(...every, 0.1), margin = 0.06 * (high - low);
+    plot(at("course"), {
+      series, x: { low: 0, high: DURATION[state.kind] }, y: { low: low - margin, high: high + margin },
+      title: "displacement of the handle [cm]", xLabel: "time [s]", legend: [["x", BLUE], ["y", RED]],
+    });
+  }
+
+  function tell(curves) {
+    const arm = movement.arm, pole = ArmModel.largestRealPole(arm), log = movement.log;
+    const distance = log.x.map((x, i) => 100 * Math.hypot(x, log.y[i]));
+    const low = curves.gain.map(each => 1e3 * each[0]);
+    const rms = Math.sqrt(log.x.reduce((sum, x, i) => sum + x * x + log.y[i] ** 2, 0) / (2 * log.x.length));
+    const rows = [
+      ["gain at 0.15 Hz, x and y", `${plain(low[0])} and ${plain(low[1])} mm/N`],
+      ["stability margin", pole < 0 ? `${plain(-pole)} 1/s` : `unstable, ${plain(pole)} 1/s`, pole >= 0],
+      ...(log.whole ? [] : [["handle", "reaches the limit of the workspace", true]]),
+      state.kind === "pulse" ? ["largest distance", `${plain(Math.max(...distance))} cm`] : ["RMS displacement per axis", `${plain(1e3 * rms)} mm`],
+    ];
+    at("numbers").replaceChildren(...rows.flatMap(([name, text, bad]) => {
+      const [dt, dd] = [document.createElement("dt"), document.createElement("dd")];
+      dt.textContent = name;
+      dd.textContent = text;
+      if (bad) dd.className = "bad";
+      return [dt, dd];
+    }));
+    at("gain").setAttribute("aria-label", `Gain of the admittance over frequency; at 0.15 Hz ${rows[0][1]}`);
+    at("course").setAttribute("aria-label", `Displacement of the handle over time after a ${state.kind}; ${rows[rows.length - 1].slice(0, 2).join(" ")}`);
+  }
+
+  // ---- settings
+  function hash() {
+    const parts = { preset: state.preset, ...(state.kind === "pulse" ? {} : { kind: state.kind }), ...state.values };
+    return `#${new URLSearchParams(parts)}`;
+  }
+
+  function readHash() {
+    const parts = new URLSearchParams(location.hash.slice(1));
+    if (parts.get("preset") in data.presets) state.preset = parts.get("preset");
+    state.kind = parts.get("kind") === "multisine" ? "multisine" : "pulse";
+    state.values = {};
+    ALL.forEach(slider => {
+      const given = parseFloat(parts.get(slider.name));
+      if (Number.isFinite(given)) state.values[slider.name] = Math.min(Math.max(given, slider.min), slider.max);
+    });
+  }
+
+  const position = (slider, v) => (slider.log ? Math.log(v / slider.min) / Math.log(slider.max / slider.min) : (v - slider.min) / (slider.max - slider.min));
+  const valueAt = (slider, share) => +(slider.log ? slider.min * (slider.max / slider.min) ** share : slider.min + share * (slider.max - slider.min)).toPrecision(3);
+
+  function showSettings() {
+    at("preset").value = state.preset;
+    at("kind").value = state.kind;
+    ALL.forEach(slider => {
+      const input = at(`s-${slider.name}`), v = value(slider.name);
+      input.value = position(slider, v);
+      input.setAttribute("aria-valuetext", `${plain(v)} ${slider.unit}`);
+      at(`o-${slider.name}`).textContent = `${plain(v)} ${slider.unit}`;
+      // Without a muscle law, or without reflexes, there is nothing to turn.
+      input.disabled = SLIDERS["Muscle law"].includes(slider) ? !person().muscle : SLIDERS.Reflexes.includes(slider) && !reflexive();
+    });
+    at("link").href = hash();
+  }
+
+  function redraw() {
+    const began = performance.now();
+    const simulated = (arm, force) => ({ arm, force, log: ArmModel.simulate(arm, force), largest: force.reduce((most, _, i) => (i % 2 ? most : Math.max(most, Math.hypot(force[i], force[i + 1]))), 1e-9) });
+    const force = forceOf(value), changed = Object.keys(state.values).length > 0;
+    movement = simulated(armOf(value), force);
+    const key = [state.preset, state.kind, ...["peak", "direction", "rms"].map(value)].join(" ");
+    if (kept.key !== key) {
+      const arm = chosen();
+      Object.assign(kept, { key, movement: simulated(arm, force), curves: ArmModel.bode({ ...arm, muscle: null }, frequencies) });
+    }
+    reference = changed ? kept.movement : movement;
+    showSettings();
+    tell(drawCurves());
+    drawCourse();
+    if (timer === null) cursor = movement.log.x.length - 1;
+    drawArm(Math.min(cursor, movement.log.x.length - 1));
+    api.took = performance.now() - began;
+  }
+
+  function changed() {
+    history.replaceState(null, "", hash());
+    redraw();
+  }
+
+  // ---- playing
+  let timer = null, since = 0;
+  function frame(now) {
+    const log = movement.log;
+    cursor = Math.floor((now - since) / 1e3 * parseFloat(at("speed").value) / log.timestep) % (log.x.length + 200);
+    drawArm(Math.min(cursor, log.x.length - 1));
+    timer = requestAnimationFrame(frame);
+  }
+  function play(on) {
+    if (timer !== null) cancelAnimationFrame(timer);
+    timer = null;
+    at("play").textContent = on ? "Stop" : "Play";
+    at("play").setAttribute("aria-pressed", on);
+    if (on) {
+      since = performance.now();
+      timer = requestAnimationFrame(frame);
+    } else {
+      redraw();
+    }
+  }
+
+  const api = { state, redraw, armOf: () => armOf(value), forceOf: () => forceOf(value), took: 0 };
+
+  Object.keys(data.presets).forEach(name => at("preset").append(new Option(name, name)));
+  Object.entries(SLIDERS).forEach(([title, sliders]) => {
+    const group = document.createElement("fieldset"), legend = document.createElement("legend");
+    legend.textContent = title;
+    group.append(legend);
+    sliders.forEach(slider => {
+      const row = document.createElement("div"), label = document.createElement("label");
+      const output = document.createElement("output"), input = document.createElement("input");
+      row.className = "slider";
+      label.htmlFor = input.id = `s-${slider.name}`;
+      output.id = `o-${slider.name}`;
+      output.htmlFor = input.id;
+      label.textContent = slider.label;
+      Object.assign(input, { type: "range", min: 0, max: 1, step: "any" });
+      input.addEventListener("input", () => {
+        state.values[slider.name] = valueAt(slider, parseFloat(input.value));
+        changed();
+      });
+      row.append(label, output, input);
+      group.append(row);
+    });
+    at(["Load", "Posture", "Force"].includes(title) ? "outside" : "sliders").append(group);
+  });
+  at("preset").addEventListener("change", event => { state.preset = event.target.value; changed(); });
+  at("kind").addEventListener("change", event => { state.kind = event.target.value; changed(); });
+  at("reset").addEventListener("click", () => { state.values = {}; changed(); });
+  at("play").addEventListener("click", () => play(timer === null));
+  addEventListener("hashchange", () => { readHash(); redraw(); });
+  addEventListener("resize", redraw);
+  readHash();
+  redraw();
+  return api;
+})();

@@ -1,0 +1,102 @@
+"""Arms with which JavaScript and Python are compared, and what Python makes of them."""
+
+import json
+import math
+from dataclasses import asdict, replace
+
+import numpy as np
+
+from armperturb.analysis.arm.linear_arm import arm_admittance
+from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.cohort import average_person
+from armperturb.environment import Environment
+from armperturb.live.page import arm_values
+from armperturb.perturbations.multisine import Multisine
+from armperturb.perturbations.pulse import Pulse
+from armperturb.planar_arm.lanes import at_rest, lane_table
+from armperturb.planar_arm.simulation import load_compiled_arm
+from armperturb.subject import POSITION, RELAX, at_level
+
+FREQUENCY = np.geomspace(0.15, 45.0, 40)
+TIMESTEP, DURATION, PEAK, DIRECTION, ONSET = 2.5e-3, 1.2, 54.0, 200.0, 0.1
+LOAD = Environment(m_env=4.0, b_env=3.0, k_env=60.0)
+MULTISINE = Multisine.draw(seed=0, rms=3.0, crested=False)
+
+
+def compared():
+    """Linear and lawful muscles, with and without reflexes, uneven delays, other segments and postures."""
+    average = average_person().subjects
+    odd = replace(POSITION, Td_s=0.0413, Td_e=0.033, fact_e=2.5, zeta_act=1.2, theta_e_deg=60.0, r_f=0.3, c_f=0.45)
+    one_way = replace(average["PT"].muscle, spindle_direction=0.5, elastic_limit_slope=0.01)
+    arms = (POSITION, RELAX, *average.values(), at_level(average["PT"], 1.6), odd)
+    return [*arms, replace(average["PT"], muscle=one_way)]
+
+
+def values_of(subject):
+    """What the page has of it, and the load; None where a value is infinite."""
+    return {**arm_values(subject), **asdict(LOAD)}
+
+
+GIVEN = {
+    "pulse": [PEAK, DIRECTION, ONSET, DURATION],
+    "multisine": [
+        *(values.tolist() for values in (MULTISINE.frequencies, MULTISINE.amplitudes, MULTISINE.phases)),
+        DURATION,
+    ],
+    "frequency": FREQUENCY.tolist(),
+}
+
+REVIVE = (
+    f"const given = {json.dumps(GIVEN)};"
+    + """
+const revive = arm => ({...arm, muscle: arm.muscle && Object.fromEntries(Object.entries(arm.muscle).map(
+  ([name, value]) => [name, Array.isArray(value) ? value.map(each => each === null ? Infinity : each) : value]))});
+const path = log => log.x.map((x, i) => [x, log.y[i]]);
+const answers = arms => arms.map(revive).map(arm => ({
+  admittance: given.frequency.map(frequency => ArmModel.admittance(arm, frequency)),
+  pole: ArmModel.largestRealPole(arm),
+  pulse: path(ArmModel.simulate(arm, ArmModel.pulse(...given.pulse))),
+  multisine: path(ArmModel.simulate(arm, ArmModel.multisine(...given.multisine))),
+}));
+"""
+)
+"""JavaScript that answers for arms as `values_of` gives them."""
+
+
+def forces():
+    """Of the pulse and the multisine at the start and middle of each step."""
+    n = 2 * round(DURATION / TIMESTEP) + 1
+    pulse = Pulse(peak=PEAK, direction_deg=DIRECTION, onset=ONSET, duration=DURATION)
+    return [pulse.sample(2.0 / TIMESTEP, n), MULTISINE.sample(2.0 / TIMESTEP, n)]
+
+
+def simulated(subjects):
+    """Displacement after the pulse and under the multisine, (subject, force, time, axis)."""
+    lanes = lane_table([subject for subject in subjects for _ in range(2)], [LOAD], TIMESTEP)
+    n = round(DURATION / TIMESTEP) + 1
+    displacement = np.zeros((len(lanes), n, 2))
+    load_compiled_arm()(
+        lanes,
+        at_rest(lanes, TIMESTEP),
+        np.ascontiguousarray(forces()),
+        np.tile(np.arange(2), len(subjects)),
+        np.full(len(lanes), n),
+        1,
+        TIMESTEP,
+        displacement,
+    )
+    return displacement.reshape(len(subjects), 2, n, 2)
+
+
+def require_agreement(subjects, answers):
+    """Admittance within 1e-6, poles too, and movements within 1e-4 of the largest."""
+    for subject, answer, (pulse, multisine) in zip(subjects, answers, simulated(subjects), strict=True):
+        admittance = np.array(answer["admittance"]).reshape(-1, 2, 2, 2)
+        expected = arm_admittance(subject, FREQUENCY)
+        off = np.abs(admittance[..., 0] + 1j * admittance[..., 1] - expected)
+        assert (off <= 1e-6 * np.abs(expected)).all()
+        assert math.isclose(answer["pole"], largest_real_pole(subject, LOAD), rel_tol=1e-6)
+        for name, expected in (("pulse", pulse), ("multisine", multisine)):
+            path = np.array(answer[name])
+            assert path.shape == expected.shape
+            assert np.abs(path - expected).max() <= 1e-4 * np.abs(expected).max()
