@@ -195,7 +195,9 @@ def _minimised(likelihood: JointLikelihood, start: Array, longest_delay: float, 
     def slopes(part: Array) -> Array:
         values = full(part)
         columns = likelihood.derivatives(values, likelihood.movement(values))
-        return -columns[free].reshape(int(free.sum()), -1).T
+        # More resistance leaves less of the torque, but moves a joint on a force servo less.
+        sign = -1.0 if likelihood.signals.servo == "position" else 1.0
+        return sign * columns[free].reshape(int(free.sum()), -1).T
 
     end = optimize.least_squares(
         residual, inside[free], jac=slopes, bounds=(lower[free], upper[free]), x_scale="jac", ftol=1e-6, max_nfev=30
