@@ -54,9 +54,10 @@ class Identify(Command):
     path of a recording of one axis, for which it is the default."""
     sidecar: Path | None = None
     """Sidecar of all recordings that need one, see docs/recordings.md; by default FILE.json beside each."""
-    law: Literal["full", "short-range", "linear", "choose"] | None = None
-    """Of the nonlinear model: the full muscle law (the default), short-range stiffness with yielding alone, the linear
-    law, or whichever predicts trials that were left out of the fits best (choose)."""
+    law: Literal["full", "half-wave", "short-range", "linear", "choose"] | None = None
+    """Of the nonlinear model: the full muscle law (the default), the same with half-wave rectified spindles that have a
+    threshold, short-range stiffness with yielding alone, the linear law, or whichever predicts trials that were left
+    out of the fits best (choose)."""
     pulses: tuple[float, ...] = ()
     """Directions of the pulses that the nonlinear model is fitted to [deg], e.g. 20 200; the others are predicted."""
     reflex: Literal["none", "linear", "half-wave"] | None = None
@@ -104,7 +105,7 @@ class Identify(Command):
 
     def run(self) -> list[str]:
         """Identify the arm and write the results."""
-        from armperturb.commands.selection import select_trials
+        from armperturb.commands.selection import MemoryPerSample, select_trials
 
         self._require_options(("nonlinear", "joint") if self.model is None else (self.model,))
         structure = None if self.model in ("nonlinear", "joint") else self._structure()
@@ -123,6 +124,7 @@ class Identify(Command):
             elif kind == "nonlinear":
                 lines = self._identify_nonlinear(recordings)
             else:
+                MemoryPerSample(longest=2000, all=300).require(recordings)
                 lines = self._identify(recordings, structure, notes)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None

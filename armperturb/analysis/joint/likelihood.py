@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft, signal
 
-from armperturb.analysis.fit.frequency_bands import smoother
+from armperturb.analysis.fit.frequency_bands import Smoother
 from armperturb.analysis.joint.model import JointModel, JointStructure, play_operator
 from armperturb.analysis.joint.signals import JointSignals, time_blocks
 from armperturb.arrays import Array, ComplexArray
@@ -81,7 +81,7 @@ class JointLikelihood:
         frequency = fft.rfftfreq(n, 1.0 / signals.rate)
         self._lines = (frequency >= LOWEST) & (frequency <= SHARE * signals.top)
         self.frequency = frequency[self._lines]
-        self._smoother = smoother(len(self.frequency), len(signals.angle))
+        self._smoother = Smoother(len(self.frequency), len(signals.angle))
         time = np.linspace(-1.0, 1.0, signals.angle.shape[1])
         self._nuisance = self._spectrum(np.stack([np.ones_like(time), time]))
         self.weights = np.ones(len(self.frequency))
@@ -115,7 +115,7 @@ class JointLikelihood:
         rows = self.rows(self.residual(values))
         spectrum = (rows[:, : rows.shape[1] // 2] + 1j * rows[:, rows.shape[1] // 2 :]) / self.weights
         power = np.mean(np.abs(spectrum) ** 2, axis=0)
-        smooth = self._smoother @ power
+        smooth = np.asarray(self._smoother(power), dtype=float)
         self.noise = smooth + 1e-12 * smooth.max() + np.finfo(float).tiny
         self.weights = np.sqrt(2.0 / self.noise)
         self._span = self._orthonormal()
