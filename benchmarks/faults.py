@@ -164,7 +164,11 @@ def _laboratory(folder: Path, *, with_study: bool) -> None:
 
 
 COMMANDS = {
-    "convert": (["convert", "foreign.csv", "--out", "o.mat"], ["convert", "r.nc", "--out", "o.mat", "--overwrite"]),
+    # Not to MATLAB, whose header holds the date.
+    "convert": (
+        ["convert", "foreign.csv", "--rate", "100", "--out", "o.csv"],
+        ["convert", "r.nc", "--out", "o.csv", "--overwrite"],
+    ),
     "response": (
         ["response", "r.nc", "--out", "o", "--method", "welch"],
         ["response", "r.nc", "--out", "o", "--method", "multitaper"],
