@@ -48,6 +48,7 @@ from .recording import load_recording as load_recording
 from .recording import make_recording as make_recording
 from .recording import save_recording as save_recording
 from .recording import stack_trials as stack_trials
+from .study.comparison.likeness import compare as compare
 from .study.comparison.score import score as score
 from .study.experiments.calibration import calibrate as calibrate
 from .study.experiments.cohort_cells import measure_cohort as measure_cohort

@@ -95,7 +95,7 @@ class Identify(Command):
 
     def run(self) -> list[str]:
         """Identify the arm and write the results."""
-        from armperturb.commands.selection import select_trials
+        from armperturb.commands.selection import MemoryPerSample, select_trials
 
         linear = self.model != "nonlinear"
         for field in fields(self):
@@ -114,6 +114,8 @@ class Identify(Command):
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         try:
+            if linear:
+                MemoryPerSample(longest=2000, all=300).require(recordings)
             lines = self._identify(recordings, structure, notes) if linear else self._identify_nonlinear(recordings)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
