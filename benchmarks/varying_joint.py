@@ -95,7 +95,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     """Print each course, and the moving ankle where its file is given."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--repetitions", type=int, default=100)
-    parser.add_argument("--courses", nargs="+", choices=list(courses()), default=list(courses()))
+    parser.add_argument("--courses", nargs="*", choices=list(courses()), default=list(courses()))
     parser.add_argument("--real", type=Path, default=None, help="folder with ankle_moving_2022.npz")
     options = parser.parse_args(arguments)
     if options.real is not None:
