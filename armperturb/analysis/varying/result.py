@@ -45,7 +45,7 @@ class VaryingEstimate(Result):
       inertia_error: its standard error.
       reflex: the reflex path's static nonlinearity.
       cascade: delay, activation and threshold of the reflex path.
-      vaf: torque that the model explains in the samples that were fitted [%].
+      vaf: torque below `columns.TOP` that the model explains in the samples that were fitted [%].
       held_out_vaf: in the rest, simulated from the angle alone [%]; None if everything was fitted.
       n_trials: how many trials.
     """
