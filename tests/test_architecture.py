@@ -17,7 +17,8 @@ ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.force_balance",
     "analysis.trials", "analysis.per_trials", "analysis.numerics", "analysis.results", "plots", "anthropometry",
 }  # fmt: skip
-ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear", "analysis.varying"}
+ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.emg", "analysis.fit", "analysis.nonlinear"}
+ANALYSIS |= {"analysis.varying"}
 LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
 STUDY = LAB | ANALYSIS | {"envs.lab", "archive", "workers", "progress", "study.protocol", "study.published"}
 ARROWS = {
@@ -57,6 +58,7 @@ ARROWS = {
     "analysis.fit": ARM | {"analysis.response", "analysis.measures"},
     "analysis.page": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "pages"},
     "analysis.varying": ARM,
+    "analysis.emg": ARM | {"analysis.measures", "analysis.response"},
     "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "planar_arm", "archive"},
     "cohort": ARM,
     "convert": ARM,
