@@ -172,7 +172,7 @@ class ReflexesLike(Protocol):
 
 @in_style()
 def plot_reflexes(reflexes: ReflexesLike, figure: Figure | None) -> Any:
-    """Modulus with 95 % limits, phase and coherence of the responses from rotation to EMG.
+    """Modulus with 95 % limits, phase and coherence of the responses from rotation to EMG, where it is above its error.
 
     Args:
       reflexes: to draw.
@@ -187,11 +187,16 @@ def plot_reflexes(reflexes: ReflexesLike, figure: Figure | None) -> Any:
     for joint, word in enumerate(("shoulder", "elbow")):
         for row, (name, colour) in enumerate(zip(names, (PALETTE * 4)[: len(names)], strict=False)):
             modulus, error = np.abs(reflexes.response[row, joint]), 1.96 * reflexes.response_error[row, joint]
-            axes[0, joint].plot(f, modulus, color=colour, linewidth=0.9, label=_words(name))
-            axes[0, joint].fill_between(f, modulus - error, modulus + error, color=colour, alpha=0.12, linewidth=0)
-            axes[1, joint].plot(f, np.degrees(np.angle(reflexes.response[row, joint])), ".", color=colour, markersize=3)
-            axes[2, joint].plot(f, reflexes.coherence[row], color=colour, linewidth=0.9)
-        axes[0, joint].set_ylim(bottom=0.0)
+            line = {"color": colour, "linewidth": 0.9, "linestyle": "-" if row < len(PALETTE) else "--"}
+            known = np.where(modulus > error, 1.0, np.nan)  # elsewhere, it is anything
+            axes[0, joint].plot(f, known * modulus, label=_words(name), **line)
+            axes[0, joint].fill_between(
+                f, known * (modulus - error), known * (modulus + error), color=colour, alpha=0.12, linewidth=0
+            )
+            phase = np.degrees(np.angle(reflexes.response[row, joint]))
+            axes[1, joint].plot(f, known * phase, ".", color=colour, markersize=3)
+            axes[2, joint].plot(f, reflexes.coherence[row], **line)
+        axes[0, joint].set_yscale("log")
         axes[0, joint].set_title(f"from rotation of the {word}", loc="left")
         axes[2, joint].set_ylim(0.0, 1.0)
         axes[2, joint].set_xlabel("frequency [Hz]")
