@@ -16,6 +16,7 @@ from armperturb.study.comparison.score import Score, missing_cells, shares
 from armperturb.study.experiments.mechanisms import PULSES, Yielding
 from armperturb.study.experiments.moving_shoulder import MovingShoulder
 from armperturb.study.report import findings as of_study
+from armperturb.study.report.explorer import panels
 from armperturb.study.report.nonlinear_tables import SHOWN_MODELS, nonlinear_tables, words_of
 from armperturb.study.report.published_tables import published_tables
 from armperturb.study.report.tables import Row, mean_sd_of
@@ -79,6 +80,8 @@ def sections(
         },
         "left_out": {"lists": left_out(study, rows["fits"], study.remarks if score is None else score.remarks)},
     }
+    if study.conditions:
+        contexts["explorer"] = {"panels": panels(study)}
     if PULSES_DRAWN & set(drawn):
         contexts["pulses"] = {
             "findings": ratios,

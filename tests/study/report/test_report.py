@@ -56,7 +56,18 @@ FIGURES = {
 DRAWN = {*FIGURES.values(), "rig", "stills", "admittance_RT", "parameters_PT", "parameters_RT", "findings", "estimates"}
 MULTISINE = ("PT2.5", "PT7.5", "PT22.5", "RT2.5", "RT7.5", "RT22.5")
 SECTIONS = [
-    *("summary", "admittance", "pulses", "parameters", "fits", "statistics", "kinematics", "conditions", "method"),
+    *(
+        "summary",
+        "admittance",
+        "pulses",
+        "parameters",
+        "explorer",
+        "fits",
+        "statistics",
+        "kinematics",
+        "conditions",
+        "method",
+    ),
     *("stills", "left_out", "published"),
 ]
 TABLES = ["2.1", *(f"C.{n}" for n in range(3, 23)), "D.3", "D.4", "D.5", "E.3", "E.4", "E.5"] + [
