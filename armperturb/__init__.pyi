@@ -25,6 +25,8 @@ from .environment import Environment as Environment
 from .environment import Strap as Strap
 from .envs.lab.experiment import run_experiment as run_experiment
 from .envs.lab.instruments import Instruments as Instruments
+from .envs.lab.laboratory import Laboratory as Laboratory
+from .envs.lab.stretch_reflex import StretchReflex as StretchReflex
 from .envs.lab.trial import Trial as Trial
 from .envs.learning.registration import load_dm_env as load_dm_env
 from .envs.render.video import write_video as write_video

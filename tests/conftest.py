@@ -58,6 +58,12 @@ def once(tmp_path_factory):
     return get
 
 
+@pytest.fixture
+def without_page(monkeypatch):
+    """`identify` writes no page, which takes longer than a quick fit."""
+    monkeypatch.setattr("armperturb.analysis.page.page.write_page", lambda *_: None)
+
+
 @pytest.fixture(scope="session")
 def studies():
     """The module `studies`; pytest's first process, which only deals out tests, is spared what it imports."""

@@ -8,7 +8,8 @@ import time
 
 import pytest
 
-SIGNALS = ["SIGINT", "SIGTERM", "SIGHUP"]
+SLOW = pytest.mark.slow(reason="three processes")
+SIGNALS = ["SIGINT", pytest.param("SIGTERM", marks=SLOW), pytest.param("SIGHUP", marks=SLOW)]
 
 PROGRAM = """
 import sys, time

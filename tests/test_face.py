@@ -9,7 +9,7 @@ import armperturb
 
 NAMES = """
 Subject anthropometric_body POSITION RELAX MuscleLaw Person draw_cohort draw_person average_person
-Environment Strap Trial Instruments HumanNoise HUMAN_NOISE run_experiment build_model
+Environment Strap Trial Instruments HumanNoise HUMAN_NOISE run_experiment build_model Laboratory StretchReflex
 Multisine MultisineThenPulse Pulse Sampled load_perturbation save_perturbation
 make_recording load_recording save_recording stack_trials import_recording export_recording
 write_sidecar

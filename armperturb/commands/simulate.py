@@ -1,20 +1,33 @@
 """`armperturb simulate`."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from armperturb.commands.command import Command
 from armperturb.files import require_folder_of, require_new
 
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from armperturb.envs.lab.instruments import Instruments
+    from armperturb.perturbations import Perturbation
+
+OF_A_MODEL = (
+    *("hand", "activation", "reflex", "posture_deg", "keyframe", "lock", "joints", "handle", "turn_deg", "gravity"),
+    *("task", "timestep"),
+)
+"""Options that go with --mjcf only."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Simulate(Command):
-    """Perturb one synthetic person and write the recording."""
+    """Perturb one synthetic person, or any arm in MJCF, and write the recording."""
 
     needs_simulator = True
 
-    subject: Path
+    subject: Path | None = None
     """TOML file of the person."""
     perturbation: Path
     """CSV file with the columns time_s,d_x_N,d_y_N."""
@@ -28,6 +41,33 @@ class Simulate(Command):
     """Sampling rate of the recording [Hz]."""
     seed: int = 0
     """Seed of the instruments' noise."""
+    mjcf: Path | None = None
+    """Model of another arm, in the place of --subject: an MJCF file, or myo_sim:NAME for one of the package myo-sim.
+    The options that follow go with it."""
+    hand: str | None = None
+    """Site of the model in the middle of the grip, or a body whose origin is there."""
+    activation: float | None = None
+    """Level of the muscles' co-contraction, 0 to 1; each differs from it as little as holding the posture asks for."""
+    reflex: tuple[float, float, float] | None = None
+    """Stretch reflexes of the muscles: excitation per relative stretch, per relative speed [s], and delay [s]."""
+    posture_deg: tuple[str, ...] = ()
+    """Start posture, as JOINT=ANGLE [deg] of each hinge that is not where the model has it."""
+    keyframe: str | None = None
+    """Keyframe of the model to start from."""
+    lock: tuple[str, ...] = ()
+    """Joints that cuffs hold in the start posture; * stands for any text."""
+    joints: tuple[str, str] | None = None
+    """Shoulder and elbow, if more than two hinges about the vertical move the hand; identify needs them."""
+    handle: tuple[float, float, float] | None = None
+    """Where the handle starts, in the model's world [m]; by default at the hand."""
+    turn_deg: float = 0.0
+    """Of the handle's x axis (right) from the model's, about the vertical [deg]."""
+    gravity: bool = False
+    """Let weights act; by default a rope carries the arm."""
+    task: Literal["PT", "RT"] = "PT"
+    """Task that the recording names."""
+    timestep: float | None = None
+    """Of the simulation [s]."""
     overwrite: bool = False
     """Replace an existing recording; an input is never replaced."""
 
@@ -36,32 +76,102 @@ class Simulate(Command):
         import numpy as np
 
         from armperturb.environment import Environment
-        from armperturb.envs.lab.experiment import run_experiment
         from armperturb.envs.lab.instruments import Instruments
-        from armperturb.envs.lab.trial import Trial
         from armperturb.perturbations import load_perturbation
         from armperturb.recording import save_recording
-        from armperturb.subject import Subject
 
-        person, perturbation = Subject.load(self.subject), load_perturbation(self.perturbation)
+        self._require_one_arm()
+        perturbation = load_perturbation(self.perturbation)
         require_folder_of(self.out)
         require_new([self.out], overwrite=self.overwrite)
-        environment = Environment()
+        instruments = None if self.ideal else Instruments()
+        arm = self.mjcf or self.subject
         try:
-            recording = run_experiment(
-                [Trial(subject=person, perturbation=perturbation, seed=self.seed)],
-                environment,
-                rate=self.rate,
-                rope=self.rope,
-                instruments=None if self.ideal else Instruments(),
-            )
+            record = self._of_subject if self.mjcf is None else self._of_model
+            recording, lines = record(perturbation, instruments)
         except (ValueError, RuntimeError) as error:
-            raise type(error)(f"{self.subject} with {self.perturbation}: {error}") from None
+            raise type(error)(f"{arm} with {self.perturbation}: {error}") from None
         limit = float(recording["limit_time"].values[0])
         if np.isfinite(limit):
             raise ValueError(
                 f"{self.perturbation}: displacement reached the workspace limit at {limit:.3f} s; expected it to stay "
-                f"within {environment.workspace:g} m of the start (a weaker perturbation or a stiffer subject)"
+                f"within {Environment().workspace:g} m of the start (a weaker perturbation or a stiffer subject)"
             )
         save_recording(recording, self.out)
-        return [f"recording: {self.out}"]
+        return [*lines, f"recording: {self.out}"]
+
+    def _require_one_arm(self) -> None:
+        """Refuse two arms, none, and options of the other one.
+
+        Raises:
+          ValueError: there are any.
+        """
+        if (self.subject is None) == (self.mjcf is None):
+            raise ValueError("simulate: expected either --subject FILE or --mjcf FILE")
+        if self.mjcf is not None and self.hand is None:
+            raise ValueError("simulate: hand = None; expected --hand SITE with --mjcf")
+        if self.mjcf is not None and self.rope != "ideal":
+            raise ValueError(f"simulate: rope = {self.rope!r} with --mjcf; expected 'ideal'")
+        for field in fields(self):
+            if self.mjcf is None and field.name in OF_A_MODEL and getattr(self, field.name) != field.default:
+                option = field.name.replace("_", "-")
+                raise ValueError(f"simulate: --{option} without --mjcf; expected it with a model in MJCF only")
+
+    def _of_subject(
+        self, perturbation: "Perturbation", instruments: "Instruments | None"
+    ) -> tuple["xr.Dataset", list[str]]:
+        from armperturb.envs.lab.experiment import run_experiment
+        from armperturb.envs.lab.trial import Trial
+        from armperturb.subject import Subject
+
+        assert self.subject is not None
+        trial = Trial(subject=Subject.load(self.subject), perturbation=perturbation, seed=self.seed)
+        return run_experiment([trial], rate=self.rate, rope=self.rope, instruments=instruments), []
+
+    def _of_model(
+        self, perturbation: "Perturbation", instruments: "Instruments | None"
+    ) -> tuple["xr.Dataset", list[str]]:
+        from armperturb.environment import TIMESTEP
+        from armperturb.envs.lab.laboratory import Laboratory
+        from armperturb.envs.lab.stretch_reflex import StretchReflex
+
+        assert self.mjcf is not None
+        assert self.hand is not None
+        reflex = None
+        if self.reflex is not None:
+            length, velocity, delay = self.reflex
+            reflex = StretchReflex(length=length, velocity=velocity, delay=delay)
+        laboratory = Laboratory(
+            str(self.mjcf),
+            self.hand,
+            activation=self.activation,
+            controller=reflex,
+            posture_deg=_angles(self.posture_deg),
+            keyframe=self.keyframe,
+            locked=self.lock,
+            joints=self.joints,
+            handle=self.handle,
+            turn_deg=self.turn_deg,
+            gravity=self.gravity,
+            timestep=TIMESTEP if self.timestep is None else self.timestep,
+        )
+        recording = laboratory.record(
+            [perturbation], task=self.task, seed=self.seed, rate=self.rate, instruments=instruments
+        )
+        return recording, laboratory.rest.summary().splitlines()
+
+
+def _angles(texts: tuple[str, ...]) -> Mapping[str, float]:
+    """Joint to angle [deg] of options.
+
+    Raises:
+      ValueError: a text is something else.
+    """
+    angles = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            angles[name] = float(value)
+        except ValueError:
+            raise ValueError(f"simulate: posture-deg = {text!r}; expected JOINT=ANGLE in degrees") from None
+    return angles

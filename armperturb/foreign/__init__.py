@@ -1,25 +1,29 @@
 """MATLAB, NPZ, C3D and HDF5 files, parsed in a child process.
 
 Damaged or crafted files crash the libraries that parse them, keep them busy for ever, or make them allocate any amount
-of memory. All of that happens to `program.py`; this process reads plain arrays from a temporary file.
+of memory. All of that happens to `program.py`; this process reads plain arrays from a pipe. Starting a child takes
+longer than parsing most files, so one that has parsed a file well waits for the next; any other is ended.
 """
 
+import atexit
 import json
 import os
 import signal
 import subprocess
 import sys
-import tempfile
+import threading
+import time
 from collections.abc import Collection
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import IO, Any
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from armperturb.extras import naming_the_extra
 from armperturb.files import require_input
-from armperturb.foreign.program import REFUSED
 from armperturb.foreign.program import Refused as Refused
 
 LARGEST = 2**30
@@ -30,6 +34,9 @@ LONGEST = 30.0
 
 _ENVIRONMENT = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::"}
 """One thread needs less address space, and no filter is loaded from a folder of plugins."""
+
+_waiting: list["subprocess.Popen[bytes]"] = []
+"""The child process that waits for the next file, if there is one."""
 
 
 def read_foreign(
@@ -62,35 +69,85 @@ def read_foreign(
     if path.suffix.lower() == ".c3d" and find_spec("ezc3d") is None:
         with naming_the_extra(f"{path}: C3D"):
             raise ModuleNotFoundError(name="ezc3d")
-    program, wanted = Path(__file__).with_name("program.py"), json.dumps(None if names is None else sorted(names))
-    arguments = (program, path.resolve(), wanted, LARGEST, seconds, json.dumps(sorted(without)))
-    with tempfile.TemporaryFile() as output:
-        try:
-            done = subprocess.run(
-                [sys.executable, "-P", *map(str, arguments)],
-                stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=subprocess.PIPE,
-                timeout=seconds,
-                env={**os.environ, **_ENVIRONMENT},
-            )
-        except subprocess.TimeoutExpired:
-            raise Refused(f"{path}: parsing took {seconds:g} s; expected an undamaged file") from None
-        if done.returncode == REFUSED:
-            raise Refused(f"{path}: {done.stderr.decode(errors='replace')}")
-        if done.returncode:
-            ending = next((s.name for s in signal.Signals if s == -done.returncode), f"status {done.returncode}")
-            raise Refused(f"{path}: parsing crashed ({ending}); expected an undamaged file")
-        output.seek(0)
-        return dict(_content(json.loads(output.readline()), output))
+    wanted = None if names is None else sorted(names)
+    request = {"path": str(path.resolve()), "names": wanted, "without": sorted(without)}
+    latest = time.monotonic() + seconds
+    child, answer = _taken(), {}
+    watch = threading.Timer(seconds, child.kill)
+    watch.start()
+    try:
+        answer = _answer(child, {**request, "largest": LARGEST, "seconds": seconds})
+    finally:
+        watch.cancel()
+        in_time = time.monotonic() < latest
+        if in_time and "content" in answer and not _waiting:
+            _waiting.append(child)
+        else:
+            _end(child)
+    if "content" in answer:
+        return dict(answer["content"])
+    if "refused" in answer:
+        raise Refused(f"{path}: {answer['refused']}")
+    if not in_time:
+        raise Refused(f"{path}: parsing took {seconds:g} s; expected an undamaged file")
+    status = child.returncode
+    ending = next((s.name for s in signal.Signals if s == -status), f"status {status}")
+    raise Refused(f"{path}: parsing crashed ({ending}); expected an undamaged file")
 
 
-def _content(item: Any, file: IO[bytes]) -> Any:
-    """What the JSON of the program stands for; arrays follow in the file in the order in which they stand there."""
+def _taken() -> "subprocess.Popen[bytes]":
+    """The child process that waits, or a new one."""
+    with suppress(IndexError):
+        child = _waiting.pop()
+        if child.poll() is None:
+            return child
+        _end(child)
+    return subprocess.Popen(
+        [sys.executable, "-P", str(Path(__file__).with_name("program.py"))],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, **_ENVIRONMENT},
+    )
+
+
+def _end(child: "subprocess.Popen[bytes]") -> None:
+    child.kill()
+    with suppress(OSError), child:  # what it was not told any more cannot be written
+        pass
+
+
+@atexit.register
+def _end_all() -> None:
+    while _waiting:
+        _end(_waiting.pop())
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_waiting.clear)  # it answers one process
+
+
+def _answer(child: "subprocess.Popen[bytes]", request: dict[str, Any]) -> dict[str, Any]:
+    """`content` or `refused`, or nothing of a child process that dies."""
+    assert child.stdin is not None
+    assert child.stdout is not None
+    try:
+        child.stdin.write(json.dumps(request).encode() + b"\n")
+        child.stdin.flush()
+        answer: dict[str, Any] = json.loads(child.stdout.readline())
+        if "content" in answer:
+            answer["content"] = _content(answer["content"], SimpleNamespace(read=child.stdout.read))
+    except (OSError, ValueError):
+        return {}
+    return answer
+
+
+def _content(item: Any, stream: SimpleNamespace) -> Any:
+    """What the JSON of the program stands for; arrays follow in the order in which they stand there."""
     if isinstance(item, list):
-        return [_content(part, file) for part in item]
+        return [_content(part, stream) for part in item]
     if not isinstance(item, dict):
         return item
     if "array" in item:
-        return np.load(file, allow_pickle=False)[()]
-    return {name: _content(part, file) for name, part in item["fields"].items()}
+        return np.lib.format.read_array(stream, allow_pickle=False)[()]
+    return {name: _content(part, stream) for name, part in item["fields"].items()}

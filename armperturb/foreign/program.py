@@ -1,27 +1,30 @@
-"""Child process that parses one MATLAB, NPZ, C3D or HDF5 file and writes its arrays to standard output.
+"""Child process that parses MATLAB, NPZ, C3D and HDF5 files and writes their arrays to standard output.
 
-It runs as a file and imports nothing of this package. Each parser counts what a file claims to hold, at 8 bytes per
-element or more, before it allocates any of it. Where the operating system can, the address space is limited as well.
+It runs as a file and imports nothing of this package. Each line of standard input asks for one file; the process ends
+with the first that it refuses, since a damaged file may leave a library damaged. Each parser counts what a file claims
+to hold, at 8 bytes per element or more, before it allocates any of it. Where the operating system can, the address
+space is limited as well.
 """
 
 import json
 import math
 import mmap
+import os
 import re
+import signal
 import struct
 import sys
+import time
 import zipfile
 import zlib
 from collections.abc import Collection, Iterator
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO, Any
 
 import numpy as np
-
-REFUSED = 3
-"""Exit status with which standard error holds the reason in one line."""
 
 DEEPEST = 32
 """Largest number of structures and cell arrays within one another."""
@@ -394,30 +397,39 @@ def _described(item: Any, arrays: list[Any]) -> Any:
 
 
 def _limit(largest: int, seconds: float) -> None:
-    """Limit memory and processor time, where the operating system can."""
+    """Limit memory, and processor time from now on, where the operating system can."""
     if find_spec("resource") is None:
         return
     import resource
 
-    limits = {resource.RLIMIT_AS: 4 * largest, resource.RLIMIT_CPU: math.ceil(seconds) + 1, resource.RLIMIT_CORE: 0}
+    latest = math.ceil(time.process_time() + seconds) + 1
+    limits = {resource.RLIMIT_AS: 4 * largest, resource.RLIMIT_CPU: latest, resource.RLIMIT_CORE: 0}
     for what, limit in limits.items():
         hard = resource.getrlimit(what)[1]
         resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
 
 
-def main(path: str, names: str, largest: str, seconds: str, without: str = "[]") -> None:
-    """Write JSON in one line, then the arrays in NumPy's format."""
-    _limit(int(largest), float(seconds))
-    arrays: list[Any] = []
-    try:
-        description = _described(parse(path, json.loads(names), int(largest), json.loads(without)), arrays)
-    except Refused as error:
-        sys.stderr.write(f"{error}")
-        sys.exit(REFUSED)
-    sys.stdout.buffer.write(json.dumps(description, default=str).encode() + b"\n")
-    for array in arrays:
-        np.save(sys.stdout.buffer, array, allow_pickle=False)
+def main() -> None:
+    """Answer each request with JSON in one line, then the arrays in NumPy's format."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the one that asks ends this one
+    output = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints is no answer
+    for line in sys.stdin.buffer:
+        request = json.loads(line)
+        _limit(request["largest"], request["seconds"])
+        arrays: list[Any] = []
+        try:
+            content = parse(request["path"], request["names"], request["largest"], request["without"])
+            answer = {"content": _described(content, arrays)}
+        except Refused as error:
+            output.write(json.dumps({"refused": f"{error}"}).encode() + b"\n")
+            return
+        output.write(json.dumps(answer, default=str).encode() + b"\n")
+        for array in arrays:
+            np.save(SimpleNamespace(write=output.write), array, allow_pickle=False)  # NumPy cannot seek in a pipe
+        output.flush()
+        del content, answer, arrays
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

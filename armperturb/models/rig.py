@@ -163,6 +163,15 @@ def build_spec(
     return spec
 
 
+def build_arm(subject: Subject, *, timestep: float = TIMESTEP) -> mujoco.MjSpec:
+    """The arm alone with the motors of its reflexes, as a model that `Laboratory` takes; see `build_model`."""
+    spec = build_spec(subject, Environment(), timestep=timestep, rope="ideal", strap=None)
+    spec.delete(spec.body("manipulator"))  # and with it what refers to its parts
+    for name in KNOWN[:2]:
+        spec.delete(spec.actuator(name))
+    return spec
+
+
 def start_motors(model: mujoco.MjModel, data: mujoco.MjData, first: int, known: Array) -> None:
     """Tell the motors of `KNOWN` what they do in the first steps.
 

@@ -206,6 +206,7 @@ def two_recordings(recording, tmp_path):
 
 
 @pytest.mark.slow(reason="fits two conditions together")
+@pytest.mark.usefixtures("without_page")
 def test_several_recordings_are_identified_together(two_recordings, tmp_path, capsys):
     common = ("identify", *two_recordings, "--model", "1", "--out", tmp_path / "r")
     assert run(*common, "--estimator", "frequency", "--share", "mass", "grip") == 0
@@ -224,6 +225,7 @@ def test_several_recordings_are_identified_together(two_recordings, tmp_path, ca
 
 
 @pytest.mark.slow(reason="fits each trial")
+@pytest.mark.usefixtures("without_page")
 def test_the_thesis_estimator_can_be_asked_for(two_recordings, tmp_path, capsys):
     whose = ("--subject", "S01", "--condition", "RT7.5")
     arguments = ("identify", two_recordings[0], "--model", "1", "--estimator", "thesis", *whose)
@@ -306,6 +308,8 @@ def test_bad_structures_end_in_one_line(tmp_path, capsys, options, message):
     assert message in refused(capsys, "identify", RECORDING, *options, "--out", tmp_path / "r")
 
 
+@pytest.mark.slow(reason="identifies a recording three times")
+@pytest.mark.usefixtures("without_page")
 def test_a_structure_of_options_is_that_of_its_file(tmp_path):
     (tmp_path / "mine.toml").write_text("base = '1'\n[fixed]\nk_h = 'rigid'\n[prior]\nm_f = [1.8, 0.2]\n")
     common = ("identify", RECORDING, "--estimator", "frequency", "--out")
@@ -321,6 +325,8 @@ def test_a_structure_of_options_is_that_of_its_file(tmp_path):
     assert (tmp_path / "c" / "parameters.csv").read_text() == (tmp_path / "b" / "parameters.csv").read_text()
 
 
+@pytest.mark.slow(reason="identifies a recording twice")
+@pytest.mark.usefixtures("without_page")
 def test_a_body_from_tables_narrows_the_inertia(tmp_path):
     free = ("--model", "1", "--fix", "m=0", "--free", "i")
     common = ("identify", RECORDING, "--estimator", "frequency", *free, "--out")

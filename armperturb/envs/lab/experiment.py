@@ -17,7 +17,7 @@ from armperturb.envs.lab.linear_trials import simulate_linear_arms
 from armperturb.envs.lab.multibody_trials import simulate_multibody
 from armperturb.envs.lab.setup import Progress, Setup, Truth, in_threads
 from armperturb.envs.lab.trial import EMG, MARKER, MAX_DURATION, Trial, pulse_of, require_integrable, subject_in
-from armperturb.perturbations import check_bandwidth
+from armperturb.perturbations import Perturbation, check_bandwidth
 from armperturb.recording import MUSCLES, make_recording
 from armperturb.subject import Subject
 from armperturb.validation import require_number
@@ -93,7 +93,7 @@ def run_experiment(
     signals = {name: getattr(truth, name) for name in ("perturbation", "force", "displacement", "joint_angle")}
     clock: dict[str, Any] = {}
     if instruments is not None:
-        signals |= _readings(trials, instruments, truth)
+        signals |= read_instruments([trial.seed for trial in trials], instruments, truth)
     elif truth.shoulder is not None:
         signals["shoulder_marker"] = truth.shoulder
     if setup.emg is not None:
@@ -118,9 +118,9 @@ def _require_sound(trials: Sequence[Trial], setup: Setup) -> None:
         require_number("run_experiment", name, perturbation.duration, at_least=least, at_most=MAX_DURATION)
 
 
-def _readings(trials: Sequence[Trial], instruments: Instruments, truth: Truth) -> dict[str, NDArray]:
-    """What encoders, strain gauge and camera make of the truth."""
-    streams = [np.random.default_rng(trial.seed) for trial in trials]
+def read_instruments(seeds: Sequence[int], instruments: Instruments, truth: Truth) -> dict[str, NDArray]:
+    """What encoders, strain gauge and camera make of the truth; seeds are those of the trials."""
+    streams = [np.random.default_rng(seed) for seed in seeds]
     readings = {
         "displacement": instruments.read_displacement(truth.displacement),
         "force": np.stack([*map(instruments.read_force, truth.force, streams)]),
@@ -128,7 +128,7 @@ def _readings(trials: Sequence[Trial], instruments: Instruments, truth: Truth) -
     if instruments.marker_noise is not None:
         # Where the belt holds the shoulder, what the movies show is the camera's noise.
         shoulder = np.zeros_like(truth.displacement) if truth.shoulder is None else truth.shoulder
-        streams = [trial.generator(MARKER) for trial in trials]
+        streams = [np.random.default_rng([seed, MARKER]) for seed in seeds]
         readings["shoulder_marker"] = np.stack([*map(instruments.read_marker, shoulder, streams)])
     return readings
 
@@ -148,13 +148,20 @@ def _voltages(
 
 
 def _labels(trials: Sequence[Trial]) -> dict[str, list]:
-    pulses = [pulse_of(trial.perturbation) for trial in trials]
     return {
         "subject": [trial.subject.name for trial in trials],
         "task": [trial.subject.task for trial in trials],
         "condition": [trial.condition or trial.subject.task for trial in trials],
         **{name: [getattr(trial, name) for trial in trials] for name in ("repetition", "order", "pulse_level")},
+        **perturbation_labels([trial.perturbation for trial in trials]),
+        **{name: [getattr(t.subject, name) for t in trials] for name in ("l_h", "l_f", "theta_s_deg", "theta_e_deg")},
+    }
+
+
+def perturbation_labels(perturbations: Sequence[Perturbation]) -> dict[str, list[float]]:
+    """Direction and onset of the pulses in perturbations, one value each; nan where there is none."""
+    pulses = [*map(pulse_of, perturbations)]
+    return {
         "pulse_direction": [pulse.direction_deg if pulse else np.nan for pulse in pulses],
         "pulse_onset": [pulse.onset if pulse else np.nan for pulse in pulses],
-        **{name: [getattr(t.subject, name) for t in trials] for name in ("l_h", "l_f", "theta_s_deg", "theta_e_deg")},
     }

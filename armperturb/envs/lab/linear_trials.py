@@ -64,7 +64,7 @@ def simulate_linear_arms(
 ) -> Truth:
     """What linear arms do; arguments as in `simulate_multibody`."""
     environment, timestep, decimation, lowpass = setup.environment, setup.timestep, setup.decimation, setup.lowpass
-    n_steps = setup.n_samples(trials) * decimation
+    n_steps = setup.n_samples([trial.perturbation for trial in trials]) * decimation
 
     def run(i: int) -> tuple[Array, Array, float]:
         force = trials[i].perturbation.sample(1.0 / timestep, n_steps, 0.0)

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from armperturb.arrays import Array
 from armperturb.envs.lab.compiled_simulation import CompiledSimulation
@@ -36,7 +35,11 @@ def simulate_multibody(
     Raises:
       RuntimeError: a trial that stayed inside the workspace could not be integrated.
     """
-    n_samples, decimation, timestep, lowpass = setup.n_samples(trials), setup.decimation, setup.timestep, setup.lowpass
+    n_samples, decimation, timestep = (
+        setup.n_samples([trial.perturbation for trial in trials]),
+        setup.decimation,
+        setup.timestep,
+    )
     n_steps, compiled = n_samples * decimation, setup.engine == "compiled"
 
     def simulate(i: int, j: int) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -59,15 +62,13 @@ def simulate_multibody(
                 f"trial {i} of subject {trials[i].subject.name!r} could not be integrated; expected finite motion (a "
                 "weaker perturbation or a smaller step)"
             )
+        rest = np.zeros(log.shape[1])
+        rest[ANGLE] = subjects[i].posture
         signals = np.nan_to_num(log[:, HANDLE.start :]) if diverged else log[:, HANDLE.start :]
-        if lowpass is not None:
-            rest = np.zeros(log.shape[1])
-            rest[ANGLE] = subjects[i].posture  # a filter starts at rest
-            push = signal.sosfilt(lowpass, push, axis=0)
-            signals = signal.sosfilt(lowpass, signals - rest[HANDLE.start :], axis=0) + rest[HANDLE.start :]
-        every = np.concatenate([log[:, : HANDLE.start], signals], axis=1)[::decimation]
+        signals = setup.sampled(signals, rest[HANDLE.start :])
+        every = np.concatenate([flushed(log[::decimation, : HANDLE.start]), signals], axis=1)
         limit_time = reached[0] * decimation * timestep if len(reached) else np.nan
-        return flushed(push[::decimation]), flushed(every), limit_time
+        return setup.sampled(push), every, limit_time
 
     def run(block: int) -> list[tuple[Array, Array, float]]:
         i, j = block * size, min((block + 1) * size, len(trials))

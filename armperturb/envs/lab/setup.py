@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
+from scipy import signal
 
 from armperturb.arrays import Array
 from armperturb.environment import ENGINES, TIMESTEP, Environment, Strap
 from armperturb.envs.lab.emg import Emg
 from armperturb.envs.lab.instruments import Instruments
-from armperturb.envs.lab.trial import Trial
+from armperturb.perturbations import Perturbation
 from armperturb.validation import require_number, require_one_of
 
 T = TypeVar("T")
@@ -80,9 +81,20 @@ class Setup:
         """Amplifier of the muscles' signals, if there is one."""
         return self.instruments.emg if self.instruments else None
 
-    def n_samples(self, trials: Sequence[Trial]) -> int:
-        """Samples of the recording in the longest trial."""
-        return max(round(trial.perturbation.duration / (self.timestep * self.decimation)) for trial in trials)
+    def sampled(self, signals: Array, rest: Array | float = 0.0) -> Array:
+        """What reaches the instruments of signals at the simulation's rate, (time, signal).
+
+        Args:
+          signals: (step, signal).
+          rest: their values before the trial, where the filter starts, (signal,).
+        """
+        if self.lowpass is not None:
+            signals = signal.sosfilt(self.lowpass, signals - rest, axis=0) + rest
+        return flushed(signals[:: self.decimation])
+
+    def n_samples(self, perturbations: Sequence[Perturbation]) -> int:
+        """Samples of the recording in the longest of these."""
+        return max(round(each.duration / (self.timestep * self.decimation)) for each in perturbations)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -165,26 +165,26 @@ envs = [made() for _ in range(10)]
 while envs:
     envs.pop().close()
 together = used() - before
-for _ in range(40):
+for _ in range(10):
     made().close()
-print(together, used() - before)
+print(together, used() - before - together)
 env = gym.make("ArmPerturb/Position-v1", duration=0.2)
 env.reset(seed=0)
 before = used()
 for _ in range(1000):
     env.reset()
-print(used() - before, 0)
+print(used() - before)
 """
 
 
-@pytest.mark.slow(reason="opens fifty contexts")
+@pytest.mark.slow(reason="opens twenty contexts")
 @needs_gl
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_memory_comes_back():
     done = subprocess.run([sys.executable, "-W", "ignore", "-c", MEMORY], capture_output=True, text=True, check=True)
-    grown = [float(word) for word in done.stdout.split()]
-    assert len(grown) == 4
-    assert max(grown) < 10.0, grown  # MB
+    together, one_by_one, resets = map(float, done.stdout.split())  # MB
+    assert max(together, resets) < 10.0
+    assert one_by_one < 2.5  # what ten contexts may keep once ten others have filled the caches
 
 
 def pinhole(point, width, height):

@@ -35,7 +35,7 @@ pulse_levels = [1.0]
 def settings(tmp_path_factory):
     path = tmp_path_factory.mktemp("cohort") / "protocol.toml"
     path.write_text(PROTOCOL)
-    return StudySettings(subjects=3, seed=4, protocol=path, engine="compiled")
+    return StudySettings(subjects=2, seed=4, protocol=path, engine="compiled")
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +43,7 @@ def alone(settings):
     return measure_cohort(settings, workers=1, show_progress=False)
 
 
+@pytest.mark.slow(reason="simulates and analyses a cohort twice")
 def test_cells_are_those_of_a_study_to_the_last_bit(settings, alone, tmp_path):
     files = record_study(settings, tmp_path, show_progress=False)
     assert alone.index.tolist() == [path.stem for path in files]
@@ -53,6 +54,7 @@ def test_cells_are_those_of_a_study_to_the_last_bit(settings, alone, tmp_path):
         assert alone.loc[path.stem].dropna().to_dict() == cells
 
 
+@pytest.mark.slow(reason="simulates a cohort")
 def test_a_larger_cohort_begins_with_the_same_people(settings, alone):
     first = measure_cohort(replace(settings, subjects=1), workers=1, show_progress=False)
     np.testing.assert_array_equal(first, alone[:1])
@@ -62,7 +64,7 @@ def test_a_larger_cohort_begins_with_the_same_people(settings, alone):
 def test_processes_and_a_dask_cluster_give_the_same_cells(settings, alone):
     distributed = pytest.importorskip("distributed")
     assert measure_cohort(settings, workers=2, show_progress=False).equals(alone)
-    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
+    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
     with distributed.LocalCluster(**options) as cluster:
         assert measure_cohort(settings, dask=cluster.scheduler_address, show_progress=False).equals(alone)
 

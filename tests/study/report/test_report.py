@@ -53,7 +53,8 @@ FIGURES = {
 }
 """Figure of the thesis to ours."""
 
-DRAWN = {*FIGURES.values(), "rig", "stills", "admittance_RT", "parameters_PT", "parameters_RT", "findings", "estimates"}
+DRAWN = {*FIGURES.values(), "rig", "stills", "admittance_RT", "parameters_PT", "parameters_RT"}
+DRAWN |= {"findings", "estimates"}
 MULTISINE = ("PT2.5", "PT7.5", "PT22.5", "RT2.5", "RT7.5", "RT22.5")
 SECTIONS = [
     *(

@@ -1,0 +1,309 @@
+"""Where an arm is at rest: the posture that is asked for, what holds it, and the force that the handle then bears."""
+
+import copy
+import fnmatch
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.linalg import null_space
+from scipy.optimize import lsq_linear
+
+from armperturb.arrays import Array, Indices
+
+REACHED = 1e-6
+"""Distance within which a hand is at the handle, and a constraint of the model holds [m, rad]."""
+
+POSE_STEPS = 300
+"""Newton steps that a posture may take; each moves no joint by more than `LONGEST_STEP`."""
+
+LONGEST_STEP = 0.2
+"""[rad, m]"""
+
+AT_REST = 1e-7
+"""Acceleration below which nothing has to settle [rad/s^2, m/s^2]."""
+
+SETTLING = 30.0
+"""Longest simulated time that an arm is given to come to rest [s]."""
+
+PROBE = 1e-5
+"""Displacement [rad, m] and velocity [rad/s, m/s] by which slopes of the acceleration are told."""
+
+IMMOVABLE = 1e9
+"""Mass of a handle that is held [kg]."""
+
+STILL = 1e-9
+"""Displacement in a step below which an arm counts as still [rad, m]."""
+
+STILL_STEPS = 100
+"""Steps in a row for which it has to."""
+
+LEFT = 0.9
+"""Share of its velocity that an arm keeps from one step to the next while it settles [-]."""
+
+IDLE = 1e-9
+"""Moment arm at or below which a muscle does not move a joint [m]."""
+
+MUSCLE_WEIGHT = 1e-2
+"""Torque [Nm] that counts as much as one muscle's deviation by 1 from the activation that is asked for."""
+
+
+def lock_joints(spec: mujoco.MjSpec, patterns: Sequence[str], posture: Mapping[str, float]) -> mujoco.MjSpec:
+    """A copy of a model without some of its joints, which stay where they are in a posture.
+
+    Args:
+      spec: the model.
+      patterns: names of joints, with "*" for any text.
+      posture: joint to angle [rad] or displacement [m]; the others are as the model has them.
+
+    Raises:
+      ValueError: a pattern matches no joint, or only some of those between two bodies, or one in a frame.
+    """
+    spec = spec.copy()
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    names = [model.joint(j).name for j in range(model.njnt)]
+    locked: set[str] = set()
+    for pattern in patterns:
+        matched = fnmatch.filter(names, pattern)
+        if not matched:
+            raise ValueError(f"lock = {pattern!r}; expected some of the model's joints: {listed(names)}")
+        locked |= {name for name in matched if name}
+    for name, value in posture.items():
+        data.qpos[model.joint(name).qposadr[0]] = value
+    mujoco.mj_kinematics(model, data)
+    for body in {spec.joint(name).parent.id: spec.joint(name).parent for name in sorted(locked)}.values():
+        left = [joint.name for joint in body.joints if joint.name not in locked]
+        if left or body.frame is not None:
+            problem = f"would keep {listed(left)}" if left else "stands in a frame"
+            raise ValueError(f"lock: body {body.name!r} {problem}; expected all joints of a body or none of them")
+        parent = model.body_parentid[body.id]
+        back, turned, shifted = np.empty(4), np.empty(4), np.empty(3)
+        mujoco.mju_negQuat(back, data.xquat[parent])
+        mujoco.mju_mulQuat(turned, back, data.xquat[body.id])
+        mujoco.mju_rotVecQuat(shifted, data.xpos[body.id] - data.xpos[parent], back)
+        for joint in list(body.joints):
+            spec.delete(joint)
+        body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+        body.pos, body.quat = shifted, turned
+    for equality in list(spec.equalities):
+        if {equality.name1, equality.name2} & locked:
+            spec.delete(equality)
+    return _without_idle_muscles(spec)
+
+
+def _without_idle_muscles(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """The model without muscles on tendons that no joint moves, which take time and do nothing."""
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    moved = np.zeros(model.nu, dtype=bool)
+    for bend in (0.0, 0.3, -0.3):  # [rad]; some moment arms are zero in one posture
+        data.qpos[:] = model.qpos0 + bend
+        mujoco.mj_fwdPosition(model, data)
+        moved |= np.abs(_moments(model, data)).max(axis=1, initial=0.0) > IDLE
+    for muscle in [spec.actuators[i] for i in muscles_of(model) if not moved[i]]:
+        tendon = spec.tendon(muscle.target)
+        spec.delete(muscle)
+        if tendon is not None:
+            spec.delete(tendon)
+    return spec
+
+
+def _moments(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """Moment arms of actuators [m], (actuator, dof)."""
+    moments = np.zeros((model.nu, model.nv))
+    mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    return moments
+
+
+def take_posture(
+    model: mujoco.MjModel, data: mujoco.MjData, posture: Mapping[str, float], hand: int, handle: Array | None
+) -> None:
+    """Move an arm to where its constraints hold and, if that is asked for, its hand is at the handle.
+
+    Args:
+      model: of the arm alone.
+      data: whose positions change.
+      posture: joint to angle [rad] or displacement [m]; joints that it does not have move as little as they must, and
+        those that it has only move for a handle.
+      hand: id of its site.
+      handle: where the hand has to be [m], (3,); None for wherever the posture puts it.
+
+    Raises:
+      ValueError: constraints contradict the posture, or the hand cannot reach the handle.
+    """
+    for name, value in posture.items():
+        data.qpos[model.joint(name).qposadr[0]] = value
+    given = np.array([model.joint(name).dofadr[0] for name in posture if handle is None], dtype=int)
+    free = np.setdiff1d(np.arange(model.nv), given)
+    sparse, model.opt.jacobian = model.opt.jacobian, mujoco.mjtJacobian.mjJAC_DENSE
+    error = np.zeros(0)
+    for _ in range(POSE_STEPS):
+        mujoco.mj_fwdPosition(model, data)
+        jacobian, error = constraint_rows(model, data)
+        if handle is not None:
+            of_hand = np.zeros((3, model.nv))
+            mujoco.mj_jacSite(model, data, of_hand, None, hand)
+            jacobian = np.vstack([jacobian, of_hand])
+            error = np.concatenate([error, data.site_xpos[hand] - handle])
+        if not len(error) or np.abs(error).max() < REACHED:
+            break
+        move = np.zeros(model.nv)
+        move[free] = -np.linalg.lstsq(jacobian[:, free], error, rcond=1e-6)[0]
+        move *= min(1.0, LONGEST_STEP / max(np.abs(move).max(), 1e-300))
+        mujoco.mj_integratePos(model, data.qpos, move, 1.0)
+        _keep_limits(model, data.qpos)
+    model.opt.jacobian = sparse
+    if len(error) and np.abs(error).max() >= REACHED:
+        if handle is not None and np.abs(error[-3:]).max() >= REACHED:
+            away = float(np.linalg.norm(error[-3:]))
+            raise ValueError(
+                f"Laboratory: handle = {np.round(handle, 4).tolist()} m; expected a point that the hand can reach "
+                f"(the nearest that it came to is {away:.3g} m away)"
+            )
+        raise ValueError(
+            f"Laboratory: posture = {dict(posture)!r}; expected one in which the model's equality constraints hold "
+            f"(they are off by {np.abs(error).max():.2g})"
+        )
+    mujoco.mj_forward(model, data)
+
+
+def constraint_rows(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
+    """Jacobian (row, dof) and error (row,) of equality constraints, of a model whose Jacobian is dense."""
+    rows = data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    jacobian = np.reshape(data.efc_J, (-1, model.nv))[: data.nefc]
+    return jacobian[rows].copy(), data.efc_pos[: data.nefc][rows].copy()
+
+
+def _keep_limits(model: mujoco.MjModel, qpos: Array) -> None:
+    """Put joints back into their range."""
+    for j in np.flatnonzero(model.jnt_limited):
+        if model.jnt_type[j] in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            qpos[model.jnt_qposadr[j]] = np.clip(qpos[model.jnt_qposadr[j]], *model.jnt_range[j])
+
+
+def muscles_of(model: mujoco.MjModel) -> Indices:
+    """Ids of the actuators that are muscles."""
+    return np.flatnonzero(model.actuator_gaintype == mujoco.mjtGain.mjGAIN_MUSCLE)
+
+
+def set_activation(model: mujoco.MjModel, data: mujoco.MjData, activation: Array) -> None:
+    """Activate muscles, at once and for good [-], (muscle,) in the order of `muscles_of`."""
+    for muscle, value in zip(muscles_of(model), activation, strict=True):
+        data.ctrl[muscle] = value
+        if model.actuator_actnum[muscle]:
+            data.act[model.actuator_actadr[muscle] + model.actuator_actnum[muscle] - 1] = value
+
+
+def holding_activation(model: mujoco.MjModel, data: mujoco.MjData, level: float) -> Array:
+    """The activations nearest to a level at which muscles hold the posture as well as they can [-], (muscle,).
+
+    A muscle at rest pulls with a force that is linear in its activation: the torques that constraints do not take are
+    least squares, in which a muscle's deviation from the level counts little.
+
+    Args:
+      model: of the arm alone.
+      data: in its posture.
+      level: of co-contraction [-], 0 to 1.
+    """
+    muscles = muscles_of(model)
+    forces = []
+    sparse, model.opt.jacobian = model.opt.jacobian, mujoco.mjtJacobian.mjJAC_DENSE
+    for value in (0.0, 1.0):
+        set_activation(model, data, np.full(len(muscles), value))
+        mujoco.mj_forward(model, data)
+        forces.append(data.actuator_force[muscles].copy())
+    moments = _moments(model, data)
+    others = data.qfrc_actuator - forces[1] @ moments[muscles] + data.qfrc_passive - data.qfrc_bias
+    constraints = constraint_rows(model, data)[0]
+    model.opt.jacobian = sparse
+    free = null_space(constraints) if len(constraints) else np.eye(model.nv)
+    torque = free.T @ (moments[muscles].T * (forces[1] - forces[0]))
+    needed = -free.T @ (others + forces[0] @ moments[muscles])
+    matrix = np.vstack([torque, MUSCLE_WEIGHT * np.eye(len(muscles))])
+    solution = lsq_linear(matrix, np.concatenate([needed, np.full(len(muscles), MUSCLE_WEIGHT * level)]), (0.0, 1.0))
+    activation = np.asarray(solution.x)
+    set_activation(model, data, activation)
+    return activation
+
+
+@dataclass(frozen=True)
+class Settled:
+    """How an arm came to rest with its hand at the handle, which was held.
+
+    Attributes:
+      force: of the handle on the hand [N], (axis,).
+      time: that it took, simulated [s].
+    """
+
+    force: Array
+    time: float
+
+
+def settle(model: mujoco.MjModel, data: mujoco.MjData, handle: Indices, slides: Indices, gauge: int) -> Settled:
+    """Let the arm find its rest with the handle held at its start; an arm that is at rest stays to the last bit.
+
+    Args:
+      model: of arm and manipulator.
+      data: whose state changes.
+      handle: where its displacement is among the positions.
+      slides: where its velocity is.
+      gauge: first component of the strain gauge among the sensors.
+
+    Raises:
+      ValueError: the arm does not come to rest.
+    """
+    mujoco.mj_forward(model, data)
+    if np.abs(data.qacc).max(initial=0.0) < AT_REST:
+        return Settled(np.zeros(2), 0.0)
+    held = copy.copy(model)
+    held.dof_armature[slides] = IMMOVABLE
+    n_steps = round(SETTLING / model.opt.timestep)
+    step = still = 0
+    while step < n_steps and still < STILL_STEPS:
+        before = data.qpos.copy()
+        mujoco.mj_step(held, data)
+        data.qvel *= LEFT
+        still = still + 1 if np.abs(data.qpos - before).max() < STILL else 0
+        step += 1
+    if still < STILL_STEPS:
+        raise ValueError(
+            f"Laboratory: the arm does not come to rest within {SETTLING:g} s; expected a posture that its springs and "
+            "muscles hold (another posture or activation, or joints that are locked)"
+        )
+    data.qpos[handle] = 0.0
+    rest = data.qpos.copy(), data.act.copy(), data.ctrl.copy()
+    mujoco.mj_resetData(model, data)
+    data.qpos[:], data.act[:], data.ctrl[:] = rest
+    mujoco.mj_forward(model, data)
+    force = data.sensordata[gauge : gauge + 2].copy()
+    return Settled(force, step * model.opt.timestep)
+
+
+def fastest_pole(model: mujoco.MjModel, data: mujoco.MjData) -> float:
+    """Largest modulus of the poles of arm and manipulator at rest, with the muscles' activations constant [1/s]."""
+    probe, nv = mujoco.MjData(model), model.nv
+    rest = data.qpos.copy(), data.act.copy(), data.ctrl.copy()
+
+    def acceleration(turn: Array, velocity: Array) -> Array:
+        probe.qpos[:], probe.act[:], probe.ctrl[:] = rest
+        mujoco.mj_integratePos(model, probe.qpos, turn, 1.0)
+        probe.qvel[:], probe.qacc_warmstart[:] = velocity, 0.0
+        mujoco.mj_forward(model, probe)
+        return np.array(probe.qacc)
+
+    none = np.zeros(nv)
+    slopes = [
+        [(acceleration(*move(way)) - acceleration(*move(-way))) / (2.0 * PROBE) for way in PROBE * np.eye(nv)]
+        for move in (lambda way: (way, none), lambda way: (none, way))
+    ]
+    of_position, of_velocity = (np.transpose(slope) for slope in slopes)
+    matrix = np.block([[np.zeros((nv, nv)), np.eye(nv)], [of_position, of_velocity]])
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+
+def listed(names: Sequence[str], most: int = 12) -> str:
+    """Names for a message, the first ones of many."""
+    shown = [name for name in names if name]
+    return ", ".join(shown[:most]) + (f" and {len(shown) - most} more" if len(shown) > most else "")

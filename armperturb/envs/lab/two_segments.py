@@ -1,0 +1,94 @@
+"""What an arm looks like to an analysis that thinks of it as two segments in the plane of the handle."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from armperturb.arrays import Array
+
+UPRIGHT = 1e-6
+"""Largest horizontal component of the axis of a hinge that is vertical [-]."""
+
+EXACT = 12
+"""Decimals to which lengths [m] and angles [rad] are read off a model."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segments:
+    """Lengths and start posture in the plane of the handle, as a recording has them.
+
+    Attributes:
+      l_h: from shoulder to elbow [m].
+      l_f: from elbow to hand [m].
+      theta_s_deg: angle of the first from the handle's x axis [deg].
+      theta_e_deg: angle of the second from the first [deg].
+      hinges: where the angles of shoulder and elbow are in qpos; none where other joints move the hand as well.
+      signs: of these angles, (joint,).
+      offsets: to add to them [rad], (joint,).
+    """
+
+    l_h: float = np.nan
+    l_f: float = np.nan
+    theta_s_deg: float = np.nan
+    theta_e_deg: float = np.nan
+    hinges: tuple[int, ...] = ()
+    signs: tuple[float, ...] = ()
+    offsets: tuple[float, ...] = ()
+
+
+def moving_joints(model: mujoco.MjModel, body: int) -> list[int]:
+    """Ids of the joints between the world and a body."""
+    joints: list[int] = []
+    while body:
+        first = model.body_jntadr[body]
+        joints = [*range(first, first + model.body_jntnum[body]), *joints]
+        body = model.body_parentid[body]
+    return joints
+
+
+def segments_of(
+    model: mujoco.MjModel, data: mujoco.MjData, hand: int, turn: float, named: tuple[str, str] | None
+) -> Segments:
+    """The two segments of an arm in its posture.
+
+    Args:
+      model: of the arm.
+      data: in its posture.
+      hand: id of the site in the middle of the grip.
+      turn: of the handle's x axis about the vertical [rad].
+      named: joints whose places count as shoulder and elbow; None takes the only two that move the hand, if these are
+        hinges about the vertical.
+    """
+    joints = moving_joints(model, int(model.site_bodyid[hand]))
+    planar = len(joints) == 2 and all(
+        model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE and np.hypot(*data.xaxis[j, :2]) < UPRIGHT for j in joints
+    )
+    if named is None and not planar:
+        return Segments()
+    ends = joints if named is None else [model.joint(name).id for name in named]
+    upper, lower = np.diff([*data.xanchor[ends, :2], data.site_xpos[hand, :2]], axis=0)
+    first, second = (np.arctan2(along[1], along[0]) for along in (upper, lower))
+    angle = np.round(_wrapped(np.array([first - turn, second - first])), EXACT)
+    length = np.round(np.hypot(*np.array([upper, lower]).T), EXACT)
+    segments = Segments(
+        l_h=float(length[0]),
+        l_f=float(length[1]),
+        theta_s_deg=float(np.round(np.degrees(angle[0]), EXACT - 2)),
+        theta_e_deg=float(np.round(np.degrees(angle[1]), EXACT - 2)),
+    )
+    if not planar or ends != joints:
+        return segments
+    hinges = model.jnt_qposadr[joints]
+    signs = np.sign(data.xaxis[joints, 2])
+    offsets = np.round(_wrapped(angle - signs * data.qpos[hinges]), EXACT - 2)
+    return Segments(
+        **{name: getattr(segments, name) for name in ("l_h", "l_f", "theta_s_deg", "theta_e_deg")},
+        hinges=tuple(map(int, hinges)),
+        signs=tuple(signs),
+        offsets=tuple(offsets + 0.0),
+    )
+
+
+def _wrapped(angle: Array) -> Array:
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi

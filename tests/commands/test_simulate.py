@@ -1,0 +1,56 @@
+"""`armperturb simulate --mjcf`: the laboratory around another model's arm."""
+
+import numpy as np
+import pytest
+from foreign_models import MUSCLE_ARM, TWO_LINK
+
+import armperturb as ap
+from armperturb import cli
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "two_link.xml").write_text(TWO_LINK, encoding="utf-8")
+    (tmp_path / "muscles.xml").write_text(MUSCLE_ARM, encoding="utf-8")
+    pulse = ap.Pulse(peak=10.0, direction_deg=30.0, onset=0.05, duration=0.3)
+    ap.save_perturbation(pulse, tmp_path / "pulse.csv", rate=200.0)
+    return tmp_path
+
+
+def simulate(folder, *options):
+    return cli.main(
+        ["simulate", "--perturbation", str(folder / "pulse.csv"), "--out", str(folder / "out.nc"), *options]
+    )
+
+
+def test_a_muscle_driven_arm_is_recorded(folder, capsys):
+    options = ("--activation", "0.2", "--lock", "wrist", "--posture-deg", "q2=-10", "--reflex", "1", "0.1", "0.03")
+    assert simulate(folder, "--mjcf", str(folder / "muscles.xml"), "--hand", "palm", *options) == 0
+    printed = capsys.readouterr().out
+    assert "muscles: 6, activation 0.199 on average" in printed
+    recording = ap.load_recording(folder / "out.nc")
+    assert recording["condition"].values == "activation 0.2"
+    assert recording["theta_e_deg"].values == pytest.approx(
+        80.0 + np.degrees(np.arctan2(0.05 * np.sin(np.radians(10)), 0.39)), abs=0.1
+    )
+    assert np.abs(recording["displacement"].values).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--mjcf", "{}/two_link.xml"), "expected --hand SITE with --mjcf"),
+        (("--hand", "palm"), "expected either --subject FILE or --mjcf FILE"),
+        (("--subject", "{}/p.toml", "--gravity"), "--gravity without --mjcf"),
+        (("--mjcf", "{}/two_link.xml", "--hand", "thumb"), "hand_site = 'thumb'; expected a site of the model (palm)"),
+        (("--mjcf", "{}/two_link.xml", "--hand", "palm", "--activation", "0.1"), "for a model without muscles"),
+        (("--mjcf", "{}/two_link.xml", "--hand", "palm", "--handle", "3", "0", "1"), "that the hand can reach"),
+        (("--mjcf", "{}/two_link.xml", "--hand", "palm", "--posture-deg", "q1"), "expected JOINT=ANGLE in degrees"),
+        (("--mjcf", "{}/none.xml", "--hand", "palm"), "none.xml"),
+    ],
+)
+def test_refusals_are_one_line(folder, capsys, options, message):
+    assert simulate(folder, *(option.format(folder) for option in options)) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+    assert not (folder / "out.nc").exists()
