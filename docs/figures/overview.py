@@ -75,7 +75,7 @@ def overview() -> Figure:
         panel.set_ylabel(f"$|H_{{{2 * axis}}}|$  [m/N]", fontsize=11)
         panel.tick_params(labelsize=10)
     label_frequency(panels[-1], fontsize=11)
-    panels[0].set_title("Admittance of one arm: estimated (points), fitted (lines), 95 % bands", fontsize=11)
+    panels[0].set_title("Admittance of one arm: estimated (points), fitted (lines)", fontsize=11)
     return figure
 
 
