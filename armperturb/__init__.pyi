@@ -25,11 +25,15 @@ from .environment import Environment as Environment
 from .environment import Strap as Strap
 from .envs.lab.experiment import run_experiment as run_experiment
 from .envs.lab.instruments import Instruments as Instruments
+from .envs.lab.joint_experiment import JointTrial as JointTrial
+from .envs.lab.joint_experiment import run_joint_experiment as run_joint_experiment
 from .envs.lab.laboratory import Laboratory as Laboratory
 from .envs.lab.stretch_reflex import StretchReflex as StretchReflex
 from .envs.lab.trial import Trial as Trial
 from .envs.learning.registration import load_dm_env as load_dm_env
 from .envs.render.video import write_video as write_video
+from .joint_person import JointPerson as JointPerson
+from .joint_person import Servo as Servo
 from .models.rig import build_model as build_model
 from .muscle_law import MuscleLaw as MuscleLaw
 from .perturbations import Multisine as Multisine
@@ -43,6 +47,7 @@ from .recording import load_recording as load_recording
 from .recording import make_recording as make_recording
 from .recording import save_recording as save_recording
 from .recording import stack_trials as stack_trials
+from .study.comparison.likeness import compare as compare
 from .study.comparison.score import score as score
 from .study.experiments.calibration import calibrate as calibrate
 from .study.experiments.cohort_cells import measure_cohort as measure_cohort

@@ -21,7 +21,9 @@ from armperturb.envs.render.gl import require_simulator
 from armperturb.extras import naming_the_extra
 from armperturb.files import inputs_untouched
 
-_NAMES = "study report score simulate sidecar convert identify response validate design calibrate video view live"
+_NAMES = """
+study report score simulate joint sidecar convert identify response compare validate design calibrate video view live
+"""
 
 COMMANDS = tuple(_NAMES.split())
 """The commands as they are typed, in the order in which help and documentation show them."""

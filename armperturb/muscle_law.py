@@ -40,10 +40,14 @@ class MuscleLaw:
         loses none.
       recovery_time: time constant with which rest brings back what was lost [s], > 0; inf brings back nothing.
       thinning_velocity: speed at which damping has fallen to half of the subject's [rad/s], > 0; inf is linear.
-      spindle_saturation: speed at which the velocity response of the spindles has fallen to half of the linear one
-        [rad/s], > 0; inf is linear. The response itself approaches the gain times this.
+      spindle_saturation: speed above the threshold at which the velocity response of the spindles has fallen to half of
+        the linear one [rad/s], > 0; inf is linear. The response itself approaches the gain times this.
       spindle_direction: -1 to 1 [-]. Movement towards its sign has the subject's velocity feedback, movement the other
         way 1 - |spindle_direction| of it: 0 responds both ways, 1 to increasing angles only.
+      spindle_threshold: speed of lengthening above which a muscle's velocity feedback acts [rad/s]; 0 is off. A muscle
+        with a negative threshold is active at rest, and answers shortening too until that is as fast.
+      spindle_threshold_slope: change of the threshold per unit of co-contraction [rad/s], negative in people whose
+        active muscles respond earlier. `subject.at_level` moves the threshold; 0 keeps it.
 
     Raises:
       TypeError: a value is no number (or three), or parts is no whole number.
@@ -60,6 +64,8 @@ class MuscleLaw:
     thinning_velocity: PerElement = math.inf
     spindle_saturation: PerElement = math.inf
     spindle_direction: PerElement = 0.0
+    spindle_threshold: PerElement = 0.0
+    spindle_threshold_slope: PerElement = 0.0
 
     def __post_init__(self) -> None:
         require_number("MuscleLaw", "parts", self.parts, at_least=1, at_most=MAX_PARTS, whole=True)
@@ -79,6 +85,19 @@ class MuscleLaw:
         """The law with `factor` times the short-range stiffness; limits, times and speeds stay."""
         s, se, e = self.of_elements("short_range_stiffness")
         return replace(self, short_range_stiffness=(factor * s, factor * se, factor * e))
+
+    def at_level(self, level: float) -> Self:
+        """The law at `level` times the co-contraction: more short-range stiffness, and spindles with another threshold.
+
+        Levels multiply: twice at a level of 2 is once at 4.
+        """
+        (v_s, v_se, v_e), (g_s, g_se, g_e) = map(self.of_elements, ("spindle_threshold", "spindle_threshold_slope"))
+        more = level - 1.0
+        return replace(
+            self.scaled(level),
+            spindle_threshold=(v_s + g_s * more, v_se + g_se * more, v_e + g_e * more),
+            spindle_threshold_slope=(g_s * level, g_se * level, g_e * level),
+        )
 
     def of_elements(self, field: str) -> tuple[float, float, float]:
         """Values (shoulder, two-joint, elbow) of a field."""

@@ -282,7 +282,8 @@ def at_level(subject: Subject, level: float) -> Subject:
     """The subject at another level of co-contraction: all muscle torques in proportion to it.
 
     Intrinsic damping, stiffness and short-range stiffness and the gains of velocity, position and acceleration feedback
-    are multiplied. Force feedback is a share of the muscles' torque, and stays.
+    are multiplied. Force feedback is a share of the muscles' torque, and stays. Thresholds of spindles move as
+    `MuscleLaw.spindle_threshold_slope` says.
 
     Args:
       subject: the person at level 1.
@@ -298,7 +299,7 @@ def at_level(subject: Subject, level: float) -> Subject:
         for quantity in ("b", "k", "kv", "kp", "ka")
         for joint, value in zip(("s", "se", "e"), subject.joint_triple(quantity), strict=True)
     }
-    return replace(subject, muscle=subject.muscle and subject.muscle.scaled(level), **changes)
+    return replace(subject, muscle=subject.muscle and subject.muscle.at_level(level), **changes)
 
 
 _PRESETS = packaged_table(__package__, "presets.toml")

@@ -19,7 +19,6 @@ import numpy as np
 from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.structures import Structure
-from armperturb.analysis.measures.start_geometry import in_start_geometry
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -40,7 +39,7 @@ def hand_ellipse(arm: Any) -> tuple[float, float]:
     return float(np.pi * axes.prod()), float(np.degrees(np.arctan2(*directions[::-1, 1])))
 
 
-def judge(seed: int, with_mujoco: bool, corrected: bool, model: str | None, given: dict) -> dict:
+def judge(seed: int, with_mujoco: bool, model: str | None, given: dict) -> dict:
     """Draw, record and identify one arm."""
     import foreign_arms
     import foreign_mujoco
@@ -54,8 +53,7 @@ def judge(seed: int, with_mujoco: bool, corrected: bool, model: str | None, give
     recording = setup.recording(foreign_mujoco.simulate if with_mujoco else foreign_arms.simulate)
     start = time.process_time()
     try:
-        trials = in_start_geometry(recording) if corrected else recording
-        result = identify(trials, right_structure(truth) if model == "right" else model)
+        result = identify(recording, right_structure(truth) if model == "right" else model)
     except ValueError as error:
         return row | {"refused": str(error)}
     fit, detail = result.fit, result.fit.detail
@@ -110,7 +108,6 @@ def main() -> None:
     parser.add_argument("--n", type=int, default=40, help="arms")
     parser.add_argument("--seed", type=int, default=0, help="of the first arm; the others follow")
     parser.add_argument("--mujoco", action="store_true", help="MuJoCo as the engine")
-    parser.add_argument("--corrected", action="store_true", help="without what the arm's geometry makes nonlinear")
     parser.add_argument("--model", help="for all arms, or right: each one's own; by default the trials choose")
     parser.add_argument("--given", type=json.loads, default={}, help='of every arm, e.g. \'{"kind": "multisine"}\'')
     parser.add_argument("--out", type=Path, help="file of JSON lines")
@@ -120,7 +117,7 @@ def main() -> None:
         rows = [json.loads(line) for line in asked.out.read_text(encoding="utf-8").splitlines()]
     left = sorted({*range(asked.seed, asked.seed + asked.n)} - {row["seed"] for row in rows})
     with ProcessPoolExecutor(2) as pool:
-        options = asked.mujoco, asked.corrected, asked.model, asked.given
+        options = asked.mujoco, asked.model, asked.given
         waiting = [pool.submit(judge, seed, *options) for seed in left]
         for future in as_completed(waiting):
             rows.append(future.result())

@@ -10,10 +10,8 @@ from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
-import tyro
-
 from armperturb.cli import COMMANDS, command_class, files
-from armperturb.commands.command import Command, field_texts
+from armperturb.commands.command import Command, field_texts, option_name
 from armperturb.live.page import write_live
 
 PLACE = "<!-- commands -->"
@@ -107,13 +105,12 @@ def arguments(kind: type) -> Iterator[Argument]:
     meanings, hints = field_texts(kind), get_type_hints(kind, include_extras=True)
     for field in fields(kind):
         hint = hints[field.name]
-        positional = get_origin(hint) is Annotated and tyro.conf.Positional in hint.__metadata__
+        option = option_name(field.name, hint)
         hint = get_args(hint)[0] if get_origin(hint) is Annotated else hint
         if is_dataclass(hint) and hint not in files():
             yield from arguments(hint)
             continue
-        name = field.name.upper() if positional else "--" + field.name.replace("_", "-")
-        yield Argument(name, _values(hint), _default(field), meanings[field.name])
+        yield Argument(option or field.name.upper(), _values(hint), _default(field), meanings[field.name])
 
 
 def _section(name: str, kind: type) -> str:

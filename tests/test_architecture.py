@@ -12,7 +12,7 @@ import armperturb
 ROOT = Path(armperturb.__file__).parent
 
 BASE = {"arrays", "validation", "extras", "seeds", "files", "foreign", "recording"}
-BASE |= {"muscle_law", "subject", "environment"}
+BASE |= {"muscle_law", "subject", "environment", "joint_person"}
 ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.force_balance",
     "analysis.trials", "analysis.per_trials", "analysis.numerics", "analysis.results", "plots", "anthropometry",
@@ -30,6 +30,7 @@ ARROWS = {
     "muscle_law": {"validation"},
     "subject": {"files", "validation", "muscle_law"},
     "environment": {"validation"},
+    "joint_person": {"files", "validation", "muscle_law", "subject"},
     "anthropometry": {"files", "validation"},
     "foreign": {"extras", "files"},
     "recording": {"files", "foreign", "validation"},

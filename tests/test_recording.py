@@ -6,6 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
+from armperturb.foreign.program import Refused, parse
 from armperturb.recording import (
     MUSCLES,
     REQUIRED_SIGNALS,
@@ -237,6 +238,31 @@ def test_recordings_join_without_what_not_all_have(recording, whole_recording):
 def test_recordings_of_different_clocks_do_not_join(recording):
     with pytest.raises(ValueError, match=r"a and b: trials of 0.15 s at 200 Hz and 0.25 s at 200 Hz; expected one"):
         join_recordings([recording, recording.isel(time=slice(30))], "a and b")
+
+
+def chunks_of(path):
+    """Variable to the place of its first chunk in the file."""
+    with h5py.File(path) as file:
+        written = {name: item for name, item in file.items() if item.chunks is not None}
+        return {name: item.id.get_chunk_info(0).byte_offset for name, item in written.items()}
+
+
+def test_damage_in_any_array_is_noticed(whole_recording, tmp_path):
+    save_recording(whole_recording, tmp_path / "r.nc")
+    content, places = (tmp_path / "r.nc").read_bytes(), chunks_of(tmp_path / "r.nc")
+    assert set(places) == set(whole_recording.variables)
+    for name, place in places.items():
+        damaged = bytearray(content)
+        damaged[place] ^= 1
+        (tmp_path / "r.nc").write_bytes(damaged)
+        with pytest.raises(Refused, match="not a readable netCDF4 file"):
+            parse(str(tmp_path / "r.nc"), [name], 2**30)
+
+
+def test_text_of_any_alphabet_is_kept(recording, tmp_path):
+    recording["subject"] = "trial", ["Jörg", "漢字"]
+    save_recording(recording, tmp_path / "r.nc")
+    assert load_recording(tmp_path / "r.nc")["subject"].values.tolist() == ["Jörg", "漢字"]
 
 
 def test_unreadable_files_are_named(tmp_path):

@@ -39,6 +39,15 @@ class Command(ABC):
         """
 
 
+def option_name(field: str, hint: Any) -> str | None:
+    """How the option of a field is typed, from its annotation; None of one that is told by its place."""
+    metadata = getattr(hint, "__metadata__", ()) if get_origin(hint) is Annotated else ()
+    if Positional in metadata:
+        return None
+    names = [each.name for each in metadata if getattr(each, "name", None)]
+    return f"--{(names or [field])[0].replace('_', '-')}"
+
+
 def command_line(command: Command) -> str:
     """How a command is typed that does the same: what is not as by default."""
     words = ["armperturb", type(command).__name__.lower()]
@@ -46,8 +55,9 @@ def command_line(command: Command) -> str:
         value = getattr(command, field.name)
         if value == field.default:
             continue
-        if get_origin(get_type_hints(type(command), include_extras=True)[field.name]) is not Annotated:
-            words.append(f"--{field.name.replace('_', '-')}")
+        option = option_name(field.name, get_type_hints(type(command), include_extras=True)[field.name])
+        if option is not None:
+            words.append(option)
         words += [f"{each}" for each in (value if isinstance(value, tuple) else (value,))]
     return shlex.join(words)
 

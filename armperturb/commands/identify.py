@@ -52,9 +52,10 @@ class Identify(Command):
     docs/method.md; nonlinear a muscle law, from all trials of one or both tasks together."""
     sidecar: Path | None = None
     """Sidecar of all recordings that need one, see docs/recordings.md; by default FILE.json beside each."""
-    law: Literal["full", "short-range", "linear", "choose"] | None = None
-    """Of the nonlinear model: the full muscle law (the default), short-range stiffness with yielding alone, the linear
-    law, or whichever predicts trials that were left out of the fits best (choose)."""
+    law: Literal["full", "half-wave", "short-range", "linear", "choose"] | None = None
+    """Of the nonlinear model: the full muscle law (the default), the same with half-wave rectified spindles that have a
+    threshold, short-range stiffness with yielding alone, the linear law, or whichever predicts trials that were left
+    out of the fits best (choose)."""
     pulses: tuple[float, ...] = ()
     """Directions of the pulses that the nonlinear model is fitted to [deg], e.g. 20 200; the others are predicted."""
     estimator: Estimator = "record"
@@ -94,7 +95,7 @@ class Identify(Command):
 
     def run(self) -> list[str]:
         """Identify the arm and write the results."""
-        from armperturb.commands.selection import select_trials
+        from armperturb.commands.selection import MemoryPerSample, select_trials
 
         linear = self.model != "nonlinear"
         for field in fields(self):
@@ -113,6 +114,8 @@ class Identify(Command):
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         try:
+            if linear:
+                MemoryPerSample(longest=2000, all=300).require(recordings)
             lines = self._identify(recordings, structure, notes) if linear else self._identify_nonlinear(recordings)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None

@@ -42,7 +42,7 @@ class Response(Command):
         from armperturb.analysis.response.best_linear import best_linear
         from armperturb.analysis.response.estimate import response
         from armperturb.analysis.trials import common_period, prepared_recordings
-        from armperturb.commands.selection import select_trials
+        from armperturb.commands.selection import MemoryPerSample, select_trials
         from armperturb.plots.style import save_plot
 
         if self.period is not None and self.method not in ("multisine", "spectral"):
@@ -54,6 +54,7 @@ class Response(Command):
         options = {name: value for name, value in options.items() if value is not None}
         distortion = None
         try:
+            MemoryPerSample(longest=0, all=1000).require(recordings)
             trials = prepared_recordings(recordings)
             if self.method == "multisine":
                 if self.period is None:

@@ -13,10 +13,11 @@ class Score(Command):
 
     needs_simulator = True
 
-    folder: Positional[Path]
-    """Folder of the study, complete or not; its recordings are not changed."""
+    folders: Positional[tuple[Path, ...]]
+    """Folders of studies, complete or not; their recordings are not changed. Of several, means and SDs over them are
+    printed, so that one lucky seed is not the result."""
     out: Path | None = None
-    """Folder for score.csv, headlines.csv and score.txt; by default FOLDER/score."""
+    """Folder for score.csv, headlines.csv and score.txt of a single study; by default FOLDER/score."""
     workers: int | None = None
     """Number of processes; by default about one per core. It changes the files by rounding only."""
     fresh: bool = False
@@ -24,14 +25,23 @@ class Score(Command):
 
     def run(self) -> list[str]:
         """Compare, and write the tables."""
+        from armperturb.study.comparison.cohorts import CohortScores
         from armperturb.study.comparison.score import score, write_score
         from armperturb.study.results.analyse import analyse_study
         from armperturb.study.results.cache import forget_results, recalled_results
 
-        if self.fresh:
-            forget_results(self.folder)
-        out = self.out or self.folder / "score"
+        if not self.folders:
+            raise ValueError("score: no folder; expected at least one study (armperturb score FOLDER)")
+        if self.out and len(self.folders) > 1:
+            raise ValueError(f"score: out = {self.out} for {len(self.folders)} studies; expected one study with --out")
+        scores, written = [], []
         with recalled_results() as recalled:
-            result = score(analyse_study(self.folder, workers=self.workers))
-        write_score(result, out)
-        return [result.summary(), *kept_lines(recalled), f"results: {out}"]
+            for folder in self.folders:
+                if self.fresh:
+                    forget_results(folder)
+                scores.append(score(analyse_study(folder, workers=self.workers)))
+                out = self.out or folder / "score"
+                write_score(scores[-1], out)
+                written.append(f"results: {out}")
+        result = scores[0] if len(scores) == 1 else CohortScores(scores=tuple(scores))
+        return [result.summary(), *kept_lines(recalled), *written]

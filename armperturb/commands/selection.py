@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -14,6 +15,44 @@ from armperturb.environment import Environment
 def manipulator(environment: Environment) -> str:
     """What the hand held, for people to read."""
     return f"manipulator {environment.m_env:.4g} kg, {environment.b_env:.3g} Ns/m, {environment.k_env:.4g} N/m"
+
+
+LARGEST_MEMORY = 4 * 2**30
+"""Memory that an analysis may take [byte]."""
+
+AT_LEAST = 400_000_000
+"""Memory that it takes in any case [byte]."""
+
+
+class MemoryPerSample(NamedTuple):
+    """Memory that an analysis takes at most, measured.
+
+    Attributes:
+      longest: for each sample of the longest trial [byte].
+      all: for each sample of any trial [byte].
+    """
+
+    longest: int
+    all: int
+
+    def require(self, recordings: Sequence[xr.Dataset]) -> None:
+        """Refuse trials that would take too much, before any of it is allocated.
+
+        Raises:
+          ValueError: they would.
+        """
+        longest = max(recordings, key=lambda recording: int(recording.sizes["time"]))
+        n_trials = sum(recording.sizes["trial"] for recording in recordings)
+        n_samples = sum(recording.sizes["trial"] * recording.sizes["time"] for recording in recordings)
+        needed = AT_LEAST + self.longest * longest.sizes["time"] + self.all * n_samples
+        if needed > LARGEST_MEMORY:
+            rate = float(longest.attrs["rate"])
+            raise ValueError(
+                f"{n_trials} trial{'' if n_trials == 1 else 's'} of up to {longest.sizes['time'] / rate:.6g} s at "
+                f"{rate:g} Hz take some {needed / 2**30:.3g} GiB of memory; expected at most "
+                f"{LARGEST_MEMORY / 2**30:g} GiB (a lower rate of the recording, as convert --rate gives it, a single "
+                "--condition, or shorter trials)"
+            )
 
 
 def select_trials(
@@ -40,7 +79,7 @@ def select_trials(
       ValueError: as `import_recording`; no trial has the name, or one of several has to be chosen.
     """
     require_each_once(files)
-    imported = [import_recording([path], sidecar=sidecar) for path in files]
+    imported = [import_recording([path], sidecar=sidecar, optional=()) for path in files]
     notes = list(dict.fromkeys(note for _, of_file in imported for note in of_file))
     source, selected = ", ".join(map(str, files)), [recording for recording, _ in imported]
     of_files = list(map(str, files))

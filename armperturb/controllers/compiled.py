@@ -70,16 +70,24 @@ def law_torque(p: Lane, m: Memory, stretch: Array, velocity: Array, out: Array) 
 
 
 @njit(cache=True, forceinline=True, error_model="numpy")
-def spindle_velocity(velocity: float, saturation: float, direction: float) -> float:
+def spindle_velocity(velocity: float, saturation: float, direction: float, threshold: float) -> float:
     """Velocity that linear spindles would have to see to fire as these do [rad/s].
+
+    An element is a pair of antagonists, one of which lengthens. The reflex of either is half-wave rectified.
 
     Args:
       velocity: of the element [rad/s].
-      saturation: speed at which the response is half of the linear one [rad/s]; inf is linear.
-      direction: -1 to 1; movement against its sign is answered by 1 - |direction| of the response.
+      saturation: speed above the threshold at which the response is half of the linear one [rad/s]; inf is linear.
+      direction: -1 to 1; the muscle that lengthens in movement against its sign has 1 - |direction| of the response.
+      threshold: speed of lengthening at which a muscle's response begins [rad/s]. Below zero the muscle fires at rest,
+        and shortening that is faster silences it.
+
+    Source: Kearney, Stein & Parameswaran (1997).
     """
-    answered = velocity / (1.0 + abs(velocity) / saturation)
-    return answered * (1.0 - abs(direction)) if velocity * direction < 0.0 else answered
+    rest = max(threshold, 0.0)
+    up, down = max(velocity, threshold) - rest, max(-velocity, threshold) - rest
+    up, down = up / (1.0 + abs(up) / saturation), down / (1.0 + abs(down) / saturation)
+    return min(1.0 + direction, 1.0) * up - min(1.0 - direction, 1.0) * down
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -101,7 +109,7 @@ def spindle_excitation(p: Lane, q_s: float, q_e: float, w_s: float, w_e: float, 
     for element in range(3):
         velocity = (w_s, w_s + w_e, w_e)[element]
         missing = p.kv_groups[element] * (
-            spindle_velocity(velocity, p.saturation[element], p.direction[element]) - velocity
+            spindle_velocity(velocity, p.saturation[element], p.direction[element], p.threshold[element]) - velocity
         )
         if element < 2:
             out[0] += missing

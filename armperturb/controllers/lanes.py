@@ -102,6 +102,7 @@ def control_columns(subjects: Sequence[Subject], timestep: float, n_parts: int =
         "denominator": filters[:, :, 1].swapaxes(1, 2),
         "saturation": each("spindle_saturation"),
         "direction": each("spindle_direction"),
+        "threshold": each("spindle_threshold"),
         "short_range": each("short_range_stiffness"),
         "part_stiffness": each("short_range_stiffness") / parts[:, None],
         "parts": parts,

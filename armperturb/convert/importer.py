@@ -42,6 +42,7 @@ def import_recording(
     sidecar: str | Path | None = None,
     repair: Collection[Repair] = (),
     rate: float | None = None,
+    optional: Collection[str] = OPTIONAL_SIGNALS,
 ) -> Imported:
     """Read the trials of one or more files of a laboratory, or recordings of our own.
 
@@ -51,6 +52,7 @@ def import_recording(
         the same name but for its ending.
       repair: which faults to repair, see `faults`; all others are refused.
       rate: sampling rate of the recording [Hz]; by default that of the files.
+      optional: what to read of recordings beside `REQUIRED_SIGNALS`, see `load_recording`.
 
     Returns:
       The trials of all files in their order.
@@ -81,7 +83,7 @@ def import_recording(
     for name, value in (("sidecar", sidecar), ("repair", repair), ("rate", rate)):
         if value:
             raise ValueError(f"{ours[0]}: {name} = {value!r}; expected none with netCDF, which is complete itself")
-    recordings = [load_recording(path) for path in ours]
+    recordings = [load_recording(path, optional) for path in ours]
     for path, recording in zip(ours, recordings, strict=True):
         require_plausible_recording(recording, str(path))
         if is_one_axis(recording):

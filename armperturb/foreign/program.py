@@ -256,7 +256,8 @@ def _array(item: Any, name: str, budget: Budget) -> Any:
         return np.empty(0)
     # A chunk is unpacked as a whole.
     budget.take(max(item.size, math.prod(item.chunks or (0,))), f"{name!r}", item.dtype.itemsize)
-    if h5py.check_string_dtype(item.dtype) is None:
+    is_characters = item.dtype == "S1" and "_Encoding" in item.attrs  # text along a dimension, as CF has it
+    if h5py.check_string_dtype(item.dtype) is None or is_characters:
         return item[()]
     texts = item.asstr()[()]
     if isinstance(texts, str):

@@ -66,6 +66,7 @@ from armperturb.planar_arm.rows import (
     STEPS,
     STIFFNESS,
     THINNING,
+    THRESHOLD,
     TORQUE,
     UPPER,
     V_BEFORE,
@@ -247,6 +248,7 @@ def _load(lanes: Table, start: Start, first: int, timestep: float, w: Array) -> 
             for j in range(3):
                 w[KV + j, i], w[KP + j, i], w[KV_GROUP + j, i] = p.kv[j], p.kp[j], p.kv_groups[j]
                 w[SATURATION + j, i], w[DIRECTION + j, i] = p.saturation[j], p.direction[j]
+                w[THRESHOLD + j, i] = p.threshold[j]
             newest = m.next - 1 if m.next > 0 else len(m.sent) - 1
             for joint in range(2):
                 w[POSTURE + joint, i] = p.posture[joint]

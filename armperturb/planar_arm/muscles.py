@@ -44,6 +44,7 @@ from armperturb.planar_arm.rows import (
     STRETCH,
     TAKEN,
     THINNING,
+    THRESHOLD,
     TORQUE,
     V_BEFORE,
     VELOCITY,
@@ -127,10 +128,13 @@ def put_reflexes(w: Array, newest: int) -> None:
         q_e = w[POSTURE + 1, i] + w[Q_E, i] - w[POSTURE + 1, i]
         shoulder = w[KV, i] * w_s + w[KV + 1, i] * w_e + w[KP, i] * q_s + w[KP + 1, i] * q_e
         elbow = w[KV + 1, i] * w_s + w[KV + 2, i] * w_e + w[KP + 1, i] * q_s + w[KP + 2, i] * q_e
-        shoulder += w[KV_GROUP, i] * (spindle_velocity(w_s, w[SATURATION, i], w[DIRECTION, i]) - w_s)
-        missing = w[KV_GROUP + 1, i] * (spindle_velocity(both, w[SATURATION + 1, i], w[DIRECTION + 1, i]) - both)
+        answered = spindle_velocity(w_s, w[SATURATION, i], w[DIRECTION, i], w[THRESHOLD, i])
+        shoulder += w[KV_GROUP, i] * (answered - w_s)
+        answered = spindle_velocity(both, w[SATURATION + 1, i], w[DIRECTION + 1, i], w[THRESHOLD + 1, i])
+        missing = w[KV_GROUP + 1, i] * (answered - both)
         elbow += missing
-        elbow += w[KV_GROUP + 2, i] * (spindle_velocity(w_e, w[SATURATION + 2, i], w[DIRECTION + 2, i]) - w_e)
+        answered = spindle_velocity(w_e, w[SATURATION + 2, i], w[DIRECTION + 2, i], w[THRESHOLD + 2, i])
+        elbow += w[KV_GROUP + 2, i] * (answered - w_e)
         w[EXCITATION, i], w[EXCITATION + 1, i] = shoulder + missing, elbow
     for joint in range(2):
         for i in range(GROUP):

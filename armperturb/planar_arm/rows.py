@@ -11,12 +11,12 @@ V_BEFORE, LAW = 40, 42
 BOND, LIMIT, LIMIT_SLOPE = range(11, 11 + 3 * PARTS, PARTS)
 ELEMENT = 11 + 3 * PARTS
 REFLEX = LAW + 3 * ELEMENT
-(KV, KP, KV_GROUP, SATURATION, DIRECTION) = range(REFLEX, REFLEX + 15, 3)
-(POSTURE, EXCITATION, ACTIVE, FILTER, SLOWER) = range(REFLEX + 15, REFLEX + 25, 2)
-NUMERATOR, DENOMINATOR = REFLEX + 25, REFLEX + 31
-(STEPS, SHARE, LATE) = range(REFLEX + 37, REFLEX + 49, 4)
-BEFORE, OLDER, NEWER, AFTER = range(REFLEX + 49, REFLEX + 65, 4)
-RING = REFLEX + 65
+(KV, KP, KV_GROUP, SATURATION, DIRECTION, THRESHOLD) = range(REFLEX, REFLEX + 18, 3)
+(POSTURE, EXCITATION, ACTIVE, FILTER, SLOWER) = range(REFLEX + 18, REFLEX + 28, 2)
+NUMERATOR, DENOMINATOR = REFLEX + 28, REFLEX + 34
+(STEPS, SHARE, LATE) = range(REFLEX + 40, REFLEX + 52, 4)
+BEFORE, OLDER, NEWER, AFTER = range(REFLEX + 52, REFLEX + 68, 4)
+RING = REFLEX + 68
 """Rows of a group's numbers: state, force and torque at the start, middle and end of a step (x and y, or shoulder and
 elbow, of each), constants, velocities of the step before. From `LAW` on those of the muscle law, for each element
 `ELEMENT` rows, which are numbered from its first. From `REFLEX` on those of the reflexes: feedback of joints and

@@ -34,6 +34,7 @@ FULL = MuscleLaw(
     thinning_velocity=0.2,
     spindle_saturation=0.5,
     spindle_direction=0.4,
+    spindle_threshold=0.1,
 )
 # The preset's damping cannot thin: its shoulder group is negative.
 STIFF = replace(POSITION, name="stiff", b_s=POSITION.b_se)
@@ -184,7 +185,7 @@ def test_spindles_saturate_and_favour_a_direction():
     speed = np.array([-1e6, -0.5, -1e-9, 0.0, 1e-9, 0.5, 1e6])
 
     def answered(saturation, direction):
-        return np.array([spindle_velocity(v, saturation, direction) for v in speed])
+        return np.array([spindle_velocity(v, saturation, direction, 0.0) for v in speed])
 
     np.testing.assert_array_equal(answered(math.inf, 0.0), speed)
     saturated = answered(0.5, 0.0)
@@ -192,6 +193,34 @@ def test_spindles_saturate_and_favour_a_direction():
     np.testing.assert_array_equal(answered(math.inf, 1.0), np.maximum(speed, 0.0))
     one_way = answered(math.inf, -0.4)
     np.testing.assert_allclose(one_way, np.where(speed > 0, 0.6, 1.0) * speed)
+
+
+def test_a_threshold_makes_a_half_wave_a_dead_zone_or_spindles_that_fire_at_rest():
+    speed = np.linspace(-1.0, 1.0, 401)
+
+    def answered(direction, threshold, saturation=math.inf):
+        return np.array([spindle_velocity(v, saturation, direction, threshold) for v in speed])
+
+    above = np.maximum(speed - 0.3, 0.0)
+    np.testing.assert_allclose(answered(1.0, 0.3), above, atol=1e-15)
+    np.testing.assert_allclose(answered(-1.0, 0.3), -above[::-1], atol=1e-15)
+    np.testing.assert_allclose(answered(0.0, 0.3), above - above[::-1], atol=1e-15)
+    np.testing.assert_allclose(answered(0.5, 0.3), above - 0.5 * above[::-1], atol=1e-15)
+    # Saturation is by the speed above the threshold.
+    np.testing.assert_allclose(answered(1.0, 0.3, 0.5), above / (1.0 + above / 0.5), atol=1e-15)
+    np.testing.assert_allclose(answered(1.0, -0.3), np.maximum(speed, -0.3), atol=1e-15)
+    np.testing.assert_allclose(answered(0.0, -1.0), 2.0 * speed, atol=1e-15)
+
+
+def test_co_contraction_moves_the_threshold_of_spindles():
+    law = MuscleLaw(spindle_threshold=(0.3, 0.2, 0.1), spindle_threshold_slope=-0.2, short_range_stiffness=4.0)
+    person = at_level(replace(STIFF, muscle=law), 2.0)
+    np.testing.assert_allclose(person.muscle.of_elements("spindle_threshold"), (0.1, 0.0, -0.1), atol=1e-15)
+    assert person.muscle.of_elements("short_range_stiffness") == (8.0, 8.0, 8.0)
+    twice = at_level(person, 1.5).muscle
+    for field in ("spindle_threshold", "spindle_threshold_slope"):
+        np.testing.assert_allclose(twice.of_elements(field), law.at_level(3.0).of_elements(field), rtol=1e-12)
+    assert at_level(person, 1.0) == person
 
 
 def test_spindles_of_each_muscle_group_answer_its_own_velocity():
@@ -237,7 +266,7 @@ def test_a_step_of_force_creeps_past_the_limit_only_if_it_is_large_and_leaves_a_
 def test_small_movements_see_short_range_stiffness_as_linear():
     # One with tendon organs, which feel the short-range torque too.
     law = replace(FULL, elastic_limit_deg=2.0, loss_angle_deg=1e6, thinning_velocity=1e4, spindle_saturation=1e4)
-    law = replace(law, spindle_direction=0.0)
+    law = replace(law, spindle_direction=0.0, spindle_threshold=0.0)
     people = [replace(RELAX, muscle=law), replace(STIFF, muscle=law.scaled(8.0), kf_s=-0.5, kf_e=-0.4)]
     trials = [
         Trial(subject=subject, perturbation=Tones(rms=2e-3, duration=10.0 + PERIOD, axes=(axis,)))

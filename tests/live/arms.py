@@ -27,7 +27,7 @@ def compared():
     """Linear and lawful muscles, with and without reflexes, uneven delays, other segments and postures."""
     average = average_person().subjects
     odd = replace(POSITION, Td_s=0.0413, Td_e=0.033, fact_e=2.5, zeta_act=1.2, theta_e_deg=60.0, r_f=0.3, c_f=0.45)
-    one_way = replace(average["PT"].muscle, spindle_direction=0.5, elastic_limit_slope=0.01)
+    one_way = replace(average["PT"].muscle, spindle_direction=0.5, spindle_threshold=0.05, elastic_limit_slope=0.01)
     arms = (POSITION, RELAX, *average.values(), at_level(average["PT"], 1.6), odd)
     return [*arms, replace(average["PT"], muscle=one_way)]
 

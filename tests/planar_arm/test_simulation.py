@@ -69,6 +69,7 @@ def test_every_mechanism_acts_as_in_mujoco():
         thinning_velocity=(0.4, 0.5, 0.6),
         spindle_saturation=0.3,
         spindle_direction=(0.5, -0.5, 1.0),
+        spindle_threshold=(0.02, -0.05, 0.1),
     )
     reflexes = {
         "kv_s": 0.4,

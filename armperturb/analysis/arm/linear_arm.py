@@ -156,12 +156,15 @@ class LinearArm:
         arm, gradient = self._arm_and_gradient(values, None, weigh, groups)
         return matrix_last(arm), np.asarray(parameter_last(gradient), dtype=float)
 
-    def total_and_gradient(self, values: Array, environment: Environment) -> tuple[ComplexArray, ComplexArray]:
-        """`total_admittance` and its derivative by every parameter, (..., frequency, output, input, parameter).
+    def total_and_gradient(
+        self, values: Array, environment: Environment, groups: Sequence[str] = tuple(GROUPS)
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """`total_admittance` and its derivative by the groups' parameters, by default all of them.
 
-        As P^-1 = E^-1 + H^-1, dP = P H^-1 dH H^-1 P, where P H^-1 = H^-1 P = (1 + E^-1 H)^-1.
+        The derivative is (..., frequency, output, input, parameter). As P^-1 = E^-1 + H^-1, dP = P H^-1 dH H^-1 P,
+        where P H^-1 = H^-1 P = (1 + E^-1 H)^-1.
         """
-        arm, gradient = self._arm_and_gradient(values, environment)
+        arm, gradient = self._arm_and_gradient(values, environment, None, groups)
         return matrix_last(product(arm, self._share(arm, environment))), parameter_last(gradient)
 
     def poles(self, values: Array, environment: Environment | Environments) -> ComplexArray:

@@ -19,6 +19,10 @@ N_REMEMBERED = 1024
 """Arms whose dynamics are remembered: each trial of a person asks for the same ones."""
 
 
+LONGEST_STRETCH = 2**17
+"""Steps that are simulated at once, for the sake of memory."""
+
+
 class StateSpace(NamedTuple):
     """Coupled arm and environment: x' = A x + B d, y = C x + D d.
 
@@ -180,16 +184,19 @@ def linear_states(subject: Subject, environment: Environment, perturbation: Arra
       perturbation: d [N], (..., time, axis); it runs straight between its samples.
       rate: of the samples [Hz].
     """
-    return _states(state_space(subject, environment), np.asarray(perturbation, dtype=float), rate)
+    force = np.asarray(perturbation, dtype=float)
+    return _states(state_space(subject, environment), force, rate, np.zeros(N_STATES))
 
 
-def _states(system: StateSpace, force: Array, rate: float) -> Array:
+def _states(system: StateSpace, force: Array, rate: float, first: Array) -> Array:
+    """States (..., time, state) from the first of them on, (..., state)."""
     # Exponential of a sample's time of state, force and the force's rise within the sample.
     generator = np.zeros((N_STATES + 4, N_STATES + 4))
     generator[:N_STATES] = np.hstack([system.a / rate, system.b / rate, np.zeros((N_STATES, 2))])
     generator[N_STATES : N_STATES + 2, N_STATES + 2 :] = np.eye(2)
     step, of_force, of_rise = np.split(linalg.expm(generator)[:N_STATES].T, [N_STATES, N_STATES + 2])
-    state = np.zeros((*force.shape[:-1], N_STATES))
+    state = np.empty((*force.shape[:-1], N_STATES))
+    state[..., 0, :] = first
     state[..., 1:, :] = force[..., :-1, :] @ of_force + np.diff(force, axis=-2) @ of_rise
     return _accumulated(state, step)
 
@@ -203,6 +210,11 @@ def simulate_linear(subject: Subject, environment: Environment, perturbation: Ar
       perturbation: d [N], (..., time, axis).
       rate: of the samples [Hz].
     """
-    system = state_space(subject, environment)
-    y = _states(system, np.asarray(perturbation, dtype=float), rate) @ system.c.T
+    system, force = state_space(subject, environment), np.asarray(perturbation, dtype=float)
+    parts, state = [], np.zeros((*force.shape[:-2], N_STATES))
+    for start in range(0, max(force.shape[-2] - 1, 1), LONGEST_STRETCH):
+        states = _states(system, force[..., start : start + LONGEST_STRETCH + 1, :], rate, state)
+        parts.append(states[..., min(start, 1) :, :] @ system.c.T)
+        state = states[..., -1, :]
+    y = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-2)
     return LinearResponse(y[..., 0:2], y[..., 2:4], y[..., 4:6])

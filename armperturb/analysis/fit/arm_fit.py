@@ -15,6 +15,7 @@ from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.measures.endpoint import EndpointImpedance, endpoint_impedance
 from armperturb.analysis.response.frequency_response import Bands
 from armperturb.analysis.results import Description, FitResult, parameter_table, plain, quantile
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -38,6 +39,7 @@ class ArmFit(FitResult):
       largest_real_pole: of arm and environment [1/s].
       criterion: V of eq. 2.19, without penalty, of the arm against the averaged spectra.
       detail: the estimator's own result.
+      trials: that were fitted, as recorded or as `in_start_geometry` has them; empty with the thesis's estimator.
       choice: of the structure, where the trials chose it.
     """
 
@@ -51,6 +53,7 @@ class ArmFit(FitResult):
     largest_real_pole: float
     criterion: float
     detail: Estimate | ThesisEstimate
+    trials: tuple[ConditionTrials, ...] = ()
     choice: Choice | None = None
 
     def unit_of(self, name: str) -> str:

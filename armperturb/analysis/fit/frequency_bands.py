@@ -6,13 +6,16 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from armperturb.arrays import Array, ComplexArray
+from armperturb.arrays import Array, ComplexArray, Indices
 
 N_SMOOTH = 40
 """Trials times frequencies over which the spectrum of the noise is averaged at least."""
 
 RELATIVE_WIDTH = 0.05
 """Half the band over which the spectrum of the noise is averaged at least, over its frequency [-]."""
+
+LARGEST_MATRIX = 2**22
+"""Entries up to which averages are taken by a matrix; it grows with the square of a trial's length."""
 
 EXCITED_POWER = 1e-3
 """Share of the largest power above which a frequency counts as excited. It is larger than that of the lines of a
@@ -33,15 +36,43 @@ class BandOfLack(NamedTuple):
     chi2: float
 
 
-def smoother(n: int, n_trials: int) -> sparse.csr_array:
-    """Matrix that averages over nearby frequencies, the same of each of n_trials trials, (frequency, frequency)."""
-    index = np.arange(n)
-    half = np.maximum(int(np.ceil(N_SMOOTH / n_trials / 2)), (RELATIVE_WIDTH * index).astype(int))
-    first = np.maximum(index - half, 0)
-    count = np.minimum(index + half, n - 1) - first + 1
-    ends = np.cumsum(count)
-    near = np.arange(ends[-1]) - np.repeat(ends - count - first, count)
-    return sparse.csr_array((np.repeat(1.0 / count, count), near, np.append(0, ends)), shape=(n, n))
+class Smoother:
+    """Averages over nearby frequencies, the same of each trial.
+
+    Args:
+      n: how many frequencies there are.
+      n_trials: that are averaged as well.
+      wanted: indices of those at which the average is wanted; None for all.
+    """
+
+    def __init__(self, n: int, n_trials: int, wanted: Indices | None = None) -> None:
+        index = np.arange(n) if wanted is None else wanted
+        half = np.maximum(int(np.ceil(N_SMOOTH / n_trials / 2)), (RELATIVE_WIDTH * index).astype(int))
+        self._first = np.maximum(index - half, 0)
+        self._count = np.minimum(index + half, n - 1) - self._first + 1
+        ends = np.cumsum(self._count)
+        self._matrix: sparse.csr_array | None = None
+        if ends[-1] <= LARGEST_MATRIX:
+            near = np.arange(ends[-1]) - np.repeat(ends - self._count - self._first, self._count)
+            weights = np.repeat(1.0 / self._count, self._count)
+            self._matrix = sparse.csr_array((weights, near, np.append(0, ends)), shape=(len(index), n))
+
+    def __call__(self, values: Array | ComplexArray) -> Array | ComplexArray:
+        """Averages of values (frequency, ...) at the wanted frequencies."""
+        if self._matrix is not None:
+            return np.asarray(self._matrix @ values)
+        # Each band is a sum of blocks whose lengths are powers of two. Differences of running sums would be quicker,
+        # and lose what is weak beside what is strong.
+        total = np.zeros((len(self._first), *values.shape[1:]), dtype=values.dtype)
+        at, blocks, length = self._first.copy(), values, 1
+        while True:
+            odd = np.flatnonzero(self._count & length)
+            total[odd] += blocks[at[odd]]
+            at[odd] += length
+            if 2 * length > self._count.max():
+                break
+            blocks, length = blocks[:-length] + blocks[length:], 2 * length
+        return total / self._count.reshape(-1, *(1,) * (values.ndim - 1))
 
 
 def excited_bands(frequency: Array, force: ComplexArray) -> list[slice]:

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
+from scipy import fft
 
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.fit.admittance_problem import Target, checked_problem, least_squares
@@ -21,6 +22,9 @@ from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.subject import Subject
+
+LONG_RECORD = 2**18
+"""Samples beyond which a record is cut, by a thousandth at most, to a length of which spectra are computed quickly."""
 
 Method = Literal["frequency", "record"]
 """Whether the mean period of each trial is used, or all of it from its start."""
@@ -173,6 +177,8 @@ def _signals(trials: ConditionTrials, window: slice) -> Signals:
 def record_likelihood(trials: ConditionTrials, top: float) -> RecordLikelihood:
     """Likelihood of whole records up to the first pulse, at frequencies up to `top` [Hz]."""
     end = min(trials.first_onset, trials.n_samples - round(EDGE * trials.rate))
+    if end > LONG_RECORD:
+        end = next(n for n in range(end, 0, -1) if fft.next_fast_len(n) == n)
     factor = int(trials.rate // MODEL_RATE)
     if factor < 2:
         return RecordLikelihood(_signals(trials, slice(end)), top, from_rest=trials.from_rest)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -14,10 +15,10 @@ from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.analysis.fit.arm_fit import ArmFit
 from armperturb.analysis.fit.group import Group
-from armperturb.analysis.fit.ladder import Choice, choose_structure
+from armperturb.analysis.fit.ladder import Choice, choose_structure, nearest_to_linear
 from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.own_structures import composed
-from armperturb.analysis.fit.structures import Structure, structure_of, unit
+from armperturb.analysis.fit.structures import STRUCTURES, Structure, structure_of, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, Wanted, fit_wanted
 from armperturb.analysis.measures.endpoint import EndpointImpedance
 from armperturb.analysis.measures.start_geometry import in_start_geometry
@@ -211,7 +212,9 @@ def identify(
       trials: of any perturbation, from rest or amid the movement; or several recordings, which may differ in length. Of
         a larger recording, `recording.sel` or `.isel` picks them.
       model: structure, or its name (see `structures.STRUCTURES`), which keeps the thesis's bounds with the thesis's
-        estimator only. None lets the trials of each condition choose, see `ladder.choose_structure`.
+        estimator only. A structure that is not one of those is fitted in the geometry of the start posture where the
+        trials ask for it, see `ladder.nearest_to_linear`. None lets the trials of each condition choose, see
+        `ladder.choose_structure`.
       estimator: "thesis", "frequency" or "record".
       window_start: start of the window of whole periods, after the transient has died away [s].
       period: of the disturbance [s]; None to find it.
@@ -249,7 +252,9 @@ def identify_conditions(
       trials: condition to trials of one subject, those of one length together, or their recordings; a condition's have
         the same posture.
       model: structure, or its name (see `structures.STRUCTURES`), which keeps the thesis's bounds with the thesis's
-        estimator only. None lets the trials of each condition choose, see `ladder.choose_structure`.
+        estimator only. A structure that is not one of those is fitted in the geometry of the start posture where the
+        trials ask for it, see `ladder.nearest_to_linear`. None lets the trials of each condition choose, see
+        `ladder.choose_structure`.
       estimator: "thesis", "frequency" or "record".
       share: parameters that are the same in all conditions, see `maximum_likelihood.estimate`.
       window_start: start of the window of whole periods, after the transient has died away [s].
@@ -296,13 +301,18 @@ def identify_conditions(
         groups = [
             Group.prepare(parts, structure, window_start=window_start, period=period) for parts in conditions.values()
         ]
+        options = {"window_start": window_start, "period": period}
+        moved = [partial(_in_start_geometry, group, options) for group in groups]
         if model is None:
-            options = {"window_start": window_start, "period": period}
-            choices = [choose_structure([group, *_in_start_geometry(group, **options)], estimator) for group in groups]
+            choices = [choose_structure(*each, estimator) for each in zip(groups, moved, strict=True)]
             fits = {choice.condition: _chosen_fit(choice) for choice in choices}
-        else:
+        elif structure.name in STRUCTURES:
             joint = estimate(groups, estimator, share=share)
             fits = {group.label: _likely_fit(joint, group, spectra[group.label]) for group in groups}
+        else:
+            groups = [nearest_to_linear(*each, estimator) for each in zip(groups, moved, strict=True)]
+            joint = estimate(groups, estimator, share=share)
+            fits = {group.label: _likely_fit(joint, group, group.spectra) for group in groups}
     return Identifications(
         {
             label: Identification(
@@ -378,17 +388,18 @@ def _thesis_fit(
     )
 
 
-def _in_start_geometry(group: Group, **options: Any) -> list[Group]:
-    """The same trials as an arm of constant geometry would have given them; none where the arm cannot reach the handle.
+def _in_start_geometry(group: Group, options: Mapping[str, Any], arm: Subject | None) -> Group | None:
+    """The same trials as an arm of constant geometry would have given them; None where the arm cannot reach the handle.
 
     Args:
       group: the trials as they were recorded.
-      **options: of `Group.prepare`.
+      options: of `Group.prepare`.
+      arm: an estimate of the arm, see `in_start_geometry`.
     """
     try:
-        return [Group.prepare([in_start_geometry(part) for part in group.parts], group.structure, **options)]
+        return Group.prepare([in_start_geometry(part, arm) for part in group.parts], group.structure, **options)
     except ValueError:
-        return []
+        return None
 
 
 def _chosen_fit(choice: Choice) -> ArmFit:
@@ -416,6 +427,7 @@ def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> Ar
         converged=result.converged,
         remarks=result.remarks,
         detail=result,
+        trials=group.parts,
         **_about(result.arms[condition], group.structure, group.parts[0], spectra),
     )
 

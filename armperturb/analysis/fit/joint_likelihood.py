@@ -74,6 +74,11 @@ class JointLikelihood:
                 self._known[column], self._sharpness[column] = mean, sd**-2
         self._arms = [LinearArm(group.body, ()) for group in self.groups]
 
+    @property
+    def is_long(self) -> bool:
+        """Whether derivatives that are not quick take long."""
+        return any(likelihood.is_long for _, likelihood in self.parts)
+
     def initial(self, given: Mapping[str, float]) -> Array:
         """Given values, and where there is none the mean over the groups of where linear least squares would start."""
         values = self._mean([group.initial for group in self.groups])

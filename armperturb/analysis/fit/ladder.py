@@ -17,7 +17,7 @@ the best structure leaves more than noise, its lack of fit (chi2 over degrees of
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -33,6 +33,7 @@ from armperturb.analysis.response.best_linear import best_linear
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
+from armperturb.subject import Subject
 
 CAUTION = 2.0
 """Weight of the loss on left-out trials [-]; 1 would be the expected likelihood of a further trial."""
@@ -62,6 +63,9 @@ ORDER: tuple[tuple[Inertia, ...], tuple[Grip, ...], tuple[Reflex, ...]] = (
 """Choices of inertia, grip and reflexes, each a special case of the next."""
 
 Place = tuple[Inertia, Grip, Reflex]
+
+Geometry = Callable[[Subject | None], Group | None]
+"""Trials of one condition in the geometry of the start posture, from an estimate of the arm."""
 
 CLOSE = 10.0
 """Difference of scores within which a structure is named as nearly as good [-]: a likelihood ratio of 150."""
@@ -182,23 +186,19 @@ class Choice(Result):
         )
 
 
-def choose_structure(groups: Sequence[Group], method: Method = "record") -> Choice:
+def choose_structure(recorded: Group, in_geometry: Geometry | None = None, method: Method = "record") -> Choice:
     """Fit the structures of the ladder to the trials of one condition, and choose.
 
     Args:
-      groups: the trials as they were recorded and, if the geometry allows, as `in_start_geometry` has them; their
-        structures do not matter. Those are used that a linear arm explains best.
+      recorded: the trials as they were recorded; their structure does not matter.
+      in_geometry: the same trials as `in_start_geometry` has them, for an estimate of the arm or None; None where an
+        arm cannot reach the handle. Of all these, those are used that a linear arm explains best.
       method: of the likelihood, see `maximum_likelihood.estimate`.
 
     Raises:
       ValueError: as `estimate`, of every structure that was tried.
     """
-    at = 0
-    if len(groups) > 1:
-        richest: Place = ("free", "spring", "position")
-        rungs = [_sketched(group, richest, _fit_of_spectra(group, richest), (), method) for group in groups]
-        at = min(range(len(groups)), key=lambda number: rungs[number].sketch.objective)
-    group = groups[at]
+    group = nearest_to_linear(recorded, in_geometry, method) if in_geometry else recorded
     fits = _fits_of_spectra(group)
     place = min(fits, key=lambda each: fits[each].score)
     # Neighbouring lines share noise and an arm is never quite linear: the nearest fit sets the scale.
@@ -215,7 +215,35 @@ def choose_structure(groups: Sequence[Group], method: Method = "record") -> Choi
     best = scored[0]
     initial = dict(zip(best.structure.free, best.sketch.values.tolist(), strict=True))
     estimate_of_best = estimate([group.with_structure(best.structure)], method, initial=initial)
-    return Choice(condition=group.label, group=group, in_motion=at > 0, estimate=estimate_of_best, rungs=tuple(scored))
+    return Choice(
+        condition=group.label,
+        group=group,
+        in_motion=group is not recorded,
+        estimate=estimate_of_best,
+        rungs=tuple(scored),
+    )
+
+
+def nearest_to_linear(recorded: Group, in_geometry: Geometry, method: Method) -> Group:
+    """The trials as recorded or in the start geometry: those with the greater likelihood in the richest rung.
+
+    Args:
+      recorded: see `choose_structure`, also for the next two. The group that is returned has its structure.
+      in_geometry: likewise.
+      method: likewise.
+
+    Raises:
+      ValueError: as `estimate`.
+    """
+    richest: Place = ("free", "spring", "position")
+    rung = _sketched(recorded, richest, _fit_of_spectra(recorded, richest), (), method)
+    tried, arm = [(rung.sketch.objective, recorded)], None
+    while len(tried) < 3 and (group := in_geometry(arm)) is not None:
+        others = [] if arm is None else [rung]
+        rung = _sketched(group, richest, _fit_of_spectra(group, richest), others, method)
+        arm = rung.structure.arm(group.body, rung.sketch.values)
+        tried.append((rung.sketch.objective, group))
+    return min(tried, key=lambda each: each[0])[1]
 
 
 def _rank(place: Place) -> tuple[int, ...]:

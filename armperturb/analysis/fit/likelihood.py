@@ -25,8 +25,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft, linalg, stats
 
-from armperturb.analysis.arm.linear_arm import LinearArm
-from armperturb.analysis.fit.frequency_bands import EXCITED_POWER, BandOfLack, excited_bands, smoother
+from armperturb.analysis.fit.frequency_bands import EXCITED_POWER, BandOfLack, Smoother, excited_bands
+from armperturb.analysis.fit.total_admittance import LONGEST_RUN, TotalAdmittance
 from armperturb.arrays import Array, ComplexArray, Indices
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -46,6 +46,9 @@ MEMORY = 20.0
 START_OF_MOVING = 0.5
 """What is left out at the start of a record that begins amid the movement [s], which its filters spoil. From then on it
 fades in over half of `TAPER`."""
+
+LONGEST_SIGNALS = 2**21
+"""Samples of signals that are transformed at once, for the sake of memory."""
 
 ROUND_OFF = 1e-12
 """Noise cannot be less: amplitude over that of the strongest disturbance, power in one direction over all [-]."""
@@ -153,7 +156,12 @@ class Likelihood:
         observed: ComplexArray,
         answering: Indices | slice,
     ) -> None:
-        self._arm, self._environment = LinearArm(signals.body, frequency), signals.environment
+        self._total = TotalAdmittance(signals.body, frequency, signals.environment)
+        # Where an arm answers: often everywhere.
+        asked = frequency[answering]
+        self._answer = (
+            self._total if len(asked) == len(frequency) else TotalAdmittance(signals.body, asked, signals.environment)
+        )
         self._frequency, self._filter = frequency, whitening(frequency, signals.rate)
         self._answering = answering
         self._force, self._observed = force[..., answering], observed[..., answering]
@@ -167,7 +175,7 @@ class Likelihood:
             slice(int(np.searchsorted(index, run.start)), int(np.searchsorted(index, run.stop)))
             for run in excited_bands(frequency, force)
         ]
-        self._smoother = smoother(len(frequency), len(force))[index]
+        self._smoother = Smoother(len(frequency), len(force), index)
         self._least = float(ROUND_OFF * np.abs(force).max()) ** 2
         self._white = np.zeros((2, 2, len(index)), dtype=complex)
         self._latest: tuple[bytes, ComplexArray] = b"", self._observed
@@ -178,6 +186,11 @@ class Likelihood:
     def n_trials(self) -> int:
         """How many trials."""
         return len(self._observed)
+
+    @property
+    def is_long(self) -> bool:
+        """Whether derivatives that are not quick take long."""
+        return len(self._frequency) > LONGEST_RUN
 
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
         """DFT of the whitened P d of some trials where the arm answers, (trial, axis, answer)."""
@@ -192,10 +205,9 @@ class Likelihood:
         raise NotImplementedError
 
     def _quick_slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
-        gradient = _mixed(self._arm.total_and_gradient(values, self._environment)[1], mixing) * self._filter
-        gradient = gradient[..., self._answering]
-        for trial, (first, second) in enumerate(self._force):
-            yield slice(trial, trial + 1), (gradient[:, :, 0] * first + gradient[:, :, 1] * second)[:, None]
+        driven = self._answer.driven_slopes(values, mixing, self._force, self._filter[self._answering])
+        for trial, derivatives in enumerate(driven):
+            yield slice(trial, trial + 1), derivatives[:, None]
 
     def _residual(self, values: Array) -> ComplexArray:
         # A search asks three times in a row about the same arm: cost, weights, slope.
@@ -213,8 +225,7 @@ class Likelihood:
     def weigh(self, values: Array) -> None:
         """Estimate the noise that is left by arms with these parameters; it holds until the next call."""
         mean = values if values.ndim == 1 else values.mean(axis=0)
-        total = self._arm.total_admittance(mean, self._environment) * self._filter[:, None, None]
-        (a, b), (c, d) = np.moveaxis(total, 0, -1)
+        (a, b), (c, d) = self._total(mean) * self._filter
         to_force = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
         answers = to_force[..., self._answering]
         self._unknown = self._unknowns(mean)
@@ -224,7 +235,7 @@ class Likelihood:
         quiet = to_force[..., self._quiet]
         half = np.einsum("acf,cdf->adf", quiet, self._noise_power)
         power[..., self._quiet] = np.einsum("adf,bdf->abf", half, quiet.conj())
-        smooth = np.asarray(self._smoother @ power.reshape(4, -1).T).reshape(-1, 2, 2)
+        smooth = self._smoother(power.reshape(4, -1).T).reshape(-1, 2, 2)
         floor = self._least + ROUND_OFF * np.trace(smooth, axis1=1, axis2=2).real
         root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(2))
         # Real and imaginary part of the residual have half its power each.
@@ -322,17 +333,14 @@ class PeriodLikelihood(Likelihood):
         excited = np.flatnonzero(power > EXCITED_POWER * power.max())
         force[..., power <= EXCITED_POWER * power.max()] = 0.0
         super().__init__(signals, frequency[used], force, spectrum(signals.displacement), excited)
-        self._model = LinearArm(signals.body, frequency[used][excited])
         self._load = force[..., excited] * self._filter[excited]
 
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
-        total = np.moveaxis(self._model.total_admittance(values, self._environment), 0, -1)
-        return _applied(total, self._load[trials])
+        return _applied(self._answer(values), self._load[trials])
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
-        gradient = _mixed(self._model.total_and_gradient(values, self._environment)[1], mixing)[:, None]
-        first, second = self._load[:, 0, None], self._load[:, 1, None]
-        yield slice(None), gradient[:, :, :, 0] * first + gradient[:, :, :, 1] * second
+        for trial, derivatives in enumerate(self._answer.driven_slopes(values, mixing, self._load)):
+            yield slice(trial, trial + 1), derivatives[:, None]
 
 
 class RecordLikelihood(Likelihood):
@@ -363,7 +371,7 @@ class RecordLikelihood(Likelihood):
         fine = fft.rfftfreq(self._n_padded, 1.0 / rate)
         fine = fine[: np.searchsorted(fine, min(1.3 * top, 0.5 * rate))]
         # A model cannot be asked at zero frequency, where powers of it stand in denominators.
-        self._model = LinearArm(signals.body, np.maximum(fine, 1e-6))
+        self._model = TotalAdmittance(signals.body, np.maximum(fine, 1e-6), signals.environment)
         load = fft.rfft(force, self._n_padded, axis=-1)[..., : len(fine)]
         self._load = load * whitening(fine, rate)
         self._past: ComplexArray | None = None
@@ -394,26 +402,25 @@ class RecordLikelihood(Likelihood):
         return np.asarray(fft.rfft(values[..., self._judged] * self._taper, axis=-1)[..., self._used])
 
     def _cut(self, spectrum: ComplexArray) -> ComplexArray:
-        """The same of signals that are given by their DFT over the padded time."""
+        """The same of signals (..., axis) that are given by their DFT over the padded time."""
+        if spectrum.ndim > 2 and spectrum[..., 0].size * self._n_padded > LONGEST_SIGNALS:
+            return np.array([self._cut(part) for part in spectrum])
         return self._spectrum(fft.irfft(spectrum, self._n_padded, axis=-1))
 
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
-        total = np.moveaxis(self._model.total_admittance(values, self._environment), 0, -1)
-        return self._cut(_applied(total, self._load[trials]))
+        return self._cut(_applied(self._model(values), self._load[trials]))
 
     def _unknowns(self, values: Array) -> ComplexArray | None:
         if self._past is None:
             return None
-        total = np.moveaxis(self._model.total_admittance(values, self._environment), 0, -1)
+        total = self._model(values)
         moved = [self._cut(total[:, axis] * self._past[:, None]) for axis in range(2)]
         offsets = self._drift[:, None, None] * np.eye(2)[..., None]
         return np.concatenate([*moved, offsets.reshape(-1, 2, offsets.shape[-1])])
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
-        gradient = _mixed(self._model.total_and_gradient(values, self._environment)[1], mixing)
-        for trial, load in enumerate(self._load):  # one at a time, for the sake of memory
-            derivatives = self._cut(gradient[:, :, 0] * load[0] + gradient[:, :, 1] * load[1])
-            yield slice(trial, trial + 1), derivatives[:, None]
+        for trial, driven in enumerate(self._model.driven_slopes(values, mixing, self._load)):
+            yield slice(trial, trial + 1), self._cut(driven)[:, None]
 
 
 def _applied(matrix: ComplexArray, values: ComplexArray) -> ComplexArray:
@@ -422,11 +429,6 @@ def _applied(matrix: ComplexArray, values: ComplexArray) -> ComplexArray:
     return np.stack(
         [matrix[0, 0] * first + matrix[0, 1] * second, matrix[1, 0] * first + matrix[1, 1] * second], axis=-2
     )
-
-
-def _mixed(gradient: ComplexArray, mixing: Array) -> ComplexArray:
-    """Derivatives by the free parameters, (parameter, output, input, frequency)."""
-    return np.tensordot(mixing.T, gradient.transpose(3, 1, 2, 0), 1)
 
 
 def _rows(values: ComplexArray) -> Array:

@@ -208,18 +208,18 @@ def estimate(
     first_method: Method = "record" if any(group.period is None for group in groups) else "frequency"
     problem = JointLikelihood(groups, first_method, share)
     first = problem.stabilised(problem.initial(initial or {}))
-    search = _search(problem, first)
+    search = _best(problem, first)
     fitted = _judge(problem, first_method, search)
     if not np.isfinite(list(fitted.standard_error.values())).all():
         problem.require_identifiable(first)
     is_given = initial is not None and len(initial) == len(problem.names)
     if not is_given and (not fitted.converged or fitted.is_suspicious):
-        other = _search(problem, problem.stabilised(problem.published()))
+        other = _best(problem, problem.stabilised(problem.published()))
         if problem.objective(other.values) < fitted.objective:
             search = other
     if first_method != method:
         problem = JointLikelihood(groups, method, share)
-        search = _search(problem, problem.stabilised(search.values))
+        search = _best(problem, problem.stabilised(search.values))
     return _judge(problem, method, _with_trial_effects(problem, search))
 
 
@@ -298,6 +298,15 @@ def profile(
         deviance[index] = problem.cost(held.values) - least
         problem.lower, problem.upper = bounds[0].copy(), bounds[1].copy()
     return deviance
+
+
+def _best(problem: JointLikelihood, start: Array) -> _Search:
+    """The most likely values; of long trials, full derivatives refine what quick ones lead to."""
+    if problem.is_long:
+        problem.quick = True
+        start = _search(problem, start).values
+        problem.quick = False
+    return _search(problem, start)
 
 
 def _search(

@@ -8,26 +8,48 @@ force on the hand, d = disturbance and E = m s^2 + b s + k of the manipulator,
     x' = J_0 q,      f' = J_0^-T J^T f,      d' = d + (f' - f) + E (x' - x).
 
 The torque J^T f of the muscles and q are those that were recorded, so that stiffness, damping and reflexes are exactly
-those of a linear arm from f' to x', and d' - f' moves the manipulator by x'. What is left is that the inertia of the
-joints depends on the elbow, and centripetal torques. The hand is taken to be where the handle is: the grip gives way by
-less than a millimetre.
+those of a linear arm from f' to x', and d' - f' moves the manipulator by x'.
+
+Two more things are known once the arm has been estimated. Its grip G gives way by G f, so that the hand is at x - G f
+and x' = J_0 q + G f'. And the inertia of its joints depends on the elbow angle theta, by the coupling c of the
+segments: what the torque of the start posture's inertia lacks,
+
+    tau = c (cos theta - cos theta_0) [2 q_s'' + q_e'', q_s''] + c sin theta [-(2 q_s' + q_e') q_e', q_s'^2],
+
+is subtracted from J^T f. c is the difference of the inertia's off-diagonal and the elbow's over cos theta_0. Near a
+right angle, where that says nothing, it is what anthropometric tables make of the elbow's inertia.
 """
 
 from dataclasses import replace
 
 import numpy as np
+from scipy import signal
 
-from armperturb.analysis.arm.geometry import hand_jacobian
+from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix
 from armperturb.analysis.measures.kinematics import CUTOFF, hand_path, joint_rotations, joint_velocities
 from armperturb.analysis.trials import ConditionTrials, Trials, prepared
 from armperturb.arrays import Array
+from armperturb.subject import Subject
+
+COUPLING = 1.25
+"""Coupling of the segments over l_h / l_f times the elbow's inertia [-], which is centre / (centre^2 + gyration^2) of
+the forearm with hand in shares of l_f: 1.29 to 1.32 by the tables of `anthropometry`, 1.15 to 1.19 with 0.5 kg of cuff
+and handle at the hand."""
+
+LEAST_LAG = 1e-6
+"""Time constant of a grip without damping, as a share of a sample [-]."""
+
+COUPLING_ERROR, INERTIA_ERROR = 0.15, 0.003
+"""How far people are from that, and the difference of estimated inertias from the truth over the elbow's [-]."""
 
 
-def in_start_geometry(trials: Trials) -> ConditionTrials:
+def in_start_geometry(trials: Trials, arm: Subject | None = None) -> ConditionTrials:
     """Trials of one person in one condition without what the geometry of the moving arm makes nonlinear.
 
     Args:
       trials: of an arm whose segments turn, as those of people do. A simulated linear arm's would get worse.
+      arm: an estimate of it, whose grip and joint inertia are used; None for a rigid grip and an inertia that does not
+        depend on the posture.
 
     Returns:
       Trials with manipulator and instruments' noise of the given ones.
@@ -37,14 +59,18 @@ def in_start_geometry(trials: Trials) -> ConditionTrials:
     """
     ready = prepared(trials)
     start, environment, rate = hand_jacobian(ready.body), ready.environment, ready.rate
-    hand, rotations = hand_path(ready.recording), joint_rotations(ready.recording)
+    of_hand = ready.recorded_displacement - _deflection(arm, ready.force, rate)
+    moved = ready.recording.assign(displacement=ready.recording["displacement"].copy(data=of_hand))
+    hand, rotations = hand_path(moved), joint_rotations(moved)
     shoulder = ready.body.posture[0] + rotations[..., 0]
     elbow = ready.body.l_h * np.stack([np.cos(shoulder), np.sin(shoulder)], axis=-1)
-    torque = np.stack([_moment(arm, ready.force) for arm in (hand, hand - elbow)], axis=-1)
-    force, displacement = torque @ np.linalg.inv(start), rotations @ start.T
+    torque = np.stack([_moment(part, ready.force) for part in (hand, hand - elbow)], axis=-1)
+    if arm is not None:
+        torque -= _inertial_torque(coupling(arm), rotations, ready.body.posture[1], rate)
+    force = torque @ np.linalg.inv(start)
+    displacement = rotations @ start.T + _deflection(arm, force, rate)
     excess = displacement - ready.recorded_displacement
-    velocity = joint_velocities(excess, rate, cutoff=CUTOFF if rate / 2 > CUTOFF else None)
-    acceleration = joint_velocities(velocity, rate, cutoff=None)
+    velocity, acceleration = _derivatives(excess, rate)
     balance = environment.m_env * acceleration + environment.b_env * velocity + environment.k_env * excess
     signals = {
         "perturbation": ready.perturbation + force - ready.force + balance,
@@ -53,6 +79,44 @@ def in_start_geometry(trials: Trials) -> ConditionTrials:
     }
     changed = {name: ready.recording[name].copy(data=values) for name, values in signals.items()}
     return replace(ready, recording=ready.recording.assign(changed), given=ready.instruments)
+
+
+def coupling(arm: Subject) -> float:
+    """Moment of the forearm's mass about the elbow times the length of the humerus [kg m^2], from the joint inertia.
+
+    The least squares of what the inertia at the start posture and tables tell, see the head of this module.
+    """
+    (_, between), (_, elbow) = mass_matrix(arm)
+    cosine, usual = np.cos(arm.posture[1]), COUPLING * arm.l_h / arm.l_f * elbow
+    of_arm, of_tables = 1.0 / (INERTIA_ERROR * elbow) ** 2, 1.0 / (COUPLING_ERROR * usual) ** 2
+    return float((of_arm * cosine * (between - elbow) + of_tables * usual) / (of_arm * cosine**2 + of_tables))
+
+
+def _inertial_torque(coupled: float, rotations: Array, elbow: float, rate: float) -> Array:
+    """What the inertia of the start posture lacks [Nm], (..., time, joint)."""
+    velocity, acceleration = _derivatives(rotations, rate)
+    (w_s, w_e), (a_s, a_e) = (np.moveaxis(part, -1, 0) for part in (velocity, acceleration))
+    angle = elbow + rotations[..., 1]
+    change, sine = np.cos(angle) - np.cos(elbow), np.sin(angle)
+    of_shoulder = change * (2.0 * a_s + a_e) - sine * (2.0 * w_s + w_e) * w_e
+    return coupled * np.stack([of_shoulder, change * a_s + sine * w_s**2], axis=-1)
+
+
+def _deflection(arm: Subject | None, force: Array, rate: float) -> Array:
+    """How far the grip gives way [m], (..., time, axis), under a force that runs straight between its samples."""
+    if arm is None or np.isinf(arm.k_h):
+        return np.zeros_like(force)
+    lag = max(arm.b_h * rate / arm.k_h, LEAST_LAG)
+    decay = np.exp(-1.0 / lag)
+    now, before = (1.0 - lag * (1.0 - decay)) / arm.k_h, (lag * (1.0 - decay) - decay) / arm.k_h
+    settled = force[..., :1, :] * (1.0 / arm.k_h - now)
+    return np.asarray(signal.lfilter([now, before], [1.0, -decay], force, axis=-2, zi=settled)[0])
+
+
+def _derivatives(path: Array, rate: float) -> tuple[Array, Array]:
+    """First and second derivative in time, of the shape of the path."""
+    velocity = joint_velocities(path, rate, cutoff=CUTOFF if rate / 2 > CUTOFF else None)
+    return velocity, joint_velocities(velocity, rate, cutoff=None)
 
 
 def _moment(arm: Array, force: Array) -> Array:

@@ -25,15 +25,18 @@ from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
-LAWS: tuple[Law, ...] = ("linear", "short-range", "full")
+LAWS: tuple[Law, ...] = ("linear", "short-range", "full", "half-wave")
 """From the simplest to the largest."""
+
+START_FROM: Mapping[Law, Law] = {"full": "short-range", "half-wave": "full"}
+"""Law to the one from whose estimates it starts."""
 
 MECHANISMS: Mapping[str, Mapping[str, float]] = {
     "thixotropy": {"loss_angle_deg": math.inf, "recovery_time": 1.0},
     "shear-thinning damping": {"thinning_velocity": math.inf},
     "spindle saturation": {"spindle_saturation": math.inf},
 }
-"""Mechanism of the full law to the values of its parameters that switch it off."""
+"""Mechanism of the full and the half-wave law to the values of its parameters that switch it off."""
 
 CHANCE = 0.025
 """Probability of preferring a larger law that is no better [-]."""
@@ -110,7 +113,7 @@ class Choice(Result):
       judged: law to how well it does, from the simplest to the largest.
       chosen: the simplest law over which no larger one has a significant gain.
       gains: each larger law's gain over the one that had been chosen before it was judged.
-      mechanisms: mechanism to what the full law gains over that without it; empty unless they were asked for.
+      mechanisms: mechanism to what the chosen law gains over that without it; empty unless they were asked for.
     """
 
     judged: Mapping[Law, Judged]
@@ -144,6 +147,8 @@ class Choice(Result):
                 "short-range": "these trials show short-range stiffness and yielding; they do not show thixotropy, "
                 "shear-thinning damping or spindle saturation",
                 "full": "these trials show more than short-range stiffness and yielding: the full law",
+                "half-wave": "these trials show half-wave rectified spindles: the full law with a direction and a "
+                "threshold of the velocity feedback",
             }[self.chosen]
         )
         lines += [
@@ -176,8 +181,8 @@ def compare_laws(
       sets: trials of one person to fit, see `training_sets`. Conditions with a single trial are fitted only.
       arms: condition to a linear arm that fits it.
       left_out: whole trials whose pulses are predicted, see `training_sets`.
-      laws: to compare, from the simplest to the largest.
-      mechanisms: whether the mechanisms of the full law are judged singly, if it is chosen.
+      laws: to compare, from the simplest to the largest; the half-wave law is that of the position task only.
+      mechanisms: whether the mechanisms of the full law are judged singly, if it or the half-wave law is chosen.
       n_pairs: pairs of draws of the noise in fits to all trials, see `fit`.
       n_pairs_of_folds: pairs of draws in the folds' fits.
       checkpoint: folder for the checkpoints of all fits; a comparison that was stopped there goes on.
@@ -191,6 +196,8 @@ def compare_laws(
     folds = _folds(sets)
     if not folds:
         raise ValueError("each condition has one trial; expected two in one at least, to leave one out")
+    if not any(trials.body.task == "PT" for trials in sets):
+        laws = [law for law in laws if law != "half-wave"]
     arms = nearest_arms(sets, arms)
     fits = _Fits(arms, checkpoint, progress, options)
     judged: dict[Law, Judged] = {}
@@ -199,20 +206,20 @@ def compare_laws(
     chosen: Law = laws[0]
     for law in laws:
         # A linear arm's stiffness is that of all bonds, so a yielding one starts from the arms of all amplitudes.
-        starts = in_folds["short-range"] if law == "full" else []
+        starts = in_folds.get(START_FROM[law], []) if law in START_FROM else []
         judged[law], in_folds[law] = fits.judge(folds, Model(law=law), law, starts, n_pairs_of_folds)
         if law != laws[0]:
             gains[law] = judged[law].gain(judged[chosen])
             if gains[law].is_shown:
                 chosen = law
     singly: dict[str, Gain] = {}
-    if mechanisms and chosen == "full":
-        free = {stem(name) for name in in_folds["full"][0].values}
+    if mechanisms and chosen in ("full", "half-wave"):
+        free = {stem(name) for name in in_folds[chosen][0].values}
         for name, off in MECHANISMS.items():
             if free & set(off):
-                without = Model(fixed=off)
-                reduced, _ = fits.judge(folds, without, f"full without {name}", in_folds["full"], n_pairs_of_folds)
-                singly[name] = judged["full"].gain(reduced)
+                without = Model(law=chosen, fixed=off)
+                reduced, _ = fits.judge(folds, without, f"{chosen} without {name}", in_folds[chosen], n_pairs_of_folds)
+                singly[name] = judged[chosen].gain(reduced)
     for law in laws:
         if left_out or law == chosen:
             estimate = fits.fit(sets, Model(law=law), law, in_folds[law][0].values, n_pairs)

@@ -123,6 +123,10 @@ def identify_nonlinear(
       ModuleNotFoundError: numba is not installed.
     """
     load_compiled_arm()  # refused before anything that takes time
+    if law == "half-wave" and "PT" not in recording["task"].values:
+        raise ValueError(
+            "law = 'half-wave' of trials without reflexes (task RT); expected trials of the task PT (or --law full)"
+        )
     directions = list(pulse_directions_deg)
     sets = fitted_conditions(recording)
     recorded = {float(deg) for trials in sets.values() for deg in trials.direction_deg if not np.isnan(deg)}

@@ -14,8 +14,10 @@ from armperturb.files import packaged_table
 from armperturb.muscle_law import ELEMENTS, MuscleLaw
 from armperturb.subject import Subject, at_level
 
-Law = Literal["linear", "short-range", "full"]
-"""No muscle law; short-range stiffness with yielding; also thixotropy, shear-thinning damping, spindle saturation."""
+Law = Literal["linear", "short-range", "full", "half-wave"]
+"""No muscle law; short-range stiffness with yielding; also thixotropy, shear-thinning damping, spindle saturation; and,
+in the position task, half-wave rectified spindles with a threshold.
+"""
 
 QUANTITIES = ("k", "b", "kv", "kp")
 """Quantities of which each muscle group has its own."""
@@ -25,7 +27,15 @@ EFFECTS: Mapping[str, tuple[str, ...]] = {"PT": QUANTITIES, "RT": QUANTITIES[:2]
 
 BODY, GRIP = ("m_h", "m_f"), ("k_h", "b_h")
 SHORT_RANGE = ("short_range_stiffness", "elastic_limit_deg")
-COMMON = ("elastic_limit_spread", "loss_angle_deg", "recovery_time", "thinning_velocity", "spindle_saturation")
+HALF_WAVE = ("spindle_direction", "spindle_threshold")
+COMMON = (
+    "elastic_limit_spread",
+    "loss_angle_deg",
+    "recovery_time",
+    "thinning_velocity",
+    "spindle_saturation",
+    *HALF_WAVE,
+)
 
 FIXED: Mapping[str, float] = {"Td": 0.030, "fact": 3.5}
 """Delay [s] and cut-off of the activation [Hz] of both joints, unless they are set free (thesis 2.7)."""
@@ -38,7 +48,10 @@ BOUNDS: Mapping[str, tuple[float, float]] = {name: (low, high) for name, (low, h
 LEAST_THINNING = 0.02
 """Least damping of a group that is shear-thinning [Nms/rad]."""
 
-SIGNED: Mapping[str, float] = {"k": 0.2, "b": 0.1, "kv": 0.5, "kp": 2.0}
+SIGNED: Mapping[str, float] = {
+    **{"k": 0.2, "b": 0.1, "kv": 0.5, "kp": 2.0},
+    **{"spindle_direction": 0.5, "spindle_threshold": 0.1},
+}
 """Quantities that may be negative, to the size above which their coordinate is nearly the logarithm, in their `unit`.
 
 A single-joint group has what the joint has beyond the two-joint group (eq. 2.10): it is negative at the shoulder of the
@@ -59,7 +72,7 @@ def unit(name: str) -> str:
 def bounds(name: str, law: Law) -> tuple[float, float]:
     """Least and greatest value of a parameter; shear-thinning damping must be positive."""
     low, high = BOUNDS[stem(name)]
-    return (LEAST_THINNING, high) if law == "full" and stem(name) == "b" else (low, high)
+    return (LEAST_THINNING, high) if law in ("full", "half-wave") and stem(name) == "b" else (low, high)
 
 
 def coordinate(name: str, value: float) -> float:
@@ -125,10 +138,10 @@ class Model:
         if self.law != "linear":
             names += [f"{name}.{element}" for name in SHORT_RANGE for element in ELEMENTS]
             names.append("elastic_limit_spread")
-        if self.law == "full":
+        if self.law in ("full", "half-wave"):
             names += ["loss_angle_deg", "recovery_time", "thinning_velocity"]
             if task == "PT":
-                names.append("spindle_saturation")
+                names += ["spindle_saturation", *(HALF_WAVE if self.law == "half-wave" else ())]
         if task == "PT":
             names += [f"level.{condition}" for condition in conditions[1:]]
         return tuple(names)

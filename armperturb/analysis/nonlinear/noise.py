@@ -6,11 +6,11 @@ frequencies. Records begin at rest and fade out.
 """
 
 import numpy as np
-from scipy import fft, sparse
+from scipy import fft
 
 from armperturb.analysis.arm.linear_arm import LinearArm
 from armperturb.analysis.arm.parameters import parameter_vector
-from armperturb.analysis.fit.frequency_bands import excited_bands, smoother
+from armperturb.analysis.fit.frequency_bands import Smoother, excited_bands
 from armperturb.analysis.fit.likelihood import ROUND_OFF, TAPER, whitened, whitening
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
@@ -48,7 +48,7 @@ class Noise:
         total = LinearArm(arm, self._frequency).total_admittance(parameter_vector(arm), environment)
         (a, b), (c, d) = np.moveaxis(total * whitening(self._frequency, rate)[:, None, None], 0, -1)
         self._to_force = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
-        self._smoother: sparse.csr_array = smoother(len(self._frequency), n_trials)
+        self._smoother = Smoother(len(self._frequency), n_trials)
         self.root = np.zeros((len(self._frequency), 2, 2), dtype=complex)
         self._white = self._to_force
 
@@ -61,7 +61,7 @@ class Noise:
     def _power(self, residual: Array) -> ComplexArray:
         force = self._spectrum(self._to_force, residual)
         power = np.einsum("taf,tbf->fab", force, force.conj()) / len(force)
-        return np.asarray(self._smoother @ power.reshape(-1, 4)).reshape(-1, 2, 2)
+        return self._smoother(power.reshape(-1, 4)).reshape(-1, 2, 2)
 
     def weigh(self, residual: Array) -> None:
         """Estimate the spectrum from residuals [m], (trial, time, axis); it weights `white` until the next call."""
@@ -138,7 +138,7 @@ class Noise:
           simulated: residuals of draws of strength 1, (draw and trial, number).
         """
         wanted, drawn = (
-            self._smoother @ np.mean(np.sum(values.reshape(len(values), 4, -1) ** 2, axis=1), axis=0)
+            self._smoother(np.mean(np.sum(values.reshape(len(values), 4, -1) ** 2, axis=1), axis=0))
             for values in (white, simulated)
         )
         ratio = np.sqrt(wanted / np.maximum(drawn, np.finfo(float).tiny))

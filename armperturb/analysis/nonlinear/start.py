@@ -22,7 +22,10 @@ LONG_RANGE = 0.6
 """Share of the softest linear stiffness that starts as long-range stiffness [-]."""
 
 USUAL: Mapping[str, Mapping[str, float]] = {
-    "PT": {"thinning_velocity": 1.5, "spindle_saturation": 1.5, "loss_angle_deg": 40.0, "recovery_time": 1.5},
+    "PT": {
+        **{"thinning_velocity": 1.5, "loss_angle_deg": 40.0, "recovery_time": 1.5},
+        **{"spindle_saturation": 1.5, "spindle_direction": 0.0, "spindle_threshold": 0.0},
+    },
     "RT": {"thinning_velocity": 0.3, "loss_angle_deg": 30.0, "recovery_time": 1.0},
 }
 TRIED: Mapping[str, tuple[float, ...]] = {

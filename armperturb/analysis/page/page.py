@@ -68,8 +68,8 @@ def write_page(
 def _content(results: Identifications, trials: Mapping[str, Sequence[ConditionTrials]], origin: Origin) -> str:
     choices = {label: result.fit.choice for label, result in results.items() if result.fit.choice is not None}
     checks = {label: check_data(trials[label], origin.window_start, origin.period) for label in results}
-    # A choice of structure may have been made from trials in the start geometry: what it leaves is left of those.
-    fitted = {label: choices[label].group.parts if label in choices else trials[label] for label in results}
+    # What a fit to trials in the start geometry leaves is left of those.
+    fitted = {label: result.fit.trials or trials[label] for label, result in results.items()}
     diagnoses = {label: diagnose(result, fitted[label]) for label, result in results.items()}
     verdicts = {label: verdict(result, diagnoses[label].bands) for label, result in results.items()}
     distortions = {label: _distortion(fitted[label], check) for label, check in checks.items()}

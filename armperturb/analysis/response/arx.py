@@ -49,6 +49,10 @@ ROWS_PER_COEFFICIENT = 3
 """Least number of samples for each coefficient of a channel."""
 
 
+MOST_ROWS = 2**14
+"""Equations that are factored at once, for the sake of memory."""
+
+
 class Arx(NamedTuple):
     """An ARX model of one order.
 
@@ -140,13 +144,20 @@ class Regression:
             )
         factor = np.sqrt(self.n_rows) * NOISE_FLOOR * np.eye(width, width + self.n_outputs)
         for part in trials:
-            lagged = [part[highest - lag : len(part) - lag] for lag in range(1, highest + 1)]
-            now = part[highest:]
-            rows = np.concatenate([now[:, self.n_outputs :], *lagged, now[:, : self.n_outputs]], axis=1)
-            stacked = np.concatenate([factor, rows - rows.mean(axis=0)])
-            factor = linalg.qr(stacked, mode="r", overwrite_a=True, check_finite=False)[0][: stacked.shape[1]]
+            mean = np.concatenate([values.mean(axis=0) for values in self._lagged(part, 0, len(part))])
+            for start in range(highest, len(part), MOST_ROWS):
+                rows = np.concatenate(self._lagged(part, start - highest, start + MOST_ROWS), axis=1)
+                stacked = np.concatenate([factor, rows - mean])
+                factor = linalg.qr(stacked, mode="r", overwrite_a=True, check_finite=False)[0][: stacked.shape[1]]
         self.factor = factor
         """Columns: u, then y and u of each lag, then y; in units of their scales."""
+
+    def _lagged(self, part: Array, first: int, last: int) -> list[Array]:
+        """Columns of equations whose samples are from `first` to before `last`: u, y and u of each lag, y."""
+        samples = part[first:last]
+        n, now = len(samples), samples[self.highest :]
+        lagged = (samples[self.highest - lag : n - lag] for lag in range(1, self.highest + 1))
+        return [now[:, self.n_outputs :], *lagged, now[:, : self.n_outputs]]
 
     def width(self, order: int) -> int:
         """Regressors of an order."""

@@ -92,8 +92,8 @@ def _pointer_to(kind: Any) -> Any:
     return intrinsic(point)
 
 
-_step: Any = intrinsic(_call_step)
-_numbers, _counts = _pointer_to(types.float64), _pointer_to(types.int32)
+step_once: Any = intrinsic(_call_step)
+numbers_at, _counts = _pointer_to(types.float64), _pointer_to(types.int32)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -116,9 +116,9 @@ def advance(
     work, held, sent, angle, velocity = np.zeros((4, 3)), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
     for lane in range(len(arms)):
         a = arms[lane]
-        qpos, qvel = carray(_numbers(a.qpos), (a.n_qpos,)), carray(_numbers(a.qvel), (a.n_qvel,))
-        ctrl, applied = carray(_numbers(a.ctrl), (a.n_ctrl,)), carray(_numbers(a.qfrc_applied), (a.n_qfrc_applied,))
-        sensors = carray(_numbers(a.sensordata), (a.n_sensordata,))
+        qpos, qvel = carray(numbers_at(a.qpos), (a.n_qpos,)), carray(numbers_at(a.qvel), (a.n_qvel,))
+        ctrl, applied = carray(numbers_at(a.ctrl), (a.n_ctrl,)), carray(numbers_at(a.qfrc_applied), (a.n_qfrc_applied,))
+        sensors = carray(numbers_at(a.sensordata), (a.n_sensordata,))
         p, m = table[lane], memory[lane]
         for step in range(known.shape[1] + 1):
             row = log[lane, step]
@@ -136,7 +136,7 @@ def advance(
                 applied[a.hinge + i], ctrl[a.motor + i] = held[i], sent[i]
             for i in range(4):
                 ctrl[a.motor + 2 + i] = known[lane, step, i]
-            _step(mj_step, a.model, a.data)
+            step_once(mj_step, a.model, a.data)
             for i in range(2):
                 row[8 + i] = sensors[a.gauge + i]
         counts = carray(_counts(a.warnings), (2 * max(DIVERGED) + 1,))
@@ -161,5 +161,5 @@ def set_muscles(arms: Table, which: Indices, stiffness: Array, damping: Array) -
             (a.jnt_stiffness, a.n_jnt_stiffness, a.tendon_stiffness, a.n_tendon_stiffness, stiffness[i]),
             (a.dof_damping, a.n_dof_damping, a.tendon_damping, a.n_tendon_damping, damping[i]),
         ):
-            of_joints, of_tendons = carray(_numbers(joints), (n_joints,)), carray(_numbers(tendons), (n_tendons,))
+            of_joints, of_tendons = carray(numbers_at(joints), (n_joints,)), carray(numbers_at(tendons), (n_tendons,))
             of_joints[a.hinge], of_joints[a.hinge + 1], of_tendons[a.two_joint] = groups[0], groups[2], groups[1]

@@ -299,6 +299,7 @@ const ArmModel = (() => {
     const dampingGroups = groups(b), kvGroups = groups(kv);
     const saturation = law ? law.spindle_saturation : [Infinity, Infinity, Infinity];
     const direction = law ? law.spindle_direction : [0, 0, 0];
+    const threshold = law ? law.spindle_threshold : [0, 0, 0];
     const upper0 = arm.theta_s_deg * RADIAN, lower0 = upper0 + arm.theta_e_deg * RADIAN;
     const handX = arm.l_h * Math.cos(upper0) + arm.l_f * Math.cos(lower0);
     const handY = arm.l_h * Math.sin(upper0) + arm.l_f * Math.sin(lower0);
@@ -372,8 +373,11 @@ const ArmModel = (() => {
       if (!reflexive) return;
       const excitation = [kv[0] * ws + kv[1] * we + kp[0] * qs + kp[1] * qe, kv[1] * ws + kv[2] * we + kp[1] * qs + kp[2] * qe];
       [ws, ws + we, we].forEach((velocity, e) => {
-        let seen = velocity / (1 + Math.abs(velocity) / saturation[e]);
-        if (velocity * direction[e] < 0) seen *= 1 - Math.abs(direction[e]);
+        const answered = speed => {
+          const above = Math.max(speed, threshold[e]) - Math.max(threshold[e], 0);
+          return above / (1 + Math.abs(above) / saturation[e]);
+        };
+        const seen = Math.min(1 + direction[e], 1) * answered(velocity) - Math.min(1 - direction[e], 1) * answered(-velocity);
         const missing = kvGroups[e] * (seen - velocity);
         if (e < 2) excitation[0] += missing;
         if (e > 0) excitation[1] += missing;

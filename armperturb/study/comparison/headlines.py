@@ -9,6 +9,7 @@ import numpy as np
 
 from armperturb.analysis.measures.statistics import FEWEST, effect_of_condition, post_hoc
 from armperturb.arrays import Array
+from armperturb.study.comparison.ceiling import contradictions
 from armperturb.study.published import tables as published
 from armperturb.study.results.quantities import JOINT_LETTERS, Cell
 from armperturb.study.results.trial_measures import PersonMeasures, PulseMeans
@@ -47,6 +48,7 @@ class Headline:
       ours: the study's; NaN if it cannot be computed.
       unit: of both.
       remark: how it was computed, or why it was not.
+      contradiction: what other printed numbers say against the published one; else empty.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Headline:
     ours: float
     unit: str = "-"
     remark: str = ""
+    contradiction: str = ""
 
 
 def headlines(people: Sequence[PersonMeasures]) -> tuple[Headline, ...]:
@@ -214,4 +217,11 @@ def _table(people: Sequence[PersonMeasures], pulses: Sequence[tuple[str, str]]) 
 def _headline(name: str, ours: float | str, remark: str = "", *, unit: str = "-", text: str = "") -> Headline:
     """A number beside the printed one, or beside a text; a number in words is the reason why there is none."""
     value, why = (math.nan, ours) if isinstance(ours, str) else (ours, remark)
-    return Headline(name=name, published=text or published.headline_text(name), ours=value, unit=unit, remark=why)
+    return Headline(
+        name=name,
+        published=text or published.headline_text(name),
+        ours=value,
+        unit=unit,
+        remark=why,
+        contradiction=contradictions().get(name, ""),
+    )

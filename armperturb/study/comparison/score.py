@@ -21,6 +21,7 @@ import pandas as pd
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.results import Description, Result, Table
 from armperturb.files import write_csv, written_whole
+from armperturb.study.comparison.ceiling import OF_PRINTED_ARMS, replicate_share
 from armperturb.study.comparison.headlines import Headline, headlines
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import FitEntry, MeanSD
@@ -93,7 +94,10 @@ class Score(Result):
             ("number of the text", "published", "ours", "unit", "remark"),
             tuple((line.name, line.published, f"{line.ours:.3g}", line.unit, line.remark) for line in self.headlines),
         )
-        details = [line.rstrip() for line in quoted.lines()]
+        details = [*ceiling_lines(self.people), "", *(line.rstrip() for line in quoted.lines())]
+        if against := [line for line in self.headlines if line.contradiction]:
+            details += ["", "numbers of the text that other printed numbers contradict:"]
+            details += [f"  {line.name}: {line.contradiction}" for line in against]
         if missing := missing_cells(self):
             details += ["", "cells that could not be computed:"]
             details += [f"  {where}: {n} cells: {reason}" for (reason, where), n in missing.items()]
@@ -159,16 +163,38 @@ class Share(NamedTuple):
         return tuple(n / self.published for n in self.within)
 
 
+def ceiling_lines(people: int) -> tuple[str, ...]:
+    """What shares can be reached, in words.
+
+    Args:
+      people: number of people behind the score.
+    """
+    each = ", ".join(f"{100.0 * replicate_share(limit, people):.0f}" for limit in LIMITS)
+    of_arms = ", ".join(f"{name} {low} to {high}" for name, (low, high) in OF_PRINTED_ARMS.items())
+    return (
+        f"as many other people of the published population would have {each} % of cells within these SDs",
+        f"people who are the mean arms of the tables have within 1 SD [%]: {of_arms}",
+    )
+
+
 def score(study: StudyResult) -> Score:
     """Compare an analysed study with the published tables."""
-    cells = _measured_cells(study.people)
-    cells += [_fitted_cell(entry, study.appendices, study.people) for entry in published.fit_entries()]
     return Score(
         people=len(study.people),
-        cells=tuple(cells),
+        cells=(*_measured_cells(study.people), *fitted_cells(study.appendices, study.people)),
         headlines=headlines(study.people),
         remarks=(*study.missing, *study.remarks, *_diverged(study.appendices)),
     )
+
+
+def fitted_cells(fits: Appendices, people: Sequence[PersonMeasures] = ()) -> tuple[ScoredCell, ...]:
+    """Cells of appendices C to E.
+
+    Args:
+      fits: everybody's.
+      people: who was recorded, for the reasons why cells cannot be computed.
+    """
+    return tuple(_fitted_cell(entry, fits, people) for entry in published.fit_entries())
 
 
 def _measured_cells(people: Sequence[PersonMeasures]) -> list[ScoredCell]:

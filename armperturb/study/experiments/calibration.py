@@ -23,7 +23,7 @@ from armperturb.analysis.measures.pulse import WINDOWS
 from armperturb.analysis.results import Description, Result, Table
 from armperturb.arrays import Array
 from armperturb.cohort import STABILITY_MARGIN
-from armperturb.controllers.remnant import HUMAN_NOISE
+from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
 from armperturb.environment import Environment
 from armperturb.files import written_whole
 from armperturb.perturbations.multisine import PERIOD
@@ -60,11 +60,11 @@ MARGIN_SD = 0.25
 TOLERANCE = 5e-3
 """The search ends when an iteration lowers the objective by less than this share."""
 
-_STEADY = {
-    task: replace(noise, spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
-    for task, noise in HUMAN_NOISE.items()
-}
-"""People's noise, but no change of their muscles from trial to trial: draws that jump would hide slopes."""
+
+def steady(noise: HumanNoise) -> HumanNoise:
+    """The noise without change of the muscles from trial to trial: draws that jump would hide slopes."""
+    return replace(noise, spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
+
 
 SEEN, UNSEEN = 500, 900
 """First seeds of the multisines of the search, and of those on which its result is judged."""
@@ -95,6 +95,7 @@ def simulated_cells(
     seeds: Sequence[int],
     *,
     noisy: bool = True,
+    noise: HumanNoise | None = None,
     environment: Environment | None = None,
     engine: str = "compiled",
     **options: Any,
@@ -104,7 +105,8 @@ def simulated_cells(
     Args:
       candidates: who is perturbed by the published mean forces.
       seeds: of the multisines; each adds four trials to every condition that has one.
-      noisy: whether they are noisy, as people are, but with the same muscles in every trial.
+      noisy: whether they are noisy, but with the same muscles in every trial.
+      noise: how noisy; as people are in the task if not given.
       environment: what the hand holds; the thesis's manipulator if not given.
       engine: see `run_experiment`.
       **options: further ones of `run_experiment`.
@@ -117,12 +119,13 @@ def simulated_cells(
     cells_of: dict[int, dict[Cell, float]] = {number: {} for number in able}
     if able:
         continuous, alone = schedules(candidates[0].subject.task)
+        of_all = steady(noise or HUMAN_NOISE[candidates[0].subject.task]) if noisy else None
         for protocol, own_seeds in ((continuous, seeds), (alone, seeds[:1])):
             forces = protocol.given_forces()
             people = [candidates[number].person for number in able]
             trials = [
                 [
-                    replace(trial, noise=_STEADY[trial.subject.task] if noisy else None)
+                    replace(trial, noise=of_all)
                     for seed in own_seeds
                     for trial in protocol.trials(person, forces, seed, 0)
                 ]
@@ -255,6 +258,7 @@ def calibrate(
     n_multisines: int = 1,
     max_iterations: int = 20,
     n_threads: int = 0,
+    noise: HumanNoise | None = None,
     environment: Environment | None = None,
     progress: Callable[[str], object] | None = None,
 ) -> Calibration:
@@ -267,6 +271,7 @@ def calibrate(
       n_multisines: sets of multisines that the search sees.
       max_iterations: of the search.
       n_threads: 0 takes all cores; no effect on the result.
+      noise: of the people whom the cells are compared with; that of all people in the task if not given.
       environment: what the hand holds; the thesis's manipulator if not given.
       progress: called with a line per evaluation.
 
@@ -285,6 +290,7 @@ def calibrate(
         seeds=[SEEN + 1000 * seed + number for number in range(n_multisines)],
         environment=environment or Environment(),
         n_threads=n_threads,
+        noise=noise,
         progress=progress or (lambda line: None),
     )
     start = np.array([np.log(u.start / u.typical) / np.log(u.factor) for u in sought])
@@ -297,7 +303,7 @@ def calibrate(
     values = search.values(solution.x)
     candidate = Candidate.of(task, values)
     unseen = [UNSEEN + 1000 * seed + number for number in range(N_UNSEEN)]
-    cells = simulated_cells([candidate], unseen, environment=environment, n_threads=n_threads)[0]
+    cells = simulated_cells([candidate], unseen, noise=noise, environment=environment, n_threads=n_threads)[0]
     if cells is None:
         raise RuntimeError(f"calibrate: the average person in {task} leaves the workspace on multisines not seen")
     return Calibration(
@@ -314,6 +320,7 @@ class _Search:
     seeds: Sequence[int]
     environment: Environment
     n_threads: int
+    noise: HumanNoise | None
     progress: Callable[[str], object]
 
     def values(self, point: Array) -> dict[str, float]:
@@ -332,7 +339,9 @@ class _Search:
     def residuals(self, points: Sequence[Array]) -> list[Array | None]:
         """Deviations of cells, unknowns and poles, in standard deviations; None where nothing can be simulated."""
         candidates = [Candidate.of(self.task, self.values(point)) for point in points]
-        answers = simulated_cells(candidates, self.seeds, environment=self.environment, n_threads=self.n_threads)
+        answers = simulated_cells(
+            candidates, self.seeds, noise=self.noise, environment=self.environment, n_threads=self.n_threads
+        )
         wanted = _cells(self.task, CALIBRATED)
         residuals: list[Array | None] = []
         for candidate, cells, point in zip(candidates, answers, points, strict=True):

@@ -9,6 +9,7 @@ import numpy as np
 
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
 from armperturb.pages.formats import digits, fixed
+from armperturb.study.comparison.ceiling import OF_PRINTED_ARMS, replicate_share
 from armperturb.study.comparison.effects import Effects
 from armperturb.study.comparison.elastic_limits import NAMES, elastic_rows
 from armperturb.study.comparison.headlines import Headline
@@ -180,7 +181,15 @@ def _agreement(score: Score) -> dict[str, Any]:
         if (line := by_name.get(name))
     ]
     of_group = {label: shares(score)[name] for name, label in WORDS["groups"].items()}
-    return {"factors": factors, "shares": of_group, "differs": _differs(score, factors)}
+    reach = {name: f"{low} to {high} %" for name, (low, high) in OF_PRINTED_ARMS.items()}
+    reachable = {label: reach.get(name, "") for name, label in WORDS["groups"].items()}
+    return {
+        "factors": factors,
+        "shares": of_group,
+        "differs": _differs(score, factors),
+        "reachable": reachable,
+        "replicate": replicate_share(1.0, score.people),
+    }
 
 
 def _mark(line: Headline) -> str:
@@ -194,6 +203,8 @@ def _differs(score: Score, factors: list[Row]) -> list[str]:
     """The largest differences, in words."""
     off = [factor for factor in factors if factor["mark"] == "beyond-1"]
     lines = [f"{len(off)} of {len(factors)} headline numbers are off by more than {100.0 * NEAR:.0f} %"] if off else []
+    if against := [factor for factor in off if factor["contradiction"]]:
+        lines.append(f"no people can have {len(against)} of these, which other printed numbers contradict")
     measured = [scored for scored in score.cells if scored.cell.table[0] in "2F"]
     beyond = [scored for scored in measured if abs(scored.z) > 2.0]
     if beyond:

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate
 
+from armperturb.analysis.arm import state_space as state_space_module
 from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix, with_rigid_segments
 from armperturb.analysis.arm.joint_matrices import Environments
 from armperturb.analysis.arm.linear_arm import (
@@ -330,3 +331,11 @@ def test_an_arm_that_is_lost_costs_the_others_nothing():
     poles = LinearArm(POSITION, [1.0]).poles(values, ENVIRONMENT)
     assert np.isnan(poles[1]).all()
     np.testing.assert_array_equal(poles[[0, 2]], LinearArm(POSITION, [1.0]).poles(values[[0, 2]], ENVIRONMENT))
+
+
+def test_long_simulations_go_in_stretches(monkeypatch):
+    force = np.random.default_rng(0).normal(size=(2, 1000, 2))
+    usual = simulate_linear(POSITION, ENVIRONMENT, force, 200.0)
+    monkeypatch.setattr(state_space_module, "LONGEST_STRETCH", 64)
+    for found, expected in zip(simulate_linear(POSITION, ENVIRONMENT, force, 200.0), usual, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())

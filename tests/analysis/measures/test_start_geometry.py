@@ -1,12 +1,17 @@
 """What the geometry of the moving arm makes nonlinear, removed: against closed forms, and on foreign arms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from foreign_arms import Arm, symmetric
+from foreign_arms import Arm, admittance, symmetric
 from foreign_recordings import Setup, draw_foreign, recording_of
 
-from armperturb.analysis.fit.identify import identify
-from armperturb.analysis.measures.start_geometry import in_start_geometry
+from armperturb.analysis.fit.group import Group
+from armperturb.analysis.fit.maximum_likelihood import estimate
+from armperturb.analysis.fit.own_structures import composed
+from armperturb.analysis.measures.start_geometry import coupling, in_start_geometry
+from armperturb.analysis.trials import prepared
 from benchmarks.foreign_arms import JUDGED, right_structure
 
 RATE = 500.0
@@ -59,13 +64,59 @@ def test_the_manipulator_is_moved_as_before():
     assert np.abs(left[inside]).max() < 2e-3 * np.abs(load).max()
 
 
-@pytest.mark.slow(reason="fits of six recordings")
+def known(arm, body):
+    """The arm as the package describes it."""
+    grip = {} if arm.grip is None else dict(zip(("k_h", "b_h"), arm.grip, strict=True))
+    structure = composed(grip="rigid" if arm.grip is None else "spring")
+    values = {
+        f"i_{joint}": value
+        for joint, value in zip(("s", "se", "e"), arm.mass_matrix()[[0, 0, 1], [0, 1, 1]], strict=True)
+    }
+    values |= {
+        f"{name}_{joint}": v for name in "kb" for joint, v in zip(("s", "se", "e"), getattr(arm, name), strict=True)
+    }
+    return structure.arm(body, np.array([(values | grip)[name] for name in structure.free]))
+
+
+@pytest.mark.parametrize("grip", [None, (1.5e4, 60.0)], ids=["rigid", "soft"])
+def test_an_arm_that_moves_by_centimetres_becomes_linear(grip):
+    arm = replace(ARM, grip=grip)
+    setup = Setup(arm=arm, period=4.0, duration=5.0, n_trials=1, amid=True, rms=0.02, remnant=0.0, rate=400.0)
+    recording = setup.recording()
+    arms = None, known(arm, prepared(recording).body)
+    frequency = np.arange(1, 81) / 4.0
+    theory = admittance(arm, frequency)
+    left = []
+    for ready in (prepared(recording), *(in_start_geometry(recording, each) for each in arms)):
+        force, path = (
+            np.fft.rfft(part[0, -1600:], axis=0)[1:81] for part in (ready.force, ready.recorded_displacement)
+        )
+        left.append(np.linalg.norm(path - (theory @ force[..., None])[..., 0]) / np.linalg.norm(path))
+    assert left[0] > 2.0 * left[1] > 20.0 * left[2], left
+    assert left[2] < 1e-3
+
+
+@pytest.mark.parametrize("elbow", [60.0, 90.0, 115.0])
+def test_the_inertia_tells_the_coupling_except_at_a_right_angle(elbow):
+    arm = replace(ARM, posture_deg=(40.0, elbow))
+    setup = Setup(arm=arm, n_trials=1, duration=5.0)
+    n = round(5.0 * setup.rate)
+    rng = np.random.default_rng(0)
+    d, f, x = rng.standard_normal((3, 1, n, 2)) * np.array([1.0, 1.0, 1e-3])[:, None, None, None]
+    estimated = coupling(known(arm, prepared(recording_of(setup, d, f, x)).body))
+    assert estimated == pytest.approx(arm.inertia()[1], rel=0.2 if elbow == 90.0 else 1e-3)
+
+
+@pytest.mark.slow(reason="six fits")
 def test_foreign_arms_that_move_by_centimetres_are_identified_within_their_errors():
     ratios = []
-    for seed in (6, 11, 19):
+    for seed in (6, 11):
         setup = draw_foreign(seed, rms=0.02, kind="multisine", reflex="none", period=8.0, n_trials=4, duration=20.0)
-        recording, structure, truth = setup.recording(), right_structure(setup.truth), setup.truth
-        fits = [identify(trials, structure).fit for trials in (recording, in_start_geometry(recording))]
+        recording, structure, truth, arm = setup.recording(), right_structure(setup.truth), setup.truth, None
+        fits = [estimate([Group.prepare(recording, structure)], "record")]
+        for _ in range(2):
+            fits.append(estimate([Group.prepare(in_start_geometry(recording, arm), structure)], "record"))
+            (arm,) = fits[-1].arms.values()
         ratios.append([[(fit.values[n] - truth[n]) / fit.standard_error[n] for n in JUDGED] for fit in fits])
-    moving, constant = np.sqrt(np.mean(np.square(ratios), axis=(0, 2)))
-    assert constant < 1.5 < moving
+    moving, without_arm, with_arm = np.sqrt(np.mean(np.square(ratios), axis=(0, 2)))
+    assert with_arm < 1.5 < moving, (moving, without_arm, with_arm)

@@ -6,7 +6,7 @@ import nonlinear_trials as made
 import numpy as np
 import pytest
 
-from armperturb.analysis.nonlinear.choice import Choice, Gain, Judged, compare_laws
+from armperturb.analysis.nonlinear.choice import Choice, Gain, Judged, compare_laws, left_out_likelihood
 from armperturb.analysis.nonlinear.draws import lack_of_fit, predict_with_noise, simulate_deviations
 from armperturb.analysis.nonlinear.estimate import fit, free_parameters, nearest_arms
 from armperturb.analysis.nonlinear.model import Model, true_values
@@ -89,6 +89,29 @@ def test_without_noise_the_truth_is_found(ideal):
     assert found.subject("RT", "RT7.5").muscle.of_elements("elastic_limit_deg") == pytest.approx(
         PERSON.muscle.of_elements("elastic_limit_deg"), rel=0.01
     )
+
+
+@pytest.mark.slow(reason="simulates, fits and judges half-wave spindles")
+def test_direction_and_threshold_of_half_wave_spindles_are_found_and_chosen():
+    average = average_person().subjects["PT"]
+    law = replace(average.muscle, spindle_direction=0.7, spindle_threshold=0.15)
+    person = replace(average, muscle=law)
+    true = true_values(person, {})
+    free = ("kv.shoulder", "spindle_direction", "spindle_threshold")
+    forces = [made.push(seed, 5.0, 8.0) for seed in range(4)]
+    trials = made.trial_set(made.record(person, forces, condition="PT7.5"))
+    arms = {"PT7.5": replace(average, muscle=None)}
+    fixed = {name: value for name, value in true.items() if name not in free}
+    models = {
+        "half-wave": Model(law="half-wave", fixed=fixed),
+        "full": Model(fixed={name: value for name, value in fixed.items() if name not in free}),
+    }
+    train, test = trials.take(range(2)), trials.take(range(2, 4))
+    fits = {law: fit([train], arms, model, n_pairs=0, n_pairs_of_errors=2) for law, model in models.items()}
+    for name in free:
+        assert fits["half-wave"].values[name] == pytest.approx(true[name], rel=0.02)
+    gain = left_out_likelihood(fits["half-wave"], [test], arms) - left_out_likelihood(fits["full"], [test], arms)
+    assert gain.min() > 5.0
 
 
 @pytest.mark.slow(reason="simulates eight trials and fits them")

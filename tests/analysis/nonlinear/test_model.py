@@ -36,6 +36,9 @@ def test_the_full_law_of_relaxed_people_has_these_parameters():
 def test_smaller_laws_have_fewer():
     full, short, linear = (set(parameters(Model(law=law), "PT").names) for law in ("full", "short-range", "linear"))
     assert full - short == {"loss_angle_deg", "recovery_time", "thinning_velocity", "spindle_saturation"}
+    half_wave = set(parameters(Model(law="half-wave"), "PT").names)
+    assert half_wave - full == {"spindle_direction", "spindle_threshold"}
+    assert parameters(Model(law="half-wave"), "RT").names == parameters(Model(), "RT").names  # without reflexes
     assert {name.partition(".")[0] for name in short - linear} == {
         "short_range_stiffness", "elastic_limit_deg", "elastic_limit_spread",
     }  # fmt: skip

@@ -8,6 +8,7 @@ from scipy import signal
 from armperturb import POSITION, Environment, Instruments, Multisine, Trial, arm_admittance, run_experiment
 from armperturb.analysis.arm.linear_arm import environment_admittance, total_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.response import arx
 from armperturb.analysis.response.arx import Regression, fit_arx
 from armperturb.analysis.response.estimate import METHODS, response
 from armperturb.analysis.response.joint_records import admittance_of, excited_frequencies, joint_records, variance_of
@@ -298,6 +299,15 @@ def test_the_covariance_is_that_of_repetitions():
         # 150 squares of normal errors, complex or nearly real: each mean has a spread of 0.08 to 0.12.
         assert np.mean(values) == pytest.approx(1.0, abs=0.1)
         assert np.abs(np.mean(values, axis=0) - 1.0).max() < 0.5
+
+
+def test_long_trials_are_factored_in_parts(monkeypatch):
+    records = arx_records([400, 300], 0, 0.3)
+    whole = Regression(records, 6).model(4)
+    monkeypatch.setattr(arx, "MOST_ROWS", 90)
+    parts = Regression(records, 6).model(4)
+    for found, expected in ((parts.weights, whole.weights), (parts.noise, whole.noise)):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
 def test_the_order_is_enough_and_not_much_more():

@@ -16,6 +16,7 @@ from armperturb.cli import main
 from armperturb.environment import Environment
 from armperturb.plots.style import new_figure
 from armperturb.recording import load_recording
+from armperturb.study.comparison.cohorts import CohortScores
 from armperturb.study.comparison.headlines import PULSED, headlines
 from armperturb.study.comparison.score import (
     Score,
@@ -98,7 +99,7 @@ def test_files(result, tmp_path):
         assert Cell(row["table"], row["condition"], row["quantity"]) == one.cell
         assert float(row["z"]) == pytest.approx(one.z, nan_ok=True)
         assert row["reason"] == one.reason
-    assert (path.parent / "headlines.csv").read_text().startswith("name,published,ours,unit,remark\n")
+    assert (path.parent / "headlines.csv").read_text().startswith("name,published,ours,unit,remark,contradiction\n")
     assert (path.parent / "score.txt").read_text() == result.summary() + "\n"
 
 
@@ -181,6 +182,27 @@ def test_shares():
     assert found["C"].within == (1, 1, 1)
     assert found["total"][:2] == (6, 5)
     assert share([missing]).within == (0, 0, 0)
+
+
+def test_scores_of_several_cohorts_are_means_with_their_spread(result):
+    other = replace(result, headlines=tuple(replace(line, ours=2.0 * line.ours) for line in result.headlines))
+    both = CohortScores(scores=(result, other))
+    frame = both.to_frame()
+    assert frame.loc[("total", 0)].to_list() == frame.loc[("total", 1)].to_list()
+    assert frame.loc[("2.1 and F", 0), "within_1_sd"] == pytest.approx(100.0 * shares(result)["2.1 and F"].parts[1])
+    assert "2.1" not in frame.index.levels[0]
+    line = next(line for line in result.headlines if math.isfinite(line.ours) and line.ours)
+    mean, spread = 1.5 * line.ours, abs(line.ours) / math.sqrt(2.0)
+    (shown,) = [row for row in both.summary().splitlines() if row.split()[:1] == [line.name]]
+    assert f"{mean:.3g} ({spread:.2g})" in shown
+    assert len(repr(both).splitlines()) <= LINES
+    assert both.plot(new_figure(3.0)).has_data()
+
+
+def test_the_summary_says_what_can_be_reached(result):
+    text = result.summary()
+    assert "as many other people of the published population would have" in text
+    assert "admittance_amplitude_factor_pt: mean parameters of tables C.6 and C.10 give 1.3 to 1.4" in text
 
 
 def trial(condition, level, displacement, admittance, predicted, **changes):
@@ -368,6 +390,9 @@ def test_command(folder, study, result, tmp_path, capsys, monkeypatch):
     assert capsys.readouterr().out == f"{result.summary()}\nresults: {tmp_path / 'out'}\n"
     assert (tmp_path / "out" / "score.csv").is_file()
     assert sorted(folder.rglob("*")) == before
+    monkeypatch.setattr(analyse, "analyse_study", lambda root, workers: study)
+    assert main(["score", str(folder), str(folder), "--out", str(tmp_path)]) == 1
+    assert "expected one study with --out" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from armperturb.cohort import average_body, average_person
+from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.files import read_toml
 from armperturb.muscle_law import ELEMENTS
@@ -20,6 +21,7 @@ from armperturb.study.experiments.calibration import (
     save_calibrations,
     schedules,
     simulated_cells,
+    steady,
 )
 from armperturb.study.experiments.candidates import LAWS, Candidate, unknowns
 from armperturb.study.recording.practice import linear_displacement
@@ -98,6 +100,29 @@ def test_laws_leave_out_what_they_lack(task):
 def test_search_starts_with_stable_people(task):
     for law in LAWS:
         assert poles(Candidate.of(task, typical(task, law)), Environment()).max() < 0
+
+
+def test_the_noise_of_a_calibration_is_the_one_asked_for(monkeypatch):
+    seen = []
+
+    def measured(trials, environment, **options):
+        seen.extend(trial.noise for of_person in trials for trial in of_person)
+        return [{} for _ in trials]
+
+    monkeypatch.setattr(module, "cells_of_trials", measured)
+    candidate = Candidate.of("RT", typical("RT", "linear"))
+    for options, expected in (
+        ({"noisy": False}, None),
+        ({}, steady(HUMAN_NOISE["RT"])),
+        (
+            {"noise": replace(HUMAN_NOISE["RT"], remnant_cutoff=20.0)},
+            replace(steady(HUMAN_NOISE["RT"]), remnant_cutoff=20.0),
+        ),
+    ):
+        seen.clear()
+        assert simulated_cells([candidate], [3], **options) == [None]
+        assert set(seen) == {expected}
+    assert steady(HUMAN_NOISE["RT"]).spread_k == 0.0 < HUMAN_NOISE["RT"].spread_k
 
 
 def test_linear_person_moves_as_theory_says(linear):

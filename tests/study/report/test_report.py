@@ -293,6 +293,10 @@ def test_summary_has_score_and_headline_numbers(page, out):
     for name, printed in (("admittance_ratio_rt7.5_pt7.5", "18"), ("pulse_underprediction_factor", "1.7")):
         [shown] = [row for row in factors if row[1] == printed]
         assert number(shown[2]) == pytest.approx(float(by_name[name]["ours"]), rel=0.006)
+    reach = {row[0].partition(":")[0]: row[0].partition("printed arms: ")[2] for row in page.tables["shares"][1:]}
+    assert {name for name, share in reach.items() if share} == {"six structures", "six starts", "final structure"}
+    contradicted = [row[0] for row in factors if row[0].endswith("(contradicted)")]
+    assert len(contradicted) == sum(bool(row["contradiction"]) for row in by_name.values()) == 4
 
 
 def test_summary_tells_what_differs(written, out):

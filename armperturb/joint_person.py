@@ -1,0 +1,176 @@
+"""A person of one joint, moved by a servo: what the one-joint laboratory simulates.
+
+The presets are round numbers of the size that is measured in people: ankle, Weiss, Hunter & Kearney (1988, J. Biomech.
+21) and Mirbagheri, Barbeau & Kearney (2000, Exp. Brain Res. 135); wrist, Lehman & Calhoun (1990, Exp. Brain Res. 81),
+De Serres & Milner (1991, Exp. Brain Res. 86); elbow, Bennett, Hollerbach, Xu & Hunter (1992, Exp. Brain Res. 88). They
+are nobody's, and what follows from them holds for simulated people.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Self
+
+from armperturb.files import packaged_table, read_toml
+from armperturb.muscle_law import MuscleLaw
+from armperturb.subject import Subject
+from armperturb.validation import require_keys, require_name, require_one_of, require_ranges
+
+SERVO_KINDS = ("position", "force")
+"""What a device does: impose the movement, or be a virtual environment that is perturbed."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointPerson:
+    """One joint of a synthetic person: intrinsic path, reflex path, and a muscle law as in the arm.
+
+    The joint is the single-joint shoulder element of the arm's muscle law and reflexes (docs/muscle.md).
+
+    Attributes:
+      joint: its name, e.g. "ankle".
+      inertia: of the limb and what is fixed to it [kg m^2], > 0.
+      damping: intrinsic [Nms/rad], >= 0.
+      stiffness: intrinsic, at the posture [Nm/rad], >= 0.
+      kv: gain of the velocity feedback [Nms/rad].
+      kp: gain of the position feedback [Nm/rad].
+      delay: of the reflex [s], at least two steps of the simulation.
+      cutoff: of the second-order activation [Hz].
+      zeta: relative damping of the activation [-].
+      posture_deg: angle of the joint about which it is perturbed [deg]; says where, and changes nothing.
+      load: mean torque that the person holds against the device [Nm]; likewise.
+      muscle: departures from linear muscle and reflexes; None is linear.
+
+    Raises:
+      TypeError: a parameter is not a number, or muscle no `MuscleLaw`.
+      ValueError: a parameter is not finite or out of its range.
+    """
+
+    joint: str
+    inertia: float
+    damping: float
+    stiffness: float
+    kv: float = 0.0
+    kp: float = 0.0
+    delay: float = 0.04
+    cutoff: float = 5.0
+    zeta: float = 0.75
+    posture_deg: float = 0.0
+    load: float = 0.0
+    muscle: MuscleLaw | None = None
+
+    def __post_init__(self) -> None:
+        require_name("JointPerson", "joint", self.joint)
+        require_ranges("JointPerson", self)
+        if self.muscle is not None and not isinstance(self.muscle, MuscleLaw):
+            raise TypeError(f"JointPerson: muscle = {self.muscle!r}; expected MuscleLaw or None")
+
+    @property
+    def subject(self) -> Subject:
+        """The arm whose single-joint shoulder muscles are those of this joint; its elbow is meant to be held."""
+        muscle = self.muscle
+        if muscle is not None:
+            stiffness, _, _ = muscle.of_elements("short_range_stiffness")
+            muscle = replace(muscle, short_range_stiffness=(stiffness, 0.0, 0.0))
+        values: dict[str, float] = {"k_s": self.stiffness, "b_s": self.damping, "kv_s": self.kv, "kp_s": self.kp}
+        others = dict.fromkeys(("k_se", "k_e", "b_se", "b_e"), 0.0)
+        timing = {"Td_s": self.delay, "Td_e": self.delay, "fact_s": self.cutoff, "fact_e": self.cutoff}
+        body = {"m_h": 1.0, "m_f": 1.0, "b_h": 1.0, "k_h": 1.0, "theta_s_deg": 0.0, "zeta_act": self.zeta}
+        return Subject(task="PT", name=self.joint, muscle=muscle, **values, **others, **timing, **body)
+
+    def at_level(self, level: float) -> Self:
+        """The person at another level of contraction: torques in proportion, thresholds of spindles moved.
+
+        Args:
+          level: of contraction, as a multiple of the person's own [-], >= 0.
+        """
+        changes = {name: level * getattr(self, name) for name in ("damping", "stiffness", "kv", "kp", "load")}
+        return replace(self, muscle=self.muscle and self.muscle.at_level(level), **changes)
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any], source: str = "person") -> Self:
+        """A person from parameters by name; `muscle` is a table, see `MuscleLaw`.
+
+        Raises:
+          ValueError: a key is unknown or missing, or a value is refused.
+          TypeError: a value has the wrong type.
+        """
+        known = [field.name for field in fields(cls)]
+        require_keys(source, values, known, ("joint", "inertia", "damping", "stiffness"))
+        if values.get("muscle") is not None:
+            values = {**values, "muscle": MuscleLaw.from_dict(values["muscle"])}
+        try:
+            return cls(**values)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"{source}: {error}") from None
+
+    @classmethod
+    def load_file(cls, path: str | Path) -> Self:
+        """Read a person from a TOML file whose keys are the parameter names.
+
+        Raises:
+          ValueError: the file is no TOML, or a key or value is refused.
+          OSError: the file cannot be read.
+        """
+        return cls.from_dict(read_toml(path, "inertia = 0.016"), source=str(path))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Parameter name to value, as `from_dict` reads it."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Servo:
+    """The device, fixed to the limb: an inertia, damper and spring about the joint.
+
+    A position servo is a stiff one whose neutral angle follows the command; a force servo is a virtual environment that
+    a torque perturbs.
+
+    Attributes:
+      kind: of `SERVO_KINDS`.
+      inertia: [kg m^2], > 0.
+      damping: [Nms/rad], >= 0.
+      stiffness: [Nm/rad], >= 0.
+
+    Raises:
+      ValueError: the kind is unknown, or a value is out of its range.
+    """
+
+    kind: str
+    inertia: float
+    damping: float
+    stiffness: float
+
+    def __post_init__(self) -> None:
+        require_one_of("Servo", "kind", self.kind, SERVO_KINDS)
+        require_ranges("Servo", self)
+
+
+_TABLES = packaged_table(__package__, "joint_people.toml")
+
+JOINT_PEOPLE: Mapping[str, JointPerson] = {
+    name: JointPerson.from_dict(values) for name, values in _TABLES["people"].items()
+}
+"""Presets by joint; their reflex is linear, see `half_wave`."""
+
+
+def half_wave(person: JointPerson, threshold: float, slope: float = 0.0) -> JointPerson:
+    """The person with spindles that respond to stretch alone (Kearney, Stein & Parameswaran 1997).
+
+    Args:
+      person: with a reflex.
+      threshold: speed of stretch above which they respond [rad/s]; below zero they fire at rest.
+      slope: change of the threshold per unit of contraction [rad/s], see `JointPerson.at_level`.
+    """
+    law = person.muscle or MuscleLaw()
+    one_sided = replace(law, spindle_direction=1.0, spindle_threshold=threshold, spindle_threshold_slope=slope)
+    return replace(person, muscle=one_sided)
+
+
+def servo_of(joint: str, kind: str) -> Servo:
+    """The preset device of a joint; that of the ankle for a joint that has none.
+
+    Raises:
+      ValueError: the kind is unknown.
+    """
+    require_one_of("servo", "kind", kind, SERVO_KINDS)
+    return Servo(kind=kind, **_TABLES["servos"].get(joint, _TABLES["servos"]["ankle"])[kind])

@@ -1,0 +1,288 @@
+"""How far an arm is from people's, in standard deviations between people.
+
+Admittance, and what it says about stiffness, damping and inertia at the hand and at the joints, are found for the arm
+and for each person of a reference in the same way: the impedance Z = H^-1 is fitted by K + s B + s^2 I over low
+frequencies, by least squares in which each frequency counts alike. What delayed reflexes do at these frequencies is in
+all three, for the arm and for the people alike.
+
+References are "thesis", linear arms drawn from the published means and SDs of parameters, whose admittance is known,
+and "people", people of our cohort with nonlinear muscles, whose admittance depends on the perturbation: they meet the
+force that the arm met.
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from armperturb.analysis.arm.geometry import hand_jacobian
+from armperturb.analysis.arm.linear_arm import arm_admittance
+from armperturb.analysis.arm.state_space import largest_real_pole
+from armperturb.analysis.measures.endpoint import EndpointMatrix
+from armperturb.analysis.response.estimate import response
+from armperturb.analysis.results import Description, Result, Table
+from armperturb.arrays import Array, ComplexArray
+from armperturb.cohort import draw_person, draw_subject
+from armperturb.environment import Environment
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.trial import Trial
+from armperturb.perturbations import Sampled
+from armperturb.plots.style import COLOURS, GREY, INK, PALE, figure_for, in_style
+from armperturb.recording import named
+from armperturb.subject import POSITION, RELAX, TASKS, Subject
+from armperturb.validation import require_one_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+REFERENCES = ("thesis", "people")
+"""Whom an arm can be compared with."""
+
+N_DRAWN = {"thesis": 60, "people": 16}
+"""Arms of each reference."""
+
+HIGHEST = 20.0
+"""Frequency up to which admittances are compared [Hz]."""
+
+LOW = 6.0
+"""Frequency up to which the impedance is that of one stiffness, damping and inertia [Hz]."""
+
+MATRICES = {"stiffness": "N/m", "damping": "Ns/m", "inertia": "kg"}
+JOINT_UNITS = {"k": "Nm/rad", "b": "Nms/rad", "i": "kg m^2"}
+SETTLED = 8.0
+"""Start of the window of all trials [s]."""
+
+GEOMETRY = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
+"""Labels of a recording that say where the joints are."""
+
+Rows = list[tuple[str, str, str, float]]
+"""Group, quantity, unit and value."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Likeness(Result):
+    """An arm beside people.
+
+    Attributes:
+      label: of the arm.
+      reference: "thesis" or "people".
+      task: of the people.
+      frequency: at which admittances are compared [Hz], (frequency,).
+      gains: larger and smaller gain of the arm's admittance [m/N], (frequency, 2).
+      reference_gains: of the people, (person, frequency, 2).
+      table: group, quantity, value, people's mean and SD, unit, and the distance in SDs.
+      distance: group to the root mean square of its quantities' distances [SD].
+      usual: group to the distance that 95 % of the people keep from the others [SD].
+    """
+
+    label: str
+    reference: str
+    task: str
+    frequency: Array
+    gains: Array
+    reference_gains: Array
+    table: pd.DataFrame
+    distance: Mapping[str, float]
+    usual: Mapping[str, float]
+
+    def describe(self) -> Description:
+        """Distances of admittance, ellipses and parameters."""
+        who = {"thesis": "arms of the thesis's tables", "people": "people of the cohort"}[self.reference]
+        facts = [
+            f"{group}: {self.distance[group]:.1f} SD ({'as' if self.is_human(group) else 'not as'} people's; 95 % of "
+            f"them are within {self.usual[group]:.1f})"
+            for group in self.distance
+        ]
+        rows = [
+            (row.quantity, f"{row.value:.3g}", f"{row.mean:.3g}", f"{row.sd:.2g}", row.unit, f"{row.distance:+.1f}")
+            for row in self.table.itertuples()
+            if row.group != "admittance"
+        ]
+        return Description(
+            title=f"{self.label} beside {len(self.reference_gains)} {who} ({self.task})",
+            facts=tuple(facts),
+            table=Table(("quantity", "arm", "people", "SD", "unit", "distance [SD]"), tuple(rows)),
+        )
+
+    def is_human(self, group: str) -> bool:
+        """Whether the arm is as near to people as 95 % of them are to the others."""
+        return self.distance[group] <= self.usual[group]
+
+    def to_frame(self) -> pd.DataFrame:
+        """A row per quantity."""
+        return self.table.copy()
+
+    @in_style()
+    def plot(self, figure: "Figure | None" = None) -> "Figure":
+        """Both gains of the admittance, with those of people as bands of two standard deviations."""
+        figure = figure_for(figure, 2.8)
+        for k, ax in enumerate(figure.subplots(1, 2, sharey=True)):
+            logs = np.log(self.reference_gains[..., k])
+            mean, sd = logs.mean(axis=0), logs.std(axis=0, ddof=1)
+            ax.fill_between(self.frequency, *1e3 * np.exp([mean - 2 * sd, mean + 2 * sd]), color=PALE, label="2 SD")
+            ax.loglog(self.frequency, 1e3 * np.exp(mean), color=GREY, label=self.reference)
+            ax.loglog(self.frequency, 1e3 * self.gains[:, k], color=COLOURS[self.task], label=self.label)
+            ax.set_title(f"{('largest', 'smallest')[k]} gain", color=INK)
+            ax.set_xlabel("frequency [Hz]")
+            if not k:
+                ax.set_ylabel("admittance [mm/N]")
+                ax.legend()
+        return figure
+
+
+def compare(recording: xr.Dataset | Sequence[xr.Dataset], reference: str = "people", *, seed: int = 0) -> Likeness:
+    """An arm beside people: admittance, ellipses at the hand, and joint parameters where the geometry is known.
+
+    Args:
+      recording: trials of one arm in one condition under multisines; its task says which people.
+      reference: "thesis" or "people".
+      seed: of whom is drawn.
+
+    Raises:
+      ValueError: reference is something else, or as `response`.
+    """
+    require_one_of("compare", "reference", reference, REFERENCES)
+    first = recording if isinstance(recording, xr.Dataset) else recording[0]
+    task = str(first["task"].values[0])
+    require_one_of("recording", "task", task, TASKS)
+    estimate = response(recording, window_start=SETTLED)
+    chosen = estimate.frequency <= HIGHEST
+    frequency, admittance = estimate.frequency[chosen], estimate.response[chosen]
+    geometry: dict[str, Any] = {name: float(first[name].values[0]) for name in GEOMETRY}
+    known = bool(np.isfinite([*geometry.values()]).all())
+    bodies = _drawn(reference, task, seed, geometry if known else {})
+    if reference == "thesis":
+        of_people = np.stack([arm_admittance(body, frequency) for body in bodies])
+    else:
+        of_people = _under_the_same_force(bodies, first, frequency)
+    arm = bodies[0] if known else None  # of which only the geometry counts
+    values = _quantities(frequency, admittance, arm)
+    each = [_quantities(frequency, response_of_one, arm) for response_of_one in of_people]
+    table = _table(values, each)
+    return Likeness(
+        label=named(recording),
+        reference=reference,
+        task=task,
+        frequency=frequency,
+        gains=_gains(admittance),
+        reference_gains=_gains(of_people),
+        table=table,
+        distance={str(name): value for name, value in _distances(table).items()},
+        usual=_usual(each),
+    )
+
+
+def _drawn(reference: str, task: str, seed: int, geometry: Mapping[str, Any]) -> list[Subject]:
+    """The people of a reference, in a posture in which they are stable on the thesis's manipulator."""
+    preset, generator = (POSITION if task == POSITION.task else RELAX).name, np.random.default_rng(seed)
+    people: list[Subject] = []
+    numbers = itertools.count()
+    while len(people) < N_DRAWN[reference]:
+        if reference == "thesis":
+            drawn = draw_subject(preset, generator)
+        else:
+            drawn = draw_person(seed, next(numbers)).subjects[task]
+        person = replace(drawn, **geometry)
+        if largest_real_pole(person, Environment()) < 0.0:
+            people.append(person)
+    return people
+
+
+def _under_the_same_force(people: Sequence[Subject], recording: xr.Dataset, frequency: Array) -> ComplexArray:
+    """Admittance of people whom the first perturbation of a recording pushes [m/N], (person, frequency, axis, axis)."""
+    rate = float(recording.attrs["rate"])
+    force = Sampled(force=recording["perturbation"].values[0], rate=rate)
+    recorded = run_experiment([Trial(subject=person, perturbation=force) for person in people], engine="compiled")
+    each = (response(recorded.isel(trial=[i]), window_start=SETTLED) for i in range(len(people)))
+    return np.stack([estimate.at(frequency).response for estimate in each])
+
+
+def _gains(admittance: ComplexArray) -> Array:
+    """Larger and smaller gain [m/N], (..., frequency, 2)."""
+    return np.asarray(np.linalg.svd(admittance, compute_uv=False))
+
+
+def impedance_matrices(frequency: Array, admittance: ComplexArray) -> dict[str, Array]:
+    """Stiffness [N/m], damping [Ns/m] and inertia [kg] that an admittance has at low frequencies, (axis, axis) each.
+
+    Args:
+      frequency: [Hz], (frequency,).
+      admittance: [m/N], (frequency, axis, axis).
+
+    Raises:
+      ValueError: there are fewer than two frequencies up to `LOW`.
+    """
+    low = frequency <= LOW
+    if np.sum(low) < 2:
+        raise ValueError(f"compare: {np.sum(low)} frequencies up to {LOW:g} Hz; expected at least two")
+    impedance, omega = np.linalg.inv(admittance[low]), 2.0 * np.pi * frequency[low]
+    weight = 1.0 / np.linalg.norm(impedance, axis=(1, 2))
+    flat = impedance.reshape(len(omega), 4)
+    terms = np.column_stack([weight, -weight * omega**2])
+    (stiffness, inertia), *_ = np.linalg.lstsq(terms, weight[:, None] * flat.real, rcond=None)
+    damping = (weight**2 * omega) @ flat.imag / np.sum((weight * omega) ** 2)
+    return {name: values.reshape(2, 2) for name, values in zip(MATRICES, (stiffness, damping, inertia), strict=True)}
+
+
+def _quantities(frequency: Array, admittance: ComplexArray, body: Subject | None) -> Rows:
+    """Group, quantity, unit and value of all that is compared; joints only of a body whose geometry is known."""
+    rows = [
+        ("admittance", f"{size} gain at {at:.3g} Hz", "log(m/N)", float(np.log(gain)))
+        for at, gains in zip(frequency, _gains(admittance), strict=True)
+        for size, gain in zip(("largest", "smallest"), gains, strict=True)
+    ]
+    matrices = impedance_matrices(frequency, admittance)
+    for name, matrix in matrices.items():
+        ellipse = EndpointMatrix(values=matrix, covariance=np.full((4, 4), np.nan))
+        unit = MATRICES[name]
+        rows += [
+            ("ellipses", f"{name}: size", f"log({unit})", float(np.log(ellipse.area / np.pi) / 2.0)),
+            ("ellipses", f"{name}: shape", "log", float(np.log(ellipse.shape))),
+            ("ellipses", f"{name}: orientation", "deg", ellipse.orientation_deg),
+        ]
+    if body is not None:
+        jacobian = hand_jacobian(body)
+        for letter, matrix in zip(JOINT_UNITS, matrices.values(), strict=True):
+            joints = jacobian.T @ matrix @ jacobian
+            entries = joints[0, 0], (joints[0, 1] + joints[1, 0]) / 2.0, joints[1, 1]
+            rows += [
+                ("parameters", f"{letter}_{joint}", JOINT_UNITS[letter], float(value))
+                for joint, value in zip(("s", "se", "e"), entries, strict=True)
+            ]
+    return rows
+
+
+def _table(values: Rows, each: Sequence[Rows]) -> pd.DataFrame:
+    """The table of `Likeness`, of an arm's quantities and those of people."""
+    frame = pd.DataFrame(values, columns=["group", "quantity", "unit", "value"])
+    people = np.array([[row[3] for row in rows] for rows in each])
+    turning = (frame["unit"] == "deg").to_numpy()
+    # An axis has no ends: directions count from the people's mean one, within a quarter turn.
+    doubled = np.exp(2j * np.radians(people[:, turning])).mean(axis=0)
+    centre = np.degrees(np.angle(doubled)) / 2.0 % 180.0
+    people[:, turning] = centre + _quarter(people[:, turning] - centre)
+    frame["mean"], frame["sd"] = people.mean(axis=0), people.std(axis=0, ddof=1)
+    away = frame["value"] - frame["mean"]
+    away[turning] = _quarter(away[turning].to_numpy())
+    frame["distance"] = away / frame["sd"]
+    return frame
+
+
+def _quarter(angle: Array) -> Array:
+    return (angle + 90.0) % 180.0 - 90.0
+
+
+def _usual(each: Sequence[Rows]) -> dict[str, float]:
+    """Distance per group that 95 % of people keep from the others."""
+    distances = [_distances(_table(rows, [*each[:i], *each[i + 1 :]])) for i, rows in enumerate(each)]
+    return {str(name): float(value) for name, value in pd.DataFrame(distances).quantile(0.95).items()}
+
+
+def _distances(table: pd.DataFrame) -> dict[str, float]:
+    """Root-mean-square distance of each group [SD]."""
+    groups, away = table["group"].to_numpy(), table["distance"].to_numpy()
+    return {name: float(np.sqrt(np.mean(away[groups == name] ** 2))) for name in dict.fromkeys(groups)}

@@ -1,0 +1,95 @@
+"""Which spectrum of the remnant gives the published VAF and criterion, and what the person is who then fits the tables.
+
+Run by `python -m benchmarks.remnant --cutoff 20 --share 0.9`; some 10 s of one core, with `--calibrate` 2 min. The
+average person goes through four trials per condition under the published mean forces. One model is fitted to their
+admittances as in step 2 of appendix C, from the published means of step 1: model 3 in PT, model 1 in RT. Printed are
+criterion and VAF, in brackets the published ones (tables C.12, C.22), the multiple coherence up to 1.5 Hz, to 10 Hz and
+above, and the RMS displacement. Trials that leave the workspace are not counted. With `--calibrate`, the person is
+calibrated anew under this noise before (tables 2.1, F.2 to F.4), and the shares of calibrated and held-out cells (F.5,
+F.6) are printed.
+"""
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+
+from armperturb.analysis.defaults import WINDOW_START
+from armperturb.analysis.fit.thesis import Wanted, fit_wanted
+from armperturb.analysis.response.spectra import single_trial_spectra
+from armperturb.analysis.trials import trials_by_condition
+from armperturb.cohort import Person, average_person
+from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.instruments import Instruments
+from armperturb.perturbations.multisine import PERIOD
+from armperturb.study.experiments.calibration import calibrate, schedules
+from armperturb.study.published import tables as published
+from armperturb.study.results.appendix_fits import first_start
+
+JUDGED = {"PT": ("3", "C.12"), "RT": ("1", "C.22")}
+"""Task to the model by which the noise is set, and the table of its criterion and VAF."""
+
+BANDS = (0.0, 1.5, 10.0, 100.0)
+"""Edges of the bands of the coherence [Hz]."""
+
+
+def rows(person: Person, task: str, noise: HumanNoise, seed: int) -> list[str]:
+    """A line per condition."""
+    protocol, _ = schedules(task)
+    trials = [replace(trial, noise=noise) for trial in protocol.trials(person, protocol.given_forces(), seed, 0)]
+    recording = run_experiment(trials, engine="compiled", instruments=Instruments(marker_noise=None, emg=None))
+    inside = recording.isel(trial=np.flatnonzero(np.isnan(recording["limit_time"].values)))
+    multisines = {name: trials.multisine for name, trials in trials_by_condition(inside).items()}
+    model, table = JUDGED[task]
+    start = first_start(model, task, "published")
+    estimates = fit_wanted([Wanted(trials, model, start) for trials in multisines.values()])
+    rate = float(recording.attrs["rate"])
+    window = slice(round(WINDOW_START * rate), round((WINDOW_START + PERIOD) * rate))
+    lines = []
+    for (name, of_condition), estimate in sorted(zip(multisines.items(), estimates, strict=True), key=_amplitude):
+        spectra = single_trial_spectra(of_condition)
+        coherence = np.mean([each.coherence.mean(axis=1) for each in spectra], axis=0)
+        band = np.digitize(spectra[0].frequency, BANDS)
+        means = " / ".join(f"{coherence[band == number].mean():.2f}" for number in range(1, len(BANDS)))
+        vaf = estimate.mean_vaf()[0]
+        printed = [
+            published.goodness_of_fit(quantity, table, model=model, condition=name)
+            for quantity in ("criterion", "VAF_x", "VAF_y")
+        ]
+        moved = inside["displacement"].values[inside["condition"].values == name]
+        rms = 1e3 * np.sqrt(np.mean(moved[:, window] ** 2))
+        lines.append(
+            f"{name:6} {len(spectra)} of {np.sum(recording['condition'].values == name)} trials: "
+            f"criterion {estimate.criterion.mean():.0f} ({printed[0]:.0f}), VAF {vaf[0]:.0f} {vaf[1]:.0f} "
+            f"({printed[1]:.0f} {printed[2]:.0f}), coherence {means}, {rms:.1f} mm"
+        )
+    return lines
+
+
+def _amplitude(item: tuple) -> float:
+    return float(item[0][0][2:])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--task", default="PT", choices=list(JUDGED))
+    parser.add_argument("--cutoff", type=float, help="of the remnant [Hz]; as people have it if not given")
+    parser.add_argument("--share", type=float, help="RMS of the remnant over the demand; likewise")
+    parser.add_argument("--floor", type=float, help="RMS of the remnant without a perturbation [Nm]; likewise")
+    parser.add_argument("--seed", type=int, default=700)
+    parser.add_argument("--calibrate", action="store_true")
+    options = parser.parse_args()
+    given = {f"remnant_{name}": getattr(options, name) for name in ("cutoff", "share", "floor")}
+    noise = replace(HUMAN_NOISE[options.task], **{name: value for name, value in given.items() if value is not None})
+    person = average_person()
+    if options.calibrate:
+        calibration = calibrate(options.task, noise=noise, n_threads=1, max_iterations=8, progress=print)
+        print(calibration.summary())
+        person = calibration.candidate.person
+    print(noise)
+    print("\n".join(rows(person, options.task, noise, options.seed)))
+
+
+if __name__ == "__main__":
+    main()

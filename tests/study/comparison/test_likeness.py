@@ -1,0 +1,45 @@
+"""Whether an arm is told from people, and people from nobody."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import armperturb as ap
+from armperturb.study.comparison.likeness import impedance_matrices
+
+
+def linear_trial(subject):
+    perturbation = ap.Multisine.draw(rms=3.0, seed=0, crested=False)
+    return ap.run_experiment([ap.Trial(subject=subject, perturbation=perturbation)], linear=True)
+
+
+def test_the_matrices_of_a_mass_spring_and_damper_are_found():
+    frequency = np.array([0.5, 1.0, 2.0, 4.0, 9.0])
+    s = 2j * np.pi * frequency[:, None, None]
+    truth = {"stiffness": [[300.0, 40.0], [60.0, 200.0]], "damping": [[9.0, 1.0], [1.0, 7.0]]}
+    truth["inertia"] = [[1.5, 0.2], [0.2, 1.0]]
+    stiffness, damping, inertia = map(np.array, truth.values())
+    impedance = stiffness + s * damping + s**2 * inertia
+    impedance[-1] *= 3.0  # above the frequencies that count
+    fitted = impedance_matrices(frequency, np.linalg.inv(impedance))
+    for name, matrix in truth.items():
+        np.testing.assert_allclose(fitted[name], matrix, rtol=1e-9)
+
+
+@pytest.mark.slow(reason="draws people and simulates a trial of each")
+def test_a_person_is_human_and_an_arm_of_iron_is_not():
+    for reference in ("thesis", "people"):
+        human = ap.compare(linear_trial(ap.POSITION), "thesis")
+        assert all(human.is_human(group) for group in human.distance), human.distance
+        iron = replace(ap.POSITION, k_s=3000.0, k_e=3000.0, b_s=90.0, b_e=90.0, m_f=8.0)
+        told_apart = ap.compare(linear_trial(iron), reference)
+        assert not any(told_apart.is_human(group) for group in told_apart.distance), told_apart.distance
+        assert "not as people's" in repr(told_apart)
+        assert set(told_apart.to_frame()["group"]) == {"admittance", "ellipses", "parameters"}
+        assert len(told_apart.plot().axes) == 2
+
+
+def test_an_unknown_reference_is_refused():
+    with pytest.raises(ValueError, match="reference = 'apes'; expected one of thesis, people"):
+        ap.compare(None, "apes")
