@@ -255,14 +255,15 @@ def test_findings_are_geometric_means_over_people(thesis_study):
     assert all(map(math.isnan, alone[1:]))
 
 
-def test_foot_has_command_digest_and_how_to_cite(study, written):
+def test_foot_has_command_digest_and_how_to_cite(thesis_study, written):
     foot = written.read_text(encoding="utf-8").split("<footer>")[1]
     assert "armperturb study --out DIR --subjects 3 --seed" in foot
     assert "--muscles linear" in foot
     assert re.search(r"SHA-256 over the checksums of all recordings: <span class=\"file\">[0-9a-f]{64}<", foot)
     assert "How to cite" in foot
-    first, *rest = study.recordings.items()
-    assert digest_of(study.recordings) != digest_of(dict([*rest, first])) or not rest
+    first, *rest = thesis_study.recordings.items()
+    assert digest_of(thesis_study.recordings) in foot
+    assert digest_of(thesis_study.recordings) != digest_of(dict([*rest, first]))
 
 
 def scored(out, name="score"):
