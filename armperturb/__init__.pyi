@@ -6,6 +6,7 @@ from .analysis.fit.own_structures import load_structure as load_structure
 from .analysis.fit.own_structures import save_structure as save_structure
 from .analysis.fit.structures import STRUCTURES as STRUCTURES
 from .analysis.fit.structures import Structure as Structure
+from .analysis.joint.identify import identify_joint as identify_joint
 from .analysis.measures.vaf import variance_accounted_for as variance_accounted_for
 from .analysis.nonlinear.identify import identify_nonlinear as identify_nonlinear
 from .analysis.response.best_linear import best_linear as best_linear

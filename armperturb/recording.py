@@ -8,14 +8,17 @@
 | `joint_angle` | trial, time, joint | rad | shoulder from the x axis, elbow from the humerus; may be absent |
 | `shoulder_marker` | trial, time, axis | m | of the marker on the shoulder, from its start; may be absent |
 | `scheduling` | trial, time, axis | m | slow movement on which stiffness depends, of one axis; may be absent |
-| `emg` | trial, emg_time, muscle | V | of the eight `MUSCLES`; may be absent |
+| `emg` | trial, emg_time, muscle | V | of `MUSCLES` or any others; may be absent |
 
 Axes are x = right, y = forward; the environment sees d - f, and admittance is displacement per f. A recording of one
 axis, of a joint or a single direction, has the axis x alone; its signals are forces and displacements [N, m] or torques
 and angles [Nm, rad], as their `units` and `quantity` say. Its attribute `servo` says what the device does: "force" is a
 virtual environment that d perturbs, "position" imposes the movement, whoever holds it; its attribute `joint`, where
 there is one, which joint moves. Along `trial` lie the coordinates of `TRIAL_COORDINATES`. `rate` [Hz] is an attribute
-of the dataset, and `emg_rate` [Hz] where there is EMG; every variable has its `units`. On disk it is netCDF4. EMG is in
+of the dataset, and `emg_rate` [Hz] where there is EMG; every variable has its `units`. Muscles that are not among
+`MUSCLES` may say what they move in the coordinates `muscle_joints` ("s", "e" or "se") and `muscle_sign` (1 flexes, -1
+extends, 0 unknown). If the other signals pass a filter that the EMG does not, its attribute `lead` [s] is the delay of
+that filter. On disk it is netCDF4. EMG is in
 single precision in memory; if its attribute `adc_step` [V] says so, it holds whole numbers of that step, and the file
 holds the 16-bit counts with the step as `scale_factor` (CF packing, which readers of netCDF undo).
 """
@@ -37,8 +40,28 @@ from armperturb.validation import require_name, require_one_of
 
 _TABLES = packaged_table(__package__, "recording.toml")
 
-MUSCLES: tuple[str, ...] = tuple(_TABLES["muscles"])
-"""Muscles whose EMG is recorded (thesis 2.3)."""
+
+class Action(NamedTuple):
+    """What a muscle does in the horizontal plane.
+
+    Attributes:
+      joints: that it moves: "s" shoulder, "e" elbow, "se" both; "" if nobody knows.
+      sign: 1 flexes, -1 extends; 0 if nobody knows.
+    """
+
+    joints: str
+    sign: int
+
+
+ACTIONS: Mapping[str, Action] = {name: Action(row["joints"], row["sign"]) for name, row in _TABLES["muscles"].items()}
+"""Muscles whose EMG the thesis recorded (2.3), and what they do."""
+
+MUSCLES: tuple[str, ...] = tuple(ACTIONS)
+
+JOINTS_OF_MUSCLES = ("s", "e", "se", "")
+
+LONGEST_LEAD = 0.1
+"""Largest delay that filters of the other signals may have against the EMG [s]."""
 
 SIGNALS: Mapping[str, tuple[tuple[str, str], str, str]] = {
     name: (tuple(dims), unit, description) for name, (dims, unit, description) in _TABLES["signals"].items()
@@ -62,7 +85,8 @@ SERVOS = ("force", "position")
 LARGEST_CHUNK = 2**20
 """Of what one checksum of a file is about [byte]."""
 
-LABELS = {"axis": ("x", "y"), "joint": ("shoulder", "elbow"), "muscle": MUSCLES}
+LABELS = {"axis": ("x", "y"), "joint": ("shoulder", "elbow")}
+"""Dimension to its labels; those of `muscle` are names of any muscles."""
 
 CLOCKS = {"time": "rate", "emg_time": "emg_rate"}
 """Dimension to the attribute that holds its sampling rate [Hz]."""
@@ -99,6 +123,8 @@ def make_recording(
     *,
     emg_rate: float | None = None,
     adc_step: float | None = None,
+    emg_lead: float = 0.0,
+    muscles: Mapping[str, Action] | None = None,
     servo: str | None = None,
     joint: str | None = None,
     angular: bool = False,
@@ -112,6 +138,8 @@ def make_recording(
       rate: sampling rate [Hz].
       emg_rate: sampling rate of the EMG [Hz], if there is any.
       adc_step: voltage of which the EMG holds whole numbers [V]; None if it holds any number.
+      emg_lead: delay of the filter that the other signals pass and the EMG does not [s].
+      muscles: names of the EMG's columns, and what each does; those of `ACTIONS` if None.
       servo: what the device of a recording of one axis does, of `SERVOS`; None with two axes.
       joint: which joint a recording of one axis is of, e.g. "ankle"; None if unknown.
       angular: whether a recording of one axis holds torques and angles.
@@ -131,6 +159,8 @@ def make_recording(
         variables[name] = (("trial", *dims), array, _describe(units, description) | quantity)
     if "emg" in variables and adc_step is not None:
         variables["emg"][2]["adc_step"] = float(adc_step)
+    if "emg" in variables and emg_lead:
+        variables["emg"][2]["lead"] = float(emg_lead)
     rates = {dim: clock for dim, clock in (("time", rate), ("emg_time", emg_rate)) if clock is not None}
     sizes = xr.Dataset(variables).sizes
     if "emg" in variables and emg_rate is None:
@@ -143,6 +173,12 @@ def make_recording(
         for dim, labels in LABELS.items()
         if dim in sizes
     }
+    if "muscle" in sizes:
+        actions = ACTIONS if muscles is None else muscles
+        coords["muscle"] = "muscle", list(actions)
+        if any(action != ACTIONS.get(name) for name, action in actions.items()):
+            coords["muscle_joints"] = "muscle", [action.joints for action in actions.values()]
+            coords["muscle_sign"] = "muscle", [action.sign for action in actions.values()]
     for name, values in trials.items():
         coords[name] = "trial", np.asarray(values), _describe(*TRIAL_COORDINATES[name])
     clocks = {CLOCKS[dim]: float(clock) for dim, clock in rates.items()}
@@ -185,7 +221,7 @@ def join_recordings(
     partial = [name for name in OPTIONAL_COORDINATES if not all(name in recording.coords for recording in recordings)]
     joined = stack_trials([recording[signals].drop_vars(partial, errors="ignore") for recording in recordings])
     there = [[*recording.variables, *recording.attrs] for recording in recordings]
-    left = {*joined.variables, *joined.attrs, *LABELS, *CLOCKS, *CLOCKS.values()}
+    left = {*joined.variables, *joined.attrs, *LABELS, "muscle", *CLOCKS, *CLOCKS.values()}
     return Joined(joined, tuple(dict.fromkeys(str(name) for names in there for name in names if name not in left)))
 
 
@@ -270,12 +306,14 @@ def check_recording(recording: xr.Dataset, signals: Iterable[str] | None = None,
         if name not in recording.data_vars:
             continue
         variable, last, units = recording[name], dims[-1], signal_unit(name, angular=angular)
-        labels = LABELS[last][:1] if single and last == "axis" else LABELS[last]
+        labels = LABELS["axis"][:1] if single and last == "axis" else LABELS.get(last, ())
         if variable.dims != ("trial", *dims):
             raise ValueError(f"{source}: {name} has dims {variable.dims}; expected {('trial', *dims)}")
         if not isinstance(variable.attrs.get("units"), str) or variable.attrs["units"] != units:
             raise ValueError(f"{source}: {name} has units {variable.attrs.get('units')!r}; expected {units!r}")
-        if last not in recording.coords or tuple(map(str, recording[last].values)) != labels:
+        if name == "emg":
+            _check_muscles(recording, source)
+        elif last not in recording.coords or tuple(map(str, recording[last].values)) != labels:
             raise ValueError(f"{source}: dimension {last!r} is not labelled; expected {', '.join(labels)}")
         _require_numbers(variable, source)
         finite = np.isfinite(variable.values)
@@ -300,6 +338,37 @@ def check_recording(recording: xr.Dataset, signals: Iterable[str] | None = None,
     _check_clock(recording, "time", source)
     if "emg" in recording.data_vars:
         _check_clock(recording, "emg_time", source)
+
+
+def muscle_actions(recording: xr.Dataset) -> dict[str, Action]:
+    """Name of each muscle of the EMG to what it does, in the order of the columns."""
+    names = list(map(str, recording["muscle"].values))
+    if "muscle_joints" not in recording.coords or "muscle_sign" not in recording.coords:
+        return {name: ACTIONS.get(name, Action("", 0)) for name in names}
+    rows = zip(recording["muscle_joints"].values, recording["muscle_sign"].values, strict=True)
+    return {name: Action(str(joints), int(sign)) for name, (joints, sign) in zip(names, rows, strict=True)}
+
+
+def _check_muscles(recording: xr.Dataset, source: str) -> None:
+    """Refuse EMG whose muscles have no names, or do what no muscle does."""
+    if "muscle" not in recording.coords or recording["muscle"].dims != ("muscle",):
+        raise ValueError(f"{source}: dimension 'muscle' is not labelled; expected the names of the muscles")
+    names = list(map(str, recording["muscle"].values))
+    for name in names:
+        require_name(source, "muscle", name)
+        if names.count(name) > 1:
+            raise ValueError(f"{source}: muscle {name!r} comes twice; expected each once")
+    if "muscle_sign" in recording.coords:
+        _require_numbers(recording["muscle_sign"], source)
+    for name, action in muscle_actions(recording).items():
+        if action.joints not in JOINTS_OF_MUSCLES or action.sign not in (-1, 0, 1):
+            raise ValueError(
+                f"{source}: muscle {name!r} has joints {action.joints!r} and sign {action.sign}; expected joints s, e, "
+                "se or none, and sign 1 (flexes), -1 (extends) or 0"
+            )
+    lead = recording["emg"].attrs.get("lead", 0.0)
+    if not isinstance(lead, (int, float, np.number)) or not 0.0 <= lead <= LONGEST_LEAD:
+        raise ValueError(f"{source}: lead of emg = {lead!r}; expected 0 to {LONGEST_LEAD:g} s")
 
 
 def _require_numbers(variable: xr.DataArray, source: str) -> None:
@@ -425,6 +494,9 @@ def load_recording(path: str | Path, optional: Iterable[str] = OPTIONAL_SIGNALS)
     except Exception as error:  # attributes contradict values in any way
         raise ValueError(f"{path}: not a readable netCDF4 file ({' '.join(str(error).split())})") from None
     for name in TEXT_COORDINATES:
+        if name in recording.coords:
+            recording[name] = recording[name].astype(str)
+    for name in ("muscle", "muscle_joints"):
         if name in recording.coords:
             recording[name] = recording[name].astype(str)
     if "emg" in recording.data_vars:

@@ -18,7 +18,7 @@ import tomli_w
 import armperturb.envs.learning
 from armperturb.envs.learning.linear_policy import LinearPolicy
 
-NAMES = tuple(f"ArmPerturb/{task}-v1" for task in ("Position", "Relax", "Pulse"))
+TASKS = ("Position", "Relax", "Pulse")
 SEEDS, GENERATIONS, CANDIDATES, BEST, TRIALS = 3, 30, 48, 8, 2
 JUDGED = range(1000, 1024)
 """Seeds of the trials that policies are judged on; those of training begin at zero."""
@@ -103,12 +103,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder of the learning curves")
     parser.add_argument("--seeds", type=int, default=SEEDS, help="trainings of each environment")
-    parser.add_argument("--ship", action="store_true", help="write the best policies into the package")
+    parser.add_argument("--only", choices=TASKS, nargs="+", default=TASKS, help="environments to train in")
+    parser.add_argument(
+        "--ship",
+        action="store_true",
+        help="write the best policies of these environments into the package, in the place of all that are there",
+    )
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
     results: dict = {}
     for seed in range(asked.seeds):
-        for name in NAMES:
+        for name in (f"ArmPerturb/{task}-v1" for task in asked.only):
             file = asked.out / f"{name.rpartition('/')[2]}_{seed}.json"
             if not file.exists():
                 trained = train(name, seed)

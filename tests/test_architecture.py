@@ -17,7 +17,7 @@ ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.force_balance",
     "analysis.trials", "analysis.per_trials", "analysis.numerics", "analysis.results", "plots", "anthropometry",
 }  # fmt: skip
-ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.nonlinear"}
+ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.emg", "analysis.fit", "analysis.nonlinear"}
 LAB = ARM | {"perturbations", "models", "controllers", "planar_arm", "cohort"}
 STUDY = LAB | ANALYSIS | {"envs.lab", "archive", "workers", "progress", "study.protocol", "study.published"}
 ARROWS = {
@@ -55,7 +55,9 @@ ARROWS = {
     "analysis.response": ARM,
     "analysis.measures": ARM,
     "analysis.fit": ARM | {"analysis.response", "analysis.measures"},
-    "analysis.page": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "pages"},
+    "analysis.joint": ARM | {"analysis.fit"},
+    "analysis.page": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.joint", "pages"},
+    "analysis.emg": ARM | {"analysis.measures", "analysis.response"},
     "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "planar_arm", "archive"},
     "cohort": ARM,
     "convert": ARM,

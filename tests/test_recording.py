@@ -10,10 +10,13 @@ from armperturb.foreign.program import Refused, parse
 from armperturb.recording import (
     MUSCLES,
     REQUIRED_SIGNALS,
+    TRIAL_COORDINATES,
+    Action,
     check_recording,
     join_recordings,
     load_recording,
     make_recording,
+    muscle_actions,
     save_recording,
 )
 
@@ -121,7 +124,9 @@ def test_emg_that_16_bits_cannot_hold_is_named(whole_recording, tmp_path, value)
     [
         (lambda r: r.assign_attrs(emg_rate=1000.0), "emg_time runs at 2000 Hz.*emg_rate = 1000 Hz"),
         (lambda r: r.drop_attrs(deep=False).assign_attrs(rate=200.0), "emg_rate = None; expected the sampling rate"),
-        (lambda r: r.isel(muscle=slice(None, None, -1)), "dimension 'muscle' is not labelled; expected pectoralis"),
+        (lambda r: r.drop_vars("muscle"), "dimension 'muscle' is not labelled; expected the names of the muscles"),
+        (lambda r: r.isel(muscle=[0, 0]), "muscle 'pectoralis_major_clavicular' comes twice; expected each once"),
+        (lambda r: r.assign_coords(muscle_sign=("muscle", [2] * 8), muscle_joints=("muscle", ["s"] * 8)), "sign 2; ex"),
         (lambda r: r.rename(emg_time="t"), r"emg has dims .*; expected \('trial', 'emg_time', 'muscle'\)"),
     ],
 )
@@ -257,6 +262,18 @@ def test_damage_in_any_array_is_noticed(whole_recording, tmp_path):
         (tmp_path / "r.nc").write_bytes(damaged)
         with pytest.raises(Refused, match="not a readable netCDF4 file"):
             parse(str(tmp_path / "r.nc"), [name], 2**30)
+
+
+def test_muscles_of_any_name_are_kept_with_what_they_do(whole_recording, tmp_path):
+    actions = {"soleus": Action("", 0), "vastus": Action("se", -1), "biceps_short_head": Action("s", 1)}
+    labels = {name: whole_recording[name].values for name in TRIAL_COORDINATES if name in whole_recording.coords}
+    signals = {name: whole_recording[name].values for name in REQUIRED_SIGNALS}
+    signals["emg"] = whole_recording["emg"].values[..., :3]
+    made = make_recording(signals, labels, 200.0, emg_rate=2000.0, muscles=actions, emg_lead=5e-3)
+    save_recording(made, tmp_path / "r.nc")
+    loaded = load_recording(tmp_path / "r.nc")
+    assert muscle_actions(loaded) == actions
+    assert loaded["emg"].attrs["lead"] == 5e-3
 
 
 def test_text_of_any_alphabet_is_kept(recording, tmp_path):

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from armperturb.analysis.fit.structures import Structure
 
-Model = Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear"]
+Model = Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear", "joint"]
 RESULTS = [
     "admittance.csv",
     "parameters.csv",
@@ -31,6 +31,7 @@ RESULTS = [
 OF_A_STRUCTURE = ("free", "fix", "bounds", "tie", "prior")
 OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", "body", *OF_A_STRUCTURE)
 OF_THE_NONLINEAR_MODEL = ("law", "pulses")
+OF_THE_JOINT_MODEL = ("reflex", "short_range", "fit_until", "longest_delay")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +39,7 @@ class Identify(Command):
     """Estimate the admittance from a recording and fit an arm model to it."""
 
     recordings: Positional[tuple[Path, ...]]
-    """Recordings of one person to read: netCDF4, or CSV, MATLAB or C3D with a sidecar (see convert); the trials of a
+    """Recordings of one person to read: netCDF4, or CSV, MATLAB, NPZ or C3D with a sidecar (see convert); trials of a
     condition are identified together."""
     out: Path
     """Folder for identify.html, which tells all, admittance.csv, parameters.csv, fit.json, structure.toml, the fitted
@@ -49,7 +50,8 @@ class Identify(Command):
     """Model structure; by default the trials of each condition choose it. 1 intrinsic and grip; 2 with velocity, 3 with
     velocity and position feedback; 4, 5 and 6 with force, acceleration or both in addition; 3a and 3b total mass and
     reflexes, with grip, delay and cut-off fixed, 3b without negative gains; FILE.toml a structure of one's own, see
-    docs/method.md; nonlinear a muscle law, from all trials of one or both tasks together."""
+    docs/method.md; nonlinear a muscle law, from all trials of one or both tasks together; joint intrinsic and reflex
+    path of a recording of one axis, for which it is the default."""
     sidecar: Path | None = None
     """Sidecar of all recordings that need one, see docs/recordings.md; by default FILE.json beside each."""
     law: Literal["full", "half-wave", "short-range", "linear", "choose"] | None = None
@@ -58,6 +60,14 @@ class Identify(Command):
     out of the fits best (choose)."""
     pulses: tuple[float, ...] = ()
     """Directions of the pulses that the nonlinear model is fitted to [deg], e.g. 20 200; the others are predicted."""
+    reflex: Literal["none", "linear", "half-wave"] | None = None
+    """Of the joint model: how its reflex answers to velocity; by default left-out data choose."""
+    short_range: bool = False
+    """Of the joint model: whether its intrinsic path has short-range stiffness."""
+    fit_until: float | None = None
+    """Of the joint model: end of what is fitted [s]; what follows is predicted from the input alone."""
+    longest_delay: float = 0.2
+    """Of the joint model: longest delay of its reflex [s]."""
     estimator: Estimator = "record"
     """Maximum likelihood on whole records (record) or on mean periods (frequency), or the thesis's trial by trial."""
     free: tuple[str, ...] = ()
@@ -97,29 +107,74 @@ class Identify(Command):
         """Identify the arm and write the results."""
         from armperturb.commands.selection import MemoryPerSample, select_trials
 
-        linear = self.model != "nonlinear"
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name in (OF_THE_NONLINEAR_MODEL if linear else OF_LINEAR_MODELS) and value != field.default:
-                condition = "without" if linear else "with"
-                raise ValueError(
-                    f"identify: {field.name} = {value!r}; expected {field.default!r} {condition} --model nonlinear"
-                )
-        structure = self._structure() if linear else None
+        self._require_options(("nonlinear", "joint") if self.model is None else (self.model,))
+        structure = None if self.model in ("nonlinear", "joint") else self._structure()
         recordings, notes = select_trials(
-            self.recordings, self.sidecar, self.subject, self.condition, single_condition=False
+            self.recordings, self.sidecar, self.subject, self.condition, single_condition=self.model == "joint"
         )
+        kind = self._kind(recordings)
+        self._require_options((kind,))
         for name in RESULTS:
             require_no_input(self.out / name)
         if self.resumes and self.out.exists() and not self.out.is_dir():
             raise ValueError(f"{self.out} is a file; expected a folder, or a new name for one")
         try:
-            if linear:
+            if kind == "joint":
+                lines = self._identify_joint(recordings, notes)
+            elif kind == "nonlinear":
+                lines = self._identify_nonlinear(recordings)
+            else:
                 MemoryPerSample(longest=2000, all=300).require(recordings)
-            lines = self._identify(recordings, structure, notes) if linear else self._identify_nonlinear(recordings)
+                lines = self._identify(recordings, structure, notes)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
         return [*notes, *lines, f"results: {self.out}"]
+
+    def _require_options(self, models: tuple[str, ...]) -> None:
+        """Refuse options of models other than these."""
+        of_models = {"nonlinear": OF_THE_NONLINEAR_MODEL, "joint": OF_THE_JOINT_MODEL}
+        others = {name: kind for kind, names in of_models.items() if kind not in models for name in names}
+        if not {*models} - {*of_models}:
+            others |= dict.fromkeys(OF_LINEAR_MODELS, "") if "joint" not in models or len(models) == 1 else {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in others and value != field.default:
+                where = f"without --model {others[field.name]}" if others[field.name] else f"with --model {models[0]}"
+                raise ValueError(f"identify: {field.name} = {value!r}; expected {field.default!r} {where}")
+
+    def _kind(self, recordings: "list[xr.Dataset]") -> str:
+        """Nonlinear, joint or linear, as the model says, or by the axes of the recordings."""
+        from armperturb.recording import is_one_axis
+
+        if self.model not in (None, "joint") and is_one_axis(recordings[0]):
+            raise ValueError(f"identify: model = {self.model!r} of a recording of one axis; expected joint")
+        if self.model is None:
+            return "joint" if is_one_axis(recordings[0]) else "linear"
+        return self.model if self.model in ("joint", "nonlinear") else "linear"
+
+    def _identify_joint(self, recordings: "list[xr.Dataset]", notes: list[str]) -> list[str]:
+        from armperturb.analysis.joint.export import write_joint
+        from armperturb.analysis.joint.identify import identify_joint
+        from armperturb.analysis.page.joint_page import write_joint_page
+        from armperturb.analysis.page.page import Origin
+        from armperturb.files import checksum
+        from armperturb.recording import join_recordings
+
+        result = identify_joint(
+            recordings[0] if len(recordings) == 1 else join_recordings(recordings, optional=["scheduling"]).recording,
+            reflex=self.reflex,
+            short_range=self.short_range,
+            fit_until=self.fit_until,
+            longest_delay=self.longest_delay,
+        )
+        write_joint(result, self.out)
+        origin = Origin(
+            command=command_line(self),
+            files={path.name: checksum(path) for path in self.recordings},
+            notes=tuple(notes),
+        )
+        write_joint_page(result, self.out / "identify.html", origin)
+        return result.summary().splitlines()
 
     def _structure(self) -> "Structure | None":
         """The structure that is asked for; None if the trials are to choose it."""

@@ -86,6 +86,7 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
         even, rate, faults = even_times(f"{where}: {channel}", sampled, time[:n_time], meaning.rate)
         signals |= even
         rates |= dict.fromkeys(even, rate)
+    emg = meaning.signals.get("emg")
     units = {name: of_signal.ours for name, of_signal in meaning.signals.items()}
     timed = Timed(
         where=where,
@@ -93,6 +94,8 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
         signals=signals,
         rates=rates,
         components=components,
+        muscles=emg.muscles if emg else None,
+        emg_lead=emg.lead if emg else 0.0,
         units=units,
         servo=meaning.servo,
     )
@@ -158,6 +161,10 @@ def joined(
         for name in {*first.signals, *trial.signals}:
             if name not in first.signals or name not in trial.signals:
                 raise ValueError(f"{trial.where}: {name} is not in all trials; expected the same signals in all")
+            if name == "emg" and (trial.muscles, trial.emg_lead) != (first.muscles, first.emg_lead):
+                raise ValueError(
+                    f"{trial.where}: emg of other muscles, or another lead; expected the same in all trials"
+                )
             if trial.rates[name] != first.rates[name]:
                 raise ValueError(
                     f"{trial.where}: {name} at {trial.rates[name]:g} Hz and in others at {first.rates[name]:g} Hz; "
@@ -182,6 +189,8 @@ def joined(
         labels,
         first.rates["displacement"],
         emg_rate=first.rates.get("emg"),
+        emg_lead=first.emg_lead,
+        muscles=first.muscles,
         servo=first.servo,
         joint=joint,
         angular=first.units["displacement"] == "rad",

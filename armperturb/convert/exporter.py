@@ -16,27 +16,30 @@ from armperturb.arrays import Array
 from armperturb.convert.tables import TABLES
 from armperturb.files import written_whole
 from armperturb.recording import (
-    LABELS,
     SIGNALS,
     TEXT_COORDINATES,
     TRIAL_COORDINATES,
     check_recording,
     is_one_axis,
+    muscle_actions,
     save_recording,
 )
 from armperturb.validation import require_one_of
 
-COLUMNS = {**TABLES["columns"], "emg": [f"{name}_V" for name in LABELS["muscle"]]}
+COLUMNS: Mapping[str, Sequence[str]] = TABLES["columns"]
 """Variable to its columns in text. EMG, which has another sampling rate, goes to a separate file."""
 
 
 def _columns(recording: xr.Dataset) -> dict[str, Sequence[str]]:
     """Variable to its columns, of those that there are; with one axis they are named after quantity and unit."""
     names = [name for name in SIGNALS if name in recording.data_vars]
-    if not is_one_axis(recording):
-        return {name: COLUMNS[name] for name in COLUMNS if name in names}
-    units = {name: recording[name].attrs["units"] for name in names}
-    return {name: COLUMNS[name] if name == "emg" else [f"{name}_{units[name]}"] for name in names}
+    if is_one_axis(recording):
+        columns: dict[str, Sequence[str]] = {name: [f"{name}_{recording[name].attrs['units']}"] for name in names}
+    else:
+        columns = {name: COLUMNS[name] for name in COLUMNS if name in names}
+    if "emg" in names:
+        columns["emg"] = [f"{muscle}_V" for muscle in recording["muscle"].values]
+    return columns
 
 
 ENDINGS = (".nc", ".csv", ".mat")
@@ -148,6 +151,13 @@ def _sidecar(recording: xr.Dataset, channels: Mapping[str, Sequence[str]]) -> di
     signals["force"]["exerted_by"] = "handle"
     if "emg" in signals:
         signals["emg"]["rate"] = float(recording.attrs["emg_rate"])
+        if lead := recording["emg"].attrs.get("lead"):
+            signals["emg"]["lead"] = float(lead)
+        if "muscle_joints" in recording.coords:
+            signals["emg"]["muscles"] = {
+                name: {"joints": action.joints, "sign": action.sign}
+                for name, action in muscle_actions(recording).items()
+            }
     rate = float(recording.attrs["rate"])
     if is_one_axis(recording):
         labels = {name: recording.attrs[name] for name in ("joint",) if name in recording.attrs}

@@ -23,7 +23,7 @@ from scipy import interpolate
 from armperturb.analysis.plateaus import LEAST_RUN, clipped_stretches, runs
 from armperturb.arrays import Array
 from armperturb.convert.tables import Repair
-from armperturb.recording import REQUIRED_SIGNALS
+from armperturb.recording import REQUIRED_SIGNALS, Action
 
 LONGEST_GAP = {"perturbation": 0.025, "force": 0.025}
 """Longest gap that is filled in a signal [s]: a quarter period of its highest frequency of substantial power."""
@@ -62,6 +62,8 @@ class Timed:
       signals: name to values, (time, component), in the file's units and axes until they are repaired, then in ours.
       rates: name to sampling rate [Hz].
       components: name to what its components are called in the file.
+      muscles: of the EMG, and what each does; None for those that recordings have anyway.
+      emg_lead: delay of filters that the other signals pass and the EMG does not [s].
       units: name to its SI unit.
       servo: what the device of a recording of one axis does; None with two axes.
     """
@@ -73,6 +75,8 @@ class Timed:
     components: Mapping[str, tuple[str, ...]]
     units: Mapping[str, str]
     servo: str | None = None
+    muscles: Mapping[str, Action] | None = None
+    emg_lead: float = 0.0
 
 
 def even_times(

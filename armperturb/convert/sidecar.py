@@ -13,12 +13,16 @@ from armperturb.convert.tables import TABLES
 from armperturb.convert.units import UNITS, factor_to, quantity
 from armperturb.files import require_input
 from armperturb.recording import (
+    ACTIONS,
+    JOINTS_OF_MUSCLES,
     LABELS,
+    LONGEST_LEAD,
     ONE_AXIS_SIGNALS,
     SERVOS,
     SIGNALS,
     TEXT_COORDINATES,
     TRIAL_COORDINATES,
+    Action,
     required_signals,
     signal_unit,
 )
@@ -78,6 +82,8 @@ class Signal:
       start: handle's start in the file's unit and axes, (component,), or "first".
       rate: sampling rate of this signal, if it is not that of the others [Hz].
       file: name of the text file beside the sidecar that holds it, if it is not that of the others.
+      lead: of EMG: delay of filters that the other signals pass and it does not [s].
+      muscles: of EMG: what each muscle does.
     """
 
     channels: Mapping[str, str]
@@ -87,6 +93,8 @@ class Signal:
     start: tuple[float, ...] | str
     rate: float | None
     file: str | None
+    lead: float = 0.0
+    muscles: Mapping[str, Action] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -349,10 +357,16 @@ def _signal(fields: _Fields, name: str, axes: Array | None, angular: bool) -> Si
     """A signal; without directions of axes it has a single component."""
     dims, ours = SIGNALS[name][0], signal_unit(name, angular=angular)
     single = axes is None and dims[1] == "axis"
-    components = LABELS[dims[1]][:1] if single else LABELS[dims[1]]
     known = [field for field in TABLES["fields"][name] if axes is not None or field != "axes"]
     fields.require_only(known, [field for field in known if field in ("channels", "unit", "exerted_by")])
-    of_channels = fields.fields("channels", components, components)
+    if name == "emg":  # any muscles
+        of_channels = fields.fields("channels")
+        components = tuple(of_channels)
+        if not components or not all(0 < len(each) <= LONGEST_TEXT and each.isprintable() for each in components):
+            raise ValueError(f"{fields.where('channels')} = {dict(of_channels)!r:.60}; expected muscle to channel")
+    else:
+        components = LABELS[dims[1]][:1] if single else LABELS[dims[1]]
+        of_channels = fields.fields("channels", components, components)
     channels = {component: of_channels.text(component) for component in components}
     for component, channel in channels.items():
         if list(channels.values()).count(channel) > 1:
@@ -370,7 +384,38 @@ def _signal(fields: _Fields, name: str, axes: Array | None, angular: bool) -> Si
         start=_start(fields, components) if "start" in fields else (0.0,) * len(components),
         rate=fields.rate("rate"),
         file=_file(fields) if "file" in fields else None,
+        lead=_lead(fields),
+        muscles=_muscles(fields, components) if name == "emg" else None,
     )
+
+
+def _lead(fields: _Fields) -> float:
+    if "lead" not in fields:
+        return 0.0
+    lead = quantity(fields["lead"], "s", fields.where("lead"))
+    require_number(fields.file, fields.place_of("lead"), lead, at_least=0.0, at_most=LONGEST_LEAD)
+    return lead
+
+
+def _muscles(fields: _Fields, names: Sequence[str]) -> dict[str, Action]:
+    """What each muscle does: as the sidecar says, or as its name does."""
+    said = fields.fields("muscles")
+    for name in said:
+        if name not in names:
+            raise ValueError(f"{said.where(name)}: unknown muscle; expected one of channels: {', '.join(names)}")
+    actions = {}
+    for name in names:
+        if name not in said:
+            actions[name] = ACTIONS.get(name, Action("", 0))
+            continue
+        of_muscle = said.fields(name, Action._fields, Action._fields)
+        joints = of_muscle.choice("joints", JOINTS_OF_MUSCLES)
+        if of_muscle["sign"] not in (-1, 0, 1):
+            raise ValueError(
+                f"{of_muscle.where('sign')} = {of_muscle['sign']!r:.60}; expected 1 (flexes), -1 (extends) or 0"
+            )
+        actions[name] = Action(joints, int(of_muscle["sign"]))
+    return actions
 
 
 def _file(fields: _Fields) -> str:

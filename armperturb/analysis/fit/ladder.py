@@ -19,7 +19,7 @@ the best structure leaves more than noise, its lack of fit (chi2 over degrees of
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -273,7 +273,7 @@ def _sketched(group: Group, place: Place, start: "_Fitted", others: Sequence[Run
     """One rung, from the fit to the admittance or from what other rungs have found, without its score."""
     carried = [_carried(other.structure, other.sketch.values, start.structure) for other in others]
     fit = sketch(group.with_structure(start.structure), [start.values, *carried], method)
-    return Rung(*place, start.structure, fit, left_out_loss(fit), np.inf)
+    return Rung(*place, start.structure, fit, left_out_loss(fit.scores), np.inf)
 
 
 def _distorted_band(parts: Sequence[ConditionTrials]) -> str:
@@ -336,11 +336,21 @@ def _carried(source: Structure, values: Array, structure: Structure) -> Array:
     return np.array(start)
 
 
-def left_out_loss(fit: Sketch) -> float:
+class _Score(Protocol):
+    """Score and information of a part of the data that is left out."""
+
+    @property
+    def score(self) -> Array: ...
+
+    @property
+    def information(self) -> Array: ...
+
+
+def left_out_loss(scores: Sequence[_Score]) -> float:
     """Loss of likelihood on trials that are left out one by one, see the module [-]."""
-    whole = np.sum([trial.information for trial in fit.scores], axis=0)
+    whole = np.sum([trial.information for trial in scores], axis=0)
     loss = 0.0
-    for trial in fit.scores:
+    for trial in scores:
         scale, power, directions = scaled(whole - trial.information)
         known = power > LEAST_POWER
         along = directions[:, known].T @ (trial.score / scale)

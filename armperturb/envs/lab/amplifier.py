@@ -4,7 +4,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from armperturb.arrays import Indices
 from armperturb.recording import MUSCLES
 
 Float32 = NDArray[np.float32]
@@ -14,7 +13,7 @@ Float32 = NDArray[np.float32]
 def amplify(
     white: Float32,
     amplitude: Float32,
-    held: Indices,
+    mixing: Float32,
     colour: Float32,
     amplifier: Float32,
     noise: np.float32,
@@ -26,24 +25,30 @@ def amplify(
 
     Args:
       white: noise of unit RMS of the muscles and then of their electrodes, (2 muscle, sample).
-      amplitude: of the muscles [V], (excitation, muscle).
-      held: which of the excitation's samples each sample is of, (sample,).
+      amplitude: of the muscles [V], (sample, muscle).
+      mixing: share of each muscle's signal that each electrode picks up, symmetric, (muscle, electrode).
       colour: second-order sections, (section, 6).
       amplifier: likewise.
       noise: of the electrodes [V].
       step: of the converter, which has 16 bits [V].
-      work: state of the sections, two rows each, which goes on, and room for a row, (row, muscle).
+      work: state of the sections, two rows each, which goes on, and room for two rows, (row, muscle).
       volts: to fill, (sample, muscle).
     """
-    n_colour, n_muscles, value = len(colour), len(MUSCLES), len(work) - 1
-    for sample in range(len(held)):
+    n_colour, n_muscles, value, mixed = len(colour), len(MUSCLES), len(work) - 2, len(work) - 1
+    for sample in range(len(amplitude)):
         for muscle in range(n_muscles):
             work[value, muscle] = white[muscle, sample]
         for section in range(n_colour + len(amplifier)):
             if section == n_colour:
                 for muscle in range(n_muscles):
-                    work[value, muscle] *= amplitude[held[sample], muscle]
-                    work[value, muscle] += noise * white[n_muscles + muscle, sample]
+                    work[value, muscle] *= amplitude[sample, muscle]
+                    work[mixed, muscle] = noise * white[n_muscles + muscle, sample]
+                for source in range(n_muscles):
+                    signal = work[value, source]
+                    for muscle in range(n_muscles):
+                        work[mixed, muscle] += mixing[source, muscle] * signal
+                for muscle in range(n_muscles):
+                    work[value, muscle] = work[mixed, muscle]
             b = colour[section] if section < n_colour else amplifier[section - n_colour]
             b_0, b_1, b_2, a_1, a_2 = b[0], b[1], b[2], b[4], b[5]
             z = 2 * section

@@ -2,36 +2,44 @@
 
 There are no muscle fibres in this arm, so EMG is made from what drives the muscles:
 
-    emg = bandpass(amplitude(t) w(t) + electrode noise),    amplitude = gain x activation
+    emg = bandpass(amplitude(t) w(t) + cross-talk + electrode noise),    amplitude = gain x activation
     activation = co-contraction + max(0, reflex excitation towards this muscle) / reflex_torque, at most 1
 
 with w white noise through the filter of Stulen & De Luca (1981, IEEE Trans. Biomed. Eng. 28), which gives surface EMG
 its spectrum. Co-contraction is read off the intrinsic stiffness, zero at that of the preset RELAX and
 `position_activation` at that of POSITION; reflex excitation is the spindles' (eq. 2.8) after the neural delay, before
-the activation dynamics, as electrodes pick up what the nerve sends. What the model leaves out: cross-talk, tremor,
-fatigue, voluntary activity.
+the activation dynamics, as electrodes pick up what the nerve sends. Each electrode picks up a share of its neighbours
+(`NEIGHBOURS`) as well. In a trial of maximal contraction all muscles are fully active for a while (`CONTRACTED`). With
+fatigue, amplitude grows with the activation that was, while the spectrum stays. What the model leaves out: tremor,
+voluntary activity, and the fall of the spectrum with fatigue.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
 from armperturb.arrays import Array
-from armperturb.files import packaged_table
-from armperturb.recording import MUSCLES
+from armperturb.recording import ACTIONS, MUSCLES
 from armperturb.subject import POSITION, RELAX, Subject
 from armperturb.validation import require_number, require_ranges
 
 Float32 = NDArray[np.float32]
 
 
-SERVICES: dict[str, dict[str, Any]] = packaged_table(__package__, "muscles.toml")
-"""Muscle to the joints that it moves in the horizontal plane, "s" or "e", and the sign of its torque: 1 flexes."""
+NEIGHBOURS = (
+    ("pectoralis_major_clavicular", "deltoideus_anterior"),
+    ("latissimus_dorsi", "deltoideus_posterior"),
+    ("biceps_short_head", "brachioradialis"),
+    ("biceps_short_head", "triceps_longum"),
+    ("triceps_lateralis", "triceps_longum"),
+)
+"""Muscles whose electrodes are near one another."""
+
+CONTRACTED = (1.0, 6.0)
+"""When muscles are contracted in a trial of a stated contraction [s]."""
 
 STULEN_DE_LUCA = (60.0, 120.0)
 """Lower and upper frequency of the spectrum of surface EMG [Hz]: |H|^2 = f^2 / ((f^2 + low^2) (f^2 + high^2)^2)."""
@@ -58,6 +66,8 @@ class Emg:
       noise: RMS of a silent muscle, in the band: electrode and amplifier [V], >= 0.
       position_activation: co-contraction of the preset POSITION, as a share of full activation [-], 0 to 1.
       reflex_torque: reflex excitation that alone would activate a muscle fully [Nm], > 0.
+      crosstalk: share of each neighbour's signal that an electrode picks up [-], 0 to 1.
+      fatigue: growth of the amplitude per second of full activation [1/s], >= 0.
       full_scale: largest voltage that the 16-bit converter can tell, of either sign [V], > 0.
 
     Raises:
@@ -71,6 +81,8 @@ class Emg:
     noise: float = 5e-3
     position_activation: float = 0.2
     reflex_torque: float = 50.0
+    crosstalk: float = 0.05
+    fatigue: float = 0.0
     full_scale: float = 5.0
 
     def __post_init__(self) -> None:
@@ -83,22 +95,36 @@ class Emg:
         # A single-precision number: counts times it are then the same in memory and out of a file.
         return float(np.float32(self.full_scale / 2**15))
 
-    def activation(self, subject: Subject, excitation: Array, rate: float) -> Array:
+    def activation(
+        self,
+        subject: Subject,
+        excitation: Array,
+        rate: float,
+        time: Array | None = None,
+        contraction: float | None = None,
+    ) -> Array:
         """Share of its full activation at which each muscle is driven [-], (muscle, time).
 
         Args:
           subject: its stiffness sets the co-contraction, and its delays apply.
           excitation: of the reflexes, undelayed [Nm], (time, joint).
           rate: of the excitation [Hz].
+          time: when [s], (time,); None for the samples of the excitation.
+          contraction: share of full activation at which all muscles are held, and relaxed before and after; None for
+            what stiffness and reflexes say.
         """
-        time = np.arange(len(excitation)) / rate
+        sampled = np.arange(len(excitation)) / rate
+        time = sampled if time is None else time
+        if contraction is not None:
+            held = (time >= CONTRACTED[0]) & (time < CONTRACTED[1])
+            return np.broadcast_to(contraction * held, (len(MUSCLES), len(time)))
+        # A neural delay is longer than a sample, so that what lies between two samples is known.
         delayed = {
-            joint: np.interp(time - getattr(subject, f"Td_{joint}"), time, excitation[:, column], left=0.0)
+            joint: np.interp(time - getattr(subject, f"Td_{joint}"), sampled, excitation[:, column], left=0.0)
             for column, joint in enumerate(("s", "e"))
         }
-        activation = np.empty((len(MUSCLES), len(excitation)))
-        for row, muscle in enumerate(MUSCLES):
-            joints, sign = SERVICES[muscle]["joints"], SERVICES[muscle]["sign"]
+        activation = np.empty((len(MUSCLES), len(time)))
+        for row, (joints, sign) in enumerate(ACTIONS.values()):
             # A joint that is pushed towards flexion stretches its extensors: the reflex torque is minus the excitation.
             stretch = -sign * np.mean([delayed[joint] for joint in joints], axis=0)
             activation[row] = self._cocontraction(subject, joints) + np.maximum(stretch, 0.0) / self.reflex_torque
@@ -108,13 +134,20 @@ class Emg:
         """How many samples the converter reads beside so many of the excitation at a rate [Hz]."""
         return round(n_excitation * self.rate / rate)
 
-    def _cocontraction(self, subject: Subject, joints: Sequence[str]) -> float:
+    def _cocontraction(self, subject: Subject, joints: str) -> float:
         """Activation without reflexes [-]; stiffness grows in proportion with it."""
-        field = f"k_{''.join(joints)}"
+        field = f"k_{joints}"
         relaxed, held = getattr(RELAX, field), getattr(POSITION, field)
         return self.position_activation * max(0.0, (getattr(subject, field) - relaxed) / (held - relaxed))
 
-    def read(self, subject: Subject, excitation: Array, rate: float, rng: np.random.Generator) -> Float32:
+    def read(
+        self,
+        subject: Subject,
+        excitation: Array,
+        rate: float,
+        rng: np.random.Generator,
+        contraction: float | None = None,
+    ) -> Float32:
         """What the converter reads [V], whole numbers of `adc_step`, (emg_time, muscle).
 
         A longer excitation does not change the first samples.
@@ -124,26 +157,33 @@ class Emg:
           excitation: as in `activation`.
           rate: as in `activation`.
           rng: what the noise is drawn from.
+          contraction: as in `activation`.
         """
         from armperturb.envs.lab.amplifier import amplify
 
-        amplitude = (self.gain * self.activation(subject, excitation, rate)).T.astype(np.float32, order="C")
-        n_samples = self.n_samples(len(excitation), rate)
-        # Held between the samples of the excitation: a straight line would need the one to come. The small number keeps
-        # instants that coincide from falling a sample back by rounding.
-        held = np.minimum((np.arange(n_samples) * (rate / self.rate) + 1e-9).astype(int), len(excitation) - 1)
+        n_samples, tired = self.n_samples(len(excitation), rate), np.zeros(len(MUSCLES))
+        mixing = np.eye(len(MUSCLES), dtype=np.float32)
+        for one_side, other_side in NEIGHBOURS:
+            pair = MUSCLES.index(one_side), MUSCLES.index(other_side)
+            mixing[pair] = mixing[pair[::-1]] = self.crosstalk
         colour, amplifier, quiet = _filters(self.rate, self.highpass)
         read = np.empty((n_samples, len(MUSCLES)), dtype=np.float32)
         # One stream for each muscle and one for its electrode, drawn in the order of time.
         muscles, electrodes = zip(*(stream.spawn(2) for stream in rng.spawn(len(MUSCLES))), strict=True)
         white = np.empty((2 * len(MUSCLES), CHUNK), dtype=np.float32)
-        work = np.zeros((2 * (len(colour) + len(amplifier)) + 1, len(MUSCLES)), dtype=np.float32)
+        work = np.zeros((2 * (len(colour) + len(amplifier)) + 2, len(MUSCLES)), dtype=np.float32)
         noise, step = np.float32(self.noise * quiet), np.float32(self.adc_step)
         for first in range(0, n_samples, CHUNK):
             chunk = slice(first, min(first + CHUNK, n_samples))
             for stream, row in zip(muscles + electrodes, white, strict=True):
                 stream.standard_normal(out=row[: chunk.stop - first], dtype=np.float32)
-            amplify(white, amplitude, held[chunk], colour, amplifier, noise, step, work, read[chunk])
+            time = np.arange(chunk.start, chunk.stop) / self.rate
+            amplitude = self.activation(subject, excitation, rate, time, contraction)
+            if self.fatigue:
+                spent = tired[:, None] + np.cumsum(amplitude, axis=1) / self.rate
+                tired, amplitude = spent[:, -1], amplitude * (1.0 + self.fatigue * spent)
+            driven = np.ascontiguousarray((self.gain * amplitude).T, dtype=np.float32)
+            amplify(white, driven, mixing, colour, amplifier, noise, step, work, read[chunk])
         return read
 
 

@@ -97,7 +97,7 @@ def run_experiment(
     elif truth.shoulder is not None:
         signals["shoulder_marker"] = truth.shoulder
     if setup.emg is not None:
-        clock = {"emg_rate": setup.emg.rate, "adc_step": setup.emg.adc_step}
+        clock = {"emg_rate": setup.emg.rate, "adc_step": setup.emg.adc_step, "emg_lead": setup.emg_lead}
         signals["emg"] = _voltages(setup.emg, trials, subjects, truth.excitation, rate, n_threads)
     return make_recording(signals, {**_labels(trials), "limit_time": truth.limit_time}, rate, **clock)
 
@@ -141,7 +141,7 @@ def _voltages(
     volts = np.empty((len(trials), emg.n_samples(excitation.shape[1], rate), len(MUSCLES)), dtype=np.float32)
 
     def read(i: int) -> None:
-        volts[i] = emg.read(subjects[i], excitation[i], rate, trials[i].generator(EMG))
+        volts[i] = emg.read(subjects[i], excitation[i], rate, trials[i].generator(EMG), trials[i].contraction)
 
     list(in_threads(read, len(trials), n_threads))
     return volts

@@ -81,6 +81,17 @@ class Setup:
         """Amplifier of the muscles' signals, if there is one."""
         return self.instruments.emg if self.instruments else None
 
+    @property
+    def emg_lead(self) -> float:
+        """Delay of the recorder's filter at low frequencies, which the EMG does not pass [s]."""
+        if self.lowpass is None:
+            return 0.0
+        # Group delay at zero frequency of each section: that of the numerator less that of the denominator.
+        b, a = self.lowpass[:, :3], self.lowpass[:, 3:]
+        order = np.arange(3)
+        steps = (b @ order) / b.sum(axis=1) - (a @ order) / a.sum(axis=1)
+        return float(steps.sum() * self.timestep)
+
     def sampled(self, signals: Array, rest: Array | float = 0.0) -> Array:
         """What reaches the instruments of signals at the simulation's rate, (time, signal).
 

@@ -40,10 +40,12 @@ class Trial:
       order: place in the session, from 0.
       seed: of the person's and the instruments' noise; a whole number of at least 0.
       noise: how noisy the person is; None for a person without noise, the same in every trial.
+      contraction: share of full activation to which all muscles contract against one another for a while, and are
+        silent before and after, for EMG alone [-], 0 to 1; None for what posture and reflexes ask for.
 
     Raises:
-      TypeError: seed or order is not a whole number, or noise is something else.
-      ValueError: seed or order is not finite or negative.
+      TypeError: seed or order is not a whole number, or noise or contraction is something else.
+      ValueError: seed or order is not finite or negative, or contraction out of its range.
     """
 
     subject: Subject
@@ -54,6 +56,7 @@ class Trial:
     order: int = 0
     seed: int = 0
     noise: HumanNoise | None = None
+    contraction: float | None = None
 
     def __post_init__(self) -> None:
         for field in ("order", "seed"):
@@ -61,6 +64,7 @@ class Trial:
             require_whole("Trial", field, getattr(self, field), at_least=0)
         if self.noise is not None and not isinstance(self.noise, HumanNoise):
             raise TypeError(f"Trial: noise = {self.noise!r}; expected HumanNoise or None")
+        require_number("Trial", "contraction", self.contraction, at_least=0.0, at_most=1.0, optional=True)
 
     def generator(self, source: int) -> np.random.Generator:
         """The trial's own stream of chance for one source (`HUMAN`, `MARKER`, `EMG`)."""

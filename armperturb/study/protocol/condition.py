@@ -30,6 +30,8 @@ class Condition:
       reached: how many times as far as intended people move the handle in the experiment [-], 0.1 to 10: between the
         practice session and the experiment, people change.
       reached_spread: SD over people of the logarithm of that [-], 0 to 1.
+      contraction: share of full activation to which all muscles contract for some seconds [-], 0 to 1, in trials
+        without perturbation, to which EMG refers: 1 is a maximal contraction, 0 is rest. None for perturbed trials.
 
     Raises:
       TypeError: a value has the wrong type.
@@ -45,6 +47,7 @@ class Condition:
     co_contraction: float = 1.0
     reached: float = 1.0
     reached_spread: float = 0.0
+    contraction: float | None = None
 
     def __post_init__(self) -> None:
         require_name("condition", "name", self.name)
@@ -64,9 +67,17 @@ class Condition:
             require_number(owner, "pulse_levels", level, above=0.0)
         require_different(owner, "pulse_levels", levels)
         object.__setattr__(self, "pulse_levels", levels)
-        if not levels and not self.has_multisine:
+        require_number(owner, "contraction", self.contraction, at_least=0.0, at_most=1.0, optional=True)
+        if self.contraction is not None:
+            if levels or self.has_multisine:
+                raise ValueError(
+                    f"{owner}: contraction = {self.contraction!r} with a perturbation; expected rms_displacement = 0 "
+                    "and pulse_levels = []"
+                )
+        elif not levels and not self.has_multisine:
             raise ValueError(
-                f"{owner}: rms_displacement = 0 and pulse_levels = []; expected a multisine, a pulse or both"
+                f"{owner}: rms_displacement = 0 and pulse_levels = []; expected a multisine, a pulse or both, "
+                "or a contraction"
             )
         if self.published_force > 0.0 and not self.has_multisine:
             raise ValueError(

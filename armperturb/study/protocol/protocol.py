@@ -15,7 +15,7 @@ from armperturb.environment import Strap
 from armperturb.envs.lab.trial import Trial
 from armperturb.files import read_toml
 from armperturb.foreign import LARGEST
-from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, draw_onset
+from armperturb.perturbations import Multisine, MultisineThenPulse, Perturbation, Pulse, Rest, draw_onset
 from armperturb.seeds import random_stream, trial_seed
 from armperturb.study.protocol.condition import PULSE_UNIT, Condition, PlannedTrial, numbers, require_different
 from armperturb.validation import require_keys, require_one_of, require_ranges
@@ -121,7 +121,7 @@ class Protocol:
             )
         object.__setattr__(self, "onset_window", window)
         for condition in self.conditions:
-            if not condition.has_multisine and window[1] > latest:
+            if condition.pulse_levels and not condition.has_multisine and window[1] > latest:
                 raise ValueError(
                     f"{owner}: onset_window = {list(window)!r}; expected {longest} (condition {condition.name!r})"
                 )
@@ -168,6 +168,9 @@ class Protocol:
         values = asdict(self)
         if self.strap is None:  # TOML has nothing for it
             del values["strap"]
+        for condition in values["conditions"]:
+            if condition["contraction"] is None:
+                del condition["contraction"]
         for table in (values, *values["conditions"]):
             table.update({key: list(value) for key, value in table.items() if isinstance(value, tuple)})
         return values
@@ -258,6 +261,7 @@ class Protocol:
                     order=place,
                     seed=trial_seed(seed, "trial", number, key),
                     noise=HUMAN_NOISE[condition.task] if noisy else None,
+                    contraction=condition.contraction,
                 )
             )
         return trials
@@ -266,6 +270,8 @@ class Protocol:
         self, planned: PlannedTrial, forces: Mapping[str, float], unit: Multisine | None, onset: float
     ) -> Perturbation:
         """What is applied in a trial, from a multisine of 1 N and the onset of a pulse without a multisine [s]."""
+        if planned.condition.contraction is not None:
+            return Rest(duration=self.trial_duration)
         if unit is not None:
             onset = self.multisine_duration if planned.level else self.trial_duration
             multisine = replace(unit, rms=forces[planned.condition.name], duration=onset)

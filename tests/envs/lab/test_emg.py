@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from armperturb.envs.lab.emg import CHUNK, HIGHPASS_ORDER, SERVICES, STULEN_DE_LUCA, Emg
-from armperturb.recording import MUSCLES
+from armperturb.envs.lab.emg import CHUNK, CONTRACTED, HIGHPASS_ORDER, NEIGHBOURS, STULEN_DE_LUCA, Emg
+from armperturb.recording import ACTIONS, MUSCLES
 from armperturb.subject import POSITION, RELAX
 
 RATE, DURATION = 200.0, 20.0
@@ -32,9 +32,8 @@ def active(subject, excitation):
 
 
 def test_every_muscle_serves_a_joint_and_is_named_as_in_the_thesis():
-    assert tuple(SERVICES) == MUSCLES
-    assert {muscle for muscle, service in SERVICES.items() if service["sign"] > 0} == FLEXORS
-    assert [muscle for muscle, service in SERVICES.items() if len(service["joints"]) == 2] == [
+    assert {muscle for muscle, action in ACTIONS.items() if action.sign > 0} == FLEXORS
+    assert [muscle for muscle, action in ACTIONS.items() if action.joints == "se"] == [
         "biceps_short_head",
         "triceps_longum",
     ]
@@ -47,7 +46,7 @@ def test_noise_of_a_silent_muscle_is_the_setting():
 
 
 def test_cocontraction_follows_stiffness():
-    np.testing.assert_allclose(read(POSITION).std(axis=0), 0.2, rtol=0.05)
+    np.testing.assert_allclose(read(POSITION, emg=Emg(crosstalk=0.0)).std(axis=0), 0.2, rtol=0.05)
     half = replace(POSITION, **{f: (getattr(POSITION, f) + getattr(RELAX, f)) / 2 for f in ("k_s", "k_se", "k_e")})
     np.testing.assert_allclose(Emg().activation(half, SILENCE, RATE), 0.1, rtol=1e-12)
     assert not Emg().activation(replace(RELAX, k_s=1.0), SILENCE, RATE).any()
@@ -103,9 +102,25 @@ def test_a_longer_trial_begins_the_same_and_other_seeds_differ():
     assert not np.array_equal(first, read(POSITION, SILENCE[:400], seed=1))
 
 
-def test_muscles_are_independent():
-    correlation = np.corrcoef(read(POSITION).T) - np.eye(8)
+def test_neighbours_alone_share_a_signal_and_none_do_without_crosstalk():
+    correlation = np.corrcoef(read(POSITION, emg=Emg(crosstalk=0.0)).T) - np.eye(8)
     assert np.abs(correlation).max() < 0.05
+    with_crosstalk = np.corrcoef(read(POSITION, emg=Emg(crosstalk=0.2)).T) - np.eye(8)
+    near = {tuple(sorted(map(MUSCLES.index, pair))) for pair in NEIGHBOURS}
+    assert {(i, j) for i, j in zip(*np.nonzero(np.triu(with_crosstalk) > 0.2), strict=True)} == near
+
+
+def test_a_maximal_contraction_is_full_activation_for_its_time():
+    volts = Emg(crosstalk=0.0).read(RELAX, SILENCE, RATE, np.random.default_rng(0), contraction=1.0)
+    first, last = (round(2000 * time) for time in CONTRACTED)
+    np.testing.assert_allclose(volts[first + 50 : last].std(axis=0), 1.0, rtol=0.05)
+    assert volts[last + 500 :].std() < 0.01
+
+
+def test_fatigue_raises_the_amplitude_with_the_activation_that_was():
+    volts = Emg(crosstalk=0.0, fatigue=0.1).read(POSITION, SILENCE, RATE, np.random.default_rng(0))
+    end = volts[-4000:].std(axis=0).mean()
+    assert end == pytest.approx(0.2 * (1.0 + 0.1 * 0.2 * (DURATION - 1.0)), rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -132,8 +147,14 @@ def test_what_is_read_is_what_filters_of_scipy_make_of_the_noise():
     amplifier = signal.butter(HIGHPASS_ORDER, emg.highpass, "highpass", fs=emg.rate, output="sos")
     impulse = signal.unit_impulse(4000)
     both, alone = (np.linalg.norm(signal.sosfilt(amplifier, of)) for of in (signal.sosfilt(colour, impulse), impulse))
-    amplitude = np.repeat(emg.gain * emg.activation(POSITION, excitation, RATE), 10, axis=1)
-    for muscle, stream in enumerate(np.random.default_rng(5).spawn(len(MUSCLES))):
-        own, electrode = (each.standard_normal(len(volts), dtype=np.float32) for each in stream.spawn(2))
-        expected = amplitude[muscle] * signal.sosfilt(colour, own) / both + emg.noise / alone * electrode
+    time = np.arange(len(volts)) / emg.rate
+    amplitude = emg.gain * emg.activation(POSITION, excitation, RATE, time)
+    streams = [stream.spawn(2) for stream in np.random.default_rng(5).spawn(len(MUSCLES))]
+    driven, electrodes = np.array(
+        [[each.standard_normal(len(volts), dtype=np.float32) for each in pair] for pair in streams]
+    ).swapaxes(0, 1)
+    driven = amplitude * signal.sosfilt(colour, driven) / both
+    for muscle, name in enumerate(MUSCLES):
+        near = [MUSCLES.index(other) for pair in NEIGHBOURS if name in pair for other in pair if other != name]
+        expected = driven[muscle] + emg.crosstalk * driven[near].sum(axis=0) + emg.noise / alone * electrodes[muscle]
         np.testing.assert_allclose(volts[:, muscle], signal.sosfilt(amplifier, expected), atol=0.6 * emg.adc_step)

@@ -1,0 +1,1 @@
+"""Surface EMG: envelopes, reflex responses, relaxation and co-contraction."""

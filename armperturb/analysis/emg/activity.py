@@ -1,0 +1,245 @@
+"""How active muscles are apart from their reflexes: whether a person relaxed, and how much antagonists co-contract."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from scipy import ndimage, stats
+
+from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.results import Description, Result, Table, plain
+from armperturb.arrays import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RELAXED = 0.02
+"""Amplitude up to which a muscle counts as relaxed, over that of a maximal contraction [-]."""
+
+RELAXED_OF_LOUDEST = 0.1
+"""The same over the amplitude of the most active condition, where no maximal contraction was recorded [-]."""
+
+SIGNIFICANT = 0.05
+"""Level of the tests, of all muscles of a condition together [-]."""
+
+SHORTEST = 1.0
+"""Shortest part of a trial that tells a level [s]."""
+
+FEWEST_TRIALS = 3
+"""Trials from which on their scatter is that of a level."""
+
+PARTS = ("before", "during")
+"""Before anything perturbs the arm, and from then on to the pulse."""
+
+INDEX_SMOOTHING = 0.08
+"""Time over which power is averaged before antagonists are compared [s]: reflexes change faster than co-contraction."""
+
+ABOVE_NOISE = 5.0
+"""Standard errors by which the power of a trial has to be above the noise for a muscle to co-contract at all [-]."""
+
+JOINTS = {"s": "shoulder", "e": "elbow"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Activity(Result):
+    """Whether muscles are active in each condition, and how much antagonists co-contract.
+
+    Attributes:
+      subject: the person.
+      unit: of amplitudes.
+      limit: amplitude up to which a muscle counts as relaxed [-].
+      levels: one row per condition, part of the trials ("before" or "during" the perturbation) and muscle: mean
+        `amplitude` over the reference's, one-sided `lower_95` limit, number of trials, `p` of the hypothesis that the
+        muscle is relaxed, adjusted for the number of muscles (Holm), and `is_active`.
+      cocontraction: one row per condition, part and joint: `index`, the mean over time of the lesser of the amplitudes
+        of its flexors and extensors, and `ratio`, the same over the mean of both (Falconer & Winter 1985, Electromyogr.
+        Clin. Neurophysiol. 25).
+      remarks: of the channels.
+    """
+
+    subject: str
+    unit: str
+    limit: float
+    levels: pd.DataFrame
+    cocontraction: pd.DataFrame
+    remarks: tuple[str, ...]
+
+    def active_muscles(self, condition: str, part: str | None = None) -> tuple[str, ...]:
+        """Muscles that are active in a condition, in one part of the trials or in any."""
+        rows = self.levels[(self.levels["condition"] == condition) & self.levels["is_active"]]
+        return tuple(dict.fromkeys(rows[rows["part"] == part]["muscle"] if part else rows["muscle"]))
+
+    def describe(self) -> Description:
+        """Which muscles are active in each condition, and the index of co-contraction of each joint."""
+        rows = []
+        for (condition, part), of_part in self.levels.groupby(["condition", "part"], sort=False):
+            active = list(of_part[of_part["is_active"]]["muscle"])
+            index = self.cocontraction.set_index(["condition", "part", "joint"])["index"]
+            rows.append(
+                (
+                    str(condition),
+                    str(part),
+                    "none" if not active else "all" if len(active) == len(of_part) else ", ".join(active),
+                    *(plain(100.0 * index.get((condition, part, joint), math.nan), 3) for joint in JOINTS.values()),
+                )
+            )
+        return Description(
+            title=f"Activity of the muscles of {self.subject}",
+            facts=(
+                f"active: above {100.0 * self.limit:g} {self.unit}, p < {SIGNIFICANT:g}; co-contraction in {self.unit}",
+            ),
+            table=Table(("condition", "part", "active muscles", *JOINTS.values()), tuple(rows)),
+            remarks=self.remarks,
+        )
+
+    def to_frame(self) -> pd.DataFrame:
+        """`levels`."""
+        return self.levels
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw the index of co-contraction by condition, and the amplitude of each muscle.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (panel,).
+        """
+        from armperturb.plots.muscles import plot_activity
+
+        return plot_activity(self.levels, self.cocontraction, self.unit, figure)
+
+
+def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
+    """Levels of muscles and of co-contraction, without the responses to pulses.
+
+    The level of a trial is the power above that of the silent channel. That of a condition is tested against `limit`
+    with Student's t over its trials, whose scatter is at least what the finite time gives.
+
+    Args:
+      envelopes: of a person.
+      limit: amplitude up to which a muscle counts as relaxed, over the reference's [-]; None for `RELAXED`, or
+        `RELAXED_OF_LOUDEST` without a maximal contraction.
+    """
+    if limit is None:
+        limit = RELAXED if envelopes.is_normalised else RELAXED_OF_LOUDEST
+    rate, labels, names = envelopes.rate, envelopes.labels, list(envelopes.muscles)
+    levels, indices = [], []
+    smooth = max(round(INDEX_SMOOTHING * rate), 1)
+    for condition in dict.fromkeys(labels["condition"]):
+        trials = np.flatnonzero(labels["condition"] == condition)
+        for part in PARTS:
+            spans = [_span(labels.iloc[trial], part) for trial in trials]
+            used = [
+                (trial, *span)
+                for trial, span in zip(trials, spans, strict=True)
+                if span[1] - span[0] >= SHORTEST * rate
+            ]
+            if not used:
+                continue
+            power = np.array([np.nanmean(envelopes.power[trial, a:b], axis=0) for trial, a, b in used])
+            seconds = np.array([(b - a) / rate for _, a, b in used])
+            levels += _tested(envelopes, str(condition), part, power, seconds, limit)
+            is_there = power - envelopes.noise > ABOVE_NOISE * np.sqrt(_scatter(envelopes, power, seconds))
+            smoothed = [
+                envelopes.amplitude_of(ndimage.uniform_filter1d(envelopes.power[trial, a:b], smooth, axis=0)) * there
+                for (trial, a, b), there in zip(used, is_there, strict=True)
+            ]
+            for joint, word in JOINTS.items():
+                groups = [
+                    [
+                        column
+                        for column, name in enumerate(names)
+                        if joint in envelopes.muscles[name].joints and envelopes.muscles[name].sign == sign
+                    ]
+                    for sign in (1, -1)
+                ]
+                if all(groups):
+                    index, ratio = np.mean([_index(each, *groups) for each in smoothed], axis=0)
+                    indices.append((condition, part, word, index, ratio))
+    return Activity(
+        subject=str(labels["subject"].iloc[0]),
+        unit=envelopes.unit,
+        limit=limit,
+        levels=pd.DataFrame(
+            levels, columns=["condition", "part", "muscle", "amplitude", "lower_95", "trials", "p", "is_active"]
+        ),
+        cocontraction=pd.DataFrame(indices, columns=["condition", "part", "joint", "index", "ratio"]),
+        remarks=envelopes.remarks,
+    )
+
+
+def _span(row: "pd.Series", part: str) -> tuple[int, int]:
+    start, onset = int(min(row["start"], row["onset"])), int(row["onset"])
+    return (0, start) if part == "before" else (start, onset)
+
+
+def _scatter(envelopes: Envelopes, power: Array, seconds: Array) -> Array:
+    """Variance of mean powers, (trial, muscle), that the finite time [s], (trial,), gives."""
+    return np.asarray(power**2 * 4.0 * envelopes.relative_variance(1.0) / seconds[:, None])
+
+
+def _tested(
+    envelopes: Envelopes, condition: str, part: str, power: Array, seconds: Array, limit: float
+) -> list[tuple[Any, ...]]:
+    """Rows of `Activity.levels` of the mean power of trials, (trial, muscle), that last some seconds, (trial,)."""
+    n, above = len(power), power - envelopes.noise
+    variance = _scatter(envelopes, power, seconds).mean(axis=0)
+    dof = math.inf
+    if n >= FEWEST_TRIALS:
+        between = above.var(axis=0, ddof=1)
+        variance, dof = np.maximum(variance, between), n - 1
+    error = np.sqrt(variance / n)
+    mean = above.mean(axis=0)
+    p = np.nan_to_num(stats.t.sf((mean - limit**2) / np.maximum(error, 1e-300), dof), nan=1.0)
+    adjusted = holm(p)
+    lower = mean - stats.t.ppf(0.95, dof) * error
+    amplitude, least = (np.sqrt(np.maximum(each, 0.0)) for each in (mean, lower))
+    return [
+        (condition, part, name, amplitude[i], least[i], n, adjusted[i], bool(adjusted[i] < SIGNIFICANT))
+        for i, name in enumerate(envelopes.muscles)
+    ]
+
+
+def holm(p: Array) -> Array:
+    """p values adjusted for their number (Holm 1979, Scand. J. Stat. 6), (test,)."""
+    order = np.argsort(p)
+    stepped = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.minimum(stepped, 1.0)
+    return adjusted
+
+
+def _index(amplitude: Array, flexors: list[int], extensors: list[int]) -> tuple[float, float]:
+    """Index and ratio of co-contraction of a trial's amplitudes, (time, muscle)."""
+    flexed, extended = (np.nanmean(amplitude[:, columns], axis=1) for columns in (flexors, extensors))
+    index = float(np.mean(np.minimum(flexed, extended)))
+    both = float(np.mean(flexed + extended)) / 2.0
+    return index, index / both if both > 0.0 else math.nan
+
+
+def relaxation_sentence(people: Iterable[Activity], conditions: Iterable[str], task: str = "relax task") -> str:
+    """One sentence on whether people relaxed, with its figures.
+
+    Args:
+      people: activity of each person.
+      conditions: in which they were to relax.
+      task: what these are called.
+    """
+    wanted, everyone = list(conditions), list(people)
+    known = [person for person in everyone if person.levels["condition"].isin(wanted).any()]
+    if not known:
+        return f"Nothing is known of relaxation: no EMG in the {task}."
+    active = {
+        person.subject: [name for name in wanted if person.active_muscles(name)]
+        for person in known
+        if any(person.active_muscles(name) for name in wanted)
+    }
+    limit = f"{100.0 * known[0].limit:g} {known[0].unit}"
+    if not active:
+        return f"In the {task}, all muscles of all {len(known)} people stayed below {limit}: they relaxed."
+    named = "; ".join(f"{name} in {', '.join(where)}" for name, where in active.items())
+    return f"In the {task}, {len(active)} of {len(known)} people did not relax (a muscle above {limit}): {named}."

@@ -1,0 +1,182 @@
+"""What is wrong with channels of EMG, with its time: dead, clipped, spikes, movement artefacts, hum, cross-talk."""
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armperturb.analysis.plateaus import runs
+from armperturb.arrays import Array
+
+DEAD = 0.5
+"""Time for which a channel that does not change at all is dead [s]."""
+
+SPIKE_WINDOW, SPIKE = 40, 0.6
+"""Samples of a window, and share of its power in one of them from which on that is a spike [-]: of normal noise, it is
+beyond that once in 10^11 windows."""
+
+ENDS = 5
+"""Windows at the ends of a trial in which no spikes are looked for, as the filter answers to the ends themselves."""
+
+MOST_SPIKES = 5
+"""Spikes that are named of a channel in a trial."""
+
+MOVED = 10.0
+"""Power below the band over that in it from which on a trial has a movement artefact [-]."""
+
+HUM_WIDTH, HUM = 4.0, 15.0
+"""Half width of the neighbourhood of a mains line [Hz], and the line's power over the mean there that is hum [-]: a
+periodogram of noise exceeds that once in 3 million frequencies."""
+
+MAINS_DRIFT = 0.2
+"""By how much the mains frequency may be off [Hz]."""
+
+MOST_HARMONICS = 9
+"""Multiples of the mains frequency that are looked at."""
+
+NOTCH = 0.75
+"""Half width of the notch at a line of hum [Hz]."""
+
+CROSSTALK = 0.15
+"""Correlation of two whitened channels from which on cross-talk is reported [-]: independent muscles have 0."""
+
+
+class ChannelFault(NamedTuple):
+    """Something wrong with a channel.
+
+    Attributes:
+      muscle: name of the channel.
+      trial: number in the recording, from 0.
+      kind: "dead", "clipped", "spike" or "movement artefact".
+      start: when it begins [s].
+      end: when it ends [s].
+    """
+
+    muscle: str
+    trial: int
+    kind: str
+    start: float
+    end: float
+
+    def __str__(self) -> str:
+        when = (
+            f"at {self.start:.3f} s" if self.end - self.start < 0.01 else f"from {self.start:.2f} to {self.end:.2f} s"
+        )
+        return f"EMG of {self.muscle} in trial {self.trial}: {self.kind} {when}"
+
+
+class Crosstalk(NamedTuple):
+    """Two channels that share a signal.
+
+    Attributes:
+      muscles: the two.
+      correlation: of their whitened signals [-].
+    """
+
+    muscles: tuple[str, str]
+    correlation: float
+
+    def __str__(self) -> str:
+        first, second = self.muscles
+        return (
+            f"EMG of {first} and {second} correlates (r = {self.correlation:.2f}): cross-talk of up to "
+            f"{100.0 * abs(self.correlation):.0f} % of the amplitude"
+        )
+
+
+def faults_of_trial(
+    volts: NDArray[np.float32],
+    white: NDArray[np.float32],
+    low_power: Array,
+    rate: float,
+    trial: int,
+    names: Sequence[str],
+) -> list[ChannelFault]:
+    """What is wrong with the channels of a trial.
+
+    Args:
+      volts: as recorded [V], (muscle, time). Three samples in a row at the largest or least value are clipped.
+      white: within the band, whitened, (muscle, time).
+      low_power: power below the band over that in it, (muscle,).
+      rate: of the samples [Hz].
+      trial: its number.
+      names: of the muscles.
+    """
+    faults = []
+
+    def add(name: str, kind: str, start: float, end: float) -> None:
+        faults.append(ChannelFault(name, trial, kind, float(start) / rate, float(end) / rate))
+
+    n_windows = white.shape[1] // SPIKE_WINDOW
+    windows = white[:, : n_windows * SPIKE_WINDOW].reshape(len(white), n_windows, SPIKE_WINDOW)
+    total = np.einsum("mws,mws->mw", windows, windows)
+    largest = np.maximum(windows.max(axis=2), -windows.min(axis=2)) ** 2
+    for row, name in enumerate(names):
+        x = volts[row]
+        top, bottom = x.max(), x.min()
+        still = np.flatnonzero(x[1:] == x[:-1])
+        if len(still) >= DEAD * rate:
+            spans = [(start, end) for start, end in runs(x[1:] == x[:-1]) if end - start >= DEAD * rate]
+            for start, end in spans:
+                add(name, "dead", start, end + 1)
+            if spans:
+                continue
+        at_limit = still[(x[still] == top) | (x[still] == bottom)]
+        in_a_row = np.flatnonzero(np.diff(at_limit) == 1)
+        if len(in_a_row):
+            add(name, "clipped", at_limit[in_a_row[0]], at_limit[in_a_row[-1]] + 2)
+        inside = largest[row, ENDS:-ENDS] > SPIKE * np.maximum(total[row, ENDS:-ENDS], 1e-30)
+        for window in (ENDS + np.flatnonzero(inside))[:MOST_SPIKES]:
+            at = window * SPIKE_WINDOW + int(np.argmax(np.abs(windows[row, window])))
+            add(name, "spike", at, at + 1)
+        if low_power[row] > MOVED:
+            at = int(np.argmax(np.abs(x - x.mean())))
+            add(name, "movement artefact", max(at - rate / 2, 0), min(at + rate / 2, len(x)))
+    return faults
+
+
+def hum_lines(power: Array, frequency: Array, mains: Sequence[float]) -> list[float]:
+    """Frequencies at which a channel hums [Hz].
+
+    Args:
+      power: periodogram of a channel, mean over trials, (frequency,).
+      frequency: evenly spaced [Hz], (frequency,).
+      mains: frequencies of the mains that are looked for, with their multiples [Hz].
+    """
+    lines = []
+    for fundamental in mains:
+        for line in fundamental * np.arange(1, MOST_HARMONICS + 1):
+            near = np.abs(frequency - line) <= MAINS_DRIFT
+            around = (np.abs(frequency - line) <= HUM_WIDTH) & ~near
+            if near.any() and around.any() and power[near].max() > HUM * power[around].mean():
+                lines.append(float(frequency[near][np.argmax(power[near])]))
+    return lines
+
+
+def crosstalk_of(correlation: Array, names: Sequence[str]) -> tuple[Crosstalk, ...]:
+    """Pairs of channels that share a signal, the strongest first.
+
+    Args:
+      correlation: of the whitened channels, (muscle, muscle).
+      names: of the muscles.
+    """
+    pairs = [
+        Crosstalk((names[i], names[j]), float(correlation[i, j]))
+        for i, j in itertools.combinations(range(len(names)), 2)
+        if abs(correlation[i, j]) > CROSSTALK
+    ]
+    return tuple(sorted(pairs, key=lambda pair: -abs(pair.correlation)))
+
+
+def said_of(faults: Sequence[ChannelFault]) -> tuple[str, ...]:
+    """One line per muscle and kind of fault, with the first time and how often."""
+    by_kind: dict[tuple[str, str], list[ChannelFault]] = {}
+    for fault in faults:
+        by_kind.setdefault((fault.muscle, fault.kind), []).append(fault)
+    lines = []
+    for those in by_kind.values():
+        more = f" (and {len(those) - 1} more)" if len(those) > 1 else ""
+        lines.append(f"{those[0]}{more}")
+    return tuple(lines)

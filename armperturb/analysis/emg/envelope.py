@@ -1,0 +1,331 @@
+"""Envelopes of surface EMG: amplitude as a function of time, normalised, with what is wrong with the channels.
+
+EMG is noise whose strength follows the drive of the muscle. In a band of B [Hz] of even spectrum, the amplitude that is
+averaged over a time T is known to
+
+    var(a) / a^2 = 1 / (4 B T)    (maximum likelihood; Hogan & Mann 1980, IEEE Trans. Biomed. Eng. 27),
+
+while surface EMG, most of which lies between 40 and 150 Hz, tells far less unless it is whitened first. So each channel
+is filtered with zero phase by
+
+    |H|^2 = S / (S + N)^2    within the band,
+
+S and N being the spectra of the muscle and of the silent channel: where the muscle is far above the noise that is
+whitening, elsewhere little is let through (Clancy & Farry 2000, IEEE Trans. Biomed. Eng. 47). One filter serves all
+trials of a person, so that amplitudes can be compared. Squared and averaged, it is the power; the amplitude is the root
+of what is above the power of the silent channel.
+"""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+
+from armperturb.analysis.cuts import onset_samples
+from armperturb.analysis.emg.channels import ChannelFault, Crosstalk, crosstalk_of, faults_of_trial, said_of
+from armperturb.analysis.emg.whitening import Spectra, averaged, noise_spectra, whitening
+from armperturb.analysis.results import Description, Result, Table, plain
+from armperturb.arrays import Array
+from armperturb.recording import Action, muscle_actions
+from armperturb.validation import require_number
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MAXIMAL, REST = "MVC", "REST"
+"""Conditions whose trials are maximal contractions, and rest."""
+
+LOW, HIGH_SHARE = 20.0, 0.45
+"""Lower edge of the band [Hz], and its upper edge over the sampling rate [-]."""
+
+MAINS = (50.0, 60.0)
+"""Frequencies of mains whose hum is looked for [Hz]."""
+
+MAXIMAL_WINDOW, PLATEAU = 1.0, 0.8
+"""Time over which a maximal contraction is averaged [s], and power over its largest with which it counts [-]."""
+
+NEGLIGIBLE = 1e-6
+"""Disturbances below this count as none [N]."""
+
+SHORTER = 0.5
+"""Time by which EMG may end before the other signals, or after them [s]."""
+
+
+LABELS = ("subject", "task", "condition", "repetition", "pulse_level", "pulse_direction", "pulse_onset")
+"""Coordinates of trials that go with the envelopes."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Envelopes(Result):
+    """EMG of one person's trials as amplitudes at the rate of the other signals, and in step with them.
+
+    Attributes:
+      muscles: name of each channel that is analysed to what the muscle does.
+      labels: one row per trial: `LABELS`, and the first samples that are perturbed at all (start) and by the pulse
+        (onset), or the number of samples.
+      rate: of the envelopes [Hz].
+      power: of the whitened channels about each sample, (trial, time, muscle), in units of the reference's; NaN where
+        a channel is dead.
+      noise: power of the silent channels in the same units, (muscle,); see `whitening`.
+      reference: what amplitudes are relative to: "maximal contraction", or the condition of the largest mean power.
+      reference_volts: its RMS as recorded [V], (muscle,).
+      averaging: time over which a sample of the power is averaged [s].
+      samples_per_second: independent numbers in a second of the whitened channels [1/s], (muscle,).
+      faults: of channels, in the order of the trials.
+      crosstalk: pairs of channels that share a signal.
+      hum: name of each channel that hums to the frequencies that are cut out [Hz].
+    """
+
+    muscles: dict[str, Action]
+    labels: pd.DataFrame
+    rate: float
+    power: Array
+    noise: Array
+    reference: str
+    reference_volts: Array
+    averaging: float
+    samples_per_second: Array
+    faults: tuple[ChannelFault, ...]
+    crosstalk: tuple[Crosstalk, ...]
+    hum: dict[str, list[float]]
+
+    @property
+    def is_normalised(self) -> bool:
+        """Whether amplitudes are shares of a maximal contraction."""
+        return self.reference == "maximal contraction"
+
+    @property
+    def unit(self) -> str:
+        """What amplitudes are measured in."""
+        return "% of maximal contraction" if self.is_normalised else f"% of {self.reference}"
+
+    @property
+    def amplitude(self) -> Array:
+        """Amplitude over the reference's [-], (trial, time, muscle)."""
+        return self.amplitude_of(self.power)
+
+    def amplitude_of(self, power: Array) -> Array:
+        """Amplitude over the reference's [-] of power that may have been averaged, (..., muscle)."""
+        return np.sqrt(np.maximum(power - self.noise, 0.0))
+
+    def relative_variance(self, duration: float) -> Array:
+        """Variance over squared mean of an amplitude that is averaged so long [s], far above the noise, (muscle,)."""
+        return 1.0 / (2.0 * self.samples_per_second * duration)
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What is wrong with the channels, a line each."""
+        hum = tuple(
+            f"EMG of {name} hums at {', '.join(f'{line:.1f}' for line in lines)} Hz: cut out"
+            for name, lines in self.hum.items()
+        )
+        no_group = [name for name, action in self.muscles.items() if not action.joints or not action.sign]
+        unknown = (
+            (
+                f"EMG of {', '.join(no_group)}: nobody says what the muscle does; expected signals.emg.muscles in the "
+                "sidecar",
+            )
+            if no_group
+            else ()
+        )
+        return (*said_of(self.faults), *hum, *map(str, self.crosstalk), *unknown)
+
+    def describe(self) -> Description:
+        """Mean amplitude of each muscle in each condition, and what is wrong with the channels."""
+        frame = self.to_frame().pivot(index="muscle", columns="condition", values="amplitude")
+        conditions = list(dict.fromkeys(self.labels["condition"]))
+        rows = tuple(
+            (name, *(plain(100.0 * frame.loc[name, condition], 3) for condition in conditions)) for name in self.muscles
+        )
+        return Description(
+            title=f"EMG of {self.labels['subject'].iloc[0]}: {len(self.muscles)} muscles in {len(self.labels)} trials",
+            facts=(f"amplitude before the pulse in {self.unit}",),
+            table=Table(("muscle", *conditions), rows),
+            remarks=self.remarks,
+        )
+
+    def mean_power(self, start: float = 0.0) -> Array:
+        """Mean power of each trial from a time [s] to its pulse, (trial, muscle)."""
+        return _means(self.power, self.labels["onset"].to_numpy(), round(start * self.rate))
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row per condition and muscle: mean amplitude before the pulse over the reference's, and in volts."""
+        amplitude = self.amplitude_of(self.mean_power())
+        rows = []
+        for condition in dict.fromkeys(self.labels["condition"]):
+            mean = amplitude[(self.labels["condition"] == condition).to_numpy()].mean(axis=0)
+            for column, name in enumerate(self.muscles):
+                rows.append((condition, name, mean[column], mean[column] * self.reference_volts[column]))
+        return pd.DataFrame(rows, columns=["condition", "muscle", "amplitude", "amplitude_V"])
+
+    def to_xarray(self) -> xr.Dataset:
+        """`amplitude` along trial, time and muscle, with the labels of the trials."""
+        coords = {str(name): ("trial", self.labels[name].to_numpy()) for name in self.labels.columns}
+        return xr.Dataset(
+            {
+                "amplitude": (
+                    ("trial", "time", "muscle"),
+                    self.amplitude,
+                    {"units": "1", "long_name": f"amplitude of the EMG over that of {self.reference}"},
+                )
+            },
+            coords={
+                **coords,
+                "time": ("time", np.arange(self.power.shape[1]) / self.rate, {"units": "s"}),
+                "muscle": list(self.muscles),
+            },
+        )
+
+    def plot(self, figure: "Figure | None" = None, trial: int = 0, smoothing: float = 0.1) -> Any:
+        """Draw the amplitude of every muscle over a trial, antagonists of a joint on one another.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+          trial: which one.
+          smoothing: time over which power is averaged [s].
+
+        Returns:
+          Matplotlib axes, (panel,).
+        """
+        from armperturb.plots.muscles import plot_envelopes
+
+        return plot_envelopes(self, figure, trial, smoothing)
+
+
+def require_emg(recording: xr.Dataset) -> None:
+    """Refuse a recording whose EMG cannot be analysed.
+
+    Raises:
+      ValueError: there is none, or it lasts longer or less long than the other signals.
+    """
+    if "emg" not in recording.data_vars:
+        raise ValueError("EMG is missing: the recording has no variable 'emg'; expected one (signals.emg of a sidecar)")
+    n, rate = recording.sizes["emg_time"], float(recording.attrs["emg_rate"])
+    duration, others = n / rate, recording.sizes["time"] / float(recording.attrs["rate"])
+    if abs(duration - others) > SHORTER:
+        raise ValueError(
+            f"EMG is not used: it lasts {duration:.6g} s at emg_rate = {rate:g} Hz, the other signals {others:.6g} s; "
+            "expected one duration (signals.emg.rate of the sidecar)"
+        )
+    if rate < 10.0 * LOW:
+        raise ValueError(f"EMG is not used: emg_rate = {rate:g} Hz; expected at least {10.0 * LOW:g} Hz")
+    if not np.any(recording["emg"].values):
+        raise ValueError("EMG is not used: all channels are zero; expected voltages")
+
+
+def envelopes(
+    recording: xr.Dataset,
+    *,
+    low: float = LOW,
+    high: float | None = None,
+    mains: Sequence[float] = MAINS,
+    whiten: bool = True,
+    maximal: str = MAXIMAL,
+    rest: str = REST,
+) -> Envelopes:
+    """Envelopes of one person's EMG.
+
+    Amplitudes are relative to the seconds of a maximal contraction in which a muscle is strongest, if there is a
+    condition of such trials, and otherwise to the condition of its largest mean. Noise is the power of rest, if there
+    is such a condition, and otherwise what is white in the quietest trial (`whitening.noise_spectra`).
+
+    Args:
+      recording: of one person, with EMG.
+      low: lower edge of the band [Hz].
+      high: upper edge of the band [Hz]; None for 45 % of the sampling rate.
+      mains: frequencies whose hum is looked for, with their multiples [Hz].
+      whiten: whether to whiten; if not, the band alone is let through.
+      maximal: condition of the trials of maximal contraction.
+      rest: condition of the trials at rest.
+
+    Raises:
+      ValueError: as `require_emg`; or the band is empty.
+    """
+    require_emg(recording)
+    rate, mechanical = float(recording.attrs["emg_rate"]), float(recording.attrs["rate"])
+    high = HIGH_SHARE * rate if high is None else high
+    require_number("envelopes", "low", low, above=0.0, below=rate / 4.0)
+    require_number("envelopes", "high", high, above=low, at_most=rate / 2.0)
+    volts, actions = recording["emg"].values, muscle_actions(recording)
+    names, conditions = list(actions), recording["condition"].values.astype(str)
+    spectra = Spectra.of(volts, rate, low)
+    noise = noise_spectra(spectra, (low, high), conditions == rest)
+    filtered = whitening(spectra, noise, volts.shape[1], rate, (low, high), mains, whiten=whiten)
+    half, n_time = 1.0 / mechanical, recording.sizes["time"]
+    # The other signals, which are late by the lead, show at a time what the EMG showed before it.
+    centre = np.arange(n_time) / mechanical - float(recording["emg"].attrs.get("lead", 0.0))
+    power = np.empty((len(volts), n_time, len(names)))
+    correlation, faults = np.zeros((len(names), len(names))), list[ChannelFault]()
+    for trial, values in enumerate(volts):
+        white = filtered(np.ascontiguousarray(values.T))
+        power[trial] = averaged(white, rate, centre - half, centre + half).T
+        of_trial = faults_of_trial(values.T, white, spectra.below[trial], rate, trial, names)
+        for fault in of_trial:
+            if fault.kind == "dead":
+                dead = slice(int(fault.start * mechanical), int(np.ceil(fault.end * mechanical)) + 1)
+                power[trial, dead, names.index(fault.muscle)] = np.nan
+        faults += of_trial
+        correlation += _correlation(white) / len(volts)
+    labels = _labels(recording)
+    reference, largest = _reference(power, labels, maximal, mechanical)
+    # A muscle that never rises above the noise is silent, not fully active.
+    above = np.maximum(np.maximum(largest - filtered.noise, filtered.noise), np.finfo(np.float32).tiny)
+    return Envelopes(
+        muscles=actions,
+        labels=labels,
+        rate=mechanical,
+        power=power / above,
+        noise=filtered.noise / above,
+        reference=reference,
+        reference_volts=np.sqrt(above / filtered.gain),
+        averaging=2.0 * half,
+        samples_per_second=filtered.samples_per_second,
+        faults=tuple(faults),
+        crosstalk=crosstalk_of(correlation, names),
+        hum={names[column]: lines for column, lines in filtered.hum.items()},
+    )
+
+
+def _correlation(white: NDArray[np.float32]) -> Array:
+    """Of the channels of a trial, (muscle, muscle); zero of what does not change."""
+    size = np.linalg.norm(white, axis=1)
+    scaled = white / np.maximum(size, np.finfo(np.float32).tiny)[:, None]
+    return np.asarray(scaled @ scaled.T, dtype=float)
+
+
+def _labels(recording: xr.Dataset) -> pd.DataFrame:
+    frame = pd.DataFrame({name: recording[name].values for name in LABELS})
+    moves = np.abs(recording["perturbation"].values).max(axis=2) > NEGLIGIBLE
+    start = np.where(moves.any(axis=1), moves.argmax(axis=1), recording.sizes["time"])
+    return frame.assign(start=start, onset=onset_samples(recording))
+
+
+def _reference(power: Array, labels: pd.DataFrame, maximal: str, rate: float) -> tuple[str, Array]:
+    """What amplitudes are relative to, and its power, (muscle,)."""
+    is_maximal = (labels["condition"] == maximal).to_numpy()
+    if is_maximal.any():
+        window = max(round(MAXIMAL_WINDOW * rate), 1)
+        summed = np.cumsum(np.nan_to_num(power[is_maximal]), axis=1)
+        if summed.shape[1] > window:
+            means = (summed[:, window:] - summed[:, :-window]).reshape(-1, power.shape[2]) / window
+            # Not the largest, which is that of the noise as well.
+            near = np.where(means >= PLATEAU * means.max(axis=0), means, np.nan)
+            return "maximal contraction", np.nanmedian(near, axis=0)
+    means = _means(power, labels["onset"].to_numpy(), 0)
+    by_condition = pd.DataFrame(means).groupby(labels["condition"].to_numpy(), sort=False).mean()
+    shares = by_condition / by_condition.max().clip(lower=np.finfo(float).tiny)
+    loudest = str(shares.mean(axis=1).idxmax())
+    return loudest, by_condition.loc[loudest].fillna(0.0).to_numpy(dtype=float)
+
+
+def _means(power: Array, ends: Array, first: int) -> Array:
+    """Mean of each trial from a sample to its end, without what is dead, (trial, muscle)."""
+    with warnings.catch_warnings(action="ignore"):
+        return np.stack(
+            [np.nanmean(each[first : max(int(end), first + 1)], axis=0) for each, end in zip(power, ends, strict=True)]
+        )

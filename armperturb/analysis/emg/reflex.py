@@ -1,0 +1,309 @@
+"""Reflexes in the EMG: the response from joint rotation to amplitude, and averages about pulses.
+
+Of each muscle,
+
+    a(s) = h(s) e^(-s T) (c_v s + c_p) . q(s) + noise,
+
+where q are the rotations of both joints, c_v and c_p gains of velocity and position, T the delay from rotation to EMG,
+and h the average over which the envelope is taken. The amplitude of one muscle follows lengthening alone: gains are
+those of the linear response nearest to it, half of those to lengthening, and what they leave is noise. EMG noise
+moves no arm, so that rotation may be any, and no disturbance is needed to tell. Parameters are maximum
+likelihood estimates from the tapered spectra (Whittle 1953, Ark. Mat. 2), the noise being flat.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from scipy import fft, optimize, stats
+
+from armperturb.analysis.arm.geometry import hand_jacobian
+from armperturb.analysis.defaults import WINDOW_START
+from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.results import Description, Result, Table, plain
+from armperturb.analysis.trials import ConditionTrials
+from armperturb.arrays import Array, ComplexArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+BAND = (0.3, 20.0)
+"""Frequencies of the fit [Hz]."""
+
+DELAYS = (0.005, 0.15)
+"""Least and largest delay that is looked for [s]."""
+
+N_DELAYS = 30
+"""Delays from which the best is refined."""
+
+BIN = 1.0
+"""Width of the bands in which the response is averaged [Hz]."""
+
+BACKGROUND, SHORT, LONG = (-0.1, 0.0), (0.02, 0.05), (0.05, 0.1)
+"""Windows about the onset of a pulse: before it, of short and of long latency [s]."""
+
+FEWEST_SECONDS = 4.0
+"""Time of a trial from which on it tells of reflexes [s]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Reflexes(Result):
+    """Reflexes of a person in one condition.
+
+    Attributes:
+      condition: that it is.
+      subject: the person.
+      unit: of amplitudes.
+      responses: one row per muscle: `delay_s`, `delay_error_s` and its 95 % limits `lower_95_s` and `upper_95_s`,
+        `delay_by_phase_s`, gains `velocity_s`, `velocity_e` [s/rad] and `position_s`, `position_e` [1/rad] with their
+        errors (`..._error`), `coherence` of amplitude and rotation in the whole band, and `p` of no response.
+      frequency: centres of bands [Hz], (band,).
+      response: H_xa from rotation of shoulder and elbow to amplitude [1/rad], (muscle, joint, band).
+      response_error: standard error of its modulus, (muscle, joint, band).
+      coherence: multiple coherence [-], (muscle, band).
+      averages: one row per muscle and direction of the pulses: number of `trials`, amplitude in `background`, and above
+        it in `short` and `long`, with standard errors over trials (`..._error`).
+    """
+
+    condition: str
+    subject: str
+    unit: str
+    responses: pd.DataFrame
+    frequency: Array
+    response: ComplexArray
+    response_error: Array
+    coherence: Array
+    averages: pd.DataFrame
+
+    def describe(self) -> Description:
+        """Delay, gains and coherence of each muscle."""
+        rows = tuple(
+            (
+                row["muscle"],
+                f"{1e3 * row['delay_s']:.1f} ± {1e3 * row['delay_error_s']:.1f}",
+                f"{1e3 * row['delay_by_phase_s']:.1f}",
+                plain(row["coherence"], 2),
+                f"{row['p']:.2g}",
+            )
+            for row in self.responses.to_dict("records")
+        )
+        return Description(
+            title=f"Reflexes of {self.subject} in {self.condition}, from rotation to EMG",
+            facts=(f"amplitudes in {self.unit}",),
+            table=Table(("muscle", "delay [ms]", "by phase [ms]", "coherence", "p"), rows),
+        )
+
+    def to_frame(self) -> pd.DataFrame:
+        """`responses`."""
+        return self.responses
+
+    def to_xarray(self) -> xr.Dataset:
+        """`response`, `response_error` and `coherence` along muscle, joint and frequency."""
+        return xr.Dataset(
+            {
+                "response": (("muscle", "joint", "frequency"), self.response, {"units": "1/rad"}),
+                "response_error": (("muscle", "joint", "frequency"), self.response_error, {"units": "1/rad"}),
+                "coherence": (("muscle", "frequency"), self.coherence, {"units": "1"}),
+            },
+            coords={
+                "muscle": list(self.responses["muscle"]),
+                "joint": ["shoulder", "elbow"],
+                "frequency": ("frequency", self.frequency, {"units": "Hz"}),
+            },
+        )
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw modulus with 95 % limits, phase and coherence of the responses over frequency.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (3, joint).
+        """
+        from armperturb.plots.muscles import plot_reflexes
+
+        return plot_reflexes(self, figure)
+
+
+def reflexes(trials: ConditionTrials, envelopes: Envelopes, *, window_start: float = WINDOW_START) -> Reflexes:
+    """Reflexes of one condition, from a time on to the pulses, and averages about these.
+
+    Args:
+      trials: of the condition.
+      envelopes: of all the person's trials.
+      window_start: when the transient of the perturbation has died away [s].
+
+    Raises:
+      ValueError: no trial is long enough, or neither joint angles nor the posture are known.
+    """
+    rows = np.flatnonzero((envelopes.labels["condition"] == trials.label).to_numpy())
+    angles, rate, names = _rotation(trials), envelopes.rate, list(envelopes.muscles)
+    first = round(window_start * rate)
+    ends = [min(int(onset), angles.shape[1]) for onset in trials.onset]
+    used = [k for k, end in enumerate(ends) if end - first >= FEWEST_SECONDS * rate]
+    if not used:
+        raise ValueError(
+            f"reflexes: trials of {trials.label} last at most {max(ends) / rate:g} s before the pulse; expected "
+            f"{window_start + FEWEST_SECONDS:g} s (an earlier --window-start)"
+        )
+    length = min(ends[k] for k in used) - first
+    frequency = fft.rfftfreq(length, 1.0 / rate)
+    inside = (frequency >= BAND[0]) & (frequency <= BAND[1])
+    amplitude = envelopes.amplitude[rows]
+    taper = np.hanning(length)[None, :, None]
+
+    def spectrum(values: Array) -> ComplexArray:
+        part = values[used, first : first + length]
+        part = part - part.mean(axis=1, keepdims=True)
+        return np.asarray(fft.rfft(part * taper, axis=1)[:, inside].swapaxes(1, 2))  # (trial, signal, frequency)
+
+    q, a, f = spectrum(angles), spectrum(np.nan_to_num(amplitude)), frequency[inside]
+    a = a / np.sinc(f * envelopes.averaging)
+    # Neighbouring lines of a tapered spectrum share what they tell.
+    shared = float(np.sum(taper**4) * length / np.sum(taper**2) ** 2)
+    fits = [_fit(q, a[:, column], f, shared) for column in range(len(names))]
+    response, error, coherence, centre = _response(q, a, f, shared)
+    table = pd.DataFrame([{"muscle": name, **fit} for name, fit in zip(names, fits, strict=True)])
+    table["delay_by_phase_s"] = [
+        _by_phase(response[column], error[column], centre, fit) for column, fit in enumerate(fits)
+    ]
+    return Reflexes(
+        condition=trials.label,
+        subject=trials.name,
+        unit=envelopes.unit,
+        responses=table,
+        frequency=centre,
+        response=response,
+        response_error=error,
+        coherence=coherence,
+        averages=pulse_averages(envelopes, rows.tolist()),
+    )
+
+
+def _rotation(trials: ConditionTrials) -> Array:
+    """Rotation of the joints, from their angles or, for small movements, from the handle [rad], (trial, time, 2)."""
+    if "joint_angle" in trials.recording.data_vars:
+        return np.asarray(trials.recording["joint_angle"].values, dtype=float)
+    inverse = np.linalg.inv(hand_jacobian(trials.body))
+    return np.asarray(trials.recorded_displacement @ inverse.T)
+
+
+def _design(q: ComplexArray, f: Array, delay: float) -> Array:
+    """Responses to unit gains, real and imaginary parts, (number, gain): velocity of both joints, then position."""
+    s = 2j * np.pi * f
+    delayed = np.exp(-s * delay) * q
+    columns = np.concatenate([s * delayed, delayed], axis=1)  # (trial, gain, frequency)
+    rows = columns.swapaxes(1, 2).reshape(-1, 4)
+    return np.concatenate([rows.real, rows.imag])
+
+
+def _fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str, float]:
+    """Delay and gains of a muscle, with standard errors; a is (trial, frequency)."""
+    rows = np.concatenate([a.ravel().real, a.ravel().imag])
+
+    def left(delay: float) -> tuple[float, Array]:
+        gains, *_ = np.linalg.lstsq(_design(q, f, delay), rows, rcond=None)
+        return float(np.sum((rows - _design(q, f, delay) @ gains) ** 2)), gains
+
+    delays = np.linspace(*DELAYS, N_DELAYS)
+    start = delays[int(np.argmin([left(delay)[0] for delay in delays]))]
+    step = delays[1] - delays[0]
+    bounds = max(DELAYS[0], start - step), min(DELAYS[1], start + step)
+    delay = float(
+        optimize.minimize_scalar(lambda x: left(x)[0], bounds=bounds, method="bounded", options={"xatol": 1e-6}).x
+    )
+    remainder, gains = left(delay)
+    design = _design(q, f, delay)
+    change = (_design(q, f, delay + 1e-5) - _design(q, f, delay - 1e-5)) @ gains / 2e-5
+    everything = np.column_stack([design, change])
+    n = len(rows) / shared
+    variance = remainder / max(len(rows) - 5 * shared, 1.0)
+    covariance = np.linalg.pinv(everything.T @ everything) * variance * shared
+    errors = np.sqrt(np.diag(covariance))
+    total = float(np.sum(rows**2))
+    explained = max(1.0 - remainder / total, 0.0) if total > 0.0 else 0.0
+    statistic = explained / max(1.0 - explained, 1e-12) * max(n - 5.0, 1.0) / 5.0
+    half = stats.norm.ppf(0.975) * errors[4]
+    names = ("velocity_s", "velocity_e", "position_s", "position_e")
+    return {
+        "delay_s": delay,
+        "delay_error_s": float(errors[4]),
+        "lower_95_s": delay - half,
+        "upper_95_s": delay + half,
+        **dict(zip(names, gains.tolist(), strict=True)),
+        **{f"{name}_error": float(error) for name, error in zip(names, errors[:4], strict=True)},
+        "coherence": explained,
+        "p": float(stats.f.sf(statistic, 5, max(n - 5.0, 1.0))),
+    }
+
+
+def _response(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> tuple[ComplexArray, Array, Array, Array]:
+    """H_xa, the standard error of its modulus, multiple coherence and centres of bands."""
+    places = np.floor(f / BIN).astype(int)
+    responses, errors, coherences, centres = [], [], [], []
+    for place in np.unique(places):
+        inputs, outputs = (each[..., places == place].swapaxes(0, 1).reshape(each.shape[1], -1) for each in (q, a))
+        n = inputs.shape[1] / shared
+        if n < 4:
+            continue
+        power = inputs @ inputs.conj().T
+        inverse = np.linalg.inv(power)
+        response = outputs @ inputs.conj().T @ inverse
+        remainder = np.sum(np.abs(outputs - response @ inputs) ** 2, axis=1)
+        total = np.maximum(np.sum(np.abs(outputs) ** 2, axis=1), 1e-300)
+        noise = remainder / (inputs.shape[1] * max(1.0 - 2.0 / n, 0.1))
+        responses.append(response)
+        # Half of a complex error's variance lies along the modulus.
+        errors.append(np.sqrt(0.5 * shared * noise[:, None] * np.diag(inverse).real))
+        coherences.append(1.0 - remainder / total)
+        centres.append(f[places == place].mean())
+    return np.stack(responses, axis=-1), np.stack(errors, axis=-1), np.stack(coherences, axis=-1), np.array(centres)
+
+
+def _by_phase(response: ComplexArray, error: Array, frequency: Array, fit: dict[str, float]) -> float:
+    """Delay from the phase of the response to the joint that tells more, beyond the lead of its gains [s]."""
+    snr = np.abs(response) / np.maximum(error, 1e-300)
+    joint = int(np.argmax(np.sum(snr**2, axis=1)))
+    name = "se"[joint]
+    lead = fit[f"velocity_{name}"] * 2j * np.pi * frequency + fit[f"position_{name}"]
+    turned = np.angle(response[joint] / lead * np.exp(2j * np.pi * frequency * fit["delay_s"]))
+    weight = snr[joint] ** 2
+    omega = 2.0 * np.pi * frequency
+    return float(fit["delay_s"] - np.sum(weight * omega * turned) / max(np.sum(weight * omega**2), 1e-300))
+
+
+def pulse_averages(envelopes: Envelopes, rows: Iterable[int]) -> pd.DataFrame:
+    """Amplitude about the onset of pulses, by muscle and direction: `Reflexes.averages`.
+
+    Args:
+      envelopes: of a person.
+      rows: which trials.
+    """
+    labels, rate = envelopes.labels.iloc[list(rows)], envelopes.rate
+    with_pulse = labels[np.isfinite(labels["pulse_onset"])]
+    table = []
+    for direction, of_direction in with_pulse.groupby("pulse_direction", sort=True):
+        levels = []
+        for trial, row in of_direction.iterrows():
+            onset = row["pulse_onset"] + 0.0
+            windows = []
+            for start, end in (BACKGROUND, SHORT, LONG):
+                a, b = (round((onset + t) * rate) for t in (start, end))
+                windows.append(envelopes.amplitude_of(np.nanmean(envelopes.power[trial, max(a, 0) : b], axis=0)))
+            levels.append(windows)
+        of_all = np.array(levels)  # (trial, window, muscle)
+        above = of_all[:, 1:] - of_all[:, :1]
+        n = len(of_all)
+        error = above.std(axis=0, ddof=1) / math.sqrt(n) if n > 1 else np.full(above.shape[1:], math.nan)
+        for column, name in enumerate(envelopes.muscles):
+            short, long = above.mean(axis=0)[:, column]
+            table.append(
+                (name, direction, n, of_all[:, 0, column].mean(), short, error[0, column], long, error[1, column])
+            )
+    columns = ["muscle", "direction_deg", "trials", "background", "short", "short_error", "long", "long_error"]
+    return pd.DataFrame(table, columns=columns)

@@ -1,0 +1,234 @@
+"""The filter that makes the EMG of a person as informative of its amplitude as it can be; see `envelope`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, optimize
+
+from armperturb.analysis.emg.channels import NOTCH, hum_lines
+from armperturb.arrays import Array
+
+RESOLUTION = 12.5
+"""Of the spectra that filters are made from [Hz]: they ring for less than half its inverse."""
+
+EDGE_ORDER = 4
+"""Order of the band's edges, as of a Butterworth filter that is run forward and backward."""
+
+WHITE = 0.1
+"""Mean square deviation of a spectrum from a flat one, over its square, below which it is white [-]."""
+
+REWEIGHTED = 3
+"""Times that the parts of a spectrum are estimated, each with the weights of the estimate before."""
+
+SILENT = 0.1
+"""Share of a channel's power above the noise below which its muscle counts as silent [-]."""
+
+DEAD_SHARE = 1e-9
+"""A trial with less than this share of the power of the loudest one is dead, not quiet [-]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Whitening:
+    """Zero-phase filter of each channel.
+
+    Attributes:
+      edge: samples by which a trial is extended at either end.
+      n_padded: samples of a trial that is so extended, with the zeros behind it.
+      response: (muscle, frequency), real.
+      samples_per_second: independent numbers in a second of what comes out [1/s], (muscle,).
+      gain: power that comes out over that of the muscle in the band, (muscle,).
+      noise: power that comes out of the silent channel [V^2], (muscle,).
+      hum: column to the frequencies that are cut out [Hz].
+    """
+
+    edge: int
+    n_padded: int
+    response: NDArray[np.float32]
+    samples_per_second: Array
+    gain: Array
+    noise: Array
+    hum: dict[int, list[float]]
+
+    def __call__(self, volts: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Channels within the band, white where the muscle is above the noise, (muscle, time)."""
+        n, edge = volts.shape[1], self.edge
+        # Point reflections at the ends, as a jump there would be a burst of what whitening lets through best.
+        before, after = volts[:, edge:0:-1], volts[:, -2 : -edge - 2 : -1]
+        extended = np.concatenate([2.0 * volts[:, :1] - before, volts, 2.0 * volts[:, -1:] - after], axis=1)
+        filtered = fft.irfft(fft.rfft(extended, self.n_padded) * self.response, self.n_padded)
+        return np.asarray(filtered[:, edge : edge + n])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Spectra:
+    """Power spectra of trials.
+
+    Attributes:
+      frequency: centres of bins [Hz], (bin,).
+      power: mean within each bin, (trial, muscle, bin).
+      periodogram: mean over trials, at all frequencies, (muscle, frequency).
+      all_frequencies: [Hz], (frequency,).
+      below: power below the band over that in it, (trial, muscle).
+    """
+
+    frequency: Array
+    power: Array
+    periodogram: Array
+    all_frequencies: Array
+    below: Array
+
+    @classmethod
+    def of(cls, volts: NDArray[np.float32], rate: float, low: float) -> "Spectra":
+        """Spectra of trials, (trial, time, muscle) [V], with a band from `low` [Hz] on."""
+        n_padded = padded_length(volts.shape[1], rate)
+        frequency = fft.rfftfreq(n_padded, 1.0 / rate)
+        starts = np.unique(np.searchsorted(frequency, np.arange(0.0, rate / 2.0, RESOLUTION)))
+        sizes = np.diff(np.append(starts, len(frequency)))
+        power, total = [], np.zeros((volts.shape[2], len(frequency)))
+        for values in volts:
+            transformed = fft.rfft(np.ascontiguousarray((values - values.mean(axis=0)).T), n_padded)
+            density = transformed.real**2 + transformed.imag**2
+            total += density
+            power.append(np.add.reduceat(density, starts, axis=1) / sizes)
+        stacked = np.array(power, dtype=float)
+        centre = np.add.reduceat(frequency, starts) / sizes
+        is_below = centre < 0.75 * low
+        below = stacked[..., is_below].sum(axis=-1) / np.maximum(stacked[..., ~is_below].sum(axis=-1), 1e-30)
+        return cls(
+            frequency=centre, power=stacked, periodogram=total / len(volts), all_frequencies=frequency, below=below
+        )
+
+
+def padded_length(n_samples: int, rate: float) -> int:
+    """Samples to which trials are padded."""
+    return int(fft.next_fast_len(n_samples + 2 * edge_length(n_samples, rate), real=True))
+
+
+def edge_length(n_samples: int, rate: float) -> int:
+    """Samples for which a filter rings, by which a trial is extended at either end."""
+    return min(round(rate / RESOLUTION), n_samples - 1)
+
+
+def band_power(frequency: Array, low: float, high: float) -> Array:
+    """Power that passes the band, (frequency,)."""
+    f = np.maximum(frequency, 1e-9)
+    return np.asarray(1.0 / ((1.0 + (low / f) ** (4 * EDGE_ORDER)) * (1.0 + (f / high) ** (4 * EDGE_ORDER))))
+
+
+def noise_spectra(spectra: Spectra, band: tuple[float, float], is_rest: NDArray[np.bool_]) -> Array:
+    """Power spectrum of each channel when its muscle is silent, (muscle, bin).
+
+    That of the trials at rest. Without any, nobody says that a muscle was ever silent: unless the spectrum of the
+    quietest trial is white, it is taken for a sum of white noise and of the mean spectrum of all trials, which is that
+    of the muscle, and the noise is what is white.
+
+    Args:
+      spectra: of the trials.
+      band: its edges [Hz].
+      is_rest: trials at rest, (trial,).
+    """
+    if is_rest.any():
+        return np.asarray(np.mean(spectra.power[is_rest], axis=0))
+    loudness = np.sum(spectra.power * band_power(spectra.frequency, *band), axis=-1)
+    inside = (spectra.frequency >= band[0]) & (spectra.frequency <= band[1])
+    noise = np.zeros(spectra.power.shape[1:])
+    for column, loud in enumerate(loudness.T):
+        alive = np.flatnonzero(loud > DEAD_SHARE * loud.max())
+        if not len(alive) or not loud.max() > 0.0:
+            continue
+        quietest = spectra.power[alive[np.argmin(loud[alive])], column, inside]
+        muscle = np.mean(spectra.power[:, column, inside], axis=0)
+        level = quietest.mean()
+        if np.mean((quietest / level - 1.0) ** 2) < WHITE:
+            noise[column] = level
+            continue
+        expected = np.maximum(quietest, 1e-12 * quietest.max())
+        for _ in range(REWEIGHTED):  # weights that are the data's own would favour what is low by chance
+            design = np.stack([muscle / expected, 1.0 / expected], axis=1)
+            size = np.linalg.norm(design, axis=0)
+            parts = optimize.nnls(design / size, quietest / expected)[0] / size
+            expected = np.maximum(parts[0] * muscle + parts[1], 1e-12 * quietest.max())
+        noise[column] = parts[1]
+    return noise
+
+
+def whitening(
+    spectra: Spectra,
+    noise: Array,
+    n_samples: int,
+    rate: float,
+    band: tuple[float, float],
+    mains: Sequence[float],
+    *,
+    whiten: bool = True,
+) -> Whitening:
+    """The filter of a person's channels.
+
+    Args:
+      spectra: of all trials.
+      noise: spectrum of the silent channels, (muscle, bin).
+      n_samples: of a trial.
+      rate: of the samples [Hz].
+      band: its edges [Hz].
+      mains: frequencies whose hum is cut out where there is any, with their multiples [Hz].
+      whiten: whether to whiten; if not, the band alone is let through.
+    """
+    frequency, fine = spectra.frequency, spectra.all_frequencies
+    passed, n_muscles, n_padded = band_power(frequency, *band), len(noise), padded_length(n_samples, rate)
+    response = np.empty((n_muscles, len(fine)), dtype=np.float32)
+    samples, gain, silent = np.empty(n_muscles), np.empty(n_muscles), np.empty(n_muscles)
+    hum = dict[int, list[float]]()
+    for column in range(n_muscles):
+        of_trials = spectra.power[:, column]
+        # The geometric mean: between strong and weak contractions, rather than the strongest.
+        total = np.exp(np.mean(np.log(np.maximum(of_trials, 1e-9 * of_trials.max() + 1e-30)), axis=0))
+        muscle = np.maximum(total - noise[column], 1e-6 * total)
+        # Of a muscle that is always silent, what is above the noise is chance, and must not choose what is let through.
+        is_silent = np.sum(passed * (total - noise[column])) < SILENT * np.sum(passed * total)
+        power = passed * (muscle / total**2 if whiten and not is_silent else np.ones(len(total)))
+        power /= power.max()
+        root = np.interp(fine, frequency, np.sqrt(power))
+        lines = hum_lines(spectra.periodogram[column], fine, mains)
+        if lines:
+            hum[column] = lines
+            for line in lines:
+                root[np.abs(fine - line) < NOTCH] = 0.0
+        response[column] = root
+        out = np.interp(fine, frequency, total) * root**2
+        samples[column] = 2.0 * fine[1] * np.sum(out) ** 2 / np.sum(out**2)
+        above = np.maximum(np.mean(of_trials, axis=0) - noise[column], 1e-30)
+        gain[column] = np.sum(power * above) / np.sum(passed * above)
+        silent[column] = 2.0 * np.sum(np.interp(fine, frequency, noise[column]) * root**2) / (n_samples * n_padded)
+    return Whitening(
+        edge=edge_length(n_samples, rate),
+        n_padded=n_padded,
+        response=response,
+        samples_per_second=samples,
+        gain=gain,
+        noise=silent,
+        hum=hum,
+    )
+
+
+def averaged(white: NDArray[Any], rate: float, start: Array, end: Array) -> Array:
+    """Mean square of signals between times, (signal, interval), the ends of which need not fall on samples.
+
+    Args:
+      white: (signal, time).
+      rate: of the samples [Hz].
+      start: of each interval [s], (interval,).
+      end: likewise.
+    """
+    n = white.shape[1]
+    summed = np.zeros((len(white), n + 1))
+    np.cumsum(white * white, axis=1, dtype=float, out=summed[:, 1:])
+    # A sample stands for the time about it.
+    edges = np.clip(np.stack([start, end]) * rate + 0.5, 0.0, n)
+    whole = np.minimum(edges.astype(int), n - 1)
+    part = edges - whole
+    at_edge = summed[:, whole] * (1.0 - part) + summed[:, whole + 1] * part
+    length = edges[1] - edges[0]
+    return np.asarray((at_edge[:, 1] - at_edge[:, 0]) / np.maximum(length, 1e-9))

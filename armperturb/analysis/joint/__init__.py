@@ -1,0 +1,1 @@
+"""Identification of a single joint, or of a single direction: intrinsic and reflex path side by side."""

@@ -1,0 +1,229 @@
+"""Maximum-likelihood estimate of a joint with one structure, and the profile of its likelihood over the delay."""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from armperturb.analysis.fit.ladder import left_out_loss
+from armperturb.analysis.joint.likelihood import JointLikelihood, Loop
+from armperturb.analysis.joint.model import (
+    INTRINSIC,
+    LONGEST_DELAY,
+    OF_REFLEX,
+    SHORT_RANGE,
+    THRESHOLD,
+    JointModel,
+    JointStructure,
+)
+from armperturb.analysis.joint.signals import JointSignals
+from armperturb.arrays import Array
+
+DELAYS = (0.02, 0.035, 0.05, 0.065, 0.08, 0.1)
+"""Delays from which a search may start [s]."""
+
+FREQUENCIES = (1.5, 3.0)
+"""Natural frequencies of the reflex path from which a search may start [Hz]."""
+
+THRESHOLDS = (0.0, 0.6)
+"""Thresholds from which a search may start, over the RMS velocity [-]."""
+
+STARTS = 2
+"""Searches from different starts."""
+
+ROUNDS = 8
+"""Most rounds of weighing the noise anew."""
+
+SEARCHES = 2
+"""Rounds of a force servo that search the least squares of its movement; the others solve those of instruments."""
+
+SETTLED = 0.05
+"""Change of the objective below which the rounds end [-]."""
+
+
+class JointEstimate(NamedTuple):
+    """Maximum of the likelihood of one structure.
+
+    Attributes:
+      structure: of the joint.
+      values: of its parameters, (parameter,).
+      covariance: of their errors, (parameter, parameter).
+      at_bound: which sit on a bound, (parameter,).
+      objective: minus twice the log-likelihood, but for a constant [-].
+      loss: of likelihood on blocks that are left out, see `fit.ladder` [-].
+      converged: whether the rounds ended.
+    """
+
+    structure: JointStructure
+    values: Array
+    covariance: Array
+    at_bound: NDArray[np.bool_]
+    objective: float
+    loss: float
+    converged: bool
+
+
+def estimate_joint(
+    structure: JointStructure,
+    signals: JointSignals,
+    loop: Loop | None = None,
+    *,
+    longest_delay: float = LONGEST_DELAY,
+) -> JointEstimate:
+    """Fit one structure to trials.
+
+    Args:
+      structure: of the joint.
+      signals: of the trials.
+      loop: the virtual environment of a force servo; None of a position servo.
+      longest_delay: of the reflex [s].
+    """
+    fits = []
+    for start in _starts(structure, signals, longest_delay):
+        likelihood = JointLikelihood(structure, signals, loop)
+        fits.append((*_searched(likelihood, start, longest_delay), likelihood))
+    values, objective, converged, likelihood = min(fits, key=lambda fit: fit[1])
+    lower, upper = structure.bounds(signals, longest_delay)
+    span = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+    at_bound = (values - lower < 1e-4 * span) | (upper - values < 1e-4 * span)
+    derivatives = likelihood.derivatives(values, likelihood.movement(values))
+    free = ~at_bound
+    columns = derivatives[free].reshape(int(free.sum()), -1)
+    covariance = np.full((len(values), len(values)), np.nan)
+    covariance[np.ix_(free, free)] = np.linalg.pinv(columns @ columns.T, hermitian=True)
+    return JointEstimate(
+        structure, values, covariance, at_bound, objective, left_out_loss(likelihood.scores(values)), converged
+    )
+
+
+def delay_profile(fit: JointEstimate, signals: JointSignals, loop: Loop | None, delays: Array) -> Array:
+    """Objective with the delay held at each of several values and all other parameters estimated, (delay,).
+
+    The noise is that of the estimate, so that differences are those of chi squared with one degree of freedom.
+    """
+    likelihood = JointLikelihood(fit.structure, signals, loop)
+    likelihood.weigh(fit.values)
+    place = fit.structure.parameters.index("reflex_delay")
+    others = np.arange(len(fit.values)) != place
+    objectives = np.empty(len(delays))
+    centre = int(np.argmin(np.abs(delays - fit.values[place])))
+    for order in (range(centre, len(delays)), range(centre - 1, -1, -1)):
+        values = fit.values.copy()
+        for at in order:
+            values[place] = delays[at]
+            values = _minimised(likelihood, values, LONGEST_DELAY, others)
+            objectives[at] = likelihood.objective(values)
+    return objectives
+
+
+def _starts(structure: JointStructure, signals: JointSignals, longest_delay: float) -> list[Array]:
+    """Starts of the search: the best of a grid over what is not linear, the rest by least squares."""
+    likelihood = JointLikelihood(JointStructure(reflex="none"), signals)
+    likelihood.weigh(_linear(likelihood, JointStructure(reflex="none"), {}, signals)[1])
+    likelihood.weigh(_linear(likelihood, JointStructure(reflex="none"), {}, signals)[1])
+    choices: dict[str, tuple[float, ...]] = {}
+    if structure.short_range:
+        choices["short_range_limit"] = (0.2 * signals.angle_scale,)
+    if structure.reflex != "none":
+        choices["reflex_delay"] = tuple(each for each in DELAYS if each < longest_delay) or (0.5 * longest_delay,)
+        choices["reflex_frequency"], choices["reflex_damping_ratio"] = FREQUENCIES, (1.0,)
+    if structure.reflex == "half-wave":
+        choices[THRESHOLD] = tuple(each * signals.velocity_scale for each in THRESHOLDS)
+    tried = [
+        _linear(likelihood, structure, dict(zip(choices, each, strict=True)), signals)
+        for each in itertools.product(*choices.values())
+    ]
+    return [values for _, values in sorted(tried, key=lambda each: each[0])[: STARTS if len(tried) > 1 else 1]]
+
+
+def _linear(
+    likelihood: JointLikelihood, structure: JointStructure, given: dict[str, float], signals: JointSignals
+) -> tuple[float, Array]:
+    """Cost and values with what is linear by least squares."""
+    linear = [*INTRINSIC, SHORT_RANGE[0], OF_REFLEX[0]]
+    values = np.array([given.get(name, 1.0 if name in linear else 0.0) for name in structure.parameters])
+    columns = JointModel(structure, signals).derivatives(values)
+    free = [place for place, name in enumerate(structure.parameters) if name in linear]
+    names = [structure.parameters[place] for place in free]
+    matrix = np.stack([likelihood.rows(columns[name]).ravel() for name in names])
+    target = likelihood.rows(signals.torque).ravel()
+    scale = np.linalg.norm(matrix, axis=1)
+    values[free] = np.linalg.lstsq((matrix / scale[:, None]).T, target, rcond=None)[0] / scale
+    return float(np.sum((target - values[free] @ matrix) ** 2)), values
+
+
+def _searched(likelihood: JointLikelihood, start: Array, longest_delay: float) -> tuple[Array, float, bool]:
+    """Values, objective and whether it settled, weighing the noise anew after each search."""
+    lower, upper = likelihood.structure.bounds(likelihood.signals, longest_delay)
+    values = np.clip(start, lower, upper)
+    before, converged = np.inf, False
+    everything = np.ones(len(values), dtype=bool)
+    for number in range(ROUNDS):
+        likelihood.weigh(values)
+        if likelihood.signals.servo == "position" or number < SEARCHES:
+            values = _minimised(likelihood, values, longest_delay, everything)
+        else:
+            values = _instrumented(likelihood, values, lower, upper, everything)
+        objective = likelihood.objective(values)
+        converged = abs(before - objective) < SETTLED
+        before = objective
+        if converged:
+            break
+    likelihood.weigh(values)
+    return values, likelihood.objective(values), converged
+
+
+def _minimised(likelihood: JointLikelihood, start: Array, longest_delay: float, free: Array) -> Array:
+    """Least squares of some parameters with the noise as last weighed."""
+    lower, upper = likelihood.structure.bounds(likelihood.signals, longest_delay)
+    inside = np.clip(start, lower + _margin(lower), upper - _margin(upper))
+
+    def full(part: Array) -> Array:
+        values = inside.copy()
+        values[free] = part
+        return values
+
+    def residual(part: Array) -> Array:
+        values = full(part)
+        try:
+            return likelihood.output_rows(values, likelihood.movement(values)).ravel()
+        except ValueError:  # a closed loop that oscillates
+            return np.full(2 * likelihood.n_trials * len(likelihood.frequency), 1e3)
+
+    def slopes(part: Array) -> Array:
+        values = full(part)
+        columns = likelihood.derivatives(values, likelihood.movement(values))
+        # More resistance leaves less of the torque, but moves a joint on a force servo less.
+        sign = -1.0 if likelihood.signals.servo == "position" else 1.0
+        return sign * columns[free].reshape(int(free.sum()), -1).T
+
+    end = optimize.least_squares(
+        residual, inside[free], jac=slopes, bounds=(lower[free], upper[free]), x_scale="jac", ftol=1e-6, max_nfev=30
+    )
+    return full(end.x)
+
+
+def _margin(bound: Array) -> Array:
+    return np.where(np.isfinite(bound), 1e-9 * (1.0 + np.abs(np.where(np.isfinite(bound), bound, 0.0))), 0.0)
+
+
+def _instrumented(likelihood: JointLikelihood, values: Array, lower: Array, upper: Array, free: Array) -> Array:
+    """Values at which the torque's residual is not correlated with derivatives at the movement without noise."""
+    for _ in range(3):
+        movement = likelihood.movement(values)
+        instruments = likelihood.derivatives(values, movement)[free].reshape(int(free.sum()), -1)
+        columns = likelihood.derivatives(values, likelihood.signals)[free].reshape(int(free.sum()), -1)
+        scale = np.linalg.norm(instruments, axis=1)
+        matrix = (instruments @ columns.T) / np.outer(scale, scale)
+        slope = instruments @ likelihood.rows(likelihood.residual(values)).ravel() / scale
+        step = np.linalg.lstsq(matrix, slope, rcond=1e-8)[0] / scale
+        moved = values.copy()
+        moved[free] = np.clip(values[free] + step, lower[free], upper[free])
+        try:
+            likelihood.movement(moved)
+        except ValueError:
+            return values
+        values = moved
+    return values

@@ -1,0 +1,68 @@
+"""Results of the identification of a joint as files that any other program reads."""
+
+import json
+import math
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from armperturb.analysis.joint.identify import JointIdentification
+from armperturb.files import write_csv, written_whole
+
+
+def joint_summary(result: JointIdentification) -> dict[str, Any]:
+    """How the identification went, ready for JSON; a number that does not exist is None."""
+    free = result.free_model
+    return {
+        "model": "joint",
+        "structure": result.structure.name,
+        "reflex": result.structure.reflex,
+        "servo": result.servo,
+        "status": result.message,
+        "converged": result.converged,
+        "VAF": dict(result.vaf),
+        "fit_until_s": result.fit_until,
+        "held_out_vaf": result.held_out_vaf,
+        "held_out_vaf_by_model": dict(result.held_out),
+        "predicted_by": result.predicted_by,
+        "free_model_left_out_vaf": None if free is None else free.left_out_vaf,
+        "band_Hz": list(result.band),
+        "at_bound": list(result.at_bound),
+        "remarks": [result.sentence, *result.remarks],
+        "structures_tried": [
+            {"structure": each.estimate.structure.name, "score": each.score, "loss": each.estimate.loss}
+            for each in result.tried
+        ],
+        "delay_profile": {"delay_s": result.profile[0].tolist(), "fall": result.profile[1].tolist()},
+        "correlation": {
+            "parameters": list(result.values),
+            "matrix": [
+                [value if math.isfinite(value) else None for value in row] for row in result.correlation.tolist()
+            ],
+        },
+        "environment": None if result.environment is None else result.environment._asdict(),
+    }
+
+
+def write_joint(result: JointIdentification, folder: str | Path) -> list[Path]:
+    """Write `parameters.csv`, `fit.json` and `joint.svg` into a folder, which is made if needed.
+
+    Returns:
+      The paths written.
+
+    Raises:
+      OSError: the folder cannot be made or written to.
+    """
+    from armperturb.plots.style import new_figure, svg
+
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    figure = new_figure(1.0)
+    result.plot(figure)
+    paths = [folder / name for name in ("parameters.csv", "fit.json", "joint.svg")]
+    with ExitStack() as stack:  # all take their places together, after all were written
+        parameters, fit, drawn = (stack.enter_context(written_whole(path)) for path in paths)
+        write_csv(result.to_frame(), parameters)
+        fit.write_text(json.dumps(joint_summary(result), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        drawn.write_bytes(svg(figure))
+    return paths

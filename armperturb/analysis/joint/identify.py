@@ -1,0 +1,332 @@
+"""Identification of a joint: structure chosen by left-out data, parameters with intervals, and held-out prediction."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from armperturb.analysis.fit.ladder import CAUTION, CLOSE
+from armperturb.analysis.joint.estimate import JointEstimate, delay_profile, estimate_joint
+from armperturb.analysis.joint.likelihood import Loop, environment_of, simulated_movement
+from armperturb.analysis.joint.model import LONGEST_DELAY, REFLEXES, UNITS, JointModel, JointStructure, Reflex
+from armperturb.analysis.joint.prediction import FreeModel, fit_free_model
+from armperturb.analysis.joint.signals import SHORTEST, JointSignals, joint_signals, mean_angle
+from armperturb.analysis.results import Description, FitResult, parameter_table, plain
+from armperturb.arrays import Array
+from armperturb.recording import named
+from armperturb.validation import require_number, require_one_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PROFILE = 0.03
+"""Farthest delay of the profile from the estimate [s]."""
+
+N_PROFILE = 13
+"""Delays of the profile."""
+
+LACKING = 2.0
+"""VAF by which the free model is ahead from which on a remark says so [%]."""
+
+
+class TriedStructure(NamedTuple):
+    """A structure that was fitted.
+
+    Attributes:
+      estimate: with it.
+      score: minus twice the log-likelihood, with the loss on left-out blocks; smaller is better [-].
+    """
+
+    estimate: JointEstimate
+    score: float
+
+
+class Trace(NamedTuple):
+    """What was recorded and what is predicted of one trial.
+
+    Attributes:
+      time: [s], (time,).
+      recorded: torque of a position servo, angle of a force servo, (time,).
+      predicted: the same, from the input alone, (time,).
+      paths: path to its torque, (time,).
+    """
+
+    time: Array
+    recorded: Array
+    predicted: Array
+    paths: Mapping[str, Array]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JointIdentification(FitResult):
+    """A joint that was identified from the trials of one condition.
+
+    Attributes:
+      label: who, in which condition, how many trials.
+      condition: of the trials.
+      joint: its name; empty if unknown.
+      servo: "force" or "position".
+      angular: whether it is a joint, or a single direction.
+      structure: that was chosen, or asked for.
+      tried: all structures that were fitted, the best first.
+      vaf: of the fitted trials, by the parallel cascade and by each path alone [%].
+      free_model: for prediction; None of a force servo.
+      held_out: kind of model to the VAF of what follows `fit_until`, from the input alone [%]; empty without.
+      fit_until: end of what was fitted [s]; None for all.
+      environment: inertia, damping and stiffness of a force servo's virtual environment; None of a position servo.
+      profile: delays [s] and twice the fall of the log-likelihood [-], (2, delay); empty without reflex.
+      band: of the frequencies that count [Hz].
+      trace: of the first trial.
+    """
+
+    label: str
+    condition: str
+    joint: str
+    servo: str
+    angular: bool
+    structure: JointStructure
+    tried: tuple[TriedStructure, ...]
+    vaf: Mapping[str, float]
+    free_model: FreeModel | None
+    held_out: Mapping[str, float]
+    fit_until: float | None
+    environment: Loop | None
+    profile: Array
+    band: tuple[float, float]
+    trace: Trace
+
+    @property
+    def predicted_by(self) -> str:
+        """Model of the held-out prediction: that which predicts better within what was fitted."""
+        free = self.free_model is not None and self.free_model.left_out_vaf > self.vaf["total"]
+        return "free" if free else "cascade"
+
+    @property
+    def held_out_vaf(self) -> float | None:
+        """VAF of what was not fitted, simulated from the input alone [%]; None without."""
+        return self.held_out.get(self.predicted_by)
+
+    def unit_of(self, name: str) -> str:
+        """Unit of a parameter."""
+        return UNITS[name][0 if self.angular else 1]
+
+    def place_of(self, name: str) -> tuple[str, str]:
+        """Name of a parameter, and the condition."""
+        return name, self.condition
+
+    @property
+    def sentence(self) -> str:
+        """What was chosen, and how clearly."""
+        if len(self.tried) == 1:
+            return f"structure as asked for: {self.structure.name}"
+        rival = next(each for each in self.tried[1:] if each.estimate.structure.reflex != self.structure.reflex)
+        behind = rival.score - self.tried[0].score
+        clear = "nearly as good" if behind < CLOSE else "clearly behind"
+        return (
+            f"structure chosen by left-out data: {self.structure.name}; runner-up: {rival.estimate.structure.name}, "
+            f"{clear} ({plain(behind, 3)} behind in left-out likelihood)"
+        )
+
+    def describe(self) -> Description:
+        """Parameters, how the structure was chosen, and how well it predicts."""
+        shares = ", ".join(f"{name} {share:.1f} %" for name, share in self.vaf.items())
+        facts = [self.sentence, f"VAF of the fitted trials: {shares}"]
+        if self.held_out:
+            each = ", ".join(f"{name} {share:.1f} %" for name, share in self.held_out.items())
+            facts.append(f"VAF after {self.fit_until:g} s, from the input alone: {each}")
+        return Description(
+            title=f"Joint of {self.label}" + (f" ({self.joint})" if self.joint else "") + f", {self.servo} servo",
+            facts=tuple(facts),
+            table=parameter_table(self.to_frame()),
+            remarks=self.remarks,
+        )
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw recorded and predicted torque (or angle), the paths, and the profile of the delay.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (2,), and a third of the profile where there is a reflex.
+        """
+        from armperturb.plots.joints import plot_joint
+
+        quantity = ("torque [Nm]", "angle [rad]") if self.angular else ("force [N]", "displacement [m]")
+        return plot_joint(
+            self.trace, self.profile, self.fit_until, quantity[self.servo == "force"], quantity[0], figure
+        )
+
+
+def identify_joint(
+    recording: xr.Dataset,
+    *,
+    reflex: Reflex | None = None,
+    short_range: bool = False,
+    fit_until: float | None = None,
+    longest_delay: float = LONGEST_DELAY,
+) -> JointIdentification:
+    """Identify intrinsic and reflex path of a joint from torque and angle.
+
+    Args:
+      recording: trials of one axis, of one person in one condition. Short segments and ensembles are taken as they are.
+      reflex: "none", "linear" or "half-wave"; None to let left-out data choose.
+      short_range: whether the intrinsic path has short-range stiffness.
+      fit_until: time up to which trials are fitted [s]; what follows is predicted from the input alone. None for all.
+      longest_delay: of the reflex [s].
+
+    Raises:
+      TypeError: a number is none.
+      ValueError: the recording is refused, of two axes, of several conditions, or too short, or an option is out of its
+        range.
+    """
+    require_one_of("identify", "reflex", reflex, (None, *REFLEXES))
+    conditions = list(dict.fromkeys(map(str, recording["condition"].values)))
+    if len(conditions) > 1:
+        raise ValueError(f"identify: conditions {', '.join(conditions)}; expected only one (choose a --condition)")
+    rate = float(recording.attrs["rate"])
+    duration = recording.sizes["time"] / rate
+    require_number("identify", "fit_until", fit_until, at_least=SHORTEST, at_most=duration - 1.0, optional=True)
+    require_number("identify", "longest_delay", longest_delay, at_least=0.01)
+    if longest_delay > 0.25 * duration:
+        raise ValueError(
+            f"identify: longest_delay = {longest_delay:g} s; expected at most a quarter of the record, which lasts "
+            f"{duration:.3g} s"
+        )
+    fitted = recording if fit_until is None else recording.isel(time=slice(0, round(fit_until * rate)))
+    reference = mean_angle(fitted)
+    signals = joint_signals(fitted, reference=reference)
+    loop = environment_of(signals) if signals.servo == "force" else None
+    tried = _tried(signals, loop, reflex, short_range, longest_delay)
+    best = tried[0].estimate
+    free = fit_free_model(signals) if loop is None else None
+    every = joint_signals(recording, reference=reference)
+    model = JointModel(best.structure, signals)
+    names = best.structure.parameters
+    error = np.sqrt(np.diag(best.covariance))
+    with np.errstate(invalid="ignore"):
+        correlation = best.covariance / np.outer(error, error)
+    at_bound = tuple(name for name, bound in zip(names, best.at_bound, strict=True) if bound)
+    return JointIdentification(
+        values=dict(zip(names, map(float, best.values), strict=True)),
+        standard_error=dict(zip(names, map(float, error), strict=True)),
+        correlation=correlation,
+        at_bound=at_bound,
+        converged=best.converged,
+        message="converged" if best.converged else "the rounds of weighing did not settle",
+        remarks=_remarks(best, signals, loop, free, at_bound),
+        label=named(recording),
+        condition=conditions[0],
+        joint=str(recording.attrs.get("joint", "")),
+        servo=signals.servo,
+        angular=recording["displacement"].attrs["units"] == "rad",
+        structure=best.structure,
+        tried=tuple(tried),
+        vaf=_shares(signals, model, best.values, loop),
+        free_model=free,
+        held_out={} if fit_until is None else _held_out(every, best, loop, free, fit_until),
+        fit_until=fit_until,
+        environment=loop,
+        profile=_profile(best, signals, loop),
+        band=(0.05, 0.85 * signals.top),
+        trace=_trace(every, best, loop, free),
+    )
+
+
+def _tried(
+    signals: JointSignals, loop: Loop | None, reflex: Reflex | None, short_range: bool, longest_delay: float
+) -> list[TriedStructure]:
+    structures = [
+        JointStructure(reflex=each, side=side, short_range=short_range)
+        for each in (REFLEXES if reflex is None else (reflex,))
+        for side in ((1, -1) if each == "half-wave" else (1,))
+    ]
+    estimates = [estimate_joint(each, signals, loop, longest_delay=longest_delay) for each in structures]
+    scored = [TriedStructure(each, each.objective + CAUTION * each.loss) for each in estimates]
+    return sorted(scored, key=lambda each: each.score)
+
+
+def _shares(signals: JointSignals, model: JointModel, values: Array, loop: Loop | None) -> dict[str, float]:
+    """VAF of the torque by the whole model and by each path; of the movement too on a force servo."""
+    paths = model.paths(values)
+    used = signals.used
+    shares = {"total": _vaf(signals.torque[:, used], model.torque(values)[:, used])}
+    shares |= {name: _vaf(signals.torque[:, used], path[:, used]) for name, path in paths.items()}
+    if loop is not None:
+        moved = simulated_movement(model.structure, values, signals, loop)
+        shares["movement"] = _vaf(signals.angle[:, used], moved.angle[:, used])
+    return shares
+
+
+def _vaf(recorded: Array, predicted: Array) -> float:
+    """Variance accounted for, offsets of trials left out [%]."""
+    miss = recorded - predicted
+    left, whole = (each - each.mean(axis=1, keepdims=True) for each in (miss, recorded))
+    return float(100.0 * (1.0 - np.sum(left**2) / np.sum(whole**2)))
+
+
+def _predictions(
+    signals: JointSignals, best: JointEstimate, loop: Loop | None, free: FreeModel | None
+) -> tuple[Array, dict[str, Array]]:
+    """What was recorded, and kind of model to its prediction from the input alone, (trial, time) each."""
+    if loop is not None:
+        return signals.angle, {"cascade": simulated_movement(best.structure, best.values, signals, loop).angle}
+    predicted = {"cascade": JointModel(best.structure, signals).torque(best.values)}
+    if free is not None:
+        predicted["free"] = free.torque(signals)
+    return signals.torque, predicted
+
+
+def _held_out(
+    signals: JointSignals, best: JointEstimate, loop: Loop | None, free: FreeModel | None, fit_until: float
+) -> dict[str, float]:
+    recorded, predicted = _predictions(signals, best, loop, free)
+    part = slice(round(fit_until * signals.rate), signals.used.stop)
+    return {name: _vaf(recorded[:, part], each[:, part]) for name, each in predicted.items()}
+
+
+def _trace(signals: JointSignals, best: JointEstimate, loop: Loop | None, free: FreeModel | None) -> Trace:
+    recorded, predicted = _predictions(signals, best, loop, free)
+    used = signals.used
+    paths = JointModel(best.structure, signals).paths(best.values)
+    one_trial = predicted["cascade"][0, used]
+    offset = recorded[0, used].mean() - one_trial.mean()
+    return Trace(
+        time=(np.arange(signals.angle.shape[1]) / signals.rate)[used],
+        recorded=recorded[0, used],
+        predicted=one_trial + offset,
+        paths={name: path[0, used] for name, path in paths.items()},
+    )
+
+
+def _profile(best: JointEstimate, signals: JointSignals, loop: Loop | None) -> Array:
+    if best.structure.reflex == "none" or loop is not None:
+        return np.empty((2, 0))
+    delay = best.values[best.structure.parameters.index("reflex_delay")]
+    delays = np.linspace(max(delay - PROFILE, 0.005), delay + PROFILE, N_PROFILE)
+    objectives = delay_profile(best, signals, loop, delays)
+    return np.stack([delays, objectives - objectives.min()])
+
+
+def _remarks(
+    best: JointEstimate,
+    signals: JointSignals,
+    loop: Loop | None,
+    free: FreeModel | None,
+    at_bound: Sequence[str],
+) -> tuple[str, ...]:
+    said = [f"{name} sits on a bound, and has no interval" for name in at_bound]
+    if not best.converged:
+        said.append("the noise and the parameters did not settle together: intervals may be too short")
+    if free is not None and loop is None:
+        used = signals.used
+        torque = JointModel(best.structure, signals).torque(best.values)
+        ahead = free.left_out_vaf - _vaf(signals.torque[:, used], torque[:, used])
+        if ahead > LACKING:
+            said.append(
+                f"a free model predicts {ahead:.1f} % more of the torque's variance on left-out data than the parallel "
+                "cascade accounts for: the joint does more than the cascade has"
+            )
+    return tuple(said)

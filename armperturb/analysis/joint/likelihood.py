@@ -1,0 +1,299 @@
+"""Likelihood of a joint's torque with coloured noise, for an imposed movement and inside a closed loop.
+
+The residual u = torque - model is complex normal at each frequency with a smooth, unknown spectrum (Whittle 1953). That
+is estimated from the residual as in `analysis.fit.likelihood`. Offset and drift of each trial are taken out.
+
+On a position servo the movement is imposed and the derivatives of the model are those at the recorded movement. On a
+force servo the noise moves the joint too. Derivatives are then those at the movement that the perturbation alone causes
+in the model, which no noise reaches: at the optimum they are instruments that are not correlated with u, whatever the
+nonlinearity (Soderstrom and Stoica 1983, Instrumental Variable Methods, ch. 6).
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import fft, signal
+
+from armperturb.analysis.fit.frequency_bands import Smoother
+from armperturb.analysis.joint.model import JointModel, JointStructure, play_operator
+from armperturb.analysis.joint.signals import JointSignals, time_blocks
+from armperturb.arrays import Array, ComplexArray
+
+LOWEST = 0.05
+"""Lowest frequency that counts [Hz]: below, people drift."""
+
+SHARE = 0.85
+"""Highest frequency that counts, over that of the signals [-]."""
+
+N_BLOCKS = 8
+"""Blocks of time that are left out one by one, of a single trial."""
+
+LOOP_ROUNDS = 25
+"""Most iterations for the movement of a closed loop."""
+
+LOOP_SETTLED = 1e-4
+"""RMS change of the movement below which these end, over the RMS angle [-]."""
+
+
+class BlockScore(NamedTuple):
+    """What a block of time says of the parameters.
+
+    Attributes:
+      score: derivative of the model times the white residual, (parameter,).
+      information: Fisher information, (parameter, parameter).
+    """
+
+    score: Array
+    information: Array
+
+
+class Loop(NamedTuple):
+    """What a joint on a force servo moves: the virtual environment.
+
+    Attributes:
+      inertia: [kg m^2, or kg].
+      damping: [Nms/rad, or Ns/m].
+      stiffness: [Nm/rad, or N/m].
+    """
+
+    inertia: float
+    damping: float
+    stiffness: float
+
+
+class JointLikelihood:
+    """Likelihood of trials of a joint with one structure.
+
+    Args:
+      structure: of the joint.
+      signals: of the trials.
+      loop: the virtual environment of a force servo; None of a position servo.
+    """
+
+    def __init__(self, structure: JointStructure, signals: JointSignals, loop: Loop | None = None) -> None:
+        self.structure, self.signals, self._loop = structure, signals, loop
+        self._model = JointModel(structure, signals)
+        self._latest: tuple[bytes, JointSignals] = b"", signals
+        used = signals.used
+        n = used.stop - used.start
+        self._taper = signal.windows.tukey(n, min(1.0, signals.rate / n), sym=False)
+        frequency = fft.rfftfreq(n, 1.0 / signals.rate)
+        self._lines = (frequency >= LOWEST) & (frequency <= SHARE * signals.top)
+        self.frequency = frequency[self._lines]
+        self._smoother = Smoother(len(self.frequency), len(signals.angle))
+        time = np.linspace(-1.0, 1.0, signals.angle.shape[1])
+        self._nuisance = self._spectrum(np.stack([np.ones_like(time), time]))
+        self.weights = np.ones(len(self.frequency))
+        self._span = self._orthonormal()
+
+    @property
+    def n_trials(self) -> int:
+        """How many trials."""
+        return len(self.signals.angle)
+
+    def _spectrum(self, values: Array) -> ComplexArray:
+        """DFT of signals where they count, (..., line)."""
+        part = values[..., self.signals.used] * self._taper
+        return np.asarray(fft.rfft(part, axis=-1)[..., self._lines] / np.sqrt(np.sum(self._taper**2)))
+
+    def _orthonormal(self) -> Array:
+        rows = _rows(self._nuisance * self.weights)
+        return np.asarray(np.linalg.qr(rows.T)[0].T)
+
+    def rows(self, values: Array) -> Array:
+        """White signal without offset and drift, real then imaginary parts, (trial, number)."""
+        rows = _rows(self._spectrum(values) * self.weights)
+        return np.asarray(rows - (rows @ self._span.T) @ self._span)
+
+    def residual(self, values: Array) -> Array:
+        """Recorded torque minus that of the model at the recorded movement, (trial, time)."""
+        return np.asarray(self.signals.torque - self._model.torque(values))
+
+    def weigh(self, values: Array) -> None:
+        """Estimate the spectrum of the noise that a model leaves; it holds until the next call."""
+        rows = self.rows(self.residual(values))
+        spectrum = (rows[:, : rows.shape[1] // 2] + 1j * rows[:, rows.shape[1] // 2 :]) / self.weights
+        power = np.mean(np.abs(spectrum) ** 2, axis=0)
+        smooth = np.asarray(self._smoother(power), dtype=float)
+        self.noise = smooth + 1e-12 * smooth.max() + np.finfo(float).tiny
+        self.weights = np.sqrt(2.0 / self.noise)
+        self._span = self._orthonormal()
+
+    def movement(self, values: Array) -> JointSignals:
+        """Movement at which derivatives are taken: as recorded, or that of the closed loop without noise."""
+        if self._loop is None:
+            return self.signals
+        key, movement = self._latest
+        if key != values.tobytes():  # a search asks for residual, then for slopes
+            movement = simulated_movement(self.structure, values, self.signals, self._loop, movement)
+            self._latest = values.tobytes(), movement
+        return movement
+
+    def output_rows(self, values: Array, movement: JointSignals) -> Array:
+        """White residual that a search minimises, (trial, number).
+
+        On a position servo that of the torque; on a force servo that of the movement, as a torque that would cause it.
+        """
+        if self._loop is None:
+            return self.rows(self.residual(values))
+        miss = self.signals.angle - movement.angle
+        return self.rows(_impeded(miss, self.structure, values, movement, self._loop))
+
+    def derivatives(self, values: Array, movement: JointSignals) -> Array:
+        """White derivatives of the torque by the parameters, (parameter, trial, number)."""
+        model = self._model if movement is self.signals else JointModel(self.structure, movement)
+        return np.stack([self.rows(column) for column in model.derivatives(values).values()])
+
+    def objective(self, values: Array) -> float:
+        """Minus twice the log-likelihood, but for a constant, with the noise as last weighed [-]."""
+        cost = float(np.sum(self.output_rows(values, self.movement(values)) ** 2))
+        return cost + 2.0 * self.n_trials * float(np.sum(np.log(self.noise)))
+
+    def scores(self, values: Array) -> list[BlockScore]:
+        """What each block of time says; a block is a trial where there are several."""
+        movement = self.movement(values)
+        rows, columns = self.rows(self.residual(values)), self.derivatives(values, movement)
+        residual, slopes = self._in_time(rows), self._in_time(columns)
+        if self.n_trials > 1:
+            blocks = [(slice(trial, trial + 1), slice(None)) for trial in range(self.n_trials)]
+        else:
+            cuts = time_blocks(residual.shape[1], N_BLOCKS)
+            blocks = [(slice(None), slice(int(cut[0]), int(cut[-1]) + 1)) for cut in cuts]
+        scores = []
+        for trial, time in blocks:
+            part = slopes[:, trial, time].reshape(len(slopes), -1)
+            scores.append(BlockScore(part @ residual[trial, time].ravel(), part @ part.T))
+        return scores
+
+    def _in_time(self, rows: Array) -> Array:
+        """White rows as white signals over time, with the same sums of products."""
+        half = rows.shape[-1] // 2
+        spectrum = np.zeros((*rows.shape[:-1], len(self._lines)), dtype=complex)
+        spectrum[..., self._lines] = (rows[..., :half] + 1j * rows[..., half:]) / np.sqrt(2.0)
+        return np.asarray(fft.irfft(spectrum, len(self._taper), axis=-1, norm="ortho"))
+
+
+def _rows(spectrum: ComplexArray) -> Array:
+    return np.concatenate([spectrum.real, spectrum.imag], axis=-1)
+
+
+def environment_of(signals: JointSignals) -> Loop:
+    """The virtual environment of a force servo, by least squares of d - f on the movement.
+
+    Raises:
+      ValueError: d - f does not move a positive inertia.
+    """
+    used = signals.used
+    assert signals.perturbation is not None
+    load = (signals.perturbation - signals.torque)[:, used]
+    columns = np.stack([part[:, used] for part in (signals.acceleration, signals.velocity, signals.angle)], axis=-1)
+    centred = columns - columns.mean(axis=1, keepdims=True)
+    weights = np.linalg.lstsq(centred.reshape(-1, 3), (load - load.mean(axis=1, keepdims=True)).ravel(), rcond=None)[0]
+    if weights[0] <= 0.0:
+        raise ValueError(
+            f"recording: the inertia that d - f moves is {weights[0]:.3g}; expected that of a virtual environment "
+            "(servo = position for an imposed movement)"
+        )
+    return Loop(*map(float, weights))
+
+
+class _Reflex(NamedTuple):
+    """Reflex path of a joint in a closed loop.
+
+    Attributes:
+      path: frequency response from the drive to the torque, (frequency,).
+      drive: what the reflex answers to, (trial, time).
+      gain: of the linear reflex to velocity that is nearest to the drive [-].
+    """
+
+    path: ComplexArray
+    drive: Array
+    gain: float
+
+
+def _reflex(structure: JointStructure, given: dict[str, float], velocity: Array, s: ComplexArray) -> _Reflex:
+    wn = 2 * np.pi * given["reflex_frequency"]
+    path = wn**2 / (s**2 + 2 * given["reflex_damping_ratio"] * wn * s + wn**2) * np.exp(-s * given["reflex_delay"])
+    path = np.asarray(given["reflex_gain"] * path)
+    if structure.reflex == "linear":
+        return _Reflex(path, velocity, 1.0)
+    drive = structure.side * np.maximum(structure.side * velocity - given["reflex_threshold"], 0.0)
+    power = max(float(np.mean(velocity**2)), np.finfo(float).tiny)
+    return _Reflex(path, drive, float(np.mean((drive - drive.mean()) * velocity)) / power)
+
+
+def _impedance(
+    structure: JointStructure, given: dict[str, float], velocity: Array, loop: Loop, s: ComplexArray
+) -> ComplexArray:
+    """Impedance of environment and joint together, a half-wave replaced by its nearest gain, (frequency,)."""
+    total = (loop.inertia + given["inertia"]) * s**2 + (loop.damping + given["damping"]) * s
+    total = total + loop.stiffness + given["stiffness"] + 0j
+    if structure.reflex != "none":
+        reflex = _reflex(structure, given, velocity, s)
+        total = total + reflex.gain * s * reflex.path
+    return np.asarray(total)
+
+
+def _padded(signals: JointSignals) -> tuple[int, ComplexArray]:
+    n = fft.next_fast_len(signals.angle.shape[1] + round(4.0 * signals.rate), real=True)
+    return n, 2j * np.pi * fft.rfftfreq(n, 1.0 / signals.rate)
+
+
+def _impeded(miss: Array, structure: JointStructure, values: Array, movement: JointSignals, loop: Loop) -> Array:
+    """Torque that would move environment and joint by so much, (trial, time)."""
+    n, s = _padded(movement)
+    given = dict(zip(structure.parameters, values, strict=True))
+    impedance = _impedance(structure, given, movement.velocity, loop, s)
+    return np.asarray(fft.irfft(fft.rfft(miss, n, axis=1) * impedance, n, axis=1)[:, : miss.shape[1]])
+
+
+def simulated_movement(
+    structure: JointStructure,
+    values: Array,
+    signals: JointSignals,
+    loop: Loop,
+    start: JointSignals | None = None,
+) -> JointSignals:
+    """Movement that the perturbation alone causes, of environment and joint in a closed loop.
+
+    What is nonlinear is fed back until the movement settles.
+
+    Args:
+      structure: of the joint.
+      values: of its parameters, (parameter,).
+      signals: of the trials.
+      loop: the virtual environment.
+      start: a movement near the result; None for the recorded one.
+
+    Raises:
+      ValueError: the movement does not settle: the closed loop oscillates.
+    """
+    assert signals.perturbation is not None
+    given = dict(zip(structure.parameters, values, strict=True))
+    n, s = _padded(signals)
+    d = signals.perturbation - signals.perturbation.mean(axis=1, keepdims=True)
+    load = fft.rfft(d, n, axis=1) * (np.abs(s) / (2 * np.pi) <= 1.15 * signals.top)
+    near = signals if start is None else start
+    angle, velocity, size = near.angle, near.velocity, signals.angle_scale
+    change = np.inf
+    for _ in range(LOOP_ROUNDS):
+        beyond = np.zeros_like(load)
+        if structure.reflex == "half-wave":
+            reflex = _reflex(structure, given, velocity, s)
+            beyond = reflex.path * fft.rfft(reflex.drive - reflex.gain * velocity, n, axis=1)
+        if structure.short_range:
+            play = play_operator(angle, given["short_range_limit"])
+            beyond = beyond + given["short_range_stiffness"] * fft.rfft(play, n, axis=1)
+        spectrum = (load - beyond) / _impedance(structure, given, velocity, loop, s)
+        before = angle
+        angle, velocity = (fft.irfft(spectrum * s**power, n, axis=1)[:, : d.shape[1]] for power in (0, 1))
+        change = float(np.sqrt(np.mean((angle - before) ** 2))) / size
+        if not change < 1e3:
+            break
+        if (structure.reflex != "half-wave" and not structure.short_range) or change < LOOP_SETTLED:
+            break
+    if not (change < 0.02 or (structure.reflex in ("none", "linear") and not structure.short_range and change < 1e3)):
+        raise ValueError("identify: the closed loop of device and joint does not settle; expected a stable joint")
+    acceleration = fft.irfft(spectrum * s**2, n, axis=1)[:, : d.shape[1]]
+    return replace(signals, angle=angle, velocity=velocity, acceleration=acceleration)

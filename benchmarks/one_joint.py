@@ -1,0 +1,68 @@
+"""Accuracy of the joint model on simulated people of one joint: `python -m benchmarks.one_joint [PEOPLE] [SERVO ...]`.
+
+People of three joints, half of them with a one-sided and half with a linear reflex, and people without one, on a
+position and on a force servo, 60 s each with noise of 10 to 20 dB. Their equations are those of `tests/one_joint.py`.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from armperturb.analysis.joint.identify import identify_joint
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+import one_joint
+
+TARGETS = {
+    "inertia": 3.0, "damping": 5.0, "stiffness": 3.0, "reflex_gain": 8.0, "reflex_delay": 1.0, "reflex_threshold": 15.0,
+}  # fmt: skip
+"""Parameter to the largest median error [%], of the delay [ms]."""
+
+
+def main(people: int, servos: list[str]) -> None:
+    """Print errors, coverage and choices."""
+    for servo in servos:
+        errors = {name: [] for name in TARGETS}
+        held, right, started = [], {"half-wave": [], "linear": [], "none": []}, time.process_time()
+        for number in range(people):
+            name = list(one_joint.JOINTS)[number % 3]
+            for reflex in right:
+                person = one_joint.person(name, 100 + number, reflex)
+                decibel = float(np.random.default_rng(number).uniform(10.0, 20.0))
+                try:
+                    result = identify_joint(one_joint.recording(person, number, servo, decibel=decibel, name=name))
+                except ValueError as error:
+                    print(f"{servo} {name} {number} {reflex}: {error}", flush=True)
+                    right[reflex].append(False)
+                    continue
+                chosen = result.structure
+                is_side = reflex != "half-wave" or chosen.side == person.side
+                right[reflex].append(chosen.reflex == reflex and is_side)
+                if not right[reflex][-1]:
+                    print(f"{servo} {name} {number} {reflex}: chosen {chosen.name}", flush=True)
+                    continue
+                for parameter, value in result.values.items():
+                    true = getattr(person, parameter)
+                    if parameter in TARGETS:
+                        miss = abs(value - true)
+                        errors[parameter].append(1e3 * miss if parameter == "reflex_delay" else 100.0 * miss / true)
+                    lower, upper = result.interval(parameter)
+                    held.append((parameter, lower <= true <= upper))
+        print(f"{servo} servo, {people} people of each kind, {time.process_time() - started:.0f} s of processor time")
+        for name, target in TARGETS.items():
+            of_name = [inside for parameter, inside in held if parameter == name]
+            unit = "ms" if name == "reflex_delay" else "%"
+            print(
+                f"  {name}: median error {np.median(errors[name]):.2f} {unit} (target {target:g}), "
+                f"intervals hold {100 * np.mean(of_name):.1f} % of {len(of_name)}"
+            )
+        print(f"  all intervals hold {100 * np.mean([inside for _, inside in held]):.1f} % (target 90 to 98)")
+        for reflex, choices in right.items():
+            print(f"  right choice of {reflex}: {sum(choices)} of {len(choices)}", flush=True)
+
+
+if __name__ == "__main__":
+    numbers = [int(each) for each in sys.argv[1:] if each.isdigit()]
+    main(numbers[0] if numbers else 30, [each for each in sys.argv[1:] if not each.isdigit()] or ["position", "force"])

@@ -1,0 +1,68 @@
+"""Whether muscles are relaxed, and co-contraction, of EMG of known levels."""
+
+import numpy as np
+import pytest
+from invented_emg import noise, recorded
+
+from armperturb.analysis.emg.activity import activity, holm, relaxation_sentence
+from armperturb.analysis.emg.envelope import envelopes
+
+N = 10_000
+
+
+def person(level, seed=0):
+    """One maximal contraction, and four trials at a level of both antagonists [-]."""
+    rng = np.random.default_rng(seed)
+    levels = np.concatenate([[[1.0, 1.0]], level * np.exp(0.1 * rng.standard_normal((4, 2)))])
+    volts = levels[..., None] * noise((5, 2, N), seed) + 5e-3 * rng.standard_normal((5, 2, N))
+    return activity(envelopes(recorded(volts, ["MVC"] + ["RT7.5"] * 4))), levels[1:].min(axis=1).mean()
+
+
+def test_relaxed_and_slightly_active_people_are_told_apart():
+    relaxed = [person(0.0, seed)[0].active_muscles("RT7.5") for seed in range(2)]
+    active = [person(0.05, seed)[0].active_muscles("RT7.5") for seed in range(2)]
+    assert relaxed == [()] * 2
+    assert active == [("flexor", "extensor")] * 2
+
+
+@pytest.mark.parametrize("level", [0.05, 0.2])
+def test_index_is_the_level_of_co_contraction(level):
+    result, true = person(level)
+    index = result.cocontraction.set_index(["condition", "joint"])["index"]["RT7.5", "shoulder"]
+    assert index == pytest.approx(true, rel=0.1)
+
+
+def test_a_muscle_whose_antagonist_is_silent_does_not_co_contract():
+    volts = np.array([0.5, 0.0])[:, None] * noise((3, 2, N)) + 1e-3 * np.random.default_rng(0).standard_normal(
+        (3, 2, N)
+    )
+    result = activity(envelopes(recorded(volts)))
+    assert result.cocontraction["ratio"].item() < 0.1
+
+
+def test_parts_before_and_during_the_perturbation_are_apart():
+    recording = recorded(noise((3, 2, N)))
+    recording["perturbation"][:, :400] = 0.0
+    assert list(activity(envelopes(recording)).levels["part"].unique()) == ["before", "during"]
+
+
+def test_holm_is_that_of_the_textbook():
+    np.testing.assert_allclose(holm(np.array([0.01, 0.04, 0.03, 0.005])), [0.03, 0.06, 0.06, 0.02])
+
+
+def test_a_result_describes_itself():
+    result, _ = person(0.2)
+    assert "RT7.5      during             all" in result.summary()
+    assert len(result.plot()) == 2
+
+
+def test_sentence_names_who_did_not_relax():
+    relaxed, active = person(0.0)[0], person(0.05)[0]
+    limit = "2 % of maximal contraction"
+    assert relaxation_sentence([relaxed], ["RT7.5"]) == (
+        f"In the relax task, all muscles of all 1 people stayed below {limit}: they relaxed."
+    )
+    assert relaxation_sentence([relaxed, active], ["RT7.5"]) == (
+        f"In the relax task, 1 of 2 people did not relax (a muscle above {limit}): A in RT7.5."
+    )
+    assert "no EMG" in relaxation_sentence([], ["RT7.5"])

@@ -1,0 +1,119 @@
+"""Envelopes of EMG of known amplitude, and what is wrong with its channels."""
+
+import numpy as np
+import pytest
+from invented_emg import EMG_RATE, PAIR, RATE, noise, recorded
+
+from armperturb.analysis.emg.envelope import envelopes
+from armperturb.recording import Action
+
+N = 20_000
+TIME = np.arange(N) / EMG_RATE
+SHAPE = 0.3 * (1.0 + 0.5 * np.sin(2 * np.pi * 0.5 * TIME))
+FLOOR = 2e-3
+
+
+@pytest.fixture(scope="module")
+def modulated():
+    """Ten trials of modulated noise, and one at rest."""
+    active = SHAPE * noise((10, 2, N)) + FLOOR * np.random.default_rng(1).standard_normal((10, 2, N))
+    rest = FLOOR * np.random.default_rng(2).standard_normal((1, 2, N))
+    return recorded(np.concatenate([active, rest]), ["RT7.5"] * 10 + ["REST"])
+
+
+def scatter(recording, window=0.1, **options):
+    """Variance over trials of amplitudes over what was made, and the largest error of the mean."""
+    result, n = envelopes(recording, **options), round(window * RATE)
+    power = result.power[:10].reshape(10, -1, n, 2).mean(axis=2)[:, 1:-1]
+    true = np.sqrt(np.mean(SHAPE.reshape(-1, n * 10) ** 2, axis=1))[1:-1, None]
+    relative = result.amplitude_of(power) / true
+    relative /= relative.mean()
+    return relative.var(axis=0, ddof=1).mean(), np.abs(relative.mean(axis=0) - 1.0).max(), result
+
+
+def test_variance_of_an_amplitude_is_at_the_bound_for_the_bandwidth(modulated):
+    variance, error, result = scatter(modulated)
+    bound = 1.0 / (4.0 * (0.45 * EMG_RATE - 20.0) * 0.1)
+    assert 0.85 < variance / bound < 1.15
+    assert result.relative_variance(0.1).mean() == pytest.approx(variance, rel=0.15)
+    assert error < 5.0 * np.sqrt(bound / 10)
+
+
+def test_without_whitening_it_is_several_times_as_large(modulated):
+    assert scatter(modulated, whiten=False)[0] > 3.0 * scatter(modulated)[0]
+
+
+def test_amplitudes_are_relative_to_the_maximal_contraction_and_above_the_noise():
+    level = np.array([1.0, 0.3, 0.05, 0.0])
+    volts = level[:, None, None] * noise((4, 2, N)) + 5e-3 * np.random.default_rng(1).standard_normal((4, 2, N))
+    result = envelopes(recorded(volts, ["MVC", "PT", "RT", "REST"]))
+    frame = result.to_frame().groupby("condition", sort=False)["amplitude"].mean()
+    assert result.is_normalised
+    assert frame["PT"] == pytest.approx(0.3, rel=0.06)  # the strongest of ten seconds is some 4 % above the mean
+    assert frame["RT"] == pytest.approx(0.05, rel=0.08)
+    assert frame["REST"] < 0.005
+    np.testing.assert_allclose(result.reference_volts, 1.0, rtol=0.08)
+
+
+def test_envelope_is_in_step_with_signals_that_a_filter_delays():
+    recording = recorded((0.3 + 0.2 * np.sin(2 * np.pi * 4.0 * TIME)) * noise((10, 2, N)))
+    wave = np.exp(-2j * np.pi * 4.0 * np.arange(N // 10) / RATE)
+    for lead in (0.0, 0.01):
+        recording["emg"].attrs["lead"] = lead
+        phase = np.angle(1j * wave @ envelopes(recording).power.mean(axis=(0, 2)))
+        assert -phase / (2 * np.pi * 4.0) == pytest.approx(lead, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda x: x[0, 0, 4000:8000].fill(0.0), "EMG of flexor in trial 0: dead from 2.00 to 4.00 s"),
+        (lambda x: np.clip(x[1, 1], -0.5, 0.5, out=x[1, 1]), "EMG of extensor in trial 1: clipped from"),
+        (lambda x: x[1, 0].__setitem__(6000, 12.0), "EMG of flexor in trial 1: spike at 2.999 s"),
+        (
+            lambda x: x[0, 1].__iadd__(40.0 * np.exp(-(((TIME - 6.0) / 0.1) ** 2))),
+            "EMG of extensor in trial 0: movement artefact from 5.5",
+        ),
+        (lambda x: x[:, 0].__iadd__(0.2 * np.sin(2 * np.pi * 50.0 * TIME)), "EMG of flexor hums at 50.0 Hz: cut out"),
+        (
+            lambda x: x[:, 1].__iadd__(0.2 * x[:, 0]),
+            "EMG of flexor and extensor correlates (r = ",
+        ),
+    ],
+    ids=["dead", "clipped", "spike", "movement", "hum", "cross-talk"],
+)
+def test_what_is_wrong_with_a_channel_is_named_with_its_time(spoil, message):
+    volts = 0.3 * noise((2, 2, N))
+    spoil(volts)
+    remarks = envelopes(recorded(volts)).remarks
+    assert len(remarks) == 1
+    assert remarks[0].startswith(message)
+
+
+def test_sound_channels_are_not_suspected(modulated):
+    assert envelopes(modulated).remarks == ()
+
+
+def test_unknown_muscles_are_named():
+    remarks = envelopes(recorded(noise((1, 2, N)), muscles={"flexor": PAIR["flexor"], "soleus": Action("", 0)})).remarks
+    assert remarks == ("EMG of soleus: nobody says what the muscle does; expected signals.emg.muscles in the sidecar",)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda r: r.drop_vars(["emg"]), "EMG is missing: the recording has no variable 'emg'"),
+        (lambda r: r.assign_attrs(emg_rate=1000.0), "it lasts 20 s at emg_rate = 1000 Hz, the other signals 10 s"),
+        (lambda r: r.assign(emg=r["emg"] * 0.0), "all channels are zero; expected voltages"),
+    ],
+)
+def test_emg_that_cannot_be_used_is_refused_in_one_line(modulated, change, message):
+    with pytest.raises(ValueError, match=message):
+        envelopes(change(modulated))
+
+
+def test_a_result_describes_itself_and_becomes_tables(modulated):
+    result = envelopes(modulated)
+    assert "EMG of A: 2 muscles in 11 trials" in result.summary()
+    assert result.to_xarray()["amplitude"].shape == (11, 2000, 2)
+    assert len(result.plot()) == 1

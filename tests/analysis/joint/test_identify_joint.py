@@ -1,0 +1,110 @@
+"""Joint identification on simulated people whose equations share nothing with the package."""
+
+import json
+
+import numpy as np
+import one_joint
+import pytest
+
+from armperturb.analysis.joint.export import joint_summary, write_joint
+from armperturb.analysis.joint.identify import identify_joint
+from armperturb.analysis.joint.model import JointModel, JointStructure
+from armperturb.analysis.joint.signals import joint_signals
+from armperturb.analysis.page.joint_page import write_joint_page
+from armperturb.analysis.page.page import Origin
+from armperturb.analysis.results import PARAMETER_COLUMNS
+
+
+@pytest.fixture(scope="module")
+def ankle():
+    """A person with a one-sided reflex, half a minute on a position servo."""
+    return one_joint.person("ankle", 5)
+
+
+@pytest.fixture(scope="module")
+def recording(ankle):
+    return one_joint.recording(ankle, 5, duration=30.0, decibel=20.0)
+
+
+@pytest.fixture(scope="module")
+def result(recording):
+    return identify_joint(recording, fit_until=20.0)
+
+
+@pytest.mark.parametrize("reflex", ["none", "linear", "half-wave"])
+def test_derivatives_are_those_of_differences(recording, reflex):
+    signals = joint_signals(recording.isel(time=slice(0, 6000)))
+    structure = JointStructure(reflex=reflex, short_range=reflex != "half-wave")
+    usual = {"short_range_limit": 0.01, "reflex_delay": 0.04, "reflex_frequency": 2.0, "reflex_threshold": 0.05}
+    values = np.array([usual.get(name, 0.9) for name in structure.parameters])
+    model = JointModel(structure, signals)
+    for place, (name, exact) in enumerate(model.derivatives(values).items()):
+        if name == "short_range_limit":  # a difference itself
+            continue
+        step = 1e-5 * values[place]
+        up, down = (model.torque(values + sign * step * np.eye(len(values))[place]) for sign in (1, -1))
+        error = np.abs((up - down) / (2 * step) - exact).max() / np.abs(exact).max()
+        assert error < 1e-4, name
+
+
+@pytest.mark.slow(reason="a search by maximum likelihood of four structures")
+def test_the_reflex_and_its_parameters(ankle, result):
+    assert result.structure.reflex == "half-wave"
+    assert result.structure.side == ankle.side
+    for name, tolerance in {"inertia": 0.02, "damping": 0.05, "stiffness": 0.05, "reflex_gain": 0.15}.items():
+        assert result.values[name] == pytest.approx(getattr(ankle, name), rel=tolerance), name
+    assert result.values["reflex_delay"] == pytest.approx(ankle.reflex_delay, abs=2e-3)
+    for name in result.values:
+        assert abs(result.values[name] - getattr(ankle, name)) < 4.5 * result.standard_error[name], name
+
+
+@pytest.mark.slow(reason="shares the search above")
+def test_what_was_held_out_is_predicted(result):
+    assert result.held_out["cascade"] > 95.0
+    assert result.held_out_vaf == result.held_out[result.predicted_by]
+    assert joint_summary(result)["held_out_vaf"] == result.held_out_vaf
+
+
+@pytest.mark.slow(reason="shares the search above")
+def test_the_profile_of_the_delay_has_its_minimum_at_the_estimate(result):
+    delays, fall = result.profile
+    assert delays[np.argmin(fall)] == pytest.approx(result.values["reflex_delay"], abs=1e-3)
+    assert min(fall[0], fall[-1]) > 3.84
+
+
+@pytest.mark.slow(reason="shares the search above")
+def test_files_and_page(result, tmp_path):
+    write_joint(result, tmp_path)
+    write_joint_page(result, tmp_path / "identify.html", Origin())
+    assert tuple(result.to_frame().columns) == PARAMETER_COLUMNS
+    assert (tmp_path / "parameters.csv").read_text().startswith(",".join(PARAMETER_COLUMNS))
+    assert json.loads((tmp_path / "fit.json").read_text())["reflex"] == "half-wave"
+    assert "Ankle of S" in (tmp_path / "identify.html").read_text()
+    assert len(repr(result).splitlines()) <= 25
+
+
+@pytest.mark.slow(reason="a search by maximum likelihood of four structures")
+def test_nobody_gets_a_reflex_that_has_none():
+    person = one_joint.person("wrist", 6, "none")
+    result = identify_joint(one_joint.recording(person, 6, duration=20.0, name="wrist"))
+    assert result.structure.reflex == "none"
+    assert result.values["stiffness"] == pytest.approx(person.stiffness, rel=0.05)
+
+
+@pytest.mark.slow(reason="a search in a closed loop")
+def test_a_force_servo_gives_the_same_joint():
+    person = one_joint.person("ankle", 7, "linear")
+    made = one_joint.recording(person, 7, "force", duration=30.0)
+    result = identify_joint(made, reflex="linear")
+    assert result.environment.inertia == pytest.approx(0.25 * person.inertia, rel=0.03)
+    for name, tolerance in {"inertia": 0.05, "damping": 0.08, "stiffness": 0.08}.items():
+        assert result.values[name] == pytest.approx(getattr(person, name), rel=tolerance), name
+
+
+def test_bad_options_are_named(recording):
+    with pytest.raises(ValueError, match=r"longest_delay = 40 s; expected at most a quarter of the record"):
+        identify_joint(recording, longest_delay=40.0)
+    with pytest.raises(ValueError, match=r"fit_until = 40.0; expected"):
+        identify_joint(recording, fit_until=40.0)
+    with pytest.raises(ValueError, match="duration = 2 s; expected at least 4 s"):
+        identify_joint(recording.isel(time=slice(0, 2000)))

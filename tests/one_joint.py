@@ -1,0 +1,182 @@
+"""Simulated people of one joint, from equations of their own: Newton's law and a delayed second-order reflex, by RK4.
+
+Nothing here is shared with the package but the format of recordings.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from scipy import signal
+
+from armperturb.recording import make_recording
+
+RATE = 1000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joint:
+    inertia: float
+    damping: float
+    stiffness: float
+    reflex_gain: float = 0.0
+    reflex_delay: float = 0.04
+    reflex_frequency: float = 2.0  # Hz
+    reflex_damping_ratio: float = 1.0
+    reflex_threshold: float = 0.0  # rad/s
+    reflex: str = "half-wave"
+    rms: float = 0.015  # of the imposed angle, rad
+    side: int = 1
+
+
+JOINTS = {
+    "ankle": Joint(inertia=0.016, damping=0.8, stiffness=60.0, reflex_gain=8.0, reflex_delay=0.042),
+    "wrist": Joint(
+        inertia=0.004, damping=0.06, stiffness=3.5, reflex_gain=0.25, reflex_delay=0.032, reflex_frequency=3.0, rms=0.03
+    ),
+    "elbow": Joint(
+        inertia=0.08, damping=1.2, stiffness=35.0, reflex_gain=3.5, reflex_delay=0.028, rms=0.025, reflex_frequency=2.5
+    ),
+}
+
+
+def person(name, seed, reflex="half-wave"):
+    rng = np.random.default_rng(seed)
+    base = JOINTS[name]
+    factor = {each: np.exp(0.2 * rng.normal()) for each in ("inertia", "damping", "stiffness", "reflex_gain")}
+    varied = {each: getattr(base, each) * factor[each] for each in factor}
+    varied["reflex_delay"] = base.reflex_delay + 0.005 * rng.normal()
+    varied["reflex_frequency"] = base.reflex_frequency * np.exp(0.15 * rng.normal())
+    speed = base.rms * 2 * np.pi * 2.0
+    varied["reflex_threshold"] = speed * rng.uniform(0.3, 0.9) if reflex == "half-wave" else 0.0
+    if reflex == "none":
+        varied["reflex_gain"] = 0.0
+    if reflex == "linear":
+        varied["reflex_gain"] *= 0.5
+    return replace(base, reflex=reflex, side=int(rng.choice([-1, 1])), **varied)
+
+
+def coloured(rng, n, low, high, white=0.02):
+    sections = signal.butter(1, [low, high], "bandpass", fs=RATE, output="sos")
+    noise = signal.sosfilt(sections, rng.normal(size=n + 5 * RATE))[5 * RATE :]
+    return noise / noise.std() + white * rng.normal(size=n)
+
+
+def smooth_random(rng, n, corner):
+    """Band-limited random movement with its exact derivatives at double rate, for RK4's half steps."""
+    m = 2 * n
+    frequency = np.fft.rfftfreq(m, 0.5 / RATE)
+    amplitude = 1.0 / np.sqrt(1 + (frequency / corner) ** 4) * (frequency > 0.05) * (frequency < 55)
+    spectrum = amplitude * (rng.normal(size=len(frequency)) + 1j * rng.normal(size=len(frequency)))
+    s = 2j * np.pi * frequency
+    x, v, a = (np.fft.irfft(spectrum * s**k, m) for k in (0, 1, 2))
+    return x / x.std(), v / x.std(), a / x.std()
+
+
+@njit(cache=False)
+def _drive(v, threshold, side, halfwave):
+    return side * max(side * v - threshold, 0.0) if halfwave else v
+
+
+@njit(cache=False)
+def _reflex_torque(drive, delay, gain, wn, ratio, dt):
+    """Second-order response to a delayed drive that is known at half steps, by RK4."""
+    n = len(drive) // 2
+    out = np.zeros(n)
+    y, w = 0.0, 0.0
+    shift = 2.0 * delay / dt
+
+    for k in range(n):
+        out[k] = gain * y
+        u = np.zeros(3)
+        for j in range(3):
+            place = 2.0 * k + j - shift
+            if place >= 0:
+                low = int(place)
+                part = place - low
+                u[j] = drive[low] * (1 - part) + drive[min(low + 1, len(drive) - 1)] * part
+        k1y, k1w = w, wn * wn * (u[0] - y) - 2 * ratio * wn * w
+        k2y, k2w = w + 0.5 * dt * k1w, wn * wn * (u[1] - y - 0.5 * dt * k1y) - 2 * ratio * wn * (w + 0.5 * dt * k1w)
+        k3y, k3w = w + 0.5 * dt * k2w, wn * wn * (u[1] - y - 0.5 * dt * k2y) - 2 * ratio * wn * (w + 0.5 * dt * k2w)
+        k4y, k4w = w + dt * k3w, wn * wn * (u[2] - y - dt * k3y) - 2 * ratio * wn * (w + dt * k3w)
+        y += dt / 6 * (k1y + 2 * k2y + 2 * k3y + k4y)
+        w += dt / 6 * (k1w + 2 * k2w + 2 * k3w + k4w)
+    return out
+
+
+@njit(cache=False)
+def _closed_loop(load, noise, env, joint, dt, substeps, halfwave, side):
+    """Angle, velocity and acceleration of joint and device under a load, by semi-implicit steps."""
+    inertia, damping, stiffness, gain, delay, wn, ratio, threshold = joint
+    m, b, k = env
+    n = len(load)
+    x, v, y, w = 0.0, 0.0, 0.0, 0.0
+    h = dt / substeps
+    lag = delay / h
+    whole = int(lag)
+    part = lag - whole
+    memory = np.zeros(whole + 3)
+    at = 0
+    angle, torque = np.zeros(n), np.zeros(n)
+    for i in range(n):
+        after = load[min(i + 1, n - 1)]
+        noise_after = noise[min(i + 1, n - 1)]
+        for j in range(substeps):
+            share = j / substeps
+            d = load[i] + (after - load[i]) * share
+            e = noise[i] + (noise_after - noise[i]) * share
+            a = (d - e - (b + damping) * v - (k + stiffness) * x - gain * y) / (m + inertia)
+            if j == 0:
+                angle[i] = x
+                torque[i] = inertia * a + damping * v + stiffness * x + gain * y + e
+            memory[at] = _drive(v, threshold, side, halfwave)
+            size = len(memory)
+            u = memory[(at - whole) % size] * (1 - part) + memory[(at - whole - 1) % size] * part
+            at = (at + 1) % size
+            w += h * (wn * wn * (u - y) - 2 * ratio * wn * w)
+            y += h * w
+            x_half = x + 0.5 * h * v
+            a_half = (d - e - (b + damping) * (v + 0.5 * h * a) - (k + stiffness) * x_half - gain * y) / (m + inertia)
+            v += h * a_half
+            x = x_half + 0.5 * h * v
+    return angle, torque
+
+
+def recording(joint, seed, servo="position", *, duration=60.0, decibel=15.0, name="ankle"):
+    rng = np.random.default_rng([seed, 7])
+    n = round(duration * RATE)
+    lead = 5 * RATE
+    labels = {"subject": ["S"], "task": ["PT"], "condition": ["PT"], "repetition": [0], "pulse_level": [0.0]}
+    empty = ("pulse_direction", "pulse_onset", "l_h", "l_f", "theta_s_deg", "theta_e_deg", "limit_time")
+    labels |= {each: [np.nan] for each in empty}
+    wn, halfwave = 2 * np.pi * joint.reflex_frequency, joint.reflex == "half-wave"
+    noise = coloured(rng, n + lead, 0.2, 3.0)
+    if servo == "position":
+        x, v, a = (joint.rms * each for each in smooth_random(rng, n + lead, 3.0))
+        drive = joint.side * np.maximum(joint.side * v - joint.reflex_threshold, 0.0) if halfwave else v
+        reflex = _reflex_torque(
+            drive, joint.reflex_delay, joint.reflex_gain, wn, joint.reflex_damping_ratio, 1.0 / RATE
+        )
+        torque = joint.inertia * a[::2] + joint.damping * v[::2] + joint.stiffness * x[::2] + reflex
+        torque = (torque + torque.std() * 10 ** (-decibel / 20) / noise.std() * noise)[lead:]
+        signals = {"displacement": x[::2][lead:], "force": torque + 3.0}
+    else:
+        env = (0.25 * joint.inertia, 0.3 * joint.damping, 0.1 * joint.stiffness)
+        load = smooth_random(rng, n + lead, 6.0)[0][::2]
+        parameters = (
+            joint.inertia, joint.damping, joint.stiffness, joint.reflex_gain, joint.reflex_delay, wn,
+            joint.reflex_damping_ratio, joint.reflex_threshold,
+        )  # fmt: skip
+
+        def run(load, noise):
+            return _closed_loop(load, noise, env, parameters, 1.0 / RATE, 4, halfwave, joint.side)
+
+        load *= joint.rms / run(load, 0 * load)[0].std()
+        for _ in range(2):  # a threshold makes the size matter
+            load *= joint.rms / run(load, 0 * load)[0].std()
+        clean, alone = run(load, 0 * load)[0], run(0 * load, noise)[0]
+        noise *= clean.std() / alone.std() * 10 ** (-decibel / 20)
+        angle, torque = run(load, noise)
+        signals = {"perturbation": load[lead:], "displacement": angle[lead:], "force": torque[lead:]}
+    arrays = {each: values[None, :, None] for each, values in signals.items()}
+    return make_recording(arrays, labels, RATE, servo=servo, joint=name, angular=True)
