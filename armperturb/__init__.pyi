@@ -12,6 +12,7 @@ from .analysis.nonlinear.identify import identify_nonlinear as identify_nonlinea
 from .analysis.response.best_linear import best_linear as best_linear
 from .analysis.response.estimate import response as response
 from .analysis.trials import ConditionTrials as ConditionTrials
+from .analysis.varying.estimate import identify_varying as identify_varying
 from .anthropometry import anthropometric_body as anthropometric_body
 from .cohort import Person as Person
 from .cohort import average_person as average_person

@@ -120,8 +120,8 @@ def page(folder: Path) -> str:
         save_svg(figure, ROOT / "docs" / "figures" / f"real_{name}.svg")
     lines += ["", "## Elbow stretches", ""]
     lines += [
-        "Each stretch moves once at constant speed. That is too little for a parallel cascade; stiffness and damping "
-        "by least squares show how they change with speed.",
+        "Each stretch moves once at constant speed. That is too little for a parallel cascade, and stiffness and "
+        "damping by least squares explain little of the torque.",
         "",
     ]
     lines += elbow_table(folder / "elbow_stretches.npz")

@@ -14,7 +14,8 @@ JointPerson JointTrial Servo run_joint_experiment
 Multisine MultisineThenPulse Pulse Sampled load_perturbation save_perturbation
 make_recording load_recording save_recording stack_trials import_recording export_recording
 write_sidecar
-identify identify_conditions identify_joint identify_nonlinear response best_linear arm_admittance plot
+identify identify_conditions identify_joint identify_nonlinear identify_varying
+response best_linear arm_admittance plot
 Structure STRUCTURES load_structure save_structure ConditionTrials variance_accounted_for
 Protocol Condition load_protocol StudySettings run_study analyse_study write_report score design DesignSettings
 validate ValidateSettings calibrate measure_cohort compare

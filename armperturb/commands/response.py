@@ -44,12 +44,17 @@ class Response(Command):
         from armperturb.analysis.trials import common_period, prepared_recordings
         from armperturb.commands.selection import MemoryPerSample, select_trials
         from armperturb.plots.style import save_plot
+        from armperturb.recording import is_one_axis
 
         if self.period is not None and self.method not in ("multisine", "spectral"):
             raise ValueError(f"response: period = {self.period:g}; expected none with the method {self.method}")
         recordings, lines = select_trials(
             self.recordings, self.sidecar, self.subject, self.condition, single_condition=True
         )
+        if is_one_axis(recordings[0]):
+            raise ValueError(
+                f"{', '.join(map(str, self.recordings))}: axes = 1; expected two (identify --model joint takes one)"
+            )
         options: dict[str, Any] = {"window_start": self.window_start, "period": self.period}
         options = {name: value for name, value in options.items() if value is not None}
         distortion = None

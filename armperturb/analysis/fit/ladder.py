@@ -237,9 +237,10 @@ def nearest_to_linear(recorded: Group, in_geometry: Geometry, method: Method) ->
     """
     richest: Place = ("free", "spring", "position")
     rung = _sketched(recorded, richest, _fit_of_spectra(recorded, richest), (), method)
-    tried, arm = [(rung.sketch.objective, recorded)], None
+    tried: list[tuple[float, Group]] = [(rung.sketch.objective, recorded)]
+    arm: Subject | None = None
     while len(tried) < 3 and (group := in_geometry(arm)) is not None:
-        others = [] if arm is None else [rung]
+        others = () if arm is None else (rung,)
         rung = _sketched(group, richest, _fit_of_spectra(group, richest), others, method)
         arm = rung.structure.arm(group.body, rung.sketch.values)
         tried.append((rung.sketch.objective, group))

@@ -61,7 +61,7 @@ class Noise:
     def _power(self, residual: Array) -> ComplexArray:
         force = self._spectrum(self._to_force, residual)
         power = np.einsum("taf,tbf->fab", force, force.conj()) / len(force)
-        return self._smoother(power.reshape(-1, 4)).reshape(-1, 2, 2)
+        return np.asarray(self._smoother(power.reshape(-1, 4)).reshape(-1, 2, 2), dtype=complex)
 
     def weigh(self, residual: Array) -> None:
         """Estimate the spectrum from residuals [m], (trial, time, axis); it weights `white` until the next call."""

@@ -1,0 +1,1 @@
+"""Identification of one joint whose parameters change over time or with posture."""

@@ -1,0 +1,139 @@
+"""What identification of parameters that change yields."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+
+from armperturb.analysis.results import Description, Result, Table, quantile
+from armperturb.analysis.varying.columns import Cascade, Reflex
+from armperturb.arrays import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+UNITS = {"stiffness": "Nm/rad", "damping": "Nms/rad", "gain": "Nms/rad"}
+"""Quantity that changes to its unit; the gain is that of the velocity feedback."""
+
+
+class Curve(NamedTuple):
+    """A quantity over what it depends on.
+
+    Attributes:
+      value: (point,).
+      standard_error: (point,).
+      n_basis: how many B-splines make it.
+    """
+
+    value: Array
+    standard_error: Array
+    n_basis: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class VaryingEstimate(Result):
+    """Parameters of one joint over time or posture.
+
+    Attributes:
+      variable: "time" or "scheduling".
+      grid: where curves are given [s or rad], (point,).
+      curves: quantity to its curve: "stiffness", "damping" and, with a reflex, "gain".
+      inertia: [kg m^2].
+      inertia_error: its standard error.
+      reflex: the reflex path's static nonlinearity.
+      cascade: delay, activation and threshold of the reflex path.
+      vaf: torque below `columns.TOP` that the model explains in the samples that were fitted [%].
+      held_out_vaf: in the rest, simulated from the angle alone [%]; None if everything was fitted.
+      n_trials: how many trials.
+    """
+
+    variable: str
+    grid: Array
+    curves: Mapping[str, Curve]
+    inertia: float
+    inertia_error: float
+    reflex: Reflex
+    cascade: Cascade
+    vaf: float
+    held_out_vaf: float | None
+    n_trials: int
+
+    def interval(self, name: str, level: float = 0.95) -> tuple[Array, Array]:
+        """Lower and upper end of the pointwise confidence band of a curve, (point,) each.
+
+        Args:
+          name: key of `curves`.
+          level: probability that the band holds the truth at a point [-].
+
+        Raises:
+          KeyError: there is no such curve.
+        """
+        curve = self.curves[name]
+        half = quantile(level) * curve.standard_error
+        return curve.value - half, curve.value + half
+
+    def describe(self) -> Description:
+        """Constant parameters, range and error of each curve."""
+        rows = tuple(
+            (name, f"{c.value.min():.4g}", f"{c.value.max():.4g}", f"{np.median(c.standard_error):.2g}", f"{c.n_basis}")
+            for name, c in self.curves.items()
+        )
+        over = "time" if self.variable == "time" else "the scheduling variable"
+        facts = [
+            f"inertia {self.inertia:.4g} +/- {self.inertia_error:.2g} kg m^2; the model explains {self.vaf:.1f} % of "
+            "the torque"
+        ]
+        if self.reflex != "none":
+            c = self.cascade
+            threshold = f", threshold {c.threshold:.3g} rad/s" if self.reflex == "half-wave" else ""
+            facts.append(
+                f"{self.reflex} reflex: delay {1e3 * c.delay:.0f} ms, activation {c.cutoff:.2g} Hz, damping ratio "
+                f"{c.zeta:.2g}{threshold}"
+            )
+        if self.held_out_vaf is not None:
+            facts.append(f"held out, simulated from the angle alone: {self.held_out_vaf:.1f} % of the torque")
+        return Description(
+            title=f"One joint over {over}, {self.n_trials} trial(s)",
+            facts=tuple(facts),
+            table=Table(("quantity", "least", "greatest", "standard error", "splines"), rows),
+        )
+
+    def to_frame(self) -> pd.DataFrame:
+        """One row per point and quantity: value, standard error and 95 % band."""
+        frames = []
+        for name, curve in self.curves.items():
+            lower, upper = self.interval(name)
+            columns = {"quantity": name, self.variable: self.grid, "value": curve.value}
+            columns |= {"standard_error": curve.standard_error, "lower_95": lower, "upper_95": upper}
+            frames.append(pd.DataFrame({**columns, "unit": UNITS[name]}))
+        return pd.concat(frames, ignore_index=True)
+
+    def to_xarray(self) -> xr.Dataset:
+        """Curves and their standard errors along `variable`."""
+        variables: dict[str, Any] = {}
+        for name, curve in self.curves.items():
+            variables[name] = (self.variable, curve.value, {"units": UNITS[name]})
+            variables[f"{name}_error"] = (self.variable, curve.standard_error, {"units": UNITS[name]})
+        unit = "s" if self.variable == "time" else "rad"
+        return xr.Dataset(variables, coords={self.variable: (self.variable, self.grid, {"units": unit})})
+
+    def plot(self, figure: "Figure | None" = None) -> Any:
+        """Draw each curve with its 95 % band.
+
+        Args:
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (quantity,).
+        """
+        from armperturb.plots.courses import Course, plot_courses
+
+        label = "time (s)" if self.variable == "time" else "scheduling variable (rad)"
+        courses = [
+            Course(f"{name} ({UNITS[name]})", self.grid, curve.value, *self.interval(name))
+            for name, curve in self.curves.items()
+        ]
+        return plot_courses(courses, label, figure)

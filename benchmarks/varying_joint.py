@@ -1,0 +1,110 @@
+"""A joint whose stiffness changes over time: ensembles with known courses, and the moving ankle.
+
+Run `python -m benchmarks.varying_joint [--repetitions N] [--real FOLDER]`. The laboratory's ankle, with a
+half-wave reflex and 15 dB of noise, has a stiffness that follows a square wave, a ramp and a sine of 0.5 Hz.
+Targets: error of the mean at most 5 % RMS, rise time at most 30 ms, 95 % bands that hold the truth at 90 to 98 % of the
+points; held-out VAF of the moving ankle above 82.1 %.
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from armperturb.analysis.varying.estimate import identify_varying
+from armperturb.envs.lab.joint_experiment import JointTrial, at_signal_to_noise, run_joint_experiment
+from armperturb.joint_person import JOINT_PEOPLE, half_wave, servo_of
+from armperturb.perturbations.one_axis import random_steps
+from armperturb.recording import make_recording
+
+RATE, DURATION, LEAD, DECIBEL, SWING = 1000.0, 2.0, 0.4, 15.0, 0.4
+
+
+def courses() -> dict[str, np.ndarray]:
+    """Factors on the stiffness over one period of 0.5 Hz, and what leads to it."""
+    phase = np.mod(0.5 * (np.arange(round((LEAD + DURATION) * RATE)) / RATE - LEAD), 1.0)
+    return {
+        "square wave": 1.0 + SWING * np.where(phase < 0.5, 1.0, -1.0),
+        "ramp": 1.0 + SWING * (2.0 * phase - 1.0),
+        "sine": 1.0 + SWING * np.sin(2.0 * np.pi * phase),
+    }
+
+
+def fall_time(value: np.ndarray) -> float:
+    """Time in which the square wave's estimate falls from 90 to 10 % of its step [ms]."""
+    half = len(value) // 2
+    high, low = np.median(value[half // 4 : 3 * half // 4]), np.median(value[half + half // 4 : half + 3 * half // 4])
+    share = (value - low) / (high - low)
+    last = half // 2 + int(np.max(np.flatnonzero(share[half // 2 : half + half // 2] > 0.9)))
+    return 1e3 / RATE * int(np.argmax(share[last:] < 0.1))
+
+
+def measure(name: str, factor: np.ndarray, repetitions: int) -> str:
+    """Estimate one course, and compare with the truth."""
+    person, servo = half_wave(JOINT_PEOPLE["ankle"], 0.1), servo_of("ankle", "position")
+    trials = [
+        JointTrial(
+            person=person,
+            perturbation=random_steps(seed=i, duration=LEAD + DURATION, rate=RATE, size=0.06, hold=0.1),
+            stiffness=factor,
+            seed=i,
+            repetition=i,
+        )
+        for i in range(repetitions)
+    ]
+    noise = at_signal_to_noise(trials[0], servo, DECIBEL).noise
+    recording = run_joint_experiment([replace(trial, noise=noise) for trial in trials], servo)
+    estimate = identify_varying(recording, n_points=len(factor))
+    clock = np.arange(round(DURATION * RATE)) / RATE + LEAD
+    curve, band = estimate.curves["stiffness"], estimate.interval("stiffness")
+    value, lower, upper = (np.interp(clock, estimate.grid, each) for each in (curve.value, *band))
+    true = person.stiffness * factor[-len(clock) :]
+    error = 100.0 * np.sqrt(np.mean((value - true) ** 2)) / true.mean()
+    hold = 100.0 * np.mean((lower < true) & (true < upper))
+    rise = f", rise time {fall_time(value):.0f} ms" if name == "square wave" else ""
+    n_basis = {quantity: curve.n_basis for quantity, curve in estimate.curves.items()}
+    return f"{name}: error {error:.1f} % RMS, bands hold {hold:.0f} %{rise}; splines {n_basis}"
+
+
+def moving_ankle(path: Path) -> str:
+    """Held-out VAF of the moving ankle, fitted on its first half."""
+    with np.load(path) as arrays:
+        signals = {
+            "force": -arrays["torque_Nm"],
+            "displacement": arrays["angle_rad"],
+            "scheduling": arrays["scheduling_rad"],
+        }
+        rate = float(arrays["rate_hz"])
+    nothing = ("pulse_direction", "pulse_onset", "limit_time", "l_h", "l_f", "theta_s_deg", "theta_e_deg")
+    labels = {"subject": ["A"], "task": ["PT"], "condition": ["PT"], "repetition": [0], "pulse_level": [0.0]}
+    recording = make_recording(
+        {name: values.astype(float)[None, :, None] for name, values in signals.items()},
+        labels | {name: [np.nan] for name in nothing},
+        rate,
+        servo="position",
+        joint="ankle",
+        angular=True,
+    )
+    half = 0.5 * len(signals["force"]) / rate
+    return f"moving ankle:\n{identify_varying(recording, 'scheduling', fit_until=half)}"
+
+
+def main(arguments: Sequence[str] = ()) -> None:
+    """Print each course, and the moving ankle where its file is given."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--repetitions", type=int, default=100)
+    parser.add_argument("--courses", nargs="*", choices=list(courses()), default=list(courses()))
+    parser.add_argument("--real", type=Path, default=None, help="folder with ankle_moving_2022.npz")
+    options = parser.parse_args(arguments)
+    if options.real is not None:
+        print(moving_ankle(options.real / "ankle_moving_2022.npz"), flush=True)
+    for name in options.courses:
+        print(measure(name, courses()[name], options.repetitions), flush=True)
+
+
+if __name__ == "__main__":
+    import sys
+
+    main(sys.argv[1:])

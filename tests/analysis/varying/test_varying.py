@@ -1,0 +1,92 @@
+"""Parameters that change: known courses are estimated from numbers made without the simulator, and bad input."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from armperturb.analysis.varying.columns import splines
+from armperturb.analysis.varying.estimate import identify_varying
+from armperturb.perturbations.one_axis import random_steps
+from armperturb.recording import make_recording
+
+RATE = 250.0
+INERTIA, DAMPING = 0.015, 0.9
+
+
+def recorded(angle, torque, servo="position", **more):
+    """A recording of one axis, of signals (trial, time)."""
+    n_trials = len(angle)
+    names = ("pulse_level", "pulse_direction", "pulse_onset", "limit_time", "l_h", "l_f", "theta_s_deg", "theta_e_deg")
+    labels = {name: np.full(n_trials, np.nan) for name in names} | {"repetition": range(n_trials)}
+    labels |= {name: [word] * n_trials for name, word in (("subject", "A"), ("task", "PT"), ("condition", "PT"))}
+    signals = {name: values[..., None] for name, values in {"force": torque, "displacement": angle, **more}.items()}
+    return make_recording(signals, labels, RATE, servo=servo, joint="ankle", angular=True)
+
+
+def derivative(signal):
+    time = np.arange(signal.shape[1]) / RATE
+    return CubicSpline(time, signal, axis=1)(time, 1)
+
+
+def measured(stiffness, n_trials, duration, noise, seed=0):
+    """Angles and torques of a joint without reflexes, with white noise, (trial, time) each."""
+    rng = np.random.default_rng(seed)
+    angle = np.stack(
+        [random_steps(seed=i, duration=duration, rate=RATE, size=0.06, hold=0.1, cutoff=8.0) for i in range(n_trials)]
+    )
+    velocity = derivative(angle)
+    torque = INERTIA * derivative(velocity) + DAMPING * velocity + stiffness * angle
+    return angle, torque + noise * rng.standard_normal(torque.shape)
+
+
+def test_splines_sum_to_one_and_a_single_one_is_constant():
+    place = np.linspace(-2.0, 3.0, 50)
+    for n_basis in (1, 2, 3, 4, 9):
+        values = splines(place, n_basis, -1.0, 2.0)
+        assert values.shape == (n_basis, 50)
+        np.testing.assert_allclose(values.sum(axis=0), 1.0)
+
+
+@pytest.mark.slow(reason="chooses among many numbers of splines")
+def test_stiffness_over_time_is_estimated_with_bands_and_constants_stay_constant():
+    time = np.arange(round(1.5 * RATE)) / RATE
+    true = 100.0 + 40.0 * np.sin(np.pi * time)
+    estimate = identify_varying(recorded(*measured(true, 24, 1.5, 0.3)), reflex="none", n_points=150)
+    true = 100.0 + 40.0 * np.sin(np.pi * estimate.grid)
+    curve, (lower, upper) = estimate.curves["stiffness"], estimate.interval("stiffness")
+    assert np.sqrt(np.mean((curve.value - true) ** 2)) < 0.05 * true.mean()
+    assert np.mean((lower < true) & (true < upper)) > 0.8
+    assert estimate.curves["stiffness"].n_basis > 1
+    assert estimate.inertia == pytest.approx(INERTIA, rel=0.05)
+    assert estimate.curves["damping"].value.mean() == pytest.approx(DAMPING, rel=0.05)
+    assert set(estimate.to_xarray()) == {"stiffness", "stiffness_error", "damping", "damping_error"}
+    assert len(estimate.to_frame()) == 2 * 150
+    assert len(repr(estimate).splitlines()) <= 25
+    assert len(estimate.plot()) == 2
+
+
+@pytest.mark.slow(reason="chooses among many numbers of splines")
+def test_stiffness_over_a_scheduling_variable_predicts_what_was_held_out():
+    time = np.arange(round(40.0 * RATE)) / RATE
+    slow = 0.2 * np.sin(2 * np.pi * 0.13 * time)
+    true = 80.0 + 200.0 * slow
+    angle, torque = measured(true, 1, 40.0, 0.1)
+    record = recorded(angle, torque + 10.0 * slow**2, scheduling=slow[None])
+    estimate = identify_varying(record, "scheduling", reflex="none", fit_until=20.0)
+    np.testing.assert_allclose(estimate.curves["stiffness"].value, 80.0 + 200.0 * estimate.grid, rtol=0.05)
+    assert estimate.held_out_vaf > 95.0
+
+
+def test_bad_input_is_refused():
+    angle, torque = measured(100.0, 4, 1.0, 0.1)
+    good = recorded(angle, torque)
+    with pytest.raises(ValueError, match="no scheduling signal"):
+        identify_varying(good, "scheduling")
+    with pytest.raises(ValueError, match="3 trials; expected an ensemble"):
+        identify_varying(good.isel(trial=[0, 1, 2]))
+    with pytest.raises(ValueError, match="servo = 'force'"):
+        identify_varying(recorded(angle, torque, servo="force", perturbation=torque))
+    with pytest.raises(ValueError, match="reflex = 'cubic'"):
+        identify_varying(good, reflex="cubic")
+    with pytest.raises(ValueError, match="angle of a trial is constant"):
+        identify_varying(recorded(0 * angle, torque))
