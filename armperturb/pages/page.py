@@ -52,7 +52,7 @@ def rendered(
       package: whose folder `templates` holds the page's templates; they may extend and import those of this package.
       page: template of the whole, which extends `page.html`.
       sections: template of each section, in order, to the values that it alone shows.
-      titles: of the sections.
+      titles: of the sections; templates know them as `titles`, and the names of the sections as `shown`.
       pictures: figures by name; instead of one that could not be drawn, the reason.
       **shared: values that all templates show.
     """
@@ -65,13 +65,13 @@ def rendered(
     )
     for name in ("chance", "digits", "fixed", "mean_sd", "signed", "symbol", "words"):
         environment.filters[name] = getattr(formats, name)
-    environment.globals.update(shared, pictures=pictures)
+    environment.globals.update(shared, pictures=pictures, titles=titles, shown=tuple(sections))
     # Sections come out as markup, escaped already.
     bodies = {
         template: Markup(environment.get_template(f"{template}.html").render(values))
         for template, values in sections.items()
     }
-    return environment.get_template(page).render(sections=bodies, titles=titles)
+    return environment.get_template(page).render(sections=bodies)
 
 
 def versions(*packages: str) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from functools import partial
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,10 @@ from armperturb.study.experiments.mechanisms import Yielding, has_law, why_peopl
 from armperturb.study.experiments.moving_shoulder import MovingShoulder, moving_shoulder
 from armperturb.study.recording.record import worker_count
 from armperturb.study.report.figures.catalogue import drawings
+from armperturb.study.report.findings import excess_rows, finding_rows, findings
 from armperturb.study.report.nonlinear_tables import nonlinear_tables
 from armperturb.study.report.pictures import picture_units
+from armperturb.study.report.provenance import provenance
 from armperturb.study.report.sections import joint_rows, sections
 from armperturb.study.report.tables import write_tables
 from armperturb.study.report.words import WORDS
@@ -77,6 +80,8 @@ def write_report(
             with written_whole(out / "figures" / f"{name}.svg") as temporary:
                 temporary.write_text(picture.svg, encoding="utf-8", newline="")
     more = {
+        "findings": finding_rows(findings(study)),
+        "pulse_excess": excess_rows(study),
         "statistics": list(tested.rows),
         "statistics_pairs": list(tested.pairs),
         "joints": joint_rows(study),
@@ -130,4 +135,6 @@ def _page(study: StudyResult, parts: Mapping[str, Mapping[str, Any]], drawn: Map
         tasks=by_task(study),
         multisine={"period": PERIOD, "lines": CLUSTERS.size, "clusters": len(CLUSTERS)},
         versions=versions("armperturb", "mujoco", "numpy", "scipy"),
+        origin=provenance(study),
+        licence=metadata.metadata("armperturb")["License-Expression"],
     )

@@ -16,10 +16,13 @@ from armperturb.study.comparison.headlines import Headline
 from armperturb.study.comparison.score import Score, missing_cells, shares
 from armperturb.study.experiments.mechanisms import PULSES, Yielding
 from armperturb.study.experiments.moving_shoulder import MovingShoulder
+from armperturb.study.report import findings as of_study
+from armperturb.study.report.explorer import panels
 from armperturb.study.report.nonlinear_tables import SHOWN_MODELS, nonlinear_tables, words_of
 from armperturb.study.report.published_tables import published_tables
 from armperturb.study.report.tables import Row, mean_sd_of
 from armperturb.study.report.words import WORDS
+from armperturb.study.results.mean_admittance import main_conditions
 from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.study.results.study_result import StudyResult
 
@@ -27,7 +30,7 @@ NEAR = 0.15
 """A headline number this close to the published one is near [-]."""
 
 MOST_NAMED = 5
-"""How many cells or tables the summary names."""
+"""How many cells or tables the list of differences names."""
 
 PULSES_DRAWN = {"peak_displacement", "pulse_admittance", "pulse_prediction", "trajectories_PT", "trajectories_RT"}
 """Figures of pulse responses."""
@@ -56,20 +59,37 @@ def sections(
     conditions = study.protocol.conditions
     # In which people shall move further, or less far, in the experiment than in practice.
     drifting = [c for c in conditions if c.has_multisine and (c.reached != 1.0 or c.reached_spread)]
+    ratios = of_study.findings(study)
+    flagged = {"flagged": of_study.n_flagged(rows["fits"]), "reasons": of_study.flags(rows["fits"])}
+    alone = of_study.law_alone(yielding)
     contexts: dict[str, dict[str, Any]] = {
-        "summary": {"rows": rows["summary"], **_summary(score)},
+        "summary": {
+            "rows": rows["summary"],
+            "findings": ratios,
+            "alone": alone,
+            "fits": rows["fits"],
+            **flagged,
+            "differ": of_study.estimators_differ(rows["estimates"]),
+        },
         "method": {},
         "conditions": {"rows": rows["conditions"], "drifting": drifting},
-        "admittance": {"effects": effects},
-        "fits": {"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study)},
-        "parameters": {"rows": rows["parameters_summary"]},
+        "admittance": {"effects": effects, "findings": ratios},
+        "fits": {"summary": rows["summary"], "rows": rows["fits"], "remarks": remarks(study), **flagged},
+        "parameters": {
+            "rows": rows["parameters_summary"],
+            "main": [condition.name for condition in main_conditions(study).values()],
+        },
         "left_out": {"lists": left_out(study, rows["fits"], study.remarks if score is None else score.remarks)},
     }
+    if study.conditions:
+        contexts["explorer"] = {"panels": panels(study)}
     if PULSES_DRAWN & set(drawn):
         contexts["pulses"] = {
+            "findings": ratios,
+            "excess": of_study.excess_rows(study),
             # But for p values, which the statistics have.
             "headlines": score
-            and [line for line in score.headlines if "pulse" in line.name and not line.name.startswith("p_")]
+            and [line for line in score.headlines if "pulse" in line.name and not line.name.startswith("p_")],
         }
     if study.nonlinear:
         contexts["nonlinear"] = _nonlinear(study)
@@ -86,9 +106,14 @@ def sections(
     if "stills" in drawn:
         contexts["stills"] = {}
     if yielding is not None:
-        contexts["yielding"] = {"yielding": yielding, "pulses": PULSES}
+        contexts["yielding"] = {"yielding": yielding, "pulses": PULSES, "alone": alone}
     if score is not None:
-        contexts["published"] = {"tables": published_tables(score), "score": score, "missing": missing_cells(score)}
+        contexts["published"] = {
+            "tables": published_tables(score),
+            "score": score,
+            "missing": missing_cells(score),
+            **_agreement(score),
+        }
     return {template: contexts[template] for template in WORDS["sections"] if template in contexts}
 
 
@@ -147,10 +172,8 @@ def _means(study: StudyResult) -> dict[Cell, float]:
     return {cell: float(np.mean(values)) for cell, values in values_of.items() if values}
 
 
-def _summary(score: Score | None) -> dict[str, Any]:
+def _agreement(score: Score) -> dict[str, Any]:
     """Score, headline numbers and what differs."""
-    if score is None:
-        return {"factors": [], "shares": {}, "differs": [], "reachable": {}, "replicate": math.nan}
     by_name = {line.name: line for line in score.headlines}
     factors = [
         {"label": label, "mark": _mark(line), **vars(line)}

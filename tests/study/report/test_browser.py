@@ -6,7 +6,6 @@ from tests.browser import (
     BROKEN_IMAGES,
     CHROMIUM,
     DEAD_LINKS,
-    HEIGHT,
     LEFT_OPEN,
     SMALL_PRINT,
     TOO_WIDE,
@@ -24,6 +23,15 @@ pytestmark = [
 ]
 
 
+MOST_WORDS = 2500
+"""That are visible before anything is opened."""
+
+SCREEN = 800
+"""Height of a small screen."""
+
+WORDS = "document.body.innerText.split(/\\s+/).length"
+
+
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     found = Browser(tmp_path_factory.mktemp("profile"))
@@ -38,6 +46,9 @@ def browser(tmp_path_factory):
 def test_report_is_whole_and_readable(browser, thesis_report, width):
     browser.show(thesis_report / "report.html", width)
     assert browser.evaluate("innerWidth") == width
+    assert browser.evaluate(WORDS) <= MOST_WORDS
+    assert browser.evaluate(TOO_WIDE) == []
+    browser.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")
     assert browser.evaluate("document.images.length") == len(list((thesis_report / "figures").glob("*.svg")))
     assert browser.evaluate(BROKEN_IMAGES) == []
     assert browser.evaluate(TOO_WIDE) == []
@@ -53,9 +64,47 @@ def test_report_is_whole_and_readable(browser, thesis_report, width):
     assert requests(browser) == []
 
 
-def test_summary_is_on_one_screen(browser, thesis_report):
+def test_findings_are_on_one_screen(browser, thesis_report):
     browser.show(thesis_report / "report.html", 1280)
-    assert browser.evaluate("document.querySelector('.summary').getBoundingClientRect().bottom") <= HEIGHT
+    for part in (".findings figure", ".findings .said", "#trust"):
+        assert browser.evaluate(f"document.querySelector('{part}').getBoundingClientRect().bottom") <= SCREEN
+
+
+SORTED = """
+(() => {
+  const table = document.querySelector("#table-findings table"), heads = [...table.tHead.rows[0].cells];
+  const column = heads.findIndex(head => head.textContent === "mean"), button = heads[column].querySelector("button");
+  const values = () => [...table.tBodies[0].rows].map(row => parseFloat(row.cells[column].textContent));
+  const orders = [];
+  for (let k = 0; k < 2; k += 1) { button.click(); orders.push([heads[column].getAttribute("aria-sort"), values()]); }
+  return orders;
+})()
+"""
+
+SAVED = """
+(async () => {
+  const made = [];
+  URL.createObjectURL = blob => { made.push(blob); return "#"; };
+  URL.revokeObjectURL = () => {};
+  HTMLAnchorElement.prototype.click = function () { made.push(this.download); };
+  document.querySelector("#caption-findings button").click();
+  document.querySelector("#figure-findings button").click();
+  return [made[1], await made[0].text(), made[3], (await made[2].text()).slice(0, 100)];
+})()
+"""
+
+
+def test_tables_sort_and_tables_and_figures_are_saved(browser, thesis_report):
+    browser.show(thesis_report / "report.html", 1280)
+    (up, rising), (down, falling) = browser.evaluate(SORTED)
+    assert (up, down) == ("ascending", "descending")
+    assert rising == sorted(rising)
+    assert falling == rising[::-1]
+    table, text, figure, picture = browser.evaluate(SAVED)
+    assert (table, figure) == ("findings.csv", "findings.svg")
+    assert text.splitlines()[0] == "ratio,mean,95 % interval,people"
+    assert len(text.splitlines()) == 5
+    assert "svg" in picture or "xml" in picture
 
 
 PAGE = """<!doctype html><html lang="en"><head><link rel="icon" href="data:,"></head><body>

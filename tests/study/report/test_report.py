@@ -8,8 +8,10 @@ import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 from markupsafe import escape
+from scipy import stats
 
 from armperturb.pages.formats import MISSING, chance, digits, mean_sd, signed, symbol, words
 from armperturb.plots.style import COLOURS, TRUE, save_svg, shades
@@ -19,6 +21,8 @@ from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.figures import fit as fit_figures
 from armperturb.study.report.figures import rig as rig_figures
 from armperturb.study.report.figures.catalogue import drawings
+from armperturb.study.report.findings import findings, geometric_mean
+from armperturb.study.report.provenance import digest_of
 from armperturb.study.report.sections import left_out, remarks
 from armperturb.study.report.tables import fit_rows
 from tests.studies import coarse_study, sketch
@@ -35,6 +39,7 @@ HEADERS = {
     "statistics": "quantity,task,conditions,people,test,statistic",
     "statistics_pairs": "quantity,task,first,second,difference,t,dof,p_bonferroni",
     "joints": "table,condition,quantity,published_mean,published_sd,path_mean,path_sd,simulated_mean,simulated_sd",
+    "findings": "finding,above,below,subject,value,lower_95,upper_95",
     "moving_shoulder": "condition,joint,quantity,strap,true,fixed_shoulder,with_shoulder",
 }
 FIGURES = {
@@ -49,10 +54,22 @@ FIGURES = {
 """Figure of the thesis to ours."""
 
 DRAWN = {*FIGURES.values(), "rig", "stills", "admittance_RT", "parameters_PT", "parameters_RT"}
+DRAWN |= {"findings", "estimates"}
 MULTISINE = ("PT2.5", "PT7.5", "PT22.5", "RT2.5", "RT7.5", "RT22.5")
 SECTIONS = [
-    *("summary", "method", "conditions", "admittance", "fits", "parameters", "pulses", "statistics", "kinematics"),
-    *("stills", "published", "left_out"),
+    *(
+        "summary",
+        "admittance",
+        "pulses",
+        "parameters",
+        "explorer",
+        "fits",
+        "statistics",
+        "kinematics",
+        "conditions",
+        "method",
+    ),
+    *("stills", "left_out", "published"),
 ]
 TABLES = ["2.1", *(f"C.{n}" for n in range(3, 23)), "D.3", "D.4", "D.5", "E.3", "E.4", "E.5"] + [
     f"F.{n}" for n in range(2, 7)
@@ -203,6 +220,52 @@ def test_summary_shows_its_table(page, out):
         assert shown[9] == row["suspicious"]
 
 
+def test_first_screen_tells_what_was_found_and_how_sure(written, page, out):
+    text = re.sub(
+        r"\s+", " ", re.sub(r"<[^>]+>", "", written.read_text(encoding="utf-8").split('<section id="summary">')[1])
+    )
+    told = text.split("What these people are and are not")[0]
+    means = {row["finding"]: row for row in rows(out, "findings") if row["subject"] == "geometric mean"}
+    assert means.keys() == {"tasks", "amplitude_PT", "amplitude_RT", "excess"}
+    for row in means.values():
+        mean = float(row["value"])
+        ends = [digits(float(row[name]), 2 if mean >= 10.0 or mean < 1.0 else 3) for name in ("lower_95", "upper_95")]
+        assert f"({ends[0]} to {ends[1]})" in told
+    fits = rows(out, "fits")
+    suspicious = sum(float(row["p_value"]) < 0.01 for row in fits)
+    assert f"of {len(fits)} fits are flagged" in told
+    assert not suspicious or f"{suspicious} rejected by the lack-of-fit test" in told
+    assert page.ids.index("figure-findings") < page.ids.index("admittance")
+
+
+def test_findings_are_geometric_means_over_people(thesis_study):
+    told = findings(thesis_study)["tasks"]
+    gains = {
+        name: {
+            case.name: math.prod(abs(case.identified.spectra.arm[k, i, i]) for k in range(2) for i in range(2)) ** 0.25
+            for case in thesis_study.of(name)
+        }
+        for name in (told.above, told.below)
+    }
+    logs = [math.log(gains[told.above][name] / gains[told.below][name]) for name in gains[told.below]]
+    interval = stats.t.interval(0.95, len(logs) - 1, np.mean(logs), stats.sem(logs))
+    assert (told.mean, told.lower, told.upper) == pytest.approx(np.exp([np.mean(logs), *interval]))
+    alone = geometric_mean([2.0])
+    assert alone[0] == pytest.approx(2.0)
+    assert all(map(math.isnan, alone[1:]))
+
+
+def test_foot_has_command_digest_and_how_to_cite(thesis_study, written):
+    foot = written.read_text(encoding="utf-8").split("<footer>")[1]
+    assert "armperturb study --out DIR --subjects 3 --seed" in foot
+    assert "--muscles linear" in foot
+    assert re.search(r"SHA-256 over the checksums of all recordings: <span class=\"file\">[0-9a-f]{64}<", foot)
+    assert "How to cite" in foot
+    first, *rest = thesis_study.recordings.items()
+    assert digest_of(thesis_study.recordings) in foot
+    assert digest_of(thesis_study.recordings) != digest_of(dict([*rest, first]))
+
+
 def scored(out, name="score"):
     with (out / "score" / f"{name}.csv").open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
@@ -310,17 +373,17 @@ def test_fits_and_remarks_are_shown(thesis_study, written, page, out):
 
 
 def test_parameters_show_their_table(page, out):
-    cells, table = page.tables["parameters_summary"][2:], rows(out, "parameters_summary")
+    cells, table = page.tables["parameters_summary"][1:], rows(out, "parameters_summary")
     assert len(cells) == len(table) == 3 * (13 + 10)
     for shown, row in zip(cells, table, strict=True):
         assert shown[0] == row["condition"]
-        assert shown[2] == row["unit"]
+        assert shown[9] == row["unit"]
         if row["condition"] == "PT2.5":
-            assert shown[3] == MISSING
-        assert number(shown[7]) == pytest.approx(float(row["median_abs_error_percent"]), rel=0.06)
-        assert number(shown[8]) == pytest.approx(float(row["thesis_median_abs_error_percent"]), rel=0.06)
-        assert shown[9] == f"{float(row['coverage_95_percent']):.0f}"
-        for text, name in zip(shown[3:7], ("published", "true", "estimated", "thesis"), strict=True):
+            assert shown[4] == MISSING
+        assert number(shown[6]) == pytest.approx(float(row["median_abs_error_percent"]), rel=0.06)
+        assert number(shown[7]) == pytest.approx(float(row["thesis_median_abs_error_percent"]), rel=0.06)
+        assert shown[8] == f"{float(row['coverage_95_percent']):.0f}"
+        for text, name in zip(shown[2:6], ("estimated", "thesis", "published", "true"), strict=True):
             if text != MISSING and float(row[f"{name}_sd"]) > 1e-9 * float(row[f"{name}_mean"]):
                 mean, sd = (number(part) for part in text.split(" ± "))
                 assert mean == pytest.approx(float(row[f"{name}_mean"]), abs=0.06 * float(row[f"{name}_sd"]) + 0.5)
@@ -328,16 +391,16 @@ def test_parameters_show_their_table(page, out):
 
 
 def test_conditions_show_their_table(page, out):
-    cells, table = page.tables["conditions"][2:], rows(out, "conditions")
+    cells, table = page.tables["conditions"][1:], rows(out, "conditions")
     assert [shown[0] for shown in cells] == ["PT0", *MULTISINE[:3], "RT0", *MULTISINE[3:]]
     for shown, row in zip(cells, table, strict=True):
-        assert shown[1] == row["trials"]
+        assert shown[6] == row["trials"]
         if shown[0] in ("PT0", "RT0"):
-            assert set(shown[3:]) == {MISSING}
+            assert set(shown[1:6]) == {MISSING}
             continue
-        assert number(shown[3].split(" ± ")[0]) == pytest.approx(float(row["force_N_mean"]), rel=0.006)
-        assert number(shown[5]) == pytest.approx(1e3 * float(row["intended_displacement_m"]), rel=0.006)
-        mean = number(shown[6].split(" ± ")[0])
+        assert number(shown[4].split(" ± ")[0]) == pytest.approx(float(row["force_N_mean"]), rel=0.006)
+        assert number(shown[2]) == pytest.approx(1e3 * float(row["intended_displacement_m"]), rel=0.006)
+        mean = number(shown[1].split(" ± ")[0])
         assert mean == pytest.approx(
             1e3 * float(row["displacement_m_mean"]), abs=0.06e3 * float(row["displacement_m_sd"])
         )
@@ -404,6 +467,7 @@ def test_reports_what_went_badly(study, tmp_path):
     # One task and one amplitude are left.
     assert possible_figures(badly) == {
         *("pulse_directions", "perturbation", "admittance_by_task", "gain_linear_scale", "coherence"),
+        *("findings", "estimates"),
         *(f"{name}_PT" for name in ("admittance", "fit", "prediction", "parameters")),
         *("pulse_signal", "joint_rotations", "trajectories_PT"),  # of the recording alone
     }
@@ -448,7 +512,7 @@ def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path):
     page = sketch(yielding, tmp_path, figures=("admittance_PT", "fit_PT"))
     text = re.sub(r'"data:[^"]*"', "", page)
     assert not re.search(
-        r"\b(nan|truth|true|error of a parameter)\b", re.sub(r"<(style|script)>.*?</\1>", "", text, flags=re.S), re.I
+        r"\b(nan|truth|true|error of a parameter)\b", re.sub(r"<(style|script)\b.*?</\1>", "", text, flags=re.S), re.I
     )
     assert "of arms that are linear around each\ncondition's movement" in text
     assert "figure-parameters_PT" not in text
@@ -463,9 +527,9 @@ def test_no_truth_is_told_of_people_whose_muscles_yield(yielding, tmp_path):
     tables = Page(page).tables
     for name, n_columns in (("summary", 8), ("parameters_summary", 6)):
         assert {len(row) for row in tables[name][-2:]} == {n_columns}
-    for shown, row in zip(tables["parameters_summary"][2:], rows(tmp_path, "parameters_summary"), strict=True):
-        assert number(shown[4]) == pytest.approx(float(row["estimated_mean"]), rel=0.006, abs=1e-6)
-        assert number(shown[5]) == pytest.approx(float(row["thesis_mean"]), rel=0.006, abs=1e-6)
+    for shown, row in zip(tables["parameters_summary"][1:], rows(tmp_path, "parameters_summary"), strict=True):
+        assert number(shown[2]) == pytest.approx(float(row["estimated_mean"]), rel=0.006, abs=1e-6)
+        assert number(shown[3]) == pytest.approx(float(row["thesis_mean"]), rel=0.006, abs=1e-6)
     of_parameters = rows(tmp_path, "estimates")
     assert list(of_parameters[0]) == HEADERS["estimates"].split(",")
     for row in of_parameters:
@@ -495,7 +559,7 @@ def test_reports_a_study_without_anybody_and_without_a_rig(study, tmp_path, monk
     monkeypatch.setattr(rig_figures, "render", without_pictures)
     nobody = replace(study, cases=tuple(replace(case, identification=None) for case in study.cases), people=())
     text = sketch(nobody, tmp_path, figures=("rig", "stills"))
-    assert "Nobody was identified: the last section gives the reasons" in text
+    assert 'Nobody was identified: the section <a href="#left_out">What was left out</a> gives the reasons' in text
     assert "render: no OpenGL context; install &lt;libegl1&gt;" in text
     assert "<libegl1>" not in text
     assert possible_figures(nobody) == {"pulse_signal", "joint_rotations", "trajectories_PT"}
@@ -505,7 +569,8 @@ def test_reports_a_protocol_of_pulses_alone(study, tmp_path):
     pulses = Protocol(conditions=(Condition(name="only <pulses>/1", task="RT", pulse_levels=(1,)),))
     text = sketch(replace(study, protocol=pulses, cases=()), tmp_path)
     assert "as no condition\nhas a multisine" in text
-    assert [row[:3] for row in Page(text).tables["conditions"][2:]] == [["only <pulses>/1", "4", "1"]]
+    shown = [[row[0], *row[6:]] for row in Page(text).tables["conditions"][1:]]
+    assert shown == [["only <pulses>/1", "4", "1"]]
 
 
 def test_reports_conditions_of_any_name_and_pulses_or_none(study, tmp_path, monkeypatch):
@@ -519,6 +584,7 @@ def test_reports_conditions_of_any_name_and_pulses_or_none(study, tmp_path, monk
     assert shown_figures(Page(text)) == {"perturbation", "prediction_PT"}
     assert possible_figures(renamed) == {
         *("perturbation", "pulse_directions", "admittance_by_task", "gain_linear_scale", "coherence"),
+        *("findings", "estimates"),
         *(f"{name}_PT" for name in ("admittance", "fit", "prediction", "parameters", "trajectories")),
     }
     assert "a/b &lt;odd&gt; one" in text

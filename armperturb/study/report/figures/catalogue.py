@@ -13,6 +13,8 @@ from armperturb.recording import load_recording
 from armperturb.study.comparison.effects import AdmittanceEffect, Effects
 from armperturb.study.experiments.mechanisms import Yielding
 from armperturb.study.report.figures import admittance as admittance_figures
+from armperturb.study.report.figures import estimates as estimate_figures
+from armperturb.study.report.figures import findings as findings_figures
 from armperturb.study.report.figures import fit as fit_figures
 from armperturb.study.report.figures import mechanisms as yielding_figures
 from armperturb.study.report.figures import nonlinear as nonlinear_figures
@@ -73,6 +75,8 @@ def _of_cases(study: StudyResult, effects: Effects) -> Drawings:
         directions = study.protocol.pulse_directions_deg
         drawn["pulse_directions"] = partial(perturbation_figures.pulse_directions, arms, directions)
         drawn["perturbation"] = partial(perturbation_figures.perturbation, next(iter(main.values())))
+        drawn["estimates"] = partial(estimate_figures.estimates, study)
+        drawn["findings"] = partial(findings_figures.findings, study)
         drawn["admittance_by_task"] = partial(admittance_figures.admittance_by_task, study)
         drawn["gain_linear_scale"] = partial(admittance_figures.gain_linear_scale, study, marks)
         drawn["coherence"] = partial(admittance_figures.coherence, study)

@@ -1,0 +1,68 @@
+"""Figure of the estimated joint parameters in all conditions, by maximum likelihood."""
+
+from typing import Any
+
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from armperturb.analysis.fit.structures import unit
+from armperturb.plots.panels import legend
+from armperturb.plots.style import PUBLISHED, in_style, new_figure
+from armperturb.study.published import tables as published
+from armperturb.study.report.figures.parameters import JOINT_NAMES, QUANTITIES
+from armperturb.study.report.figures.people import ASIDE, draw_people, people_legend
+from armperturb.study.report.tables import published_or_nan
+from armperturb.study.results.mean_admittance import by_task
+from armperturb.study.results.study_result import StudyResult
+
+PRINTED: dict[str, Any] = {
+    **PUBLISHED,
+    "marker": "s",
+    "markersize": 4.5,
+    "linestyle": "",
+    "elinewidth": 1.0,
+    "capsize": 2,
+}
+
+
+@in_style()
+def estimates(study: StudyResult) -> Figure:
+    """Maximum likelihood estimates of each person in each condition, their means, and the published mean and SD.
+
+    Args:
+      study: in which somebody was identified.
+    """
+    values: dict[str, dict[str, dict[str, dict[str, float]]]] = {}
+    for task, conditions in by_task(study).items():
+        for condition in conditions:
+            for case in study.of(condition.name):
+                for name, value in case.identified.fit.values.items():
+                    of_task = values.setdefault(name, {}).setdefault(task, {})
+                    of_task.setdefault(condition.name, {})[case.name] = value
+    shown = [quantity for quantity in QUANTITIES if any(f"{quantity}_{joint}" in values for joint in JOINT_NAMES)]
+    figure = new_figure(1.75 * len(shown) + 0.5)
+    panels = figure.subplots(len(shown), len(JOINT_NAMES), squeeze=False)
+    any_printed = False
+    for row, quantity in zip(panels, shown, strict=True):
+        for ax, (joint, title) in zip(row, JOINT_NAMES.items(), strict=True):
+            name = f"{quantity}_{joint}"
+            if name not in values:
+                ax.set_visible(False)
+                continue
+            for label, place in draw_people(ax, values[name], logarithmic=False).items():
+                printed = published_or_nan(published.parameter, label, name)
+                if printed.mean == printed.mean:
+                    any_printed = True
+                    ax.errorbar(place - ASIDE, printed.mean, printed.sd, **PRINTED)
+            ax.set_xlim(left=-0.6)
+            ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
+            ax.tick_params(axis="x", labelsize=6.5)
+            if quantity == shown[0]:
+                ax.set_title(title)
+        row[0].set_ylabel(f"{QUANTITIES[quantity]} [{unit(f'{quantity}_s')}]")
+    handles = people_legend(by_task(study))
+    if any_printed:
+        look = {key: PRINTED[key] for key in ("color", "marker", "markersize", "linestyle")}
+        handles.append(Line2D([], [], label="published mean ± SD", **look))
+    legend(figure, *handles)
+    return figure

@@ -1,0 +1,80 @@
+"""Every person as a point, with lines within people, and beside them means over people with 95 % intervals."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+from armperturb.plots.style import COLOURS, INK
+from armperturb.study.report.findings import arithmetic_mean, geometric_mean
+
+Groups = Mapping[str, Mapping[str, Mapping[str, float]]]
+"""Task and label of a group to person to value."""
+
+PERSON: dict[str, Any] = {"linewidth": 0.7, "marker": "o", "markersize": 2.6, "alpha": 0.45}
+"""A person's values in several conditions, joined."""
+
+MEAN: dict[str, Any] = {
+    "color": INK,
+    "marker": "D",
+    "markersize": 4.2,
+    "linestyle": "",
+    "elinewidth": 1.6,
+    "capsize": 3,
+}
+"""A mean over people with its interval, beside the people."""
+
+ASIDE = 0.22
+"""How far to the right of the people their mean is drawn [groups]."""
+
+
+def draw_people(ax: Axes, groups: Groups, *, logarithmic: bool = True) -> dict[str, int]:
+    """Draw points of people, joined within a task, and beside them their mean with its interval.
+
+    Args:
+      ax: where; the groups of all tasks stand side by side at 0, 1, 2 ...
+      groups: task and label to person to value; positive ones if logarithmic.
+      logarithmic: whether values have a logarithmic axis and a geometric mean, or a linear one and an arithmetic mean.
+
+    Returns:
+      Label to its place on the x axis.
+    """
+    places: dict[str, int] = {}
+    average = geometric_mean if logarithmic else arithmetic_mean
+    for task, of_task in groups.items():
+        for label in of_task:
+            places[label] = len(places)
+        for name in dict.fromkeys(name for values in of_task.values() for name in values):
+            there = [label for label in of_task if name in of_task[label]]
+            values = [of_task[label][name] for label in there]
+            ax.plot([places[label] for label in there], values, color=COLOURS[task], **PERSON)
+        for label, people in of_task.items():
+            mean, lower, upper = average(list(people.values()))
+            error = None if math.isnan(lower) else np.array([[mean - lower], [upper - mean]])
+            ax.errorbar(places[label] + ASIDE, mean, error, **MEAN)
+    ax.set_xticks(list(places.values()), list(places), parse_math=False)
+    ax.set_xlim(-0.5, len(places) - 0.5 + ASIDE)
+    ax.grid(visible=False, axis="x")
+    if logarithmic:
+        ax.set_yscale("log")
+        ax.yaxis.set_major_locator(LogLocator(10, subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_minor_locator(NullLocator())
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    return places
+
+
+def people_legend(tasks: Mapping[str, Any]) -> list[Line2D]:
+    """Entries in a legend of the people of each task, and of their means."""
+    return [
+        *(Line2D([], [], label=f"people, {task}", color=COLOURS[task], **PERSON) for task in tasks),
+        Line2D(
+            [],
+            [],
+            label="mean, 95 % interval",
+            **{key: MEAN[key] for key in ("color", "marker", "markersize", "linestyle")},
+        ),
+    ]

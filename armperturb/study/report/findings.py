@@ -1,0 +1,186 @@
+"""The findings of a study: ratios within people, means over people with 95 % intervals, and which fits are flagged."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
+from armperturb.arrays import Array
+from armperturb.study.comparison.headlines import PREDICTED
+from armperturb.study.experiments.mechanisms import ONE_LEVEL, Yielding
+from armperturb.study.report.tables import Row
+from armperturb.study.results.cases import Case
+from armperturb.study.results.mean_admittance import by_task, main_conditions
+from armperturb.study.results.study_result import StudyResult
+from armperturb.study.results.trial_measures import N_LOW, PersonMeasures
+from armperturb.subject import TASKS
+
+CONFIDENCE = 0.95
+"""Probability of the intervals of means over people [-]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """A positive quantity of people: its geometric mean, and the t interval of the mean logarithm.
+
+    Attributes:
+      name: which, as tables have it.
+      above: condition of the numerator, or what is divided.
+      below: condition of the denominator.
+      mean: over people [-].
+      lower: end of the interval of the mean [-]; NaN for one person.
+      upper: likewise.
+      values: person to their own value [-].
+    """
+
+    name: str
+    above: str
+    below: str
+    mean: float
+    lower: float
+    upper: float
+    values: dict[str, float]
+
+    @classmethod
+    def of(cls, name: str, above: str, below: str, values: dict[str, float]) -> "Finding | None":
+        """That of values per person; None without any."""
+        if not values:
+            return None
+        mean, lower, upper = geometric_mean(list(values.values()))
+        return cls(name=name, above=above, below=below, mean=mean, lower=lower, upper=upper, values=values)
+
+    @property
+    def rises(self) -> bool:
+        """Whether the whole interval lies above 1, or the mean where there is none."""
+        return (self.mean if math.isnan(self.lower) else self.lower) > 1.0
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the interval leaves 1 out; never without one."""
+        return self.lower > 1.0 or self.upper < 1.0
+
+
+def geometric_mean(values: Sequence[float]) -> tuple[float, float, float]:
+    """Geometric mean over people and its 95 % interval, from Student's t of the mean logarithm; NaN ends for one."""
+    mean, lower, upper = map(math.exp, arithmetic_mean(np.log(values)))
+    return mean, lower, upper
+
+
+def arithmetic_mean(values: Sequence[float] | Array) -> tuple[float, float, float]:
+    """Mean over people and its 95 % interval, from Student's t; NaN ends for one."""
+    n, mean = len(values), float(np.mean(values))
+    if n < 2:
+        return mean, math.nan, math.nan
+    half = float(stats.t.ppf(0.5 * (1.0 + CONFIDENCE), n - 1) * np.std(values, ddof=1) / math.sqrt(n))
+    return mean, mean - half, mean + half
+
+
+def low_gain(case: Case) -> float:
+    """Gain of the admittance at low frequencies [m/N]: geometric mean of the lowest two and of the diagonal."""
+    diagonal: Array = np.abs(np.diagonal(case.identified.spectra.arm[:N_LOW], axis1=1, axis2=2))
+    return float(np.exp(np.mean(np.log(diagonal))))
+
+
+def low_gains(study: StudyResult, condition: str) -> dict[str, float]:
+    """Person to `low_gain` in a condition."""
+    return {case.name: low_gain(case) for case in study.of(condition)}
+
+
+def person_excess(person: PersonMeasures, condition: str, level: str) -> float:
+    """Recorded over predicted peak displacement of a person, of the linear arm [-]; NaN without a prediction."""
+    pulse = person.pulses.get((condition, level))
+    return pulse.excess if pulse is not None else math.nan
+
+
+def excess_rows(study: StudyResult) -> list[Row]:
+    """Recorded over predicted peak of each pulse that is predicted: geometric mean over people with its interval."""
+    rows = []
+    for condition, level in PREDICTED:
+        values = [person_excess(person, condition, level) for person in study.people]
+        known = [value for value in values if math.isfinite(value) and value > 0.0]
+        if known:
+            mean, lower, upper = geometric_mean(known)
+            interval = {"mean": mean, "lower_95": lower, "upper_95": upper}
+            rows.append({"condition": condition, "level": level, **interval, "people": len(known)})
+    return rows
+
+
+def _ratio(study: StudyResult, name: str, above: str, below: str) -> Finding | None:
+    over, under = low_gains(study, above), low_gains(study, below)
+    return Finding.of(name, above, below, {who: over[who] / under[who] for who in over if who in under})
+
+
+def findings(study: StudyResult) -> dict[str, Finding]:
+    """Those that a study allows, by name.
+
+    `tasks` is the low-frequency gain in the relax over that in the position task, of the conditions with most trials;
+    `amplitude_PT` and `amplitude_RT` that of the largest over that of the smallest movement of a task; `excess` the
+    recorded over the predicted peak after a pulse, geometric mean over the conditions that a person has.
+    """
+    ratios: list[Finding | None] = []
+    main = main_conditions(study)
+    if len(main) == len(TASKS):
+        ratios.append(_ratio(study, "tasks", main["RT"].name, main["PT"].name))
+    for task, conditions in by_task(study).items():
+        if len(conditions) > 1:
+            ratios.append(_ratio(study, f"amplitude_{task}", conditions[-1].name, conditions[0].name))
+    values = {}
+    for person in study.people:
+        excess = [value for pulse in PREDICTED if math.isfinite(value := person_excess(person, *pulse)) and value > 0.0]
+        if excess:
+            values[person.name] = float(np.exp(np.mean(np.log(excess))))
+    ratios.append(Finding.of("excess", "recorded", "predicted", values))
+    return {finding.name: finding for finding in ratios if finding is not None}
+
+
+def finding_rows(results: dict[str, Finding]) -> list[Row]:
+    """A row per finding and person, and of the mean with its interval, for a table."""
+    rows = []
+    for finding in results.values():
+        shared = {"finding": finding.name, "above": finding.above, "below": finding.below}
+        mean = {"value": finding.mean, "lower_95": finding.lower, "upper_95": finding.upper}
+        rows.append({**shared, "subject": "geometric mean", **mean})
+        for name, value in finding.values.items():
+            rows.append({**shared, "subject": name, "value": value, "lower_95": math.nan, "upper_95": math.nan})
+    return rows
+
+
+FLAGS: dict[str, Callable[[Row], bool]] = {
+    "rejected by the lack-of-fit test": lambda row: row["p_value"] < SUSPICIOUS,
+    "with a parameter at its bound": lambda row: bool(row["at_bound"]),
+    "not converged": lambda row: not row["converged"],
+    "unstable on the manipulator": lambda row: not row["stable"],
+}
+"""Why a fit is not to be trusted as it stands, to whether a row of the table of fits says so."""
+
+
+def flags(fits: Sequence[Row]) -> dict[str, int]:
+    """Reason to the number of maximum likelihood fits that it flags, reasons that flag none left out."""
+    counts = {reason: sum(map(says, fits)) for reason, says in FLAGS.items()}
+    return {reason: count for reason, count in counts.items() if count}
+
+
+def n_flagged(fits: Sequence[Row]) -> int:
+    """Number of fits that are flagged for one reason or more."""
+    return sum(any(says(row) for says in FLAGS.values()) for row in fits)
+
+
+def estimators_differ(rows: Sequence[Row]) -> float:
+    """Median over people, conditions and parameters of how far the thesis's estimate is from maximum likelihood [%]."""
+    ratios = [row["thesis_estimated"] / row["estimated"] for row in rows if row["estimated"] > 0.0]
+    known = [abs(ratio - 1.0) for ratio in ratios if math.isfinite(ratio)]
+    return 100.0 * float(np.median(known)) if known else math.nan
+
+
+def law_alone(yielding: Yielding | None) -> tuple[float, float] | None:
+    """Gain of PT22.5 over PT2.5 of the first person, with the person's levels of co-contraction and with one [-].
+
+    None where that was not simulated, or the person co-contracts equally in all conditions.
+    """
+    if yielding is None or ONE_LEVEL not in yielding.variants:
+        return None
+    with_levels, alone = (yielding.rise(name, "PT22.5", "PT2.5") for name in (yielding.variants[0], ONE_LEVEL))
+    return (with_levels, alone) if math.isfinite(with_levels) and math.isfinite(alone) else None
