@@ -39,7 +39,7 @@ class ArmFit(FitResult):
       largest_real_pole: of arm and environment [1/s].
       criterion: V of eq. 2.19, without penalty, of the arm against the averaged spectra.
       detail: the estimator's own result.
-      trials: that were fitted, as recorded or as `in_start_geometry` has them; empty with the thesis's estimator.
+      trials: that were fitted, as recorded or as `in_start_geometry` has them; empty if they are always as recorded.
       choice: of the structure, where the trials chose it.
     """
 

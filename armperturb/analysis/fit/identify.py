@@ -312,7 +312,7 @@ def identify_conditions(
         else:
             groups = [nearest_to_linear(*each, estimator) for each in zip(groups, moved, strict=True)]
             joint = estimate(groups, estimator, share=share)
-            fits = {group.label: _likely_fit(joint, group, group.spectra) for group in groups}
+            fits = {group.label: _moved_fit(joint, group) for group in groups}
     return Identifications(
         {
             label: Identification(
@@ -405,8 +405,13 @@ def _in_start_geometry(group: Group, options: Mapping[str, Any], arm: Subject | 
 def _chosen_fit(choice: Choice) -> ArmFit:
     """With the structure that the trials choose; what is said of the choice comes before other remarks."""
     chosen, group = choice.chosen, choice.group
-    fit = _likely_fit(choice.estimate, group.with_structure(chosen.structure), group.spectra)
+    fit = _moved_fit(choice.estimate, group.with_structure(chosen.structure))
     return replace(fit, choice=choice, remarks=(*choice.remarks(group.parts), *fit.remarks))
+
+
+def _moved_fit(result: Estimate, group: Group) -> ArmFit:
+    """One condition's part of an estimate from trials that may be those of the start geometry."""
+    return replace(_likely_fit(result, group, group.spectra), trials=group.parts)
 
 
 def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> ArmFit:
@@ -427,7 +432,6 @@ def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> Ar
         converged=result.converged,
         remarks=result.remarks,
         detail=result,
-        trials=group.parts,
         **_about(result.arms[condition], group.structure, group.parts[0], spectra),
     )
 
