@@ -312,7 +312,9 @@ def identify_conditions(
         else:
             groups = [nearest_to_linear(*each, estimator) for each in zip(groups, moved, strict=True)]
             joint = estimate(groups, estimator, share=share)
-            fits = {group.label: _moved_fit(joint, group) for group in groups}
+            fits = {
+                group.label: replace(_likely_fit(joint, group, group.spectra), trials=group.parts) for group in groups
+            }
     return Identifications(
         {
             label: Identification(
@@ -405,13 +407,8 @@ def _in_start_geometry(group: Group, options: Mapping[str, Any], arm: Subject | 
 def _chosen_fit(choice: Choice) -> ArmFit:
     """With the structure that the trials choose; what is said of the choice comes before other remarks."""
     chosen, group = choice.chosen, choice.group
-    fit = _moved_fit(choice.estimate, group.with_structure(chosen.structure))
-    return replace(fit, choice=choice, remarks=(*choice.remarks(group.parts), *fit.remarks))
-
-
-def _moved_fit(result: Estimate, group: Group) -> ArmFit:
-    """One condition's part of an estimate from trials that may be those of the start geometry."""
-    return replace(_likely_fit(result, group, group.spectra), trials=group.parts)
+    fit = _likely_fit(choice.estimate, group.with_structure(chosen.structure), group.spectra)
+    return replace(fit, trials=group.parts, choice=choice, remarks=(*choice.remarks(group.parts), *fit.remarks))
 
 
 def _likely_fit(result: Estimate, group: Group, spectra: SpectralEstimate) -> ArmFit:
