@@ -26,7 +26,7 @@ TRUE = true_values(PERSON, {})
 FREE = ("k.shoulder", "short_range_stiffness.shoulder", "elastic_limit_deg.shoulder", "thinning_velocity")
 FEW = Model(fixed={name: value for name, value in TRUE.items() if name not in FREE and name in set(TRUE) - {
     "Td", "fact", *(f"{group}.{e}" for group in ("kv", "kp") for e in ("shoulder", "two-joint", "elbow")),
-    "spindle_saturation",
+    "spindle_saturation", "spindle_direction", "spindle_threshold",
 }})  # fmt: skip
 
 
