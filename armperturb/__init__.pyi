@@ -45,10 +45,10 @@ from .perturbations import Sampled as Sampled
 from .perturbations import load_perturbation as load_perturbation
 from .perturbations import save_perturbation as save_perturbation
 from .plots import plot as plot
-from .recording import load_recording as load_recording
 from .recording import make_recording as make_recording
-from .recording import save_recording as save_recording
 from .recording import stack_trials as stack_trials
+from .recording_files import load_recording as load_recording
+from .recording_files import save_recording as save_recording
 from .study.comparison.likeness import compare as compare
 from .study.comparison.score import score as score
 from .study.experiments.calibration import calibrate as calibrate

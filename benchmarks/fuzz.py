@@ -24,7 +24,7 @@ from armperturb import recording as of_recordings
 from armperturb.convert import arrays, columns, reading
 from armperturb.convert.importer import import_recording
 from armperturb.foreign import program
-from armperturb.recording import load_recording
+from armperturb.recording_files import load_recording
 from armperturb.study.protocol import THESIS, load_protocol
 
 LONGEST, LARGEST = 30, 2**30
@@ -45,7 +45,7 @@ def _laboratory(folder: Path) -> dict[str, Callable[[], Any]]:
     from laboratory import write
 
     from armperturb.convert.exporter import export_recording
-    from armperturb.recording import save_recording
+    from armperturb.recording_files import save_recording
 
     table = write(folder)
     recording = import_recording([table]).recording

@@ -44,7 +44,7 @@ from armperturb.analysis.results import quantile
 from armperturb.cohort import Person, draw_person
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
-from armperturb.recording import load_recording
+from armperturb.recording_files import load_recording
 from armperturb.study.protocol import THESIS
 from armperturb.study.recording.record import record_study
 from armperturb.study.recording.settings import StudySettings

@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 
 from armperturb.analysis.trials import trials_by_condition
-from armperturb.recording import load_recording
+from armperturb.recording_files import load_recording
 from armperturb.study.comparison.score import ScoredCell, fitted_cells
 from armperturb.study.recording.folder import find_recordings
 from armperturb.study.results.appendix_fits import Appendices, fit_person, fit_second_step, joined, means_of

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from armperturb.recording import load_recording
+from armperturb.recording_files import load_recording
 from armperturb.study.protocol import THESIS
 
 N_KILLS, N_SUBJECTS = 10, 12

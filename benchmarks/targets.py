@@ -21,7 +21,7 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.recording import load_recording
+from armperturb.recording_files import load_recording
 from armperturb.study.recording.record import record_study
 from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.report import write_report

@@ -11,7 +11,7 @@ import armperturb
 
 ROOT = Path(armperturb.__file__).parent
 
-BASE = {"arrays", "validation", "extras", "seeds", "files", "foreign", "recording"}
+BASE = {"arrays", "validation", "extras", "seeds", "files", "foreign", "recording", "recording_files"}
 BASE |= {"muscle_law", "subject", "environment", "joint_person"}
 ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.force_balance",
@@ -34,7 +34,8 @@ ARROWS = {
     "joint_person": {"files", "validation", "muscle_law", "subject"},
     "anthropometry": {"files", "validation"},
     "foreign": {"extras", "files"},
-    "recording": {"files", "foreign", "validation"},
+    "recording": {"files", "validation"},
+    "recording_files": {"files", "foreign", "recording"},
     "archive": {"files"},
     "workers": {"extras", "validation"},
     "progress": set(),

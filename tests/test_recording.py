@@ -14,11 +14,10 @@ from armperturb.recording import (
     Action,
     check_recording,
     join_recordings,
-    load_recording,
     make_recording,
     muscle_actions,
-    save_recording,
 )
+from armperturb.recording_files import load_recording, save_recording
 
 N_TRIALS, N_TIME = 2, 50
 ADC_STEP = float(np.float32(5.0 / 2**15))

@@ -47,7 +47,7 @@ class Joint(Command):
         from armperturb.envs.lab.joint_experiment import JointTrial, at_signal_to_noise, run_joint_experiment
         from armperturb.joint_person import JOINT_PEOPLE, JointPerson, half_wave, servo_of
         from armperturb.perturbations.one_axis import random_noise, random_steps
-        from armperturb.recording import save_recording
+        from armperturb.recording_files import save_recording
         from armperturb.validation import require_one_of
 
         require_number("joint", "duration", self.duration, at_least=1.0, at_most=3600.0)

@@ -78,7 +78,7 @@ class Simulate(Command):
         from armperturb.environment import Environment
         from armperturb.envs.lab.instruments import Instruments
         from armperturb.perturbations import load_perturbation
-        from armperturb.recording import save_recording
+        from armperturb.recording_files import save_recording
 
         self._require_one_arm()
         perturbation = load_perturbation(self.perturbation)

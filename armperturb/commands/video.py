@@ -29,7 +29,7 @@ class Video(Command):
         """Draw the frames and write the video."""
         from armperturb.envs.render.replay import SIGNALS, Replay
         from armperturb.envs.render.video import require_ending, write_video
-        from armperturb.recording import load_recording
+        from armperturb.recording_files import load_recording
 
         require_ending(self.out)
         recording = load_recording(self.recording, optional=SIGNALS)

@@ -26,7 +26,7 @@ class View(Command):
         """Show the window until it is closed."""
         from armperturb.envs.render.replay import SIGNALS, Replay
         from armperturb.envs.render.viewer import require_display, watch_rig, watch_trial
-        from armperturb.recording import load_recording
+        from armperturb.recording_files import load_recording
         from armperturb.subject import RELAX, Subject
 
         require_display()  # before a long recording is read

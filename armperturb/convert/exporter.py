@@ -22,8 +22,8 @@ from armperturb.recording import (
     check_recording,
     is_one_axis,
     muscle_actions,
-    save_recording,
 )
+from armperturb.recording_files import save_recording
 from armperturb.validation import require_one_of
 
 COLUMNS: Mapping[str, Sequence[str]] = TABLES["columns"]

@@ -17,7 +17,8 @@ from armperturb.convert.raw import RawTrial
 from armperturb.convert.reading import ARRAYS, C3D, TEXT, read_trials
 from armperturb.convert.sidecar import Sidecar
 from armperturb.convert.tables import Repair
-from armperturb.recording import OPTIONAL_SIGNALS, is_one_axis, join_recordings, load_recording
+from armperturb.recording import OPTIONAL_SIGNALS, is_one_axis, join_recordings
+from armperturb.recording_files import load_recording
 from armperturb.validation import require_number, require_one_of
 
 OURS = (".nc",)

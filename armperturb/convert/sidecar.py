@@ -1,7 +1,7 @@
 """The sidecar: a JSON file that says what the columns of a laboratory's file mean (docs/recordings.md)."""
 
 import json
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, Self
@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, NoReturn, Self
 import numpy as np
 
 from armperturb.arrays import Array
+from armperturb.convert.fields import LONGEST_TEXT, MEANINGS, Fields
 from armperturb.convert.tables import TABLES
 from armperturb.convert.units import UNITS, factor_to, quantity
 from armperturb.files import require_input
@@ -27,16 +28,10 @@ from armperturb.recording import (
     signal_unit,
 )
 from armperturb.subject import TASKS
-from armperturb.validation import require_number, require_one_of
+from armperturb.validation import require_number
 
 LARGEST = 2**20
 """Largest sidecar [byte]."""
-
-LONGEST_TEXT = 200
-"""Characters of a label or of the name of a channel."""
-
-MEANINGS: Mapping[str, str] = TABLES["meanings"]
-"""Field to what a person should know to fill it in."""
 
 OPEN = "?"
 """In the place of a value that a person has to fill in."""
@@ -151,7 +146,7 @@ class Sidecar:
           ValueError: it is no JSON, a field is unknown, missing or out of its range; the message names file, field,
             value and what was expected.
         """
-        top = _Fields(content, str(path), "")
+        top = Fields(content, str(path), "")
         known = (
             "rate",
             "time",
@@ -241,64 +236,6 @@ class Sidecar:
         return labels
 
 
-class _Fields(dict[str, Any]):
-    """An object of the file, with its place for messages."""
-
-    def __init__(self, content: object, file: str, place: str) -> None:
-        if not isinstance(content, dict):
-            raise TypeError(f"{file}: {place or 'the file'} = {content!r:.60}; expected an object, {{...}}")
-        super().__init__(content)
-        self.file, self.place = file, place
-
-    def place_of(self, name: str) -> str:
-        shown = (name if name.isprintable() else ascii(name))[:60]
-        return f"{self.place}.{shown}" if self.place else shown
-
-    def where(self, name: str) -> str:
-        return f"{self.file}: {self.place_of(name)}"
-
-    def fields(self, name: str, known: Collection[str] = (), required: Collection[str] = ()) -> "_Fields":
-        """An object in this one, empty if it is missing; with `known`, refused if it has other fields."""
-        fields = _Fields(self.get(name, {}), self.file, self.place_of(name))
-        if known:
-            fields.require_only(known, required)
-        return fields
-
-    def without(self, name: str) -> "_Fields":
-        """The same object without a field."""
-        return _Fields({each: value for each, value in self.items() if each != name}, self.file, self.place)
-
-    def require_only(self, known: Collection[str], required: Collection[str] = ()) -> None:
-        for name in self:
-            if name not in known:
-                raise ValueError(f"{self.where(name)}: unknown field; expected {', '.join(known)}")
-        for name in required:
-            if name not in self:
-                raise ValueError(f"{self.where(name)} is missing; expected {MEANINGS.get(name, ', '.join(required))}")
-
-    def text(self, name: str) -> str:
-        value = self[name]
-        if not isinstance(value, str):
-            raise TypeError(f"{self.where(name)} = {value!r:.60}; expected text")
-        if not value.isprintable() or not 0 < len(value) <= LONGEST_TEXT:
-            raise ValueError(
-                f"{self.where(name)} = {value!r:.60}; expected printable text of 1 to {LONGEST_TEXT} characters"
-            )
-        return value
-
-    def choice(self, name: str, known: Collection[str], default: str | None = None) -> str:
-        value = self.get(name, default)
-        require_one_of(self.file, self.place_of(name), value, tuple(known))
-        return str(value)
-
-    def rate(self, name: str) -> float | None:
-        if name not in self:
-            return None
-        rate = quantity(self[name], "Hz", self.where(name))
-        require_number(self.file, self.place_of(name), rate, at_least=1.0, at_most=1e6)
-        return rate
-
-
 def _parsed(path: Path) -> object:
     if not path.is_file():
         raise FileNotFoundError(
@@ -324,7 +261,7 @@ def _parsed(path: Path) -> object:
         raise ValueError(f"{path}: no readable JSON ({error}); expected a sidecar") from None
 
 
-def _require_closed(fields: _Fields, checks: Mapping[str, str]) -> None:
+def _require_closed(fields: Fields, checks: Mapping[str, str]) -> None:
     """Refuse a template in which something is still to be filled in."""
     left = [place for place, value in _leaves(fields) if value == OPEN]
     if left:
@@ -342,7 +279,7 @@ def _leaves(content: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, 
             yield where, value
 
 
-def _axes(fields: _Fields) -> Array:
+def _axes(fields: Fields) -> Array:
     """Directions of the laboratory's x and y in our axes, (lab's axis, our axis)."""
     of_axes = fields.fields("axes", ("x", "y"), ("x", "y"))
     directions = np.array([DIRECTIONS[of_axes.choice(name, DIRECTIONS)] for name in ("x", "y")])
@@ -353,7 +290,7 @@ def _axes(fields: _Fields) -> Array:
     return directions
 
 
-def _signal(fields: _Fields, name: str, axes: Array | None, angular: bool) -> Signal:
+def _signal(fields: Fields, name: str, axes: Array | None, angular: bool) -> Signal:
     """A signal; without directions of axes it has a single component."""
     dims, ours = SIGNALS[name][0], signal_unit(name, angular=angular)
     single = axes is None and dims[1] == "axis"
@@ -389,7 +326,7 @@ def _signal(fields: _Fields, name: str, axes: Array | None, angular: bool) -> Si
     )
 
 
-def _lead(fields: _Fields) -> float:
+def _lead(fields: Fields) -> float:
     if "lead" not in fields:
         return 0.0
     lead = quantity(fields["lead"], "s", fields.where("lead"))
@@ -397,7 +334,7 @@ def _lead(fields: _Fields) -> float:
     return lead
 
 
-def _muscles(fields: _Fields, names: Sequence[str]) -> dict[str, Action]:
+def _muscles(fields: Fields, names: Sequence[str]) -> dict[str, Action]:
     """What each muscle does: as the sidecar says, or as its name does."""
     said = fields.fields("muscles")
     for name in said:
@@ -418,7 +355,7 @@ def _muscles(fields: _Fields, names: Sequence[str]) -> dict[str, Action]:
     return actions
 
 
-def _file(fields: _Fields) -> str:
+def _file(fields: Fields) -> str:
     name = fields.text("file")
     if Path(name).name != name or "rate" not in fields:
         raise ValueError(
@@ -427,7 +364,7 @@ def _file(fields: _Fields) -> str:
     return name
 
 
-def _start(fields: _Fields, components: tuple[str, ...]) -> tuple[float, ...] | str:
+def _start(fields: Fields, components: tuple[str, ...]) -> tuple[float, ...] | str:
     value = fields["start"]
     if value == FIRST:
         return FIRST
@@ -439,7 +376,7 @@ def _start(fields: _Fields, components: tuple[str, ...]) -> tuple[float, ...] | 
     return tuple(map(float, value))
 
 
-def _labels(fields: _Fields) -> dict[str, Any]:
+def _labels(fields: Fields) -> dict[str, Any]:
     """Labels that are there; null is as good as none."""
     fields.require_only(tuple(TRIAL_COORDINATES))
     labels: dict[str, Any] = {}
@@ -463,7 +400,7 @@ def _labels(fields: _Fields) -> dict[str, Any]:
     return labels
 
 
-def _dialect(fields: _Fields) -> Dialect:
+def _dialect(fields: Fields) -> Dialect:
     delimiter = fields.choice("delimiter", (",", ";", "\t", " "), ",")
     decimal = fields.choice("decimal", (".", ","), ".")
     if decimal == delimiter:

@@ -16,10 +16,11 @@ from armperturb.analysis.force_balance import Balance
 from armperturb.analysis.trials import ARM_LABELS
 from armperturb.convert.checks import AWAY, LARGEST_FORCE
 from armperturb.convert.columns import WORD, Column, axis_of, columns_of, dialect_of
+from armperturb.convert.fields import MEANINGS
 from armperturb.convert.importer import import_trials
 from armperturb.convert.raw import trial_name
 from armperturb.convert.reading import ARRAYS, C3D, TEXT, read_trials
-from armperturb.convert.sidecar import BODIES, FIRST, MEANINGS, OPEN, REQUIRED_LABELS, Dialect, Sidecar
+from armperturb.convert.sidecar import BODIES, FIRST, OPEN, REQUIRED_LABELS, Dialect, Sidecar
 from armperturb.convert.tables import TABLES, Repair
 from armperturb.convert.units import UNITS
 from armperturb.environment import Environment

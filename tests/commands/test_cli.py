@@ -15,7 +15,7 @@ from armperturb import cli
 from armperturb.analysis.fit.own_structures import load_structure
 from armperturb.files import written_whole
 from armperturb.perturbations import Multisine, Pulse, save_perturbation
-from armperturb.recording import load_recording, save_recording
+from armperturb.recording_files import load_recording, save_recording
 from armperturb.study.recording import record as runner
 from armperturb.subject import POSITION, RELAX
 

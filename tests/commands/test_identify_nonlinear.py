@@ -17,7 +17,7 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Multisine, MultisineThenPulse
-from armperturb.recording import save_recording
+from armperturb.recording_files import save_recording
 from armperturb.subject import RELAX
 
 

@@ -7,7 +7,8 @@ from laboratory import write
 
 from armperturb.commands.selection import MemoryPerSample
 from armperturb.convert.importer import import_recording
-from armperturb.recording import MUSCLES, save_recording
+from armperturb.recording import MUSCLES
+from armperturb.recording_files import save_recording
 
 
 def of_length(duration, n_trials=1, rate=200.0):

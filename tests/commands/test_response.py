@@ -8,7 +8,7 @@ from test_cli import refused, run
 from test_frequency_response import TRUE, multisine, noise, recorded
 
 from armperturb.convert.exporter import export_recording
-from armperturb.recording import save_recording
+from armperturb.recording_files import save_recording
 
 
 def rows(path):
@@ -61,7 +61,7 @@ def test_multisines_give_tables_figures_and_the_distortion(folder, tmp_path, cap
 
 @pytest.mark.slow(reason="estimates from long records")
 def test_records_of_unequal_length_in_other_formats(folder, tmp_path, capsys):
-    from armperturb.recording import load_recording
+    from armperturb.recording_files import load_recording
 
     export_recording(load_recording(folder / "longer.nc"), tmp_path / "longer.csv")
     files = (folder / "noise.nc", tmp_path / "longer.csv")

@@ -11,7 +11,7 @@ from laboratory import write
 
 from armperturb import cli
 from armperturb.convert.importer import import_recording
-from armperturb.recording import load_recording, save_recording
+from armperturb.recording_files import load_recording, save_recording
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,8 @@ from armperturb.convert.balance import check_balance
 from armperturb.convert.exporter import export_recording
 from armperturb.convert.importer import import_recording
 from armperturb.convert.sidecar import Sidecar
-from armperturb.recording import REQUIRED_SIGNALS, load_recording, make_recording, save_recording
+from armperturb.recording import REQUIRED_SIGNALS, make_recording
+from armperturb.recording_files import load_recording, save_recording
 
 D, F, X = slice(2, 4), slice(4, 6), slice(6, 8)
 

@@ -21,7 +21,8 @@ from armperturb import cli
 from armperturb.convert.importer import import_recording
 from armperturb.foreign import LARGEST
 from armperturb.foreign.program import parse
-from armperturb.recording import MUSCLES, encode_recording
+from armperturb.recording import MUSCLES
+from armperturb.recording_files import encode_recording
 
 VALUES = table()
 TEXT = as_text(VALUES)

@@ -20,7 +20,7 @@ from scipy.io import loadmat, savemat
 from armperturb import foreign
 from armperturb.foreign import Refused, read_foreign
 from armperturb.foreign.program import parse
-from armperturb.recording import load_recording, save_recording
+from armperturb.recording_files import load_recording, save_recording
 
 HEAD = b"MATLAB 5.0".ljust(124)
 

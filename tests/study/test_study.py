@@ -15,7 +15,7 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.perturbations import Pulse
 from armperturb.plots.style import new_figure
-from armperturb.recording import load_recording, save_recording
+from armperturb.recording_files import load_recording, save_recording
 from armperturb.study.comparison.headlines import headlines
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.published import tables as published

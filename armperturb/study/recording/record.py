@@ -26,7 +26,8 @@ from armperturb.envs.lab.trial import Trial
 from armperturb.files import write_durably
 from armperturb.perturbations import Multisine
 from armperturb.progress import Progress
-from armperturb.recording import encode_recording, stack_trials
+from armperturb.recording import stack_trials
+from armperturb.recording_files import encode_recording
 from armperturb.study.protocol import Protocol
 from armperturb.study.recording.folder import StudyFolder, cannot_write, open_study
 from armperturb.study.recording.manifest import Manifest

@@ -16,7 +16,7 @@ from armperturb.cohort import Person
 from armperturb.environment import Environment
 from armperturb.files import checksum
 from armperturb.progress import Progress
-from armperturb.recording import load_recording
+from armperturb.recording_files import load_recording
 from armperturb.study.protocol import THESIS, Protocol
 from armperturb.study.recording.folder import RECORDINGS, find_recordings
 from armperturb.study.recording.manifest import Manifest, current_versions, read_manifest

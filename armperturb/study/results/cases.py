@@ -19,7 +19,7 @@ from armperturb.analysis.results import Description, Result
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.perturbations.multisine import PERIOD
-from armperturb.recording import load_recording
+from armperturb.recording_files import load_recording
 from armperturb.study.protocol import Condition, Protocol
 from armperturb.subject import Subject
 

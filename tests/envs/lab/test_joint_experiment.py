@@ -11,7 +11,7 @@ from armperturb.envs.lab.joint_experiment import JointTrial, at_signal_to_noise,
 from armperturb.joint_person import JOINT_PEOPLE, JointPerson, half_wave, servo_of
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations.one_axis import random_noise, random_steps
-from armperturb.recording import load_recording, save_recording
+from armperturb.recording_files import load_recording, save_recording
 
 RATE = 1000.0
 PERIOD = 2.0

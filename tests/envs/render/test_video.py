@@ -22,7 +22,8 @@ from armperturb.envs.render.overlay import StripChart, clock_text, nice_force
 from armperturb.envs.render.replay import Replay
 from armperturb.envs.render.video import Clip, arrow_scale, frame_times, frames, scale_axes, write_video
 from armperturb.plots import style
-from armperturb.recording import make_recording, save_recording
+from armperturb.recording import make_recording
+from armperturb.recording_files import save_recording
 from armperturb.subject import RELAX
 
 pytestmark = pytest.mark.slow(reason="draws pictures and encodes them")

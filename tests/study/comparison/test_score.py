@@ -15,7 +15,7 @@ from armperturb.analysis.trials import ConditionTrials, trials_by_condition
 from armperturb.cli import main
 from armperturb.environment import Environment
 from armperturb.plots.style import new_figure
-from armperturb.recording import load_recording
+from armperturb.recording_files import load_recording
 from armperturb.study.comparison.cohorts import CohortScores
 from armperturb.study.comparison.headlines import PULSED, headlines
 from armperturb.study.comparison.score import (

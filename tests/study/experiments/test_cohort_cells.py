@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armperturb.recording import load_recording
+from armperturb.recording_files import load_recording
 from armperturb.study.experiments.cohort_cells import measure_cohort
 from armperturb.study.recording.record import record_study
 from armperturb.study.recording.settings import StudySettings

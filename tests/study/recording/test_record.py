@@ -18,7 +18,7 @@ import psutil
 import pytest
 
 from armperturb.cli import main
-from armperturb.recording import load_recording
+from armperturb.recording_files import load_recording
 from armperturb.study.recording import record as runner
 from armperturb.study.recording.record import record_study
 from armperturb.study.recording.settings import StudySettings

@@ -15,7 +15,8 @@ from armperturb.cohort import average_person
 from armperturb.environment import Environment
 from armperturb.perturbations import Pulse
 from armperturb.plots.style import COLOURS, INK, PUBLISHED, SKELETAL, TRUE
-from armperturb.recording import make_recording, save_recording
+from armperturb.recording import make_recording
+from armperturb.recording_files import save_recording
 from armperturb.study.comparison.effects import AdmittanceEffect, Effects
 from armperturb.study.protocol import Condition, Protocol
 from armperturb.study.published import tables as published

@@ -20,7 +20,8 @@ from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.trial import Trial
 from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse, Pulse
-from armperturb.recording import load_recording, save_recording, stack_trials
+from armperturb.recording import stack_trials
+from armperturb.recording_files import load_recording, save_recording
 from armperturb.study.comparison.effects import Effects
 from armperturb.study.protocol import THESIS
 from armperturb.study.report import sections

@@ -9,7 +9,7 @@ from armperturb import recording as recordings
 from armperturb.analysis import trials
 from armperturb.analysis.force_balance import Balance
 from armperturb.analysis.response import spectra
-from armperturb.recording import load_recording, save_recording
+from armperturb.recording_files import load_recording, save_recording
 from armperturb.study.protocol import Condition, Protocol
 from armperturb.study.results.person import analyse_person
 from armperturb.study.results.settings import AnalysisSettings

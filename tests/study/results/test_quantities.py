@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.measures.kinematics import hand_position
-from armperturb.recording import load_recording, make_recording
+from armperturb.recording import make_recording
+from armperturb.recording_files import load_recording
 from armperturb.study.published import tables as published
 from armperturb.study.results.quantities import Cell, measure, measured_cells, published_cells
 

@@ -16,7 +16,7 @@ import pytest
 
 from armperturb import archive
 from armperturb.cli import main
-from armperturb.recording import load_recording, save_recording
+from armperturb.recording_files import load_recording, save_recording
 from armperturb.study.comparison.score import score, share
 from armperturb.study.protocol import THESIS
 from armperturb.study.recording.record import record_study

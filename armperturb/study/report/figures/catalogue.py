@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from armperturb.analysis.cuts import of_condition
 from armperturb.analysis.measures.kinematics import hand_path, within_reach
-from armperturb.recording import load_recording
+from armperturb.recording_files import load_recording
 from armperturb.study.comparison.effects import AdmittanceEffect, Effects
 from armperturb.study.experiments.mechanisms import Yielding
 from armperturb.study.report.figures import admittance as admittance_figures

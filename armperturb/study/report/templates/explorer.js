@@ -1,6 +1,6 @@
 "use strict";
 (function () {
-  const root = document.getElementById("explorer");
+  const root = document.getElementById("explorer-panels");
   if (!root) return;
   const panels = JSON.parse(document.getElementById("explorer-data").textContent);
   const people = [...new Set(panels.flatMap(panel => panel.points.map(point => point[0])))];
