@@ -82,7 +82,7 @@ def damping(axes: Axes) -> None:
 def spindles(axes: Axes) -> None:
     speed = np.linspace(-1.0, 1.0, 401)
     for label, saturation, direction in (("linear", math.inf, 0.0), ("saturating", 0.3, 0.0), ("one way", 0.3, 1.0)):
-        axes.plot(speed, [spindle_velocity(v, saturation, direction) for v in speed], label=label)
+        axes.plot(speed, [spindle_velocity(v, saturation, direction, 0.0) for v in speed], label=label)
     axes.set(title="Velocity response of spindles", xlabel="velocity [rad/s]", ylabel="answered [rad/s]", ylim=(-1, 1))
 
 

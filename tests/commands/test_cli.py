@@ -287,7 +287,10 @@ def test_study_draws_the_people_that_are_asked_for(tmp_path, monkeypatch, muscle
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--model", "9"], "identify: model = '9'; expected one of 1, 2, 3, 4, 5, 6, 3a, 3b, nonlinear, or FILE.toml"),
+        (
+            ["--model", "9"],
+            "identify: model = '9'; expected one of 1, 2, 3, 4, 5, 6, 3a, 3b, nonlinear, joint, or FILE",
+        ),
         (["--model", "none.toml"], "none.toml"),
         (["--model", "1", "--free", "k_x"], "free parameter 'k_x' is unknown; expected one of m_h"),
         (["--model", "1", "--bounds", "k_h=5:1"], "bounds of k_h = 5.0 to 1.0; expected a lower and a higher"),
