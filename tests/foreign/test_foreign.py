@@ -151,7 +151,6 @@ def test_a_recording_with_a_zeroed_sector_is_read_or_refused_in_time(recording_f
             read_foreign(path, seconds=1.0)
         except Refused as error:
             refused.append(str(error))
-    assert any("parsing took 1 s; expected an undamaged file" in text for text in refused)
     assert len(refused) >= 4
     assert all(text.startswith(str(path)) and "\n" not in text and len(text) < 500 for text in refused)
 

@@ -444,7 +444,7 @@ def test_stills_show_the_recorded_pose_and_the_path_so_far(monkeypatch):
 
 
 NAMES = {
-    *("pulse_directions", "perturbation", "admittance_by_task", "gain_linear_scale", "coherence"),
+    *("pulse_directions", "perturbation", "findings", "admittance_by_task", "gain_linear_scale", "coherence"),
     *(f"{n}_{task}" for n in ("admittance_by_amplitude", "admittance", "fit", "prediction") for task in ("PT", "RT")),
     *("vaf", "penalty", "joint_parameters_PT", "joint_parameters_RT", "muscle_parameters"),
     *("peak_displacement", "pulse_admittance", "pulse_prediction"),

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from armperturb import recording as recordings
+from armperturb import recording_files
 from armperturb.analysis import trials
 from armperturb.analysis.force_balance import Balance
 from armperturb.analysis.response import spectra
@@ -32,7 +33,7 @@ def test_trials_are_checked_cut_and_identified_once(noisy_relax_recording, tmp_p
         for place in (owner, *others):
             monkeypatch.setattr(place, name, counted)
 
-    count(recordings, "check_recording", trials)
+    count(recordings, "check_recording", recording_files, trials)
     count(trials, "find_period")
     count(spectra, "estimate_spectra")
     count(Balance, "fit")
