@@ -126,6 +126,6 @@ def test_two_commands_lead_from_four_files_to_parameters_page_and_ellipse(tmp_pa
     assert f"for other files with these channels: --sidecar {tmp_path / 't0.json'}" in said
     assert run("identify", *files, "--sidecar", tmp_path / "t0.json", "--out", tmp_path / "r") == 0
     assert {path.name for path in (tmp_path / "r").iterdir()} == {
-        "admittance.csv", "endpoint.csv", "endpoint.svg", "fit.json", "identify.html", "parameters.csv",
+        "admittance.csv", "arm.toml", "endpoint.csv", "endpoint.svg", "fit.json", "identify.html", "parameters.csv",
         "structure.toml",
     }  # fmt: skip

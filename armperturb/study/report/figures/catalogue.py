@@ -75,8 +75,7 @@ def _of_cases(study: StudyResult, effects: Effects) -> Drawings:
         directions = study.protocol.pulse_directions_deg
         drawn["pulse_directions"] = partial(perturbation_figures.pulse_directions, arms, directions)
         drawn["perturbation"] = partial(perturbation_figures.perturbation, next(iter(main.values())))
-        identified = [case for of_task in by_task(study).values() for each in of_task for case in study.of(each.name)]
-        if any(case.identified.fit.values for case in identified):
+        if estimate_figures.estimated_quantities(study):
             drawn["estimates"] = partial(estimate_figures.estimates, study)
         drawn["findings"] = partial(findings_figures.findings, study)
         drawn["admittance_by_task"] = partial(admittance_figures.admittance_by_task, study)

@@ -25,6 +25,14 @@ PRINTED: dict[str, Any] = {
 }
 
 
+def estimated_quantities(study: StudyResult) -> list[str]:
+    """Those of which somebody has an estimate at a joint."""
+    conditions = [condition for of_task in by_task(study).values() for condition in of_task]
+    cases = [case for condition in conditions for case in study.of(condition.name)]
+    known = {name for case in cases for name in case.identified.fit.values}
+    return [quantity for quantity in QUANTITIES if any(f"{quantity}_{joint}" in known for joint in JOINT_NAMES)]
+
+
 @in_style()
 def estimates(study: StudyResult) -> Figure:
     """Maximum likelihood estimates of each person in each condition, their means, and the published mean and SD.
@@ -39,7 +47,7 @@ def estimates(study: StudyResult) -> Figure:
                 for name, value in case.identified.fit.values.items():
                     of_task = values.setdefault(name, {}).setdefault(task, {})
                     of_task.setdefault(condition.name, {})[case.name] = value
-    shown = [quantity for quantity in QUANTITIES if any(f"{quantity}_{joint}" in values for joint in JOINT_NAMES)]
+    shown = estimated_quantities(study)
     figure = new_figure(1.75 * len(shown) + 0.5)
     panels = figure.subplots(len(shown), len(JOINT_NAMES), squeeze=False)
     any_printed = False
