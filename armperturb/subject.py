@@ -162,9 +162,9 @@ class Subject:
 
     @property
     def segment_inertia(self) -> tuple[float, float, float]:
-        """Inertia of the segments in any posture: (a, b, c) of [[a + 2 c cos, b + c cos], [b + c cos, b]] [kg m^2].
+        """Inertia of the segments in any posture [kg m^2], as three constants a, b and c.
 
-        The cosine is that of the elbow angle.
+        The joint mass matrix is a + 2 c cos(theta_e) at the shoulder, b at the elbow and b + c cos(theta_e) between.
         """
         square_h, arm_f, l_h = self.l_h * self.l_h, self.c_f * self.l_f, self.l_h
         of_humerus = self.m_h * ((self.c_h * l_h) * (self.c_h * l_h) + self.r_h * self.r_h * square_h)
