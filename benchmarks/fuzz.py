@@ -229,6 +229,20 @@ def outcome(folder: Path, case: Case, expected: Any, *, guarded: bool) -> str:
     return f"SIGNAL {-status}" if guarded else "signal"
 
 
+def _in_a_fork(make: Callable[[], Any]) -> None:
+    """Run a function in a forked process: a process that has drawn pictures cannot be forked and draw again."""
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            make()
+            status = 0
+        finally:
+            os._exit(status)
+    if os.waitpid(child, 0)[1]:
+        raise RuntimeError("the files cannot be made")
+
+
 def fuzz(names: list[str], runs: int, seed: int = 0) -> dict[str, Counter[str]]:
     """Case to how often it ended how.
 
@@ -243,7 +257,7 @@ def fuzz(names: list[str], runs: int, seed: int = 0) -> dict[str, Counter[str]]:
         whole, now = Path(name) / "whole", Path(name) / "now"
         whole.mkdir()
         try:
-            files(whole)
+            _in_a_fork(lambda: files(whole))
             total = sum(CASES[each].weight for each in names)
             for each in names:
                 case = CASES[each]
