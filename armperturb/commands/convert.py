@@ -24,7 +24,7 @@ class Convert(Command):
     lengths; trials leaves out those with other faults."""
     rate: float | None = None
     """Sampling rate of the recording [Hz]; by default that of the files."""
-    sha256: bool = False
+    checksum: bool = False
     """Print the SHA-256 of each file that is written, in lines as `sha256sum -c` reads them."""
     overwrite: bool = False
     """Replace existing files of the output; an input is never replaced."""
@@ -39,5 +39,5 @@ class Convert(Command):
         imported = import_recording(self.files, sidecar=self.sidecar, repair=self.repair, rate=self.rate)
         require_new(written_files(imported.recording, self.out), overwrite=self.overwrite)
         paths = export_recording(imported.recording, self.out)
-        sums = [f"{checksum(path)}  {path}" for path in paths if self.sha256]
+        sums = [f"{checksum(path)}  {path}" for path in paths if self.checksum]
         return [*imported.notes, f"recording: {', '.join(map(str, paths))}", *sums]

@@ -68,7 +68,7 @@ class Simulate(Command):
     """Task that the recording names."""
     timestep: float | None = None
     """Of the simulation [s]."""
-    sha256: bool = False
+    checksum: bool = False
     """Print the SHA-256 of the recording, in a line as `sha256sum -c` reads it."""
     overwrite: bool = False
     """Replace an existing recording; an input is never replaced."""
@@ -100,7 +100,7 @@ class Simulate(Command):
                 f"within {Environment().workspace:g} m of the start (a weaker perturbation or a stiffer subject)"
             )
         save_recording(recording, self.out)
-        sums = [f"{checksum(self.out)}  {self.out}"] if self.sha256 else []
+        sums = [f"{checksum(self.out)}  {self.out}"] if self.checksum else []
         return [*lines, f"recording: {self.out}", *sums]
 
     def _require_one_arm(self) -> None:

@@ -131,7 +131,7 @@ def test_a_wrong_period_is_refused_by_every_estimator(tmp_path, capsys, estimato
 
 
 def test_checksums_are_printed_as_other_programs_read_them(folder, capsys):
-    options = ("convert", str(next(folder.glob("*.csv"))), "--out", str(folder / "o.csv"), "--sha256")
+    options = ("convert", str(next(folder.glob("*.csv"))), "--out", str(folder / "o.csv"), "--checksum")
     assert cli.main([*options]) == 0
     sums = "\n".join(capsys.readouterr().out.splitlines()[-2:])
     checked = subprocess.run(["sha256sum", "-c"], input=sums, text=True, capture_output=True, check=True)

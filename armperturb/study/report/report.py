@@ -76,9 +76,9 @@ def write_report(
             drawn = dict(zip(draws, kept_or_computed(picture_units(draws, out), pool, bar), strict=True))
     (out / "figures").mkdir(exist_ok=True)
     pictures = {out / "figures" / f"{name}.svg": each for name, each in drawn.items() if isinstance(each, Picture)}
-    with written_together(pictures) as parts:
-        for part, picture in zip(parts, pictures.values(), strict=True):
-            part.write_text(picture.svg, encoding="utf-8", newline="")
+    with written_together(pictures) as temporary:
+        for path, picture in zip(temporary, pictures.values(), strict=True):
+            path.write_text(picture.svg, encoding="utf-8", newline="")
     more = {
         "findings": finding_rows(findings(study)),
         "pulse_excess": excess_rows(study),
@@ -92,8 +92,8 @@ def write_report(
     for name, lines in more.items():
         if lines:
             write_csv(lines, out / "tables" / f"{name}.csv")
-    found = sections(study, scored, tested, rows, yielding, shoulder, drawn)
-    page = _page(study, found, drawn)
+    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn)
+    page = _page(study, parts, drawn)
     report = out / "report.html"
     write_whole(report, page)
     return report
