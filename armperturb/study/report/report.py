@@ -130,6 +130,8 @@ def _page(study: StudyResult, parts: Mapping[str, Mapping[str, Any]], drawn: Map
         WORDS["sections"],
         drawn,
         study=study,
+        people=f"{len(study.names)} {'person' if len(study.names) == 1 else 'people'}",
+        first=next(iter(study.recordings), ""),
         main={task: study.of(condition.name)[0] for task, condition in main_conditions(study).items()},
         tasks=by_task(study),
         multisine={"period": PERIOD, "lines": CLUSTERS.size, "clusters": len(CLUSTERS)},
