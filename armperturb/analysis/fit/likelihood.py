@@ -26,6 +26,7 @@ import numpy as np
 from scipy import fft, linalg, stats
 
 from armperturb.analysis.fit.frequency_bands import EXCITED_POWER, BandOfLack, Smoother, excited_bands
+from armperturb.analysis.fit.frequency_rows import applied, applied_rows, complex_values, orthonormal
 from armperturb.analysis.fit.total_admittance import LONGEST_RUN, TotalAdmittance
 from armperturb.arrays import Array, ComplexArray, Indices
 from armperturb.environment import Environment
@@ -229,7 +230,7 @@ class Likelihood:
         to_force = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
         answers = to_force[..., self._answering]
         self._unknown = self._unknowns(mean)
-        force = _applied(answers, self._without_unknowns(values))
+        force = applied(answers, self._without_unknowns(values))
         power = np.empty(to_force.shape, dtype=complex)
         power[..., self._answering] = np.einsum("taf,tbf->abf", force, force.conj()) / len(force)
         quiet = to_force[..., self._quiet]
@@ -241,7 +242,7 @@ class Likelihood:
         # Real and imaginary part of the residual have half its power each.
         self._white = np.moveaxis(np.sqrt(2.0) * np.linalg.solve(root, np.moveaxis(answers, -1, 0)), 0, -1)
         if self._unknown is not None:
-            self._span = _orthonormal(_applied(self._white, self._unknown))
+            self._span = orthonormal(applied_rows(self._white, self._unknown))
 
     def _without_unknowns(self, values: Array) -> ComplexArray:
         """The residual without what is unknown of each trial, as far as the noise is known yet."""
@@ -249,7 +250,7 @@ class Likelihood:
         if self._unknown is None:
             return residual
         white = self._white if self._white.any() else np.eye(2, dtype=complex)[..., None] + 0 * self._white
-        columns, rows = _rows(_applied(white, self._unknown)), _rows(_applied(white, residual))
+        columns, rows = applied_rows(white, self._unknown), applied_rows(white, residual)
         amounts = np.asarray(linalg.lstsq(columns.T, rows.T, cond=1e-9)[0])
         return np.asarray(residual - np.einsum("ct,caf->taf", amounts, self._unknown))
 
@@ -259,7 +260,7 @@ class Likelihood:
 
     def _white_rows(self, values: Array) -> Array:
         """The white residual of each trial, real then imaginary parts, (trial, number)."""
-        return self._left(_rows(_applied(self._white, self._residual(values))))
+        return self._left(applied_rows(self._white, self._residual(values)))
 
     def objective(self, values: Array) -> float:
         """Minus twice the log likelihood, but for a constant, the noise being that which the arm leaves [-]."""
@@ -282,9 +283,8 @@ class Likelihood:
         n_trials, n = len(residual), mixing.shape[1]
         slopes, informations = np.zeros((n_trials, n)), np.zeros((n_trials, n, n))
         for trials, derivatives in (self._quick_slopes if quick else self._slopes)(mean, mixing):
-            white = _applied(self._white, derivatives)
             for place, trial in enumerate(range(n_trials)[trials]):
-                rows = self._left(_rows(white[:, place]))
+                rows = self._left(applied_rows(self._white, derivatives[:, place]))
                 slopes[trial] = rows @ residual[trial]
                 informations[trial] = rows @ rows.T
         return Normal(float(np.sum(residual**2)), slopes, informations)
@@ -300,7 +300,7 @@ class Likelihood:
         The white residual is regressed on what a change of P, the same all over the band, would add. Each regression
         has as many real parameters as P has numbers: eight.
         """
-        residual = _complex(self._white_rows(values), self._observed.shape)
+        residual = complex_values(self._white_rows(values), self._observed.shape)
         changes = np.einsum("aof,tif->tafoi", self._white * self._filter[self._answering], self._force)
         frequency, left = self._frequency[self._answering], []
         for band in self._bands:
@@ -336,7 +336,7 @@ class PeriodLikelihood(Likelihood):
         self._load = force[..., excited] * self._filter[excited]
 
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
-        return _applied(self._answer(values), self._load[trials])
+        return applied(self._answer(values), self._load[trials])
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
         for trial, derivatives in enumerate(self._answer.driven_slopes(values, mixing, self._load)):
@@ -404,47 +404,20 @@ class RecordLikelihood(Likelihood):
     def _cut(self, spectrum: ComplexArray) -> ComplexArray:
         """The same of signals (..., axis) that are given by their DFT over the padded time."""
         if spectrum.ndim > 2 and spectrum[..., 0].size * self._n_padded > LONGEST_SIGNALS:
-            return np.array([self._cut(part) for part in spectrum])
+            shape = (*spectrum.shape[1:-1], len(self._frequency))
+            return np.fromiter(map(self._cut, spectrum), (complex, shape), len(spectrum))
         return self._spectrum(fft.irfft(spectrum, self._n_padded, axis=-1))
 
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
-        return self._cut(_applied(self._model(values), self._load[trials]))
+        return self._cut(applied(self._model(values), self._load[trials]))
 
     def _unknowns(self, values: Array) -> ComplexArray | None:
         if self._past is None:
             return None
-        total = self._model(values)
-        moved = [self._cut(total[:, axis] * self._past[:, None]) for axis in range(2)]
+        moved = [self._cut(toward * self._past[:, None]) for toward in self._model(values).swapaxes(0, 1)]
         offsets = self._drift[:, None, None] * np.eye(2)[..., None]
         return np.concatenate([*moved, offsets.reshape(-1, 2, offsets.shape[-1])])
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
         for trial, driven in enumerate(self._model.driven_slopes(values, mixing, self._load)):
             yield slice(trial, trial + 1), self._cut(driven)[:, None]
-
-
-def _applied(matrix: ComplexArray, values: ComplexArray) -> ComplexArray:
-    """Matrices (axis, axis, frequency) times vectors (..., axis, frequency)."""
-    first, second = values[..., 0, :], values[..., 1, :]
-    return np.stack(
-        [matrix[0, 0] * first + matrix[0, 1] * second, matrix[1, 0] * first + matrix[1, 1] * second], axis=-2
-    )
-
-
-def _rows(values: ComplexArray) -> Array:
-    """Real then imaginary parts of the last two axes as one, (..., number)."""
-    flat = values.reshape(*values.shape[:-2], -1)
-    return np.concatenate([flat.real, flat.imag], axis=-1)
-
-
-def _complex(rows: Array, shape: tuple[int, ...]) -> ComplexArray:
-    """What `_rows` was made from."""
-    real, imaginary = np.split(rows, 2, axis=-1)
-    return np.asarray((real + 1j * imaginary).reshape(shape))
-
-
-def _orthonormal(values: ComplexArray) -> Array:
-    """Orthonormal rows that span the rows of what is unknown, (at most column, number)."""
-    rows = _rows(values)
-    _, size, basis = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True), full_matrices=False)
-    return np.asarray(basis[size > 1e-9 * size[0]])
