@@ -118,6 +118,8 @@ class Identify(Command):
         structure = None if self.model in ("nonlinear", "joint") else self._structure()
         if self.emg_delay != (0.0, 0.0) and not self.emg:
             raise ValueError(f"identify: emg_delay = {self.emg_delay!r} without EMG; expected it with --emg only")
+        if self.emg and self.estimator == "thesis":
+            raise ValueError("identify: EMG with estimator = 'thesis'; expected --estimator record or frequency")
         recordings, notes = select_trials(
             self.recordings, self.sidecar, self.subject, self.condition, single_condition=self.model == "joint"
         )

@@ -111,8 +111,8 @@ class EmgLikelihood(Whittle):
     def bounds(self) -> dict[str, tuple[float, float]]:
         """Of the parameters beyond those of the arm."""
         half = 10.0 * self._delay.sd
-        own = {DELAY_NAME: (self._delay.mean - half, self._delay.mean + half)} if half else {}
-        return {name: own.get(name, (0.0, LARGEST_GAIN)) for name in self.names}
+        of_delay = {DELAY_NAME: (self._delay.mean - half, self._delay.mean + half)} if half else {}
+        return {name: of_delay.get(name, (0.0, LARGEST_GAIN)) for name in self.names}
 
     @property
     def prior(self) -> dict[str, tuple[float, float]]:
@@ -124,11 +124,11 @@ class EmgLikelihood(Whittle):
         seen = self._seen(np.append(arm, self._delay.mean))
         values = np.zeros(len(self.names))
         for output in range(self._n_outputs):
-            own = [k for k, (of, _) in enumerate(self._gains) if of == output]
-            columns = np.array([seen[:, self._gains[k][1]].ravel() for k in own])
+            its = [k for k, (of, _) in enumerate(self._gains) if of == output]
+            columns = np.array([seen[:, self._gains[k][1]].ravel() for k in its])
             gram = (columns @ columns.conj().T).real
             along = (columns.conj() @ self._observed[:, output].ravel()).real
-            values[own] = np.clip(np.linalg.lstsq(gram, along)[0], 0.0, LARGEST_GAIN)
+            values[its] = np.clip(np.linalg.lstsq(gram, along)[0], 0.0, LARGEST_GAIN)
         if self._delay.sd > 0.0:
             values[-1] = self._delay.mean
         return values

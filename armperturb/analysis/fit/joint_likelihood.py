@@ -91,8 +91,8 @@ class JointLikelihood:
     @staticmethod
     def _mixing_of(group: Group) -> Array:
         """Derivative of a likelihood's parameters by a group's columns and what EMG asks for beside them."""
-        own = np.eye(len(group.emg.names)) if group.emg else np.zeros((0, 0))
-        return linalg.block_diag(group.structure.mixing, own) if len(own) else group.structure.mixing
+        mixing = group.structure.mixing
+        return linalg.block_diag(mixing, np.eye(len(group.emg.names))) if group.emg else mixing
 
     def _of(self, at: int) -> list[int]:
         """Columns of a group and of its EMG, in the order of `_mixing_of`."""
