@@ -56,6 +56,13 @@ def person(name, seed, reflex="half-wave"):
     return replace(base, reflex=reflex, side=int(rng.choice([-1, 1])), **varied)
 
 
+def impedance(joint, frequency):
+    """Of a joint with a linear reflex, from angle to torque, (frequency,)."""
+    s, wn = 2j * np.pi * frequency, 2 * np.pi * joint.reflex_frequency
+    path = wn**2 / (s**2 + 2 * joint.reflex_damping_ratio * wn * s + wn**2) * np.exp(-s * joint.reflex_delay)
+    return joint.inertia * s**2 + joint.damping * s + joint.stiffness + joint.reflex_gain * s * path
+
+
 def coloured(rng, n, low, high, white=0.02):
     sections = signal.butter(1, [low, high], "bandpass", fs=RATE, output="sos")
     noise = signal.sosfilt(sections, rng.normal(size=n + 5 * RATE))[5 * RATE :]

@@ -155,12 +155,12 @@ def _linear(
     return float(np.sum((target - values[free] @ matrix) ** 2)), values
 
 
-def _covariance(likelihood: JointLikelihood, values: Array, free: Array) -> Array:
+def _covariance(likelihood: JointLikelihood, values: Array, free: NDArray[np.bool_]) -> Array:
     """Covariance of the errors of free parameters: of least squares, or of the equations of instruments."""
     instruments = likelihood.derivatives(values, likelihood.movement(values))[free].reshape(int(free.sum()), -1)
     information = instruments @ instruments.T
     if likelihood.signals.servo == "position":
-        return np.linalg.pinv(information, hermitian=True)
+        return np.asarray(np.linalg.pinv(information, hermitian=True))
     columns = likelihood.derivatives(values, likelihood.signals)[free].reshape(int(free.sum()), -1)
     scale = _sizes(instruments)
     inverse = np.linalg.pinv((instruments @ columns.T) / np.outer(scale, scale)) / np.outer(scale, scale)
