@@ -24,7 +24,7 @@ from armperturb.convert.sidecar import BODIES, FIRST, OPEN, REQUIRED_LABELS, Dia
 from armperturb.convert.tables import TABLES, Repair
 from armperturb.convert.units import UNITS
 from armperturb.environment import Environment
-from armperturb.files import written_whole
+from armperturb.files import write_whole
 from armperturb.recording import REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES
 from armperturb.subject import POSITION
 from armperturb.validation import require_one_of
@@ -87,8 +87,7 @@ def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: floa
     content, guessed = _guess(path, columns, dialect, rate)
     notes = _settled(path, target, content, guessed, columns)
     content["guessed"] = guessed
-    with written_whole(target) as part:
-        part.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_whole(target, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
     marked = []
     for field, text in guessed.items():
         value: Any = reduce(getitem, field.split("."), content)
