@@ -1,4 +1,4 @@
-"""Vectors of two axes at each frequency, and the rows of real numbers that least squares take of them."""
+"""Vectors at each frequency, and the rows of real numbers that least squares make of them."""
 
 import numpy as np
 
@@ -9,17 +9,19 @@ CACHED = 2**12
 
 
 def applied(matrix: ComplexArray, values: ComplexArray) -> ComplexArray:
-    """Matrices (axis, axis, frequency) times vectors (..., axis, frequency)."""
-    product = np.empty(values.shape, dtype=complex)
-    for row, out in zip(matrix, np.moveaxis(product, -2, 0), strict=True):
-        np.multiply(row[0], values[..., 0, :], out=out)
-        out += row[1] * values[..., 1, :]
+    """Matrices (row, column, frequency) times vectors (..., column, frequency)."""
+    product = np.empty((*values.shape[:-2], len(matrix), values.shape[-1]), dtype=complex)
+    parts = np.moveaxis(values, -2, 0)
+    for of_row, out in zip(matrix, np.moveaxis(product, -2, 0), strict=True):
+        np.multiply(of_row[0], parts[0], out=out)
+        for factor, part in zip(of_row[1:], parts[1:], strict=True):
+            out += factor * part
     return product
 
 
 def applied_rows(matrix: ComplexArray, values: ComplexArray) -> Array:
     """Real then imaginary parts of what `applied` gives, its last two axes as one, (..., number)."""
-    rows = np.empty((*values.shape[:-2], 2, *values.shape[-2:]))
+    rows = np.empty((*values.shape[:-2], 2, len(matrix), values.shape[-1]))
     for start in range(0, values.shape[-1], CACHED):
         run = slice(start, start + CACHED)
         product = applied(matrix[..., run], values[..., run])
@@ -28,7 +30,7 @@ def applied_rows(matrix: ComplexArray, values: ComplexArray) -> Array:
 
 
 def complex_values(rows: Array, shape: tuple[int, ...]) -> ComplexArray:
-    """What `applied_rows` gives, as complex numbers of a shape (..., axis, frequency)."""
+    """What `applied_rows` gives, as complex numbers of a shape (..., row, frequency)."""
     real, imaginary = np.split(rows, 2, axis=-1)
     return np.asarray((real + 1j * imaginary).reshape(shape))
 
