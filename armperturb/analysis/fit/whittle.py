@@ -172,7 +172,8 @@ class Whittle:
         floor = self._least + ROUND_OFF * np.trace(smooth, axis1=1, axis2=2).real
         root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(n))
         # Real and imaginary part of the residual have half its power each.
-        self._white = np.moveaxis(np.sqrt(2.0) * np.linalg.solve(root, np.moveaxis(answers, -1, 0)), 0, -1)
+        white = np.sqrt(2.0) * np.linalg.solve(root, np.moveaxis(answers, -1, 0))
+        self._white = np.ascontiguousarray(np.moveaxis(white, 0, -1))
         if self._unknown is not None:
             self._span = orthonormal(applied_rows(self._white, self._unknown))
 
