@@ -58,7 +58,7 @@ ARROWS = {
     "analysis.response": ARM,
     "analysis.measures": ARM,
     "analysis.fit": ARM | {"analysis.response", "analysis.measures"},
-    "analysis.varying": ARM,
+    "analysis.varying": ARM | {"analysis.fit", "analysis.joint"},
     "analysis.joint": ARM | {"analysis.fit"},
     "analysis.page": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.joint", "pages"},
     "analysis.emg": ARM | {"analysis.measures", "analysis.response"},

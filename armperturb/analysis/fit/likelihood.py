@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft, linalg, stats
 
-from armperturb.analysis.fit.frequency_bands import EXCITED_POWER, BandOfLack, Smoother, excited_bands
+from armperturb.analysis.fit.frequency_bands import EXCITED_POWER, BandOfLack, Smoother, excited_bands, real_rows
 from armperturb.analysis.fit.total_admittance import LONGEST_RUN, TotalAdmittance
 from armperturb.arrays import Array, ComplexArray, Indices
 from armperturb.environment import Environment
@@ -249,7 +249,7 @@ class Likelihood:
         if self._unknown is None:
             return residual
         white = self._white if self._white.any() else np.eye(2, dtype=complex)[..., None] + 0 * self._white
-        columns, rows = _rows(_applied(white, self._unknown)), _rows(_applied(white, residual))
+        columns, rows = real_rows(_applied(white, self._unknown)), real_rows(_applied(white, residual))
         amounts = np.asarray(linalg.lstsq(columns.T, rows.T, cond=1e-9)[0])
         return np.asarray(residual - np.einsum("ct,caf->taf", amounts, self._unknown))
 
@@ -259,7 +259,7 @@ class Likelihood:
 
     def _white_rows(self, values: Array) -> Array:
         """The white residual of each trial, real then imaginary parts, (trial, number)."""
-        return self._left(_rows(_applied(self._white, self._residual(values))))
+        return self._left(real_rows(_applied(self._white, self._residual(values))))
 
     def objective(self, values: Array) -> float:
         """Minus twice the log likelihood, but for a constant, the noise being that which the arm leaves [-]."""
@@ -284,7 +284,7 @@ class Likelihood:
         for trials, derivatives in (self._quick_slopes if quick else self._slopes)(mean, mixing):
             white = _applied(self._white, derivatives)
             for place, trial in enumerate(range(n_trials)[trials]):
-                rows = self._left(_rows(white[:, place]))
+                rows = self._left(real_rows(white[:, place]))
                 slopes[trial] = rows @ residual[trial]
                 informations[trial] = rows @ rows.T
         return Normal(float(np.sum(residual**2)), slopes, informations)
@@ -431,20 +431,14 @@ def _applied(matrix: ComplexArray, values: ComplexArray) -> ComplexArray:
     )
 
 
-def _rows(values: ComplexArray) -> Array:
-    """Real then imaginary parts of the last two axes as one, (..., number)."""
-    flat = values.reshape(*values.shape[:-2], -1)
-    return np.concatenate([flat.real, flat.imag], axis=-1)
-
-
 def _complex(rows: Array, shape: tuple[int, ...]) -> ComplexArray:
-    """What `_rows` was made from."""
+    """What `real_rows` was made from."""
     real, imaginary = np.split(rows, 2, axis=-1)
     return np.asarray((real + 1j * imaginary).reshape(shape))
 
 
 def _orthonormal(values: ComplexArray) -> Array:
     """Orthonormal rows that span the rows of what is unknown, (at most column, number)."""
-    rows = _rows(values)
+    rows = real_rows(values)
     _, size, basis = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True), full_matrices=False)
     return np.asarray(basis[size > 1e-9 * size[0]])
