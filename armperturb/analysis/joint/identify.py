@@ -25,8 +25,11 @@ if TYPE_CHECKING:
 PROFILE = 0.03
 """Farthest delay of the profile from the estimate [s]."""
 
-N_PROFILE = 13
+N_PROFILE = 15
 """Delays of the profile."""
+
+SHORTEST_DELAY = 0.005
+"""Shortest delay of the profile [s]."""
 
 EVIDENCE = CLOSE
 """What is added to the score of a reflex [-]: delay and dynamics of a path that is not there fit any noise a little."""
@@ -323,7 +326,9 @@ def _profile(best: JointEstimate, signals: JointSignals, loop: Loop | None) -> A
     if best.structure.reflex == "none" or loop is not None:
         return np.empty((2, 0))
     delay = best.values[best.structure.parameters.index("reflex_delay")]
-    delays = np.linspace(max(delay - PROFILE, 0.005), delay + PROFILE, N_PROFILE)
+    # Densest at the estimate: the fall there is a matter of tenths of a millisecond, or of ten.
+    delays = delay + PROFILE * np.linspace(-1.0, 1.0, N_PROFILE) ** 3
+    delays = delays[delays >= SHORTEST_DELAY]
     objectives = delay_profile(best, signals, loop, delays)
     return np.stack([delays, objectives - objectives.min()])
 
