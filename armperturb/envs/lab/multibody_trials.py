@@ -17,8 +17,8 @@ from armperturb.planar_arm.lanes import GROUP
 from armperturb.subject import Subject
 
 REFINEMENTS = (1, 2, 4)
-"""Parts into which the step of a trial is cut, one number after the other, until it can be integrated. An arm whose
-reflexes have set it swinging may stretch its elbow, whose snap through the singular posture is too fast for one step."""
+"""Parts into which the step of a trial is cut, one number after the other, until it can be integrated. An arm that its
+reflexes swing may stretch its elbow, whose snap through the singular posture is too fast for one step."""
 
 LEAP = 10.0
 """Displacement over the workspace limit [-] to which only an arm that diverges gets within a sample."""
