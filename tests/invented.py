@@ -98,7 +98,7 @@ def identified(condition, name, path, rng):
     arm = rng.uniform(1e-3, 1e-2, (18, 2, 2)) * np.exp(1j * rng.uniform(-1.0, 1.0, (18, 2, 2)))
     found = SimpleNamespace(
         spectra=SimpleNamespace(frequency=FREQUENCY, arm=arm),
-        fit=SimpleNamespace(arm=POSITION, structure="3b", values={"m_tot": 4.0}, stable=False),
+        fit=SimpleNamespace(arm=POSITION, structure="3b", values={"m_tot": 4.0}, standard_error={}, stable=False),
         environment=Environment(),
     )
     single = SimpleNamespace(frequency=FREQUENCY, arm=arm, coherence=np.full((18, 2), 0.8))

@@ -13,13 +13,12 @@ from armperturb.arrays import Array, ComplexArray
 from armperturb.plots.panels import (
     AXES,
     HEIGHT,
-    PHASES,
     Element,
     admittance_panels,
     label_frequency,
     legend,
     plot_admittance,
-    within_turn,
+    unwrapped,
 )
 from armperturb.plots.style import COLOURS, GREY, INK, figure_for, in_style
 
@@ -37,6 +36,7 @@ class Curve(NamedTuple):
       bands: lowest and highest gain [m/N], and lowest and highest phase [rad], each (frequency, output, input); None if
         they are not known.
       look: of the line, as Matplotlib has it.
+      near: frequencies [Hz] and a response in whose turn its phases are drawn, as of `plot_admittance`.
     """
 
     label: str
@@ -44,6 +44,11 @@ class Curve(NamedTuple):
     response: ComplexArray
     bands: tuple[Array, Array, Array, Array] | None = None
     look: Mapping[str, Any] = POINTS
+    near: tuple[Array, ComplexArray] | None = None
+
+    def phase(self, at: tuple[slice, int, int]) -> Array:
+        """Phase of an element as it is drawn [degree], (frequency,)."""
+        return unwrapped(self.response[at], self.frequency, self.near and (self.near[0], self.near[1][at]))
 
 
 @in_style()
@@ -63,7 +68,7 @@ def plot_responses(curves: Sequence[Curve], meaning: str = "95% of each element"
     for curve in curves:
         look = dict(curve.look)
         draw_bands(panels, curve, {"color": _shade(look["color"]), "alpha": 0.4, "lw": 0})
-        plot_admittance(panels, curve.frequency, curve.response, **look)
+        plot_admittance(panels, curve.frequency, curve.response, curve.near, **look)
         handles.append(Line2D([], [], label=curve.label, **look))
     colours = {curve.look["color"] for curve in curves if curve.bands is not None}
     if colours:
@@ -87,19 +92,13 @@ def draw_bands(panels: Mapping[Element, tuple[Axes, Axes]], curve: Curve, shade:
         _draw_limits(panels, curve, shade["color"])
         return
     for element, (gain_ax, phase_ax) in panels.items():
-        at = (slice(None), *element)
+        at: tuple[slice, int, int] = (slice(None), *element)
         # A logarithmic axis has no zero.
         least = np.maximum(gain_low[at], 1e-2 * np.abs(curve.response[at]))
         gain_ax.fill_between(curve.frequency, least, gain_high[at], **shade)
-        # Bands go on where the line starts again at the other end of the axis.
-        angle = np.angle(curve.response[at])
-        whole = np.unwrap(angle)
-        low, high = (np.degrees(limit[at] + whole - angle) for limit in (phase_low, phase_high))
-        first, last = np.floor((PHASES[0] - high.max()) / 360.0), np.ceil((PHASES[1] - low.min()) / 360.0)
-        limits = phase_ax.get_ylim()
-        for turn in 360.0 * np.arange(first, last + 1):
-            phase_ax.fill_between(curve.frequency, low + turn, high + turn, **shade)
-        phase_ax.set_ylim(limits)
+        middle, angle = curve.phase(at), np.degrees(np.angle(curve.response[at]))
+        low, high = (np.degrees(limit[at]) + middle - angle for limit in (phase_low, phase_high))
+        phase_ax.fill_between(curve.frequency, low, high, **shade)
 
 
 def _draw_limits(panels: Mapping[Element, tuple[Axes, Axes]], curve: Curve, colour: str) -> None:
@@ -110,9 +109,9 @@ def _draw_limits(panels: Mapping[Element, tuple[Axes, Axes]], curve: Curve, colo
         at = (slice(None), *element)
         gain = np.abs(curve.response[at])
         gain_ax.vlines(curve.frequency, np.maximum(gain_low[at], 1e-2 * gain), gain_high[at], color=colour, lw=0.9)
-        frequency, middle = within_turn(curve.frequency, np.angle(curve.response[at]))
-        half = np.interp(frequency, curve.frequency, np.degrees(phase_high[at] - phase_low[at]) / 2.0)
-        phase_ax.vlines(frequency, middle - half, middle + half, color=colour, lw=0.9)
+        middle = curve.phase(at)
+        half = np.degrees(phase_high[at] - phase_low[at]) / 2.0
+        phase_ax.vlines(curve.frequency, middle - half, middle + half, color=colour, lw=0.9)
 
 
 @in_style()

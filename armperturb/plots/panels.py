@@ -1,5 +1,6 @@
 """What figures share: panels of an admittance, legends, ticks."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -25,7 +26,11 @@ HEIGHT = 7.9
 """Of a figure of an admittance's four elements [inch]."""
 
 PHASES = (-270.0, 90.0)
-"""The turn in which phases are drawn [degree]: springs, dampers and masses lie well inside, and so do negated ones."""
+"""The turn in which a phase begins [degree]: springs, dampers and masses lie well inside, and so do negated
+ones."""
+
+MOST_QUARTERS = 5
+"""Quarters of a turn that have a line each; beyond, halves have."""
 
 
 def admittance_panels(figure: Figure | None = None) -> tuple[Figure, dict[Element, tuple[Axes, Axes]]]:
@@ -65,29 +70,61 @@ def admittance_panels(figure: Figure | None = None) -> tuple[Figure, dict[Elemen
 
 
 def plot_admittance(
-    panels: Mapping[Element, tuple[Axes, Axes]], frequency: Array, admittance: ComplexArray, **look: Any
+    panels: Mapping[Element, tuple[Axes, Axes]],
+    frequency: Array,
+    admittance: ComplexArray,
+    near: tuple[Array, ComplexArray] | None = None,
+    **look: Any,
 ) -> None:
-    """Draw gain and phase of each element of (frequency, output, input)."""
+    """Draw gain and phase of each element.
+
+    Args:
+      panels: element to its axes, as `admittance_panels` makes them.
+      frequency: [Hz], (frequency,).
+      admittance: (frequency, output, input).
+      near: frequencies [Hz] and an admittance, in whose turn each phase is drawn; without it, phases are followed from
+        one frequency to the next.
+      **look: of the lines, as Matplotlib has it.
+    """
     for (output, input_), (gain_ax, phase_ax) in panels.items():
         element = admittance[:, output, input_]
         gain_ax.plot(frequency, np.abs(element), **look)
-        phase_ax.plot(*within_turn(frequency, np.angle(element)), **look)
+        phase = unwrapped(element, frequency, near and (near[0], near[1][:, output, input_]))
+        phase_ax.plot(frequency, phase, **look)
+        show_turns(phase_ax, phase)
 
 
-def within_turn(frequency: Array, phase: Array) -> list[Array]:
-    """Phases [rad] in degrees within `PHASES`, with a gap wherever they leave it on one side and return on the other.
+def unwrapped(
+    response: ComplexArray, frequency: Array | None = None, near: tuple[Array, ComplexArray] | None = None
+) -> Array:
+    """Phase without jumps [degree], which begins within `PHASES`.
 
     Args:
-      frequency: [Hz], (frequency,).
-      phase: [rad], (frequency,).
+      response: of one element, (frequency,).
+      frequency: [Hz], (frequency,); needed with `near`.
+      near: frequencies [Hz] and a response at them, from whose phase none is farther than half a turn: what is noisy
+        does not carry a wrong turn on to all higher frequencies.
 
     Returns:
-      Frequencies [Hz] and phases [degree], longer by the gaps.
+      (frequency,); where noise carries it more than a turn away, within `PHASES` and with jumps.
     """
-    low = PHASES[0]
-    wrapped = low + np.mod(np.degrees(phase) - low, 360.0)
-    jumps = np.flatnonzero(np.abs(np.diff(wrapped)) > 180.0) + 1
-    return [np.insert(values, jumps, np.nan) for values in (frequency, wrapped)]
+    if near is not None and frequency is not None:
+        # Between frequencies a phase goes on as over their logarithm.
+        middle = np.interp(np.log(frequency), np.log(near[0]), unwrapped(near[1]))
+        return np.asarray(middle + np.mod(np.degrees(np.angle(response)) - middle + 180.0, 360.0) - 180.0)
+    phase = np.degrees(np.unwrap(np.angle(response)))
+    phase -= 360.0 * math.floor((phase[0] - PHASES[0]) / 360.0)
+    if np.max(phase) > PHASES[1] + 360.0 or np.min(phase) < PHASES[0] - 360.0:
+        return np.asarray(PHASES[0] + np.mod(phase - PHASES[0], 360.0))
+    return phase
+
+
+def show_turns(ax: Axes, phase: Array) -> None:
+    """Widen an axis of phases by half turns, if these [degree] leave it."""
+    low, high = ax.get_ylim()
+    low, high = min(low, 90.0 * math.floor(np.min(phase) / 90.0)), max(high, 90.0 * math.ceil(np.max(phase) / 90.0))
+    ax.set_ylim(low, high)
+    ax.yaxis.set_major_locator(MultipleLocator(90.0 if high - low <= MOST_QUARTERS * 90.0 else 180.0))
 
 
 def label_frequency(ax: Axes, **text: Any) -> None:

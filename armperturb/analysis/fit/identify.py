@@ -174,15 +174,10 @@ class Identifications(Result, Mapping[str, Identification]):
             spectra = result.spectra
             dense = np.geomspace(spectra.frequency[0], spectra.frequency[-1], 200)
             points = {"color": colour, "marker": "o", "linestyle": "", "markersize": 3.5}
+            model, bands = arm_admittance(result.fit.arm, dense), result.fit.admittance_bands(dense)
             curves += [
-                Curve(f"{condition}, estimated", spectra.frequency, spectra.arm, None, points),
-                Curve(
-                    f"{condition}, model {result.fit.structure}",
-                    dense,
-                    arm_admittance(result.fit.arm, dense),
-                    result.fit.admittance_bands(dense),
-                    {"color": colour},
-                ),
+                Curve(f"{condition}, estimated", spectra.frequency, spectra.arm, None, points, (dense, model)),
+                Curve(f"{condition}, model {result.fit.structure}", dense, model, bands, {"color": colour}),
             ]
         return plot_responses(curves, figure=figure)
 

@@ -55,7 +55,7 @@ def admittance(results: Identifications, responses: Mapping[str, FrequencyRespon
         known = None if estimate.covariance is None else estimate.bands()
         model, bands = arm_admittance(result.fit.arm, dense), result.fit.admittance_bands(dense)
         curves += [
-            Curve(f"{label}, estimated", estimate.frequency, estimate.response, known, points),
+            Curve(f"{label}, estimated", estimate.frequency, estimate.response, known, points, (dense, model)),
             Curve(f"{label}, model", dense, model, bands, {"color": colour}),
         ]
     figure = new_figure(1.0)

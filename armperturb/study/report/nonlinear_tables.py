@@ -122,19 +122,23 @@ def nonlinear_summary_rows(of_parameters: list[Row]) -> list[Row]:
     return rows
 
 
-def left_out_pulses(study: StudyResult, task: str) -> dict[tuple[str, float], dict[str, list[tuple[float, float]]]]:
-    """Condition and level to each of `SHOWN_MODELS` to peak and VAF [%] of the pulses that it had not seen.
+LeftOut = tuple[str, float, float]
+"""Person, predicted over recorded peak, and VAF of a pulse [%]."""
+
+
+def left_out_pulses(study: StudyResult, task: str) -> dict[tuple[str, float], dict[str, list[LeftOut]]]:
+    """Condition and level to each of `SHOWN_MODELS` to the pulses that it had not seen.
 
     The linear and the skeletal model predict each trial by its own fit, and so need a multisine before the pulse.
     """
-    of_pulse: dict[tuple[str, float], dict[str, list[tuple[float, float]]]] = {}
+    of_pulse: dict[tuple[str, float], dict[str, list[LeftOut]]] = {}
     for fit in (*fitted(study, task, pulses=False), *fitted(study, task, pulses=True)):
         for pulse in fit.pulses:
             of_model = of_pulse.setdefault((pulse.condition, pulse.level), {model: [] for model in SHOWN_MODELS})
             for model, peak in pulse.peak.items():
                 if model == "nonlinear" or not fit.fitted_deg:
                     name = SEES_OTHERS if fit.fitted_deg else model
-                    of_model[name].append((peak, pulse.vaf[model]))
+                    of_model[name].append((fit.name, peak, pulse.vaf[model]))
     order = [condition.name for condition in study.protocol.conditions]
     order += [condition for condition, _ in of_pulse if condition not in order]
     return {key: of_pulse[key] for key in sorted(of_pulse, key=lambda key: (order.index(key[0]), key[1]))}
@@ -147,7 +151,7 @@ def nonlinear_pulse_rows(study: StudyResult) -> list[Row]:
         for (condition, level), of_model in left_out_pulses(study, task).items():
             for model, shares in of_model.items():
                 if shares:
-                    peak, vaf = np.transpose(shares)
+                    peak, vaf = np.array([numbers for _, *numbers in shares]).T
                     rows.append(
                         {
                             "task": task,

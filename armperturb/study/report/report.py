@@ -6,7 +6,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from armperturb.files import write_csv, written_whole
+from armperturb.files import write_csv, write_whole, written_together
 from armperturb.pages.page import Picture, rendered, versions
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.progress import Progress
@@ -75,10 +75,10 @@ def write_report(
         with Progress("figures", total=len(draws), unit="figures", show=show_progress) as bar:
             drawn = dict(zip(draws, kept_or_computed(picture_units(draws, out), pool, bar), strict=True))
     (out / "figures").mkdir(exist_ok=True)
-    for name, picture in drawn.items():
-        if isinstance(picture, Picture):
-            with written_whole(out / "figures" / f"{name}.svg") as temporary:
-                temporary.write_text(picture.svg, encoding="utf-8", newline="")
+    pictures = {out / "figures" / f"{name}.svg": each for name, each in drawn.items() if isinstance(each, Picture)}
+    with written_together(pictures) as temporary:
+        for path, picture in zip(temporary, pictures.values(), strict=True):
+            path.write_text(picture.svg, encoding="utf-8", newline="")
     more = {
         "findings": finding_rows(findings(study)),
         "pulse_excess": excess_rows(study),
@@ -95,8 +95,7 @@ def write_report(
     parts = sections(study, scored, tested, rows, yielding, shoulder, drawn)
     page = _page(study, parts, drawn)
     report = out / "report.html"
-    with written_whole(report) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_whole(report, page)
     return report
 
 
@@ -131,6 +130,8 @@ def _page(study: StudyResult, parts: Mapping[str, Mapping[str, Any]], drawn: Map
         WORDS["sections"],
         drawn,
         study=study,
+        people=f"{len(study.names)} {'person' if len(study.names) == 1 else 'people'}",
+        first=next(iter(study.recordings), ""),
         main={task: study.of(condition.name)[0] for task, condition in main_conditions(study).items()},
         tasks=by_task(study),
         multisine={"period": PERIOD, "lines": CLUSTERS.size, "clusters": len(CLUSTERS)},

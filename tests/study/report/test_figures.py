@@ -2,11 +2,13 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from invented import FREQUENCY, LEVELS, SPRINGS, fitted, people_of, study_of
-from matplotlib.container import BarContainer, ErrorbarContainer
+from invented import FEEDBACK, FREQUENCY, LEVELS, SPRINGS, fitted, people_of, study_of
+from matplotlib.container import ErrorbarContainer
+from scipy import stats
 
 from armperturb.analysis.arm.state_space import simulate_linear
 from armperturb.analysis.fit.thesis import ThesisEstimate
@@ -14,7 +16,7 @@ from armperturb.analysis.measures.kinematics import hand_position
 from armperturb.cohort import average_person
 from armperturb.environment import Environment
 from armperturb.perturbations import Pulse
-from armperturb.plots.style import COLOURS, INK, PUBLISHED, SKELETAL, TRUE
+from armperturb.plots.style import COLOURS, GREY, INK, PUBLISHED, SKELETAL, TRUE
 from armperturb.recording import make_recording
 from armperturb.recording_files import save_recording
 from armperturb.study.comparison.effects import AdmittanceEffect, Effects
@@ -29,6 +31,7 @@ from armperturb.study.report.figures import rig as rig_figures
 from armperturb.study.report.figures import trajectories as trajectory_figures
 from armperturb.study.report.figures.axes import STARS
 from armperturb.study.report.figures.catalogue import drawings
+from armperturb.study.report.figures.people import PERSON
 from armperturb.subject import POSITION, RELAX
 
 RATE = 200.0
@@ -46,12 +49,6 @@ def invented(people):
     return study_of(people)
 
 
-def bars(ax):
-    """Heights of the bars, from left to right."""
-    found = [patch for box in ax.containers if isinstance(box, BarContainer) for patch in box]
-    return [patch.get_height() for patch in sorted(found, key=lambda patch: patch.get_x())]
-
-
 def whiskers(ax, colour):
     """Mean and half-length of the whiskers of a colour, from left to right; NaN for those without a length."""
     found = []
@@ -63,29 +60,64 @@ def whiskers(ax, colour):
     return [(mean, half) for _, mean, half in sorted(found)]
 
 
-def mean_sd(values):
-    return np.mean(values), np.std(values, ddof=1)
+def interval(values):
+    """Mean over people and half of its 95 % interval."""
+    low, high = stats.t.interval(0.95, len(values) - 1, np.mean(values), stats.sem(values))
+    return (low + high) / 2, (high - low) / 2
+
+
+def points(ax, marker):
+    """Heights of the points of people, from left to right."""
+    drawn = [line for line in ax.lines if line.get_marker() == marker and line.get_linestyle() == "None"]
+    found = [
+        point
+        for line in drawn
+        if line.get_color() != INK or line.get_alpha()
+        for point in zip(*line.get_data(), strict=True)
+    ]
+    return [y for _, y in sorted(found)]
+
+
+def joined(ax):
+    """Heights of the lines within people: one list per person and series."""
+    (lines,) = zip(
+        *[
+            (line.get_ydata(),)
+            for line in ax.lines
+            if line.get_linewidth() == PERSON["linewidth"] and line.get_linestyle() == "-"
+        ],
+        strict=True,
+    )
+    return [part[:-1].tolist() for y in lines for part in np.split(y, np.flatnonzero(np.isnan(y)) + 1) if len(part)]
+
+
+def means_of(study, condition, level, quantity):
+    """Each person's mean over the trials of a condition and level whose quantity is finite."""
+    values = [
+        [quantity(t) for t in one.trials if t.condition == condition and abs(t.pulse_level) == level]
+        for one in study.people
+    ]
+    return [np.mean([value for value in mine if np.isfinite(value)]) for mine in values]
 
 
 def texts(ax):
     return [text.get_text() for text in ax.texts if text.get_text()]
 
 
-def test_peak_displacements_are_means_over_people_beside_table_2_1(invented):
+def test_peak_displacements_are_of_people_beside_table_2_1(invented):
     position, relax = pulse_figures.peak_displacement(invented).axes
-    expected = []
-    for condition, levels in LEVELS.items():
-        for level in levels:
-            of_people = [
-                np.mean(
-                    [t.displacement for t in one.trials if t.condition == condition and abs(t.pulse_level) == level]
-                )
-                for one in invented.people
-            ]
-            expected.append(mean_sd(100.0 * np.array(of_people)))
-    assert bars(position) + bars(relax) == pytest.approx([mean for mean, _ in expected])
+    of_people = {
+        (condition, level): [100.0 * value for value in means_of(invented, condition, level, lambda t: t.displacement)]
+        for condition, levels in LEVELS.items()
+        for level in levels
+    }
     drawn = np.array(whiskers(position, INK) + whiskers(relax, INK))
-    assert drawn == pytest.approx(np.array(expected))
+    assert drawn == pytest.approx(np.array([interval(values) for values in of_people.values()]))
+    largest = {name: values for (name, level), values in of_people.items() if name.startswith("PT") and level == 2.0}
+    for k, line in enumerate(sorted(line for line in joined(position) if len(line) == 4)):
+        assert line == pytest.approx(sorted([values[i] for values in largest.values()] for i in range(3))[k])
+    smallest = [value for (name, level), values in of_people.items() if name == "RT0" for value in sorted(values)]
+    assert points(relax, "o")[:3] == pytest.approx(smallest)
     printed = np.array(whiskers(position, PUBLISHED["color"]) + whiskers(relax, PUBLISHED["color"]))
     # Table 2.1 [cm].
     means = [6.20, 13.85, 10.40, 4.78, 9.14, 9.70, 19.38, 19.84, 20.76, 25.01]
@@ -94,17 +126,10 @@ def test_peak_displacements_are_means_over_people_beside_table_2_1(invented):
     assert [label.get_text() for label in position.get_xticklabels()] == ["PT0", "PT2.5", "PT7.5", "PT22.5"]
 
 
-def test_pulse_admittances_are_means_over_trials_with_the_ratio_of_levels(invented):
+def test_pulse_admittances_are_of_people_with_the_ratio_of_levels(invented):
     position, relax = pulse_figures.pulse_admittance(invented, {"PT0": 0.009, "PT7.5": 0.2}).axes
     expected = {
-        (condition, level): mean_sd(
-            [
-                1e3 * t.displacement / t.force
-                for one in invented.people
-                for t in one.trials
-                if t.condition == condition and abs(t.pulse_level) == level
-            ]
-        )
+        (condition, level): interval(means_of(invented, condition, level, lambda t: 1e3 * t.displacement / t.force))
         for condition, levels in LEVELS.items()
         for level in levels
     }
@@ -123,15 +148,12 @@ def test_predictions_leave_out_trials_without_one(invented):
     expected = []
     for condition, levels in LEVELS.items():
         for level in levels if not condition.endswith("T0") else ():
-            trials = [
-                t
-                for one in invented.people
-                for t in one.trials
-                if t.condition == condition and abs(t.pulse_level) == level and np.isfinite(t.predicted_linear)
-            ]
-            expected += [100 * np.mean([t.predicted_linear / t.displacement for t in trials])]
-            expected += [100 * np.mean([t.predicted_skeletal / t.displacement for t in trials])]
-    assert bars(position) + bars(relax) == pytest.approx(expected)
+            for model in ("linear", "skeletal"):
+                shares = means_of(
+                    invented, condition, level, lambda t, m=model: 100 * getattr(t, f"predicted_{m}") / t.displacement
+                )
+                expected.append(interval(shares))
+    assert np.array(whiskers(position, INK) + whiskers(relax, INK)) == pytest.approx(np.array(expected))
     assert [label.get_text() for label in relax.get_xticklabels()] == ["RT2.5\nmin", "RT7.5\nmin", "RT22.5\nmin"]
 
 
@@ -141,12 +163,14 @@ def test_vaf_counts_trials_that_are_positive_along_both_axes(invented):
         expected = []
         for condition in (name for name in LEVELS if not name.endswith("T0")):
             for model in ("vaf_linear", "vaf_skeletal"):
-                vaf = np.array(
-                    [getattr(t, model) for one in invented.people for t in one.trials if t.condition == condition]
-                )
-                expected.append(mean_sd(vaf[(vaf > 0).all(axis=1)][:, axis]))
+                of_people = []
+                for one in invented.people:
+                    vaf = np.array([getattr(t, model) for t in one.trials if t.condition == condition])
+                    if (positive := (vaf > 0).all(axis=1)).any():
+                        of_people.append(vaf[positive][:, axis].mean())
+                expected.append(interval(of_people) if len(of_people) > 1 else (of_people[0], math.nan))
         drawn = [heights for ax in row for heights in whiskers(ax, INK)]
-        assert np.array(drawn) == pytest.approx(np.array(expected))
+        assert np.array(drawn) == pytest.approx(np.array(expected), nan_ok=True)
         printed = [mean for ax in row for mean, _ in whiskers(ax, PUBLISHED["color"])]
         assert printed == pytest.approx(
             [
@@ -163,27 +187,47 @@ def test_vaf_counts_trials_that_are_positive_along_both_axes(invented):
         )
 
 
-def of_people(study, condition, value):
-    """Mean and SD over people of means over stable trials."""
-    means = [np.mean([value(fit) for fit in one.estimates[condition].fits if fit.stable]) for one in study.people]
-    return mean_sd(means)
+def of_people(study, condition, value, average=interval):
+    """Mean over people and half its interval, of means over stable trials."""
+    return average(
+        [np.mean([value(fit) for fit in one.estimates[condition].fits if fit.stable]) for one in study.people]
+    )
+
+
+@pytest.fixture(scope="module")
+def likely(invented):
+    """The same people, with maximum likelihood estimates of all joint parameters."""
+    rng = np.random.default_rng(2)
+
+    def estimated(case):
+        names = SPRINGS + (FEEDBACK if case.condition.task == "PT" else ())
+        numbers = {
+            kind: dict(zip(names, rng.uniform(1, 100, len(names)), strict=True)) for kind in ("values", "errors")
+        }
+        fit = SimpleNamespace(values=numbers["values"], standard_error=numbers["errors"])
+        return replace(case, identification=SimpleNamespace(**{**vars(case.identification), "fit": fit}))
+
+    return replace(invented, cases=tuple(map(estimated, invented.cases)))
 
 
 @pytest.mark.slow(reason="draws figures")
-def test_joint_parameters_are_means_over_people_of_stable_trials(invented):
+def test_joint_parameters_are_by_both_estimators(likely):
     p = {"k_s": 0.002, "kv_se": 0.03, "kp_e": 0.3}
-    panels = np.array(parameter_figures.joint_parameters(invented, "PT", p).axes).reshape(4, 2)
-    conditions = ("PT2.5", "PT7.5", "PT22.5")
+    panels = np.array(parameter_figures.joint_parameters(likely, "PT", p).axes).reshape(4, 2)
+    places = [(joint, condition) for joint in ("s", "se", "e") for condition in ("PT2.5", "PT7.5", "PT22.5")]
     for row, quantity in zip(panels, ("b", "k", "kv", "kp"), strict=True):
-        for ax, kind in zip(row, ("values", "sem"), strict=True):
-            expected = [
-                of_people(
-                    invented, condition, lambda fit, name=f"{quantity}_{joint}", kind=kind: getattr(fit, kind)[name]
-                )
-                for joint in ("s", "se", "e")
-                for condition in conditions
-            ]
-            assert np.array(whiskers(ax, INK)) == pytest.approx(np.array(expected))
+        names = [(f"{quantity}_{joint}", condition) for joint, condition in places]
+        estimates = [[case.identified.fit.values[name] for case in likely.of(condition)] for name, condition in names]
+        assert np.array(whiskers(row[0], INK)) == pytest.approx(np.array(list(map(interval, estimates))))
+        of_thesis = [of_people(likely, condition, lambda fit, name=name: fit.values[name]) for name, condition in names]
+        assert np.array(whiskers(row[0], GREY)) == pytest.approx(np.array(of_thesis))
+        # Standard errors have geometric means.
+        for colour, errors in (
+            (INK, [[case.identified.fit.standard_error[name] for case in likely.of(c)] for name, c in names]),
+            (GREY, [of_people(likely, c, lambda fit, name=name: fit.sem[name], list) for name, c in names]),
+        ):
+            drawn = [mean for mean, _ in whiskers(row[1], colour)]
+            assert drawn == pytest.approx([stats.gmean(values) for values in errors])
     # Tables E.3 and E.4, vartheta_i5 [Nm/rad].
     assert whiskers(panels[1, 0], PUBLISHED["color"])[0] == pytest.approx((161.4, 42.2))
     assert whiskers(panels[3, 1], PUBLISHED["color"])[0] == pytest.approx((284.9, 53.1))
@@ -191,24 +235,27 @@ def test_joint_parameters_are_means_over_people_of_stable_trials(invented):
     assert not any(texts(ax) for ax in panels[:, 1])
 
 
-def test_one_joint_muscles_are_joints_less_the_two_joint_muscles(invented):
-    figure = parameter_figures.muscle_parameters(invented, {"RT": {"k_e*": 0.001, "k_e": 0.02, "k_s": 0.02}})
+def test_one_joint_muscles_are_joints_less_the_two_joint_muscles(likely):
+    figure = parameter_figures.muscle_parameters(likely, {"RT": {"k_e*": 0.001, "k_e": 0.02, "k_s": 0.02}})
     position, relax = np.array(figure.axes).reshape(4, 2).T
     for axes, conditions, quantities in (
         (position, ("PT2.5", "PT7.5", "PT22.5"), ("b", "k", "kv", "kp")),
         (relax, ("RT2.5", "RT7.5", "RT22.5"), ("b", "k")),
     ):
         for ax, q in zip(axes, quantities, strict=False):
-            expected = [
-                of_people(invented, condition, value)
-                for value in (
-                    lambda fit, q=q: fit.values[f"{q}_s"] - fit.values[f"{q}_se"],
-                    lambda fit, q=q: fit.values[f"{q}_se"],
-                    lambda fit, q=q: fit.values[f"{q}_e"] - fit.values[f"{q}_se"],
-                )
+            values = (
+                lambda fit, q=q: fit.values[f"{q}_s"] - fit.values[f"{q}_se"],
+                lambda fit, q=q: fit.values[f"{q}_se"],
+                lambda fit, q=q: fit.values[f"{q}_e"] - fit.values[f"{q}_se"],
+            )
+            of_thesis = [of_people(likely, condition, value) for value in values for condition in conditions]
+            assert np.array(whiskers(ax, GREY)) == pytest.approx(np.array(of_thesis))
+            likeliest = [
+                interval([value(case.identified.fit) for case in likely.of(condition)])
+                for value in values
                 for condition in conditions
             ]
-            assert np.array(whiskers(ax, INK)) == pytest.approx(np.array(expected))
+            assert np.array(whiskers(ax, INK)) == pytest.approx(np.array(likeliest))
     assert [ax.get_visible() for ax in relax] == [True, True, False, False]
     # Table C.16, model 1: means of k_s and k_se are known, but not the SD of their difference.
     k_s, k_se = (published.estimate(name, "C.16", model="1") for name in ("k_s", "k_se"))

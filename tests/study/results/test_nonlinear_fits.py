@@ -283,7 +283,7 @@ def test_figures_show_the_shares_and_the_first_persons_paths():
     )
     assert nonlinear_figures.drawn_pulses(study, "RT").keys() == {20.0, 200.0}
     (ax,) = nonlinear_figures.prediction(study).axes
-    assert sorted(patch.get_height() for patch in ax.containers[0]) == pytest.approx([50.0, 60.0, 80.0, 90.0, 100.0])
+    assert sorted(ax.containers[0].lines[0].get_ydata()) == pytest.approx([50.0, 60.0, 80.0, 90.0, 100.0])
     above, *over_time = nonlinear_figures.trajectories(study, "RT").axes
     ends = sorted({round(float(line.get_ydata()[-1]), 6) for line in above.lines if len(line.get_xdata()) == len(PATH)})
     assert ends == [2.0, 2.4, 3.6, 4.0]  # half, 60, 90 and 100 % of the recorded 4 cm

@@ -49,8 +49,9 @@ def admittance_of_trials(case: Case) -> Figure:
     """Admittance of one subject, from each trial and from all, and a linear one's own (thesis fig. 3.1)."""
     spectra = case.identified.spectra
     figure, panels = admittance_panels()
+    mean = spectra.frequency, spectra.arm
     for trial in case.single_trials:
-        plot_admittance(panels, trial.frequency, trial.arm, color=GREY, linewidth=0.7, alpha=0.6)
+        plot_admittance(panels, trial.frequency, trial.arm, mean, color=GREY, linewidth=0.7, alpha=0.6)
     plot_admittance(panels, spectra.frequency, spectra.arm, color=INK, linewidth=1.5)
     legend(
         figure,

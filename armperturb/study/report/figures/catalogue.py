@@ -24,7 +24,7 @@ from armperturb.study.report.figures import pulses as pulse_figures
 from armperturb.study.report.figures import rig as rig_figures
 from armperturb.study.report.figures import trajectories as trajectory_figures
 from armperturb.study.report.figures.axes import Marks
-from armperturb.study.report.figures.bars import CONDITIONS
+from armperturb.study.report.figures.groups import CONDITIONS
 from armperturb.study.report.figures.trajectories import around_pulse, first_pulses
 from armperturb.study.report.nonlinear_tables import left_out_pulses, tasks_fitted, true_parameters
 from armperturb.study.results.appendix_fits import Appendices

@@ -1,28 +1,17 @@
 """Figure of the estimated joint parameters in all conditions, by maximum likelihood."""
 
-from typing import Any
-
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from armperturb.analysis.fit.structures import unit
 from armperturb.plots.panels import legend
-from armperturb.plots.style import PUBLISHED, in_style, new_figure
+from armperturb.plots.style import in_style, new_figure
 from armperturb.study.published import tables as published
+from armperturb.study.report.figures.groups import PRINTED, printed_handle
 from armperturb.study.report.figures.parameters import JOINT_NAMES, QUANTITIES
 from armperturb.study.report.figures.people import ASIDE, draw_people, people_legend
 from armperturb.study.report.tables import published_or_nan
 from armperturb.study.results.mean_admittance import by_task
 from armperturb.study.results.study_result import StudyResult
-
-PRINTED: dict[str, Any] = {
-    **PUBLISHED,
-    "marker": "s",
-    "markersize": 4.5,
-    "linestyle": "",
-    "elinewidth": 1.0,
-    "capsize": 2,
-}
 
 
 def estimated_quantities(study: StudyResult) -> list[str]:
@@ -61,7 +50,7 @@ def estimates(study: StudyResult) -> Figure:
                 printed = published_or_nan(published.parameter, label, name)
                 if printed.mean == printed.mean:
                     any_printed = True
-                    ax.errorbar(place - ASIDE, printed.mean, printed.sd, **PRINTED)
+                    ax.errorbar(place - ASIDE, printed.mean, printed.sd, **PRINTED, elinewidth=1.0, capsize=2)
             ax.set_xlim(left=-0.6)
             ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
             ax.tick_params(axis="x", labelsize=6.5)
@@ -70,7 +59,6 @@ def estimates(study: StudyResult) -> Figure:
         row[0].set_ylabel(f"{QUANTITIES[quantity]} [{unit(f'{quantity}_s')}]")
     handles = people_legend(by_task(study))
     if any_printed:
-        look = {key: PRINTED[key] for key in ("color", "marker", "markersize", "linestyle")}
-        handles.append(Line2D([], [], label="published mean ± SD", **look))
+        handles.append(printed_handle())
     legend(figure, *handles)
     return figure

@@ -1,6 +1,5 @@
 """Figures of the arm model's fits, and of what they predict of the multisine (thesis figures 3.7 to 3.11, C.1)."""
 
-from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,11 +14,11 @@ from armperturb.arrays import Array
 from armperturb.plots.panels import AXES, FREQUENCY, admittance_panels, legend, plot_admittance
 from armperturb.plots.style import COLOURS, FITTED, INK, PUBLISHED, RECORDED, in_style, new_figure
 from armperturb.study.published import tables as published
-from armperturb.study.report.figures import bars
+from armperturb.study.report.figures import groups
 from armperturb.study.report.figures.axes import plot_truth
+from armperturb.study.report.figures.groups import CONDITIONS
 from armperturb.study.results.cases import Case
 from armperturb.study.results.study_result import StudyResult
-from armperturb.study.results.trial_measures import TrialMeasures
 
 VAF_TABLES = {"PT7.5": ("E.5", "3b", "vartheta_i5"), "PT": ("C.12", "3", ""), "RT": ("C.22", "1", "")}
 """Condition, or task of the others, to table, model and start of the printed VAF; PT7.5 alone has a fit of model 3b."""
@@ -33,7 +32,7 @@ def fit(case: Case) -> Figure:
     model = arm_admittance(identification.fit.arm, FREQUENCY)
     estimated: dict[str, Any] = {**RECORDED, "marker": "o", "markersize": 4.5}
     figure, panels = admittance_panels()
-    plot_admittance(panels, spectra.frequency, spectra.arm, **estimated)
+    plot_admittance(panels, spectra.frequency, spectra.arm, (FREQUENCY, model), **estimated)
     plot_admittance(panels, FREQUENCY, model, **FITTED)
     legend(
         figure,
@@ -82,54 +81,48 @@ def prediction(case: Case, *, trial: int = 0, start: float = 20.0, span: float =
 
 @in_style()
 def vaf(study: StudyResult) -> Figure:
-    """VAF of the linear and the nonlinear skeletal model, mean and SD over trials (thesis fig. 3.11).
+    """VAF of the linear and the nonlinear skeletal model: people's means over trials (thesis fig. 3.11).
 
     As in the thesis's tables, trials count whose VAF is positive along both axes. The published values are those of the
     linear model: table E.5 in PT7.5, model 3 of table C.12 in the other position tasks, and table C.22 in RT.
     """
-    tasks = [task for task, conditions in bars.CONDITIONS.items() if _trials(study, conditions)]
-    figure = new_figure(4.6)
+    tasks = [task for task, conditions in CONDITIONS.items() if any(_vafs(study, c, "linear") for c in conditions)]
+    looks = list(zip(groups.MODEL_LOOKS.items(), groups.MARKERS, strict=False))
+    figure = new_figure(4.8)
     panels = figure.subplots(2, len(tasks), sharey=True, squeeze=False)
     drawn = []
     for column, task in zip(panels.T, tasks, strict=True):
         for axis, ax in enumerate(column):
-            groups = {
+            of_task = {
                 condition: [
-                    bars.Bar.of(
-                        _positive([getattr(trial, f"vaf_{model}") for trial in trials])[:, axis],
+                    groups.Series(
+                        {name: float(mean[axis]) for name, mean in _vafs(study, condition, model).items()},
                         look["color"],
-                        *([_printed_vaf(condition, axis)] if model == "linear" else []),
+                        marker,
+                        _printed_vaf(condition, axis) if model == "linear" else groups.NOTHING_PRINTED,
                     )
-                    for model, look in bars.MODEL_LOOKS.items()
+                    for (model, look), marker in looks
                 ]
-                for condition in bars.CONDITIONS[task]
-                if (trials := _trials(study, (condition,)))
+                for condition in CONDITIONS[task]
+                if _vafs(study, condition, "linear")
             }
-            drawn.append(groups)
-            bars.draw_groups(ax, groups)
+            drawn.append(of_task)
+            groups.draw_groups(ax, of_task)
             ax.set(ylim=(0, 100), ylabel=f"VAF along {AXES[axis]} [%]" if task == tasks[0] else "")
-    legend(
-        figure,
-        *bars.model_handles(),
-        *bars.printed_handles(drawn, label="published mean ± SD, linear model"),
-    )
+    printed = groups.printed_handles(drawn, label="published mean ± SD, linear model")
+    legend(figure, *groups.model_handles(), groups.mean_handle(), *printed)
     return figure
 
 
-def _trials(study: StudyResult, conditions: Collection[str]) -> list[TrialMeasures]:
-    """Everybody's trials in conditions whose fit has a VAF."""
-    return [
-        trial
-        for person in study.people
-        for trial in person.trials
-        if trial.condition in conditions and np.isfinite(trial.vaf_linear).all()
-    ]
-
-
-def _positive(vaf: Sequence[tuple[float, float]]) -> Array:
-    """Those that are positive along both axes, (trial, axis)."""
-    values = np.array(vaf).reshape(-1, 2)
-    return values[(values > 0.0).all(axis=1)]
+def _vafs(study: StudyResult, condition: str, model: str) -> dict[str, Array]:
+    """Person to the mean over trials of the VAF that is positive along both axes [%], (axis,); only those with any."""
+    means = {}
+    for person in study.people:
+        its = [trial for trial in person.trials if trial.condition == condition and np.isfinite(trial.vaf_linear).all()]
+        values = np.array([getattr(trial, f"vaf_{model}") for trial in its]).reshape(-1, 2)
+        if (positive := (values > 0.0).all(axis=1)).any():
+            means[person.name] = values[positive].mean(axis=0)
+    return means
 
 
 def _printed_vaf(condition: str, axis: int) -> published.MeanSD:
@@ -152,11 +145,11 @@ def penalty(study: StudyResult) -> Figure:
     curve.axvline(0.0, color=INK, linewidth=0.8)
     curve.text(0.02, 3.0, "unstable")
     for ax in places:
-        for row, (task, conditions) in enumerate(bars.CONDITIONS.items()):
+        for row, (task, conditions) in enumerate(CONDITIONS.items()):
             estimates = [person.estimates[c] for person in study.people for c in conditions if c in person.estimates]
             poles = [fit.largest_real_pole for estimate in estimates for fit in estimate.fits]
             ax.plot(poles, np.full(len(poles), -row), "|", color=COLOURS[task], markersize=9, alpha=0.6, label=task)
-        ax.set_yticks((0, -1), bars.CONDITIONS)
+        ax.set_yticks((0, -1), CONDITIONS)
         ax.set(ylim=(-1.6, 0.6), xlabel="largest real part of a pole of arm and manipulator [1/s]", ylabel="fits")
         ax.grid(visible=False)
     return figure

@@ -1,19 +1,20 @@
 """Figures of nonlinear fits: estimates over truth, and left-out pulses as all models predict them."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from armperturb.analysis.measures.pulse import WINDOWS
 from armperturb.plots.panels import AXES, legend
 from armperturb.plots.style import GREY, INK, RECORDED, in_style, new_figure, shades
 from armperturb.study.report import nonlinear_tables as tables
-from armperturb.study.report.figures.bars import MODEL_LOOKS, Bar, draw_predictions
+from armperturb.study.report.figures import groups
+from armperturb.study.report.figures.groups import MODEL_LOOKS
 from armperturb.study.report.words import WORDS
 from armperturb.study.results.nonlinear_fits import PATHS, LeftOutPulse
 from armperturb.study.results.study_result import StudyResult
@@ -33,19 +34,29 @@ RATIOS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
 
 @in_style()
 def prediction(study: StudyResult) -> Figure:
-    """Predicted over recorded peak displacement of pulses that a model had not seen, mean and SD over trials."""
-    groups = {
+    """Predicted over recorded peak displacement of pulses that a model had not seen: people's means over trials."""
+    models = dict(zip(tables.SHOWN_MODELS, groups.MARKERS, strict=True))
+    drawn = {
         task: {
             f"{condition}\n\u00d7{level:g}": [
-                Bar.of((peak for peak, _ in of_model[model]), LOOKS[model]["color"]) for model in tables.SHOWN_MODELS
+                groups.Series(_means(of_model[model]), LOOKS[model]["color"], marker)
+                for model, marker in models.items()
             ]
             for (condition, level), of_model in of_pulses.items()
         }
         for task in tables.tasks_fitted(study)
         if (of_pulses := tables.left_out_pulses(study, task))
     }
-    handles = [Patch(color=LOOKS[model]["color"], label=NAMES[model]) for model in tables.SHOWN_MODELS]
-    return draw_predictions(3.6, groups, handles, 3)
+    handles = [groups.people_handle(NAMES[model], LOOKS[model]["color"], marker) for model, marker in models.items()]
+    return groups.draw_predictions(3.8, drawn, handles, 3)
+
+
+def _means(pulses: Sequence[tuple[str, float, float]]) -> dict[str, float]:
+    """Person to the mean peak [%] of the person's pulses, as `tables.left_out_pulses` has them."""
+    peaks: dict[str, list[float]] = {}
+    for name, peak, _ in pulses:
+        peaks.setdefault(name, []).append(peak)
+    return {name: float(np.mean(values)) for name, values in peaks.items()}
 
 
 @in_style()

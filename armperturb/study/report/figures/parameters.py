@@ -3,12 +3,12 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from armperturb.analysis.fit.structures import unit
@@ -18,7 +18,17 @@ from armperturb.plots.style import BESIDE, GREY, PALE, PUBLISHED, TRUE, in_style
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.report.figures.axes import looks
-from armperturb.study.report.figures.bars import CONDITIONS, Bar, Groups, draw_groups, printed_handles, stars
+from armperturb.study.report.figures.groups import (
+    BESIDE_MEAN,
+    CONDITIONS,
+    Groups,
+    Series,
+    draw_groups,
+    mean_handle,
+    people_handle,
+    printed_handles,
+    stars,
+)
 from armperturb.study.report.tables import groups_of, parameter_rows, published_or_nan
 from armperturb.study.results.mean_admittance import by_task
 from armperturb.study.results.study_result import StudyResult
@@ -94,34 +104,39 @@ def parameters(study: StudyResult, task: str) -> Figure:
 
 @in_style()
 def joint_parameters(study: StudyResult, task: str, p: Mapping[str, float] | None = None) -> Figure:
-    """Joint parameters and their SEM, mean and SD over people of means over stable trials (thesis figs 3.12, 3.13).
+    """Joint parameters and their standard errors by both estimators (thesis figs 3.12, 3.13).
 
-    Estimates and SEMs are those of the thesis's estimator, trial by trial.
+    People and their means are by maximum likelihood; beside them stand means over people by the thesis's estimator, of
+    each person's mean over stable trials. Standard errors have a logarithmic axis.
 
     Args:
       study: with estimates in the task, see `estimated`.
       task: "PT" or "RT".
-      p: parameter to the p of an effect of the amplitude on it.
+      p: parameter to the p of an effect of the amplitude on it, by the thesis's estimator.
     """
     estimates = estimated(study, task)
     quantities = _quantities(estimates)
-    figure = new_figure(1.7 * len(quantities) + 0.7)
+    figure = new_figure(1.9 * len(quantities) + 0.9)
     panels = figure.subplots(len(quantities), 2, squeeze=False)
     drawn = []
     for row, quantity in zip(panels, quantities, strict=True):
         for ax, sem in zip(row, (False, True), strict=True):
-            printed = partial(published_or_nan, _printed_sem if sem else published.parameter)
-            draw = partial(_draw, ax, task, estimates, quantity, JOINT_NAMES)
-            drawn.append(draw(partial(stable_mean, sem=sem), printed, {} if sem or p is None else p))
-    for ax, title in zip(panels[0], ("estimate", "SEM"), strict=True):
+            sources = Sources(
+                partial(_likelihood_errors if sem else _likelihood, study),
+                partial(stable_mean, sem=sem),
+                partial(published_or_nan, _printed_sem if sem else published.parameter),
+            )
+            of_quantity = (task, estimates, quantity, JOINT_NAMES)
+            drawn.append(_draw(ax, *of_quantity, sources, {} if sem or p is None else p, logarithmic=sem))
+    for ax, title in zip(panels[0], ("estimate", "standard error"), strict=True):
         ax.set_title(title)
-    legend(figure, *_handles(task, estimates), *printed_handles(drawn))
+    legend(figure, *_handles(task, estimates), *_mean_handles(), *printed_handles(drawn), n_columns=4)
     return figure
 
 
 @in_style()
 def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] | None = None) -> Figure:
-    """Parameters of muscle groups, mean and SD over people of means over stable trials (thesis fig. 3.14).
+    """Parameters of muscle groups by both estimators, as `joint_parameters` draws them (thesis fig. 3.14).
 
     Those of one-joint muscles are the joint's less the two-joint muscles' (eq. 2.10); of these the published tables
     give the mean alone.
@@ -133,17 +148,17 @@ def muscle_parameters(study: StudyResult, p: Mapping[str, Mapping[str, float]] |
     tasks = {task: estimates for task in CONDITIONS if (estimates := estimated(study, task))}
     rows = {task: _quantities(estimates) for task, estimates in tasks.items()}
     n_rows = max(map(len, rows.values()))
-    figure = new_figure(1.7 * n_rows + 0.7)
+    figure = new_figure(1.9 * n_rows + 0.9)
     panels = figure.subplots(n_rows, len(tasks), squeeze=False)
+    sources = Sources(partial(_likelihood, study), _muscle_mean, _printed_muscle)
     drawn = []
     for column, (task, estimates) in zip(panels.T, tasks.items(), strict=True):
         for ax, quantity in zip(column, rows[task], strict=False):
-            of_task = (p or {}).get(task, {})
-            drawn.append(_draw(ax, task, estimates, quantity, MUSCLE_NAMES, _muscle_mean, _printed_muscle, of_task))
+            drawn.append(_draw(ax, task, estimates, quantity, MUSCLE_NAMES, sources, (p or {}).get(task, {})))
         for ax in column[len(rows[task]) :]:
             ax.set_visible(False)
     handles = [handle for task, estimates in tasks.items() for handle in _handles(task, estimates)]
-    legend(figure, *handles, *printed_handles(drawn), n_columns=7)
+    legend(figure, *handles, *_mean_handles(), *printed_handles(drawn), n_columns=4)
     return figure
 
 
@@ -162,6 +177,36 @@ def _quantities(estimates: Estimates) -> list[str]:
     return [quantity for quantity in QUANTITIES if f"{quantity}_s" in names]
 
 
+class Sources(NamedTuple):
+    """Where values of a parameter come from.
+
+    Attributes:
+      likelihood: condition and name to each person's value by maximum likelihood.
+      thesis: of a person's estimate and name, the value by the thesis's estimator.
+      printed: condition and name to what the thesis printed.
+    """
+
+    likelihood: Callable[[str, str], Mapping[str, float]]
+    thesis: Callable[[ThesisEstimate, str], float]
+    printed: Callable[[str, str], MeanSD]
+
+
+def _likelihood(study: StudyResult, condition: str, name: str) -> dict[str, float]:
+    """Person to the maximum likelihood estimate of a parameter, of a muscle group if its name has a star."""
+    values = {}
+    for case in study.of(condition):
+        fitted = case.identified.fit.values
+        if {name.replace("*", ""), f"{name.split('_')[0]}_se"} <= fitted.keys():
+            values[case.name] = muscle_parameter(name, fitted.__getitem__)
+    return values
+
+
+def _likelihood_errors(study: StudyResult, condition: str, name: str) -> dict[str, float]:
+    """Person to the standard error of the maximum likelihood estimate of a joint's parameter."""
+    errors = {case.name: case.identified.fit.standard_error for case in study.of(condition)}
+    return {person: of_person[name] for person, of_person in errors.items() if name in of_person}
+
+
 def _muscle_mean(estimate: ThesisEstimate, name: str) -> float:
     return muscle_parameter(name, partial(stable_mean, estimate))
 
@@ -177,8 +222,15 @@ def _printed_sem(condition: str, name: str) -> MeanSD:
     return published.estimate(name, quantity="SEM", **where)
 
 
-def _handles(task: str, estimates: Estimates) -> list[Patch]:
-    return [Patch(color=look["color"], label=condition) for condition, look in looks(task, list(estimates))]
+def _handles(task: str, estimates: Estimates) -> list[Line2D]:
+    handles = []
+    for condition, look in looks(task, list(estimates)):
+        handles.append(people_handle(f"people, {condition}", look["color"], look["marker"]))
+    return handles
+
+
+def _mean_handles() -> list[Line2D]:
+    return [mean_handle(), mean_handle("the same, thesis's estimator", BESIDE_MEAN)]
 
 
 def _draw(
@@ -187,24 +239,33 @@ def _draw(
     estimates: Estimates,
     quantity: str,
     places: Mapping[str, str],
-    ours: Callable[[ThesisEstimate, str], float],
-    printed: Callable[[str, str], MeanSD],
+    sources: Sources,
     p: Mapping[str, float],
+    *,
+    logarithmic: bool = False,
 ) -> Groups:
-    """A group of bars for each place, a bar for each condition; with stars where the parameter has a small p."""
+    """A group of people for each place, a series for each condition; with stars where the parameter has a small p."""
     names = {place: f"{quantity}_{letters}" for letters, place in places.items()}
     groups = {
         place: [
-            Bar.of((ours(estimate, name) for estimate in estimates[condition]), look["color"], printed(condition, name))
+            Series(
+                sources.likelihood(condition, name),
+                look["color"],
+                look["marker"],
+                sources.printed(condition, name),
+                {estimate.subjects[0]: sources.thesis(estimate, name) for estimate in estimates[condition]},
+            )
             for condition, look in looks(task, list(estimates))
         ]
         for place, name in names.items()
     }
-    for group, (place, top) in enumerate(draw_groups(ax, groups).items()):
+    tops = draw_groups(ax, groups, joined=False, logarithmic=logarithmic)
+    for group, (place, top) in enumerate(tops.items()):
         ax.text(group, top, stars(p.get(names[place], 1.0)), ha="center", va="bottom", fontsize=11)
-    ax.axhline(0.0, color=GREY, linewidth=0.8)
-    ax.margins(y=0.16)
-    ax.yaxis.set_major_locator(MaxNLocator(4))
+    if not logarithmic:
+        ax.axhline(0.0, color=GREY, linewidth=0.8)
+        ax.margins(y=0.16)
+        ax.yaxis.set_major_locator(MaxNLocator(4))
     ax.set_ylabel(f"{QUANTITIES[quantity]} [{unit(quantity)}]")
     return groups
 

@@ -1,63 +1,64 @@
 """Figures of the responses to pulses: peaks and their prediction (thesis figures 3.15, 3.16, 3.19)."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from armperturb.plots.panels import legend
-from armperturb.plots.style import COLOURS, PUBLISHED, in_style, shades
+from armperturb.plots.style import COLOURS, PUBLISHED, in_style
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import MeanSD
-from armperturb.study.report.figures import bars
+from armperturb.study.report.figures import groups as groups_of_people
+from armperturb.study.report.figures.groups import CONDITIONS, MARKERS, MODEL_LOOKS, NOTHING_PRINTED, Series
 from armperturb.study.report.tables import published_or_nan
 from armperturb.study.results.quantities import PULSE_LEVELS
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import TrialMeasures
 
-Levels = dict[str, dict[str, list[float]]]
-"""Condition and level ("min", "max") to one value per trial or person."""
+Levels = dict[str, dict[str, dict[str, float]]]
+"""Condition and level ("min", "max") to person to value."""
 
 NAMES = {"min": "minimum level", "max": "maximum level"}
+
+LEVEL_LOOKS = {"min": (0.0, "o"), "max": (-0.45, "^")}
+"""Level to how much its colour is darker than the task's, and its marker."""
 
 
 @in_style()
 def peak_displacement(study: StudyResult) -> Figure:
-    """Peak displacement after pulses, mean and SD over people of means over trials (thesis fig. 3.15, table 2.1)."""
-    by_task = _by_level(
-        lambda condition, level: [
-            person.pulses[condition, level].displacement
-            for person in study.people
-            if (condition, level) in person.pulses
-        ]
-    )
+    """Peak displacement after pulses: means over trials of people, and over people (thesis fig. 3.15, table 2.1)."""
+    by_task = pulsed_people(study, lambda trial: trial.displacement)
     figure, _ = _draw_levels(by_task, "peak displacement [cm]", 100.0, published.peak_displacement)
     return figure
 
 
 @in_style()
 def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -> Figure:
-    """Peak displacement over peak hand reaction force, mean and SD over trials (thesis fig. 3.16).
+    """Peak displacement over peak hand reaction force: people's means over trials, and their means (thesis fig. 3.16).
 
-    Above conditions with both levels stands the ratio of their means, and what the thesis has.
+    Above conditions with both levels stands the ratio of their means over the people who have both, and what the thesis
+    has.
 
     Args:
       study: with trials that have pulses.
       p: condition with both levels to the p of the level's effect.
     """
-    by_task = pulsed_trials(study, lambda trial: trial.admittance)
+    by_task = pulsed_people(study, lambda trial: trial.admittance)
     figure, panels = _draw_levels(by_task, "pulse admittance [mm/N]", 1000.0, shared=False)
     for task, (ax, tops) in panels.items():
         if any(len(levels) == len(PULSE_LEVELS) for levels in by_task[task].values()):
             ax.set_ylim(top=1.2 * max(tops.values()))
+            ax.set_xlim(left=-0.75)  # room for the words above the first
         for group, (condition, levels) in enumerate(by_task[task].items()):
-            if len(levels) < len(PULSE_LEVELS):
+            if len(levels) < len(PULSE_LEVELS) or not (both := levels["min"].keys() & levels["max"].keys()):
                 continue
-            stars = bars.stars((p or {}).get(condition, 1.0))
+            smallest, largest = (np.mean([levels[level][name] for name in both]) for level in PULSE_LEVELS)
+            stars = groups_of_people.stars((p or {}).get(condition, 1.0))
             printed = published.headline(f"pulse_admittance_ratio_max_min_{condition.lower()}")
             place: dict[str, Any] = {
                 "xy": (group, tops[condition]),
@@ -65,29 +66,30 @@ def pulse_admittance(study: StudyResult, p: Mapping[str, float] | None = None) -
                 "ha": "center",
                 "va": "bottom",
             }
-            ax.annotate(
-                f"× {np.mean(levels['max']) / np.mean(levels['min']):.2f} {stars}".strip(), xytext=(0, 15), **place
-            )
+            ax.annotate(f"× {largest / smallest:.2f} {stars}".strip(), xytext=(0, 15), **place)
             ax.annotate(f"× {printed:g} published", xytext=(0, 4), **place, color=PUBLISHED["color"], fontsize=8)
     return figure
 
 
 @in_style()
 def pulse_prediction(study: StudyResult) -> Figure:
-    """Predicted over recorded peak displacement of both models, mean and SD over trials (thesis fig. 3.19)."""
-    by_model = {model: pulsed_trials(study, partial(predicted_share, model=model)) for model in bars.MODEL_LOOKS}
+    """Predicted over recorded peak displacement of both models: people's means over trials (thesis fig. 3.19)."""
+    looks = dict(zip(MODEL_LOOKS, MARKERS, strict=False))
+    by_model = {model: pulsed_people(study, partial(predicted_share, model=model)) for model in MODEL_LOOKS}
     groups = {
         task: {
             f"{condition}\n{level}": [
-                bars.Bar.of(by_model[model].get(task, {}).get(condition, {}).get(level, ()), look["color"])
-                for model, look in bars.MODEL_LOOKS.items()
+                Series(
+                    by_model[model].get(task, {}).get(condition, {}).get(level, {}), MODEL_LOOKS[model]["color"], marker
+                )
+                for model, marker in looks.items()
             ]
             for condition, levels in conditions.items()
             for level in levels
         }
         for task, conditions in by_model["linear"].items()
     }
-    return bars.draw_predictions(3.4, groups, bars.model_handles(), 6)
+    return groups_of_people.draw_predictions(3.6, groups, groups_of_people.model_handles(), 4)
 
 
 def predicted_share(trial: TrialMeasures, model: str) -> float:
@@ -100,27 +102,25 @@ def predicted_share(trial: TrialMeasures, model: str) -> float:
     return 100.0 * float(getattr(trial, f"predicted_{model}")) / trial.displacement
 
 
-def pulsed_trials(study: StudyResult, quantity: Callable[[TrialMeasures], float]) -> dict[str, Levels]:
-    """Task, condition and level to the finite values of everybody's trials; only those that have any."""
-    return _by_level(
-        lambda condition, level: [
-            quantity(trial)
-            for person in study.people
-            for trial in person.trials
-            if trial.condition == condition and abs(trial.pulse_level) == PULSE_LEVELS[level]
-        ]
-    )
+def pulsed_people(study: StudyResult, quantity: Callable[[TrialMeasures], float]) -> dict[str, Levels]:
+    """Task, condition and level to each person's mean over the trials whose value is finite; only those that have any.
 
-
-def _by_level(values_of: Callable[[str, str], list[float]]) -> dict[str, Levels]:
-    """Task, condition and level to the finite ones of their values; only those that have any."""
+    Args:
+      study: with measured people.
+      quantity: of a trial.
+    """
     by_task: dict[str, Levels] = {}
-    for task, conditions in bars.CONDITIONS.items():
+    for task, conditions in CONDITIONS.items():
         for condition in conditions:
-            for level in PULSE_LEVELS:
-                values = [value for value in values_of(condition, level) if np.isfinite(value)]
+            for name, level in PULSE_LEVELS.items():
+                values = {}
+                for person in study.people:
+                    its = [trial for trial in person.trials if trial.condition == condition]
+                    numbers = [quantity(trial) for trial in its if abs(trial.pulse_level) == level]
+                    if known := [value for value in numbers if np.isfinite(value)]:
+                        values[person.name] = float(np.mean(known))
                 if values:
-                    by_task.setdefault(task, {}).setdefault(condition, {})[level] = values
+                    by_task.setdefault(task, {}).setdefault(condition, {})[name] = values
     return by_task
 
 
@@ -132,28 +132,29 @@ def _draw_levels(
     *,
     shared: bool = True,
 ) -> tuple[Figure, dict[str, tuple[Axes, dict[str, float]]]]:
-    """Bars of both pulse levels in each condition, a panel per task; and the panels with where each group ends."""
+    """People at both pulse levels in each condition, a panel per task; and the panels with where each group ends."""
 
-    def bar(task: str, condition: str, level: str, values: Sequence[float]) -> bars.Bar:
-        printed = [published_or_nan(source, condition, level)] if source else []
-        return bars.Bar.of(values, _colour(task, level), *printed)
+    def series(task: str, condition: str, level: str, values: Mapping[str, float]) -> Series:
+        printed = published_or_nan(source, condition, level) if source else NOTHING_PRINTED
+        return Series(values, *_look(task, level), printed)
 
     groups = {
         task: {
-            condition: [bar(task, condition, level, values) for level, values in levels.items()]
+            condition: [series(task, condition, level, values) for level, values in levels.items()]
             for condition, levels in conditions.items()
         }
         for task, conditions in by_task.items()
     }
-    figure, panels = bars.task_panels(3.3, groups, shared=shared)
-    tops = {task: (ax, bars.draw_groups(ax, groups[task], scale)) for task, ax in panels.items()}
+    figure, panels = groups_of_people.task_panels(3.5, groups, shared=shared)
+    tops = {task: (ax, groups_of_people.draw_groups(ax, groups[task], scale)) for task, ax in panels.items()}
     handles = [
-        Patch(color=_colour(task, level), label=f"{task}, {name}")
+        groups_of_people.people_handle(f"people, {task}, {name}", *_look(task, level))
         for task, conditions in by_task.items()
         for level, name in NAMES.items()
         if any(level in levels for levels in conditions.values())
     ]
-    legend(figure, *handles, *bars.printed_handles(groups.values()))
+    handles += [groups_of_people.mean_handle(), *groups_of_people.printed_handles(groups.values())]
+    legend(figure, *handles, n_columns=3)
     for number, ax in enumerate(panels.values()):
         ax.set_ylim(bottom=0)
         if number == 0 or not shared:
@@ -161,7 +162,8 @@ def _draw_levels(
     return figure, tops
 
 
-def _colour(task: str, level: str) -> str:
-    """Darker for the larger pulse."""
-    light, _, dark = shades(COLOURS[task], 3)
-    return {"min": light, "max": dark}[level]
+def _look(task: str, level: str) -> tuple[str, str]:
+    """Colour and marker; darker for the larger pulse."""
+    share, marker = LEVEL_LOOKS[level]
+    red, green, blue = to_rgb(COLOURS[task])
+    return to_hex(((1.0 + share) * red, (1.0 + share) * green, (1.0 + share) * blue)), marker

@@ -19,7 +19,7 @@ from armperturb.perturbations import Pulse
 from armperturb.plots.panels import legend
 from armperturb.plots.style import PALE, RECORDED, TRUE, in_style, new_figure
 from armperturb.study.published import tables as published
-from armperturb.study.report.figures.bars import MODEL_LOOKS, PRINTED, printed_handle
+from armperturb.study.report.figures.groups import MODEL_LOOKS, PRINTED, printed_handle
 from armperturb.study.report.tables import published_or_nan
 from armperturb.study.results.nonlinear_fits import predicted_paths
 from armperturb.study.results.quantities import PULSE_LEVELS
