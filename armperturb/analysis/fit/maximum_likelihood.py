@@ -70,9 +70,9 @@ class Estimate(FitResult):
       largest_real_pole: of arm and environment, over the conditions [1/s].
       chi2: of what the disturbance explains of the residual, see `likelihood.LackOfFit`.
       dof: its degrees of freedom.
-      dispersion: how much more parameters vary than noise makes them, at least one [-]: `chi2` over `dof`; where all
-        trials have perturbations of their own, no more than the scores of the trials vary, see `trial_effects.scatter`.
-        Intervals are then those of the arm that explains such perturbations best.
+      dispersion: how much more parameters vary than noise makes them, at least one [-]. Where all trials have
+        perturbations of their own, it is how much more their scores vary, see `trial_effects.scatter`, and intervals
+        are those of the arm that explains such perturbations best; else it is `chi2` over `dof`.
       objective: minus twice the log-likelihood, up to a constant that depends on the trials and the method.
       n_rounds: Gauss-Newton steps.
       skew: condition to the skew between the clocks of force and displacement.
@@ -396,13 +396,12 @@ def _told(spread: Array) -> dict[str, float]:
 
 def _dispersion(problem: JointLikelihood, search: _Search, fit: LackOfFit) -> float:
     """See `Estimate.dispersion`; the noise must have been weighed."""
-    missed = fit.chi2 / fit.dof
-    if missed <= 1.0 or not problem.are_independent or problem.n_trials < FEWEST_TRIALS:
-        return max(1.0, missed)
+    if not problem.are_independent or problem.n_trials < FEWEST_TRIALS:
+        return max(1.0, fit.chi2 / fit.dof)
     effects = problem.no_effects() if search.effects is None else search.effects
     spread = np.zeros(len(QUANTITIES)) if search.spread is None else search.spread
     scores = problem.scores(search.values, effects)[: problem.n_trials]
-    return max(1.0, min(missed, scatter(scores, spread, search.information)))
+    return max(1.0, scatter(scores, spread, search.information))
 
 
 def _judge(problem: JointLikelihood, method: Method, search: _Search) -> Estimate:
