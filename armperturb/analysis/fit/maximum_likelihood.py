@@ -15,9 +15,9 @@ from scipy import optimize
 
 from armperturb.analysis.fit.group import Group, Method, require_one_person
 from armperturb.analysis.fit.joint_likelihood import PART_OF, Effects, JointLikelihood
-from armperturb.analysis.fit.likelihood import LackOfFit, Normal
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, TrialScore, fit_mixed, scaled, scatter
+from armperturb.analysis.fit.whittle import LackOfFit, Normal
 from armperturb.analysis.force_balance import Skew
 from armperturb.analysis.results import Description, FitResult, parameter_table
 from armperturb.arrays import Array

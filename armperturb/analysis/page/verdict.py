@@ -9,8 +9,8 @@ import numpy as np
 from armperturb.analysis.fit.diagnosis import Diagnosis
 from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.identify import Identification
-from armperturb.analysis.fit.likelihood import LackOfFit
 from armperturb.analysis.fit.maximum_likelihood import FEWEST_TRIALS, SKEWED, SUSPICIOUS, Estimate, limits_of
+from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.page.data_check import DataCheck
 from armperturb.analysis.response.best_linear import BestLinear
 from armperturb.analysis.results import plain
