@@ -87,9 +87,3 @@ def excited_bands(frequency: Array, force: ComplexArray) -> list[slice]:
     runs.append(slice(int(first), int(excited[-1]) + 1))
     # Four complex numbers are estimated in each.
     return [run for run in runs if 2 * len(force) * (run.stop - run.start) >= 8]
-
-
-def real_rows(values: ComplexArray) -> Array:
-    """Real then imaginary parts of the last two axes as one, (..., number)."""
-    flat = values.reshape(*values.shape[:-2], -1)
-    return np.concatenate([flat.real, flat.imag], axis=-1)

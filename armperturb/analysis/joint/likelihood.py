@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft, signal
 
-from armperturb.analysis.fit.frequency_bands import Smoother, real_rows
+from armperturb.analysis.fit.frequency_bands import Smoother
 from armperturb.analysis.joint.model import JointModel, JointStructure, activated, drive_of, play_operator
 from armperturb.analysis.joint.signals import JointSignals, time_blocks
 from armperturb.arrays import Array, ComplexArray
@@ -193,7 +193,7 @@ class JointLikelihood:
 
 
 def _rows(spectrum: ComplexArray) -> Array:
-    return real_rows(spectrum[..., None, :])
+    return np.concatenate([spectrum.real, spectrum.imag], axis=-1)
 
 
 def environment_of(signals: JointSignals) -> Loop:
