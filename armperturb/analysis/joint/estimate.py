@@ -115,7 +115,7 @@ def delay_profile(fit: JointEstimate, signals: JointSignals, loop: Loop | None, 
         for at in order:
             values[place] = delays[at]
             values = _minimised(likelihood, values, LONGEST_DELAY, others)
-            objectives[at] = likelihood.objective(values)
+            objectives[at] = likelihood.weighed_objective(values)
     return objectives
 
 
@@ -177,7 +177,7 @@ def _searched(likelihood: JointLikelihood, start: Array, longest_delay: float) -
         likelihood.weigh(values)
         if likelihood.signals.servo == "position":
             values = _minimised(likelihood, values, longest_delay, everything)
-            objective = likelihood.objective(values)
+            objective = likelihood.weighed_objective(values)
             converged = abs(before - objective) < SETTLED
             before = objective
         elif number < SEARCHES:
@@ -188,7 +188,7 @@ def _searched(likelihood: JointLikelihood, start: Array, longest_delay: float) -
         if converged:
             break
     likelihood.weigh(values)
-    return values, likelihood.objective(values), converged
+    return values, likelihood.weighed_objective(values), converged
 
 
 def _minimised(likelihood: JointLikelihood, start: Array, longest_delay: float, free: Array) -> Array:
@@ -239,7 +239,7 @@ def _instrumented(likelihood: JointLikelihood, values: Array, lower: Array, uppe
         scale = _sizes(instruments)
         error = np.sqrt(np.diag(np.linalg.pinv(instruments @ instruments.T / np.outer(scale, scale)))) / scale
         matrix = (instruments @ columns.T) / np.outer(scale, scale)
-        slope = instruments @ likelihood.rows(likelihood.residual(values)).ravel() / scale
+        slope = instruments @ likelihood.residual(values).ravel() / scale
         step = np.linalg.lstsq(matrix, slope, rcond=1e-8)[0] / scale
         moved = np.clip(values + step, lower, upper)
         try:
