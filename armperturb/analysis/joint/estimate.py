@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from armperturb.analysis.fit.ladder import left_out_loss
+from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.joint.likelihood import JointLikelihood, Loop
 from armperturb.analysis.joint.model import (
     INTRINSIC,
@@ -57,6 +58,7 @@ class JointEstimate(NamedTuple):
       objective: minus twice the log-likelihood, but for a constant [-].
       loss: of likelihood on blocks that are left out, see `fit.ladder` [-].
       converged: whether the rounds ended.
+      lack: whether it leaves something that a linear response to the servo's input explains.
     """
 
     structure: JointStructure
@@ -66,6 +68,7 @@ class JointEstimate(NamedTuple):
     objective: float
     loss: float
     converged: bool
+    lack: LackOfFit
 
 
 def estimate_joint(
@@ -94,9 +97,8 @@ def estimate_joint(
     free = ~at_bound
     covariance = np.full((len(values), len(values)), np.nan)
     covariance[np.ix_(free, free)] = _covariance(likelihood, values, free)
-    return JointEstimate(
-        structure, values, covariance, at_bound, objective, left_out_loss(likelihood.scores(values)), converged
-    )
+    loss, lack = left_out_loss(likelihood.scores(values)), likelihood.lack_of_fit(values)
+    return JointEstimate(structure, values, covariance, at_bound, objective, loss, converged, lack)
 
 
 def delay_profile(fit: JointEstimate, signals: JointSignals, loop: Loop | None, delays: Array) -> Array:

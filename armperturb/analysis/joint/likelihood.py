@@ -87,7 +87,7 @@ class JointLikelihood(Whittle):
         ones = np.ones(len(self.frequency), dtype=complex)
         super().__init__(
             self.frequency,
-            self._spectrum(signals.angle),
+            self._spectrum(signals.angle if signals.perturbation is None else signals.perturbation),
             self._spectrum(signals.torque),
             slice(None),
             scale=ones,
