@@ -19,6 +19,7 @@ from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.findings import excess_rows, finding_rows, findings
 from armperturb.study.report.nonlinear_tables import nonlinear_tables
 from armperturb.study.report.pictures import picture_units
+from armperturb.study.report.played import played_data, played_units
 from armperturb.study.report.provenance import provenance
 from armperturb.study.report.sections import joint_rows, sections
 from armperturb.study.report.tables import write_tables
@@ -72,8 +73,11 @@ def write_report(
         draws = {
             name: draw for name, draw in drawings(study, tested, yielding).items() if figures is None or name in figures
         }
-        with Progress("figures", total=len(draws), unit="figures", show=show_progress) as bar:
-            drawn = dict(zip(draws, kept_or_computed(picture_units(draws, out), pool, bar), strict=True))
+        # Figures first: the rig takes longest.
+        units: list[Unit[Any]] = [*picture_units(draws, out), *played_units(study, out)]
+        with Progress("figures", total=len(units), unit="figures", show=show_progress) as bar:
+            results = kept_or_computed(units, pool, bar)
+    drawn, played = dict(zip(draws, results, strict=False)), played_data(results[len(draws) :])
     (out / "figures").mkdir(exist_ok=True)
     for name, picture in drawn.items():
         if isinstance(picture, Picture):
@@ -92,7 +96,7 @@ def write_report(
     for name, lines in more.items():
         if lines:
             write_csv(lines, out / "tables" / f"{name}.csv")
-    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn)
+    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played)
     page = _page(study, parts, drawn)
     report = out / "report.html"
     with written_whole(report) as temporary:

@@ -44,6 +44,7 @@ def sections(
     yielding: Yielding | None,
     shoulder: MovingShoulder | None,
     drawn: Collection[str],
+    played: Sequence[Mapping[str, Any]] = (),
 ) -> dict[str, dict[str, Any]]:
     """All sections that a study has content for, in order: template to what it shows beside what all sections know.
 
@@ -55,6 +56,7 @@ def sections(
       yielding: what the first person's muscles do; None if they are linear.
       shoulder: what it does if the first person's shoulder moves; None of people who were not simulated.
       drawn: names of the figures that are there.
+      played: people whose trials are played, see `played.played_data`.
     """
     conditions = study.protocol.conditions
     # In which people shall move further, or less far, in the experiment than in practice.
@@ -81,8 +83,8 @@ def sections(
         },
         "left_out": {"lists": left_out(study, rows["fits"], study.remarks if score is None else score.remarks)},
     }
-    if study.conditions:
-        contexts["explorer"] = {"panels": panels(study)}
+    if study.conditions or played:
+        contexts["explorer"] = {"panels": panels(study), "played": played}
     if PULSES_DRAWN & set(drawn):
         contexts["pulses"] = {
             "findings": ratios,
