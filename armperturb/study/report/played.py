@@ -15,7 +15,6 @@ from armperturb.analysis.measures.kinematics import start_posture
 from armperturb.analysis.measures.pulse import pulse_span
 from armperturb.archive import digest
 from armperturb.arrays import Array
-from armperturb.files import checksum
 from armperturb.recording_files import load_recording
 from armperturb.study.report.figures.trajectories import first_pulses, stable_fits
 from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit
@@ -78,15 +77,13 @@ class PlayedPerson(NamedTuple):
     trials: tuple[PlayedTrial, ...]
 
 
-def played_units(study: StudyResult, out: Path) -> list[Unit[PlayedPerson]]:
+def played_units(study: StudyResult, checksums: Mapping[str, str], out: Path) -> list[Unit[PlayedPerson]]:
     """What reads each person's trials, if they are not kept.
 
     Args:
-      study: analysed; its recordings must still be there.
+      study: analysed.
+      checksums: file name of each recording to its checksum.
       out: the study folder.
-
-    Raises:
-      OSError: a recording is gone.
     """
     conditions = [condition.name for condition in study.protocol.conditions if condition.pulse_levels]
     estimates = {person.name: person.estimates for person in study.people}
@@ -97,7 +94,7 @@ def played_units(study: StudyResult, out: Path) -> list[Unit[PlayedPerson]]:
             path=out / ANALYSIS / f"played-{path.stem}.json.gz",
             kind="played",
             result=PlayedPerson,
-            recordings={path.name: checksum(path)},
+            recordings={path.name: checksums[path.name]},
             settings={"name": name, "conditions": conditions, "estimates": digest(dict(of_person))},
         )
         units.append(Unit(cached=cached, run=partial(played_person, name, path, conditions, of_person)))

@@ -3,10 +3,11 @@
 from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from importlib import metadata
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from armperturb.files import write_csv, written_whole
+from armperturb.files import checksum, write_csv, written_whole
 from armperturb.pages.page import Picture, rendered, versions
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.progress import Progress
@@ -16,6 +17,7 @@ from armperturb.study.experiments.mechanisms import Yielding, has_law, why_peopl
 from armperturb.study.experiments.moving_shoulder import MovingShoulder, moving_shoulder
 from armperturb.study.recording.record import worker_count
 from armperturb.study.report.figures.catalogue import drawings
+from armperturb.study.report.films import film_units
 from armperturb.study.report.findings import excess_rows, finding_rows, findings
 from armperturb.study.report.nonlinear_tables import nonlinear_tables
 from armperturb.study.report.pictures import picture_units
@@ -73,11 +75,19 @@ def write_report(
         draws = {
             name: draw for name, draw in drawings(study, tested, yielding).items() if figures is None or name in figures
         }
-        # Figures first: the rig takes longest.
-        units: list[Unit[Any]] = [*picture_units(draws, out), *played_units(study, out)]
+        checksums = {path.name: checksum(path) for path in study.recordings.values()}
+        pulses = draws["stills"].args[-1] if "stills" in draws else ()
+        # What takes longest comes first, so that workers end together.
+        kinds: dict[str, list[Unit[Any]]] = {
+            "films": film_units(pulses, checksums, out),
+            "drawn": picture_units(draws, out),
+            "played": played_units(study, checksums, out),
+        }
+        units = [unit for of_kind in kinds.values() for unit in of_kind]
         with Progress("figures", total=len(units), unit="figures", show=show_progress) as bar:
-            results = kept_or_computed(units, pool, bar)
-    drawn, played = dict(zip(draws, results, strict=False)), played_data(results[len(draws) :])
+            results = iter(kept_or_computed(units, pool, bar))
+    made = {kind: list(islice(results, len(of_kind))) for kind, of_kind in kinds.items()}
+    drawn, played = dict(zip(draws, made["drawn"], strict=True)), played_data(made["played"])
     (out / "figures").mkdir(exist_ok=True)
     for name, picture in drawn.items():
         if isinstance(picture, Picture):
@@ -96,8 +106,8 @@ def write_report(
     for name, lines in more.items():
         if lines:
             write_csv(lines, out / "tables" / f"{name}.csv")
-    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played)
-    page = _page(study, parts, drawn)
+    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, *made["films"])
+    page = _page(study, parts, drawn, checksums)
     report = out / "report.html"
     with written_whole(report) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -127,7 +137,12 @@ def _simulated(
     return results.get("mechanisms"), results["moving-shoulder"]
 
 
-def _page(study: StudyResult, parts: Mapping[str, Mapping[str, Any]], drawn: Mapping[str, Picture | str]) -> str:
+def _page(
+    study: StudyResult,
+    parts: Mapping[str, Mapping[str, Any]],
+    drawn: Mapping[str, Picture | str],
+    checksums: Mapping[str, str],
+) -> str:
     return rendered(
         "armperturb.study.report",
         "report.html",
@@ -141,6 +156,6 @@ def _page(study: StudyResult, parts: Mapping[str, Mapping[str, Any]], drawn: Map
         tasks=by_task(study),
         multisine={"period": PERIOD, "lines": CLUSTERS.size, "clusters": len(CLUSTERS)},
         versions=versions("armperturb", "mujoco", "numpy", "scipy"),
-        origin=provenance(study),
+        origin=provenance(study, checksums),
         licence=metadata.metadata("armperturb")["License-Expression"],
     )

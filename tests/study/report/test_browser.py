@@ -107,6 +107,69 @@ def test_tables_sort_and_tables_and_figures_are_saved(browser, thesis_report):
     assert "svg" in picture or "xml" in picture
 
 
+PLAYED = """
+(async () => {
+  const at = name => document.getElementById(`played-${name}`), told = [];
+  const ink = () => at("arm").toDataURL();
+  at("person").selectedIndex = 1;
+  at("person").dispatchEvent(new Event("change"));
+  [...at("trial").options].forEach((option, k) => {
+    at("trial").selectedIndex = k;
+    at("trial").dispatchEvent(new Event("change"));
+    told.push(at("said").textContent);
+  });
+  at("time").value = 0.3;
+  at("time").dispatchEvent(new Event("input"));
+  const still = ink();
+  at("speed").value = "1";
+  at("play").click();
+  await new Promise(resolve => setTimeout(resolve, 400));
+  const moved = ink() !== still, pressed = at("play").getAttribute("aria-pressed");
+  at("play").click();
+  return { told, moved, pressed, after: at("play").textContent };
+})()
+"""
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_a_persons_pulse_is_played(browser, thesis_report, thesis_study, width):
+    browser.show(thesis_report / "report.html", width)
+    played = browser.evaluate(PLAYED)
+    assert (played["moved"], played["pressed"], played["after"]) == (True, "true", "Play")
+    assert len(played["told"]) == 10  # each level of each condition, to one side
+    person = thesis_study.people[1]
+    for said in played["told"]:
+        name, condition, rest = said.split(", ", 2)
+        assert name == person.name
+        mine = [t for t in person.trials if t.condition == condition and t.displacement == t.displacement]
+        recorded = float(rest.split("at most ")[1].split(" cm")[0])
+        trial = min(mine, key=lambda t: abs(100.0 * t.displacement - recorded))
+        assert recorded == pytest.approx(100.0 * trial.displacement, abs=0.06)
+        if condition.endswith("T0"):
+            assert "predicted" not in rest
+        else:
+            predicted = float(rest.split("; ")[1].split(" cm")[0])
+            assert predicted == pytest.approx(100.0 * trial.predicted_linear, abs=0.06)
+    assert complaints(browser) == []
+    assert browser.evaluate("document.querySelectorAll('.film video').length") == 2
+
+
+FIRST_PAINT = "performance.getEntriesByName('first-contentful-paint')[0].startTime"
+
+MOST_PAINT = 1500.0
+"""Time to the first paint [ms]."""
+
+
+def test_something_is_seen_soon(browser, thesis_report):
+    # The least of several: others may keep the processor busy.
+    times = []
+    for _ in range(3):
+        browser.show(thesis_report / "report.html", 1280)
+        browser.evaluate("new Promise(resolve => requestAnimationFrame(() => requestAnimationFrame(resolve)))")
+        times.append(browser.evaluate(FIRST_PAINT))
+    assert min(times) < MOST_PAINT
+
+
 PAGE = """<!doctype html><html lang="en"><head><link rel="icon" href="data:,"></head><body>
 <nav><a href="#one">One</a></nav><div style="height: 50px"></div>
 <section id="one" style="height: 3000px"><p>Text</p>{}</section></body></html>"""

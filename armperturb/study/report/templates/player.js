@@ -41,7 +41,7 @@
 
   function list() {
     const chosen = at("trial").selectedIndex, { trials } = people[at("person").selectedIndex];
-    at("trial").replaceChildren(...trials.map(trial => new Option(`${trial.condition}, level ${trial.level}, ${trial.direction}°`)));
+    at("trial").replaceChildren(...trials.map(trial => new Option(`${trial.condition} ×${trial.level}, ${trial.direction}°`)));
     const predicted = trials.findIndex(trial => trial.predicted[0].length);
     at("trial").selectedIndex = chosen >= 0 && chosen < trials.length ? chosen : Math.max(predicted, 0);
     choose();
