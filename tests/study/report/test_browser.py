@@ -11,6 +11,7 @@ from tests.browser import (
     TOO_WIDE,
     ZOOMS,
     Browser,
+    barriers,
     complaints,
     requests,
 )
@@ -48,11 +49,13 @@ def test_report_is_whole_and_readable(browser, thesis_report, width):
     assert browser.evaluate("innerWidth") == width
     assert browser.evaluate(WORDS) <= MOST_WORDS
     assert browser.evaluate(TOO_WIDE) == []
+    assert barriers(browser) == {}
     browser.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")
     assert browser.evaluate("document.images.length") == len(list((thesis_report / "figures").glob("*.svg")))
     assert browser.evaluate(BROKEN_IMAGES) == []
     assert browser.evaluate(TOO_WIDE) == []
     assert browser.evaluate(SMALL_PRINT) == []
+    assert barriers(browser) == {}
     assert browser.evaluate("document.querySelectorAll('nav a').length") > 5
     assert browser.evaluate(DEAD_LINKS) == []
     zoomed = browser.evaluate(ZOOMS)
@@ -170,9 +173,9 @@ def test_something_is_seen_soon(browser, thesis_report):
     assert min(times) < MOST_PAINT
 
 
-PAGE = """<!doctype html><html lang="en"><head><link rel="icon" href="data:,"></head><body>
+PAGE = """<!doctype html><html lang="en"><head><title>Page</title><link rel="icon" href="data:,"></head><body>
 <nav><a href="#one">One</a></nav><div style="height: 50px"></div>
-<section id="one" style="height: 3000px"><p>Text</p>{}</section></body></html>"""
+<main><section id="one" style="height: 3000px"><p>Text</p>{}</section></main></body></html>"""
 SPOILED = {
     "a broken image": ('<img alt="gone" src="data:image/png;base64,AAAA">', lambda it: it.evaluate(BROKEN_IMAGES)),
     "an image from elsewhere": ('<img alt="x" src="https://example.invalid/x.png">', requests),
@@ -182,6 +185,11 @@ SPOILED = {
     "a wide table": ('<div style="width: 2000px">x</div>', lambda it: it.evaluate(TOO_WIDE)),
     "small print": ('<p style="font-size: 6px">x</p>', lambda it: it.evaluate(SMALL_PRINT)),
     "a dead link": ('<nav><a href="#two">Two</a></nav>', lambda it: it.evaluate(DEAD_LINKS)),
+    "faint text": ('<p style="color: #999">x</p>', barriers),
+    "a field without a name": ("<input>", barriers),
+    "a table without heads": ("<table><tr><td>1</td></tr></table>", barriers),
+    "a name twice": ('<p id="one">x</p>', barriers),
+    "a heading left out": ("<h1>x</h1><h3>y</h3>", barriers),
     "a figure that stays small": (
         '<figure><label class="zoom"><input type="checkbox"><img alt="x" src="data:,"></label></figure>',
         lambda it: it.evaluate(ZOOMS)["failed"],

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from armperturb.analysis.arm.state_space import simulate_linear
-from armperturb.analysis.measures.pulse import pulse_peaks
 from armperturb.recording_files import load_recording
 from armperturb.study.report import films
 from armperturb.study.report.figures import rig as rig_figures
@@ -28,13 +27,14 @@ def test_the_first_trial_of_each_pulse_is_played(study, person):
     ]  # fmt: skip; of RT7.5 the window after the pulse was not recorded
     recording = load_recording(study.recordings[person.name])
     assert (person.l_h, person.l_f) == (recording["l_h"].values[0], recording["l_f"].values[0])
-    peaks = pulse_peaks(recording).displacement
     for trial, window in zip(person.trials, (0.3, 0.3, 0.3), strict=True):
         assert trial.rate == 100.0
-        assert len(trial.recorded) == len(trial.force) == trial.lead + round(window * trial.rate) + 1
-        # Half of the samples are shown, among which a peak is hardly missed.
-        farthest = np.linalg.norm(trial.recorded[trial.lead :], axis=1).max()
-        assert any(farthest == pytest.approx(peak, rel=2e-3) for peak in peaks[np.isfinite(peaks)])
+        mine = recording.isel(trial=np.flatnonzero(recording["condition"].values == trial.condition)[trial.trial])
+        assert (mine["pulse_level"], mine["pulse_direction"]) == (trial.level, trial.direction_deg)
+        onset = round(float(mine["pulse_onset"]) * 200.0)
+        shown = slice(onset - 2 * trial.lead, onset + round(200.0 * window) + 1, 2)
+        np.testing.assert_array_equal(trial.recorded, mine["displacement"].values[shown])
+        np.testing.assert_array_equal(trial.force, mine["perturbation"].values[shown])
         along = trial.force[trial.lead + 4]  # half of the 80 ms
         assert np.degrees(np.arctan2(along[1], along[0])) == pytest.approx(20.0, abs=2.0)
 
