@@ -206,7 +206,7 @@ BARRIERS = """
     main: document.querySelectorAll("main").length === 1 ? [] : ["main"],
     twice: ids.filter((id, k) => ids.indexOf(id) !== k),
     headings: levels.filter((level, k) => level > (k ? levels[k - 1] : 0) + 1),
-    unnamed: find("button, input, select, a[href], canvas, video, img, summary, [role=region], [role=group], [role=img]",
+    unnamed: find("button, input, select, a[href], canvas, video, img, summary, [role=region], [role=img]",
       one => shown(one) && !told(one).trim()),
     headless: find("table", one => !one.querySelector("th")),
     unreachable: find(".table", one => one.scrollWidth > one.clientWidth + 1 && one.tabIndex < 0),
