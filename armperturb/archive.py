@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from armperturb.files import sync, written_whole
+from armperturb.files import write_whole
 
 PACKAGE = "armperturb"
 
@@ -73,9 +73,7 @@ def write_archive(path: Path, source: Any, value: Any) -> None:
     content = json.dumps({"source": source, "value": _plain(value)}, separators=(",", ":")).encode()
     if len(content) > LARGEST:
         raise OSError(errno.EFBIG, f"{len(content)} bytes; expected at most {LARGEST}", str(path))
-    with written_whole(path) as temporary:
-        temporary.write_bytes(gzip.compress(content + b"\n" + _signature(content), compresslevel=1, mtime=0))
-        sync(temporary)
+    write_whole(path, gzip.compress(content + b"\n" + _signature(content), compresslevel=1, mtime=0))
 
 
 @cache

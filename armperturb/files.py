@@ -1,6 +1,7 @@
 """Files that are there whole or not at all, and tables that lie beside the code."""
 
 import csv
+import errno
 import hashlib
 import os
 import re
@@ -121,17 +122,63 @@ def require_folder_of(path: Path) -> None:
 
 
 @contextmanager
-def written_whole(path: str | Path) -> Iterator[Path]:
-    """A temporary path beside `path` that takes its place when the block ends well, and vanishes when it does not.
+def written_together(paths: Iterable[Path]) -> Iterator[list[Path]]:
+    """Temporary paths that take the places of `paths` when the block ends well, and vanish when it does not.
+
+    All of them are on disk before the first takes its place, and their names are when this returns: a file outlasts a
+    loss of power whole or not at all.
 
     Args:
-      path: of the file to write; an existing one is replaced.
+      paths: of the files to write; existing ones are replaced.
 
     Raises:
-      ValueError: `path` is an input of the command that writes.
-      OSError: the folder is missing or cannot be written to; the message names `path`.
+      ValueError: one is an input of the command that writes.
+      OSError: a folder is missing or cannot be written to; the message names the file.
     """
-    path = Path(path)
+    parts: dict[Path, Path] = {}
+    try:
+        for path in paths:
+            parts[path] = _part(path)
+        yield list(parts.values())
+        # mkstemp makes files private; a result is as readable as any other file of the user.
+        mask = os.umask(0)
+        os.umask(mask)
+        for part in parts.values():
+            os.chmod(part, 0o666 & ~mask)
+            sync(part)
+        for path, part in parts.items():
+            os.replace(part, path)
+        for folder in {path.parent for path in parts}:
+            sync(folder)
+    except OSError as error:
+        if error.errno is None or not parts:
+            raise
+        # A full disk names no file. What is named is a file that the user knows.
+        known = {str(part): path for path, part in parts.items()}
+        if error.filename is not None and str(error.filename) not in known:
+            raise
+        named = known.get(str(error.filename), next(iter(parts)))
+        raise OSError(error.errno, error.strerror, str(named)) from error
+    finally:
+        for part in parts.values():
+            part.unlink(missing_ok=True)
+
+
+@contextmanager
+def written_whole(path: str | Path) -> Iterator[Path]:
+    """`written_together` of one file."""
+    with written_together([Path(path)]) as (temporary,):
+        yield temporary
+
+
+def write_whole(path: str | Path, content: bytes | str) -> None:
+    """Write a file whole or not at all, text as UTF-8, as `written_together` does."""
+    with written_whole(path) as temporary:
+        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def _part(path: Path) -> Path:
+    """A new temporary file beside a file to write."""
     require_folder_of(path)
     require_no_input(path)
     if path.is_dir():
@@ -141,19 +188,7 @@ def written_whole(path: str | Path) -> Iterator[Path]:
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error  # of the same subclass, by its number
     os.close(handle)
-    try:
-        yield Path(name)
-        # mkstemp makes files private; a result is as readable as any other file of the user.
-        mask = os.umask(0)
-        os.umask(mask)
-        os.chmod(name, 0o666 & ~mask)
-        os.replace(name, path)
-    except OSError as error:
-        if error.filename not in (name, None) or error.errno is None:  # a full disk names no file
-            raise
-        raise OSError(error.errno, error.strerror, str(path)) from error
-    finally:
-        Path(name).unlink(missing_ok=True)
+    return Path(name)
 
 
 def checksum(path: str | Path) -> str:
@@ -166,28 +201,19 @@ def checksum(path: str | Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def write_durably(path: str | Path, content: bytes) -> None:
-    """Write a file whole or not at all, and let it outlast a loss of power.
-
-    Args:
-      path: of the file to write; an existing one is replaced.
-      content: of the file.
+def sync(path: str | Path) -> None:
+    """Bring a file's content, or a folder's entries, to disk: a new name lasts only then.
 
     Raises:
-      OSError: the folder is missing or cannot be written to; an existing file stays as it was.
+      OSError: that fails; the message names the path.
     """
-    path = Path(path)
-    with written_whole(path) as temporary:
-        temporary.write_bytes(content)
-        sync(temporary)
-    sync(path.parent)
-
-
-def sync(path: str | Path) -> None:
-    """Bring a file's content, or a folder's entries, to disk: a new name lasts only then."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
+    except OSError as error:
+        # Some file systems of networks have nothing like this for folders.
+        if error.errno != errno.EINVAL or not Path(path).is_dir():
+            raise OSError(error.errno, error.strerror, str(path)) from error
     finally:
         os.close(handle)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from armperturb.files import written_whole
+from armperturb.files import write_whole
 from armperturb.foreign import read_foreign
 from armperturb.recording import OPTIONAL_SIGNALS, SIGNALS, TEXT_COORDINATES, check_recording
 
@@ -77,9 +77,7 @@ def save_recording(recording: xr.Dataset, path: str | Path) -> None:
       ValueError: as `check_recording`.
       OSError: the folder cannot be written to.
     """
-    content = encode_recording(recording)
-    with written_whole(path) as temporary:
-        temporary.write_bytes(content)
+    write_whole(path, encode_recording(recording))
 
 
 def load_recording(path: str | Path, optional: Iterable[str] = OPTIONAL_SIGNALS) -> xr.Dataset:

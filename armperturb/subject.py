@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 import tomli_w
 
-from armperturb.files import packaged_table, read_toml
+from armperturb.files import packaged_table, read_toml, write_whole
 from armperturb.muscle_law import MuscleLaw
 from armperturb.validation import require_keys, require_number, require_one_of, require_ranges
 
@@ -275,7 +275,7 @@ class Subject:
 
     def save(self, path: str | Path) -> None:
         """Write the subject to a TOML file that `load` reads back exactly."""
-        Path(path).write_text(tomli_w.dumps(self.to_dict()), encoding="utf-8")
+        write_whole(path, tomli_w.dumps(self.to_dict()))
 
 
 def at_level(subject: Subject, level: float) -> Subject:

@@ -1,10 +1,10 @@
 """Fails the n-th write, rename, fsync or allocation of a command, for every n, and looks at what is left.
 
-Run `python -m benchmarks.faults [COMMAND ...] [--most N]`: convert and response take minutes, identify, study, report
-and score much longer. Each command runs in this process, in a folder that holds the results of an earlier run with
-other options. After each failure every file must be the earlier one or the new one to the last byte, nothing else may
-be there, and the command must have said why in one line. Of more than `--most` operations of a kind, so many are
-failed that are spread evenly.
+Run `python -m benchmarks.faults [COMMAND ...] [--most N]`: by default all commands, with at most 20 operations of a
+kind, which takes half an hour and more. Each command runs in this process, in a folder that may hold the results of an
+earlier run with other options. After each failure every file must be the earlier one or the new one to the last byte,
+nothing else may be there, the exit status must be 1, and the command must have said why in one line. Of more than
+`--most` operations of a kind, the first half of that number and others spread evenly are failed.
 """
 
 import argparse
@@ -24,6 +24,8 @@ from unittest import mock
 import numpy as np
 
 from armperturb import cli
+from armperturb.perturbations import Multisine, save_perturbation
+from armperturb.subject import RELAX
 from benchmarks.study_kills import short_protocol
 
 OPERATIONS = {
@@ -92,8 +94,11 @@ def run(arguments: list[str]) -> tuple[int, str]:
 
 
 def numbers(count: int, most: int) -> list[int]:
-    """Which operations of so many are failed, from 1."""
-    return sorted(set(np.linspace(1, count, min(count, most)).round().astype(int).tolist()))
+    """Which operations of so many are failed, from 1: all of few, else the first ones and others spread evenly."""
+    if count <= most:
+        return list(range(1, count + 1))
+    first = most // 2
+    return [*range(1, first + 1), *np.linspace(first + 1, count, most - first).round().astype(int).tolist()]
 
 
 def failures(inputs: Path, earlier: list[str], command: list[str], kind: str, most: int) -> Iterator[tuple[int, str]]:
@@ -105,39 +110,51 @@ def failures(inputs: Path, earlier: list[str], command: list[str], kind: str, mo
       command: that fails.
       kind: of `OPERATIONS`.
       most: operations that are failed.
+
+    Raises:
+      RuntimeError: the command fails by itself, or writes other files each time.
     """
     here = Path.cwd()
     with tempfile.TemporaryDirectory() as name:
-        old, new, now = (Path(name) / part for part in ("old", "new", "now"))
+        old, now = Path(name) / "old", Path(name) / "now"
+
+        def result(fault: Fault) -> tuple[int, str, dict[str, bytes]]:
+            shutil.copytree(old, now)
+            os.chdir(now)
+            with fault.injected():
+                status, said = run(command)
+            left = contents(now)
+            os.chdir(here)
+            shutil.rmtree(now)
+            return status, said, left
+
         try:
             shutil.copytree(inputs, old)
             os.chdir(old)
-            if earlier:
-                assert run(earlier)[0] == 0
-            shutil.copytree(old, new)
-            os.chdir(new)
+            if earlier and (ended := run(earlier))[0]:
+                raise RuntimeError(f"{' '.join(earlier)}: {ended[1]}")
+            before = contents(old)
+            result(Fault(kind, 0))  # what is imported and kept in memory counts no longer
             counted = Fault(kind, 0)
-            with counted.injected():
-                assert run(command)[0] == 0
-            before, after = contents(old), contents(new)
+            status, said, after = result(counted)
+            if status or result(Fault(kind, 0))[2] != after:
+                raise RuntimeError(f"{' '.join(command)}: {said or 'other files each time'}")
             for number in numbers(counted.count, most):
-                shutil.copytree(old, now)
-                os.chdir(now)
-                with Fault(kind, number).injected():
-                    status, said = run(command)
-                yield number, _wrong(status, said, before, after, contents(now))
-                os.chdir(here)
-                shutil.rmtree(now)
+                fault = Fault(kind, number)
+                status, said, left = result(fault)
+                if fault.count >= number:
+                    yield number, _wrong(status, said, before, after, left)
         finally:
             os.chdir(here)
 
 
 def _wrong(status: int, said: str, before: dict[str, bytes], after: dict[str, bytes], left: dict[str, bytes]) -> str:
     if status == 0:
-        return "" if left == after else "succeeded with other results"
+        other = [name for name in {**after, **left} if after.get(name) != left.get(name)]
+        return f"succeeded with other results: {', '.join(other)}" if other else ""
     lines = [line for line in said.splitlines() if line.startswith("armperturb: error: ")]
-    if len(lines) != 1 or "Traceback" in said:
-        return f"{len(lines)} lines of errors: {said[-200:]!r}"
+    if status != 1 or len(lines) != 1 or "Traceback" in said:
+        return f"status {status}, {len(lines)} lines of errors: {said[-200:]!r}"
     if strange := [name for name in left if name not in before and name not in after]:
         return f"left behind: {', '.join(strange)}"
     if lost := [name for name in before if name not in left and name in after]:
@@ -146,8 +163,8 @@ def _wrong(status: int, said: str, before: dict[str, bytes], after: dict[str, by
     return f"neither the old nor the new file: {', '.join(halves)}" if halves else ""
 
 
-def _laboratory(folder: Path, *, with_study: bool) -> None:
-    """A recording of two trials, as CSV with its sidecar and as netCDF, a short protocol, and its study if asked."""
+def laboratory(folder: Path, *, with_study: bool) -> None:
+    """What the commands read: recordings of two trials, a person, a perturbation, a protocol; its study if asked."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     from foreign_arms import Arm
     from foreign_recordings import Setup, write_csv
@@ -156,12 +173,19 @@ def _laboratory(folder: Path, *, with_study: bool) -> None:
     write_csv(setup, *setup.record(), folder)
     os.chdir(folder)
     assert run(["convert", "foreign.csv", "--out", "r.nc"])[0] == 0
+    shutil.copy("foreign.csv", "bare.csv")
+    RELAX.save("person.toml")
+    save_perturbation(Multisine.draw(seed=0, rms=2.0), "push.csv", 200.0)
     short_protocol(folder / "short.toml")
     if not with_study:
         return
-    study = ["study", "--protocol", "short.toml", "--subjects", "1", "--workers", "1", "--record-only", "--out", "made"]
-    assert run(study)[0] == 0
+    assert run(["study", *_STUDY, "--out", "made"])[0] == 0
 
+
+_STUDY = ["--protocol", "short.toml", "--subjects", "1", "--workers", "1", "--record-only"]
+_SIMULATE = ["simulate", "--subject", "person.toml", "--perturbation", "push.csv"]
+_VIDEO = ["video", "made/recordings/S01.nc", "--start", "1", "--stop", "1.2", "--size", "320", "240", "--view", "top"]
+_LIMITS = ["--goal", "intrinsic", "--force", "5", "--displacement", "0.01", "--duration", "20"]
 
 COMMANDS = {
     # Not to MATLAB, whose header holds the date.
@@ -169,6 +193,7 @@ COMMANDS = {
         ["convert", "foreign.csv", "--rate", "100", "--out", "o.csv"],
         ["convert", "r.nc", "--out", "o.csv", "--overwrite"],
     ),
+    "sidecar": ([], ["sidecar", "bare.csv"]),
     "response": (
         ["response", "r.nc", "--out", "o", "--method", "welch"],
         ["response", "r.nc", "--out", "o", "--method", "multitaper"],
@@ -177,17 +202,19 @@ COMMANDS = {
         ["identify", "r.nc", "--model", "1", "--out", "o"],
         ["identify", "r.nc", "--model", "2", "--out", "o"],
     ),
-    "study": (
-        [],
-        ["study", "--protocol", "short.toml", "--subjects", "1", "--workers", "1", "--record-only", "--out", "o"],
+    "simulate": (
+        [*_SIMULATE, "--ideal", "--out", "o.nc"],
+        [*_SIMULATE, "--out", "o.nc", "--overwrite"],
     ),
-    "report": ([], ["report", "made", "--workers", "1"]),
-    "score": ([], ["score", "made"]),
+    "study": ([], ["study", *_STUDY, "--out", "o"]),
+    "score": (["report", "made", "--workers", "1"], ["score", "made"]),
     "video": (
-        ["video", "made/recordings/S01.nc", "--trial", "0", "--out", "o.gif"],
-        ["video", "made/recordings/S01.nc", "--trial", "1", "--out", "o.gif", "--overwrite"],
+        [*_VIDEO, "--trial", "0", "--out", "o.gif"],
+        [*_VIDEO, "--trial", "1", "--out", "o.gif", "--overwrite"],
     ),
-    "calibrate": ([], ["calibrate", "--out", "o.toml"]),
+    "design": ([], ["design", "--subject", "person.toml", *_LIMITS, "--out", "o"]),
+    "report": ([], ["report", "made", "--workers", "1"]),
+    "calibrate": ([], ["calibrate", "--iterations", "1", "--out", "o.toml"]),
 }
 """Name to the command that ran before, and the command that fails."""
 
@@ -195,14 +222,15 @@ COMMANDS = {
 def main(arguments: list[str] | None = None) -> None:
     """Print for each command and kind of operation how many were failed, and what was wrong."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("commands", nargs="*", default=["convert", "response"], choices=list(COMMANDS))
+    parser.add_argument("commands", nargs="*", choices=[[], *COMMANDS])
     parser.add_argument("--most", type=int, default=20)
     options = parser.parse_args([] if arguments is None else arguments)
+    commands = options.commands or list(COMMANDS)
     here = Path.cwd()
     with tempfile.TemporaryDirectory() as name:
-        _laboratory(Path(name), with_study=bool({"report", "score", "video"} & set(options.commands)))
+        laboratory(Path(name), with_study=bool({"report", "score", "video"} & set(commands)))
         os.chdir(here)
-        for command in options.commands:
+        for command in commands:
             for kind in OPERATIONS:
                 seen = list(failures(Path(name), *COMMANDS[command], kind, options.most))
                 wrong = [(number, text) for number, text in seen if text]

@@ -2,6 +2,7 @@
 
 People of three joints, half of them with a one-sided and half with a linear reflex, and people without one, on a
 position and on a force servo, 60 s each with noise of 10 to 20 dB. Their equations are those of `tests/one_joint.py`.
+Beside each median error stands the one that the standard errors let expect. `response` is judged on the same people.
 """
 
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from armperturb.analysis.joint.identify import identify_joint
+from armperturb.analysis.response.one_axis import one_axis_response
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import one_joint
@@ -20,19 +22,31 @@ TARGETS = {
 }  # fmt: skip
 """Parameter to the largest median error [%], of the delay [ms]."""
 
+QUARTILE = 0.6745
+"""Median of the modulus of a standard normal variable [-]."""
+
 
 def main(people: int, servos: list[str]) -> None:
     """Print errors, coverage and choices."""
     for servo in servos:
         errors = {name: [] for name in TARGETS}
+        expected = {name: [] for name in TARGETS}
+        covered, linear, one_sided = [], [], []
         held, right, started = [], {"half-wave": [], "linear": [], "none": []}, time.process_time()
         for number in range(people):
             name = list(one_joint.JOINTS)[number % 3]
             for reflex in right:
                 person = one_joint.person(name, 100 + number, reflex)
                 decibel = float(np.random.default_rng(number).uniform(10.0, 20.0))
+                recording = one_joint.recording(person, number, servo, decibel=decibel, name=name)
+                response = one_axis_response(recording, window_start=1.0)
+                (one_sided if reflex == "half-wave" else linear).append(response.p_linear)
+                if reflex != "half-wave":
+                    impedance = one_joint.impedance(person, response.frequency)
+                    truth = impedance if servo == "position" else 1.0 / impedance
+                    covered.append(np.mean(response.covers(truth[:, None, None])))
                 try:
-                    result = identify_joint(one_joint.recording(person, number, servo, decibel=decibel, name=name))
+                    result = identify_joint(recording)
                 except ValueError as error:
                     print(f"{servo} {name} {number} {reflex}: {error}", flush=True)
                     right[reflex].append(False)
@@ -47,7 +61,9 @@ def main(people: int, servos: list[str]) -> None:
                     true = getattr(person, parameter)
                     if parameter in TARGETS:
                         miss = abs(value - true)
-                        errors[parameter].append(1e3 * miss if parameter == "reflex_delay" else 100.0 * miss / true)
+                        unit = 1e3 if parameter == "reflex_delay" else 100.0 / true
+                        errors[parameter].append(unit * miss)
+                        expected[parameter].append(unit * QUARTILE * result.standard_error[parameter])
                     lower, upper = result.interval(parameter)
                     held.append((parameter, lower <= true <= upper))
         print(f"{servo} servo, {people} people of each kind, {time.process_time() - started:.0f} s of processor time")
@@ -55,10 +71,16 @@ def main(people: int, servos: list[str]) -> None:
             of_name = [inside for parameter, inside in held if parameter == name]
             unit = "ms" if name == "reflex_delay" else "%"
             print(
-                f"  {name}: median error {np.median(errors[name]):.2f} {unit} (target {target:g}), "
+                f"  {name}: median error {np.median(errors[name]):.2f} {unit} (target {target:g}, "
+                f"standard errors let expect {np.nanmedian(expected[name]):.2f}), "
                 f"intervals hold {100 * np.mean(of_name):.1f} % of {len(of_name)}"
             )
         print(f"  all intervals hold {100 * np.mean([inside for _, inside in held]):.1f} % (target 90 to 98)")
+        print(
+            f"  response: circles of 95 % hold {100 * np.mean(covered):.1f} %; called nonlinear (p < 0.001): ", end=""
+        )
+        print(f"{np.sum(np.array(one_sided) < 1e-3)} of {people} with a half-wave reflex, ", end="")
+        print(f"{np.sum(np.array(linear) < 1e-3)} of {2 * people} others")
         for reflex, choices in right.items():
             print(f"  right choice of {reflex}: {sum(choices)} of {len(choices)}", flush=True)
 

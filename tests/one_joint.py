@@ -56,6 +56,13 @@ def person(name, seed, reflex="half-wave"):
     return replace(base, reflex=reflex, side=int(rng.choice([-1, 1])), **varied)
 
 
+def impedance(joint, frequency):
+    """Of a joint with a linear reflex, from angle to torque, (frequency,)."""
+    s, wn = 2j * np.pi * frequency, 2 * np.pi * joint.reflex_frequency
+    path = wn**2 / (s**2 + 2 * joint.reflex_damping_ratio * wn * s + wn**2) * np.exp(-s * joint.reflex_delay)
+    return joint.inertia * s**2 + joint.damping * s + joint.stiffness + joint.reflex_gain * s * path
+
+
 def coloured(rng, n, low, high, white=0.02):
     sections = signal.butter(1, [low, high], "bandpass", fs=RATE, output="sos")
     noise = signal.sosfilt(sections, rng.normal(size=n + 5 * RATE))[5 * RATE :]
@@ -105,40 +112,45 @@ def _reflex_torque(drive, delay, gain, wn, ratio, dt):
 
 
 @njit(cache=False)
-def _closed_loop(load, noise, env, joint, dt, substeps, halfwave, side):
-    """Angle, velocity and acceleration of joint and device under a load, by semi-implicit steps."""
-    inertia, damping, stiffness, gain, delay, wn, ratio, threshold = joint
+def _slopes(state, push, drive, env, joint):
+    """Derivatives of angle, velocity, reflex torque over its gain, and its rate."""
+    inertia, damping, stiffness, gain, _, wn, ratio, _ = joint
     m, b, k = env
+    x, v, y, w = state
+    a = (push - (b + damping) * v - (k + stiffness) * x - gain * y) / (m + inertia)
+    return np.array([v, a, w, wn * wn * (drive - y) - 2 * ratio * wn * w])
+
+
+@njit(cache=False)
+def _closed_loop(load, noise, env, joint, dt, substeps, halfwave, side):
+    """Angle and torque of joint and device under a load, by RK4; drives between steps are linear."""
+    inertia, damping, stiffness, gain, delay, _, _, threshold = joint
     n = len(load)
-    x, v, y, w = 0.0, 0.0, 0.0, 0.0
+    state = np.zeros(4)
     h = dt / substeps
     lag = delay / h
     whole = int(lag)
     part = lag - whole
     memory = np.zeros(whole + 3)
-    at = 0
+    size, at = len(memory), 0
     angle, torque = np.zeros(n), np.zeros(n)
     for i in range(n):
-        after = load[min(i + 1, n - 1)]
-        noise_after = noise[min(i + 1, n - 1)]
+        first = load[i] - noise[i]
+        rise = load[min(i + 1, n - 1)] - noise[min(i + 1, n - 1)] - first
         for j in range(substeps):
-            share = j / substeps
-            d = load[i] + (after - load[i]) * share
-            e = noise[i] + (noise_after - noise[i]) * share
-            a = (d - e - (b + damping) * v - (k + stiffness) * x - gain * y) / (m + inertia)
-            if j == 0:
-                angle[i] = x
-                torque[i] = inertia * a + damping * v + stiffness * x + gain * y + e
-            memory[at] = _drive(v, threshold, side, halfwave)
-            size = len(memory)
-            u = memory[(at - whole) % size] * (1 - part) + memory[(at - whole - 1) % size] * part
+            memory[at] = _drive(state[1], threshold, side, halfwave)
+            start = memory[(at - whole) % size] * (1 - part) + memory[(at - whole - 1) % size] * part
+            end = memory[(at - whole + 1) % size] * (1 - part) + memory[(at - whole) % size] * part
             at = (at + 1) % size
-            w += h * (wn * wn * (u - y) - 2 * ratio * wn * w)
-            y += h * w
-            x_half = x + 0.5 * h * v
-            a_half = (d - e - (b + damping) * (v + 0.5 * h * a) - (k + stiffness) * x_half - gain * y) / (m + inertia)
-            v += h * a_half
-            x = x_half + 0.5 * h * v
+            here, there = first + rise * j / substeps, first + rise * (j + 1) / substeps
+            k1 = _slopes(state, here, start, env, joint)
+            if j == 0:
+                angle[i] = state[0]
+                torque[i] = inertia * k1[1] + damping * state[1] + stiffness * state[0] + gain * state[2] + noise[i]
+            k2 = _slopes(state + 0.5 * h * k1, 0.5 * (here + there), 0.5 * (start + end), env, joint)
+            k3 = _slopes(state + 0.5 * h * k2, 0.5 * (here + there), 0.5 * (start + end), env, joint)
+            k4 = _slopes(state + h * k3, there, end, env, joint)
+            state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     return angle, torque
 
 

@@ -56,7 +56,7 @@ ARROWS = {
     "analysis.per_trials": ARM - {"analysis.per_trials"},
     "analysis.response": ARM,
     "analysis.measures": ARM,
-    "analysis.fit": ARM | {"analysis.response", "analysis.measures"},
+    "analysis.fit": ARM | {"analysis.response", "analysis.measures", "analysis.emg"},
     "analysis.varying": ARM,
     "analysis.joint": ARM | {"analysis.fit"},
     "analysis.page": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.joint", "pages"},

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from armperturb.commands.command import Command, Positional
-from armperturb.files import write_csv
+from armperturb.files import write_csv, write_whole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,5 +47,5 @@ class Compare(Command):
         self.out.mkdir(parents=True, exist_ok=True)
         write_csv(likeness.to_frame(), self.out / "compare.csv")
         save_plot(likeness, self.out / "compare.svg")
-        (self.out / "compare.txt").write_text(likeness.summary() + "\n", encoding="utf-8")
+        write_whole(self.out / "compare.txt", likeness.summary() + "\n")
         return [*lines, likeness.summary(), f"results: {self.out}"]

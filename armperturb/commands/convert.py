@@ -5,7 +5,7 @@ from pathlib import Path
 
 from armperturb.commands.command import Command, Positional
 from armperturb.convert.tables import Repair
-from armperturb.files import require_folder_of, require_new
+from armperturb.files import checksum, require_folder_of, require_new
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +24,8 @@ class Convert(Command):
     lengths; trials leaves out those with other faults."""
     rate: float | None = None
     """Sampling rate of the recording [Hz]; by default that of the files."""
+    checksum: bool = False
+    """Print the SHA-256 of each file that is written, in lines as `sha256sum -c` reads them."""
     overwrite: bool = False
     """Replace existing files of the output; an input is never replaced."""
 
@@ -37,4 +39,5 @@ class Convert(Command):
         imported = import_recording(self.files, sidecar=self.sidecar, repair=self.repair, rate=self.rate)
         require_new(written_files(imported.recording, self.out), overwrite=self.overwrite)
         paths = export_recording(imported.recording, self.out)
-        return [*imported.notes, f"recording: {', '.join(map(str, paths))}"]
+        sums = [f"{checksum(path)}  {path}" for path in paths if self.checksum]
+        return [*imported.notes, f"recording: {', '.join(map(str, paths))}", *sums]

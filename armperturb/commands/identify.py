@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from armperturb.analysis.fit.structures import Structure
+    from armperturb.analysis.fit.use_emg import UseOfEmg
 
 Model = Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear", "joint"]
 RESULTS = [
@@ -29,7 +30,7 @@ RESULTS = [
 """Files that are written and may be inputs by their ending."""
 
 OF_A_STRUCTURE = ("free", "fix", "bounds", "tie", "prior")
-OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", "body", *OF_A_STRUCTURE)
+OF_LINEAR_MODELS = ("estimator", "share", "lines_per_average", "body", "emg", "emg_delay", *OF_A_STRUCTURE)
 OF_THE_NONLINEAR_MODEL = ("law", "pulses")
 OF_THE_JOINT_MODEL = ("reflex", "short_range", "fit_until", "longest_delay")
 
@@ -86,6 +87,12 @@ class Identify(Command):
     --fix m=0 --free i, or a model that has them."""
     share: tuple[str, ...] = ()
     """Parameters that are the same in all conditions, e.g. mass grip k_s; with maximum likelihood only."""
+    emg: bool = False
+    """Use EMG as well: of reflexes it tells more than the movement. Trials of a condition MVC, a maximal contraction,
+    are what amplitudes are relative to. Where EMG is missing or cannot be used, the movement alone is."""
+    emg_delay: tuple[float, float] = (0.0, 0.0)
+    """Mean and standard deviation of the time by which muscles answer later than their EMG, beyond the activation
+    dynamics [s]; with --emg. What neural and electromechanical delay add up to is all that a movement tells."""
     subject: str | None = None
     """Which subject, if the recordings hold several."""
     condition: str | None = None
@@ -109,6 +116,10 @@ class Identify(Command):
 
         self._require_options(("nonlinear", "joint") if self.model is None else (self.model,))
         structure = None if self.model in ("nonlinear", "joint") else self._structure()
+        if self.emg_delay != (0.0, 0.0) and not self.emg:
+            raise ValueError(f"identify: emg_delay = {self.emg_delay!r} without EMG; expected it with --emg only")
+        if self.emg and self.estimator == "thesis":
+            raise ValueError("identify: EMG with estimator = 'thesis'; expected --estimator record or frequency")
         recordings, notes = select_trials(
             self.recordings, self.sidecar, self.subject, self.condition, single_condition=self.model == "joint"
         )
@@ -210,12 +221,14 @@ class Identify(Command):
 
     def _identify(self, recordings: "list[xr.Dataset]", structure: "Structure | None", notes: list[str]) -> list[str]:
         from armperturb.analysis.fit.export import write_identification
-        from armperturb.analysis.fit.identify import identify_conditions, parts_by_condition
+        from armperturb.analysis.fit.group import parts_by_condition
+        from armperturb.analysis.fit.identify import identify_conditions
         from armperturb.analysis.fit.own_structures import inertia_prior, save_structure
         from armperturb.analysis.page.page import Origin, write_page
         from armperturb.commands.selection import manipulator
         from armperturb.files import checksum
 
+        emg = self._emg(notes) if self.emg else None
         tasks = list(dict.fromkeys(task for recording in recordings for task in recording["task"].values.tolist()))
         if len(tasks) > 1:
             raise ValueError(
@@ -235,6 +248,7 @@ class Identify(Command):
             window_start=self.window_start,
             period=self.period,
             lines_per_average=self.lines_per_average,
+            emg=emg,
         )
         write_identification(results, self.out)
         for condition, result in results.items():
@@ -258,6 +272,29 @@ class Identify(Command):
             lines.append(f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %")
             lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
         return lines
+
+    def _emg(self, notes: list[str]) -> "UseOfEmg | None":
+        """EMG of all conditions of the person; None, and a note, where it is missing or cannot be used."""
+        from armperturb.analysis.emg.envelope import envelopes
+        from armperturb.analysis.fit.emg_likelihood import ElectromechanicalDelay
+        from armperturb.analysis.fit.use_emg import UseOfEmg
+        from armperturb.commands.selection import select_trials
+        from armperturb.recording import join_recordings
+
+        delay = ElectromechanicalDelay(mean=self.emg_delay[0], sd=self.emg_delay[1])
+        try:
+            recordings, _ = select_trials(
+                self.recordings, self.sidecar, self.subject, None, single_condition=False, optional=("emg",)
+            )
+            joined = recordings[0]
+            if len(recordings) > 1:
+                joined = join_recordings(recordings, optional=("emg",)).recording
+            result = envelopes(joined)
+        except ValueError as error:
+            notes.append(f"{error}; the movement alone is used")
+            return None
+        notes.extend(result.remarks)
+        return UseOfEmg(envelopes=result, delay=delay)
 
     def _identify_nonlinear(self, recordings: "list[xr.Dataset]") -> list[str]:
         with naming_the_extra("identify --model nonlinear"):

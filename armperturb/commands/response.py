@@ -9,6 +9,10 @@ from armperturb.commands.command import Command, Positional
 from armperturb.files import require_no_input, write_csv
 
 if TYPE_CHECKING:
+    import xarray as xr
+
+    from armperturb.analysis.response.best_linear import BestLinear
+    from armperturb.analysis.response.frequency_response import FrequencyResponse
     from armperturb.analysis.trials import ConditionTrials
 
 
@@ -20,12 +24,14 @@ class Response(Command):
     """Recordings of one person in one condition: netCDF4, or CSV, MATLAB or C3D with a sidecar (see convert); their
     lengths may differ."""
     out: Path
-    """Folder for response.csv and response.svg; with multisines in two or more trials also distortion.csv and .svg."""
+    """Folder for response.csv and response.svg; with multisines in two or more trials also distortion.csv and .svg. Of
+    one axis, coherence and distortion are in response.csv."""
     sidecar: Path | None = None
     """Sidecar of all recordings that need one, see docs/recordings.md; by default FILE.json beside each."""
-    method: Literal["multisine", "noise", "welch", "multitaper", "spectral", "arx", "subspace"] = "multisine"
-    """For multisines of any lines and period, multisine, or spectral as in the thesis; for any disturbance with power
-    at all frequencies, noise, welch or multitaper; for either, the models arx and subspace."""
+    method: Literal["multisine", "noise", "welch", "multitaper", "spectral", "arx", "subspace"] | None = None
+    """By default multisine; of one axis noise, the only one there. For multisines of any lines and period, multisine,
+    or spectral as in the thesis; for any disturbance with power at all frequencies, noise, welch or multitaper; for
+    either, the models arx and subspace."""
     what: Literal["arm", "environment", "total"] = "arm"
     """Of what: the arm (from force to displacement), the manipulator, or both (from perturbation to displacement)."""
     subject: str | None = None
@@ -43,51 +49,67 @@ class Response(Command):
         from armperturb.analysis.response.estimate import response
         from armperturb.analysis.trials import common_period, prepared_recordings
         from armperturb.commands.selection import MemoryPerSample, select_trials
-        from armperturb.plots.style import save_plot
         from armperturb.recording import is_one_axis
 
-        if self.period is not None and self.method not in ("multisine", "spectral"):
+        if self.period is not None and self.method not in (None, "multisine", "spectral"):
             raise ValueError(f"response: period = {self.period:g}; expected none with the method {self.method}")
         recordings, lines = select_trials(
             self.recordings, self.sidecar, self.subject, self.condition, single_condition=True
         )
         if is_one_axis(recordings[0]):
-            raise ValueError(
-                f"{', '.join(map(str, self.recordings))}: axes = 1; expected two (identify --model joint takes one)"
-            )
+            return [*lines, *self._of_one_axis(recordings), f"results: {self.out}"]
+        method = "multisine" if self.method is None else self.method
         options: dict[str, Any] = {"window_start": self.window_start, "period": self.period}
         options = {name: value for name, value in options.items() if value is not None}
         distortion = None
         try:
             MemoryPerSample(longest=0, all=1000).require(recordings)
             trials = prepared_recordings(recordings)
-            if self.method == "multisine":
+            if method == "multisine":
                 if self.period is None:
                     options["period"] = common_period(trials, options.get("window_start", SETTLED))
                 lines.append(f"period: {options['period']:g} s")
-            estimate = response(trials, self.method, what=self.what, **options)
+            estimate = response(trials, method, what=self.what, **options)
         except ValueError as error:
             raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
         lines.append(_manipulator(trials[0], was_used=estimate.environment is not None))
         if estimate.covariance is None:
-            lines.append(f"no uncertainty: {self.method} needs more trials for an estimate of it")
-        if self.method == "multisine" and self.what == "arm":
+            lines.append(f"no uncertainty: {method} needs more trials for an estimate of it")
+        if method == "multisine" and self.what == "arm":
             try:
                 distortion = best_linear(trials, **options)
                 lines.append(distortion.describe().facts[0])
             except ValueError as error:
                 lines.append(f"nonlinear distortion: not estimated ({error})")
+        self._write({"response": estimate, "distortion": distortion}, trials[0].label)
+        return [*lines, f"results: {self.out}"]
+
+    def _of_one_axis(self, recordings: "list[xr.Dataset]") -> list[str]:
+        from armperturb.analysis.response.estimate import response
+
+        if self.period is not None:
+            raise ValueError(f"response: period = {self.period:g}; expected none of one axis")
+        try:
+            estimate = response(recordings, self.method, what=self.what, window_start=self.window_start or 0.0)
+        except ValueError as error:
+            raise ValueError(f"{', '.join(map(str, self.recordings))}: {error}") from None
+        self._write({"response": estimate, "distortion": None}, str(recordings[0]["condition"].values[0]))
+        return [estimate.describe().title, *estimate.describe().facts]
+
+    def _write(self, results: "dict[str, FrequencyResponse | BestLinear | None]", condition: str) -> None:
+        """Write tables and figures; what there is no result of, an earlier run may have left."""
+        from armperturb.plots.style import save_plot
+
         self.out.mkdir(parents=True, exist_ok=True)
-        for name, result in (("response", estimate), ("distortion", distortion)):
+        for name, result in results.items():
             table, figure = self.out / f"{name}.csv", self.out / f"{name}.svg"
-            if result is None:  # those of an earlier run
+            if result is None:
                 for path in (table, figure):
                     require_no_input(path)
                     path.unlink(missing_ok=True)
             else:
-                write_csv(result.to_frame().assign(condition=trials[0].label), table)
+                write_csv(result.to_frame().assign(condition=condition), table)
                 save_plot(result, figure)
-        return [*lines, f"results: {self.out}"]
 
 
 def _manipulator(trials: "ConditionTrials", *, was_used: bool) -> str:

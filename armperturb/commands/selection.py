@@ -1,6 +1,6 @@
 """Which trials of the recordings that were given a command analyses."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -62,6 +62,7 @@ def select_trials(
     condition: str | None,
     *,
     single_condition: bool,
+    optional: Collection[str] = (),
 ) -> tuple[list[xr.Dataset], list[str]]:
     """The trials of one subject, in one condition or in all, and what happened when they were read.
 
@@ -71,6 +72,7 @@ def select_trials(
       subject: name of the subject; None if there is only one.
       condition: name of the condition; None for all, or if there is only one.
       single_condition: whether all trials must be of one condition.
+      optional: signals to read beside those that every recording has.
 
     Returns:
       The recordings that have such trials, without their others; and notes, a sentence each.
@@ -79,7 +81,7 @@ def select_trials(
       ValueError: as `import_recording`; no trial has the name, or one of several has to be chosen.
     """
     require_each_once(files)
-    imported = [import_recording([path], sidecar=sidecar, optional=()) for path in files]
+    imported = [import_recording([path], sidecar=sidecar, optional=optional) for path in files]
     notes = list(dict.fromkeys(note for _, of_file in imported for note in of_file))
     source, selected = ", ".join(map(str, files)), [recording for recording, _ in imported]
     of_files = list(map(str, files))

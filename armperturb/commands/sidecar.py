@@ -11,7 +11,7 @@ class Sidecar(Command):
     """Write the sidecar of a laboratory's file from its names and numbers, with every guess marked."""
 
     file: Positional[Path]
-    """CSV, MATLAB or C3D file."""
+    """CSV, MATLAB, NPZ or C3D file."""
     out: Path | None = None
     """Sidecar to write; by default FILE.json beside the file. An existing one is never overwritten."""
     rate: float | None = None

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from armperturb.commands.command import Command
-from armperturb.files import require_folder_of, require_new
+from armperturb.files import checksum, require_folder_of, require_new
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -68,6 +68,8 @@ class Simulate(Command):
     """Task that the recording names."""
     timestep: float | None = None
     """Of the simulation [s]."""
+    checksum: bool = False
+    """Print the SHA-256 of the recording, in a line as `sha256sum -c` reads it."""
     overwrite: bool = False
     """Replace an existing recording; an input is never replaced."""
 
@@ -98,7 +100,8 @@ class Simulate(Command):
                 f"within {Environment().workspace:g} m of the start (a weaker perturbation or a stiffer subject)"
             )
         save_recording(recording, self.out)
-        return [*lines, f"recording: {self.out}"]
+        sums = [f"{checksum(self.out)}  {self.out}"] if self.checksum else []
+        return [*lines, f"recording: {self.out}", *sums]
 
     def _require_one_arm(self) -> None:
         """Refuse two arms, none, and options of the other one.

@@ -43,8 +43,10 @@ class Study(Command):
             return [f"recordings: {self.out}"]
         from armperturb.study.report.report import write_report
         from armperturb.study.results.analyse import run_study
+        from armperturb.study.results.cache import recalled_results
 
-        with stages({"recording": RECORDING} | analysis_stages(nonlinear=bool(self.nonlinear))):
+        shares = {"recording": RECORDING} | analysis_stages(nonlinear=bool(self.nonlinear))
+        with stages(shares), recalled_results():
             result = run_study(
                 self.settings,
                 self.out,

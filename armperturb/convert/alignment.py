@@ -11,7 +11,7 @@ from scipy import signal
 
 from armperturb.analysis.trials import ARM_LABELS
 from armperturb.arrays import Array
-from armperturb.convert.checks import require_consistent_unit, require_signal
+from armperturb.convert.checks import require_signal
 from armperturb.convert.faults import Fault, Timed, even_times
 from armperturb.convert.raw import RawTrial
 from armperturb.convert.sidecar import FIRST, Sidecar, Signal
@@ -34,7 +34,7 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
       The signals, and what was wrong with their times.
 
     Raises:
-      ValueError: lengths, rates or units contradict one another, or values are no signal.
+      ValueError: lengths or rates contradict one another, or values are no signal.
     """
     labels = meaning.labels_of(raw.name)
     signals: dict[str, Array] = {}
@@ -58,8 +58,6 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
         if len(stated) > 1:
             several = " and ".join(f"{rate:g}" for rate in sorted(stated))
             raise ValueError(f"{where}: {name} at {several} Hz; expected one rate")
-        for channel in components[name]:
-            require_consistent_unit(where, name, channel, of_signal.unit, of_signal.ours, raw.units.get(channel))
         if stated:
             rates[name] = stated.pop()
     without_rate = [name for name in signals if name not in rates]

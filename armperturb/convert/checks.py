@@ -1,13 +1,15 @@
 """Refuses what no arm and manipulator do, as a wrong unit or start makes them do."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import xarray as xr
 
 from armperturb.arrays import Array
 from armperturb.convert.faults import Timed
+from armperturb.convert.raw import RawTrial
+from armperturb.convert.sidecar import Sidecar
 from armperturb.convert.tables import TABLES
 from armperturb.convert.units import UNITS
 from armperturb.recording import CLOCKS, REQUIRED_SIGNALS, SIGNALS
@@ -58,25 +60,25 @@ def require_signal(where: str, name: str, values: Array) -> None:
         raise ValueError(f"{where}: {name} is {values[at].max():.6g} at sample {at}; expected numbers of a signal")
 
 
-def require_consistent_unit(where: str, name: str, channel: str, unit: str, ours: str, of_file: str | None) -> None:
-    """Refuse a unit that the file contradicts.
+def other_units(trials: Iterable[RawTrial], meaning: Sidecar) -> list[str]:
+    """One line per channel whose file states another unit than the sidecar, which is believed.
 
     Args:
-      where: file and trial, for the message.
-      name: of the signal.
-      channel: of the file.
-      unit: that the sidecar states.
-      ours: SI unit of the signal.
-      of_file: unit that the file states; None if it states none.
-
-    Raises:
-      ValueError: they differ.
+      trials: of a file.
+      meaning: its sidecar.
     """
-    known = UNITS[ours]
-    if of_file is not None and known.get(of_file) != known[unit]:
-        raise ValueError(
-            f"{where}: {channel} is in {of_file!r}; expected {unit!r}, as signals.{name}.unit of the sidecar says"
-        )
+    lines = []
+    for trial in trials:
+        for name, of_signal in meaning.signals.items():
+            known = UNITS[of_signal.ours]
+            for channel in of_signal.channels.values():
+                of_file = trial.units.get(channel)
+                if of_file is not None and known.get(of_file) != known[of_signal.unit]:
+                    lines.append(
+                        f"{channel} is in {of_file!r} by the file; taken as {of_signal.unit!r}, as signals.{name}.unit "
+                        f"of {meaning.path} says"
+                    )
+    return list(dict.fromkeys(lines))
 
 
 def check_different(recordings: Sequence[xr.Dataset], names: Sequence[str], files: Sequence[str]) -> tuple[str, ...]:

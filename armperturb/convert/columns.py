@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from armperturb.convert.reading import C3D, TEXT
 from armperturb.convert.sidecar import Dialect
+from armperturb.convert.tables import TABLES
 from armperturb.convert.units import UNITS
 from armperturb.files import require_input
 from armperturb.foreign import LARGEST, read_foreign
@@ -112,6 +113,8 @@ def _matlab_columns(name: str, value: Any) -> Iterator[Column]:
             yield from _matlab_columns(f"{name}.{field}", inner)
     if isinstance(value, list) and value:
         yield from _matlab_columns(name, value[0])
+    if isinstance(value, np.ndarray) and value.ndim == 0 and value.dtype.kind in "fiu":
+        value = value[()]
     if isinstance(value, np.generic):
         yield Column(name, name, np.array([value]))
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or not 0 < value.ndim < 4:
@@ -129,3 +132,5 @@ def _matlab_columns(name: str, value: Any) -> Iterator[Column]:
         for component, axis in enumerate("xy"):
             index = [f"{component + 1}" if at == last else dim for at, dim in enumerate(dims)]
             yield Column(f"{name}({','.join(index)})", f"{name}.{axis}", value.take(component, last).ravel())
+    elif value.ndim == 2 and leaf and leaf[-1] not in TABLES["words"]["time"]:  # trials of one axis
+        yield Column(f"{name}({','.join(dims)})", name, value.ravel())

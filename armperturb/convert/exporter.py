@@ -3,7 +3,6 @@
 import io
 import json
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from scipy.io import savemat
 
 from armperturb.arrays import Array
 from armperturb.convert.tables import TABLES
-from armperturb.files import written_whole
+from armperturb.files import written_together
 from armperturb.recording import (
     SIGNALS,
     TEXT_COORDINATES,
@@ -73,10 +72,9 @@ def export_recording(recording: xr.Dataset, path: str | Path) -> list[Path]:
         files[of_emg] = _table(recording, ["emg"], float_format="%.9g")  # exact in single precision
         meaning["signals"]["emg"]["file"] = of_emg.name
     files[sidecar] = (json.dumps(meaning, indent=2, allow_nan=False) + "\n").encode()
-    with ExitStack() as stack:  # files are moved to their places only after all were written
-        parts = {file: stack.enter_context(written_whole(file)) for file in files}
-        for file, part in parts.items():
-            part.write_bytes(files[file])
+    with written_together(files) as parts:
+        for part, of_file in zip(parts, files.values(), strict=True):
+            part.write_bytes(of_file)
     return list(files)
 
 

@@ -10,7 +10,13 @@ import xarray as xr
 
 from armperturb.convert.alignment import in_si, joined, resampled, timed_signals
 from armperturb.convert.balance import check_balance, require_signs
-from armperturb.convert.checks import check_different, check_recordings, require_plausible, require_plausible_recording
+from armperturb.convert.checks import (
+    check_different,
+    check_recordings,
+    other_units,
+    require_plausible,
+    require_plausible_recording,
+)
 from armperturb.convert.faults import Fault, Timed, equal_lengths, find_gaps, find_stuck, without_padding
 from armperturb.convert.joint_balance import check_joint
 from armperturb.convert.raw import RawTrial
@@ -136,7 +142,8 @@ def import_trials(
     paths, guesses, masses, joints, of_files = [], [], set(), set(), list[str]()
     for path, meaning, raw_trials in files:
         paths.append(path)
-        guesses += [note for note in meaning.notes if note not in guesses]
+        remarks = [*meaning.notes, *other_units(raw_trials, meaning)]
+        guesses += [note for note in remarks if note not in guesses]
         masses.add(meaning.mass)
         joints.add(meaning.joint)
         aligned = (_aligned(path, raw, meaning, repair, rate, notes) for raw in raw_trials)

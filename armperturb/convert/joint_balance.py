@@ -42,6 +42,13 @@ class Regression(NamedTuple):
     left: float
 
 
+def limb_inertia(recording: xr.Dataset) -> float | None:
+    """Inertia that the force moves [kg m^2], or mass [kg]; None if the movement is too short or slow to show one."""
+    x, f = (recording[name].values[..., 0] for name in ("displacement", "force"))
+    limb = _regression(f, x, float(recording.attrs["rate"]))
+    return None if limb is None or abs(limb.inertia) < SURE * limb.standard_error else limb.inertia
+
+
 def check_joint(recording: xr.Dataset, mass: float | None = None, source: str = "recording") -> list[str]:
     """Refuse a recording of one axis whose signals do not belong together.
 

@@ -18,13 +18,14 @@ from armperturb.convert.checks import AWAY, LARGEST_FORCE
 from armperturb.convert.columns import WORD, Column, axis_of, columns_of, dialect_of
 from armperturb.convert.fields import MEANINGS
 from armperturb.convert.importer import import_trials
+from armperturb.convert.one_axis_template import is_one_axis, one_axis_fields, settled_one_axis
 from armperturb.convert.raw import trial_name
 from armperturb.convert.reading import ARRAYS, C3D, TEXT, read_trials
 from armperturb.convert.sidecar import BODIES, FIRST, OPEN, REQUIRED_LABELS, Dialect, Sidecar
 from armperturb.convert.tables import TABLES, Repair
 from armperturb.convert.units import UNITS
 from armperturb.environment import Environment
-from armperturb.files import written_whole
+from armperturb.files import write_whole
 from armperturb.recording import REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES
 from armperturb.subject import POSITION
 from armperturb.validation import require_one_of
@@ -62,7 +63,7 @@ def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: floa
     and sign of force are those with which perturbation, force and displacement obey physics, if there are such.
 
     Args:
-      file: CSV (.csv, .tsv, .txt), MATLAB (.mat) or C3D.
+      file: CSV (.csv, .tsv, .txt), MATLAB (.mat), NumPy (.npz) or C3D; of one axis where no signal has a second.
       out: path of the sidecar; by default beside the file, of the same name with the ending .json.
       rate: sampling rate [Hz], of a file without times.
 
@@ -85,10 +86,10 @@ def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: floa
     dialect = dialect_of(path) if path.suffix.lower() in TEXT else Dialect()
     columns = columns_of(path, dialect)
     content, guessed = _guess(path, columns, dialect, rate)
-    notes = _settled(path, target, content, guessed, columns)
+    settle = settled_one_axis if "servo" in content else _settled
+    notes = settle(path, target, content, guessed, columns)
     content["guessed"] = guessed
-    with written_whole(target) as part:
-        part.write_text(json.dumps(content, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_whole(target, json.dumps(content, indent=2, ensure_ascii=False) + "\n")
     marked = []
     for field, text in guessed.items():
         value: Any = reduce(getitem, field.split("."), content)
@@ -107,6 +108,7 @@ def _guess(
     content: dict[str, Any] = {} if rate is None else {"rate": rate}
     guessed: dict[str, str] = {}
     pairs: dict[str, dict[tuple[str, ...], dict[str, Column]]] = {name: {} for name in REQUIRED_SIGNALS}
+    singles: list[Column] = []
     labels: dict[str, NDArray[Any]] = {}
     trial: NDArray[Any] | None = None
     for column in columns:
@@ -128,6 +130,7 @@ def _guess(
         elif name in WORDS["trial"] and trial is None:
             trial, content["trial"] = column.values, column.channel
         else:
+            singles.append(column)
             stem, axis = axis_of(words)
             roles = (role for role, known in ROLES.items() if {*stem} & {*known.split()})
             role = next(roles, None if stem else "displacement")
@@ -136,6 +139,12 @@ def _guess(
     if "time" not in content and "rate" not in content and not any(column.rate for column in columns):
         content = {"rate": OPEN, **content}
         guessed = {"rate": "the sampling rate in Hz, or instead of it the field time", **guessed}
+    if not any(len(pair) == 2 for stems in pairs.values() for pair in stems.values()) and is_one_axis(singles):
+        content |= one_axis_fields(path, singles, guessed)
+        _add_labels(path, labels, trial, content, guessed, of_arm=False)
+        if dialect != Dialect():
+            content["csv"] = dialect._asdict()
+        return content, guessed
     content["axes"], guessed["axes"] = {"x": "right", "y": "forward"}, CHECKS["axes"]
     others = ", ".join(column.channel for column in columns)
     content["signals"] = {
@@ -193,6 +202,8 @@ def _add_labels(
     numbers: NDArray[Any] | None,
     content: dict[str, Any],
     guessed: dict[str, str],
+    *,
+    of_arm: bool = True,
 ) -> None:
     """Labels that columns hold, of all trials or of each, and guesses of those that are needed besides."""
 
@@ -206,11 +217,14 @@ def _add_labels(
     varying = {name: values for name, values in lists.items() if name not in constant}
     is_relaxed = {word.lower() for word in WORD.findall(path.stem)} & {*WORDS["relaxed"]}
     defaults: dict[str, Any] = {"subject": "S01", "task": "RT" if is_relaxed else "PT"}
-    defaults |= {name: getattr(POSITION, name) for name in ARM_LABELS}
-    for name in (*REQUIRED_LABELS, *ARM_LABELS):
+    of_body = ARM_LABELS if of_arm else ()
+    defaults |= {name: getattr(POSITION, name) for name in of_body}
+    for name in (*REQUIRED_LABELS, *of_body):
         if name not in labels:
             guessed[f"labels.{name}"] = CHECKS[name]
-    content["labels"] = {name: constant.get(name, value) for name, value in defaults.items() if name not in varying}
+    content["labels"] = content.get("labels", {}) | {
+        name: constant.get(name, value) for name, value in defaults.items() if name not in varying
+    }
     content["labels"] |= constant
     if varying and numbers is not None:
         firsts = {number: int(np.argmax(numbers == number)) for number in dict.fromkeys(numbers.tolist())}

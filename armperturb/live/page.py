@@ -14,7 +14,7 @@ from markupsafe import Markup
 from armperturb.cohort import average_person, draw_cohort
 from armperturb.controllers.lanes import elastic_limit_shape
 from armperturb.environment import Environment
-from armperturb.files import written_whole
+from armperturb.files import write_whole
 from armperturb.pages.page import versions
 from armperturb.perturbations.multisine import Multisine
 from armperturb.subject import POSITION, RELAX, Subject, at_level
@@ -120,5 +120,4 @@ def write_live(path: str | Path, arms: Mapping[str, Subject] | None = None) -> N
       OSError: the folder cannot be written to.
     """
     content = live_page(arms or {})
-    with written_whole(path) as temporary:
-        temporary.write_text(content, encoding="utf-8")
+    write_whole(path, content)

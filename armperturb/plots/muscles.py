@@ -98,6 +98,75 @@ def plot_envelopes(envelopes: EnvelopesLike, figure: Figure | None, trial: int, 
     return axes
 
 
+class OnsetsLike(Protocol):
+    """What is drawn of `analysis.emg.onset.Onsets`."""
+
+    @property
+    def unit(self) -> str:
+        """Of amplitudes."""
+        ...
+
+    @property
+    def latencies(self) -> pd.DataFrame:
+        """One row per muscle and direction."""
+        ...
+
+    @property
+    def time(self) -> Array:
+        """From the pulses' onset [s], (time,)."""
+        ...
+
+    @property
+    def directions_deg(self) -> Array:
+        """Of the pulses [deg], (direction,)."""
+        ...
+
+    @property
+    def average(self) -> Array:
+        """(direction, muscle, time)."""
+        ...
+
+    @property
+    def average_error(self) -> Array:
+        """Likewise."""
+        ...
+
+
+@in_style()
+def plot_onsets(onsets: OnsetsLike, figure: Figure | None) -> Any:
+    """Averages of all muscles about pulses with their 95 % intervals over trials, and latencies of those that answer.
+
+    Args:
+      onsets: to draw.
+      figure: where to draw; its height is set. None makes a new one of pyplot.
+
+    Returns:
+      Axes, (muscle, direction).
+    """
+    muscles, directions = list(dict.fromkeys(onsets.latencies["muscle"])), onsets.directions_deg
+    figure = figure_for(figure, 0.8 + 0.75 * len(muscles))
+    axes = figure.subplots(len(muscles), len(directions), squeeze=False, sharex=True, sharey="row")
+    rows = onsets.latencies.set_index(["direction_deg", "muscle"])
+    for column, direction in enumerate(directions):
+        for row, name in enumerate(muscles):
+            ax, mean = axes[row, column], 100.0 * onsets.average[column, row]
+            half = 196.0 * onsets.average_error[column, row]
+            ax.fill_between(1e3 * onsets.time, mean - half, mean + half, color=PALETTE[0], alpha=0.25, linewidth=0)
+            ax.plot(1e3 * onsets.time, mean, color=PALETTE[0], linewidth=0.9)
+            ax.axvline(0.0, color=GREY, linewidth=0.6)
+            answer = rows.loc[(direction, name)]
+            if np.isfinite(answer["latency_s"]):
+                ax.axvspan(1e3 * answer["lower_95_s"], 1e3 * answer["upper_95_s"], color=PALETTE[1], alpha=0.35)
+                ax.axvline(1e3 * answer["latency_s"], color=PALETTE[1], linewidth=1.0)
+            ax.set_ylim(bottom=0.0)
+            if column == 0:
+                ax.set_ylabel(_words(name).replace(" ", "\n", 1), fontsize=6.5, rotation=0, ha="right", va="center")
+        axes[0, column].set_title(f"pulses at {direction:g} deg", loc="left")
+        axes[-1, column].set_xlabel("time from the pulse [ms]")
+    figure.suptitle(f"amplitude in {onsets.unit}; latency of the stretch reflex with its 95 % interval", fontsize=9)
+    return axes
+
+
 @in_style()
 def plot_activity(levels: pd.DataFrame, cocontraction: pd.DataFrame, unit: str, figure: Figure | None) -> Any:
     """Amplitude of each muscle, and index of co-contraction of each joint, by condition.

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 
-from armperturb.files import written_whole
+from armperturb.files import write_whole
 
 WIDTH = 7.6
 """Of every figure of the report [inch], so that text has one size."""
@@ -101,8 +101,7 @@ def save_svg(figure: Figure, path: Path) -> None:
     Raises:
       OSError: the folder cannot be written to.
     """
-    with written_whole(path) as temporary:
-        temporary.write_bytes(svg(figure))
+    write_whole(path, svg(figure))
 
 
 def save_png(figure: Figure, path: Path, dots_per_inch: float = 150.0) -> None:
@@ -111,8 +110,7 @@ def save_png(figure: Figure, path: Path, dots_per_inch: float = 150.0) -> None:
     Raises:
       OSError: the folder cannot be written to.
     """
-    with written_whole(path) as temporary:
-        temporary.write_bytes(_saved(figure, format="png", dpi=dots_per_inch))
+    write_whole(path, _saved(figure, format="png", dpi=dots_per_inch))
 
 
 def svg(figure: Figure) -> bytes:

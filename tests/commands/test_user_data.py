@@ -2,6 +2,7 @@
 
 import errno
 import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -127,6 +128,14 @@ def test_a_wrong_period_is_refused_by_every_estimator(tmp_path, capsys, estimato
     options = ("--model", "3b", "--estimator", estimator, "--period", 7, "--out", tmp_path / "r")
     assert "period = 7 s; expected the perturbation's own" in refused(capsys, "identify", recording, *options)
     assert not (tmp_path / "r").exists()
+
+
+def test_checksums_are_printed_as_other_programs_read_them(folder, capsys):
+    options = ("convert", str(next(folder.glob("*.csv"))), "--out", str(folder / "o.csv"), "--checksum")
+    assert cli.main([*options]) == 0
+    sums = "\n".join(capsys.readouterr().out.splitlines()[-2:])
+    checked = subprocess.run(["sha256sum", "-c"], input=sums, text=True, capture_output=True, check=True)
+    assert checked.stdout == f"{folder / 'o.csv'}: OK\n{folder / 'o.json'}: OK\n"
 
 
 @pytest.mark.parametrize("ending", [".nc", ".csv", ".mat"])

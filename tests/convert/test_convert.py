@@ -186,7 +186,7 @@ def test_matlab_v73(tmp_path, form):
     assert_is_the_laboratory(import_recording([tmp_path / "lab.mat"]).recording)
 
 
-def write_c3d(path, seed=0):
+def write_c3d(path, seed=0, unit="mm"):
     """Marker on the handle at 200 Hz in mm; forces at 1000 Hz, as a robot's converter has them."""
     ezc3d = pytest.importorskip("ezc3d")
     d, f, _ = handle(seed, rate=1000.0)
@@ -196,7 +196,7 @@ def write_c3d(path, seed=0):
     points[:2, 0] = 1e3 * x.T
     points[3] = 1.0
     for group, rate, labels, units in (
-        ("POINT", 200.0, ["HANDLE"], ["mm"]),
+        ("POINT", 200.0, ["HANDLE"], [unit]),
         ("ANALOG", 1000.0, ["Dx", "Dy", "Fx", "Fy"], ["N"] * 4),
     ):
         for name, value in (("RATE", [rate]), ("LABELS", labels), ("UNITS", units)):
@@ -227,12 +227,17 @@ def test_c3d_with_markers_and_converter_at_different_rates(tmp_path):
 
 
 @pytest.mark.slow(reason="two child processes, and a C3D file written")
-def test_c3d_units_that_the_file_contradicts_are_refused(tmp_path):
+def test_the_sidecar_wins_over_the_unit_of_a_c3d_file_with_a_note(tmp_path):
     write_c3d(tmp_path / "lab.c3d")
-    text = (tmp_path / "lab.json").read_text()
-    (tmp_path / "lab.json").write_text(text.replace('"unit": "mm"', '"unit": "cm"'))
-    with pytest.raises(ValueError, match=r"HANDLE.X is in 'mm'; expected 'cm', as signals.displacement.unit"):
-        import_recording([tmp_path / "lab.c3d"], rate=200.0)
+    right = import_recording([tmp_path / "lab.c3d"], rate=200.0)
+    write_c3d(tmp_path / "lab.c3d", unit="cm")
+    found = import_recording([tmp_path / "lab.c3d"], rate=200.0)
+    assert found.recording.identical(right.recording)
+    assert [note for note in found.notes if note not in right.notes] == [
+        f"HANDLE.{axis} is in 'cm' by the file; taken as 'mm', as signals.displacement.unit of "
+        f"{tmp_path / 'lab.json'} says"
+        for axis in "XY"
+    ]
 
 
 def test_without_ezc3d_the_extra_is_named(tmp_path, monkeypatch):

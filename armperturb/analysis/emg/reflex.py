@@ -142,7 +142,7 @@ def reflexes(trials: ConditionTrials, envelopes: Envelopes, *, window_start: flo
       ValueError: no trial is long enough, or neither joint angles nor the posture are known.
     """
     rows = np.flatnonzero((envelopes.labels["condition"] == trials.label).to_numpy())
-    angles, rate, names = _rotation(trials), envelopes.rate, list(envelopes.muscles)
+    angles, rate, names = rotation(trials), envelopes.rate, list(envelopes.muscles)
     first = round(window_start * rate)
     ends = [min(int(onset), angles.shape[1]) for onset in trials.onset]
     used = [k for k, end in enumerate(ends) if end - first >= FEWEST_SECONDS * rate]
@@ -185,7 +185,7 @@ def reflexes(trials: ConditionTrials, envelopes: Envelopes, *, window_start: flo
     )
 
 
-def _rotation(trials: ConditionTrials) -> Array:
+def rotation(trials: ConditionTrials) -> Array:
     """Rotation of the joints, from their angles or, for small movements, from the handle [rad], (trial, time, 2)."""
     if "joint_angle" in trials.recording.data_vars:
         return np.asarray(trials.recording["joint_angle"].values, dtype=float)

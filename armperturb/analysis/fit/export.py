@@ -2,7 +2,6 @@
 
 import json
 import math
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ from armperturb.analysis.fit.identify import Identification, Identifications
 from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.measures.endpoint import is_straight, plot_endpoints
-from armperturb.files import write_csv, written_whole
+from armperturb.files import write_csv, written_together
 
 
 def fit_summary(identification: Identification) -> dict[str, Any]:
@@ -93,8 +92,7 @@ def write_identification(results: Identifications, folder: str | Path) -> list[P
     folder.mkdir(parents=True, exist_ok=True)
     names = ("admittance.csv", "parameters.csv", "fit.json", *(("endpoint.csv", "endpoint.svg") if endpoints else ()))
     paths = [folder / name for name in names]
-    with ExitStack() as stack:  # all take their places together, after all were written
-        admittance, parameters, fit, *of_hand = (stack.enter_context(written_whole(path)) for path in paths)
+    with written_together(paths) as (admittance, parameters, fit, *of_hand):
         frames = [result.spectra.to_frame().assign(condition=label) for label, result in results.items()]
         write_csv(pd.concat(frames), admittance)
         write_csv(results.to_frame(), parameters)

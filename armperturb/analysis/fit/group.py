@@ -6,10 +6,12 @@ from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
+import xarray as xr
 from scipy import fft
 
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.fit.admittance_problem import Target, checked_problem, least_squares
+from armperturb.analysis.fit.emg_likelihood import EmgLikelihood
 from armperturb.analysis.fit.likelihood import Likelihood, PeriodLikelihood, RecordLikelihood, Signals, whitened
 from armperturb.analysis.fit.linear_start import linear_start
 from armperturb.analysis.fit.structures import Structure
@@ -18,9 +20,10 @@ from armperturb.analysis.per_trials import per_trials
 from armperturb.analysis.response.condition_spectra import condition_spectra, periodic_lines
 from armperturb.analysis.response.joint_records import FILTER_REACH, MODEL_RATE, thinned
 from armperturb.analysis.response.spectra import SpectralEstimate
-from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_recordings
+from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_recordings, trials_by_condition
 from armperturb.arrays import Array
 from armperturb.environment import Environment
+from armperturb.recording import join_recordings
 from armperturb.subject import Subject
 
 LONG_RECORD = 2**18
@@ -56,6 +59,7 @@ class Group:
       spectra: admittances and coherence.
       period: likelihood of the mean periods; None of a perturbation that is not periodic, or not for long enough.
       records: likelihood of the whole records of each part.
+      emg: likelihood of the EMG of the first part; None if it is not used.
     """
 
     parts: tuple[ConditionTrials, ...]
@@ -63,6 +67,7 @@ class Group:
     spectra: SpectralEstimate
     period: Likelihood | None
     records: tuple[Likelihood, ...]
+    emg: EmgLikelihood | None = None
 
     @classmethod
     def prepare(
@@ -104,6 +109,10 @@ class Group:
     def with_structure(self, structure: Structure) -> Self:
         """The same trials, to be fitted by another structure."""
         return replace(self, structure=structure)
+
+    def with_emg(self, emg: EmgLikelihood) -> Self:
+        """The same trials, of which EMG tells as well; one part only."""
+        return replace(self, emg=emg)
 
     @cached_property
     def initial(self) -> Array:
@@ -166,6 +175,33 @@ def require_one_person(groups: Sequence[Group]) -> None:
     for label in labels:
         if labels.count(label) > 1:
             raise ValueError(f"the condition {label!r} comes twice; expected each once (its trials in one group)")
+
+
+def parts_by_condition(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[str, tuple[ConditionTrials, ...]]:
+    """Condition to its trials, those of one length together, in the order of the recordings.
+
+    Args:
+      recordings: trials of one person, of any lengths.
+
+    Raises:
+      ValueError: as `trials_by_condition`, of all recordings together.
+    """
+    several = [recordings] if isinstance(recordings, xr.Dataset) else list(recordings)
+    people = list(dict.fromkeys(str(name) for each in several for name in each["subject"].values))
+    if len(people) > 1:
+        raise ValueError(f"recording: subject = {', '.join(people)}; expected one person")
+    parts: dict[str, dict[tuple[float, int], list[xr.Dataset]]] = {}
+    for each in several:
+        for label, trials in trials_by_condition(each).items():
+            clock = trials.rate, trials.n_samples
+            parts.setdefault(label, {}).setdefault(clock, []).append(trials.recording)
+    return {
+        label: tuple(
+            ConditionTrials.prepare(same[0] if len(same) == 1 else join_recordings(same).recording)
+            for same in by_clock.values()
+        )
+        for label, by_clock in parts.items()
+    }
 
 
 def _signals(trials: ConditionTrials, window: slice) -> Signals:

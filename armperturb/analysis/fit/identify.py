@@ -1,7 +1,7 @@
 """From a recording to the arm: admittance, environment, arm model and how well it predicts (thesis 2.6, 2.7)."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, get_args
@@ -14,22 +14,22 @@ from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.analysis.fit.arm_fit import ArmFit
-from armperturb.analysis.fit.group import Group
+from armperturb.analysis.fit.group import Group, Method, parts_by_condition
 from armperturb.analysis.fit.ladder import Choice, choose_structure, nearest_to_linear
 from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.structures import STRUCTURES, Structure, structure_of, unit
 from armperturb.analysis.fit.thesis import ThesisEstimate, Wanted, fit_wanted
+from armperturb.analysis.fit.use_emg import UseOfEmg
 from armperturb.analysis.measures.endpoint import EndpointImpedance
 from armperturb.analysis.measures.start_geometry import in_start_geometry
 from armperturb.analysis.measures.vaf import prediction_vaf
 from armperturb.analysis.response.condition_spectra import condition_spectra
 from armperturb.analysis.response.spectra import SpectralEstimate
 from armperturb.analysis.results import Description, Result, Table, parameter_table, plain
-from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_recordings, trials_by_condition
+from armperturb.analysis.trials import ConditionTrials, SeveralTrials, prepared_recordings
 from armperturb.arrays import Array
 from armperturb.environment import Environment
-from armperturb.recording import join_recordings
 from armperturb.subject import Subject
 from armperturb.validation import require_one_of
 
@@ -200,6 +200,7 @@ def identify(
     window_start: float = WINDOW_START,
     period: float | None = None,
     lines_per_average: int = LINES_PER_AVERAGE,
+    emg: UseOfEmg | None = None,
 ) -> Identification:
     """Admittance, environment, arm model and its VAF from the trials of one subject in one condition.
 
@@ -214,6 +215,7 @@ def identify(
       window_start: start of the window of whole periods, after the transient has died away [s].
       period: of the disturbance [s]; None to find it.
       lines_per_average: of the spectra, see `estimate_spectra`; maximum likelihood estimates use every line.
+      emg: EMG that tells of reflexes as well; with maximum likelihood only. The structure is chosen without it.
 
     Raises:
       ValueError: the recording is refused, holds several subjects, conditions or postures, or gives no spectra.
@@ -228,6 +230,7 @@ def identify(
         window_start=window_start,
         period=period,
         lines_per_average=lines_per_average,
+        emg=emg,
     )[parts[0].label]
 
 
@@ -240,6 +243,7 @@ def identify_conditions(
     window_start: float = WINDOW_START,
     period: float | None = None,
     lines_per_average: int = LINES_PER_AVERAGE,
+    emg: UseOfEmg | None = None,
 ) -> Identifications:
     """Admittance, environment, arm model and its VAF of one subject in every condition.
 
@@ -255,6 +259,7 @@ def identify_conditions(
       window_start: start of the window of whole periods, after the transient has died away [s].
       period: of the disturbance [s]; None to find it, in each condition.
       lines_per_average: of the spectra, see `estimate_spectra`; maximum likelihood estimates use every line.
+      emg: EMG that tells of reflexes as well; with maximum likelihood only. The structure is chosen without it.
 
     Returns:
       Condition to what it yields, in the order of the recording; those in which nothing perturbs the window, as where
@@ -268,6 +273,8 @@ def identify_conditions(
         field = f"share = {', '.join(share)}" if share else "estimator = 'thesis'"
         raise ValueError(f"identify: {field} without a model; expected one, e.g. --model 3")
     structure = composed() if model is None else structure_of(model, wide=estimator != "thesis")
+    if estimator == "thesis" and emg:
+        raise ValueError("identify: EMG with estimator = 'thesis'; expected --estimator record or frequency")
     if estimator == "thesis" and share:
         raise ValueError(
             f"identify: share = {', '.join(share)}; expected nothing with estimator = 'thesis', which fits each trial "
@@ -298,15 +305,19 @@ def identify_conditions(
         ]
         options = {"window_start": window_start, "period": period}
         moved = [partial(_in_start_geometry, group, options) for group in groups]
+
+        def with_emg(group: Group) -> Group:
+            return emg.added_to(group, conditions[group.label][0]) if emg else group
+
         if model is None:
             choices = [choose_structure(*each, estimator) for each in zip(groups, moved, strict=True)]
-            fits = {choice.condition: _chosen_fit(choice) for choice in choices}
+            fits = {choice.condition: _chosen_fit(choice, with_emg, estimator) for choice in choices}
         elif structure.name in STRUCTURES:
-            joint = estimate(groups, estimator, share=share)
+            joint = estimate([with_emg(group) for group in groups], estimator, share=share)
             fits = {group.label: _likely_fit(joint, group, spectra[group.label]) for group in groups}
         else:
             groups = [nearest_to_linear(*each, estimator) for each in zip(groups, moved, strict=True)]
-            joint = estimate(groups, estimator, share=share)
+            joint = estimate([with_emg(group) for group in groups], estimator, share=share)
             fits = {
                 group.label: replace(_likely_fit(joint, group, group.spectra), trials=group.parts) for group in groups
             }
@@ -324,33 +335,6 @@ def identify_conditions(
             for label, fit in fits.items()
         }
     )
-
-
-def parts_by_condition(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[str, tuple[ConditionTrials, ...]]:
-    """Condition to its trials, those of one length together, in the order of the recordings.
-
-    Args:
-      recordings: trials of one person, of any lengths.
-
-    Raises:
-      ValueError: as `trials_by_condition`, of all recordings together.
-    """
-    several = [recordings] if isinstance(recordings, xr.Dataset) else list(recordings)
-    people = list(dict.fromkeys(str(name) for each in several for name in each["subject"].values))
-    if len(people) > 1:
-        raise ValueError(f"recording: subject = {', '.join(people)}; expected one person")
-    parts: dict[str, dict[tuple[float, int], list[xr.Dataset]]] = {}
-    for each in several:
-        for label, trials in trials_by_condition(each).items():
-            clock = trials.rate, trials.n_samples
-            parts.setdefault(label, {}).setdefault(clock, []).append(trials.recording)
-    return {
-        label: tuple(
-            ConditionTrials.prepare(same[0] if len(same) == 1 else join_recordings(same).recording)
-            for same in by_clock.values()
-        )
-        for label, by_clock in parts.items()
-    }
 
 
 def _only(parts: Sequence[ConditionTrials]) -> ConditionTrials:
@@ -399,10 +383,13 @@ def _in_start_geometry(group: Group, options: Mapping[str, Any], arm: Subject | 
         return None
 
 
-def _chosen_fit(choice: Choice) -> ArmFit:
+def _chosen_fit(choice: Choice, with_emg: Callable[[Group], Group], method: Method) -> ArmFit:
     """With the structure that the trials choose; what is said of the choice comes before other remarks."""
-    chosen, group = choice.chosen, choice.group
-    fit = _likely_fit(choice.estimate, group.with_structure(chosen.structure), group.spectra)
+    group = choice.group.with_structure(choice.chosen.structure)
+    known = with_emg(group)
+    if known is not group:
+        choice = replace(choice, estimate=estimate([known], method, initial=choice.estimate.values))
+    fit = _likely_fit(choice.estimate, group, group.spectra)
     return replace(fit, trials=group.parts, choice=choice, remarks=(*choice.remarks(group.parts), *fit.remarks))
 
 

@@ -4,12 +4,15 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import linalg
 
 from armperturb.analysis.arm.linear_arm import LinearArm
+from armperturb.analysis.fit.emg_likelihood import TrialsWithEmg
 from armperturb.analysis.fit.group import Group, Method
-from armperturb.analysis.fit.likelihood import LackOfFit, Likelihood, Normal
+from armperturb.analysis.fit.likelihood import Likelihood
 from armperturb.analysis.fit.structures import PUBLISHED, unit
 from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, TrialScore, scaled
+from armperturb.analysis.fit.whittle import LackOfFit, Normal
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -35,6 +38,7 @@ class JointLikelihood:
       parts: of which group each likelihood is, and the likelihood.
       names: of the free parameters.
       columns: of each group's free parameters among these.
+      of_emg: of what its EMG asks for beside the arm.
       lower: least value of each, (parameter,).
       upper: largest value of each, (parameter,).
       quick: whether derivatives are, see `Likelihood.normal`.
@@ -43,7 +47,7 @@ class JointLikelihood:
     def __init__(self, groups: Sequence[Group], method: Method, share: Sequence[str], *, quick: bool = False) -> None:
         self.groups, self.quick = tuple(groups), quick
         self.parts = [
-            (at, likelihood)
+            (at, TrialsWithEmg(likelihood, group.emg) if group.emg else likelihood)
             for at, group in enumerate(self.groups)
             for likelihood in ([group.period] if method == "frequency" else group.records)
             if likelihood is not None
@@ -51,19 +55,24 @@ class JointLikelihood:
         shared = shared_names(self.groups, share)
         self.names: list[str] = []
         self.columns: list[list[int]] = []
+        self.of_emg: list[list[int]] = []
         for group in self.groups:
-            mine = []
-            for name in group.structure.free:
-                label = name if len(self.groups) == 1 or name in shared else f"{name} [{group.label}]"
-                if label not in self.names:
-                    self.names.append(label)
-                mine.append(self.names.index(label))
-            self.columns.append(mine)
+            for names, of_groups in ((group.structure.free, self.columns), (names_of_emg(group), self.of_emg)):
+                mine = []
+                for name in names:
+                    label = name if len(self.groups) == 1 or name in shared else f"{name} [{group.label}]"
+                    if label not in self.names:
+                        self.names.append(label)
+                    mine.append(self.names.index(label))
+                of_groups.append(mine)
         self.lower, self.upper = np.full(len(self.names), -np.inf), np.full(len(self.names), np.inf)
         for group, columns in zip(self.groups, self.columns, strict=True):
             lower, upper = np.array([group.structure.bounds[name] for name in group.structure.free]).T
             self.lower[columns] = np.maximum(self.lower[columns], lower)
             self.upper[columns] = np.minimum(self.upper[columns], upper)
+        for group, columns in zip(self.groups, self.of_emg, strict=True):
+            if group.emg:
+                self.lower[columns], self.upper[columns] = np.array([*group.emg.bounds.values()]).T
         for name, lower, upper in zip(self.names, self.lower, self.upper, strict=True):
             if not lower < upper:
                 raise ValueError(f"bounds of the shared {name} cross ({lower:g} to {upper:g}); expected some overlap")
@@ -72,7 +81,22 @@ class JointLikelihood:
             for name, (mean, sd) in group.structure.prior.items():
                 column = columns[group.structure.free.index(name)]
                 self._known[column], self._sharpness[column] = mean, sd**-2
+        for group, columns in zip(self.groups, self.of_emg, strict=True):
+            for name, (mean, sd) in (group.emg.prior if group.emg else {}).items():
+                column = columns[names_of_emg(group).index(name)]
+                self._known[column], self._sharpness[column] = mean, sd**-2
+        self._mixing = [self._mixing_of(group) for group in self.groups]
         self._arms = [LinearArm(group.body, ()) for group in self.groups]
+
+    @staticmethod
+    def _mixing_of(group: Group) -> Array:
+        """Derivative of a likelihood's parameters by a group's columns and what EMG asks for beside them."""
+        mixing = group.structure.mixing
+        return linalg.block_diag(mixing, np.eye(len(group.emg.names))) if group.emg else mixing
+
+    def _of(self, at: int) -> list[int]:
+        """Columns of a group and of its EMG, in the order of `_mixing_of`."""
+        return [*self.columns[at], *self.of_emg[at]]
 
     @property
     def is_long(self) -> bool:
@@ -81,7 +105,7 @@ class JointLikelihood:
 
     def initial(self, given: Mapping[str, float]) -> Array:
         """Given values, and where there is none the mean over the groups of where linear least squares would start."""
-        values = self._mean([group.initial for group in self.groups])
+        values = self._started([group.initial for group in self.groups])
         for name, value in given.items():
             if name not in self.names:
                 raise ValueError(f"initial: unknown parameter {name!r}; expected {', '.join(self.names)}")
@@ -99,32 +123,58 @@ class JointLikelihood:
         for columns, values in zip(self.columns, of_groups, strict=True):
             total[columns] += np.asarray(values)
             count[columns] += 1.0
-        return np.clip(total / count, self.lower, self.upper)
+        return np.clip(total / np.maximum(count, 1.0), self.lower, self.upper)
+
+    def _started(self, of_groups: Sequence[ArrayLike]) -> Array:
+        """Means over the groups, and what EMG asks for beside the arm as it follows from these."""
+        values = self._mean(of_groups)
+        starts: dict[int, list[float]] = {}
+        for at, group in enumerate(self.groups):
+            if group.emg:
+                arm = group.structure.parameters(group.body.task, values[self.columns[at]])
+                for column, value in zip(self.of_emg[at], group.emg.start(arm), strict=True):
+                    starts.setdefault(column, []).append(float(value))
+        for column, of_column in starts.items():
+            values[column] = np.mean(of_column)
+        return values
 
     def parameters(self, values: Array, effects: Effects | None = None) -> list[Array]:
-        """Parameters of the arm for each likelihood, (parameter,); with effects of trials (trial, parameter)."""
+        """Parameters of the arm for each likelihood, (parameter,); with effects of trials (trial, parameter).
+
+        Where there is EMG, what it asks for follows.
+        """
         by_likelihood = []
         for number, (at, _) in enumerate(self.parts):
             group, free_values = self.groups[at], values[self.columns[at]]
+            of_emg = values[self.of_emg[at]]
             if effects is None:
-                by_likelihood.append(group.structure.parameters(group.body.task, free_values))
+                by_likelihood.append(np.append(group.structure.parameters(group.body.task, free_values), of_emg))
                 continue
-            change = effects[number] @ self._design(at, values).T
-            by_likelihood.append(
-                np.array([group.structure.parameters(group.body.task, free_values + each) for each in change])
-            )
+            change = effects[number] @ self._design(at, values)[: len(free_values)].T
+            arms = [group.structure.parameters(group.body.task, free_values + each) for each in change]
+            by_likelihood.append(np.array([np.append(arm, of_emg) for arm in arms]))
         return by_likelihood
 
     def _design(self, at: int, values: Array) -> Array:
-        """Change of a group's free parameters per relative change of each quantity, (parameter, quantity)."""
-        free = self.groups[at].structure.free
+        """Change of parameters, as `_of` orders them, per relative change of a quantity, (parameter, quantity)."""
+        free = [self.names[column].partition(" ")[0] for column in self._of(at)]
         of_quantity = [{f"{quantity}_{joint}" for joint in ("s", "se", "e")} for quantity in QUANTITIES]  # no grip
         of = np.array([[name in members for members in of_quantity] for name in free])
-        return np.asarray(of * values[self.columns[at], None])
+        return np.asarray(of * values[self._of(at), None])
 
     def no_effects(self) -> Effects:
         """Trials that are all alike."""
         return [np.zeros((likelihood.n_trials, len(QUANTITIES))) for _, likelihood in self.parts]
+
+    @property
+    def n_trials(self) -> int:
+        """Of all groups together."""
+        return sum(likelihood.n_trials for _, likelihood in self.parts)
+
+    @property
+    def are_independent(self) -> bool:
+        """Whether every trial has a perturbation of its own, so that trials of one arm differ in its nonlinearity."""
+        return all(part.are_independent for group in self.groups for part in group.parts)
 
     def arms(self, values: Array) -> list[Subject]:
         """The arm of each group."""
@@ -142,7 +192,9 @@ class JointLikelihood:
             for arm, group, columns in every
         )
 
-    def _with_parameters(self, values: Array, effects: Effects | None) -> Iterator[tuple[Likelihood, Array]]:
+    def _with_parameters(
+        self, values: Array, effects: Effects | None
+    ) -> Iterator[tuple[Likelihood | TrialsWithEmg, Array]]:
         likelihoods = (likelihood for _, likelihood in self.parts)
         return zip(likelihoods, self.parameters(values, effects), strict=True)
 
@@ -170,10 +222,7 @@ class JointLikelihood:
         cost, slope = self._distance(values), (self._sharpness * (self._known - values))[None]
         information = np.diag(self._sharpness)[None].copy()
         for (at, likelihood), parameters in zip(self.parts, self.parameters(values), strict=True):
-            part, columns = (
-                likelihood.normal(parameters, self.groups[at].structure.mixing, quick=self.quick),
-                self.columns[at],
-            )
+            part, columns = likelihood.normal(parameters, self._mixing[at], quick=self.quick), self._of(at)
             cost += part.cost
             slope[0, columns] += part.slope
             information[0][np.ix_(columns, columns)] += part.information
@@ -184,11 +233,11 @@ class JointLikelihood:
         by_trial = []
         every = zip(self.parts, self.parameters(values, effects), effects, strict=True)
         for (at, likelihood), parameters, of_trials in every:
-            part = likelihood.normal(parameters, self.groups[at].structure.mixing, quick=self.quick)
+            part = likelihood.normal(parameters, self._mixing[at], quick=self.quick)
             design = self._design(at, values)
             for slope, information, effect in zip(part.slopes, part.informations, of_trials, strict=True):
                 score = slope + information @ (design @ effect)
-                by_trial.append(TrialScore(self.columns[at], score, information, design))
+                by_trial.append(TrialScore(self._of(at), score, information, design))
         if self._sharpness.any():
             score, design = self._sharpness * (self._known - values), np.zeros((len(values), len(QUANTITIES)))
             by_trial.append(TrialScore(range(len(values)), score, np.diag(self._sharpness), design))
@@ -203,7 +252,9 @@ class JointLikelihood:
 
     def published(self) -> Array:
         """Mean over the groups of the structures' default starts."""
-        return self._mean([[group.structure.initial[name] for name in group.structure.free] for group in self.groups])
+        return self._started(
+            [[group.structure.initial[name] for name in group.structure.free] for group in self.groups]
+        )
 
     def stabilised(self, values: Array) -> Array:
         """The values moved towards the structures' default starts until every arm is stable, or all the way."""
@@ -230,6 +281,11 @@ class JointLikelihood:
             if scaled(information)[1][0] > SINGULAR:
                 return
         require_informative(information, self.names)
+
+
+def names_of_emg(group: Group) -> tuple[str, ...]:
+    """What the EMG of a group asks for beside the arm."""
+    return group.emg.names if group.emg else ()
 
 
 def require_informative(information: Array, names: Sequence[str]) -> None:
@@ -263,7 +319,7 @@ def shared_names(groups: Sequence[Group], share: Sequence[str]) -> set[str]:
     Raises:
       ValueError: a name is of no free parameter.
     """
-    known = {name for group in groups for name in group.structure.free}
+    known = {name for group in groups for name in (*group.structure.free, *names_of_emg(group))}
     shared: set[str] = set()
     for name in share:
         names = [member for member in SHARES.get(name, [name]) if member in known]

@@ -2,12 +2,7 @@
 
 In both, x = P(theta) d + v, where x is the displacement that encoders and gauge together tell (`displacement`), d the
 known disturbance, and v what the person and the instruments add: noise of an unknown, smooth spectrum, the same in all
-trials of a condition. At each frequency the residual v = x - P d is then complex normal, and trials are the more likely
-the less
-
-    sum over trials and frequencies of v^H Phi_vv^-1 v    (Whittle 1953, Ark. Mat. 2).
-
-Phi_vv is estimated from the residual itself. It has the arm's own resonance, and what smooths it must not: so it is the
+trials of a condition (`whittle`). That spectrum has the arm's own resonance, and what smooths it must not: so it is the
 spectrum of the hand force u = P^-1 v that would move the handle like that which is smoothed.
 
 A finite record lets the strong low frequencies leak into the weak high ones. Both likelihoods therefore filter x and
@@ -23,10 +18,12 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft, linalg, stats
+from scipy import fft
 
-from armperturb.analysis.fit.frequency_bands import EXCITED_POWER, BandOfLack, Smoother, excited_bands
-from armperturb.analysis.fit.total_admittance import LONGEST_RUN, TotalAdmittance
+from armperturb.analysis.fit.frequency_bands import EXCITED_POWER
+from armperturb.analysis.fit.frequency_rows import applied
+from armperturb.analysis.fit.total_admittance import TotalAdmittance
+from armperturb.analysis.fit.whittle import ALL, ROUND_OFF, Whittle
 from armperturb.arrays import Array, ComplexArray, Indices
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -50,36 +47,6 @@ fades in over half of `TAPER`."""
 LONGEST_SIGNALS = 2**21
 """Samples of signals that are transformed at once, for the sake of memory."""
 
-ROUND_OFF = 1e-12
-"""Noise cannot be less: amplitude over that of the strongest disturbance, power in one direction over all [-]."""
-
-
-ALL = slice(None)
-
-
-class Normal(NamedTuple):
-    """Least squares at one point, with the noise as last weighed.
-
-    Attributes:
-      cost: sum of squares of the white residual, twice its complex square.
-      slopes: derivative of the model times the residual, (trial, parameter): minus half the cost's gradient.
-      informations: Fisher information of each trial, (trial, parameter, parameter).
-    """
-
-    cost: float
-    slopes: Array
-    informations: Array
-
-    @property
-    def slope(self) -> Array:
-        """Of all trials together, (parameter,)."""
-        return np.asarray(self.slopes.sum(axis=0))
-
-    @property
-    def information(self) -> Array:
-        """Of all trials together, (parameter, parameter)."""
-        return np.asarray(self.informations.sum(axis=0))
-
 
 class Signals(NamedTuple):
     """What trials of one condition hold, and what the hand holds in them.
@@ -99,23 +66,6 @@ class Signals(NamedTuple):
     rate: float
 
 
-class LackOfFit(NamedTuple):
-    """What is left in the residual that the disturbance explains.
-
-    Attributes:
-      chi2: of a further, free linear response in each band of excited frequencies [-].
-      dof: real numbers in those responses, or what takes their place where noise is not stationary.
-    """
-
-    chi2: float
-    dof: int
-
-    @property
-    def p_value(self) -> float:
-        """Chance of so large a chi2 if the arm is right [-]."""
-        return float(stats.chi2.sf(self.chi2, self.dof))
-
-
 def whitening(frequency: Array, rate: float) -> ComplexArray:
     """Frequency response of the filter that makes displacements nearly white, (frequency,)."""
     pole = _pole(rate)
@@ -133,8 +83,8 @@ def _pole(rate: float) -> float:
     return float(np.exp(-2 * np.pi * CORNER / rate))
 
 
-class Likelihood:
-    """Likelihood of the trials of one condition; subclasses say how an arm answers the disturbance.
+class Likelihood(Whittle):
+    """Likelihood of the displacement in the trials of one condition; subclasses say how an arm answers the disturbance.
 
     Values are the parameters of an arm in the order of `arm_model.PARAMETERS`, (parameter,), or those of each trial's
     arm, (trial, parameter).
@@ -144,8 +94,7 @@ class Likelihood:
       frequency: of the residual, evenly spaced [Hz], (frequency,).
       force: DFT of d at these frequencies, (trial, axis, frequency).
       observed: DFT of the whitened displacement, (trial, axis, frequency).
-      answering: indices of the frequencies at which an arm answers at all; the others hold noise alone, and tell how
-        strong it is.
+      answering: as in `Whittle`.
     """
 
     def __init__(
@@ -162,152 +111,18 @@ class Likelihood:
         self._answer = (
             self._total if len(asked) == len(frequency) else TotalAdmittance(signals.body, asked, signals.environment)
         )
-        self._frequency, self._filter = frequency, whitening(frequency, signals.rate)
-        self._answering = answering
-        self._force, self._observed = force[..., answering], observed[..., answering]
-        self._quiet = np.ones(len(frequency), dtype=bool)
-        self._quiet[answering] = False
-        noise = observed[..., self._quiet]
-        self._noise_power = np.einsum("taf,tbf->abf", noise, noise.conj()) / len(noise)
-        index = np.arange(len(frequency))[answering]
-        # Bands as places among those that answer.
-        self._bands = [
-            slice(int(np.searchsorted(index, run.start)), int(np.searchsorted(index, run.stop)))
-            for run in excited_bands(frequency, force)
-        ]
-        self._smoother = Smoother(len(frequency), len(force), index)
-        self._least = float(ROUND_OFF * np.abs(force).max()) ** 2
-        self._white = np.zeros((2, 2, len(index)), dtype=complex)
-        self._latest: tuple[bytes, ComplexArray] = b"", self._observed
-        self._unknown: ComplexArray | None = None
-        self._span: Array | None = None
+        self._filter = whitening(frequency, signals.rate)
+        least = float(ROUND_OFF * np.abs(force).max()) ** 2
+        super().__init__(frequency, force, observed, answering, scale=self._filter, least=least)
 
-    @property
-    def n_trials(self) -> int:
-        """How many trials."""
-        return len(self._observed)
-
-    @property
-    def is_long(self) -> bool:
-        """Whether derivatives that are not quick take long."""
-        return len(self._frequency) > LONGEST_RUN
-
-    def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
-        """DFT of the whitened P d of some trials where the arm answers, (trial, axis, answer)."""
-        raise NotImplementedError
-
-    def _unknowns(self, values: Array) -> ComplexArray | None:
-        """DFT of whitened displacements that a trial may have in any amount, (column, axis, answer); None of none."""
-        return None
-
-    def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
-        """Some trials and the derivatives of `_predicted` there, (free parameter, trial, axis, answer)."""
-        raise NotImplementedError
+    def _to_smooth(self, values: Array) -> ComplexArray:
+        (a, b), (c, d) = self._total(values) * self._filter
+        return np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
 
     def _quick_slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
         driven = self._answer.driven_slopes(values, mixing, self._force, self._filter[self._answering])
         for trial, derivatives in enumerate(driven):
             yield slice(trial, trial + 1), derivatives[:, None]
-
-    def _residual(self, values: Array) -> ComplexArray:
-        # A search asks three times in a row about the same arm: cost, weights, slope.
-        key, residual = self._latest
-        if key != values.tobytes():
-            if values.ndim == 1:
-                predicted = self._predicted(values)
-            else:
-                each = (self._predicted(arm, slice(at, at + 1)) for at, arm in enumerate(values))
-                predicted = np.concatenate(list(each))
-            residual = self._observed - predicted
-            self._latest = values.tobytes(), residual
-        return residual
-
-    def weigh(self, values: Array) -> None:
-        """Estimate the noise that is left by arms with these parameters; it holds until the next call."""
-        mean = values if values.ndim == 1 else values.mean(axis=0)
-        (a, b), (c, d) = self._total(mean) * self._filter
-        to_force = np.stack([np.stack([d, -b]), np.stack([-c, a])]) / (a * d - b * c)
-        answers = to_force[..., self._answering]
-        self._unknown = self._unknowns(mean)
-        force = _applied(answers, self._without_unknowns(values))
-        power = np.empty(to_force.shape, dtype=complex)
-        power[..., self._answering] = np.einsum("taf,tbf->abf", force, force.conj()) / len(force)
-        quiet = to_force[..., self._quiet]
-        half = np.einsum("acf,cdf->adf", quiet, self._noise_power)
-        power[..., self._quiet] = np.einsum("adf,bdf->abf", half, quiet.conj())
-        smooth = self._smoother(power.reshape(4, -1).T).reshape(-1, 2, 2)
-        floor = self._least + ROUND_OFF * np.trace(smooth, axis1=1, axis2=2).real
-        root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(2))
-        # Real and imaginary part of the residual have half its power each.
-        self._white = np.moveaxis(np.sqrt(2.0) * np.linalg.solve(root, np.moveaxis(answers, -1, 0)), 0, -1)
-        if self._unknown is not None:
-            self._span = _orthonormal(_applied(self._white, self._unknown))
-
-    def _without_unknowns(self, values: Array) -> ComplexArray:
-        """The residual without what is unknown of each trial, as far as the noise is known yet."""
-        residual = self._residual(values)
-        if self._unknown is None:
-            return residual
-        white = self._white if self._white.any() else np.eye(2, dtype=complex)[..., None] + 0 * self._white
-        columns, rows = _rows(_applied(white, self._unknown)), _rows(_applied(white, residual))
-        amounts = np.asarray(linalg.lstsq(columns.T, rows.T, cond=1e-9)[0])
-        return np.asarray(residual - np.einsum("ct,caf->taf", amounts, self._unknown))
-
-    def _left(self, rows: Array) -> Array:
-        """Rows without what the unknown displacements span."""
-        return rows if self._span is None else rows - (rows @ self._span.T) @ self._span
-
-    def _white_rows(self, values: Array) -> Array:
-        """The white residual of each trial, real then imaginary parts, (trial, number)."""
-        return self._left(_rows(_applied(self._white, self._residual(values))))
-
-    def objective(self, values: Array) -> float:
-        """Minus twice the log likelihood, but for a constant, the noise being that which the arm leaves [-]."""
-        self.weigh(values)
-        (a, b), (c, d) = self._white
-        return self.cost(values) - 4.0 * len(self._force) * float(np.sum(np.log(np.abs(a * d - b * c))))
-
-    def cost(self, values: Array) -> float:
-        """`Normal.cost` of arms."""
-        return float(np.sum(self._white_rows(values) ** 2))
-
-    def normal(self, values: Array, mixing: Array, *, quick: bool = False) -> Normal:
-        """Least squares with respect to free parameters; mixing is (arm parameter, free parameter).
-
-        Where the arms of trials differ, derivatives are those at their mean. Quick ones leave out how the response to a
-        record's edges depends on the parameters.
-        """
-        residual = self._white_rows(values)
-        mean = values if values.ndim == 1 else values.mean(axis=0)
-        n_trials, n = len(residual), mixing.shape[1]
-        slopes, informations = np.zeros((n_trials, n)), np.zeros((n_trials, n, n))
-        for trials, derivatives in (self._quick_slopes if quick else self._slopes)(mean, mixing):
-            white = _applied(self._white, derivatives)
-            for place, trial in enumerate(range(n_trials)[trials]):
-                rows = self._left(_rows(white[:, place]))
-                slopes[trial] = rows @ residual[trial]
-                informations[trial] = rows @ rows.T
-        return Normal(float(np.sum(residual**2)), slopes, informations)
-
-    def lack_of_fit(self, values: Array) -> LackOfFit:
-        """Whether the arms leave something that the disturbance explains, the noise being as last weighed."""
-        bands = self.lack_by_band(values)
-        return LackOfFit(sum(band.chi2 for band in bands), 8 * len(bands))
-
-    def lack_by_band(self, values: Array) -> tuple[BandOfLack, ...]:
-        """What the arms leave in each band of excited frequencies, the noise being as last weighed.
-
-        The white residual is regressed on what a change of P, the same all over the band, would add. Each regression
-        has as many real parameters as P has numbers: eight.
-        """
-        residual = _complex(self._white_rows(values), self._observed.shape)
-        changes = np.einsum("aof,tif->tafoi", self._white * self._filter[self._answering], self._force)
-        frequency, left = self._frequency[self._answering], []
-        for band in self._bands:
-            basis, _ = np.linalg.qr(changes[:, :, band].reshape(-1, 4))
-            chi2 = float(np.sum(np.abs(basis.conj().T @ residual[..., band].ravel()) ** 2))
-            left.append(BandOfLack(float(frequency[band][0]), float(frequency[band][-1]), chi2))
-        return tuple(left)
 
 
 class PeriodLikelihood(Likelihood):
@@ -336,7 +151,7 @@ class PeriodLikelihood(Likelihood):
         self._load = force[..., excited] * self._filter[excited]
 
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
-        return _applied(self._answer(values), self._load[trials])
+        return applied(self._answer(values), self._load[trials])
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
         for trial, derivatives in enumerate(self._answer.driven_slopes(values, mixing, self._load)):
@@ -404,11 +219,12 @@ class RecordLikelihood(Likelihood):
     def _cut(self, spectrum: ComplexArray) -> ComplexArray:
         """The same of signals (..., axis) that are given by their DFT over the padded time."""
         if spectrum.ndim > 2 and spectrum[..., 0].size * self._n_padded > LONGEST_SIGNALS:
-            return np.array([self._cut(part) for part in spectrum])
+            shape = (*spectrum.shape[1:-1], len(self._frequency))
+            return np.fromiter(map(self._cut, spectrum), (complex, shape), len(spectrum))
         return self._spectrum(fft.irfft(spectrum, self._n_padded, axis=-1))
 
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
-        return self._cut(_applied(self._model(values), self._load[trials]))
+        return self._cut(applied(self._model(values), self._load[trials]))
 
     def _unknowns(self, values: Array) -> ComplexArray | None:
         if self._past is None:
@@ -421,30 +237,3 @@ class RecordLikelihood(Likelihood):
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
         for trial, driven in enumerate(self._model.driven_slopes(values, mixing, self._load)):
             yield slice(trial, trial + 1), self._cut(driven)[:, None]
-
-
-def _applied(matrix: ComplexArray, values: ComplexArray) -> ComplexArray:
-    """Matrices (axis, axis, frequency) times vectors (..., axis, frequency)."""
-    first, second = values[..., 0, :], values[..., 1, :]
-    return np.stack(
-        [matrix[0, 0] * first + matrix[0, 1] * second, matrix[1, 0] * first + matrix[1, 1] * second], axis=-2
-    )
-
-
-def _rows(values: ComplexArray) -> Array:
-    """Real then imaginary parts of the last two axes as one, (..., number)."""
-    flat = values.reshape(*values.shape[:-2], -1)
-    return np.concatenate([flat.real, flat.imag], axis=-1)
-
-
-def _complex(rows: Array, shape: tuple[int, ...]) -> ComplexArray:
-    """What `_rows` was made from."""
-    real, imaginary = np.split(rows, 2, axis=-1)
-    return np.asarray((real + 1j * imaginary).reshape(shape))
-
-
-def _orthonormal(values: ComplexArray) -> Array:
-    """Orthonormal rows that span the rows of what is unknown, (at most column, number)."""
-    rows = _rows(values)
-    _, size, basis = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True), full_matrices=False)
-    return np.asarray(basis[size > 1e-9 * size[0]])

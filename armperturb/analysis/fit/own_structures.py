@@ -28,7 +28,7 @@ from armperturb.analysis.arm.geometry import mass_matrix
 from armperturb.analysis.arm.parameters import GROUPS, PARAMETERS
 from armperturb.analysis.fit.structures import STRUCTURES, Structure, structure_of, wide_bounds
 from armperturb.anthropometry import Sex, Source, anthropometric_body
-from armperturb.files import read_toml
+from armperturb.files import read_toml, write_whole
 from armperturb.subject import HUMERUS_MASS_SHARE, TASKS, Subject
 from armperturb.validation import require_keys, require_one_of
 
@@ -260,7 +260,7 @@ def save_structure(structure: Structure, path: str | Path) -> None:
         "tied": {name: dict(shares) for name, shares in structure.tied.items()},
         "prior": {name: list(known) for name, known in structure.prior.items()},
     }
-    Path(path).write_text(tomli_w.dumps(table), encoding="utf-8")
+    write_whole(path, tomli_w.dumps(table))
 
 
 def _names(quantity: str) -> tuple[str, ...]:

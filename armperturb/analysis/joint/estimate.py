@@ -40,7 +40,10 @@ SEARCHES = 2
 """Rounds of a force servo that search the least squares of its movement; the others solve those of instruments."""
 
 SETTLED = 0.05
-"""Change of the objective below which the rounds end [-]."""
+"""Change of the objective below which the rounds end on a position servo [-]."""
+
+STILL = 0.2
+"""Largest change of a parameter, over its standard error, below which they end on a force servo [-]."""
 
 
 class JointEstimate(NamedTuple):
@@ -88,11 +91,9 @@ def estimate_joint(
     lower, upper = structure.bounds(signals, longest_delay)
     span = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
     at_bound = (values - lower < 1e-4 * span) | (upper - values < 1e-4 * span)
-    derivatives = likelihood.derivatives(values, likelihood.movement(values))
     free = ~at_bound
-    columns = derivatives[free].reshape(int(free.sum()), -1)
     covariance = np.full((len(values), len(values)), np.nan)
-    covariance[np.ix_(free, free)] = np.linalg.pinv(columns @ columns.T, hermitian=True)
+    covariance[np.ix_(free, free)] = _covariance(likelihood, values, free)
     return JointEstimate(
         structure, values, covariance, at_bound, objective, left_out_loss(likelihood.scores(values)), converged
     )
@@ -154,6 +155,18 @@ def _linear(
     return float(np.sum((target - values[free] @ matrix) ** 2)), values
 
 
+def _covariance(likelihood: JointLikelihood, values: Array, free: NDArray[np.bool_]) -> Array:
+    """Covariance of the errors of free parameters: of least squares, or of the equations of instruments."""
+    instruments = likelihood.derivatives(values, likelihood.movement(values))[free].reshape(int(free.sum()), -1)
+    information = instruments @ instruments.T
+    if likelihood.signals.servo == "position":
+        return np.asarray(np.linalg.pinv(information, hermitian=True))
+    columns = likelihood.derivatives(values, likelihood.signals)[free].reshape(int(free.sum()), -1)
+    scale = _sizes(instruments)
+    inverse = np.linalg.pinv((instruments @ columns.T) / np.outer(scale, scale)) / np.outer(scale, scale)
+    return np.asarray(inverse @ information @ inverse.T)
+
+
 def _searched(likelihood: JointLikelihood, start: Array, longest_delay: float) -> tuple[Array, float, bool]:
     """Values, objective and whether it settled, weighing the noise anew after each search."""
     lower, upper = likelihood.structure.bounds(likelihood.signals, longest_delay)
@@ -162,13 +175,16 @@ def _searched(likelihood: JointLikelihood, start: Array, longest_delay: float) -
     everything = np.ones(len(values), dtype=bool)
     for number in range(ROUNDS):
         likelihood.weigh(values)
-        if likelihood.signals.servo == "position" or number < SEARCHES:
+        if likelihood.signals.servo == "position":
+            values = _minimised(likelihood, values, longest_delay, everything)
+            objective = likelihood.objective(values)
+            converged = abs(before - objective) < SETTLED
+            before = objective
+        elif number < SEARCHES:
             values = _minimised(likelihood, values, longest_delay, everything)
         else:
-            values = _instrumented(likelihood, values, lower, upper, everything)
-        objective = likelihood.objective(values)
-        converged = abs(before - objective) < SETTLED
-        before = objective
+            values, change = _instrumented(likelihood, values, lower, upper)
+            converged = change < STILL
         if converged:
             break
     likelihood.weigh(values)
@@ -209,21 +225,32 @@ def _margin(bound: Array) -> Array:
     return np.where(np.isfinite(bound), 1e-9 * (1.0 + np.abs(np.where(np.isfinite(bound), bound, 0.0))), 0.0)
 
 
-def _instrumented(likelihood: JointLikelihood, values: Array, lower: Array, upper: Array, free: Array) -> Array:
-    """Values at which the torque's residual is not correlated with derivatives at the movement without noise."""
+def _instrumented(likelihood: JointLikelihood, values: Array, lower: Array, upper: Array) -> tuple[Array, float]:
+    """Values at which the torque's residual is not correlated with derivatives at the movement without noise.
+
+    Returns:
+      The values, (parameter,), and the largest change of any, over its standard error.
+    """
+    start, error = values, np.ones(len(values))
     for _ in range(3):
         movement = likelihood.movement(values)
-        instruments = likelihood.derivatives(values, movement)[free].reshape(int(free.sum()), -1)
-        columns = likelihood.derivatives(values, likelihood.signals)[free].reshape(int(free.sum()), -1)
-        scale = np.linalg.norm(instruments, axis=1)
+        instruments = likelihood.derivatives(values, movement).reshape(len(values), -1)
+        columns = likelihood.derivatives(values, likelihood.signals).reshape(len(values), -1)
+        scale = _sizes(instruments)
+        error = np.sqrt(np.diag(np.linalg.pinv(instruments @ instruments.T / np.outer(scale, scale)))) / scale
         matrix = (instruments @ columns.T) / np.outer(scale, scale)
         slope = instruments @ likelihood.rows(likelihood.residual(values)).ravel() / scale
         step = np.linalg.lstsq(matrix, slope, rcond=1e-8)[0] / scale
-        moved = values.copy()
-        moved[free] = np.clip(values[free] + step, lower[free], upper[free])
+        moved = np.clip(values + step, lower, upper)
         try:
             likelihood.movement(moved)
-        except ValueError:
-            return values
+        except ValueError:  # a closed loop that oscillates
+            break
         values = moved
-    return values
+    return values, float(np.max(np.abs(values - start) / np.where(error > 0.0, error, np.inf)))
+
+
+def _sizes(rows: Array) -> Array:
+    """Lengths of rows; one of those that are zero, as derivatives by a delay are where nothing is delayed."""
+    size = np.linalg.norm(rows, axis=1)
+    return np.where(size > 0.0, size, 1.0)

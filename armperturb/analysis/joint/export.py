@@ -2,12 +2,11 @@
 
 import json
 import math
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from armperturb.analysis.joint.identify import JointIdentification
-from armperturb.files import write_csv, written_whole
+from armperturb.files import write_csv, written_together
 
 
 def joint_summary(result: JointIdentification) -> dict[str, Any]:
@@ -60,8 +59,7 @@ def write_joint(result: JointIdentification, folder: str | Path) -> list[Path]:
     figure = new_figure(1.0)
     result.plot(figure)
     paths = [folder / name for name in ("parameters.csv", "fit.json", "joint.svg")]
-    with ExitStack() as stack:  # all take their places together, after all were written
-        parameters, fit, drawn = (stack.enter_context(written_whole(path)) for path in paths)
+    with written_together(paths) as (parameters, fit, drawn):
         write_csv(result.to_frame(), parameters)
         fit.write_text(json.dumps(joint_summary(result), indent=2, allow_nan=False) + "\n", encoding="utf-8")
         drawn.write_bytes(svg(figure))

@@ -27,6 +27,9 @@ PROFILE = 0.03
 N_PROFILE = 13
 """Delays of the profile."""
 
+EVIDENCE = CLOSE
+"""What is added to the score of a reflex [-]: delay and dynamics of a path that is not there fit any noise a little."""
+
 LACKING = 2.0
 """VAF by which the free model is ahead from which on a remark says so [%]."""
 
@@ -36,7 +39,8 @@ class TriedStructure(NamedTuple):
 
     Attributes:
       estimate: with it.
-      score: minus twice the log-likelihood, with the loss on left-out blocks; smaller is better [-].
+      score: minus twice the log-likelihood, with the loss on left-out blocks, and `EVIDENCE` for a reflex; smaller is
+        better [-].
     """
 
     estimate: JointEstimate
@@ -244,7 +248,10 @@ def _tried(
         for side in ((1, -1) if each == "half-wave" else (1,))
     ]
     estimates = [estimate_joint(each, signals, loop, longest_delay=longest_delay) for each in structures]
-    scored = [TriedStructure(each, each.objective + CAUTION * each.loss) for each in estimates]
+    scored = [
+        TriedStructure(each, each.objective + CAUTION * each.loss + EVIDENCE * (each.structure.reflex != "none"))
+        for each in estimates
+    ]
     return sorted(scored, key=lambda each: each.score)
 
 

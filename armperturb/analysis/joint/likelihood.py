@@ -75,6 +75,7 @@ class JointLikelihood:
         self.structure, self.signals, self._loop = structure, signals, loop
         self._model = JointModel(structure, signals)
         self._latest: tuple[bytes, JointSignals] = b"", signals
+        self._impedance: ComplexArray | None = None
         used = signals.used
         n = used.stop - used.start
         self._taper = signal.windows.tukey(n, min(1.0, signals.rate / n), sym=False)
@@ -119,6 +120,14 @@ class JointLikelihood:
         self.noise = smooth + 1e-12 * smooth.max() + np.finfo(float).tiny
         self.weights = np.sqrt(2.0 / self.noise)
         self._span = self._orthonormal()
+        if self._loop is not None:
+            self._impedance = self._impedance_of(values, _padded(self.signals)[1])
+
+    def _impedance_of(self, values: Array, s: ComplexArray) -> ComplexArray:
+        """Impedance of environment and joint, linear as the nearest to the model is, (frequency,)."""
+        assert self._loop is not None
+        given = dict(zip(self.structure.parameters, values, strict=True))
+        return _impedance(self.structure, given, self.movement(values).velocity, self._loop, s)
 
     def movement(self, values: Array) -> JointSignals:
         """Movement at which derivatives are taken: as recorded, or that of the closed loop without noise."""
@@ -133,12 +142,15 @@ class JointLikelihood:
     def output_rows(self, values: Array, movement: JointSignals) -> Array:
         """White residual that a search minimises, (trial, number).
 
-        On a position servo that of the torque; on a force servo that of the movement, as a torque that would cause it.
+        On a position servo that of the torque; on a force servo that of the movement, as the torque that would cause it
+        in the joint for which the noise was last weighed. With the impedance of the joint that is tried, it would be
+        the residual of the torque at the recorded movement, which noise has moved.
         """
-        if self._loop is None:
+        if self._impedance is None:
             return self.rows(self.residual(values))
-        miss = self.signals.angle - movement.angle
-        return self.rows(_impeded(miss, self.structure, values, movement, self._loop))
+        n, _ = _padded(movement)
+        miss = fft.rfft(self.signals.angle - movement.angle, n, axis=1) * self._impedance
+        return self.rows(fft.irfft(miss, n, axis=1)[:, : movement.angle.shape[1]])
 
     def derivatives(self, values: Array, movement: JointSignals) -> Array:
         """White derivatives of the torque by the parameters, (parameter, trial, number)."""
@@ -146,9 +158,15 @@ class JointLikelihood:
         return np.stack([self.rows(column) for column in model.derivatives(values).values()])
 
     def objective(self, values: Array) -> float:
-        """Minus twice the log-likelihood, but for a constant, with the noise as last weighed [-]."""
-        cost = float(np.sum(self.output_rows(values, self.movement(values)) ** 2))
-        return cost + 2.0 * self.n_trials * float(np.sum(np.log(self.noise)))
+        """Minus twice the log-likelihood, but for a constant, with the noise as last weighed [-].
+
+        On a force servo noise is what is left of the torque, and its density that of the movement which it causes.
+        """
+        cost = float(np.sum(self.rows(self.residual(values)) ** 2))
+        density = np.log(self.noise)
+        if self._loop is not None:
+            density = density - 2.0 * np.log(np.abs(self._impedance_of(values, 2j * np.pi * self.frequency)))
+        return cost + 2.0 * self.n_trials * float(np.sum(density))
 
     def scores(self, values: Array) -> list[BlockScore]:
         """What each block of time says; a block is a trial where there are several."""
@@ -238,14 +256,6 @@ def _impedance(
 def _padded(signals: JointSignals) -> tuple[int, ComplexArray]:
     n = fft.next_fast_len(signals.angle.shape[1] + round(4.0 * signals.rate), real=True)
     return n, 2j * np.pi * fft.rfftfreq(n, 1.0 / signals.rate)
-
-
-def _impeded(miss: Array, structure: JointStructure, values: Array, movement: JointSignals, loop: Loop) -> Array:
-    """Torque that would move environment and joint by so much, (trial, time)."""
-    n, s = _padded(movement)
-    given = dict(zip(structure.parameters, values, strict=True))
-    impedance = _impedance(structure, given, movement.velocity, loop, s)
-    return np.asarray(fft.irfft(fft.rfft(miss, n, axis=1) * impedance, n, axis=1)[:, : miss.shape[1]])
 
 
 def simulated_movement(

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from armperturb.analysis.fit.likelihood import LackOfFit
+from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.nonlinear.problem import PAIRS_OF_SLOPES, NoiseDraws, Problem, State
 from armperturb.arrays import Array
 

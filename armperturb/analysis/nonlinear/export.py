@@ -2,14 +2,13 @@
 
 import json
 import math
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from armperturb.analysis.nonlinear.choice import Gain
 from armperturb.analysis.nonlinear.identify import NonlinearIdentification
 from armperturb.analysis.nonlinear.prediction import median_peak
-from armperturb.files import write_csv, written_whole
+from armperturb.files import write_csv, written_together
 
 CHECKPOINTS = "checkpoint*.json.gz"
 """Files of searches that have not ended."""
@@ -61,10 +60,7 @@ def write_nonlinear(result: NonlinearIdentification, folder: Path) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     names = ("parameters.csv", "correlations.csv", "predictions.csv", "fit.json")
-    with ExitStack() as stack:  # all take their places together, after all were written
-        parameters, correlations, predictions, fitted = (
-            stack.enter_context(written_whole(folder / name)) for name in names
-        )
+    with written_together([folder / name for name in names]) as (parameters, correlations, predictions, fitted):
         write_csv(result.to_frame(), parameters)
         write_csv(result.estimate.correlation_frame().reset_index(names="parameter"), correlations)
         write_csv(result.pulse_frame(), predictions)

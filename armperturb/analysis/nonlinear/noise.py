@@ -11,7 +11,8 @@ from scipy import fft
 from armperturb.analysis.arm.linear_arm import LinearArm
 from armperturb.analysis.arm.parameters import parameter_vector
 from armperturb.analysis.fit.frequency_bands import Smoother, excited_bands
-from armperturb.analysis.fit.likelihood import ROUND_OFF, TAPER, whitened, whitening
+from armperturb.analysis.fit.likelihood import TAPER, whitened, whitening
+from armperturb.analysis.fit.whittle import ROUND_OFF
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 from armperturb.subject import Subject

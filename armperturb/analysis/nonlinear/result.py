@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from armperturb.analysis.fit.likelihood import LackOfFit
+from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.nonlinear.model import SIGNED, Model, Parameters, coordinate, stem, unit, value_at
 from armperturb.analysis.nonlinear.noise import Noise
 from armperturb.analysis.nonlinear.problem import State

@@ -7,7 +7,7 @@ from armperturb.analysis.joint.identify import JointIdentification
 from armperturb.analysis.page.page import WORDS, Origin
 from armperturb.analysis.page.verdict import Verdict
 from armperturb.analysis.results import plain
-from armperturb.files import written_whole
+from armperturb.files import write_whole
 from armperturb.pages.page import Picture, rendered, versions
 from armperturb.plots.parameters import plot_parameters
 from armperturb.plots.style import new_figure
@@ -62,8 +62,7 @@ def write_joint_page(result: JointIdentification, path: str | Path, origin: Orig
         plain=plain,
         versions=versions("armperturb", "numpy", "scipy", "matplotlib"),
     )
-    with written_whole(path) as temporary:
-        temporary.write_text(content, encoding="utf-8")
+    write_whole(path, content)
 
 
 def joint_verdict(result: JointIdentification) -> Verdict:

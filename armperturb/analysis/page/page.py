@@ -20,7 +20,7 @@ from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.frequency_response import FrequencyResponse
 from armperturb.analysis.results import plain
 from armperturb.analysis.trials import ConditionTrials
-from armperturb.files import packaged_table, written_whole
+from armperturb.files import packaged_table, write_whole
 from armperturb.pages.page import rendered, versions
 
 WORDS: dict[str, dict[str, str]] = packaged_table(__package__, "words.toml")
@@ -61,8 +61,7 @@ def write_page(
       OSError: the folder cannot be written to.
     """
     content = _content(results, trials, origin)
-    with written_whole(path) as temporary:
-        temporary.write_text(content, encoding="utf-8")
+    write_whole(path, content)
 
 
 def _content(results: Identifications, trials: Mapping[str, Sequence[ConditionTrials]], origin: Origin) -> str:

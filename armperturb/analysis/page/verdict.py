@@ -9,8 +9,8 @@ import numpy as np
 from armperturb.analysis.fit.diagnosis import Diagnosis
 from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.identify import Identification
-from armperturb.analysis.fit.likelihood import LackOfFit
 from armperturb.analysis.fit.maximum_likelihood import FEWEST_TRIALS, SKEWED, SUSPICIOUS, Estimate, limits_of
+from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.page.data_check import DataCheck
 from armperturb.analysis.response.best_linear import BestLinear
 from armperturb.analysis.results import plain
@@ -83,8 +83,8 @@ def verdict(identification: Identification, bands: Sequence[BandOfLack]) -> Verd
     if ratio <= LARGE and fit.choice is None:
         return Verdict(
             "care",
-            f"The perturbation explains slightly more of the movement than the model does ({numbers}). Intervals have "
-            f"been widened by a factor of {plain(math.sqrt(fit.detail.dispersion), 3)} for that.",
+            f"The perturbation explains slightly more of the movement than the model does ({numbers}). Intervals are "
+            f"{plain(math.sqrt(fit.detail.dispersion), 3)} times as wide as noise alone makes them.",
         )
     wrong = "the model is wrong" if fit.choice is None else "none of the structures that were tried is right"
     more = "The perturbation explains more of the movement than the model does"

@@ -145,7 +145,7 @@ class Periodic(NamedTuple):
         for group in self.groups:
             chosen = self._orders(len(group), float(np.ptp(group) / group.mean())) if order is None else (order,)
             orders = sorted({min(choice, len(group) - 1) for choice in chosen})
-            fits.append(_fit(self.windows(group), float(group.mean()) / self.period, orders, own_levels))
+            fits.append(fit_near(self.windows(group), float(group.mean()) / self.period, orders, own_levels))
         return fits
 
     def _orders(self, n_lines: int, width: float) -> tuple[int, ...]:
@@ -157,7 +157,7 @@ class Periodic(NamedTuple):
         return (min(max(1, terms - 1), HIGHEST_ORDER if width > NARROW else 1),)
 
 
-def _fit(windows: Sequence[Window], centre: float, orders: Sequence[int], own_levels: bool = False) -> LocalFit:
+def fit_near(windows: Sequence[Window], centre: float, orders: Sequence[int], own_levels: bool = False) -> LocalFit:
     """Raise the order while a likelihood-ratio test favours it and 2 `LEAST_DOF` residual degrees of freedom remain.
 
     Where it is not needed, a further complex coefficient of an output lowers the logarithm of its sum of squares, times
@@ -165,7 +165,7 @@ def _fit(windows: Sequence[Window], centre: float, orders: Sequence[int], own_le
     """
     best = fit_locally(windows, centre, order=orders[0], leakage_order=LEAKAGE_ORDER, own_levels=own_levels)
     for lower, order in pairwise(orders):
-        extra = N_INPUTS * (order - lower)
+        extra = windows[0].perturbation.shape[1] * (order - lower)
         if best.dof - extra < 2 * LEAST_DOF:
             break
         better = fit_locally(windows, centre, order=order, leakage_order=LEAKAGE_ORDER, own_levels=own_levels)
@@ -355,7 +355,7 @@ def estimate_noise(
 
     def fit(answer: Answer) -> list[LocalFit]:
         windows = [part._replace(answer=answer(part.frequency, part.perturbation, part.answer)) for part in spectra]
-        return [_fit(_around(windows, centre, orders[0]), centre, orders) for centre in wanted.tolist()]
+        return [fit_near(lines_around(windows, centre, orders[0]), centre, orders) for centre in wanted.tolist()]
 
     fits, environment = _balanced(fit, several if balance and what != "environment" else None)
     return frequency_response(fits, what, [(fit.noise, fit.dof) for fit in fits], environment)
@@ -393,8 +393,8 @@ def local_fits(recordings: SeveralTrials, window_start: float) -> tuple[list[Loc
     spectra = [whole_window(record) for record in records]
     fits, power = [], []
     for centre in excited_band(records).tolist():
-        windows = _around(spectra, centre, HIGH_ORDERS[0])
-        fits.append(_fit(windows, centre, HIGH_ORDERS))
+        windows = lines_around(spectra, centre, HIGH_ORDERS[0])
+        fits.append(fit_near(windows, centre, HIGH_ORDERS))
         d = np.concatenate([window.perturbation for window in windows])
         power.append(d.T @ d.conj() / len(d))
     return fits, np.array(power)
@@ -421,8 +421,9 @@ def excited_band(records: Sequence[TrialRecord]) -> Array:
     return np.unique(excited[np.abs(excited - even[:, None]).argmin(axis=1)])
 
 
-def _around(spectra: Sequence[Window], centre: float, order: int) -> list[Window]:
-    """The lines of all records near a frequency."""
+def lines_around(spectra: Sequence[Window], centre: float, order: int) -> list[Window]:
+    """The lines of all records near a frequency, as many as a polynomial of the order asks for."""
+    n_inputs = spectra[0].perturbation.shape[1]
     step = min(float(window.frequency[0]) for window in spectra)
     highest = max(float(window.frequency[-1]) for window in spectra)
     half = max(HALF_WIDTH[0], HALF_WIDTH[1] * centre)
@@ -430,7 +431,7 @@ def _around(spectra: Sequence[Window], centre: float, order: int) -> list[Window
         windows = [window.within(centre - half, centre + half) for window in spectra]
         used = [window for window in windows if len(window.frequency) > LEAKAGE_ORDER + 1]
         rows = sum(len(window.frequency) for window in used)
-        if used and rows >= n_unknowns(len(used), order, LEAKAGE_ORDER) + LEAST_DOF:
+        if used and rows >= n_unknowns(len(used), order, LEAKAGE_ORDER, n_inputs=n_inputs) + LEAST_DOF:
             return used
         half += step / 2
     raise ValueError(f"the recordings hold too few lines around {centre:.3f} Hz; expected longer or more trials")

@@ -17,12 +17,13 @@ from armperturb.analysis.response.closed_loop import estimate_multisine, estimat
 from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
 from armperturb.analysis.response.joint_records import admittance_of, excited_frequencies, joint_records, variance_of
 from armperturb.analysis.response.local_polynomial import N_INPUTS, Window, fit_locally, frequency_response
+from armperturb.analysis.response.one_axis import one_axis_response
 from armperturb.analysis.response.spectra import averaged_spectra, line_spectra
 from armperturb.analysis.response.subspace import fit_subspace
 from armperturb.analysis.response.tapers import estimate_multitaper, estimate_welch
 from armperturb.analysis.trials import SeveralTrials, TrialRecord, prepared, prepared_recordings
 from armperturb.arrays import Array
-from armperturb.recording import join_recordings, named
+from armperturb.recording import is_one_axis, join_recordings, named
 from armperturb.validation import require_one_of
 
 FEWEST_TRIALS = 4
@@ -159,13 +160,17 @@ METHODS: dict[str, Callable[..., FrequencyResponse]] = {
 
 
 def response(
-    recording: SeveralTrials, method: str = "multisine", frequency: ArrayLike | None = None, **options: Any
+    recording: SeveralTrials, method: str | None = None, frequency: ArrayLike | None = None, **options: Any
 ) -> FrequencyResponse:
     """Frequency response of the arm, the environment or both, without a model of the arm.
 
+    A recording of one axis gives an `AxisResponse`: admittance on a force servo, impedance on a position servo, with
+    coherence and distortion, see `one_axis`.
+
     Args:
       recording: trials of one person in one condition, or several such recordings.
-      method: one of `METHODS`. Of multisines, whatever their lines and their period: "multisine", or "spectral" as in
+      method: one of `METHODS`; None is "multisine", and of one axis "noise", which takes any disturbance and is the
+        only one there. Of multisines, whatever their lines and their period: "multisine", or "spectral" as in
         the thesis. Of any disturbance with power at all frequencies of interest: "noise", "welch" or "multitaper". Of
         either: the models "arx" and "subspace".
       frequency: where the response is wanted [Hz], (frequency,); None leaves it to the method. Methods for multisines
@@ -177,9 +182,13 @@ def response(
       TypeError: the method lacks an option.
       ValueError: the method is unknown, or as its function.
     """
-    require_one_of("response", "method", method, list(METHODS))
     require_one_of("response", "what", options.get("what", "arm"), get_args(System))
     several = prepared_recordings(recording)
+    if is_one_axis(several[0].recording):
+        require_one_of("response of one axis", "method", method, (None, "noise"))
+        return one_axis_response(several, frequency=frequency, **options)
+    method = "multisine" if method is None else method
+    require_one_of("response", "method", method, list(METHODS))
     label = f"{named([trials.recording for trials in several])}, {method}"
     return replace(METHODS[method](several, frequency=frequency, **options), label=label)
 

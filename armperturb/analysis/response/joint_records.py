@@ -64,7 +64,7 @@ def joint_records(recording: SeveralTrials, window_start: float = 0.0) -> list[T
       ValueError: as `ConditionTrials.records`; or a trial is too short to be resampled, rates differ, a channel is
         constant, or the disturbances along x and y are not independent.
     """
-    records = [_resampled(record) for record in records_of(prepared_recordings(recording), window_start)]
+    records = [resampled(record) for record in records_of(prepared_recordings(recording), window_start)]
     d, response = (
         np.concatenate([part - part.mean(axis=0) for part in parts]) for parts in list(zip(*records, strict=True))[:2]
     )
@@ -80,7 +80,8 @@ def joint_records(recording: SeveralTrials, window_start: float = 0.0) -> list[T
     return records
 
 
-def _resampled(record: TrialRecord) -> TrialRecord:
+def resampled(record: TrialRecord) -> TrialRecord:
+    """A trial at no more than about `MODEL_RATE`. Raises ValueError where it is too short for that."""
     factor = max(1, round(record.rate / MODEL_RATE))
     if factor == 1:
         return record
@@ -88,7 +89,8 @@ def _resampled(record: TrialRecord) -> TrialRecord:
     if len(signals) < 4 * FILTER_REACH * factor:
         raise ValueError(f"a trial holds {len(signals)} samples; expected at least {4 * FILTER_REACH * factor}")
     signals = thinned(signals, factor, axis=0)[FILTER_REACH:-FILTER_REACH]
-    return TrialRecord(signals[:, :2], signals[:, 2:], record.rate / factor)
+    n_inputs = record.perturbation.shape[1]
+    return TrialRecord(signals[:, :n_inputs], signals[:, n_inputs:], record.rate / factor)
 
 
 def thinned(signals: Array, factor: int, axis: int) -> Array:
@@ -116,12 +118,12 @@ def admittance_of(what: System, joint: ComplexArray) -> ComplexArray:
 
     Args:
       what: "arm", "environment" or "total".
-      joint: G from d to (f, x), (frequency, 4, 2).
+      joint: G from d to (f, x), (frequency, 4, 2); of one axis, (frequency, 2, 1).
 
     Raises:
       ValueError: what is something else.
     """
-    return np.asarray(joint[:, 2:] @ _to_disturbance(what, joint))
+    return np.asarray(joint[:, joint.shape[1] // 2 :] @ _to_disturbance(what, joint))
 
 
 def variance_of(what: System, joint: ComplexArray, noise: ComplexArray, spread: ComplexArray) -> Array:
@@ -137,7 +139,9 @@ def variance_of(what: System, joint: ComplexArray, noise: ComplexArray, spread: 
       ValueError: as `admittance_of`.
     """
     inverse, response = _to_disturbance(what, joint), admittance_of(what, joint)
-    left = np.concatenate([-_WEIGHTS[what][1] * response, np.broadcast_to(np.eye(2), response.shape)], axis=2)
+    left = np.concatenate(
+        [-_WEIGHTS[what][1] * response, np.broadcast_to(np.eye(response.shape[1]), response.shape)], axis=2
+    )
     of_output = np.einsum("fia,fac,fic->fi", left, noise, left.conj()).real
     of_input = np.einsum("fbj,fbd,fdj->fj", inverse, spread, inverse.conj()).real
     return np.asarray(of_output[:, :, None] * of_input[:, None, :])
@@ -147,4 +151,5 @@ def _to_disturbance(what: System, joint: ComplexArray) -> ComplexArray:
     """W^-1: from the system's input to d."""
     require_one_of("response", "what", what, get_args(System))
     a, b = _WEIGHTS[what]
-    return np.asarray(np.linalg.inv(a * np.eye(2) + b * joint[:, :2]))
+    n = joint.shape[1] // 2
+    return np.asarray(np.linalg.inv(a * np.eye(n) + b * joint[:, :n]))

@@ -42,7 +42,7 @@ class Window(NamedTuple):
     Attributes:
       frequency: [Hz], (line,).
       perturbation: D, over the square root of the number of samples, (line, axis).
-      answer: F and X, likewise, (line, 4).
+      answer: F and X, likewise, (line, 4); of one axis, (line, 1) or (line, 2).
       excited: whether D is there, (line,).
     """
 
@@ -82,10 +82,12 @@ class LocalFit(NamedTuple):
     excited_dof: float
 
 
-def n_unknowns(n_records: int, order: int, leakage_order: int, own_levels: bool = False) -> int:
+def n_unknowns(
+    n_records: int, order: int, leakage_order: int, own_levels: bool = False, n_inputs: int = N_INPUTS
+) -> int:
     """Unknowns of `fit_locally` for each output."""
     n_levels = n_records if own_levels else 1
-    return N_INPUTS * (n_levels + order) + n_records * (leakage_order + 1)
+    return n_inputs * (n_levels + order) + n_records * (leakage_order + 1)
 
 
 def fit_locally(
@@ -108,8 +110,9 @@ def fit_locally(
     scale = max(float(np.abs(values).max()) for values in offset) or 1.0
     n_rows = [len(values) for values in offset]
     n_levels = len(windows) if own_levels else 1
-    n_level, n_slope = N_INPUTS * n_levels, N_INPUTS * order
-    n = n_unknowns(len(windows), order, leakage_order, own_levels)
+    n_inputs = windows[0].perturbation.shape[1]
+    n_level, n_slope = n_inputs * n_levels, n_inputs * order
+    n = n_unknowns(len(windows), order, leakage_order, own_levels, n_inputs)
     if sum(n_rows) <= n:
         raise ValueError(
             f"{sum(n_rows)} lines near {centre:.3f} Hz for {n} unknowns; expected more (more or longer trials, more "
@@ -119,12 +122,12 @@ def fit_locally(
     first = 0
     for i, (window, values) in enumerate(zip(windows, offset, strict=True)):
         rows = matrix[first : first + len(values)]
-        level = N_INPUTS * i if own_levels else 0
-        rows[:, level : level + N_INPUTS] = window.perturbation
+        level = n_inputs * i if own_levels else 0
+        rows[:, level : level + n_inputs] = window.perturbation
         powers = (values[:, None] / scale) ** np.arange(max(order, leakage_order) + 1)
         for power in range(order):
-            column = n_level + N_INPUTS * power
-            rows[:, column : column + N_INPUTS] = powers[:, power + 1, None] * window.perturbation
+            column = n_level + n_inputs * power
+            rows[:, column : column + n_inputs] = powers[:, power + 1, None] * window.perturbation
         column = n_level + n_slope + i * (leakage_order + 1)
         rows[:, column : column + leakage_order + 1] = powers[:, : leakage_order + 1]
         first += len(values)
@@ -139,9 +142,9 @@ def fit_locally(
     answer = np.concatenate([window.answer for window in windows])
     projected = orthonormal.conj().T @ answer
     back = np.linalg.inv(triangle)
-    levels = ((back @ projected) / lengths[:, None])[:n_level].reshape(n_levels, N_INPUTS, -1)
+    levels = ((back @ projected) / lengths[:, None])[:n_level].reshape(n_levels, n_inputs, -1)
     # The mean over records of the constant terms is a sum of rows of the inverse.
-    rows = (back / lengths[:, None])[:n_level].reshape(n_levels, N_INPUTS, -1).mean(axis=0)
+    rows = (back / lengths[:, None])[:n_level].reshape(n_levels, n_inputs, -1).mean(axis=0)
     left = answer - orthonormal @ projected
     free = 1.0 - np.sum(np.abs(orthonormal) ** 2, axis=1)
     excited = np.concatenate([window.excited for window in windows])

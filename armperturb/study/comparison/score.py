@@ -20,7 +20,7 @@ import pandas as pd
 
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.results import Description, Result, Table
-from armperturb.files import write_csv, written_whole
+from armperturb.files import write_csv, write_whole
 from armperturb.study.comparison.ceiling import OF_PRINTED_ARMS, replicate_share
 from armperturb.study.comparison.headlines import Headline, headlines
 from armperturb.study.published import tables as published
@@ -317,6 +317,5 @@ def write_score(result: Score, folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     write_csv(result.to_frame(), folder / "score.csv")
     write_csv(map(vars, result.headlines), folder / "headlines.csv")
-    with written_whole(folder / "score.txt") as temporary:
-        temporary.write_text(result.summary() + "\n", encoding="utf-8")
+    write_whole(folder / "score.txt", result.summary() + "\n")
     return folder / "score.csv"

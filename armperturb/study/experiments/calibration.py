@@ -25,7 +25,7 @@ from armperturb.arrays import Array
 from armperturb.cohort import STABILITY_MARGIN
 from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
 from armperturb.environment import Environment
-from armperturb.files import written_whole
+from armperturb.files import write_whole
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.study.experiments.candidates import Candidate, Unknown, unknowns
 from armperturb.study.experiments.cohort_cells import cells_of_trials
@@ -402,8 +402,7 @@ def save_calibrations(path: str | Path, calibrations: Sequence[Calibration]) -> 
         "summary": [row for calibration in calibrations for row in calibration.agreement()],
         "cells": [row for calibration in full.values() for row in calibration.to_frame().to_dict("records")],
     }
-    with written_whole(path) as temporary:
-        temporary.write_text(tomli_w.dumps(_rounded(document)), encoding="utf-8")
+    write_whole(path, tomli_w.dumps(_rounded(document)))
 
 
 def _rounded(value: Any) -> Any:

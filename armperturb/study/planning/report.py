@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from armperturb.analysis.defaults import SETTLING, WINDOW_START
 from armperturb.analysis.results import Description, Table
 from armperturb.arrays import Array
-from armperturb.files import write_csv, write_durably
+from armperturb.files import write_csv, write_whole
 from armperturb.perturbations import save_perturbation
 from armperturb.perturbations.multisine import PERIOD
 from armperturb.plots.style import COLOURS, INK, PUBLISHED, figure_for, in_style, save_plot
@@ -211,4 +211,4 @@ def write_design(design: Design, folder: Path) -> None:
         "factor_noise_follows": design.factors["follows"],
         "excess": design.excess,
     }
-    write_durably(folder / "settings.json", (json.dumps(made, indent=1, ensure_ascii=False) + "\n").encode())
+    write_whole(folder / "settings.json", json.dumps(made, indent=1, ensure_ascii=False) + "\n")

@@ -24,7 +24,7 @@ from typing import Any
 
 from filelock import AcquireReturnProxy, FileLock, Timeout
 
-from armperturb.files import checksum, sync, write_durably
+from armperturb.files import checksum, sync, write_whole
 
 MANIFEST = "manifest.json"
 RECORDINGS = "recordings"
@@ -101,7 +101,7 @@ class StudyFolder:
         sums = {**self._sums, name: sha256}
         text = "".join(f"{sums[key]}  {key}.nc\n" for key in sorted(sums))
         with _naming(path):
-            write_durably(path.parent / SUMS, text.encode())
+            write_whole(path.parent / SUMS, text)
             os.replace(staged, path)
             sync(path.parent)
         self._sums = sums
@@ -218,7 +218,7 @@ def _agree(root: Path, manifest: Mapping[str, Any]) -> None:
     is_ours = before is None or (isinstance(before, dict) and {"subjects", "protocol"} <= before.keys())
     if different and recording is None and is_ours:
         with _naming(path):
-            write_durably(path, (json.dumps(manifest, indent=1, ensure_ascii=False) + "\n").encode())
+            write_whole(path, json.dumps(manifest, indent=1, ensure_ascii=False) + "\n")
     elif different:
         more = f", and {len(different) - 3} more" if len(different) > 3 else ""
         raise ValueError(

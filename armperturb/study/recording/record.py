@@ -23,7 +23,7 @@ from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.trial import Trial
-from armperturb.files import write_durably
+from armperturb.files import write_whole
 from armperturb.perturbations import Multisine
 from armperturb.progress import Progress
 from armperturb.recording import stack_trials
@@ -283,7 +283,7 @@ def _write(recording: xr.Dataset, name: str, staging: Path | None) -> _Finished:
 def _stage(content: bytes, staging: Path, name: str) -> Path:
     path = staging / f"{name}.nc"
     try:
-        write_durably(path, content)
+        write_whole(path, content)
     except OSError as error:
         raise cannot_write(path, error) from None
     return path

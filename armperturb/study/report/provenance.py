@@ -1,7 +1,7 @@
 """Where a report comes from: when it was written, the command that made the recordings, and a digest of these."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import NamedTuple
@@ -9,6 +9,7 @@ from typing import NamedTuple
 from armperturb.study.protocol import THESIS
 from armperturb.study.recording.manifest import Manifest
 from armperturb.study.recording.settings import StudySettings
+from armperturb.study.results.cache import recalled_numbers
 from armperturb.study.results.study_result import StudyResult
 
 
@@ -19,11 +20,13 @@ class Provenance(NamedTuple):
       date: when the report was written, UTC.
       command: that makes such recordings; empty of a laboratory's.
       digest: SHA-256 over names and checksums of all recordings.
+      recalled: results of an earlier analysis that were used again.
     """
 
     date: str
     command: str
     digest: str
+    recalled: Sequence[str]
 
 
 def provenance(study: StudyResult, checksums: Mapping[str, str]) -> Provenance:
@@ -37,6 +40,7 @@ def provenance(study: StudyResult, checksums: Mapping[str, str]) -> Provenance:
         date=datetime.now(UTC).strftime("%d %B %Y").lstrip("0"),
         command=command_of(study.made) if study.made else "",
         digest=digest_of(checksums),
+        recalled=recalled_numbers(),
     )
 
 

@@ -7,7 +7,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from armperturb.files import checksum, write_csv, written_whole
+from armperturb.files import checksum, write_csv, write_whole, written_together
 from armperturb.pages.page import Picture, rendered, versions
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.progress import Progress
@@ -89,10 +89,10 @@ def write_report(
     made = {kind: list(islice(results, len(of_kind))) for kind, of_kind in kinds.items()}
     drawn, played = dict(zip(draws, made["drawn"], strict=True)), played_data(made["played"])
     (out / "figures").mkdir(exist_ok=True)
-    for name, picture in drawn.items():
-        if isinstance(picture, Picture):
-            with written_whole(out / "figures" / f"{name}.svg") as temporary:
-                temporary.write_text(picture.svg, encoding="utf-8", newline="")
+    pictures = {out / "figures" / f"{name}.svg": each for name, each in drawn.items() if isinstance(each, Picture)}
+    with written_together(pictures) as temporary:
+        for path, picture in zip(temporary, pictures.values(), strict=True):
+            path.write_text(picture.svg, encoding="utf-8", newline="")
     more = {
         "findings": finding_rows(findings(study)),
         "pulse_excess": excess_rows(study),
@@ -109,8 +109,7 @@ def write_report(
     parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, *made["films"])
     page = _page(study, parts, drawn, checksums)
     report = out / "report.html"
-    with written_whole(report) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_whole(report, page)
     return report
 
 

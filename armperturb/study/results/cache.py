@@ -71,6 +71,12 @@ def recalled_results() -> Iterator[list[Path]]:
         _RECALLED.reset(token)
 
 
+def recalled_numbers() -> list[str]:
+    """Names of the kept results that were used again so far within `recalled_results`, without figures."""
+    names = (path.name.removesuffix(".json.gz") for path in _RECALLED.get() or ())
+    return sorted(name for name in names if not name.startswith("figure-"))
+
+
 def forget_results(root: Path, nonlinear: Collection[str] = ()) -> None:
     """Remove what a study folder has kept, so that it is computed anew; nonlinear fits only of the tasks named.
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from armperturb.analysis.results import Description, Table, plain
-from armperturb.files import write_csv, write_durably
+from armperturb.files import write_csv, write_whole
 from armperturb.plots.style import GREY, INK, PUBLISHED, figure_for, in_style, save_plot
 from armperturb.study.validation.validate import Validation
 
@@ -152,4 +152,4 @@ def write_validation(validation: Validation, folder: Path) -> None:
         "settings": {**asdict(settings), "subject": settings.subject and str(settings.subject)},
         "truth": asdict(settings.truth()),
     }
-    write_durably(folder / "settings.json", (json.dumps(made, indent=1, ensure_ascii=False) + "\n").encode())
+    write_whole(folder / "settings.json", json.dumps(made, indent=1, ensure_ascii=False) + "\n")

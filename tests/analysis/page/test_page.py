@@ -16,7 +16,8 @@ from foreign_recordings import Setup, recording_of
 import armperturb
 from armperturb.analysis.fit.diagnosis import diagnose
 from armperturb.analysis.fit.frequency_bands import BandOfLack
-from armperturb.analysis.fit.identify import Identifications, identify_conditions, parts_by_condition
+from armperturb.analysis.fit.group import parts_by_condition
+from armperturb.analysis.fit.identify import Identifications, identify_conditions
 from armperturb.analysis.page.data_check import check_data
 from armperturb.analysis.page.page import WORDS, Origin, write_page
 from armperturb.analysis.page.verdict import likely_causes, nonlinearity, unknowns, verdict

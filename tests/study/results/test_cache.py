@@ -14,6 +14,7 @@ from armperturb.study.results.cache import (
     Unit,
     forget_results,
     kept_or_computed,
+    recalled_numbers,
     recalled_results,
     reusable,
 )
@@ -113,6 +114,8 @@ def test_recalled_results_are_named_and_forgotten_where_that_is_asked_for(tmp_pa
         each.write(MeanSD(1.0, 2.0))
     with recalled_results() as recalled:
         reusable(files)
+        assert recalled_numbers() == ["S01", "S01-nonlinear-PT-20", "S01-nonlinear-RT"]
     assert [path.name for path in recalled] == list(names)
+    assert recalled_numbers() == []
     forget_results(tmp_path, ["RT"])
     assert [path.name for path in (tmp_path / "analysis").iterdir()] == [names[2]]

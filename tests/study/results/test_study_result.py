@@ -5,6 +5,7 @@ import hashlib
 import json
 import math
 import os
+import re
 import shutil
 from collections import Counter
 from collections.abc import Mapping
@@ -338,7 +339,10 @@ def test_the_command_reports_on_what_is_there(copied, capsys, monkeypatch):
     recalled, written = capsys.readouterr().out.splitlines()
     assert recalled.startswith("recalled from analysis/ (--fresh computes them anew): S01")
     assert written == f"report: {copied / 'report.html'}"
-    assert (copied / "report.html").is_file()
+    numbers = re.search(
+        r"Numbers recalled from an earlier analysis.*\n  (.*)\.</p>", (copied / "report.html").read_text()
+    )
+    assert numbers[1].split(", ")[0] == "S01"
     assert (copied / "score" / "score.csv").is_file()
 
 

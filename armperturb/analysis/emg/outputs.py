@@ -1,0 +1,86 @@
+"""EMG of antagonists as outputs of the arm's model: what a fit of reflexes needs of the envelopes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from armperturb.analysis.arm.geometry import hand_jacobian
+from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.emg.reflex import rotation
+from armperturb.analysis.trials import ConditionTrials
+from armperturb.arrays import Array
+
+GROUPS = ("s", "e", "se")
+"""Joints that the muscles of a group cross: shoulder, elbow, both."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReflexOutputs:
+    """Trials of one condition up to the first pulse.
+
+    Attributes:
+      groups: those of `GROUPS` of which there is EMG.
+      difference: mean amplitude of a group's extensors less that of its flexors, over the reference's [-], (trial,
+        time, group). Of a group of flexors or extensors alone, theirs.
+      rotation: of shoulder and elbow, or J^-1 x of the handle [rad], (trial, time, joint).
+      grip_load: J^-1 f, which times the admittance of the grip is what the handle shows too much of rotation [rad N/m],
+        (trial, time, joint); None where joint angles were recorded.
+      rate: of both [Hz].
+      averaging: time over which the amplitude is averaged [s].
+    """
+
+    groups: tuple[str, ...]
+    difference: Array
+    rotation: Array
+    grip_load: Array | None
+    rate: float
+    averaging: float
+
+
+def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutputs:
+    """EMG of the trials of one condition as outputs of the arm's model.
+
+    Args:
+      trials: of the condition; no others of it are in the envelopes.
+      envelopes: of the person.
+
+    Raises:
+      ValueError: the envelopes hold other trials of the condition, or of no muscle is it known what it does.
+    """
+    rows = np.flatnonzero((envelopes.labels["condition"] == trials.label).to_numpy())
+    if len(rows) != trials.n_trials:
+        raise ValueError(
+            f"EMG is not used: it has {len(rows)} trials of {trials.label}, the other signals {trials.n_trials}; "
+            "expected the same trials"
+        )
+    end = trials.first_onset
+    amplitude = np.nan_to_num(envelopes.amplitude[rows, :end])
+    groups, differences = [], []
+    for joints in GROUPS:
+        sides = [
+            [
+                column
+                for column, action in enumerate(envelopes.muscles.values())
+                if action.joints == joints and action.sign == sign
+            ]
+            for sign in (-1, 1)
+        ]
+        if any(sides):
+            extensors, flexors = (amplitude[..., side].mean(axis=2) if side else 0.0 for side in sides)
+            groups.append(joints)
+            differences.append(np.asarray(extensors - flexors))
+    if not groups:
+        raise ValueError(
+            "EMG is not used: of no muscle is it known what it does; expected joints and sign (signals.emg.muscles of "
+            "the sidecar)"
+        )
+    has_angles = "joint_angle" in trials.recording.data_vars
+    load = None if has_angles else trials.force[:, :end] @ np.linalg.inv(hand_jacobian(trials.body)).T
+    return ReflexOutputs(
+        groups=tuple(groups),
+        difference=np.stack(differences, axis=2),
+        rotation=rotation(trials)[:, :end],
+        grip_load=load,
+        rate=envelopes.rate,
+        averaging=envelopes.averaging,
+    )

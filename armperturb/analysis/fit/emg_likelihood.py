@@ -1,0 +1,252 @@
+"""How likely EMG is under an arm model, so that it tells of reflexes together with the movement.
+
+What reflexes see of the rotations q, u = (Ka s^2 + Kv s + Kp) q, drives antagonists with opposite signs. So of each
+group of muscles (shoulder, elbow, both) the difference between the amplitudes of extensors and flexors is
+
+    y(s) = sum over its joints of g_j e^(-s (Td_j - T_em)) u_j(s) + w,
+
+with an unknown gain g_j [1/(Nm)] for each joint that a group crosses, in each condition unless it is shared, and an
+electromechanical delay T_em by which the muscles answer later than their EMG, beyond the activation dynamics. What
+rectification adds to each amplitude is the same in both, and falls out of the difference. The noise w is that of
+EMG, of an unknown smooth spectrum; it moves no arm, so that
+
+    p(x, y | d) = p(x | d) p(y | q),
+
+and the logarithms of both likelihoods add (`TrialsWithEmg`). Rotations are those of the recorded joint angles, or
+follow from the handle's displacement x and its force f on the hand: q = J^-1 (x - f / (b_h s + k_h)).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from armperturb.analysis.arm.parameters import DELAYS, GRIP_DAMPING, GRIP_STIFFNESS, MATRIX, PARAMETERS
+from armperturb.analysis.emg.outputs import ReflexOutputs
+from armperturb.analysis.fit.likelihood import Likelihood
+from armperturb.analysis.fit.whittle import ALL, LackOfFit, Normal, Whittle
+from armperturb.arrays import Array, ComplexArray
+from armperturb.validation import require_number
+
+BAND = (0.3, 20.0)
+"""Frequencies of the EMG that count [Hz]."""
+
+TAPER = 2.0
+"""Length over which records fade in and out before they are transformed [s]."""
+
+LARGEST_GAIN = 10.0
+"""Upper bound of gains [1/(Nm)]: a torque of 0.1 Nm would activate a muscle as the reference does."""
+
+DELAY_NAME = "T_em"
+
+N_ARM = len(PARAMETERS)
+
+FEEDBACK = ("kp", "kv", "ka")
+"""Gains by the power of s that they go with."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ElectromechanicalDelay:
+    """What is known of the time by which muscles answer later than their EMG, beyond the activation dynamics.
+
+    Attributes:
+      mean: [s].
+      sd: [s]; zero if it is known.
+
+    Raises:
+      TypeError: a value is not a number.
+      ValueError: the mean is not 0 to 0.1 s, or the standard deviation not 0 to 0.05 s.
+    """
+
+    mean: float = 0.0
+    sd: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_number("electromechanical delay", "mean", self.mean, at_least=0.0, at_most=0.1)
+        require_number("electromechanical delay", "sd", self.sd, at_least=0.0, at_most=0.05)
+
+
+class EmgLikelihood(Whittle):
+    """Likelihood of the EMG of the trials of one condition.
+
+    Values are the parameters of an arm, as `Likelihood` has them, followed by those of `names`.
+
+    Args:
+      outputs: EMG and rotation.
+      delay: what is known of the electromechanical delay.
+    """
+
+    def __init__(self, outputs: ReflexOutputs, delay: ElectromechanicalDelay) -> None:
+        rate, n = outputs.rate, outputs.difference.shape[1]
+        n_taper = min(round(TAPER * rate), n // 2)
+        fade = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_taper) + 0.5) / n_taper)
+        taper = np.ones(n)
+        taper[:n_taper], taper[n - n_taper :] = fade, fade[::-1]
+        frequency = fft.rfftfreq(n, 1.0 / rate)
+        used = slice(int(np.searchsorted(frequency, BAND[0])), int(np.searchsorted(frequency, BAND[1])))
+
+        def spectrum(values: Array) -> ComplexArray:
+            part = (values - values.mean(axis=1, keepdims=True)) * taper[:, None]
+            return np.asarray(fft.rfft(part, axis=1)[:, used].swapaxes(1, 2))
+
+        frequency = frequency[used]
+        observed = spectrum(outputs.difference) / np.sinc(frequency * outputs.averaging)
+        self._s = 2j * np.pi * frequency
+        self._grip_load = None if outputs.grip_load is None else spectrum(outputs.grip_load)
+        # Each gain, and of which output and joint it is.
+        self._gains = [(output, "se".index(joint)) for output, group in enumerate(outputs.groups) for joint in group]
+        self.names = tuple(
+            f"g_{joint}" if len(group) == 1 else f"g_b{joint}" for group in outputs.groups for joint in group
+        )
+        self._delay = delay
+        if delay.sd > 0.0:
+            self.names = (*self.names, DELAY_NAME)
+        tiny = np.finfo(float).tiny
+        super().__init__(
+            frequency, spectrum(outputs.rotation), observed, ALL, scale=np.ones(len(frequency), complex), least=tiny
+        )
+
+    @property
+    def bounds(self) -> dict[str, tuple[float, float]]:
+        """Of the parameters beyond those of the arm."""
+        half = 10.0 * self._delay.sd
+        of_delay = {DELAY_NAME: (self._delay.mean - half, self._delay.mean + half)} if half else {}
+        return {name: of_delay.get(name, (0.0, LARGEST_GAIN)) for name in self.names}
+
+    @property
+    def prior(self) -> dict[str, tuple[float, float]]:
+        """Mean and standard deviation of what is known of these beside the trials."""
+        return {DELAY_NAME: (self._delay.mean, self._delay.sd)} if self._delay.sd > 0.0 else {}
+
+    def start(self, arm: Array) -> Array:
+        """Values of the parameters beyond those of the arm, as they follow from one, by least squares."""
+        seen = self._seen(np.append(arm, self._delay.mean))
+        values = np.zeros(len(self.names))
+        for output in range(self._n_outputs):
+            its = [k for k, (of, _) in enumerate(self._gains) if of == output]
+            columns = np.array([seen[:, self._gains[k][1]].ravel() for k in its])
+            gram = (columns @ columns.conj().T).real
+            along = (columns.conj() @ self._observed[:, output].ravel()).real
+            values[its] = np.clip(np.linalg.lstsq(gram, along)[0], 0.0, LARGEST_GAIN)
+        if self._delay.sd > 0.0:
+            values[-1] = self._delay.mean
+        return values
+
+    def _delay_of(self, values: Array) -> float:
+        return float(values[-1]) if self._delay.sd > 0.0 else self._delay.mean
+
+    def _late(self, values: Array) -> ComplexArray:
+        """Delay from rotation to EMG, (joint, frequency)."""
+        late = values[DELAYS] - self._delay_of(values)
+        return np.asarray(np.exp(-self._s * late[:, None]))
+
+    def _feedback(self, values: Array) -> ComplexArray:
+        """From rotation to what reflexes see, (joint, joint, frequency)."""
+        powers = [values[MATRIX[name]][..., None] * self._s**power for power, name in enumerate(FEEDBACK)]
+        return np.asarray(np.sum(powers, axis=0))
+
+    def _rotation(self, values: Array) -> ComplexArray:
+        """Of the joints, (trial, joint, frequency); what the grip gives way is none of it."""
+        return self._force if self._grip_load is None else self._force - self._grip(values) * self._grip_load
+
+    def _grip(self, values: Array) -> ComplexArray:
+        """Admittance of the grip [m/N], (frequency,)."""
+        return np.asarray(1.0 / (values[GRIP_DAMPING] * self._s + values[GRIP_STIFFNESS]))
+
+    def _seen(self, values: Array, trials: slice = ALL) -> ComplexArray:
+        """What reflexes see, as late as EMG shows it, (trial, joint, frequency)."""
+        response = self._late(values)[:, None] * self._feedback(values)
+        return np.asarray(np.einsum("jif,tif->tjf", response, self._rotation(values)[trials]))
+
+    def _mixed(self, seen: ComplexArray, gains: Array) -> ComplexArray:
+        """Outputs that follow from it, (..., output, frequency)."""
+        outputs = np.zeros((*seen.shape[:-2], self._n_outputs, seen.shape[-1]), dtype=complex)
+        for (output, joint), gain in zip(self._gains, gains, strict=False):
+            outputs[..., output, :] += gain * seen[..., joint, :]
+        return outputs
+
+    def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
+        return self._mixed(self._seen(values, trials), values[N_ARM:])
+
+    def _to_smooth(self, values: Array) -> ComplexArray:
+        """EMG noise is nearly white."""
+        return np.multiply.outer(np.eye(self._n_outputs, dtype=complex), np.ones(len(self._s)))
+
+    def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
+        late, seen, gains = self._late(values), self._seen(values), values[N_ARM:]
+        rotation = self._rotation(values)
+        rows = dict[int, ComplexArray]()
+        for power, name in enumerate(FEEDBACK):
+            moved = late * self._s**power
+            for row in np.unique(MATRIX[name]):
+                change = np.zeros_like(seen)
+                for joint, source in np.argwhere(MATRIX[name] == row):
+                    change[:, joint] += moved[joint] * rotation[:, source]
+                rows[int(row)] = self._mixed(change, gains)
+        by_delay = -self._s * seen
+        for joint in range(2):
+            change = np.zeros_like(seen)
+            change[:, joint] = by_delay[:, joint]
+            rows[DELAYS.start + joint] = self._mixed(change, gains)
+        if self._grip_load is not None and np.isfinite(values[GRIP_STIFFNESS]):
+            through = (late[:, None] * self._feedback(values)) * self._grip(values) ** 2
+            by_stiffness = np.einsum("jif,tif->tjf", through, self._grip_load)
+            rows[GRIP_STIFFNESS] = self._mixed(by_stiffness, gains)
+            rows[GRIP_DAMPING] = self._mixed(self._s * by_stiffness, gains)
+        for k, (output, joint) in enumerate(self._gains):
+            change = np.zeros((len(seen), self._n_outputs, len(self._s)), dtype=complex)
+            change[:, output] = seen[:, joint]
+            rows[N_ARM + k] = change
+        if self._delay.sd > 0.0:
+            rows[N_ARM + len(self._gains)] = self._mixed(-by_delay, gains)
+        derivatives = np.einsum("rp,rtof->ptof", mixing[list(rows)], np.array(list(rows.values())))
+        yield ALL, derivatives
+
+
+class TrialsWithEmg:
+    """Likelihood of movement and EMG of the same trials together; reads as a `Likelihood`.
+
+    Args:
+      movement: of the trials.
+      emg: of the same.
+    """
+
+    def __init__(self, movement: Likelihood, emg: EmgLikelihood) -> None:
+        if movement.n_trials != emg.n_trials:
+            raise ValueError(f"EMG of {emg.n_trials} trials; expected that of {movement.n_trials}")
+        self.movement, self.emg = movement, emg
+
+    @property
+    def n_trials(self) -> int:
+        """How many trials."""
+        return self.movement.n_trials
+
+    @property
+    def is_long(self) -> bool:
+        """Whether derivatives that are not quick take long."""
+        return self.movement.is_long
+
+    def weigh(self, values: Array) -> None:
+        """As `Whittle.weigh`; values are as `EmgLikelihood` has them, also below."""
+        self.movement.weigh(values[..., :N_ARM])
+        self.emg.weigh(values)
+
+    def cost(self, values: Array) -> float:
+        """As `Whittle.cost`."""
+        return self.movement.cost(values[..., :N_ARM]) + self.emg.cost(values)
+
+    def objective(self, values: Array) -> float:
+        """As `Whittle.objective`."""
+        return self.movement.objective(values[..., :N_ARM]) + self.emg.objective(values)
+
+    def normal(self, values: Array, mixing: Array, *, quick: bool = False) -> Normal:
+        """As `Whittle.normal`."""
+        moved = self.movement.normal(values[..., :N_ARM], mixing[:N_ARM], quick=quick)
+        active = self.emg.normal(values, mixing, quick=quick)
+        return Normal(moved.cost + active.cost, moved.slopes + active.slopes, moved.informations + active.informations)
+
+    def lack_of_fit(self, values: Array) -> LackOfFit:
+        """As `Whittle.lack_of_fit`."""
+        moved, active = self.movement.lack_of_fit(values[..., :N_ARM]), self.emg.lack_of_fit(values)
+        return LackOfFit(moved.chi2 + active.chi2, moved.dof + active.dof)

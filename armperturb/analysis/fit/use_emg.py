@@ -1,0 +1,54 @@
+"""EMG in fits of arms: which trials have it, and what cannot be done with it."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from armperturb.analysis.arm.parameters import MATRIX
+from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.emg.outputs import reflex_outputs
+from armperturb.analysis.fit.emg_likelihood import FEEDBACK, ElectromechanicalDelay, EmgLikelihood
+from armperturb.analysis.fit.group import Group
+from armperturb.analysis.trials import ConditionTrials
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class UseOfEmg:
+    """EMG that fits use beside the movement, see `emg_likelihood`.
+
+    Attributes:
+      envelopes: of the person, with all trials that are fitted.
+      delay: what is known of the electromechanical delay.
+    """
+
+    envelopes: Envelopes
+    delay: ElectromechanicalDelay = field(default_factory=ElectromechanicalDelay)
+
+    def added_to(self, group: Group, recorded: ConditionTrials) -> Group:
+        """A group with its EMG; the same group where its structure has no reflexes, of which EMG tells nothing.
+
+        Args:
+          group: of one condition.
+          recorded: its trials as they were recorded.
+
+        Raises:
+          ValueError: trials differ in length, the structure has force feedback, which is not known of EMG, or as
+            `reflex_outputs`.
+        """
+        initial = np.array([group.structure.initial[name] for name in group.structure.free])
+        arm = group.structure.parameters(group.body.task, initial)
+        free = group.structure.mixing.any(axis=1)
+        acts = (arm != 0.0) | free
+        if acts[MATRIX["kf"]].any():
+            raise ValueError(
+                f"identify: EMG with model {group.structure.name}, which has force feedback; expected one without "
+                "(e.g. --model 3)"
+            )
+        if len(group.parts) > 1:
+            raise ValueError(
+                f"identify: EMG of {group.label}, whose trials differ in length; expected one length (any without "
+                "--emg)"
+            )
+        if not any(acts[MATRIX[name]].any() for name in FEEDBACK):
+            return group
+        return group.with_emg(EmgLikelihood(reflex_outputs(recorded, self.envelopes), self.delay))

@@ -1,0 +1,297 @@
+"""The response of one axis without a model: admittance on a force servo, impedance on a position servo.
+
+Which of the two is causal follows from the servo. A force servo pushes device and limb by d, and all is referred to d
+as with two axes, so that feedback does no harm: H = T_x / T_f. A position servo imposes the movement, the torque is
+what the limb answers, and Z = T_f is that from the movement to it.
+
+A limb that answers to stretch in one direction more than in the other adds to its linear response what follows the
+speed, whatever the direction. So the local polynomial fit is made twice, with and without the modulus of the velocity
+as a second input: what the second explains beyond the first is distortion. On a force servo the velocity is that which
+the linear response to d has, which no noise reaches. Other distortion than this counts as noise, and lowers the
+coherence like noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike
+from scipy import stats
+
+from armperturb.analysis.response.closed_loop import (
+    HIGH_ORDERS,
+    LEAKAGE_ORDER,
+    N_POINTS,
+    excited_band,
+    fit_near,
+    lines_around,
+    whole_window,
+)
+from armperturb.analysis.response.frequency_response import FrequencyResponse, System, require_frequencies
+from armperturb.analysis.response.joint_records import admittance_of, resampled, variance_of
+from armperturb.analysis.response.local_polynomial import LocalFit, Window, fit_locally
+from armperturb.analysis.results import Description, Table, plain
+from armperturb.analysis.trials import ConditionTrials, SeveralTrials, TrialRecord, prepared_recordings
+from armperturb.arrays import Array, ComplexArray
+from armperturb.recording import named
+from armperturb.validation import require_number
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+ORDER = 2
+"""Of the polynomials whose residuals are compared with and without the modulus of the velocity."""
+
+LEVEL = 0.95
+"""Probability with which the distortion of a linear limb stays below `distortion_limit` [-]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class AxisResponse(FrequencyResponse):
+    """Response of one axis; `response` and `covariance` have the shape (frequency, 1, 1) and the unit `units`.
+
+    Attributes:
+      kind: "admittance" or "impedance".
+      units: of the response, e.g. "Nm/rad".
+      coherence: share of the output's power that the linear response to the servo's input accounts for [-],
+        (frequency,); the output is the torque on a position servo, the angle on a force servo.
+      distortion: share of the torque's power that follows the modulus of the velocity and no linear response [-],
+        (frequency,); unbiased, so that it may come out negative.
+      distortion_limit: below which it stays with a probability of `LEVEL` if the limb is linear [-], (frequency,).
+      p_linear: probability of as much distortion at all frequencies together if the limb is linear [-].
+    """
+
+    kind: str
+    units: str
+    coherence: Array
+    distortion: Array
+    distortion_limit: Array
+    p_linear: float
+
+    def describe(self) -> Description:
+        """What was estimated, and its values at each frequency."""
+        gain, phase = np.abs(self.response).ravel(), np.degrees(np.angle(self.response)).ravel()
+        radius = self.radius().ravel()
+        rows = tuple(
+            (
+                plain(self.frequency[k]),
+                f"{plain(gain[k], 3)} +/- {plain(radius[k], 2)}",
+                f"{phase[k]:.0f}",
+                f"{self.coherence[k]:.3f}",
+                f"{self.distortion[k]:.1%}",
+            )
+            for k in range(len(self.frequency))
+        )
+        span = f"{len(rows)} frequencies, {plain(self.frequency[0], 3)} to {plain(self.frequency[-1], 3)} Hz"
+        return Description(
+            title=f"{self.kind.capitalize()} of {self.label}" if self.label else self.kind.capitalize(),
+            facts=(f"{span}; gain with its 95 % limit", self.sentence),
+            table=Table(("frequency [Hz]", f"gain [{self.units}]", "phase [deg]", "coherence [-]", "distortion"), rows),
+        )
+
+    @property
+    def sentence(self) -> str:
+        """Whether the limb is linear."""
+        most = int(np.argmax(self.distortion))
+        where = f"at most {max(self.distortion[most], 0.0):.1%} of the torque's power, at {self.frequency[most]:.3g} Hz"
+        return f"distortion that follows the modulus of the velocity: {where} (p = {self.p_linear:.2g} if linear)"
+
+    def to_frame(self) -> "pd.DataFrame":
+        """One row per frequency; `standard_error` and `radius_95` as those of two axes."""
+        import pandas as pd
+
+        values = self.response.ravel()
+        return pd.DataFrame(
+            {
+                "frequency_hz": self.frequency,
+                "real": values.real,
+                "imag": values.imag,
+                "gain": np.abs(values),
+                "phase_deg": np.degrees(np.angle(values)),
+                "standard_error": np.sqrt(np.asarray(self.covariance) / 2).ravel(),
+                "radius_95": self.radius().ravel(),
+                "coherence": self.coherence,
+                "distortion": self.distortion,
+                "distortion_limit": self.distortion_limit,
+                "unit": self.units,
+            }
+        )
+
+    def to_xarray(self) -> xr.Dataset:
+        """Variables `response`, `covariance`, `dof`, `coherence`, `distortion` and its limit along frequency."""
+        name = "frequency"
+        covariance, dof = np.asarray(self.covariance).ravel(), np.asarray(self.dof)
+        variables: dict[str, Any] = {
+            "response": (name, self.response.ravel(), {"units": self.units, "long_name": self.kind}),
+            "covariance": (name, covariance, {"units": f"({self.units})^2", "long_name": "variance of the response"}),
+            "dof": (name, dof, {"long_name": "complex degrees of freedom of the covariance"}),
+        }
+        for of in ("coherence", "distortion", "distortion_limit"):
+            variables[of] = name, getattr(self, of), {"units": "-"}
+        coordinates = {name: (name, self.frequency, {"units": "Hz"})}
+        return xr.Dataset(variables, coords=coordinates, attrs={"what": self.what, "p_linear": self.p_linear})
+
+    def plot(self, level: float = 0.95, figure: "Figure | None" = None) -> Any:
+        """Draw gain and phase with their bands, and coherence and distortion below them.
+
+        Args:
+          level: probability with which a band holds the true response [-].
+          figure: where to draw; its height is set. None makes a new one of pyplot.
+
+        Returns:
+          Matplotlib axes, (3,).
+
+        Raises:
+          ValueError: the level is no probability.
+        """
+        from armperturb.plots.one_axis import plot_axis_response
+
+        return plot_axis_response(self, level, figure)
+
+
+def one_axis_response(
+    recordings: SeveralTrials,
+    *,
+    what: System = "arm",
+    frequency: ArrayLike | None = None,
+    window_start: float = 0.0,
+    order: int | None = None,
+) -> AxisResponse:
+    """Admittance or impedance of one axis, from any movement with power where it is wanted.
+
+    Args:
+      recordings: trials of one axis, of one person in one condition; their lengths may differ.
+      what: "arm" is the limb; of a force servo also "environment" (x over d - f) or "total" (x over d).
+      frequency: where the response is wanted [Hz], (frequency,); None takes up to 40 of those that are excited.
+      window_start: start of what is used [s].
+      order: of the response's polynomial; by default 2, or up to 5 where that fits clearly better.
+
+    Raises:
+      ValueError: a recording is not of one axis, what is not there on a position servo, a signal is constant, or
+        records are too short.
+    """
+    require_number("one_axis_response", "order", order, at_least=0, optional=True)
+    several = prepared_recordings(recordings)
+    first = several[0].recording
+    if any(trials.recording.sizes["axis"] != 1 for trials in several):
+        raise ValueError("recording: axes = 2; expected one axis")
+    imposed = first.attrs["servo"] == "position"
+    if imposed and what != "arm":
+        raise ValueError(
+            f"response: what = {what!r} on a position servo, which imposes the movement; expected arm, the limb"
+        )
+    records = [resampled(record) for trials in several for record in _records(trials, window_start, imposed=imposed)]
+    spectra = [whole_window(record) for record in records]
+    if frequency is None:
+        wanted = _imposed_band(records) if imposed else excited_band(records)
+    else:
+        wanted = require_frequencies(frequency, records[0].rate)
+    orders: tuple[int, ...] = HIGH_ORDERS if order is None else (order,)
+    fits, power = [], []
+    for centre in wanted.tolist():
+        windows = lines_around(spectra, centre, orders[0])
+        fits.append(fit_near(windows, centre, orders))
+        lines = np.concatenate([window.perturbation for window in windows])
+        power.append(float(np.mean(np.abs(lines) ** 2)))
+    joint, noise = np.array([fit.answer for fit in fits]), np.array([fit.noise for fit in fits])
+    spread = np.array([fit.factor for fit in fits])
+    if imposed:
+        values, variance = joint, (noise.real * spread.real).reshape(-1, 1, 1)
+    else:
+        values, variance = admittance_of(what, joint), variance_of(what, joint, noise, spread)
+    explained = np.array(power) * np.abs(joint[:, -1, 0]) ** 2
+    distortion, limit, p_linear = _distortion(records, spectra, wanted, fits, imposed=imposed)
+    torque, angle = (str(first[name].attrs["units"]) for name in ("force", "displacement"))
+    return AxisResponse(
+        frequency=wanted,
+        response=values,
+        covariance=variance,
+        what=what,
+        dof=np.array([fit.dof for fit in fits]),
+        label=named([trials.recording for trials in several]),
+        kind="impedance" if imposed else "admittance",
+        units=f"{torque}/{angle}" if imposed else f"{angle}/{torque}",
+        coherence=explained / (explained + noise[:, -1, -1].real),
+        distortion=distortion,
+        distortion_limit=limit,
+        p_linear=p_linear,
+    )
+
+
+def _records(trials: ConditionTrials, window_start: float, *, imposed: bool) -> list[TrialRecord]:
+    """Input and output of the servo: movement and torque, or perturbation, torque and movement."""
+    require_number("response", "window_start", window_start, at_least=0.0)
+    start = round(window_start * trials.rate)
+    if trials.n_samples - start < 2:
+        raise ValueError(f"response: window_start = {window_start:g} s; expected less than the record")
+    f, x = (values[:, start:] for values in (trials.force, trials.recorded_displacement))
+    inputs = x if imposed else trials.perturbation[:, start:]
+    for name, signals in (("displacement" if imposed else "perturbation", inputs), ("force", f)):
+        if np.ptp(signals, axis=1).min() == 0.0:
+            raise ValueError(f"recording: {name} of a trial is constant; expected a perturbed trial (leave it out)")
+    outputs = f if imposed else np.concatenate([f, x], axis=2)
+    return [TrialRecord(u, z, trials.rate) for u, z in zip(inputs, outputs, strict=True)]
+
+
+def _imposed_band(records: Sequence[TrialRecord]) -> Array:
+    """Frequencies at which an imposed movement or its acceleration has power [Hz], (frequency,).
+
+    The torque is elastic at low frequencies, where the movement is large, and inertial at high ones, where it is not.
+    """
+    second = [
+        record._replace(perturbation=np.gradient(np.gradient(record.perturbation, axis=0), axis=0))
+        for record in records
+    ]
+    both = np.unique(np.concatenate([excited_band(records), excited_band(second)]))
+    even = np.geomspace(both[0], both[-1], N_POINTS)
+    return np.unique(both[np.abs(both - even[:, None]).argmin(axis=1)])
+
+
+def _distortion(
+    records: Sequence[TrialRecord], spectra: Sequence[Window], wanted: Array, fits: Sequence[LocalFit], *, imposed: bool
+) -> tuple[Array, Array, float]:
+    """Share of the torque's power that follows the modulus of the velocity, its limit, and the probability of all.
+
+    The probability is that of the frequencies whose lines do not overlap (Fisher's method).
+    """
+    response = np.array([fit.answer[-1, 0] for fit in fits])
+    both = []
+    for record, window in zip(records, spectra, strict=True):
+        speed = np.abs(_velocity(record, None if imposed else (wanted, response)))
+        n = len(record.perturbation)
+        lines = np.fft.rfft(speed - speed.mean(), axis=0)[1:] / np.sqrt(n)
+        both.append(window._replace(perturbation=np.concatenate([window.perturbation, lines], axis=1)))
+    share, limit, p, end = np.empty(len(wanted)), np.empty(len(wanted)), [], 0.0
+    for at, centre in enumerate(wanted.tolist()):
+        windows = lines_around(both, centre, ORDER)
+        alone = [window._replace(perturbation=window.perturbation[:, :1]) for window in windows]
+        linear, full = (
+            fit_locally(each, centre, order=ORDER, leakage_order=LEAKAGE_ORDER) for each in (alone, windows)
+        )
+        left, less = (float(fit.noise[0, 0].real) for fit in (linear, full))
+        extra = linear.dof - full.dof
+        whole = float(np.sum([np.sum(np.abs(window.answer[:, 0]) ** 2) for window in windows]))
+        ratio = (left * linear.dof - less * full.dof) / extra / less  # of F distribution if the limb is linear
+        share[at] = less * extra * (ratio - 1.0) / whole
+        quantile = float(stats.f.ppf(LEVEL, 2 * extra, 2 * full.dof))
+        limit[at] = less * extra * (quantile - 1.0) / whole
+        low, high = (pick(window.frequency[place] for window in windows) for pick, place in ((min, 0), (max, -1)))
+        if low > end:
+            p.append(max(float(stats.f.sf(max(ratio, 0.0), 2 * extra, 2 * full.dof)), 1e-300))
+            end = high
+    return share, limit, float(stats.chi2.sf(-2.0 * np.sum(np.log(p)), 2 * len(p)))
+
+
+def _velocity(record: TrialRecord, linear: tuple[Array, ComplexArray] | None) -> Array:
+    """Velocity of an imposed movement, or that which a linear response to the perturbation has, (time, 1)."""
+    if linear is None:
+        return np.asarray(np.gradient(record.perturbation, 1.0 / record.rate, axis=0))
+    n = len(record.perturbation)
+    f = np.fft.rfftfreq(n, 1.0 / record.rate)
+    at, values = linear
+    response = np.interp(f, at, values.real, right=0.0) + 1j * np.interp(f, at, values.imag, right=0.0)
+    spectrum = np.fft.rfft(record.perturbation - record.perturbation.mean(axis=0), axis=0)
+    return np.asarray(np.fft.irfft(2j * np.pi * f[:, None] * response[:, None] * spectrum, n, axis=0))

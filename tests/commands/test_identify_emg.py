@@ -1,0 +1,82 @@
+"""`identify --emg`: what EMG adds to a fit, and what is said where it cannot be used."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_cli import refused, run
+
+from armperturb.controllers.remnant import HUMAN_NOISE
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.instruments import Instruments
+from armperturb.recording_files import save_recording
+from armperturb.subject import POSITION
+
+MODEL = ("--model", "3", "--estimator", "frequency")
+
+
+@pytest.fixture(scope="module")
+def recording(studies):
+    return run_experiment(
+        studies.perturbed(POSITION, 5.4, 3, noise=HUMAN_NOISE["PT"]), instruments=Instruments(marker_noise=None)
+    )
+
+
+@pytest.fixture(scope="module")
+def path(recording, tmp_path_factory):
+    path = tmp_path_factory.mktemp("emg") / "person.nc"
+    save_recording(recording, path)
+    return path
+
+
+def table(folder):
+    return pd.read_csv(folder / "parameters.csv").set_index("parameter")
+
+
+@pytest.mark.slow(reason="simulates three trials with EMG")
+def test_reflexes_become_better_known(path, tmp_path, without_page):
+    for name, options in (("moved", ()), ("active", ("--emg",))):
+        assert run("identify", path, *MODEL, *options, "--out", tmp_path / name) == 0
+    moved, active = table(tmp_path / "moved"), table(tmp_path / "active")
+    assert list(active.index) == list(moved.index)
+    gained = active["standard_error"] / moved["standard_error"]
+    assert (gained[["kp_s", "kp_se", "kp_e"]] < 0.75).all()
+    assert (gained[["Td_s", "Td_e"]] < 0.8).all()
+    for name in ("kv_s", "kv_e", "kp_s", "kp_e", "Td_s", "Td_e"):
+        assert abs(active["value"][name] - getattr(POSITION, name)) < 4.0 * active["standard_error"][name], name
+
+
+@pytest.mark.slow(reason="simulates three trials with EMG")
+def test_without_emg_the_movement_is_identified_alone(recording, tmp_path, capsys, without_page):
+    silent = recording.assign(emg=recording["emg"] * np.float32(0.0))
+    silent["emg"].attrs = recording["emg"].attrs
+    for name, changed, message in (
+        ("none", recording.drop_dims("emg_time"), "EMG is missing: the recording has no variable 'emg'"),
+        ("silent", silent, "EMG is not used: all channels are zero; expected voltages"),
+    ):
+        save_recording(changed, tmp_path / f"{name}.nc")
+        assert run("identify", tmp_path / f"{name}.nc", *MODEL, "--emg", "--out", tmp_path / name) == 0
+        said = capsys.readouterr().out
+        assert message in said
+        assert "the movement alone is used" in said
+        assert (tmp_path / name / "parameters.csv").exists()
+
+
+@pytest.mark.slow(reason="simulates three trials with EMG")
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            ("--model", "4", "--emg"),
+            "EMG with model 4, which has force feedback; expected one without (e.g. --model 3)",
+        ),
+        (
+            ("--model", "3", "--estimator", "thesis", "--emg"),
+            "EMG with estimator = 'thesis'; expected --estimator record",
+        ),
+        (("--model", "3", "--emg-delay", "0.01", "0.002"), "without EMG; expected it with --emg only"),
+        (("--model", "3", "--emg", "--emg-delay", "0.3", "0"), "electromechanical delay: mean = 0.3; expected"),
+        (("--model", "nonlinear", "--emg"), "emg = True; expected False with --model nonlinear"),
+    ],
+)
+def test_what_cannot_be_is_refused(path, tmp_path, capsys, options, message):
+    assert message in refused(capsys, "identify", path, *options, "--out", tmp_path / "r")

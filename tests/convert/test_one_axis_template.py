@@ -1,0 +1,105 @@
+"""Sidecars of one axis that are written from names and numbers."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+from test_one_axis import RATE, ankle, files
+
+from armperturb.convert.importer import import_recording
+from armperturb.convert.template import write_sidecar
+
+INERTIA = 0.01
+
+
+def as_text(names, *columns):
+    return "\n".join(
+        [",".join(names), *(",".join(f"{value:.9g}" for value in row) for row in zip(*columns, strict=True))]
+    )
+
+
+def written(path):
+    template = write_sidecar(path)
+    return json.loads(template.path.read_text()), template.notes
+
+
+def time():
+    return np.arange(len(ankle()[0])) / RATE
+
+
+@pytest.mark.parametrize(
+    ("names", "angle_unit", "factor", "by_hand"),
+    [
+        (("t", "angle_rad", "torque_Nm"), "rad", 1.0, True),
+        (("time [s]", "ankle angle", "ankle torque"), "deg", np.degrees(1.0), False),
+        (("timestamp", "position [deg]", "moment"), "deg", np.degrees(1.0), True),
+    ],
+)
+def test_a_table_of_angle_and_torque_is_read_as_it_is(tmp_path, names, angle_unit, factor, by_hand):
+    angle, torque = ankle()
+    path = tmp_path / "S3.csv"
+    path.write_text(as_text(names, time(), factor * angle, torque if by_hand else -torque))
+    sidecar, notes = written(path)
+    assert sidecar["servo"] == "position"
+    assert sidecar["signals"]["displacement"] == {"channels": {"x": names[1]}, "unit": angle_unit}
+    assert sidecar["signals"]["force"]["exerted_by"] == ("hand" if by_hand else "handle")
+    assert sidecar["labels"].get("joint") == ("ankle" if "ankle" in names[1] else None)
+    assert {"servo", "labels.subject", "labels.task"} <= {*sidecar["guessed"]}
+    assert any("physics agrees" in note for note in notes)
+    recording = import_recording([path]).recording
+    np.testing.assert_allclose(recording["displacement"].values[0, :, 0], angle, atol=1e-6)
+    np.testing.assert_allclose(recording["force"].values[0, :, 0], -torque, atol=1e-6)
+
+
+def test_arrays_with_their_rate(tmp_path):
+    angle, torque = ankle()
+    path = files(tmp_path, angle, torque, rate_hz=np.array(RATE))
+    path.with_suffix(".json").unlink()
+    sidecar, _ = written(path)
+    assert sidecar["rate"] == RATE
+    assert import_recording([path]).recording.sizes["trial"] == 1
+    path = tmp_path / "elbow.mat"
+    savemat(path, {"fs": RATE, "theta": np.stack([angle] * 5), "torque": np.stack([torque] * 5)})
+    sidecar, _ = written(path)
+    assert sidecar["signals"]["displacement"]["channels"] == {"x": "theta(trial,time)"}
+    assert sidecar["labels"]["joint"] == "elbow"
+
+
+def test_forces_and_displacements_of_one_direction(tmp_path):
+    angle, torque = ankle()
+    path = tmp_path / "push.csv"
+    # A kilogram where the joint has a hundredth of it; millimetres without a unit.
+    path.write_text(as_text(("t", "pos", "force"), time(), 1e3 * (angle - 0.2), -100.0 * torque))
+    sidecar, notes = written(path)
+    assert sidecar["signals"]["displacement"]["unit"] == "mm"
+    assert sidecar["signals"]["force"] == {"channels": {"x": "force"}, "unit": "N", "exerted_by": "handle"}
+    assert {"signals.displacement.unit", "signals.force.unit"} <= {*sidecar["guessed"]}
+    assert any("kg" in note for note in notes)
+
+
+def test_a_perturbation_that_moves_an_environment_means_a_force_servo(tmp_path):
+    angle, torque = ankle()
+    t = time()
+    acceleration = np.gradient(np.gradient(angle, t), t)
+    path = tmp_path / "servo.csv"
+    load = -torque + 0.02 * acceleration + 0.1 * np.gradient(angle, t) + 5.0 * angle
+    path.write_text(as_text(("t", "disturbance_Nm", "angle_rad", "torque_Nm"), t, load, angle, torque))
+    sidecar, _ = written(path)
+    assert sidecar["servo"] == "force"
+    assert {*sidecar["signals"]} == {"perturbation", "displacement", "force"}
+    path = tmp_path / "imposed.csv"
+    command = np.random.default_rng(1).normal(size=len(t))
+    path.write_text(as_text(("t", "command", "angle_rad", "torque_Nm"), t, command, angle, torque))
+    sidecar, notes = written(path)
+    assert sidecar["servo"] == "position"
+    assert "perturbation" not in sidecar["signals"]
+    assert any("command moves no virtual environment" in note for note in notes)
+
+
+def test_an_angle_that_shows_nothing_leaves_guesses(tmp_path):
+    path = tmp_path / "short.csv"
+    path.write_text(as_text(("t", "angle", "torque"), np.arange(50) / RATE, np.linspace(0, 0.1, 50), np.ones(50)))
+    sidecar, notes = written(path)
+    assert "signals.force.exerted_by" in sidecar["guessed"]
+    assert any("unchecked" in note for note in notes)
