@@ -71,6 +71,6 @@ for level, likeness in likenesses.items():
         print(f"{level:4}  {name:26}{row['value']:9.3g} {row['unit']:5} people {row['mean']:.3g}")
 
 # %% [markdown]
-# Why the model is so soft is not tested here. Its muscles have no short-range stiffness, its tendons do not stretch, and
-# no reflex is on. `ap.StretchReflex` adds delayed stretch reflexes (`controller=` of the laboratory), which is the next
+# Why the model is so soft is not tested here. Its muscles have no short-range stiffness, its tendons do not stretch,
+# and no reflex is on. `ap.StretchReflex` adds delayed stretch reflexes (`controller=` of the laboratory), which is the next
 # thing to try.
