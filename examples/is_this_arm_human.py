@@ -72,5 +72,5 @@ for level, likeness in likenesses.items():
 
 # %% [markdown]
 # Why the model is so soft is not tested here. Its muscles have no short-range stiffness, its tendons do not stretch,
-# and no reflex is on. `ap.StretchReflex` adds delayed stretch reflexes (`controller=` of the laboratory), which is the next
-# thing to try.
+# and no reflex is on. `ap.StretchReflex` adds delayed stretch reflexes (`controller=` of the laboratory), which is the
+# next thing to try.
