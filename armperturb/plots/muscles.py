@@ -158,11 +158,12 @@ def plot_onsets(onsets: OnsetsLike, figure: Figure | None) -> Any:
             if np.isfinite(answer["latency_s"]):
                 ax.axvspan(1e3 * answer["lower_95_s"], 1e3 * answer["upper_95_s"], color=PALETTE[1], alpha=0.35)
                 ax.axvline(1e3 * answer["latency_s"], color=PALETTE[1], linewidth=1.0)
-            ax.set_ylim(bottom=0.0)
             if column == 0:
                 ax.set_ylabel(_words(name).replace(" ", "\n", 1), fontsize=6.5, rotation=0, ha="right", va="center")
         axes[0, column].set_title(f"pulses at {direction:g} deg", loc="left")
         axes[-1, column].set_xlabel("time from the pulse [ms]")
+    for of_muscle in axes:
+        of_muscle[0].set_ylim(bottom=0.0)  # shared, and only once everything is drawn
     figure.suptitle(f"amplitude in {onsets.unit}; latency of the stretch reflex with its 95 % interval", fontsize=9)
     return axes
 

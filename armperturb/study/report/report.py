@@ -15,6 +15,7 @@ from armperturb.study.comparison.score import score, write_score
 from armperturb.study.experiments.mechanisms import Yielding, has_law, why_people_yield
 from armperturb.study.experiments.moving_shoulder import MovingShoulder, moving_shoulder
 from armperturb.study.recording.record import worker_count
+from armperturb.study.report.emg import emg_drawings, emg_of, emg_rows
 from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.findings import excess_rows, finding_rows, findings
 from armperturb.study.report.nonlinear_tables import nonlinear_tables
@@ -69,9 +70,9 @@ def write_report(
         write_score(scored, out / "score")
     with workers_for(worker_count(workers, MOST_WORKERS), None) as pool:
         yielding, shoulder = _simulated(study, out, pool, show_progress) if simulate else (None, None)
-        draws = {
-            name: draw for name, draw in drawings(study, tested, yielding).items() if figures is None or name in figures
-        }
+        emg = emg_of(study, out, pool, show_progress)
+        every = {**drawings(study, tested, yielding), **emg_drawings(study, emg)}
+        draws = {name: draw for name, draw in every.items() if figures is None or name in figures}
         with Progress("figures", total=len(draws), unit="figures", show=show_progress) as bar:
             drawn = dict(zip(draws, kept_or_computed(picture_units(draws, out), pool, bar), strict=True))
     (out / "figures").mkdir(exist_ok=True)
@@ -88,11 +89,12 @@ def write_report(
         "yielding": yielding.rows() if yielding else [],
         "moving_shoulder": shoulder.rows if shoulder else [],
         **nonlinear_tables(study),
+        **emg_rows(study, emg),
     }
     for name, lines in more.items():
         if lines:
             write_csv(lines, out / "tables" / f"{name}.csv")
-    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn)
+    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, emg)
     page = _page(study, parts, drawn)
     report = out / "report.html"
     write_whole(report, page)

@@ -7,6 +7,7 @@
 | `analysis/NAME-nonlinear-TASK.json.gz` | a nonlinear fit, if one was asked for; `-20`: also to pulses at 20° |
 | `analysis/NAME-nonlinear-TASK.checkpoint.gz` | a nonlinear fit under way, from which an interrupted search continues |
 | `analysis/mechanisms.json.gz`, `analysis/moving-shoulder.json.gz` | further simulations of the first person |
+| `analysis/NAME-emg.json.gz` | what a person's EMG tells |
 | `analysis/figure-NAME.json.gz` | a figure of the report |
 
 A result is used again as long as its source agrees: the checksums of the recordings, the settings, and the version of
@@ -35,7 +36,7 @@ Result = TypeVar("Result")
 ANALYSIS = "analysis"
 """Folder of the files, inside the study folder."""
 
-VERSIONS = {"person": 1, "step-2": 1, "nonlinear": 1, "mechanisms": 1, "moving-shoulder": 2, "figure": 1}
+VERSIONS = {"person": 1, "step-2": 1, "nonlinear": 1, "mechanisms": 1, "moving-shoulder": 2, "figure": 1, "emg": 1}
 """Kind of result to the version of its algorithm.
 
 Raise a number in the commit that makes earlier results of that kind wrong or unreadable: when their values change by
