@@ -242,7 +242,7 @@ class ReflexesLike(Protocol):
 
 @in_style()
 def plot_reflexes(reflexes: ReflexesLike, figure: Figure | None) -> Any:
-    """Modulus with 95 % limits, phase and coherence of the responses from rotation to EMG, where it is above its error.
+    """Modulus with 95 % limits, phase and coherence of responses from rotation to EMG, where it is above its error.
 
     Args:
       reflexes: to draw.
@@ -258,7 +258,7 @@ def plot_reflexes(reflexes: ReflexesLike, figure: Figure | None) -> Any:
         for row, (name, colour) in enumerate(zip(names, (PALETTE * 4)[: len(names)], strict=False)):
             modulus, error = np.abs(reflexes.response[row, joint]), 1.96 * reflexes.response_error[row, joint]
             line = {"color": colour, "linewidth": 0.9, "linestyle": "-" if row < len(PALETTE) else "--"}
-            known = np.where(modulus > error, 1.0, np.nan)  # elsewhere, it is anything
+            known = np.where(modulus > 1.7 * error, 1.0, np.nan)  # by chance once in a thousand; else it is anything
             axes[0, joint].plot(f, known * modulus, label=_words(name), **line)
             axes[0, joint].fill_between(
                 f, known * (modulus - error), known * (modulus + error), color=colour, alpha=0.12, linewidth=0
