@@ -7,21 +7,21 @@ are nobody's, and what follows from them holds for simulated people.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
-from typing import Any, Self
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
-from armperturb.files import packaged_table, read_toml
+from armperturb.files import packaged_table
 from armperturb.muscle_law import MuscleLaw
+from armperturb.person_files import PersonInFile
 from armperturb.subject import Subject
-from armperturb.validation import require_keys, require_name, require_one_of, require_ranges
+from armperturb.validation import require_name, require_one_of, require_ranges
 
 SERVO_KINDS = ("position", "force")
 """What a device does: impose the movement, or be a virtual environment that is perturbed."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointPerson:
+class JointPerson(PersonInFile):
     """One joint of a synthetic person: intrinsic path, reflex path, and a muscle law as in the arm.
 
     The joint is the single-joint shoulder element of the arm's muscle law and reflexes (docs/muscle.md).
@@ -37,13 +37,16 @@ class JointPerson:
       cutoff: of the second-order activation [Hz].
       zeta: relative damping of the activation [-].
       posture_deg: angle of the joint about which it is perturbed [deg]; says where, and changes nothing.
-      load: mean torque that the person holds against the device [Nm]; likewise.
+      held_torque: mean torque that the person holds against the device [Nm]; likewise.
       muscle: departures from linear muscle and reflexes; None is linear.
 
     Raises:
       TypeError: a parameter is not a number, or muscle no `MuscleLaw`.
       ValueError: a parameter is not finite or out of its range.
     """
+
+    OPTIONAL: ClassVar = ("kv", "kp", "delay", "cutoff", "zeta", "posture_deg", "held_torque", "muscle")
+    EXAMPLE: ClassVar = "inertia = 0.016"
 
     joint: str
     inertia: float
@@ -55,7 +58,7 @@ class JointPerson:
     cutoff: float = 5.0
     zeta: float = 0.75
     posture_deg: float = 0.0
-    load: float = 0.0
+    held_torque: float = 0.0
     muscle: MuscleLaw | None = None
 
     def __post_init__(self) -> None:
@@ -83,39 +86,8 @@ class JointPerson:
         Args:
           level: of contraction, as a multiple of the person's own [-], >= 0.
         """
-        changes = {name: level * getattr(self, name) for name in ("damping", "stiffness", "kv", "kp", "load")}
+        changes = {name: level * getattr(self, name) for name in ("damping", "stiffness", "kv", "kp", "held_torque")}
         return replace(self, muscle=self.muscle and self.muscle.at_level(level), **changes)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any], source: str = "person") -> Self:
-        """A person from parameters by name; `muscle` is a table, see `MuscleLaw`.
-
-        Raises:
-          ValueError: a key is unknown or missing, or a value is refused.
-          TypeError: a value has the wrong type.
-        """
-        known = [field.name for field in fields(cls)]
-        require_keys(source, values, known, ("joint", "inertia", "damping", "stiffness"))
-        if values.get("muscle") is not None:
-            values = {**values, "muscle": MuscleLaw.from_dict(values["muscle"])}
-        try:
-            return cls(**values)
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"{source}: {error}") from None
-
-    @classmethod
-    def load_file(cls, path: str | Path) -> Self:
-        """Read a person from a TOML file whose keys are the parameter names.
-
-        Raises:
-          ValueError: the file is no TOML, or a key or value is refused.
-          OSError: the file cannot be read.
-        """
-        return cls.from_dict(read_toml(path, "inertia = 0.016"), source=str(path))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Parameter name to value, as `from_dict` reads it."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 @dataclass(frozen=True, kw_only=True)

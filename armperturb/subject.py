@@ -1,17 +1,15 @@
 """A person in one task: the parameters of the linear arm model (thesis 2.7, appendix B)."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
-from pathlib import Path
-from typing import Any, Self
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
-import tomli_w
 
-from armperturb.files import packaged_table, read_toml, write_whole
+from armperturb.files import packaged_table
 from armperturb.muscle_law import MuscleLaw
-from armperturb.validation import require_keys, require_number, require_one_of, require_ranges
+from armperturb.person_files import PersonInFile
+from armperturb.validation import require_number, require_one_of, require_ranges
 
 TASKS = ("PT", "RT")
 """Position task (keep the handle in place) and relax task (do not react); thesis 2.5."""
@@ -26,7 +24,7 @@ _OPTIONAL = ("ka_s", "ka_se", "ka_e", "kf_s", "kf_se", "kf_e", "zeta_act", "musc
 
 
 @dataclass(frozen=True, kw_only=True)
-class Subject:
+class Subject(PersonInFile):
     """One synthetic person in one task.
 
     Joint quantities come in triples (s, se, e): shoulder, two-joint, elbow. They are entries of symmetric matrices,
@@ -83,6 +81,10 @@ class Subject:
       ValueError: a parameter is not finite or out of its range, the task is unknown, the joint inertia is not positive
         definite, or the damping of a muscle group would give energy.
     """
+
+    OPTIONAL: ClassVar = _OPTIONAL
+    LEFT_OUT: ClassVar = {**_OF_RIGID_BODIES, "muscle": None}
+    EXAMPLE: ClassVar = "m_h = 2.06"
 
     task: str
     m_h: float
@@ -231,51 +233,6 @@ class Subject:
         if not s + se + e:
             return (large,)
         return large, replace(large, k_s=self.k_s + s + se, k_se=self.k_se + se, k_e=self.k_e + e + se)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any], source: str = "subject") -> Self:
-        """A subject from its parameters by name.
-
-        `zeta_act`, `muscle`, `name`, ka_*, kf_*, c_*, r_* and i_* may be left out.
-
-        Args:
-          values: parameter name to value, SI units, angles in degrees; `muscle` to a table, see `MuscleLaw`.
-          source: where the values come from, for the message.
-
-        Raises:
-          ValueError: a key is unknown or missing, or a value is refused.
-          TypeError: a value has the wrong type.
-        """
-        known = [field.name for field in fields(cls)]
-        require_keys(source, values, known, [key for key in known if key not in _OPTIONAL])
-        try:
-            if values.get("muscle") is not None:
-                values = {**values, "muscle": MuscleLaw.from_dict(values["muscle"])}
-            return cls(**values)
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"{source}: {error}") from None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Parameter name to value, as `from_dict` reads it; without `muscle` if that is None, which TOML cannot say.
-
-        What points in the middle of the segments have is left out too.
-        """
-        absent = {**_OF_RIGID_BODIES, "muscle": None}
-        return {name: value for name, value in asdict(self).items() if name not in absent or value != absent[name]}
-
-    @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """Read a subject from a TOML file whose keys are the parameter names.
-
-        Raises:
-          ValueError: the file is no TOML, or a key or value is refused.
-          OSError: the file cannot be read.
-        """
-        return cls.from_dict(read_toml(path, "m_h = 2.06"), source=str(path))
-
-    def save(self, path: str | Path) -> None:
-        """Write the subject to a TOML file that `load` reads back exactly."""
-        write_whole(path, tomli_w.dumps(self.to_dict()))
 
 
 def at_level(subject: Subject, level: float) -> Subject:

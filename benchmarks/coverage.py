@@ -1,7 +1,8 @@
 """How often the 95 % intervals of `identify` hold, of synthetic people with all noise who differ from trial to trial.
 
 Run `python -m benchmarks.coverage --task PT --groups 16 [--muscles nonlinear]`; some 5 s of processor time a group.
-People with linear muscles have true parameters: each gives one group of eight trials. A person with nonlinear ones has
+People with linear muscles have true parameters: each gives one group of eight trials, and their mass is shared out over
+the segments as the position task's structure has it (eqs 2.14, 2.15). A person with nonlinear ones has
 a best linear approximation, which depends on the perturbation: its truth is what all groups of one person, each with
 trials of its own, yield together. Target: 90 to 98 % of all parameters, the worst 85 %.
 """
@@ -22,6 +23,7 @@ from armperturb.envs.lab.instruments import Instruments
 from armperturb.study.protocol import THESIS
 from armperturb.study.recording.record import practised_trials
 from armperturb.study.recording.settings import StudySettings
+from armperturb.subject import HUMERUS_MASS_SHARE, Subject
 
 TRIALS = 8
 """Of a group."""
@@ -33,10 +35,18 @@ def recorded(settings: StudySettings, condition: str, number: int, n_trials: int
     protocol = replace(THESIS, conditions=(asked,), pulse_unit_condition="")
     environment = Environment()
     person = draw_person(settings.seed, number, environment, muscles=settings.muscles)
+    if settings.muscles == "linear":
+        person = replace(person, subjects={task: shared_out(subject) for task, subject in person.subjects.items()})
     multisines = protocol.draw_multisines(settings.seed)
     (trials,) = practised_trials([(number, person)], protocol, settings, multisines, 0)
     instruments = Instruments(marker_noise=None, emg=None)
     return person, run_experiment(trials, environment, instruments=instruments, engine=settings.engine)
+
+
+def shared_out(subject: Subject) -> Subject:
+    """The subject with its mass in the thesis's proportion."""
+    total = subject.m_h + subject.m_f
+    return replace(subject, m_h=HUMERUS_MASS_SHARE * total, m_f=(1.0 - HUMERUS_MASS_SHARE) * total)
 
 
 def main() -> None:

@@ -20,8 +20,9 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable
-from contextlib import redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
@@ -109,7 +110,7 @@ CASES = {
     "MATLAB v5, compressed": Case("m5z.mat", ["convert", "m5z.mat", *_CONVERT], 5),
     "MATLAB v7.3": Case("m73.mat", ["convert", "m73.mat", *_CONVERT], 10),
     "NPZ": Case("n.npz", ["convert", "n.npz", *_CONVERT], 10),
-    "C3D": Case("marker.c3d", ["convert", "marker.c3d", *_CONVERT], 10),
+    "C3D": Case("marker.c3d", ["convert", "marker.c3d", *_CONVERT, "--rate", "200"], 10),
     "protocol": Case("short.toml", partial(load_protocol, "short.toml"), 10),
     "structure": Case("own.toml", partial(load_structure, "own.toml"), 5),
     "person, simulate": Case("person.toml", ["simulate", "--subject", "person.toml", *_PUSH], 3),
@@ -128,17 +129,18 @@ CASES = {
 """Name to what is damaged and who reads it."""
 
 
-def files(folder: Path) -> None:
-    """Writes a file of each kind."""
+def files(folder: Path, *, with_study: bool) -> None:
+    """Writes a file of each kind, those of a study if asked."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     tests = {name: importlib.import_module(name) for name in ("laboratory", "foreign_models")}
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "convert"))
     forms = importlib.import_module("test_convert")
-    laboratory(folder, with_study=True)
-    with redirect_stdout(io.StringIO()):
-        if cli.main(_REPORT):
-            raise RuntimeError(f"{_REPORT}: failed")
-    shutil.copy("made/recordings/S01.nc", "s.nc")
+    laboratory(folder, with_study=with_study)
+    if with_study:
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+            if cli.main(_REPORT):
+                raise RuntimeError(f"{_REPORT}: failed")
+        shutil.copy("made/recordings/S01.nc", "s.nc")
     tests["laboratory"].write(folder)
     export_recording(import_recording([folder / "lab.csv"]).recording, folder / "m5.mat")
     content, channels = forms.in_matlab("time by trial")
@@ -243,6 +245,17 @@ def _in_a_fork(make: Callable[[], Any]) -> None:
         raise RuntimeError("the files cannot be made")
 
 
+def _warm(cases: list[Case]) -> None:
+    """Import what the cases need, so that forked processes need not; those that draw are left out."""
+    for library in ("h5py", "h5netcdf", "ezc3d", "armperturb.study.report.report", "armperturb.envs.render.video"):
+        if find_spec(library):
+            importlib.import_module(library)
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        for case in cases:
+            if isinstance(case.run, list) and case.run[0] not in ("report", "video"):
+                cli.main(case.run)
+
+
 def fuzz(names: list[str], runs: int, seed: int = 0) -> dict[str, Counter[str]]:
     """Case to how often it ended how.
 
@@ -257,7 +270,13 @@ def fuzz(names: list[str], runs: int, seed: int = 0) -> dict[str, Counter[str]]:
         whole, now = Path(name) / "whole", Path(name) / "now"
         whole.mkdir()
         try:
-            _in_a_fork(lambda: files(whole))
+            with_study = any(CASES[each].file.startswith(("made/", "s.nc")) for each in names)
+            _in_a_fork(partial(files, whole, with_study=with_study))
+            shutil.copytree(whole, now)
+            os.chdir(now)
+            _warm([CASES[each] for each in names])
+            os.chdir(whole)
+            shutil.rmtree(now)
             total = sum(CASES[each].weight for each in names)
             for each in names:
                 case = CASES[each]

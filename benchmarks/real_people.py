@@ -74,6 +74,12 @@ def cell(result: JointIdentification, name: str) -> str:
     return f"{plain(result.values[name], 3)} ({known})"
 
 
+def difference(first: JointIdentification, second: JointIdentification, name: str) -> float:
+    """Of the estimates from both halves, over its standard error [-]; NaN where there is none."""
+    error = math.hypot(first.standard_error[name], second.standard_error.get(name, math.nan))
+    return (second.values.get(name, math.nan) - first.values[name]) / error if error else math.nan
+
+
 def elbow_table(path: Path) -> list[str]:
     """Least squares of the elbow's torque on angle and velocity in each stretch: too few movements for a cascade."""
     lines = ["| speed [deg/s] | stiffness [Nm/rad] | damping [Nms/rad] | VAF [%] |", "|---|---|---|---|"]
@@ -108,13 +114,22 @@ def page(folder: Path) -> str:
     lines += ["## Parameters, first and second half", "", "Estimates with 95 % intervals."]
     for name, (first, second) in results.items():
         lines += ["", f"### {TRIALS[name][0][0].upper()}{TRIALS[name][0][1:]}", "", f"{first.sentence}.", ""]
-        lines += ["| parameter | unit | first half | second half |", "|---|---|---|---|"]
         lines += [
-            f"| {each.replace('_', ' ')} | {first.unit_of(each)} | {cell(first, each)} | {cell(second, each)} |"
-            for each in first.values
+            "| parameter | unit | first half | second half | difference [standard errors] |",
+            "|---|---|---|---|---|",
         ]
+        for each in first.values:
+            z = difference(first, second, each)
+            cells = cell(first, each), cell(second, each), f"{z:+.1f}" if math.isfinite(z) else "-"
+            lines.append(f"| {each.replace('_', ' ')} | {first.unit_of(each)} | {' | '.join(cells)} |")
         shares = ", ".join(f"{path} {share:.1f} %" for path, share in first.vaf.items())
-        lines += ["", f"VAF of the first half: {shares}.", "", f"![Torque and paths](figures/real_{name}.svg)"]
+        check = first.intrinsic
+        lines += ["", f"VAF of the first half: {shares}. Of the torque that the reflex path leaves, left-out blocks: "]
+        lines[-1] += (
+            f"{check.structured_vaf:.1f} % by inertia, damping and stiffness, {check.left_out_vaf:.1f} % by an "
+        )
+        lines[-1] += "impulse response without structure."
+        lines += ["", f"![Torque and paths](figures/real_{name}.svg)"]
         figure = new_figure(1.0)
         first.plot(figure)
         save_svg(figure, ROOT / "docs" / "figures" / f"real_{name}.svg")
@@ -128,13 +143,7 @@ def page(folder: Path) -> str:
     lines += ["", "## Where the models lose", ""]
     for name, (first, second) in results.items():
         free, total = first.free_model, first.vaf["total"]
-        far = [
-            each.replace("_", " ")
-            for each in first.values
-            if each in second.values
-            and abs(first.values[each] - second.values[each])
-            > 3.0 * math.hypot(first.standard_error[each], second.standard_error[each])
-        ]
+        far = [each.replace("_", " ") for each in first.values if abs(difference(first, second, each)) > 3.0]
         lost = f"the cascade accounts for {total:.1f} % of the first half, a free model for {free.left_out_vaf:.1f} %"
         moved = f"; halves differ by more than three standard errors in {', '.join(far)}" if far else ""
         names = ", ".join(each.replace("_", " ") for each in first.at_bound)

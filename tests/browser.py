@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import time
 from itertools import count
+from pathlib import Path
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 FLAGS = (
@@ -169,6 +170,72 @@ ZOOMS = """
   return {n: zooms.length, failed, open: document.querySelectorAll(".zoom input:checked").length};
 })()
 """
+
+BARRIERS = """
+(() => {
+  const shown = one => one.getClientRects().length > 0 && getComputedStyle(one).visibility !== "hidden";
+  const told = one => one.getAttribute("aria-label")
+    || document.getElementById(one.getAttribute("aria-labelledby"))?.textContent
+    || [...(one.labels || [])].map(label => label.textContent).join("") || one.getAttribute("alt") || one.textContent;
+  const find = (selector, wrong) =>
+    [...document.querySelectorAll(selector)].filter(wrong).map(one => one.outerHTML.slice(0, 100));
+  const numbers = colour => colour.match(/[\\d.]+/g).map(Number);
+  const light = ([r, g, b]) => [r, g, b].map(c => c / 255)
+    .map(c => c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4)
+    .reduce((sum, c, i) => sum + c * [0.2126, 0.7152, 0.0722][i], 0);
+  const behind = one => {
+    for (let at = one; at; at = at.parentElement) {
+      const back = numbers(getComputedStyle(at).backgroundColor);
+      if (back.length === 3 || back[3] === 1) return back;
+    }
+    return [255, 255, 255];
+  };
+  const faint = one => {
+    const own = [...one.childNodes].some(node => node.nodeType === 3 && node.textContent.trim());
+    if (!own || !shown(one) || one.closest("svg, [disabled], option, script, style")) return false;
+    const style = getComputedStyle(one), size = parseFloat(style.fontSize);
+    const pair = [light(numbers(style.color)), light(behind(one))].sort((a, b) => b - a);
+    const large = size >= 24 || (size >= 18.66 && parseInt(style.fontWeight) >= 700);
+    return (pair[0] + 0.05) / (pair[1] + 0.05) < (large ? 3 : 4.5);
+  };
+  const ids = [...document.querySelectorAll("[id]")].map(one => one.id);
+  const levels = [...document.querySelectorAll("h1, h2, h3, h4, h5, h6")].map(one => +one.tagName[1]);
+  return {
+    language: document.documentElement.lang ? [] : ["html"],
+    title: document.title ? [] : ["title"],
+    main: document.querySelectorAll("main").length === 1 ? [] : ["main"],
+    twice: ids.filter((id, k) => ids.indexOf(id) !== k),
+    headings: levels.filter((level, k) => level > (k ? levels[k - 1] : 0) + 1),
+    unnamed: find("button, input, select, a[href], canvas, video, img, summary, [role=region], [role=img]",
+      one => shown(one) && !told(one).trim()),
+    headless: find("table", one => !one.querySelector("th")),
+    unreachable: find(".table", one => one.scrollWidth > one.clientWidth + 1 && one.tabIndex < 0),
+    missing: find("[aria-labelledby], [for]",
+      one => !document.getElementById(one.getAttribute("aria-labelledby") || one.getAttribute("for"))),
+    faint: find("body *", faint),
+  };
+})()
+"""
+"""What keeps somebody from reading a page: the kind of barrier to what has it."""
+
+AXE = Path(__file__).resolve().parent.parent / "node_modules" / "axe-core" / "axe.min.js"
+"""Where `npm install axe-core` puts the checker, which is no part of this package."""
+
+SERIOUS = """
+axe.run(document, { resultTypes: ["violations"] }).then(found => found.violations
+  .filter(one => ["serious", "critical"].includes(one.impact))
+  .map(one => `${one.id}: ${one.nodes[0].html.slice(0, 100)}`))
+"""
+
+
+def barriers(browser):
+    """What keeps somebody from reading the page that is shown, by our rules, and by axe-core where it is installed."""
+    found = {kind: those for kind, those in browser.evaluate(BARRIERS).items() if those}
+    if AXE.exists():
+        browser.ask("Runtime.evaluate", expression=AXE.read_text(encoding="utf-8"))
+        found |= {"axe": serious} if (serious := browser.evaluate(SERIOUS)) else {}
+    return found
+
 
 LEFT_OPEN = """
 [...document.querySelectorAll("figure .zoom")].filter((zoom, k) => zoom.querySelector("input").checked

@@ -14,6 +14,7 @@ from armperturb.muscle_law import MuscleLaw
 from armperturb.perturbations import Multisine, MultisineThenPulse
 from armperturb.study.experiments.mechanisms import why_people_yield
 from armperturb.study.recording.settings import StudySettings
+from armperturb.study.report import films
 from armperturb.study.report.figures import rig as rig_figures
 from armperturb.study.report.report import write_report
 from armperturb.study.results.analyse import run_study
@@ -141,10 +142,20 @@ def plain_picture(model, qpos=None, camera="top", *, width, height):
     return np.full((*np.shape(qpos)[:-1], height, width, 3), 200, dtype=np.uint8)
 
 
+def plain_film(replay, out, clip):
+    """Stands for a film of the rig, likewise."""
+    import imageio_ffmpeg
+    import mediapy
+
+    mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
+    mediapy.write_video(out, np.full((2, 120, 160, 3), 200, dtype=np.uint8), fps=10, qp=30)
+
+
 def plain_report(study, folder):
-    """The folder of a report whose pictures of the rig are plain."""
+    """The folder of a report whose pictures and films of the rig are plain."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rig_figures, "render", plain_picture)
+        patch.setattr(films, "write_video", plain_film)
         write_report(study, folder, show_progress=False)
     return folder
 

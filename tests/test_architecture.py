@@ -12,7 +12,7 @@ import armperturb
 ROOT = Path(armperturb.__file__).parent
 
 BASE = {"arrays", "validation", "extras", "seeds", "files", "foreign", "recording", "recording_files"}
-BASE |= {"muscle_law", "subject", "environment", "joint_person"}
+BASE |= {"muscle_law", "person_files", "subject", "environment", "joint_person"}
 ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.force_balance",
     "analysis.trials", "analysis.per_trials", "analysis.numerics", "analysis.results", "plots", "anthropometry",
@@ -29,9 +29,10 @@ ARROWS = {
     "extras": {"files"},
     "seeds": set(),
     "muscle_law": {"validation"},
-    "subject": {"files", "validation", "muscle_law"},
+    "person_files": {"files", "validation", "muscle_law"},
+    "subject": {"files", "validation", "muscle_law", "person_files"},
     "environment": {"validation"},
-    "joint_person": {"files", "validation", "muscle_law", "subject"},
+    "joint_person": {"files", "validation", "muscle_law", "person_files", "subject"},
     "anthropometry": {"files", "validation"},
     "foreign": {"extras", "files"},
     "recording": {"files", "validation"},
@@ -57,7 +58,7 @@ ARROWS = {
     "analysis.response": ARM,
     "analysis.measures": ARM,
     "analysis.fit": ARM | {"analysis.response", "analysis.measures", "analysis.emg"},
-    "analysis.varying": ARM,
+    "analysis.varying": ARM | {"analysis.fit", "analysis.joint"},
     "analysis.joint": ARM | {"analysis.fit"},
     "analysis.page": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.joint", "pages"},
     "analysis.emg": ARM | {"analysis.measures", "analysis.response"},

@@ -37,6 +37,9 @@ AT_REST = 0.02
 ARM_LABELS = ("l_h", "l_f", "theta_s_deg", "theta_e_deg")
 """Coordinates that only models of the arm need; NaN where they are unknown."""
 
+ALIKE = 0.9
+"""Correlation from which on two perturbations are the same one [-]."""
+
 ONE_VALUED = ("subject", "task", "condition", *ARM_LABELS)
 """Coordinates that all trials of a person in a condition share."""
 
@@ -96,6 +99,14 @@ class ConditionTrials:
     def label(self) -> str:
         """The condition."""
         return str(self.recording["condition"].values[0])
+
+    @cached_property
+    def are_independent(self) -> bool:
+        """Whether every trial has a perturbation of its own, no other's one scaled or turned round."""
+        signals = self.recording["perturbation"].values[:, : self.last].reshape(len(self.numbers), -1)
+        size = np.linalg.norm(signals, axis=1)
+        alike = np.abs(np.triu(signals @ signals.T, 1)) > ALIKE * np.outer(size, size)
+        return bool((size > 0.0).all() and not alike.any())
 
     @cached_property
     def body(self) -> Subject:

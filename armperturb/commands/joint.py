@@ -58,7 +58,7 @@ class Joint(Command):
         require_folder_of(self.out)
         require_new([self.out], overwrite=self.overwrite)
         if self.person.endswith(".toml"):
-            person = JointPerson.load_file(self.person)
+            person = JointPerson.load(self.person)
         else:
             require_one_of("joint", "person", self.person, (*JOINT_PEOPLE, "FILE.toml"))
             person = JOINT_PEOPLE[self.person]

@@ -100,11 +100,9 @@ def live_page(arms: Mapping[str, Subject]) -> str:
     }
     # Inside a script element, no text may look like its end.
     content = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    folder = resources.files(__package__) / "templates"
-    parts = {
-        name.replace(".", "_"): Markup((folder / name).read_text(encoding="utf-8"))
-        for name in ("live.css", "model.js", "live.js")
-    }
+    folder, of_pages = (resources.files(package) / "templates" for package in (__package__, "armperturb.pages"))
+    files = (of_pages / "drawing.js", *(folder / name for name in ("live.css", "model.js", "live.js")))
+    parts = {file.name.replace(".", "_"): Markup(file.read_text(encoding="utf-8")) for file in files}
     template = (folder / "live.html").read_text(encoding="utf-8")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     return environment.from_string(template).render(**parts, data=Markup(content), versions=versions("armperturb"))

@@ -14,6 +14,9 @@ SHOWN = 8.0
 LIMIT = 3.84
 """Fall of twice the log-likelihood at the limits of a 95 % interval [-]."""
 
+HIGHEST = 60.0
+"""Fall of twice the log-likelihood up to which the profile is drawn [-]."""
+
 
 @in_style()
 def plot_joint(
@@ -55,5 +58,8 @@ def plot_joint(
         axes[2].axhline(LIMIT, color=GREY, linewidth=0.8, linestyle=":")
         axes[2].set_xlabel("reflex delay [ms]")
         axes[2].set_ylabel("fall of 2 log L [-]")
-        axes[2].set_ylim(0.0, min(float(profile[1].max()) * 1.05 + 1.0, 60.0))
+        axes[2].set_ylim(0.0, min(float(profile[1].max()) * 1.05 + 1.0, HIGHEST))
+        seen = np.flatnonzero(profile[1] <= HIGHEST)
+        first, last = max(seen[0] - 1, 0), min(seen[-1] + 1, profile.shape[1] - 1)
+        axes[2].set_xlim(1e3 * profile[0, first], 1e3 * profile[0, last])
     return axes

@@ -8,6 +8,7 @@ from laboratory import write
 
 from armperturb import cli
 from armperturb.convert.importer import import_recording
+from armperturb.envs.render import viewer
 from armperturb.foreign import read_foreign
 from armperturb.recording_files import load_recording, save_recording
 
@@ -66,9 +67,11 @@ HOSTILE = {
 }
 
 
-# All commands read recordings with the same function: two kinds of damage show that.
-CASES = [("convert", name) for name in HOSTILE] + [
-    (command, name) for command in ("identify", "response", "video", "report") for name in ("itself", "half")
+# All commands read recordings with the same function: two kinds of damage, or one, show that.
+CASES = [
+    *(("convert", name) for name in HOSTILE),
+    *((command, name) for command in ("identify", "response", "video", "report") for name in ("itself", "half")),
+    *((command, "itself") for command in ("score", "view")),
 ]
 
 
@@ -77,6 +80,7 @@ CASES = [("convert", name) for name in HOSTILE] + [
 def test_each_ends_in_one_line(whole, tmp_path, capfd, monkeypatch, command, name):
     # What keeps the library busy for ever is given up earlier than users would be patient.
     monkeypatch.setitem(read_foreign.__kwdefaults__, "seconds", 3.0)
+    monkeypatch.setattr(viewer, "require_display", lambda: None)
     (tmp_path / "recordings").mkdir()
     path = tmp_path / "recordings" / "S01.nc"
     path.write_bytes(whole)
@@ -87,6 +91,8 @@ def test_each_ends_in_one_line(whole, tmp_path, capfd, monkeypatch, command, nam
         "response": (path, "--out", tmp_path / "o"),
         "video": (path, "--trial", "0", "--out", tmp_path / "o.gif"),
         "report": (tmp_path, "--workers", "1"),
+        "score": (tmp_path,),
+        "view": (path,),
     }[command]
     status = cli.main([command, *map(str, options)])
     assert status == 1

@@ -171,6 +171,16 @@ class JointLikelihood:
         """Trials that are all alike."""
         return [np.zeros((likelihood.n_trials, len(QUANTITIES))) for _, likelihood in self.parts]
 
+    @property
+    def n_trials(self) -> int:
+        """Of all groups together."""
+        return sum(likelihood.n_trials for _, likelihood in self.parts)
+
+    @property
+    def are_independent(self) -> bool:
+        """Whether every trial has a perturbation of its own, so that trials of one arm differ in its nonlinearity."""
+        return all(part.are_independent for group in self.groups for part in group.parts)
+
     def arms(self, values: Array) -> list[Subject]:
         """The arm of each group."""
         return [

@@ -21,8 +21,9 @@ import numpy as np
 from scipy import fft
 
 from armperturb.analysis.fit.frequency_bands import EXCITED_POWER
+from armperturb.analysis.fit.frequency_rows import applied
 from armperturb.analysis.fit.total_admittance import TotalAdmittance
-from armperturb.analysis.fit.whittle import ALL, ROUND_OFF, Whittle, applied
+from armperturb.analysis.fit.whittle import ALL, ROUND_OFF, Whittle
 from armperturb.arrays import Array, ComplexArray, Indices
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -218,7 +219,8 @@ class RecordLikelihood(Likelihood):
     def _cut(self, spectrum: ComplexArray) -> ComplexArray:
         """The same of signals (..., axis) that are given by their DFT over the padded time."""
         if spectrum.ndim > 2 and spectrum[..., 0].size * self._n_padded > LONGEST_SIGNALS:
-            return np.array([self._cut(part) for part in spectrum])
+            shape = (*spectrum.shape[1:-1], len(self._frequency))
+            return np.fromiter(map(self._cut, spectrum), (complex, shape), len(spectrum))
         return self._spectrum(fft.irfft(spectrum, self._n_padded, axis=-1))
 
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:

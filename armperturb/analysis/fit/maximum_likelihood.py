@@ -16,7 +16,7 @@ from scipy import optimize
 from armperturb.analysis.fit.group import Group, Method, require_one_person
 from armperturb.analysis.fit.joint_likelihood import PART_OF, Effects, JointLikelihood
 from armperturb.analysis.fit.structures import unit
-from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, TrialScore, fit_mixed, scaled
+from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, TrialScore, fit_mixed, scaled, scatter
 from armperturb.analysis.fit.whittle import LackOfFit, Normal
 from armperturb.analysis.force_balance import Skew
 from armperturb.analysis.results import Description, FitResult, parameter_table
@@ -41,11 +41,11 @@ EFFECT_ROUNDS = 6
 """Steps after which the search for the differences between trials ends."""
 
 FEWEST_TRIALS = 3
-"""Trials from which on they may differ: fewer do not tell by how much."""
+"""Trials from which on they may differ, or show the dispersion: fewer do not tell by how much."""
 
 FEW_WITH_EMG = (
-    f"EMG of fewer than {FEWEST_TRIALS} trials: intervals of reflexes hold for these trials, as nothing tells how a person "
-    "differs from trial to trial"
+    f"EMG of fewer than {FEWEST_TRIALS} trials: intervals of reflexes hold for these trials, as nothing tells how a "
+    "person differs from trial to trial"
 )
 """Remark on errors that EMG makes smaller than the differences between trials."""
 
@@ -76,6 +76,9 @@ class Estimate(FitResult):
       largest_real_pole: of arm and environment, over the conditions [1/s].
       chi2: of what the disturbance explains of the residual, see `likelihood.LackOfFit`.
       dof: its degrees of freedom.
+      dispersion: how much more parameters vary than noise makes them, at least one [-]. Where all trials have
+        perturbations of their own, it is how much more their scores vary, see `trial_effects.scatter`, and intervals
+        are those of the arm that explains such perturbations best; else it is `chi2` over `dof`.
       objective: minus twice the log-likelihood, up to a constant that depends on the trials and the method.
       n_rounds: Gauss-Newton steps.
       skew: condition to the skew between the clocks of force and displacement.
@@ -89,6 +92,7 @@ class Estimate(FitResult):
     largest_real_pole: float
     chi2: float
     dof: int
+    dispersion: float
     objective: float
     n_rounds: int
     skew: Mapping[str, Skew]
@@ -103,11 +107,6 @@ class Estimate(FitResult):
     def is_suspicious(self) -> bool:
         """Whether the trials say that the structure is wrong, or the person not linear or not always the same."""
         return self.p_value < SUSPICIOUS
-
-    @property
-    def dispersion(self) -> float:
-        """How much more the residual varies along the disturbance than elsewhere, at least one [-]."""
-        return max(1.0, self.chi2 / self.dof)
 
     def unit_of(self, name: str) -> str:
         """SI unit of a parameter."""
@@ -351,9 +350,9 @@ def _with_trial_effects(problem: JointLikelihood, search: _Search) -> _Search:
     The noise is estimated with effects of trials that may be large, see `trial_effects.LOOSE`. Where no difference is
     found, or a step leads to an unstable arm, the search before stands.
     """
-    effects = problem.no_effects()
-    if sum(map(len, effects)) < FEWEST_TRIALS:
+    if problem.n_trials < FEWEST_TRIALS:
         return search
+    effects = problem.no_effects()
     values = search.values
     for round_ in range(EFFECT_ROUNDS):
         problem.weigh(values, effects)
@@ -401,6 +400,16 @@ def _told(spread: Array) -> dict[str, float]:
     return {name: float(value) for name, value in zip(QUANTITIES, spread, strict=True) if value > LEAST_SPREAD}
 
 
+def _dispersion(problem: JointLikelihood, search: _Search, fit: LackOfFit) -> float:
+    """See `Estimate.dispersion`; the noise must have been weighed."""
+    if not problem.are_independent or problem.n_trials < FEWEST_TRIALS:
+        return max(1.0, fit.chi2 / fit.dof)
+    effects = problem.no_effects() if search.effects is None else search.effects
+    spread = np.zeros(len(QUANTITIES)) if search.spread is None else search.spread
+    scores = problem.scores(search.values, effects)[: problem.n_trials]
+    return max(1.0, scatter(scores, spread, search.information))
+
+
 def _judge(problem: JointLikelihood, method: Method, search: _Search) -> Estimate:
     values, names = search.values, problem.names
     objective = problem.objective(values)
@@ -410,7 +419,8 @@ def _judge(problem: JointLikelihood, method: Method, search: _Search) -> Estimat
     scale, power, directions = scaled(search.information)
     known = power > SINGULAR
     covariance = (directions[:, known] / power[known]) @ directions[:, known].T
-    error = np.sqrt(np.diag(covariance)) / scale * np.sqrt(max(1.0, fit.chi2 / fit.dof))
+    dispersion = _dispersion(problem, search, fit)
+    error = np.sqrt(np.diag(covariance)) / scale * np.sqrt(dispersion)
     unknown = np.abs(directions[:, ~known]).max(axis=1, initial=0.0) > PART_OF
     error[unknown] = np.inf
     correlation = np.eye(len(names))
@@ -435,6 +445,7 @@ def _judge(problem: JointLikelihood, method: Method, search: _Search) -> Estimat
         largest_real_pole=pole,
         chi2=fit.chi2,
         dof=fit.dof,
+        dispersion=dispersion,
         objective=objective,
         n_rounds=search.n_rounds,
         skew={group.label: group.parts[0].skew for group in problem.groups},

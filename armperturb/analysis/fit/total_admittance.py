@@ -50,12 +50,13 @@ class TotalAdmittance:
         """
         gradients = [self._gradient(0, values, mixing, scale)] if len(self._runs) == 1 else None
         for first, second in loads:
-            parts = []
+            driven = np.empty((mixing.shape[1], 2, len(first)), dtype=complex)
             for number, run in enumerate(self._runs):
                 # Those of all runs would be too large to be kept for the next trial.
                 gradient = gradients[0] if gradients else self._gradient(number, values, mixing, scale)
-                parts.append(gradient[:, :, 0] * first[run] + gradient[:, :, 1] * second[run])
-            yield parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+                np.multiply(gradient[:, :, 0], first[run], out=driven[..., run])
+                driven[..., run] += gradient[:, :, 1] * second[run]
+            yield driven
 
     def _gradient(self, number: int, values: Array, mixing: Array, scale: ComplexArray | None) -> ComplexArray:
         """Derivatives of P by the free parameters in one run, (free parameter, output, input, frequency)."""

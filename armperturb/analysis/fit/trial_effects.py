@@ -96,8 +96,7 @@ def fit_mixed(trials: Sequence[TrialScore], n_parameters: int) -> Mixed:
         slope, information, deviance = np.zeros(n_parameters), np.zeros((n_parameters, n_parameters)), 0.0
         weights = []
         for trial, (within, across) in zip(trials, inner, strict=True):
-            gram = np.eye(n_quantities) + spread[:, None] * within * spread
-            weight = spread[:, None] * np.linalg.solve(gram, np.diag(spread))
+            gram, weight = _gram_and_weight(within, spread)
             force = trial.design.T @ trial.score
             slope[trial.columns] += trial.score - across @ weight @ force
             information[np.ix_(trial.columns, trial.columns)] += trial.information - across @ weight @ across.T
@@ -130,6 +129,37 @@ def fit_mixed(trials: Sequence[TrialScore], n_parameters: int) -> Mixed:
     moving = [i for i, value in enumerate(logarithms) if value > bounds[i][0] + 1.0]
     dof = _satterthwaite(deviance_and_variances, logarithms, moving)
     return Mixed(spread_of(logarithms), slope, information, loose, dof)
+
+
+def _gram_and_weight(within: Array, spread: Array) -> tuple[Array, Array]:
+    """1 + w D^T I D w and w (1 + w D^T I D w)^-1 w of one trial, (quantity, quantity) both."""
+    gram = np.eye(len(spread)) + spread[:, None] * within * spread
+    return gram, spread[:, None] * np.linalg.solve(gram, np.diag(spread))
+
+
+def scatter(trials: Sequence[TrialScore], spread: Array, information: Array) -> float:
+    """How much more the trials' scores vary from trial to trial than their information says [-]; one on average.
+
+    It is tr(A^-1 sum_t g_t g_t^T) n / (n - 1) / p, with g_t the scores that the n trials have at the estimate of p
+    parameters, and A their information: what cluster-robust standard errors (Liang & Zeger 1986, Biometrika 73, 13-22)
+    make of every parameter by itself, as one factor for all, which a few trials tell well enough.
+
+    Args:
+      trials: at the estimate.
+      spread: w of each quantity [-], (quantity,).
+      information: A, (parameter, parameter).
+    """
+    scale, power, directions = scaled(information)
+    known = power > SINGULAR
+    root = directions[:, known] / np.sqrt(power[known])
+    total = 0.0
+    for trial in trials:
+        across = trial.information @ trial.design
+        _, weight = _gram_and_weight(trial.design.T @ across, spread)
+        score = np.zeros(len(information))
+        score[trial.columns] = trial.score - across @ weight @ (trial.design.T @ trial.score)
+        total += float(np.sum((root.T @ (score / scale)) ** 2))
+    return total * len(trials) / (len(trials) - 1) / int(known.sum())
 
 
 def _satterthwaite(

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import linalg, stats
 
 from armperturb.analysis.fit.frequency_bands import BandOfLack, Smoother, excited_bands
+from armperturb.analysis.fit.frequency_rows import applied, applied_rows, complex_values, orthonormal
 from armperturb.analysis.fit.total_admittance import LONGEST_RUN
 from armperturb.arrays import Array, ComplexArray, Indices
 
@@ -171,9 +172,10 @@ class Whittle:
         floor = self._least + ROUND_OFF * np.trace(smooth, axis1=1, axis2=2).real
         root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(n))
         # Real and imaginary part of the residual have half its power each.
-        self._white = np.moveaxis(np.sqrt(2.0) * np.linalg.solve(root, np.moveaxis(answers, -1, 0)), 0, -1)
+        white = np.sqrt(2.0) * np.linalg.solve(root, np.moveaxis(answers, -1, 0))
+        self._white = np.ascontiguousarray(np.moveaxis(white, 0, -1))
         if self._unknown is not None:
-            self._span = _orthonormal(applied(self._white, self._unknown))
+            self._span = orthonormal(applied_rows(self._white, self._unknown))
 
     def _without_unknowns(self, values: Array) -> ComplexArray:
         """The residual without what is unknown of each trial, as far as the noise is known yet."""
@@ -182,7 +184,7 @@ class Whittle:
             return residual
         eye = np.eye(self._n_outputs, dtype=complex)
         white = self._white if self._white.any() else eye[..., None] + 0 * self._white
-        columns, rows = _rows(applied(white, self._unknown)), _rows(applied(white, residual))
+        columns, rows = applied_rows(white, self._unknown), applied_rows(white, residual)
         amounts = np.asarray(linalg.lstsq(columns.T, rows.T, cond=1e-9)[0])
         return np.asarray(residual - np.einsum("ct,caf->taf", amounts, self._unknown))
 
@@ -192,7 +194,7 @@ class Whittle:
 
     def _white_rows(self, values: Array) -> Array:
         """The white residual of each trial, real then imaginary parts, (trial, number)."""
-        return self._left(_rows(applied(self._white, self._residual(values))))
+        return self._left(applied_rows(self._white, self._residual(values)))
 
     def objective(self, values: Array) -> float:
         """Minus twice the log likelihood, but for a constant, the noise being that which the model leaves [-]."""
@@ -215,9 +217,8 @@ class Whittle:
         n_trials, n = len(residual), mixing.shape[1]
         slopes, informations = np.zeros((n_trials, n)), np.zeros((n_trials, n, n))
         for trials, derivatives in (self._quick_slopes if quick else self._slopes)(mean, mixing):
-            white = applied(self._white, derivatives)
             for place, trial in enumerate(range(n_trials)[trials]):
-                rows = self._left(_rows(white[:, place]))
+                rows = self._left(applied_rows(self._white, derivatives[:, place]))
                 slopes[trial] = rows @ residual[trial]
                 informations[trial] = rows @ rows.T
         return Normal(float(np.sum(residual**2)), slopes, informations)
@@ -233,7 +234,7 @@ class Whittle:
         The white residual is regressed on what a change of the response, the same all over the band, would add. Each
         regression has as many real parameters as the response has numbers: eight of two inputs and outputs.
         """
-        residual = _complex(self._white_rows(values), self._observed.shape)
+        residual = complex_values(self._white_rows(values), self._observed.shape)
         changes = np.einsum("aof,tif->tafoi", self._white * self._scale, self._force)
         frequency, left = self._frequency[self._answering], []
         for band in self._bands:
@@ -244,40 +245,9 @@ class Whittle:
         return tuple(left)
 
 
-def applied(matrix: ComplexArray, values: ComplexArray) -> ComplexArray:
-    """Matrices (row, column, frequency) times vectors (..., column, frequency)."""
-    parts = [values[..., column, :] for column in range(values.shape[-2])]
-    rows = []
-    for of_row in matrix:
-        total = of_row[0] * parts[0]
-        for factor, part in zip(of_row[1:], parts[1:], strict=True):
-            total = total + factor * part
-        rows.append(total)
-    return np.stack(rows, axis=-2)
-
-
 def _determinant(matrix: ComplexArray) -> ComplexArray:
     """Of matrices (row, row, frequency)."""
     if len(matrix) == 2:
         (a, b), (c, d) = matrix
         return np.asarray(a * d - b * c)
     return np.asarray(np.linalg.det(np.moveaxis(matrix, -1, 0)))
-
-
-def _rows(values: ComplexArray) -> Array:
-    """Real then imaginary parts of the last two axes as one, (..., number)."""
-    flat = values.reshape(*values.shape[:-2], -1)
-    return np.concatenate([flat.real, flat.imag], axis=-1)
-
-
-def _complex(rows: Array, shape: tuple[int, ...]) -> ComplexArray:
-    """What `_rows` was made from."""
-    real, imaginary = np.split(rows, 2, axis=-1)
-    return np.asarray((real + 1j * imaginary).reshape(shape))
-
-
-def _orthonormal(values: ComplexArray) -> Array:
-    """Orthonormal rows that span the rows of what is unknown, (at most column, number)."""
-    rows = _rows(values)
-    _, size, basis = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True), full_matrices=False)
-    return np.asarray(basis[size > 1e-9 * size[0]])

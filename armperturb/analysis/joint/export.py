@@ -25,6 +25,14 @@ def joint_summary(result: JointIdentification) -> dict[str, Any]:
         "held_out_vaf_by_model": dict(result.held_out),
         "predicted_by": result.predicted_by,
         "free_model_left_out_vaf": None if free is None else free.left_out_vaf,
+        "intrinsic_check": None
+        if result.intrinsic is None
+        else {
+            "lag_s": result.intrinsic.lag.tolist(),
+            "response": result.intrinsic.response.tolist(),
+            "left_out_vaf": result.intrinsic.left_out_vaf,
+            "structured_vaf": result.intrinsic.structured_vaf,
+        },
         "band_Hz": list(result.band),
         "at_bound": list(result.at_bound),
         "remarks": [result.sentence, *result.remarks],

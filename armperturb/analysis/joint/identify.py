@@ -9,6 +9,7 @@ import xarray as xr
 
 from armperturb.analysis.fit.ladder import CAUTION, CLOSE
 from armperturb.analysis.joint.estimate import JointEstimate, delay_profile, estimate_joint
+from armperturb.analysis.joint.intrinsic import IntrinsicCheck, check_intrinsic
 from armperturb.analysis.joint.likelihood import Loop, environment_of, simulated_movement
 from armperturb.analysis.joint.model import LONGEST_DELAY, REFLEXES, UNITS, JointModel, JointStructure, Reflex
 from armperturb.analysis.joint.prediction import FreeModel, fit_free_model
@@ -24,8 +25,11 @@ if TYPE_CHECKING:
 PROFILE = 0.03
 """Farthest delay of the profile from the estimate [s]."""
 
-N_PROFILE = 13
+N_PROFILE = 15
 """Delays of the profile."""
+
+SHORTEST_DELAY = 0.005
+"""Shortest delay of the profile [s]."""
 
 EVIDENCE = CLOSE
 """What is added to the score of a reflex [-]: delay and dynamics of a path that is not there fit any noise a little."""
@@ -77,6 +81,7 @@ class JointIdentification(FitResult):
       tried: all structures that were fitted, the best first.
       vaf: of the fitted trials, by the parallel cascade and by each path alone [%].
       free_model: for prediction; None of a force servo.
+      intrinsic: the intrinsic path without a structure; None of a force servo.
       held_out: kind of model to the VAF of what follows `fit_until`, from the input alone [%]; empty without.
       fit_until: end of what was fitted [s]; None for all.
       environment: inertia, damping and stiffness of a force servo's virtual environment; None of a position servo.
@@ -94,6 +99,7 @@ class JointIdentification(FitResult):
     tried: tuple[TriedStructure, ...]
     vaf: Mapping[str, float]
     free_model: FreeModel | None
+    intrinsic: IntrinsicCheck | None
     held_out: Mapping[str, float]
     fit_until: float | None
     environment: Loop | None
@@ -206,6 +212,7 @@ def identify_joint(
     tried = _tried(signals, loop, reflex, short_range, longest_delay)
     best = tried[0].estimate
     free = fit_free_model(signals) if loop is None else None
+    intrinsic = check_intrinsic(signals, _reflex_torque(signals, best)) if loop is None else None
     every = joint_signals(recording, reference=reference)
     model = JointModel(best.structure, signals)
     names = best.structure.parameters
@@ -220,7 +227,7 @@ def identify_joint(
         at_bound=at_bound,
         converged=best.converged,
         message="converged" if best.converged else "the rounds of weighing did not settle",
-        remarks=_remarks(best, signals, loop, free, at_bound),
+        remarks=_remarks(best, signals, free, intrinsic, at_bound),
         label=named(recording),
         condition=conditions[0],
         joint=str(recording.attrs.get("joint", "")),
@@ -230,6 +237,7 @@ def identify_joint(
         tried=tuple(tried),
         vaf=_shares(signals, model, best.values, loop),
         free_model=free,
+        intrinsic=intrinsic,
         held_out={} if fit_until is None else _held_out(every, best, loop, free, fit_until),
         fit_until=fit_until,
         environment=loop,
@@ -253,6 +261,12 @@ def _tried(
         for each in estimates
     ]
     return sorted(scored, key=lambda each: each.score)
+
+
+def _reflex_torque(signals: JointSignals, best: JointEstimate) -> Array:
+    """Torque of the reflex path, (trial, time); zero without one."""
+    paths = JointModel(best.structure, signals).paths(best.values)
+    return paths.get("reflex", np.zeros_like(signals.torque))
 
 
 def _shares(signals: JointSignals, model: JointModel, values: Array, loop: Loop | None) -> dict[str, float]:
@@ -312,7 +326,9 @@ def _profile(best: JointEstimate, signals: JointSignals, loop: Loop | None) -> A
     if best.structure.reflex == "none" or loop is not None:
         return np.empty((2, 0))
     delay = best.values[best.structure.parameters.index("reflex_delay")]
-    delays = np.linspace(max(delay - PROFILE, 0.005), delay + PROFILE, N_PROFILE)
+    # Densest at the estimate: the fall there is a matter of tenths of a millisecond, or of ten.
+    delays = delay + PROFILE * np.linspace(-1.0, 1.0, N_PROFILE) ** 3
+    delays = delays[delays >= SHORTEST_DELAY]
     objectives = delay_profile(best, signals, loop, delays)
     return np.stack([delays, objectives - objectives.min()])
 
@@ -320,14 +336,14 @@ def _profile(best: JointEstimate, signals: JointSignals, loop: Loop | None) -> A
 def _remarks(
     best: JointEstimate,
     signals: JointSignals,
-    loop: Loop | None,
     free: FreeModel | None,
+    intrinsic: IntrinsicCheck | None,
     at_bound: Sequence[str],
 ) -> tuple[str, ...]:
     said = [f"{name} sits on a bound, and has no interval" for name in at_bound]
     if not best.converged:
         said.append("the noise and the parameters did not settle together: intervals may be too short")
-    if free is not None and loop is None:
+    if free is not None:
         used = signals.used
         torque = JointModel(best.structure, signals).torque(best.values)
         ahead = free.left_out_vaf - _vaf(signals.torque[:, used], torque[:, used])
@@ -336,4 +352,9 @@ def _remarks(
                 f"a free model predicts {ahead:.1f} % more of the torque's variance on left-out data than the parallel "
                 "cascade accounts for: the joint does more than the cascade has"
             )
+    if intrinsic is not None and (further := intrinsic.left_out_vaf - intrinsic.structured_vaf) > LACKING:
+        said.append(
+            f"an impulse response without structure explains {further:.1f} % more of what the reflex path leaves, on "
+            "left-out data, than inertia, damping and stiffness: the intrinsic path is not these alone"
+        )
     return tuple(said)

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import fft, signal
 
 from armperturb.analysis.fit.frequency_bands import Smoother
-from armperturb.analysis.joint.model import JointModel, JointStructure, play_operator
+from armperturb.analysis.joint.model import JointModel, JointStructure, activated, drive_of, play_operator
 from armperturb.analysis.joint.signals import JointSignals, time_blocks
 from armperturb.arrays import Array, ComplexArray
 
@@ -231,12 +231,11 @@ class _Reflex(NamedTuple):
 
 
 def _reflex(structure: JointStructure, given: dict[str, float], velocity: Array, s: ComplexArray) -> _Reflex:
-    wn = 2 * np.pi * given["reflex_frequency"]
-    path = wn**2 / (s**2 + 2 * given["reflex_damping_ratio"] * wn * s + wn**2) * np.exp(-s * given["reflex_delay"])
+    path = activated(s, given["reflex_delay"], given["reflex_frequency"], given["reflex_damping_ratio"])
     path = np.asarray(given["reflex_gain"] * path)
     if structure.reflex == "linear":
         return _Reflex(path, velocity, 1.0)
-    drive = structure.side * np.maximum(structure.side * velocity - given["reflex_threshold"], 0.0)
+    drive = drive_of(velocity, structure.reflex, given["reflex_threshold"], structure.side)
     power = max(float(np.mean(velocity**2)), np.finfo(float).tiny)
     return _Reflex(path, drive, float(np.mean((drive - drive.mean()) * velocity)) / power)
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy import fft
 
 from armperturb.analysis.joint.signals import JointSignals
-from armperturb.arrays import Array
+from armperturb.arrays import Array, ComplexArray
 
 Reflex = Literal["none", "linear", "half-wave"]
 REFLEXES: tuple[Reflex, ...] = ("none", "linear", "half-wave")
@@ -144,11 +144,11 @@ class JointModel:
         s, gain, wn = self._s, given["reflex_gain"], 2 * np.pi * given["reflex_frequency"]
         ratio = given["reflex_damping_ratio"]
         denominator = s**2 + 2.0 * ratio * wn * s + wn**2
-        path = wn**2 / denominator * np.exp(-s * given["reflex_delay"])
+        path = activated(s, given["reflex_delay"], given["reflex_frequency"], ratio)
         drive = self._velocity
         if self.structure.reflex == "half-wave":
-            side, above = self.structure.side, self.structure.side * self._signals.velocity - given[THRESHOLD]
-            drive = fft.rfft(side * np.maximum(above, 0.0), self._n_padded, axis=1)
+            moved = drive_of(self._signals.velocity, "half-wave", given[THRESHOLD], self.structure.side)
+            drive = fft.rfft(moved, self._n_padded, axis=1)
         unit = drive * path
 
         def back(spectrum: Array) -> Array:
@@ -162,9 +162,27 @@ class JointModel:
             "reflex_damping_ratio": back(-gain * 2.0 * wn * s / denominator * unit),
         }
         if self.structure.reflex == "half-wave":
-            closing = fft.rfft(-self.structure.side * (above > 0.0).astype(float), self._n_padded, axis=1)
+            closing = fft.rfft(-self.structure.side * (moved != 0.0).astype(float), self._n_padded, axis=1)
             columns[THRESHOLD] = back(gain * closing * path)
         return columns
+
+
+def activated(s: ComplexArray, delay: float, frequency: float, damping_ratio: float) -> ComplexArray:
+    """Frequency response from the drive of a reflex to its torque with a gain of one: delay and dynamics of muscle.
+
+    Args:
+      s: Laplace variable [rad/s].
+      delay: [s].
+      frequency: natural frequency of the dynamics [Hz].
+      damping_ratio: of the dynamics [-].
+    """
+    wn = 2 * np.pi * frequency
+    return np.asarray(wn**2 / (s**2 + 2.0 * damping_ratio * wn * s + wn**2) * np.exp(-s * delay))
+
+
+def drive_of(velocity: Array, reflex: Reflex, threshold: float = 0.0, side: int = 1) -> Array:
+    """What a reflex answers to [rad/s]: the velocity, or its half-wave above a threshold, as `velocity`."""
+    return velocity if reflex == "linear" else np.asarray(side * np.maximum(side * velocity - threshold, 0.0))
 
 
 def play_operator(angle: Array, width: float) -> Array:

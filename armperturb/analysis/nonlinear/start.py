@@ -10,6 +10,7 @@ from armperturb.analysis.fit.identify import identify_conditions
 from armperturb.analysis.fit.structures import structure_of
 from armperturb.analysis.nonlinear.model import QUANTITIES, Parameters, bounds, coordinate, stem
 from armperturb.analysis.nonlinear.problem import Problem, State
+from armperturb.analysis.response.condition_spectra import periodic_lines
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array
 from armperturb.muscle_law import ELEMENTS
@@ -38,6 +39,9 @@ TRIED: Mapping[str, tuple[float, ...]] = {
 TRIED_LEVELS = (0.3, 0.45, 0.65, 1.0, 1.5)
 """Levels of co-contraction that are tried in each condition; from one far too high, a search does not find back."""
 
+SHORTEST = 10.0
+"""Length of a trial from which a linear arm is identified where the perturbation does not repeat [s]."""
+
 SPREAD = 0.08
 """SD of the logarithms of the trials' own factors [-]."""
 
@@ -53,21 +57,22 @@ def linear_arms(
       period: of the disturbance [s]; None to find it.
 
     Raises:
-      ValueError: no trial of a task holds a whole period before its pulse, or trials are refused.
+      ValueError: no trial of a task holds a whole period before its pulse, or `SHORTEST` where there is no period, or
+        trials are refused.
     """
     arms: dict[str, Subject] = {}
     for task in dict.fromkeys(trials.body.task for trials in conditions.values()):
         of_task = {label: trials for label, trials in conditions.items() if trials.body.task == task}
-        length = _period(list(of_task.values()), window_start) if period is None else period
+        length = _needed(list(of_task.values()), window_start, period)
         wide = {
-            label: trials.take(np.flatnonzero(trials.onset >= round((window_start + length) * trials.rate)))
+            label: trials.take(np.flatnonzero(trials.onset >= round(length * trials.rate)))
             for label, trials in of_task.items()
         }
         wide = {label: trials for label, trials in wide.items() if trials.n_trials}
         if not wide:
             raise ValueError(
-                f"{task}: all pulses come before {window_start + length:g} s; expected a trial with a whole period of "
-                f"{length:g} s from {window_start:g} s on (an earlier --window-start)"
+                f"{task}: all pulses or ends come before {length:g} s; expected a trial that is perturbed that long: a "
+                f"whole period from {window_start:g} s on (an earlier --window-start), or {SHORTEST:g} s of noise"
             )
         parts = {label: (trials,) for label, trials in wide.items()}
         structure = structure_of(LINEAR_MODELS[task])
@@ -76,15 +81,18 @@ def linear_arms(
     return arms
 
 
-def _period(conditions: Sequence[ConditionTrials], window_start: float) -> float:
-    """Period of the first condition that is perturbed before its pulses [s]."""
+def _needed(conditions: Sequence[ConditionTrials], window_start: float, period: float | None) -> float:
+    """How long a trial must be before its pulse [s]: to the end of a whole period, or `SHORTEST` if there is none."""
+    if period is not None:
+        return window_start + period
     for trials in conditions:
         late = trials.take(np.flatnonzero(trials.onset > round(window_start * trials.rate) + 1))
         if late.n_trials and late.is_perturbed(window_start):
-            return late.period(window_start)
+            is_periodic = periodic_lines([late], window_start) is not None
+            return window_start + late.period(window_start) if is_periodic else SHORTEST
     raise ValueError(
         f"{conditions[0].body.task}: all pulses come before {window_start:g} s, or nothing perturbs the trials before "
-        "them; expected a multisine (an earlier --window-start)"
+        "them; expected a multisine or noise (an earlier --window-start)"
     )
 
 

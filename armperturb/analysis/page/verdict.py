@@ -83,8 +83,8 @@ def verdict(identification: Identification, bands: Sequence[BandOfLack]) -> Verd
     if ratio <= LARGE and fit.choice is None:
         return Verdict(
             "care",
-            f"The perturbation explains slightly more of the movement than the model does ({numbers}). Intervals have "
-            f"been widened by a factor of {plain(math.sqrt(fit.detail.dispersion), 3)} for that.",
+            f"The perturbation explains slightly more of the movement than the model does ({numbers}). Intervals are "
+            f"{plain(math.sqrt(fit.detail.dispersion), 3)} times as wide as noise alone makes them.",
         )
     wrong = "the model is wrong" if fit.choice is None else "none of the structures that were tried is right"
     more = "The perturbation explains more of the movement than the model does"

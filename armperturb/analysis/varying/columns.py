@@ -11,16 +11,15 @@ jumps of a parameter are not blurred by the filters.
 """
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from scipy import fft
 from scipy.interpolate import BSpline, CubicSpline
 
+from armperturb.analysis.joint.model import Reflex, activated, drive_of
 from armperturb.arrays import Array
-
-Reflex = Literal["none", "linear", "half-wave"]
 
 TOP = 25.0
 """Frequencies above this are filtered out of torque and regressors before they are sampled more slowly [Hz]."""
@@ -94,8 +93,7 @@ class Signals:
         n_time = values.shape[-1]
         length = fft.next_fast_len(n_time + round(2.0 * self.rate), real=True)
         s = 2j * np.pi * fft.rfftfreq(length, 1.0 / self.rate)
-        omega = 2.0 * np.pi * cascade.cutoff
-        response = np.exp(-s * cascade.delay) * omega**2 / (s**2 + 2.0 * cascade.zeta * omega * s + omega**2)
+        response = activated(s, cascade.delay, cascade.cutoff, cascade.zeta)
         return np.asarray(fft.irfft(response * fft.rfft(values, length), length)[..., :n_time])
 
 
@@ -163,7 +161,6 @@ def splines(variable: Array, n_basis: int, low: float, high: float) -> Array:
 
 
 def excitation(signals: Signals, reflex: Reflex, threshold: float) -> Array:
-    """Velocity to which the reflex responds [rad/s], (trial, time)."""
-    if reflex == "linear":
-        return signals.velocity
-    return np.maximum(signals.velocity, threshold) - max(threshold, 0.0)
+    """Velocity to which the reflex responds [rad/s], (trial, time); a threshold below zero excites none at rest."""
+    at_rest = 0.0 if reflex == "linear" else min(threshold, 0.0)
+    return drive_of(signals.velocity, reflex, threshold) + at_rest

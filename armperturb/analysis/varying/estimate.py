@@ -17,7 +17,8 @@ import numpy as np
 import xarray as xr
 from scipy import linalg, optimize, signal
 
-from armperturb.analysis.varying.columns import Cascade, Reflex, Signals, excitation, signals_of, splines
+from armperturb.analysis.joint.model import Reflex
+from armperturb.analysis.varying.columns import Cascade, Signals, excitation, signals_of, splines
 from armperturb.analysis.varying.result import Curve, VaryingEstimate
 from armperturb.arrays import Array, Indices
 from armperturb.validation import require_number, require_one_of

@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
+from armperturb.analysis.joint.model import Reflex
 from armperturb.analysis.results import Description, Result, Table, quantile
-from armperturb.analysis.varying.columns import Cascade, Reflex
+from armperturb.analysis.varying.columns import Cascade
 from armperturb.arrays import Array
 
 if TYPE_CHECKING:

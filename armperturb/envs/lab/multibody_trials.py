@@ -16,6 +16,10 @@ from armperturb.models.rig import AHEAD
 from armperturb.planar_arm.lanes import GROUP
 from armperturb.subject import Subject
 
+REFINEMENTS = (1, 2, 4)
+"""Parts into which the step of a trial is cut, one number after the other, until it can be integrated. An arm that its
+reflexes swing may stretch its elbow, whose snap through the singular posture is too fast for one step."""
+
 LEAP = 10.0
 """Displacement over the workspace limit [-] to which only an arm that diverges gets within a sample."""
 
@@ -33,7 +37,7 @@ def simulate_multibody(
       progress: see `Progress`.
 
     Raises:
-      RuntimeError: a trial that stayed inside the workspace could not be integrated.
+      RuntimeError: a trial that stayed inside the workspace could not be integrated, at a quarter of the step either.
     """
     n_samples, decimation, timestep = (
         setup.n_samples([trial.perturbation for trial in trials]),
@@ -42,37 +46,48 @@ def simulate_multibody(
     )
     n_steps, compiled = n_samples * decimation, setup.engine == "compiled"
 
-    def simulate(i: int, j: int) -> tuple[Array, Array, NDArray[np.bool_]]:
-        known = np.stack([known_ahead(trial, timestep, n_steps) for trial in trials[i:j]])
+    def simulate(i: int, j: int, parts: int) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Push, log and whether it diverged of these trials, all at the setup's step."""
+        step, n = timestep / parts, n_steps * parts
+        known = np.stack([known_ahead(trial, timestep, n, parts) for trial in trials[i:j]])
         simulation = (
-            CompiledSimulation(subjects[i:j], setup.environment, timestep=timestep)
+            CompiledSimulation(subjects[i:j], setup.environment, timestep=step)
             if compiled
-            else Simulation(subjects[i:j], setup.environment, timestep=timestep, rope=setup.rope, strap=setup.strap)
+            else Simulation(subjects[i:j], setup.environment, timestep=step, rope=setup.rope, strap=setup.strap)
         )
         simulation.start(np.arange(j - i), known[:, : AHEAD + 1])
         simulation.advance(known[:, AHEAD + 1 :])
-        return known[:, 1 : n_steps + 1, 2:], simulation.log[:, :-1], simulation.diverged
+        return known[:, 1 : n + 1 : parts, 2:], simulation.log[:, :-1:parts], simulation.diverged
 
-    def read(i: int, push: Array, log: Array, diverged: bool) -> tuple[Array, Array, float]:
+    def limit(log: Array, diverged: bool) -> int | None:
+        """Sample from which the handle is beyond the workspace; minus one for an arm that never was, but diverged."""
         farthest = np.abs(log[::decimation, HANDLE]).max(axis=1)
         reached = np.flatnonzero(~(farthest < setup.environment.workspace))
         # Beyond the workspace limit nothing counts any more, but no arm gets far beyond it within a sample.
         if diverged and not (len(reached) and farthest[reached[0]] < LEAP * setup.environment.workspace):
-            raise RuntimeError(
-                f"trial {i} of subject {trials[i].subject.name!r} could not be integrated; expected finite motion (a "
-                "weaker perturbation or a smaller step)"
-            )
+            return -1
+        return int(reached[0]) if len(reached) else None
+
+    def read(i: int, push: Array, log: Array, diverged: bool) -> tuple[Array, Array, float]:
+        finer = iter(REFINEMENTS[1:])
+        while (end := limit(log, diverged)) == -1:
+            if (parts := next(finer, None)) is None:
+                raise RuntimeError(
+                    f"trial {i} of subject {trials[i].subject.name!r} could not be integrated; expected finite motion "
+                    "(a weaker perturbation or a smaller step)"
+                )
+            (push,), (log,), (diverged,) = simulate(i, i + 1, parts)
         rest = np.zeros(log.shape[1])
         rest[ANGLE] = subjects[i].posture
         signals = np.nan_to_num(log[:, HANDLE.start :]) if diverged else log[:, HANDLE.start :]
         signals = setup.sampled(signals, rest[HANDLE.start :])
         every = np.concatenate([flushed(log[::decimation, : HANDLE.start]), signals], axis=1)
-        limit_time = reached[0] * decimation * timestep if len(reached) else np.nan
+        limit_time = np.nan if end is None else end * decimation * timestep
         return setup.sampled(push), every, limit_time
 
     def run(block: int) -> list[tuple[Array, Array, float]]:
         i, j = block * size, min((block + 1) * size, len(trials))
-        results = [read(i + k, *of_trial) for k, of_trial in enumerate(zip(*simulate(i, j), strict=True))]
+        results = [read(i + k, *of_trial) for k, of_trial in enumerate(zip(*simulate(i, j, 1), strict=True))]
         if progress is not None:
             progress((j - i) * n_steps * timestep)
         return results

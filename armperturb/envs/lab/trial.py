@@ -122,22 +122,29 @@ def require_integrable(subject: Subject, environment: Environment, strap: Strap 
         )
 
 
-def known_ahead(trial: Trial, timestep: float, n_steps: int) -> Array:
+def known_ahead(trial: Trial, timestep: float, n_steps: int, parts: int = 1) -> Array:
     """What the motors of `models.rig.KNOWN` do from one step before the first to `AHEAD` steps after the last one.
 
     Args:
       trial: whose perturbation and noise.
-      timestep: of the simulation [s].
-      n_steps: of the trial.
+      timestep: at which the noise is drawn [s].
+      n_steps: of the trial, of the simulation's step.
+      parts: number of steps of the simulation in one of those; the noise is interpolated between them.
 
     Returns:
       Torque of the person's noise on the joints [Nm], and force on the handle [N], (n_steps + 4, motor).
     """
     from armperturb.models.rig import AHEAD, KNOWN  # here, as protocols are read without the simulator
 
+    step = timestep / parts
     known = np.zeros((n_steps + AHEAD + 1, len(KNOWN)))
-    known[:, 2:] = trial.perturbation.sample(1.0 / timestep, len(known), -timestep)
-    torque = noise_torque(trial, timestep, n_steps + AHEAD)
+    known[:, 2:] = trial.perturbation.sample(1.0 / step, len(known), -step)
+    coarse = -(-(n_steps + AHEAD - 1) // parts) + 1
+    torque = noise_torque(trial, timestep, coarse)
     if torque is not None:
+        if parts > 1:
+            from scipy.interpolate import CubicSpline  # here, as hardly a trial needs it
+
+            torque = CubicSpline(np.arange(coarse), torque)(np.arange(n_steps + AHEAD) / parts)
         known[1:, :2] = torque
     return known

@@ -4,10 +4,8 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import NamedTuple
 
-from armperturb.files import checksum
 from armperturb.study.protocol import THESIS
 from armperturb.study.recording.manifest import Manifest
 from armperturb.study.recording.settings import StudySettings
@@ -31,23 +29,24 @@ class Provenance(NamedTuple):
     recalled: Sequence[str]
 
 
-def provenance(study: StudyResult) -> Provenance:
-    """That of a study whose recordings are still there.
+def provenance(study: StudyResult, checksums: Mapping[str, str]) -> Provenance:
+    """That of a study.
 
-    Raises:
-      OSError: a recording is gone.
+    Args:
+      study: analysed.
+      checksums: file name of each recording to its checksum.
     """
     return Provenance(
         date=datetime.now(UTC).strftime("%d %B %Y").lstrip("0"),
         command=command_of(study.made) if study.made else "",
-        digest=digest_of(study.recordings),
+        digest=digest_of(checksums),
         recalled=recalled_numbers(),
     )
 
 
-def digest_of(recordings: Mapping[str, Path]) -> str:
+def digest_of(checksums: Mapping[str, str]) -> str:
     """SHA-256 over the lines "NAME CHECKSUM" of the files, in their order."""
-    lines = "".join(f"{path.name} {checksum(path)}\n" for path in recordings.values())
+    lines = "".join(f"{name} {checksum}\n" for name, checksum in checksums.items())
     return hashlib.sha256(lines.encode()).hexdigest()
 
 

@@ -3,10 +3,11 @@
 from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from importlib import metadata
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from armperturb.files import write_csv, write_whole, written_together
+from armperturb.files import checksum, write_csv, write_whole, written_together
 from armperturb.pages.page import Picture, rendered, versions
 from armperturb.perturbations.multisine import CLUSTERS, PERIOD
 from armperturb.progress import Progress
@@ -17,9 +18,11 @@ from armperturb.study.experiments.moving_shoulder import MovingShoulder, moving_
 from armperturb.study.recording.record import worker_count
 from armperturb.study.report.emg import emg_drawings, emg_of, emg_rows
 from armperturb.study.report.figures.catalogue import drawings
+from armperturb.study.report.films import film_units
 from armperturb.study.report.findings import excess_rows, finding_rows, findings
 from armperturb.study.report.nonlinear_tables import nonlinear_tables
 from armperturb.study.report.pictures import picture_units
+from armperturb.study.report.played import played_data, played_units
 from armperturb.study.report.provenance import provenance
 from armperturb.study.report.sections import joint_rows, sections
 from armperturb.study.report.tables import write_tables
@@ -73,8 +76,19 @@ def write_report(
         emg = emg_of(study, out, pool, show_progress)
         every = {**drawings(study, tested, yielding), **emg_drawings(study, emg)}
         draws = {name: draw for name, draw in every.items() if figures is None or name in figures}
-        with Progress("figures", total=len(draws), unit="figures", show=show_progress) as bar:
-            drawn = dict(zip(draws, kept_or_computed(picture_units(draws, out), pool, bar), strict=True))
+        checksums = {path.name: checksum(path) for path in study.recordings.values()}
+        pulses = draws["stills"].args[-1] if "stills" in draws else ()
+        # What takes longest comes first, so that workers end together.
+        kinds: dict[str, list[Unit[Any]]] = {
+            "films": film_units(pulses, checksums, out),
+            "drawn": picture_units(draws, out),
+            "played": played_units(study, checksums, out),
+        }
+        units = [unit for of_kind in kinds.values() for unit in of_kind]
+        with Progress("figures", total=len(units), unit="figures", show=show_progress) as bar:
+            results = iter(kept_or_computed(units, pool, bar))
+    made = {kind: list(islice(results, len(of_kind))) for kind, of_kind in kinds.items()}
+    drawn, played = dict(zip(draws, made["drawn"], strict=True)), played_data(made["played"])
     (out / "figures").mkdir(exist_ok=True)
     pictures = {out / "figures" / f"{name}.svg": each for name, each in drawn.items() if isinstance(each, Picture)}
     with written_together(pictures) as temporary:
@@ -94,8 +108,8 @@ def write_report(
     for name, lines in more.items():
         if lines:
             write_csv(lines, out / "tables" / f"{name}.csv")
-    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, emg)
-    page = _page(study, parts, drawn)
+    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, *made["films"], emg=emg)
+    page = _page(study, parts, drawn, checksums)
     report = out / "report.html"
     write_whole(report, page)
     return report
@@ -124,7 +138,12 @@ def _simulated(
     return results.get("mechanisms"), results["moving-shoulder"]
 
 
-def _page(study: StudyResult, parts: Mapping[str, Mapping[str, Any]], drawn: Mapping[str, Picture | str]) -> str:
+def _page(
+    study: StudyResult,
+    parts: Mapping[str, Mapping[str, Any]],
+    drawn: Mapping[str, Picture | str],
+    checksums: Mapping[str, str],
+) -> str:
     return rendered(
         "armperturb.study.report",
         "report.html",
@@ -138,6 +157,6 @@ def _page(study: StudyResult, parts: Mapping[str, Mapping[str, Any]], drawn: Map
         tasks=by_task(study),
         multisine={"period": PERIOD, "lines": CLUSTERS.size, "clusters": len(CLUSTERS)},
         versions=versions("armperturb", "mujoco", "numpy", "scipy"),
-        origin=provenance(study),
+        origin=provenance(study, checksums),
         licence=metadata.metadata("armperturb")["License-Expression"],
     )

@@ -19,6 +19,7 @@ from armperturb.study.experiments.moving_shoulder import MovingShoulder
 from armperturb.study.report import findings as of_study
 from armperturb.study.report.emg import emg_section, relaxation
 from armperturb.study.report.explorer import panels
+from armperturb.study.report.films import Films
 from armperturb.study.report.nonlinear_tables import SHOWN_MODELS, nonlinear_tables, words_of
 from armperturb.study.report.published_tables import published_tables
 from armperturb.study.report.tables import Row, mean_sd_of
@@ -46,6 +47,8 @@ def sections(
     yielding: Yielding | None,
     shoulder: MovingShoulder | None,
     drawn: Collection[str],
+    played: Sequence[Mapping[str, Any]] = (),
+    films: Films | str = "",
     emg: Sequence[PersonEmg] = (),
 ) -> dict[str, dict[str, Any]]:
     """All sections that a study has content for, in order: template to what it shows beside what all sections know.
@@ -58,6 +61,8 @@ def sections(
       yielding: what the first person's muscles do; None if they are linear.
       shoulder: what it does if the first person's shoulder moves; None of people who were not simulated.
       drawn: names of the figures that are there.
+      played: people whose trials are played, see `played.played_data`.
+      films: of pulses; the reason if this machine cannot make any.
       emg: what everybody's EMG tells; empty without any.
     """
     conditions = study.protocol.conditions
@@ -86,8 +91,8 @@ def sections(
         },
         "left_out": {"lists": left_out(study, rows["fits"], study.remarks if score is None else score.remarks)},
     }
-    if study.conditions:
-        contexts["explorer"] = {"panels": panels(study)}
+    if study.conditions or played:
+        contexts["explorer"] = {"panels": panels(study), "played": played}
     if PULSES_DRAWN & set(drawn):
         contexts["pulses"] = {
             "findings": ratios,
@@ -111,7 +116,10 @@ def sections(
             "names": NAMES,
         }
     if "stills" in drawn:
-        contexts["stills"] = {}
+        contexts["stills"] = {
+            "films": films.films if isinstance(films, Films) else (),
+            "reason": "" if isinstance(films, Films) else films,
+        }
     if yielding is not None:
         contexts["yielding"] = {"yielding": yielding, "pulses": PULSES, "alone": alone}
     if score is not None:

@@ -9,6 +9,8 @@
 | `analysis/mechanisms.json.gz`, `analysis/moving-shoulder.json.gz` | further simulations of the first person |
 | `analysis/NAME-emg.json.gz` | what a person's EMG tells |
 | `analysis/figure-NAME.json.gz` | a figure of the report |
+| `analysis/films.json.gz` | films of pulses in the report |
+| `analysis/played-NAME.json.gz` | trials of a person that the report plays |
 
 A result is used again as long as its source agrees: the checksums of the recordings, the settings, and the version of
 the algorithm; and the file is the user's own, unchanged (see `armperturb.archive`). Other changes of the code have no
@@ -36,7 +38,17 @@ Result = TypeVar("Result")
 ANALYSIS = "analysis"
 """Folder of the files, inside the study folder."""
 
-VERSIONS = {"person": 1, "step-2": 1, "nonlinear": 1, "mechanisms": 1, "moving-shoulder": 2, "figure": 1, "emg": 1}
+VERSIONS = {
+    "person": 1,
+    "step-2": 1,
+    "nonlinear": 1,
+    "mechanisms": 1,
+    "moving-shoulder": 2,
+    "figure": 1,
+    "played": 1,
+    "films": 1,
+    "emg": 1,
+}
 """Kind of result to the version of its algorithm.
 
 Raise a number in the commit that makes earlier results of that kind wrong or unreadable: when their values change by

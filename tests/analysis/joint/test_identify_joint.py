@@ -1,6 +1,7 @@
 """Joint identification on simulated people whose equations share nothing with the package."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import one_joint
@@ -8,6 +9,7 @@ import pytest
 
 from armperturb.analysis.joint.export import joint_summary, write_joint
 from armperturb.analysis.joint.identify import identify_joint
+from armperturb.analysis.joint.intrinsic import check_intrinsic
 from armperturb.analysis.joint.model import JointModel, JointStructure
 from armperturb.analysis.joint.signals import joint_signals
 from armperturb.analysis.page.joint_page import write_joint_page
@@ -70,6 +72,27 @@ def test_the_profile_of_the_delay_has_its_minimum_at_the_estimate(result):
     delays, fall = result.profile
     assert delays[np.argmin(fall)] == pytest.approx(result.values["reflex_delay"], abs=1e-3)
     assert min(fall[0], fall[-1]) > 3.84
+
+
+@pytest.mark.slow(reason="shares the search above")
+def test_an_impulse_response_agrees_with_the_intrinsic_path(ankle, result):
+    check = result.intrinsic
+    assert abs(check.left_out_vaf - check.structured_vaf) < 0.2
+    assert np.argmax(np.abs(check.response)) == len(check.lag) // 2
+    assert check.response[len(check.lag) // 2] == pytest.approx(ankle.inertia, rel=0.1)
+    assert not any("impulse response" in remark for remark in result.remarks)
+
+
+def test_an_impulse_response_finds_an_intrinsic_path_that_is_more(recording):
+    signals = joint_signals(recording.isel(time=slice(0, 12000)))
+    late = np.roll(signals.acceleration, round(0.01 * signals.rate), axis=1)  # as in a soft fixation
+    more = replace(signals, torque=0.01 * signals.acceleration + 0.01 * late + 60.0 * signals.angle)
+    plain = replace(signals, torque=0.02 * signals.acceleration + 0.5 * signals.velocity + 60.0 * signals.angle)
+    nothing = np.zeros_like(signals.angle)
+    of_more, of_plain = check_intrinsic(more, nothing), check_intrinsic(plain, nothing)
+    assert of_more.left_out_vaf - of_more.structured_vaf > 2.0
+    assert of_plain.left_out_vaf - of_plain.structured_vaf == pytest.approx(0.0, abs=0.01)
+    np.testing.assert_allclose(of_plain.response, 0.02 * (of_plain.lag == 0.0), atol=2e-4)
 
 
 @pytest.mark.slow(reason="shares the search above")

@@ -21,7 +21,7 @@ from armperturb.environment import TIMESTEP, Environment
 from armperturb.envs.lab.emg import Emg
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
-from armperturb.envs.lab.trial import Trial, subject_in
+from armperturb.envs.lab.trial import Trial, known_ahead, subject_in
 from armperturb.models.rig import build_model, start_motors
 from armperturb.perturbations import Multisine, MultisineThenPulse, Pulse, Sampled
 from armperturb.perturbations.multisine import PERIOD as MULTISINE_PERIOD
@@ -200,6 +200,35 @@ def test_what_cannot_be_integrated_is_refused(tmp_path, monkeypatch, capfd):
         run_experiment([Trial(subject=RELAX, perturbation=pulse)], ENVIRONMENT)
     assert list(tmp_path.iterdir()) == []  # MuJoCo would leave a log here
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "compiled"])
+def test_a_trial_too_fast_for_the_step_is_simulated_again_at_a_finer_one(engine):
+    # The blow stretches the elbow, which snaps through its singular posture.
+    blow = Trial(subject=RELAX, perturbation=Pulse(peak=2000.0, direction_deg=90.0, onset=0.1, duration=0.3))
+    gentle = replace(blow, perturbation=replace(blow.perturbation, peak=2.0))
+    both, alone, finer = (
+        run_experiment(trials, ENVIRONMENT, engine=engine, timestep=timestep)
+        for trials, timestep in (([gentle, blow], 2.5e-3), ([blow], 2.5e-3), ([blow], 1.25e-3))
+    )
+    assert np.isnan(both["limit_time"].values[0])
+    assert both["limit_time"].values[1] == alone["limit_time"].item() == pytest.approx(finer["limit_time"].item())
+    np.testing.assert_array_equal(both["displacement"].values[1], alone["displacement"].values[0])
+
+
+def test_noise_is_the_same_at_a_finer_step():
+    trial = Trial(
+        subject=POSITION,
+        perturbation=Multisine.draw(seed=0, rms=5.0, duration=4.0, crested=False),
+        noise=HUMAN_NOISE["PT"],
+        seed=3,
+    )
+    coarse, fine = known_ahead(trial, 2.5e-3, 1600), known_ahead(trial, 2.5e-3, 6400, 4)
+    np.testing.assert_allclose(fine[1::4, :2], coarse[1 : 1 + len(fine[1::4]), :2], atol=1e-12)
+    between = 0.5 * (coarse[1:-1, :2] + coarse[2:, :2])
+    np.testing.assert_allclose(fine[3::4, :2][: len(between)], between[: len(fine[3::4])], atol=0.02 * between.std())
+    # The force starts one step before the first.
+    np.testing.assert_allclose(fine[1::4, 2:][:1600], coarse[1:1601, 2:], atol=1e-12)
 
 
 def test_recording_carries_the_labels_of_its_trials():

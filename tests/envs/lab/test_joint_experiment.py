@@ -154,3 +154,10 @@ def test_bad_input_is_refused():
         run_joint_experiment(
             [JointTrial(person=replace(ANKLE, kv=12.0), perturbation=torque)], servo_of("ankle", "force")
         )
+
+
+@pytest.mark.parametrize("person", [*JOINT_PEOPLE.values(), half_wave(ANKLE, 0.1, 0.02)])
+def test_people_are_read_back_as_they_were_written(person, tmp_path):
+    person.save(tmp_path / "person.toml")
+    assert JointPerson.load(tmp_path / "person.toml") == person
+    assert JointPerson.load(tmp_path / "person.toml").at_level(2.0).held_torque == 2.0 * person.held_torque

@@ -11,6 +11,7 @@ from tests.browser import (
     TOO_WIDE,
     ZOOMS,
     Browser,
+    barriers,
     complaints,
     requests,
 )
@@ -48,11 +49,13 @@ def test_report_is_whole_and_readable(browser, thesis_report, width):
     assert browser.evaluate("innerWidth") == width
     assert browser.evaluate(WORDS) <= MOST_WORDS
     assert browser.evaluate(TOO_WIDE) == []
+    assert barriers(browser) == {}
     browser.evaluate("document.querySelectorAll('details').forEach(each => { each.open = true; })")
     assert browser.evaluate("document.images.length") == len(list((thesis_report / "figures").glob("*.svg")))
     assert browser.evaluate(BROKEN_IMAGES) == []
     assert browser.evaluate(TOO_WIDE) == []
     assert browser.evaluate(SMALL_PRINT) == []
+    assert barriers(browser) == {}
     assert browser.evaluate("document.querySelectorAll('nav a').length") > 5
     assert browser.evaluate(DEAD_LINKS) == []
     zoomed = browser.evaluate(ZOOMS)
@@ -107,9 +110,72 @@ def test_tables_sort_and_tables_and_figures_are_saved(browser, thesis_report):
     assert "svg" in picture or "xml" in picture
 
 
-PAGE = """<!doctype html><html lang="en"><head><link rel="icon" href="data:,"></head><body>
+PLAYED = """
+(async () => {
+  const at = name => document.getElementById(`played-${name}`), told = [];
+  const ink = () => at("arm").toDataURL();
+  at("person").selectedIndex = 1;
+  at("person").dispatchEvent(new Event("change"));
+  [...at("trial").options].forEach((option, k) => {
+    at("trial").selectedIndex = k;
+    at("trial").dispatchEvent(new Event("change"));
+    told.push(at("said").textContent);
+  });
+  at("time").value = 0.3;
+  at("time").dispatchEvent(new Event("input"));
+  const still = ink();
+  at("speed").value = "1";
+  at("play").click();
+  await new Promise(resolve => setTimeout(resolve, 400));
+  const moved = ink() !== still, pressed = at("play").getAttribute("aria-pressed");
+  at("play").click();
+  return { told, moved, pressed, after: at("play").textContent };
+})()
+"""
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_a_persons_pulse_is_played(browser, thesis_report, thesis_study, width):
+    browser.show(thesis_report / "report.html", width)
+    played = browser.evaluate(PLAYED)
+    assert (played["moved"], played["pressed"], played["after"]) == (True, "true", "Play")
+    assert len(played["told"]) == 10  # each level of each condition, to one side
+    person = thesis_study.people[1]
+    for said in played["told"]:
+        name, condition, rest = said.split(", ", 2)
+        assert name == person.name
+        mine = [t for t in person.trials if t.condition == condition and t.displacement == t.displacement]
+        recorded = float(rest.split("at most ")[1].split(" cm")[0])
+        trial = min(mine, key=lambda t: abs(100.0 * t.displacement - recorded))
+        assert recorded == pytest.approx(100.0 * trial.displacement, abs=0.06)
+        if condition.endswith("T0"):
+            assert "predicted" not in rest
+        else:
+            predicted = float(rest.split("; ")[1].split(" cm")[0])
+            assert predicted == pytest.approx(100.0 * trial.predicted_linear, abs=0.06)
+    assert complaints(browser) == []
+    assert browser.evaluate("document.querySelectorAll('.film video').length") == 2
+
+
+FIRST_PAINT = "performance.getEntriesByName('first-contentful-paint')[0].startTime"
+
+MOST_PAINT = 1500.0
+"""Time to the first paint [ms]."""
+
+
+def test_something_is_seen_soon(browser, thesis_report):
+    # The least of several: others may keep the processor busy.
+    times = []
+    for _ in range(3):
+        browser.show(thesis_report / "report.html", 1280)
+        browser.evaluate("new Promise(resolve => requestAnimationFrame(() => requestAnimationFrame(resolve)))")
+        times.append(browser.evaluate(FIRST_PAINT))
+    assert min(times) < MOST_PAINT
+
+
+PAGE = """<!doctype html><html lang="en"><head><title>Page</title><link rel="icon" href="data:,"></head><body>
 <nav><a href="#one">One</a></nav><div style="height: 50px"></div>
-<section id="one" style="height: 3000px"><p>Text</p>{}</section></body></html>"""
+<main><section id="one" style="height: 3000px"><p>Text</p>{}</section></main></body></html>"""
 SPOILED = {
     "a broken image": ('<img alt="gone" src="data:image/png;base64,AAAA">', lambda it: it.evaluate(BROKEN_IMAGES)),
     "an image from elsewhere": ('<img alt="x" src="https://example.invalid/x.png">', requests),
@@ -119,6 +185,11 @@ SPOILED = {
     "a wide table": ('<div style="width: 2000px">x</div>', lambda it: it.evaluate(TOO_WIDE)),
     "small print": ('<p style="font-size: 6px">x</p>', lambda it: it.evaluate(SMALL_PRINT)),
     "a dead link": ('<nav><a href="#two">Two</a></nav>', lambda it: it.evaluate(DEAD_LINKS)),
+    "faint text": ('<p style="color: #999">x</p>', barriers),
+    "a field without a name": ("<input>", barriers),
+    "a table without heads": ("<table><tr><td>1</td></tr></table>", barriers),
+    "a name twice": ('<p id="one">x</p>', barriers),
+    "a heading left out": ("<h1>x</h1><h3>y</h3>", barriers),
     "a figure that stays small": (
         '<figure><label class="zoom"><input type="checkbox"><img alt="x" src="data:,"></label></figure>',
         lambda it: it.evaluate(ZOOMS)["failed"],

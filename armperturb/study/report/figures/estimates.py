@@ -52,6 +52,7 @@ def estimates(study: StudyResult) -> Figure:
                     any_printed = True
                     ax.errorbar(place - ASIDE, printed.mean, printed.sd, **PRINTED, elinewidth=1.0, capsize=2)
             ax.set_xlim(left=-0.6)
+            ax.margins(y=0.06)
             ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
             ax.tick_params(axis="x", labelsize=6.5)
             if quantity == shown[0]:

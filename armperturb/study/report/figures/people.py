@@ -45,17 +45,24 @@ def draw_people(ax: Axes, groups: Groups, *, logarithmic: bool = True) -> dict[s
     """
     places: dict[str, int] = {}
     average = geometric_mean if logarithmic else arithmetic_mean
+    means = []
     for task, of_task in groups.items():
         for label in of_task:
             places[label] = len(places)
+        # Artists are slow: one holds everybody of a task, with gaps between people.
+        x: list[float] = []
+        y: list[float] = []
         for name in dict.fromkeys(name for values in of_task.values() for name in values):
             there = [label for label in of_task if name in of_task[label]]
-            values = [of_task[label][name] for label in there]
-            ax.plot([places[label] for label in there], values, color=COLOURS[task], **PERSON)
-        for label, people in of_task.items():
-            mean, lower, upper = average(list(people.values()))
-            error = None if math.isnan(lower) else np.array([[mean - lower], [upper - mean]])
-            ax.errorbar(places[label] + ASIDE, mean, error, **MEAN)
+            x += [*(places[label] for label in there), math.nan]
+            y += [*(of_task[label][name] for label in there), math.nan]
+        ax.plot(x, y, color=COLOURS[task], **PERSON)
+        means += [
+            (places[label] + ASIDE, *average(list(people.values()))) for label, people in of_task.items() if people
+        ]
+    if means:
+        place, mean, lower, upper = np.transpose(means)
+        ax.errorbar(place, mean, (mean - lower, upper - mean), **MEAN)
     ax.set_xticks(list(places.values()), list(places), parse_math=False)
     ax.set_xlim(-0.5, len(places) - 0.5 + ASIDE)
     ax.grid(visible=False, axis="x")

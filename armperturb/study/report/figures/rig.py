@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from armperturb.analysis.measures.kinematics import hand_position
 from armperturb.cohort import Person
 from armperturb.environment import Environment
-from armperturb.envs.render.camera import render
+from armperturb.envs.render.camera import render, simplify
 from armperturb.models.rig import build_model
 from armperturb.plots.style import COLOURS, INK, in_style, new_figure
 from armperturb.study.results.study_result import StudyResult
@@ -72,7 +72,7 @@ def stills(person: Person, environment: Environment, pulses: Sequence[xr.Dataset
     for row, trial, after in zip(panels, pulses, times, strict=True):
         task, rate = str(trial["task"].values[0]), float(trial.attrs["rate"])
         model = build_model(person.subjects[task], environment)
-        model.vis.quality.shadowsize = 1024  # most of the time goes into shadows, which so small a picture hardly shows
+        simplify(model, PIXELS)
         onset = round(float(trial["pulse_onset"].values[0]) * rate)
         displacement, angle = (trial[name].values[0] for name in ("displacement", "joint_angle"))
         start = hand_position(person.subjects[task].posture, person.subjects[task].l_h, person.subjects[task].l_f)

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from armperturb.analysis.fit.admittance_fit import AdmittanceFit
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.measures import kinematics
 from armperturb.analysis.measures.pulse import WINDOWS, pulse_span
@@ -75,6 +76,19 @@ def first_pulses(
     return dict(sorted(first.items()))
 
 
+def stable_fits(recording: xr.Dataset, estimate: ThesisEstimate | None) -> dict[int, AdmittanceFit]:
+    """Trial to its own fit, of those that are stable and so predict.
+
+    Args:
+      recording: one person's trials of one condition.
+      estimate: the fits of the trials that `ConditionTrials.multisine` keeps; None without any.
+    """
+    if estimate is None:
+        return {}
+    fitted = ConditionTrials.prepare(recording, is_checked=True).multisine.numbers
+    return {int(trial): fit for trial, fit in zip(fitted, estimate.fits, strict=True) if fit.stable}
+
+
 def responses(recording: xr.Dataset, estimate: ThesisEstimate | None, level: float) -> dict[float, dict[str, Array]]:
     """Direction of pulses [degree] to paths of the handle after the first: "recorded", "linear" and "skeletal".
 
@@ -86,10 +100,7 @@ def responses(recording: xr.Dataset, estimate: ThesisEstimate | None, level: flo
       estimate: the fits of the trials that `ConditionTrials.multisine` keeps.
       level: of the pulse [-].
     """
-    fits = {}
-    if estimate is not None:
-        fitted = ConditionTrials.prepare(recording, is_checked=True).multisine.numbers
-        fits = {int(trial): fit for trial, fit in zip(fitted, estimate.fits, strict=True) if fit.stable}
+    fits = stable_fits(recording, estimate)
     rate = float(recording.attrs["rate"])
     results = {}
     for direction, trial in first_pulses(recording, level, fits).items():

@@ -1,0 +1,41 @@
+"""Vectors at each frequency, and the rows of real numbers that least squares make of them."""
+
+import numpy as np
+
+from armperturb.arrays import Array, ComplexArray
+
+CACHED = 2**12
+"""Frequencies at which derivatives stay in a processor's cache."""
+
+
+def applied(matrix: ComplexArray, values: ComplexArray) -> ComplexArray:
+    """Matrices (row, column, frequency) times vectors (..., column, frequency)."""
+    product = np.empty((*values.shape[:-2], len(matrix), values.shape[-1]), dtype=complex)
+    parts = np.moveaxis(values, -2, 0)
+    for of_row, out in zip(matrix, np.moveaxis(product, -2, 0), strict=True):
+        np.multiply(of_row[0], parts[0], out=out)
+        for factor, part in zip(of_row[1:], parts[1:], strict=True):
+            out += factor * part
+    return product
+
+
+def applied_rows(matrix: ComplexArray, values: ComplexArray) -> Array:
+    """Real then imaginary parts of what `applied` gives, its last two axes as one, (..., number)."""
+    rows = np.empty((*values.shape[:-2], 2, len(matrix), values.shape[-1]))
+    for start in range(0, values.shape[-1], CACHED):
+        run = slice(start, start + CACHED)
+        product = applied(matrix[..., run], values[..., run])
+        rows[..., 0, :, run], rows[..., 1, :, run] = product.real, product.imag
+    return rows.reshape(*values.shape[:-2], -1)
+
+
+def complex_values(rows: Array, shape: tuple[int, ...]) -> ComplexArray:
+    """What `applied_rows` gives, as complex numbers of a shape (..., row, frequency)."""
+    real, imaginary = np.split(rows, 2, axis=-1)
+    return np.asarray((real + 1j * imaginary).reshape(shape))
+
+
+def orthonormal(rows: Array) -> Array:
+    """Orthonormal rows that span the given ones, none of which is zero, (at most row, number)."""
+    _, size, basis = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True), full_matrices=False)
+    return np.asarray(basis[size > 1e-9 * size[0]])

@@ -1,0 +1,44 @@
+"""Linear arms from which nonlinear fits start, whatever perturbs the trials."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from armperturb.analysis.nonlinear.start import SHORTEST, linear_arms
+from armperturb.analysis.trials import ConditionTrials
+from armperturb.envs.lab.experiment import run_experiment
+from armperturb.envs.lab.instruments import Instruments
+from armperturb.envs.lab.trial import Trial
+from armperturb.perturbations import Sampled
+from armperturb.subject import POSITION
+
+RATE = 400.0
+
+
+def shaken(seconds):
+    """Two trials of the preset that keeps position, shaken by noise that never repeats."""
+    lowpass = signal.butter(2, 8.0, fs=RATE, output="sos")
+    forces = (
+        signal.sosfilt(lowpass, 20.0 * np.random.default_rng(seed).standard_normal((round(seconds * RATE), 2)), axis=0)
+        for seed in (1, 2)
+    )
+    trials = [Trial(subject=POSITION, perturbation=Sampled(force=f, rate=RATE), condition="PT7.5") for f in forces]
+    trials = [replace(trial, repetition=number) for number, trial in enumerate(trials)]
+    instruments = Instruments(marker_noise=None, emg=None)
+    return ConditionTrials.prepare(run_experiment(trials, instruments=instruments, engine="compiled"))
+
+
+@pytest.mark.slow(reason="identifies an arm from noise")
+def test_noise_that_does_not_repeat_tells_the_linear_arm_to_start_from():
+    arm = linear_arms({"PT7.5": shaken(SHORTEST)})["PT7.5"]
+    for name in ("k_s", "k_se", "k_e", "kv_s", "kv_se", "kv_e"):
+        assert getattr(arm, name) == pytest.approx(getattr(POSITION, name), rel=0.15), name
+
+
+def test_trials_too_short_to_start_from_are_refused():
+    with pytest.raises(
+        ValueError, match=r"PT: all pulses or ends come before 10 s; expected a trial .* or 10 s of noise"
+    ):
+        linear_arms({"PT7.5": shaken(9.0)})
