@@ -108,7 +108,8 @@ def write_report(
     for name, lines in more.items():
         if lines:
             write_csv(lines, out / "tables" / f"{name}.csv")
-    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, *made["films"], emg=emg)
+    films = made["films"][0] if made["films"] else ""
+    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, films, emg)
     page = _page(study, parts, drawn, checksums)
     report = out / "report.html"
     write_whole(report, page)
