@@ -31,7 +31,7 @@ def main(people: int, servos: list[str]) -> None:
     for servo in servos:
         errors = {name: [] for name in TARGETS}
         expected = {name: [] for name in TARGETS}
-        covered, linear, one_sided = [], [], []
+        covered, linear, one_sided, lacks = [], [], [], []
         held, right, started = [], {"half-wave": [], "linear": [], "none": []}, time.process_time()
         for number in range(people):
             name = list(one_joint.JOINTS)[number % 3]
@@ -57,6 +57,7 @@ def main(people: int, servos: list[str]) -> None:
                 if not right[reflex][-1]:
                     print(f"{servo} {name} {number} {reflex}: chosen {chosen.name}", flush=True)
                     continue
+                lacks.append(result.lack_of_fit)
                 for parameter, value in result.values.items():
                     true = getattr(person, parameter)
                     if parameter in TARGETS:

@@ -65,6 +65,7 @@ def test_displacement_has_the_wanted_size(kind):
     assert np.sqrt(np.mean(x**2)) == pytest.approx(setup.rms, rel=0.35)
 
 
+@pytest.mark.slow(reason="simulates many trials")
 @pytest.mark.parametrize("kind", ["multisine", "noise", "filtered noise"])
 def test_the_admittance_without_a_model_is_inside_its_circles(kind):
     covered = []

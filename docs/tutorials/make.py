@@ -18,7 +18,7 @@ import matplotlib
 
 FOLDER = Path(__file__).resolve().parent
 EXAMPLES = FOLDER.parents[1] / "examples"
-NAMES = ("fit_my_recording", "simulate_a_laboratory", "plan_an_experiment", "train_an_agent")
+NAMES = ("fit_my_recording", "simulate_a_laboratory", "plan_an_experiment", "train_an_agent", "is_this_arm_human")
 
 
 class Cell(NamedTuple):

@@ -40,6 +40,7 @@ def balances():
     return [recorded(seed) for seed in range(12)]
 
 
+@pytest.mark.slow(reason="balances many recordings")
 def test_environment_and_noise_of_both_instruments_come_out_of_the_balance(balances):
     found = [balance.fit() for balance, _ in balances]
     for environment, levels in found:
@@ -62,6 +63,7 @@ def test_noise_levels_hold_for_other_instruments(gauge):
     assert found.displacement == pytest.approx(levels.displacement, rel=0.05)
 
 
+@pytest.mark.slow(reason="balances many recordings")
 def test_combined_displacement_has_the_variance_of_theory_and_is_better_than_either_instrument(balances):
     frequency = np.fft.rfftfreq(N_SAMPLES - 2 * round(EDGE * RATE), 1 / RATE)[1:]
     s = 2j * np.pi * frequency
@@ -83,6 +85,7 @@ def test_combined_displacement_has_the_variance_of_theory_and_is_better_than_eit
     assert power[frequency > 35].mean() < (LEVELS.displacement / 25) ** 2
 
 
+@pytest.mark.slow(reason="balances many recordings")
 def test_skew_of_the_clocks_is_measured(balances):
     none = np.array([balance.skew(*balance.fit()) for balance, _ in balances])
     assert np.sqrt(np.mean((none[:, 0] / none[:, 1]) ** 2)) == pytest.approx(1.0, abs=0.5)

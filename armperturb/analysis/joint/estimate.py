@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from armperturb.analysis.fit.ladder import left_out_loss
+from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.joint.likelihood import JointLikelihood, Loop
 from armperturb.analysis.joint.model import (
     INTRINSIC,
@@ -57,6 +58,7 @@ class JointEstimate(NamedTuple):
       objective: minus twice the log-likelihood, but for a constant [-].
       loss: of likelihood on blocks that are left out, see `fit.ladder` [-].
       converged: whether the rounds ended.
+      lack: whether it leaves something that a linear response to the servo's input explains.
     """
 
     structure: JointStructure
@@ -66,6 +68,7 @@ class JointEstimate(NamedTuple):
     objective: float
     loss: float
     converged: bool
+    lack: LackOfFit
 
 
 def estimate_joint(
@@ -94,15 +97,16 @@ def estimate_joint(
     free = ~at_bound
     covariance = np.full((len(values), len(values)), np.nan)
     covariance[np.ix_(free, free)] = _covariance(likelihood, values, free)
-    return JointEstimate(
-        structure, values, covariance, at_bound, objective, left_out_loss(likelihood.scores(values)), converged
-    )
+    loss, lack = left_out_loss(likelihood.scores(values)), likelihood.lack_of_fit(values)
+    return JointEstimate(structure, values, covariance, at_bound, objective, loss, converged, lack)
 
 
 def delay_profile(fit: JointEstimate, signals: JointSignals, loop: Loop | None, delays: Array) -> Array:
-    """Objective with the delay held at each of several values and all other parameters estimated, (delay,).
+    """Sum of squares with the delay held at each of several values, other parameters estimated, (delay,).
 
-    The noise is that of the estimate, so that differences are those of chi squared with one degree of freedom.
+    On a force servo they are those of the movement, which a nonlinear reflex makes slightly less efficient than
+    instruments. The noise is that of the estimate, so that differences are those of chi squared with one degree of
+    freedom.
     """
     likelihood = JointLikelihood(fit.structure, signals, loop)
     likelihood.weigh(fit.values)
@@ -115,7 +119,7 @@ def delay_profile(fit: JointEstimate, signals: JointSignals, loop: Loop | None, 
         for at in order:
             values[place] = delays[at]
             values = _minimised(likelihood, values, LONGEST_DELAY, others)
-            objectives[at] = likelihood.objective(values)
+            objectives[at] = np.sum(likelihood.output_rows(values, likelihood.movement(values)) ** 2)
     return objectives
 
 
@@ -177,7 +181,7 @@ def _searched(likelihood: JointLikelihood, start: Array, longest_delay: float) -
         likelihood.weigh(values)
         if likelihood.signals.servo == "position":
             values = _minimised(likelihood, values, longest_delay, everything)
-            objective = likelihood.objective(values)
+            objective = likelihood.weighed_objective(values)
             converged = abs(before - objective) < SETTLED
             before = objective
         elif number < SEARCHES:
@@ -188,7 +192,7 @@ def _searched(likelihood: JointLikelihood, start: Array, longest_delay: float) -
         if converged:
             break
     likelihood.weigh(values)
-    return values, likelihood.objective(values), converged
+    return values, likelihood.weighed_objective(values), converged
 
 
 def _minimised(likelihood: JointLikelihood, start: Array, longest_delay: float, free: Array) -> Array:
@@ -239,7 +243,7 @@ def _instrumented(likelihood: JointLikelihood, values: Array, lower: Array, uppe
         scale = _sizes(instruments)
         error = np.sqrt(np.diag(np.linalg.pinv(instruments @ instruments.T / np.outer(scale, scale)))) / scale
         matrix = (instruments @ columns.T) / np.outer(scale, scale)
-        slope = instruments @ likelihood.rows(likelihood.residual(values)).ravel() / scale
+        slope = instruments @ likelihood.residual(values).ravel() / scale
         step = np.linalg.lstsq(matrix, slope, rcond=1e-8)[0] / scale
         moved = np.clip(values + step, lower, upper)
         try:

@@ -25,6 +25,7 @@ def joint_summary(result: JointIdentification) -> dict[str, Any]:
         "held_out_vaf_by_model": dict(result.held_out),
         "predicted_by": result.predicted_by,
         "free_model_left_out_vaf": None if free is None else free.left_out_vaf,
+        "lack_of_fit": {**result.lack_of_fit._asdict(), "p": result.lack_of_fit.p_value},
         "intrinsic_check": None
         if result.intrinsic is None
         else {

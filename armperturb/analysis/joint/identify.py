@@ -8,6 +8,8 @@ import numpy as np
 import xarray as xr
 
 from armperturb.analysis.fit.ladder import CAUTION, CLOSE
+from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
+from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.joint.estimate import JointEstimate, delay_profile, estimate_joint
 from armperturb.analysis.joint.intrinsic import IntrinsicCheck, check_intrinsic
 from armperturb.analysis.joint.likelihood import Loop, environment_of, simulated_movement
@@ -85,6 +87,7 @@ class JointIdentification(FitResult):
       held_out: kind of model to the VAF of what follows `fit_until`, from the input alone [%]; empty without.
       fit_until: end of what was fitted [s]; None for all.
       environment: inertia, damping and stiffness of a force servo's virtual environment; None of a position servo.
+      lack_of_fit: whether the structure leaves something that a linear response to the servo's input explains.
       profile: delays [s] and twice the fall of the log-likelihood [-], (2, delay); empty without reflex.
       band: of the frequencies that count [Hz].
       trace: of the first trial.
@@ -103,6 +106,7 @@ class JointIdentification(FitResult):
     held_out: Mapping[str, float]
     fit_until: float | None
     environment: Loop | None
+    lack_of_fit: LackOfFit
     profile: Array
     band: tuple[float, float]
     trace: Trace
@@ -241,6 +245,7 @@ def identify_joint(
         held_out={} if fit_until is None else _held_out(every, best, loop, free, fit_until),
         fit_until=fit_until,
         environment=loop,
+        lack_of_fit=best.lack,
         profile=_profile(best, signals, loop),
         band=(0.05, 0.85 * signals.top),
         trace=_trace(every, best, loop, free),
@@ -323,7 +328,7 @@ def _trace(signals: JointSignals, best: JointEstimate, loop: Loop | None, free: 
 
 
 def _profile(best: JointEstimate, signals: JointSignals, loop: Loop | None) -> Array:
-    if best.structure.reflex == "none" or loop is not None:
+    if best.structure.reflex == "none":
         return np.empty((2, 0))
     delay = best.values[best.structure.parameters.index("reflex_delay")]
     # Densest at the estimate: the fall there is a matter of tenths of a millisecond, or of ten.
@@ -343,6 +348,12 @@ def _remarks(
     said = [f"{name} sits on a bound, and has no interval" for name in at_bound]
     if not best.converged:
         said.append("the noise and the parameters did not settle together: intervals may be too short")
+    lack = best.lack
+    if lack.p_value < SUSPICIOUS:
+        said.append(
+            f"the structure leaves what a linear response explains (chi2/dof = {lack.chi2 / lack.dof:.3g}): intervals "
+            "are too short"
+        )
     if free is not None:
         used = signals.used
         torque = JointModel(best.structure, signals).torque(best.values)

@@ -1,7 +1,7 @@
 """Likelihood of a joint's torque with coloured noise, for an imposed movement and inside a closed loop.
 
 The residual u = torque - model is complex normal at each frequency with a smooth, unknown spectrum (Whittle 1953). That
-is estimated from the residual as in `analysis.fit.likelihood`. Offset and drift of each trial are taken out.
+is estimated from the residual as in `analysis.fit.whittle`. Offset and drift of each trial are taken out.
 
 On a position servo the movement is imposed and the derivatives of the model are those at the recorded movement. On a
 force servo the noise moves the joint too. Derivatives are then those at the movement that the perturbation alone causes
@@ -9,13 +9,15 @@ in the model, which no noise reaches: at the optimum they are instruments that a
 nonlinearity (Soderstrom and Stoica 1983, Instrumental Variable Methods, ch. 6).
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy import fft, signal
 
-from armperturb.analysis.fit.frequency_bands import Smoother
+from armperturb.analysis.fit.frequency_rows import applied_rows, orthonormal
+from armperturb.analysis.fit.whittle import ALL, Whittle
 from armperturb.analysis.joint.model import JointModel, JointStructure, activated, drive_of, play_operator
 from armperturb.analysis.joint.signals import JointSignals, time_blocks
 from armperturb.arrays import Array, ComplexArray
@@ -62,8 +64,8 @@ class Loop(NamedTuple):
     stiffness: float
 
 
-class JointLikelihood:
-    """Likelihood of trials of a joint with one structure.
+class JointLikelihood(Whittle):
+    """Likelihood of trials of a joint with one structure: of one output, the torque at the recorded movement.
 
     Args:
       structure: of the joint.
@@ -74,7 +76,7 @@ class JointLikelihood:
     def __init__(self, structure: JointStructure, signals: JointSignals, loop: Loop | None = None) -> None:
         self.structure, self.signals, self._loop = structure, signals, loop
         self._model = JointModel(structure, signals)
-        self._latest: tuple[bytes, JointSignals] = b"", signals
+        self._moved: tuple[bytes, JointSignals] = b"", signals
         self._impedance: ComplexArray | None = None
         used = signals.used
         n = used.stop - used.start
@@ -82,44 +84,55 @@ class JointLikelihood:
         frequency = fft.rfftfreq(n, 1.0 / signals.rate)
         self._lines = (frequency >= LOWEST) & (frequency <= SHARE * signals.top)
         self.frequency = frequency[self._lines]
-        self._smoother = Smoother(len(self.frequency), len(signals.angle))
+        ones = np.ones(len(self.frequency), dtype=complex)
+        super().__init__(
+            self.frequency,
+            self._spectrum(signals.angle if signals.perturbation is None else signals.perturbation),
+            self._spectrum(signals.torque),
+            slice(None),
+            scale=ones,
+            least=np.finfo(float).tiny,
+        )
         time = np.linspace(-1.0, 1.0, signals.angle.shape[1])
-        self._nuisance = self._spectrum(np.stack([np.ones_like(time), time]))
-        self.weights = np.ones(len(self.frequency))
-        self._span = self._orthonormal()
+        self._drift = self._spectrum(np.stack([np.ones_like(time), time]))
+        self._white = ones[None, None]  # until the noise is weighed
+        self._span = orthonormal(applied_rows(self._white, self._drift))
 
     @property
-    def n_trials(self) -> int:
-        """How many trials."""
-        return len(self.signals.angle)
+    def noise(self) -> Array:
+        """Power of the noise as last weighed, (line,)."""
+        return np.asarray(2.0 / np.abs(self._white[0, 0]) ** 2)
 
     def _spectrum(self, values: Array) -> ComplexArray:
-        """DFT of signals where they count, (..., line)."""
+        """DFT of signals where they count, (..., 1, line)."""
         part = values[..., self.signals.used] * self._taper
-        return np.asarray(fft.rfft(part, axis=-1)[..., self._lines] / np.sqrt(np.sum(self._taper**2)))
+        return np.asarray(fft.rfft(part, axis=-1)[..., None, self._lines] / np.sqrt(np.sum(self._taper**2)))
 
-    def _orthonormal(self) -> Array:
-        rows = _rows(self._nuisance * self.weights)
-        return np.asarray(np.linalg.qr(rows.T)[0].T)
+    def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
+        return self._spectrum(self._model.torque(values)[trials])
+
+    def _unknowns(self, values: Array) -> ComplexArray:
+        """Offset and drift."""
+        return self._drift
+
+    def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
+        columns = JointModel(self.structure, self.movement(values)).derivatives(values)
+        yield ALL, np.einsum("ptol,pf->ftol", self._spectrum(np.stack(list(columns.values()))), mixing)
+
+    def _to_smooth(self, values: Array) -> ComplexArray:
+        return np.ones((1, 1, len(self.frequency)), dtype=complex)
 
     def rows(self, values: Array) -> Array:
         """White signal without offset and drift, real then imaginary parts, (trial, number)."""
-        rows = _rows(self._spectrum(values) * self.weights)
-        return np.asarray(rows - (rows @ self._span.T) @ self._span)
+        return self._left(applied_rows(self._white, self._spectrum(values)))
 
     def residual(self, values: Array) -> Array:
-        """Recorded torque minus that of the model at the recorded movement, (trial, time)."""
-        return np.asarray(self.signals.torque - self._model.torque(values))
+        """White residual of the torque at the recorded movement, (trial, number)."""
+        return self._white_rows(values)
 
     def weigh(self, values: Array) -> None:
         """Estimate the spectrum of the noise that a model leaves; it holds until the next call."""
-        rows = self.rows(self.residual(values))
-        spectrum = (rows[:, : rows.shape[1] // 2] + 1j * rows[:, rows.shape[1] // 2 :]) / self.weights
-        power = np.mean(np.abs(spectrum) ** 2, axis=0)
-        smooth = np.asarray(self._smoother(power), dtype=float)
-        self.noise = smooth + 1e-12 * smooth.max() + np.finfo(float).tiny
-        self.weights = np.sqrt(2.0 / self.noise)
-        self._span = self._orthonormal()
+        super().weigh(values)
         if self._loop is not None:
             self._impedance = self._impedance_of(values, _padded(self.signals)[1])
 
@@ -133,10 +146,10 @@ class JointLikelihood:
         """Movement at which derivatives are taken: as recorded, or that of the closed loop without noise."""
         if self._loop is None:
             return self.signals
-        key, movement = self._latest
+        key, movement = self._moved
         if key != values.tobytes():  # a search asks for residual, then for slopes
             movement = simulated_movement(self.structure, values, self.signals, self._loop, movement)
-            self._latest = values.tobytes(), movement
+            self._moved = values.tobytes(), movement
         return movement
 
     def output_rows(self, values: Array, movement: JointSignals) -> Array:
@@ -147,7 +160,7 @@ class JointLikelihood:
         the residual of the torque at the recorded movement, which noise has moved.
         """
         if self._impedance is None:
-            return self.rows(self.residual(values))
+            return self.residual(values)
         n, _ = _padded(movement)
         miss = fft.rfft(self.signals.angle - movement.angle, n, axis=1) * self._impedance
         return self.rows(fft.irfft(miss, n, axis=1)[:, : movement.angle.shape[1]])
@@ -157,21 +170,20 @@ class JointLikelihood:
         model = self._model if movement is self.signals else JointModel(self.structure, movement)
         return np.stack([self.rows(column) for column in model.derivatives(values).values()])
 
-    def objective(self, values: Array) -> float:
+    def weighed_objective(self, values: Array) -> float:
         """Minus twice the log-likelihood, but for a constant, with the noise as last weighed [-].
 
         On a force servo noise is what is left of the torque, and its density that of the movement which it causes.
         """
-        cost = float(np.sum(self.rows(self.residual(values)) ** 2))
         density = np.log(self.noise)
         if self._loop is not None:
             density = density - 2.0 * np.log(np.abs(self._impedance_of(values, 2j * np.pi * self.frequency)))
-        return cost + 2.0 * self.n_trials * float(np.sum(density))
+        return self.cost(values) + 2.0 * self.n_trials * float(np.sum(density))
 
     def scores(self, values: Array) -> list[BlockScore]:
         """What each block of time says; a block is a trial where there are several."""
         movement = self.movement(values)
-        rows, columns = self.rows(self.residual(values)), self.derivatives(values, movement)
+        rows, columns = self.residual(values), self.derivatives(values, movement)
         residual, slopes = self._in_time(rows), self._in_time(columns)
         if self.n_trials > 1:
             blocks = [(slice(trial, trial + 1), slice(None)) for trial in range(self.n_trials)]
@@ -190,10 +202,6 @@ class JointLikelihood:
         spectrum = np.zeros((*rows.shape[:-1], len(self._lines)), dtype=complex)
         spectrum[..., self._lines] = (rows[..., :half] + 1j * rows[..., half:]) / np.sqrt(2.0)
         return np.asarray(fft.irfft(spectrum, len(self._taper), axis=-1, norm="ortho"))
-
-
-def _rows(spectrum: ComplexArray) -> Array:
-    return np.concatenate([spectrum.real, spectrum.imag], axis=-1)
 
 
 def environment_of(signals: JointSignals) -> Loop:

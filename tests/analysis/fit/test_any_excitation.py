@@ -20,6 +20,7 @@ def scores(fit, truth):
     return np.array([(fit.values[name] - truth[name]) / fit.standard_error[name] for name in JUDGED])
 
 
+@pytest.mark.slow(reason="simulates and fits foreign arms")
 @pytest.mark.parametrize("amid", [False, True], ids=["from rest", "amid"])
 @pytest.mark.parametrize("kind", ["multisine", "noise", "filtered noise", "chirp", "pulses"])
 def test_any_excitation_tells_the_arm(kind, amid):
@@ -32,6 +33,7 @@ def test_any_excitation_tells_the_arm(kind, amid):
     assert not result.fit.detail.is_suspicious
 
 
+@pytest.mark.slow(reason="simulates and fits foreign arms")
 def test_records_may_differ_in_length():
     options = {"kind": "noise", "reflex": "none", "grip": "rigid", "n_trials": 2, "rate": 200.0}
     long, short = (draw_foreign(3, duration=duration, **options) for duration in (30.0, 17.5))
@@ -44,6 +46,7 @@ def test_records_may_differ_in_length():
         assert both.fit.standard_error[name] < alone.fit.standard_error[name]
 
 
+@pytest.mark.slow(reason="simulates and fits foreign arms")
 def test_trials_that_differ_widen_intervals_and_are_told():
     options = {"kind": "multisine", "reflex": "none", "grip": "rigid", "n_trials": 8, "duration": 25.0, "rate": 200.0}
     structure = composed(inertia="free", grip="rigid", reflex="none")

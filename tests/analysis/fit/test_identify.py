@@ -48,6 +48,7 @@ def test_the_thesis_estimator_is_the_mean_over_trials(relax_recording):
     assert result.fit.message.startswith(("1 of 2 trials", "2 of 2 trials"))
 
 
+@pytest.mark.slow(reason="identifies noisy trials")
 def test_noise_widens_intervals_that_hold_the_truth(noisy_relax_recording, relax_recording):
     noisy = identify(noisy_relax_recording.assign_coords(condition=("trial", ["RT7.5"] * 6)), "1").fit
     clean = identify(relax_recording, "1").fit
@@ -63,6 +64,7 @@ def test_noise_widens_intervals_that_hold_the_truth(noisy_relax_recording, relax
     assert noisy.detail.p_value > 1e-3
 
 
+@pytest.mark.slow(reason="identifies two conditions several times")
 def test_conditions_are_identified_together_and_share_what_is_asked_for(noisy_relax_recording):
     alone = {name: identify(noisy_relax_recording.isel(trial=part), "1") for name, part in PARTS.items()}
     apart = identify_conditions(noisy_relax_recording, "1")

@@ -176,6 +176,7 @@ def test_skew_of_the_clocks_is_remarked_upon(relax, relax_group):
     assert late_by(remarks) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow(reason="fits records twice")
 def test_records_that_start_amid_movement_tell_the_same_arm(position):
     late = position.isel(time=slice(300, None)).assign_coords(time=position["time"].values[:-300])
     fitted, whole = estimate([group_of(late, "3b")]), estimate([group_of(position, "3b")])

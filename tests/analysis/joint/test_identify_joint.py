@@ -114,12 +114,25 @@ def test_nobody_gets_a_reflex_that_has_none():
     assert result.values["stiffness"] == pytest.approx(person.stiffness, rel=0.05)
 
 
+@pytest.mark.slow(reason="a search by maximum likelihood")
+def test_a_structure_without_the_reflex_lacks_fit(recording, result):
+    assert result.lack_of_fit.p_value > 0.001
+    without = identify_joint(recording, reflex="none")
+    assert without.lack_of_fit.p_value < 1e-6
+    assert any("leaves what a linear response explains" in remark for remark in without.remarks)
+
+
 @pytest.mark.slow(reason="a search in a closed loop")
 def test_a_force_servo_gives_the_same_joint():
     person = one_joint.person("ankle", 7, "linear")
     made = one_joint.recording(person, 7, "force", duration=30.0)
     result = identify_joint(made, reflex="linear")
+    delays, fall = result.profile
+    at_error = result.values["reflex_delay"] + np.array([-2.0, 2.0]) * result.standard_error["reflex_delay"]
+    # Two standard errors are a fall of four.
+    np.testing.assert_allclose(np.interp(at_error, delays, fall), 4.0, atol=2.0)
     assert result.environment.inertia == pytest.approx(0.25 * person.inertia, rel=0.03)
+    assert result.lack_of_fit.p_value > 0.001
     for name, tolerance in {"inertia": 0.05, "damping": 0.08, "stiffness": 0.08}.items():
         assert result.values[name] == pytest.approx(getattr(person, name), rel=tolerance), name
 

@@ -127,6 +127,7 @@ def test_covariances_are_those_of_differences(arm, posture):
         assert orientation.upper - matrix.orientation_deg == pytest.approx(min(1.96 * error[2], 90.0), rel=1e-3)
 
 
+@pytest.mark.slow(reason="draws many estimates")
 @pytest.mark.parametrize(("arm", "size"), [(POSITION, 0.02), (RELAX, 0.05)], ids=["PT", "RT"])
 def test_intervals_hold_the_truth_as_often_as_they_say(arm, size):
     rng = np.random.default_rng(2)

@@ -102,6 +102,7 @@ def test_search_starts_with_stable_people(task):
         assert poles(Candidate.of(task, typical(task, law)), Environment()).max() < 0
 
 
+@pytest.mark.slow(reason="simulates candidates")
 def test_the_noise_of_a_calibration_is_the_one_asked_for(monkeypatch):
     seen = []
 

@@ -361,6 +361,7 @@ def test_bad_settings_are_refused(change, words):
         replace(REFLEX, **change)
 
 
+@pytest.mark.slow(reason="searches for a design")
 def test_limits_of_very_different_sizes_are_kept():
     plan = design(replace(REFLEX, trials=1, force=1e3, displacement=1e-5, duration=32.0))
     assert 0.0 <= plan.excess < 1e-3
