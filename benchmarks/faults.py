@@ -1,10 +1,10 @@
 """Fails the n-th write, rename, fsync or allocation of a command, for every n, and looks at what is left.
 
 Run `python -m benchmarks.faults [COMMAND ...] [--most N]`: by default all commands, with at most 20 operations of a
-kind, which takes half an hour and more. Each command runs in this process, in a folder that may hold the results of an
-earlier run with other options. After each failure every file must be the earlier one or the new one to the last byte,
-nothing else may be there, the exit status must be 1, and the command must have said why in one line. Of more than
-`--most` operations of a kind, the first half of that number and others spread evenly are failed.
+kind; report, design and calibrate take longest. Each command runs in this process, in a folder that may hold the
+results of an earlier run with other options. After each failure every file must be the earlier one or the new one to
+the last byte, nothing else may be there, the exit status must be 1, and the command must have said why in one line. Of
+more than `--most` operations of a kind, the first half of that number and others spread evenly are failed.
 """
 
 import argparse

@@ -1,10 +1,10 @@
 """Damages files of every format that is read, and counts what readers and commands make of them.
 
-Run `python -m benchmarks.fuzz [CASE ...] [--runs N] [--seed N]`; 3,000 runs by default, which take an hour. A bit is
-flipped, a sector of 512 bytes is zeroed, or the file is cut off, at a random place. A command, or a function that
-reads, then runs in a forked process, with the parsers that the guarded child process runs: an end by a signal, or one
-for lack of processor time, is what that child turns into a refusal, and the run is repeated with it. A refused command
-must say one line and leave nothing. Of what is read, damage to values must be noticed.
+Run `python -m benchmarks.fuzz [CASE ...] [--runs N] [--seed N]`; 3,000 runs by default. A bit is flipped, a sector of
+512 bytes is zeroed, or the file is cut off, at a random place. A command, or a function that reads, then runs in a
+forked process, with the parsers that the guarded child process runs: an end by a signal, or one for lack of processor
+time, is what that child turns into a refusal, and the run is repeated with it. A refused command must say one line and
+leave nothing. Of what is read, damage to values must be noticed.
 """
 
 import argparse
