@@ -1,11 +1,17 @@
 # The public names, each from the module that defines it; `__init__.py` reads this file.
 from .analysis.arm.linear_arm import arm_admittance as arm_admittance
+from .analysis.emg.activity import activity as activity
+from .analysis.emg.envelope import envelopes as envelopes
+from .analysis.emg.onset import onsets as onsets
+from .analysis.emg.reflex import reflexes as reflexes
+from .analysis.fit.emg_likelihood import ElectromechanicalDelay as ElectromechanicalDelay
 from .analysis.fit.identify import identify as identify
 from .analysis.fit.identify import identify_conditions as identify_conditions
 from .analysis.fit.own_structures import load_structure as load_structure
 from .analysis.fit.own_structures import save_structure as save_structure
 from .analysis.fit.structures import STRUCTURES as STRUCTURES
 from .analysis.fit.structures import Structure as Structure
+from .analysis.fit.use_emg import UseOfEmg as UseOfEmg
 from .analysis.joint.identify import identify_joint as identify_joint
 from .analysis.measures.vaf import variance_accounted_for as variance_accounted_for
 from .analysis.nonlinear.identify import identify_nonlinear as identify_nonlinear

@@ -17,10 +17,17 @@ import xarray as xr
 from scipy import signal, stats
 
 from armperturb.analysis.emg.activity import Activity, activity
-from armperturb.analysis.emg.envelope import envelopes
+from armperturb.analysis.emg.envelope import Envelopes, envelopes
+from armperturb.analysis.emg.onset import onsets
+from armperturb.analysis.emg.outputs import reflex_outputs
 from armperturb.analysis.emg.reflex import reflexes
 from armperturb.analysis.emg.whitening import band_power
-from armperturb.analysis.trials import trials_by_condition
+from armperturb.analysis.fit.emg_likelihood import ElectromechanicalDelay, EmgLikelihood
+from armperturb.analysis.fit.group import Group
+from armperturb.analysis.fit.joint_likelihood import JointLikelihood
+from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
+from armperturb.analysis.fit.structures import structure_of
+from armperturb.analysis.trials import ConditionTrials, trials_by_condition
 from armperturb.cohort import Person, draw_cohort
 from armperturb.envs.lab.emg import Emg, _filters
 from armperturb.envs.lab.experiment import run_experiment
@@ -32,6 +39,8 @@ from armperturb.subject import POSITION, RELAX, Subject
 PEOPLE, SEED = 3, 5
 MAXIMAL = Condition(name="MVC", task="PT", contraction=1.0)
 PROTOCOL = replace(THESIS, forces="published", conditions=(*THESIS.conditions, MAXIMAL))
+HELD = ("PT0", "PT2.5", "PT7.5", "PT22.5")
+HOLDING = replace(PROTOCOL, conditions=(*(THESIS.condition(name) for name in HELD), MAXIMAL), pulse_unit_condition="")
 SLIGHT = 0.05
 """Co-contraction that has to be noticed [-]."""
 
@@ -160,6 +169,79 @@ def people(n: int) -> Iterator[str]:
     yield f"CPU of ten people: {10 * spent / n:.1f} s (target 20 s)"
 
 
+def pulses(n: int) -> Iterator[str]:
+    """Latencies of answers to pulses while holding the position, of nonlinear people and of linear ones."""
+    for muscles in ("nonlinear", "linear"):
+        errors, inside, spent = [], [], 0.0
+        for number, person in enumerate(draw_cohort(n, SEED, muscles=muscles)):
+            recording, _ = recorded(person, number, HOLDING)
+            conditions = trials_by_condition(recording, is_checked=True)
+            start = time.process_time()
+            frame = onsets([conditions[name] for name in HELD], envelopes(recording)).latencies.dropna()
+            spent += time.process_time() - start
+            true = person.subjects["PT"].Td_s
+            errors += list(frame["latency_s"] - true)
+            inside += list((frame["lower_95_s"] <= true) & (true <= frame["upper_95_s"]))
+        spread = f"SD {1e3 * np.std(errors):.2f} ms, {spent / n:.1f} CPU s a person"
+        yield f"latency of answers to pulses, {muscles}: bias {1e3 * np.mean(errors):+.2f} ms (target 2), {spread}"
+        yield f"its 95 % intervals hold {100.0 * np.mean(inside):.0f} % of {len(inside)} (target 90 to 98)"
+
+
+def fits(n: int) -> Iterator[str]:
+    """Reflexes of linear people in PT7.5 and PT22.5, model 3, each condition by itself, with EMG and without."""
+    ratios: dict[str, list[float]] = {}
+    errors: dict[str, list[tuple[float, float]]] = {}
+    inside: dict[str, list[tuple[bool, bool]]] = {}
+    spent = [0.0, 0.0]
+    for number, person in enumerate(draw_cohort(n, SEED, muscles="linear")):
+        recording, _ = recorded(person, number, HOLDING)
+        conditions, amplitudes = trials_by_condition(recording, is_checked=True), envelopes(recording)
+        for name in ("PT7.5", "PT22.5"):
+            groups = _with_and_without(conditions[name], amplitudes)
+            estimates = []
+            for place, group in enumerate(groups):
+                start = time.process_time()
+                estimates.append(estimate([group]))
+                spent[place] += time.process_time() - start
+            alike = [_alike(group, each) for group, each in zip(groups, estimates, strict=True)]
+            for parameter in estimates[0].values:
+                quantity = f"{parameter.partition('_')[0]}, {name}"
+                if not parameter.startswith(("kv_", "kp_", "Td_", "fact_")):
+                    continue
+                true = getattr(person.subjects["PT"], parameter)
+                ratios.setdefault(quantity, []).append(alike[1][parameter] / alike[0][parameter])
+                both = [each.values[parameter] - true for each in estimates]
+                errors.setdefault(quantity, []).append((both[0], both[1]))
+                limits = [each.interval(parameter) for each in estimates]
+                held = [bool(low <= true <= high) for low, high in limits]
+                inside.setdefault(quantity, []).append((held[0], held[1]))
+    for quantity, of in ratios.items():
+        rms = np.sqrt(np.mean(np.square(errors[quantity]), axis=0))
+        held = 100.0 * np.mean(inside[quantity], axis=0)
+        yield (
+            f"{quantity}: standard error with EMG over without, trials alike: median {np.median(of):.2f}, largest "
+            f"{max(of):.2f} (target 0.5 of kv and kp); RMS error {rms[0]:.3g} to {rms[1]:.3g}; intervals hold "
+            f"{held[0]:.0f} to {held[1]:.0f} % (target 90 to 98)"
+        )
+    yield f"CPU of a fit: {spent[0] / (2 * n):.1f} s without EMG, {spent[1] / (2 * n):.1f} s with it"
+
+
+def _with_and_without(trials: ConditionTrials, amplitudes: Envelopes) -> tuple[Group, Group]:
+    """Trials for a fit of the movement, and of movement and EMG."""
+    group = Group.prepare([trials], structure_of("3", wide=True))
+    likelihood = EmgLikelihood(reflex_outputs(trials, amplitudes), ElectromechanicalDelay())
+    return group, group.with_emg(likelihood)
+
+
+def _alike(group: Group, fitted: Estimate) -> dict[str, float]:
+    """Standard errors were all trials alike: what people vary from trial to trial is the same with EMG and without."""
+    problem = JointLikelihood([group], "record", ())
+    values = np.array([fitted.values[name] for name in problem.names])
+    problem.weigh(values)
+    covariance = np.linalg.inv(problem.normal(values).information)
+    return dict(zip(problem.names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+
+
 def _indices(result: Activity, recording: xr.Dataset, true: np.ndarray) -> np.ndarray:
     """Estimated and true index of conditions of the position task and joints, (case, 2)."""
     rows = []
@@ -174,8 +256,9 @@ def main(n: int) -> None:
     """Print every line."""
     for line in known_envelopes():
         print(line, flush=True)
-    for line in people(n):
-        print(line, flush=True)
+    for part in (people, pulses, fits):
+        for line in part(n):
+            print(line, flush=True)
 
 
 if __name__ == "__main__":

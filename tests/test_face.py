@@ -15,6 +15,7 @@ Multisine MultisineThenPulse Pulse Sampled load_perturbation save_perturbation
 make_recording load_recording save_recording stack_trials import_recording export_recording
 write_sidecar
 identify identify_conditions identify_joint identify_nonlinear identify_varying
+envelopes activity onsets reflexes UseOfEmg ElectromechanicalDelay
 response best_linear arm_admittance plot
 Structure STRUCTURES load_structure save_structure ConditionTrials variance_accounted_for
 Protocol Condition load_protocol StudySettings run_study analyse_study write_report score design DesignSettings

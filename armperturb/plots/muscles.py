@@ -158,11 +158,12 @@ def plot_onsets(onsets: OnsetsLike, figure: Figure | None) -> Any:
             if np.isfinite(answer["latency_s"]):
                 ax.axvspan(1e3 * answer["lower_95_s"], 1e3 * answer["upper_95_s"], color=PALETTE[1], alpha=0.35)
                 ax.axvline(1e3 * answer["latency_s"], color=PALETTE[1], linewidth=1.0)
-            ax.set_ylim(bottom=0.0)
             if column == 0:
                 ax.set_ylabel(_words(name).replace(" ", "\n", 1), fontsize=6.5, rotation=0, ha="right", va="center")
         axes[0, column].set_title(f"pulses at {direction:g} deg", loc="left")
         axes[-1, column].set_xlabel("time from the pulse [ms]")
+    for of_muscle in axes:
+        of_muscle[0].set_ylim(bottom=0.0)  # shared, and only once everything is drawn
     figure.suptitle(f"amplitude in {onsets.unit}; latency of the stretch reflex with its 95 % interval", fontsize=9)
     return axes
 
@@ -241,7 +242,7 @@ class ReflexesLike(Protocol):
 
 @in_style()
 def plot_reflexes(reflexes: ReflexesLike, figure: Figure | None) -> Any:
-    """Modulus with 95 % limits, phase and coherence of the responses from rotation to EMG, where it is above its error.
+    """Modulus with 95 % limits, phase and coherence of responses from rotation to EMG, where it is above its error.
 
     Args:
       reflexes: to draw.
@@ -257,7 +258,7 @@ def plot_reflexes(reflexes: ReflexesLike, figure: Figure | None) -> Any:
         for row, (name, colour) in enumerate(zip(names, (PALETTE * 4)[: len(names)], strict=False)):
             modulus, error = np.abs(reflexes.response[row, joint]), 1.96 * reflexes.response_error[row, joint]
             line = {"color": colour, "linewidth": 0.9, "linestyle": "-" if row < len(PALETTE) else "--"}
-            known = np.where(modulus > error, 1.0, np.nan)  # elsewhere, it is anything
+            known = np.where(modulus > 1.7 * error, 1.0, np.nan)  # by chance once in a thousand; else it is anything
             axes[0, joint].plot(f, known * modulus, label=_words(name), **line)
             axes[0, joint].fill_between(
                 f, known * (modulus - error), known * (modulus + error), color=colour, alpha=0.12, linewidth=0

@@ -34,8 +34,10 @@ FEWEST_TRIALS = 3
 PARTS = ("before", "during")
 """Before anything perturbs the arm, and from then on to the pulse."""
 
-INDEX_SMOOTHING = 0.08
-"""Time over which power is averaged before antagonists are compared [s]: reflexes change faster than co-contraction."""
+INDEX_SMOOTHING = 0.055
+"""Time over which power is averaged before antagonists are compared [s]. In longer ones strong reflexes pass from one
+antagonist to the other, and in shorter ones the lesser of two noisy amplitudes is too small: errors of either sign are
+alike here."""
 
 ABOVE_NOISE = 5.0
 """Standard errors by which the power of a trial has to be above the noise for a muscle to co-contract at all [-]."""

@@ -103,6 +103,11 @@ class JointLikelihood:
         """Whether derivatives that are not quick take long."""
         return any(likelihood.is_long for _, likelihood in self.parts)
 
+    @property
+    def uses_emg(self) -> bool:
+        """Whether EMG counts in any group."""
+        return any(self.of_emg)
+
     def initial(self, given: Mapping[str, float]) -> Array:
         """Given values, and where there is none the mean over the groups of where linear least squares would start."""
         values = self._started([group.initial for group in self.groups])

@@ -43,6 +43,12 @@ EFFECT_ROUNDS = 6
 FEWEST_TRIALS = 3
 """Trials from which on they may differ, or show the dispersion: fewer do not tell by how much."""
 
+FEW_WITH_EMG = (
+    f"EMG of fewer than {FEWEST_TRIALS} trials: intervals of reflexes hold for these trials, as nothing tells how a "
+    "person differs from trial to trial"
+)
+"""Remark on errors that EMG makes smaller than the differences between trials."""
+
 LEAST_SPREAD = 1e-3
 """Spreads over trials below this are none [-]."""
 
@@ -444,4 +450,5 @@ def _judge(problem: JointLikelihood, method: Method, search: _Search) -> Estimat
         n_rounds=search.n_rounds,
         skew={group.label: group.parts[0].skew for group in problem.groups},
     )
-    return replace(result, remarks=_remarks(result))
+    few = problem.uses_emg and sum(map(len, problem.no_effects())) < FEWEST_TRIALS
+    return replace(result, remarks=(*_remarks(result), *((FEW_WITH_EMG,) if few else ())))

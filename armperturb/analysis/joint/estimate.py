@@ -102,9 +102,11 @@ def estimate_joint(
 
 
 def delay_profile(fit: JointEstimate, signals: JointSignals, loop: Loop | None, delays: Array) -> Array:
-    """Objective with the delay held at each of several values and all other parameters estimated, (delay,).
+    """Sum of squares with the delay held at each of several values, other parameters estimated, (delay,).
 
-    The noise is that of the estimate, so that differences are those of chi squared with one degree of freedom.
+    On a force servo they are those of the movement, which a nonlinear reflex makes slightly less efficient than
+    instruments. The noise is that of the estimate, so that differences are those of chi squared with one degree of
+    freedom.
     """
     likelihood = JointLikelihood(fit.structure, signals, loop)
     likelihood.weigh(fit.values)
@@ -117,7 +119,7 @@ def delay_profile(fit: JointEstimate, signals: JointSignals, loop: Loop | None, 
         for at in order:
             values[place] = delays[at]
             values = _minimised(likelihood, values, LONGEST_DELAY, others)
-            objectives[at] = likelihood.weighed_objective(values)
+            objectives[at] = np.sum(likelihood.output_rows(values, likelihood.movement(values)) ** 2)
     return objectives
 
 

@@ -328,7 +328,7 @@ def _trace(signals: JointSignals, best: JointEstimate, loop: Loop | None, free: 
 
 
 def _profile(best: JointEstimate, signals: JointSignals, loop: Loop | None) -> Array:
-    if best.structure.reflex == "none" or loop is not None:
+    if best.structure.reflex == "none":
         return np.empty((2, 0))
     delay = best.values[best.structure.parameters.index("reflex_delay")]
     # Densest at the estimate: the fall there is a matter of tenths of a millisecond, or of ten.

@@ -16,6 +16,7 @@ from armperturb.study.comparison.score import score, write_score
 from armperturb.study.experiments.mechanisms import Yielding, has_law, why_people_yield
 from armperturb.study.experiments.moving_shoulder import MovingShoulder, moving_shoulder
 from armperturb.study.recording.record import worker_count
+from armperturb.study.report.emg import emg_drawings, emg_of, emg_rows
 from armperturb.study.report.figures.catalogue import drawings
 from armperturb.study.report.films import film_units
 from armperturb.study.report.findings import excess_rows, finding_rows, findings
@@ -72,9 +73,9 @@ def write_report(
         write_score(scored, out / "score")
     with workers_for(worker_count(workers, MOST_WORKERS), None) as pool:
         yielding, shoulder = _simulated(study, out, pool, show_progress) if simulate else (None, None)
-        draws = {
-            name: draw for name, draw in drawings(study, tested, yielding).items() if figures is None or name in figures
-        }
+        emg = emg_of(study, out, pool, show_progress)
+        every = {**drawings(study, tested, yielding), **emg_drawings(study, emg)}
+        draws = {name: draw for name, draw in every.items() if figures is None or name in figures}
         checksums = {path.name: checksum(path) for path in study.recordings.values()}
         pulses = draws["stills"].args[-1] if "stills" in draws else ()
         # What takes longest comes first, so that workers end together.
@@ -102,11 +103,13 @@ def write_report(
         "yielding": yielding.rows() if yielding else [],
         "moving_shoulder": shoulder.rows if shoulder else [],
         **nonlinear_tables(study),
+        **emg_rows(study, emg),
     }
     for name, lines in more.items():
         if lines:
             write_csv(lines, out / "tables" / f"{name}.csv")
-    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, *made["films"])
+    films = made["films"][0] if made["films"] else ""
+    parts = sections(study, scored, tested, rows, yielding, shoulder, drawn, played, films, emg)
     page = _page(study, parts, drawn, checksums)
     report = out / "report.html"
     write_whole(report, page)

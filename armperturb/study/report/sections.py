@@ -17,12 +17,14 @@ from armperturb.study.comparison.score import Score, missing_cells, shares
 from armperturb.study.experiments.mechanisms import PULSES, Yielding
 from armperturb.study.experiments.moving_shoulder import MovingShoulder
 from armperturb.study.report import findings as of_study
+from armperturb.study.report.emg import emg_section, relaxation
 from armperturb.study.report.explorer import panels
 from armperturb.study.report.films import Films
 from armperturb.study.report.nonlinear_tables import SHOWN_MODELS, nonlinear_tables, words_of
 from armperturb.study.report.published_tables import published_tables
 from armperturb.study.report.tables import Row, mean_sd_of
 from armperturb.study.report.words import WORDS
+from armperturb.study.results.emg import PersonEmg
 from armperturb.study.results.mean_admittance import main_conditions
 from armperturb.study.results.quantities import Cell, published_cells
 from armperturb.study.results.study_result import StudyResult
@@ -47,6 +49,7 @@ def sections(
     drawn: Collection[str],
     played: Sequence[Mapping[str, Any]] = (),
     films: Films | str = "",
+    emg: Sequence[PersonEmg] = (),
 ) -> dict[str, dict[str, Any]]:
     """All sections that a study has content for, in order: template to what it shows beside what all sections know.
 
@@ -60,6 +63,7 @@ def sections(
       drawn: names of the figures that are there.
       played: people whose trials are played, see `played.played_data`.
       films: of pulses; the reason if this machine cannot make any.
+      emg: what everybody's EMG tells; empty without any.
     """
     conditions = study.protocol.conditions
     # In which people shall move further, or less far, in the experiment than in practice.
@@ -72,6 +76,7 @@ def sections(
             "rows": rows["summary"],
             "findings": ratios,
             "alone": alone,
+            "relaxation": relaxation(study, emg),
             "fits": rows["fits"],
             **flagged,
             "differ": of_study.estimators_differ(rows["estimates"]),
@@ -96,6 +101,8 @@ def sections(
             "headlines": score
             and [line for line in score.headlines if "pulse" in line.name and not line.name.startswith("p_")],
         }
+    if emg:
+        contexts["emg"] = emg_section(study, emg)
     if study.nonlinear:
         contexts["nonlinear"] = _nonlinear(study)
     if effects.rows or effects.admittance:

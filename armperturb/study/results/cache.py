@@ -7,6 +7,7 @@
 | `analysis/NAME-nonlinear-TASK.json.gz` | a nonlinear fit, if one was asked for; `-20`: also to pulses at 20° |
 | `analysis/NAME-nonlinear-TASK.checkpoint.gz` | a nonlinear fit under way, from which an interrupted search continues |
 | `analysis/mechanisms.json.gz`, `analysis/moving-shoulder.json.gz` | further simulations of the first person |
+| `analysis/NAME-emg.json.gz` | what a person's EMG tells |
 | `analysis/figure-NAME.json.gz` | a figure of the report |
 | `analysis/films.json.gz` | films of pulses in the report |
 | `analysis/played-NAME.json.gz` | trials of a person that the report plays |
@@ -46,6 +47,7 @@ VERSIONS = {
     "figure": 1,
     "played": 1,
     "films": 1,
+    "emg": 1,
 }
 """Kind of result to the version of its algorithm.
 
@@ -72,9 +74,9 @@ def recalled_results() -> Iterator[list[Path]]:
 
 
 def recalled_numbers() -> list[str]:
-    """Names of the kept results that were used again so far within `recalled_results`, without figures."""
+    """Names of the kept results that were used again so far within `recalled_results`, without figures and films."""
     names = (path.name.removesuffix(".json.gz") for path in _RECALLED.get() or ())
-    return sorted(name for name in names if not name.startswith("figure-"))
+    return sorted(name for name in names if not name.startswith(("figure-", "films")))
 
 
 def forget_results(root: Path, nonlinear: Collection[str] = ()) -> None:

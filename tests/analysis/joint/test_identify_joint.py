@@ -127,6 +127,10 @@ def test_a_force_servo_gives_the_same_joint():
     person = one_joint.person("ankle", 7, "linear")
     made = one_joint.recording(person, 7, "force", duration=30.0)
     result = identify_joint(made, reflex="linear")
+    delays, fall = result.profile
+    at_error = result.values["reflex_delay"] + np.array([-2.0, 2.0]) * result.standard_error["reflex_delay"]
+    # Two standard errors are a fall of four.
+    np.testing.assert_allclose(np.interp(at_error, delays, fall), 4.0, atol=2.0)
     assert result.environment.inertia == pytest.approx(0.25 * person.inertia, rel=0.03)
     assert result.lack_of_fit.p_value > 0.001
     for name, tolerance in {"inertia": 0.05, "damping": 0.08, "stiffness": 0.08}.items():

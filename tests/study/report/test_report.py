@@ -41,6 +41,10 @@ HEADERS = {
     "statistics_pairs": "quantity,task,first,second,difference,t,dof,p_bonferroni",
     "joints": "table,condition,quantity,published_mean,published_sd,path_mean,path_sd,simulated_mean,simulated_sd",
     "findings": "finding,above,below,subject,value,lower_95,upper_95",
+    "emg_levels": "subject,condition,part,muscle,amplitude,lower_95,trials,p,is_active",
+    "emg_cocontraction": "subject,condition,part,joint,index,ratio",
+    "emg_reflexes": "subject,condition,muscle,delay_s,lower_95_s,upper_95_s,coherence,p",
+    "emg_tests": "question,joint,conditions,n,test,statistic,p,ratio",
     "moving_shoulder": "condition,joint,quantity,strap,true,fixed_shoulder,with_shoulder",
 }
 FIGURES = {
@@ -55,13 +59,14 @@ FIGURES = {
 """Figure of the thesis to ours."""
 
 DRAWN = {*FIGURES.values(), "rig", "stills", "admittance_RT", "parameters_PT", "parameters_RT"}
-DRAWN |= {"findings", "estimates"}
+DRAWN |= {"findings", "estimates", "emg_cocontraction", "emg_envelopes", "emg_pulses", "emg_reflexes"}
 MULTISINE = ("PT2.5", "PT7.5", "PT22.5", "RT2.5", "RT7.5", "RT22.5")
 SECTIONS = [
     *(
         "summary",
         "admittance",
         "pulses",
+        "emg",
         "parameters",
         "explorer",
         "fits",

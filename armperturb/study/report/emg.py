@@ -1,0 +1,156 @@
+"""The section EMG of the report: what is kept, shown and written of it."""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from armperturb.analysis.emg.activity import relaxation_sentence
+from armperturb.files import checksum
+from armperturb.progress import Progress
+from armperturb.study.comparison.cocontraction import cocontraction_tests
+from armperturb.study.report.figures import emg as emg_figures
+from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit, kept_or_computed
+from armperturb.study.results.emg import PersonEmg, person_emg
+from armperturb.study.results.mean_admittance import main_conditions
+from armperturb.study.results.study_result import StudyResult
+from armperturb.workers import Workers
+
+CLEAR = 0.001
+"""Level at which a muscle counts as responding to rotation [-]."""
+
+
+def emg_of(study: StudyResult, out: Path, pool: Workers | None, show_progress: bool) -> tuple[PersonEmg, ...]:
+    """What everybody's EMG tells, kept in the study folder as results are; empty if nobody has any.
+
+    Args:
+      study: analysed; its recordings must still be there.
+      out: the study folder.
+      pool: workers; None for this process.
+      show_progress: whether to draw progress bars on the terminal.
+    """
+    units: list[Unit[Any]] = [
+        Unit(
+            cached=CachedResult(
+                path=out / ANALYSIS / f"{path.stem}-emg.json.gz",
+                kind="emg",
+                result=PersonEmg,
+                recordings={path.name: checksum(path)},
+            ),
+            run=partial(person_emg, name, path),
+        )
+        for name, path in study.recordings.items()
+    ]
+    with Progress("EMG", total=len(units), unit="people", show=show_progress) as bar:
+        people = tuple(kept_or_computed(units, pool, bar))
+    return people if any(person.levels for person in people) else ()
+
+
+def emg_drawings(study: StudyResult, people: Sequence[PersonEmg]) -> "dict[str, partial[Any]]":
+    """Figures of the section, by name."""
+    there = tuple(person for person in people if person.levels)
+    if not there:
+        return {}
+    drawn = {"emg_cocontraction": partial(emg_figures.cocontraction, there, study.protocol.conditions)}
+    main = main_conditions(study)
+    cases = study.of(main["PT"].name) if "PT" in main else []
+    first = next((case for case in cases if case.name == there[0].name), None)
+    if first is not None:
+        shown = [name for name in emg_figures.SHOWN if name != "emg_pulses" or first.condition.pulse_levels]
+        drawn |= {name: partial(emg_figures.of_person, name, first) for name in shown}
+    return drawn
+
+
+def relaxation(study: StudyResult, people: Sequence[PersonEmg]) -> str:
+    """Whether people relaxed, in one sentence; empty without EMG."""
+    there = [person.activity for person in people if person.levels]
+    conditions = [condition.name for condition in study.protocol.conditions if condition.task == "RT"]
+    return relaxation_sentence(there, conditions) if there and conditions else ""
+
+
+def emg_rows(study: StudyResult, people: Sequence[PersonEmg]) -> dict[str, list[dict[str, Any]]]:
+    """Tables of EMG, by name."""
+    levels = [{"subject": person.name, **row._asdict()} for person in people for row in person.levels]
+    index = [
+        {"subject": person.name, **dict(zip(("condition", "part", "joint", "index", "ratio"), row, strict=True))}
+        for person in people
+        for row in person.cocontraction
+    ]
+    delays = [{"subject": person.name, **row._asdict()} for person in people for row in person.reflexes]
+    tests = [test._asdict() for test in cocontraction_tests(people, study.protocol.conditions)]
+    tables = {"emg_levels": levels, "emg_cocontraction": index, "emg_reflexes": delays, "emg_tests": tests}
+    return {name: rows for name, rows in tables.items() if rows}
+
+
+def emg_section(study: StudyResult, people: Sequence[PersonEmg]) -> dict[str, Any]:
+    """What the template shows."""
+    rows = emg_rows(study, people)
+    return {
+        "relaxation": relaxation(study, people),
+        "unit": next(person.unit for person in people if person.unit),
+        "index": _indices(rows.get("emg_cocontraction", [])),
+        "tests": rows.get("emg_tests", []),
+        "delays": _delays(rows.get("emg_reflexes", [])),
+        "remarks": [line for person in people for line in person.remarks],
+        "levels": _levels(rows.get("emg_levels", [])),
+    }
+
+
+def _grouped(rows: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> dict[tuple[str, ...], list[Mapping[str, Any]]]:
+    groups: dict[tuple[str, ...], list[Mapping[str, Any]]] = {}
+    for row in rows:
+        groups.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return groups
+
+
+def _indices(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Mean and SD over people of the index in each condition and part [%]."""
+    return [
+        {
+            "condition": condition,
+            "part": part,
+            "joint": joint,
+            "n": len(members),
+            "mean": 100.0 * float(np.mean([row["index"] for row in members])),
+            "sd": 100.0 * float(np.std([row["index"] for row in members], ddof=1)) if len(members) > 1 else np.nan,
+        }
+        for (condition, part, joint), members in _grouped(rows, ("condition", "part", "joint")).items()
+    ]
+
+
+def _levels(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """In how many people each muscle is active in each condition."""
+    return [
+        {
+            "condition": condition,
+            "part": part,
+            "muscle": muscle.replace("_", " "),
+            "active": sum(row["is_active"] for row in members),
+            "n": len(members),
+            "mean": 100.0 * float(np.mean([row["amplitude"] for row in members])),
+        }
+        for (condition, part, muscle), members in _grouped(rows, ("condition", "part", "muscle")).items()
+    ]
+
+
+def _delays(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Median delay over people of muscles that clearly respond, and its range [ms]."""
+    said = []
+    for (condition, muscle), members in _grouped(rows, ("condition", "muscle")).items():
+        delays = [1e3 * row["delay_s"] for row in members if row["p"] < CLEAR]
+        if delays:
+            said.append(
+                {
+                    "condition": condition,
+                    "muscle": muscle.replace("_", " "),
+                    "n": len(delays),
+                    "of": len(members),
+                    "median": float(np.median(delays)),
+                    "least": min(delays),
+                    "greatest": max(delays),
+                    "coherence": float(np.median([row["coherence"] for row in members])),
+                }
+            )
+    return said

@@ -1,0 +1,144 @@
+"""What the EMG of a person tells in a study: activity, co-contraction and reflexes in each condition."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+from armperturb.analysis.emg.activity import Activity, activity
+from armperturb.analysis.emg.envelope import MAXIMAL, REST, envelopes
+from armperturb.analysis.emg.reflex import reflexes
+from armperturb.analysis.trials import trials_by_condition
+from armperturb.recording_files import load_recording
+
+
+class Level(NamedTuple):
+    """A row of `Activity.levels`."""
+
+    condition: str
+    part: str
+    muscle: str
+    amplitude: float
+    lower_95: float
+    trials: int
+    p: float
+    is_active: bool
+
+
+class Cocontraction(NamedTuple):
+    """A row of `Activity.cocontraction`.
+
+    Attributes:
+      condition: of the trials.
+      part: "before" or "during" the perturbation.
+      joint: name.
+      lesser: the index, the mean of the lesser amplitude of antagonists [-].
+      ratio: that over the mean of both [-].
+    """
+
+    condition: str
+    part: str
+    joint: str
+    lesser: float
+    ratio: float
+
+
+class Reflex(NamedTuple):
+    """The delay of a muscle's response to rotation in a condition.
+
+    Attributes:
+      condition: with a perturbation of some length.
+      muscle: name of the channel.
+      delay_s: from rotation to EMG [s].
+      lower_95_s: limit of its 95 % interval [s].
+      upper_95_s: likewise.
+      coherence: of amplitude and rotation [-].
+      p: of no response [-].
+    """
+
+    condition: str
+    muscle: str
+    delay_s: float
+    lower_95_s: float
+    upper_95_s: float
+    coherence: float
+    p: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PersonEmg:
+    """What a person's EMG tells; nothing if there is none.
+
+    Attributes:
+      name: of the person.
+      unit: of amplitudes; empty without EMG.
+      limit: amplitude up to which a muscle counts as relaxed [-].
+      levels: of each muscle.
+      cocontraction: of each joint.
+      reflexes: of each muscle, in conditions whose trials are long enough.
+      remarks: of the channels, or why there is nothing.
+    """
+
+    name: str
+    unit: str = ""
+    limit: float = 0.0
+    levels: tuple[Level, ...] = ()
+    cocontraction: tuple[Cocontraction, ...] = ()
+    reflexes: tuple[Reflex, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def activity(self) -> Activity:
+        """Levels and co-contraction as the analysis of EMG has them."""
+        return Activity(
+            subject=self.name,
+            unit=self.unit,
+            limit=self.limit,
+            levels=pd.DataFrame(self.levels, columns=list(Level._fields)),
+            cocontraction=pd.DataFrame(self.cocontraction, columns=["condition", "part", "joint", "index", "ratio"]),
+            remarks=self.remarks,
+        )
+
+
+def person_emg(name: str, path: Path) -> PersonEmg:
+    """Analyse the EMG of a person's recording.
+
+    Args:
+      name: of the person.
+      path: of the recording.
+
+    Raises:
+      ValueError: the recording is refused.
+      OSError: it cannot be read.
+    """
+    recording = load_recording(path, ["emg", "joint_angle"])
+    try:
+        amplitudes = envelopes(recording)
+    except ValueError as error:
+        return PersonEmg(name=name, remarks=(f"{name}: {error}",))
+    of_muscles = activity(amplitudes)
+    responses = []
+    for label, trials in trials_by_condition(recording, is_checked=True).items():
+        if label in (MAXIMAL, REST):
+            continue
+        try:
+            table = reflexes(trials, amplitudes).responses
+        except ValueError:  # trials that are too short
+            continue
+        columns = ["muscle", *Reflex._fields[2:]]
+        responses += [Reflex(label, *row) for row in table[columns].itertuples(index=False, name=None)]
+    return PersonEmg(
+        name=name,
+        unit=of_muscles.unit,
+        limit=float(of_muscles.limit),
+        levels=tuple(Level(*row) for row in _plain(of_muscles.levels)),
+        cocontraction=tuple(Cocontraction(*row) for row in _plain(of_muscles.cocontraction)),
+        reflexes=tuple(responses),
+        remarks=tuple(f"{name}: {line}" for line in amplitudes.remarks),
+    )
+
+
+def _plain(frame: pd.DataFrame) -> list[list[Any]]:
+    """Rows of Python's own types, which results can be kept as."""
+    return [list(row) for row in frame.astype(object).to_numpy().tolist()]
