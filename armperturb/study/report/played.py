@@ -20,7 +20,7 @@ from armperturb.study.report.figures.trajectories import first_pulses, stable_fi
 from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit
 from armperturb.study.results.study_result import StudyResult
 
-MOST_PEOPLE = 20
+MOST_PEOPLE = 10
 """The first of them are played: some 40 kB a person."""
 
 LEAD = 0.1

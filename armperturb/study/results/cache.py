@@ -74,9 +74,9 @@ def recalled_results() -> Iterator[list[Path]]:
 
 
 def recalled_numbers() -> list[str]:
-    """Names of the kept results that were used again so far within `recalled_results`, without figures."""
+    """Names of the kept results that were used again so far within `recalled_results`, without figures and films."""
     names = (path.name.removesuffix(".json.gz") for path in _RECALLED.get() or ())
-    return sorted(name for name in names if not name.startswith("figure-"))
+    return sorted(name for name in names if not name.startswith(("figure-", "films")))
 
 
 def forget_results(root: Path, nonlinear: Collection[str] = ()) -> None:

@@ -100,11 +100,12 @@ def admittance_by_amplitude(study: StudyResult, task: str, marks: Marks | None =
     """
     figure, panels = admittance_panels()
     handles = []
-    means = []
-    for condition, look in looks(task, by_task(study)[task]):
-        mean = mean_admittance(study, condition.name)
-        means.append(mean)
-        plot_admittance(panels, mean.frequency, mean.gain * np.exp(1j * mean.phase), **look, markersize=3.5)
+    drawn = looks(task, by_task(study)[task])
+    means = [mean_admittance(study, condition.name) for condition, _ in drawn]
+    # In the turn of all conditions together, so that noise in one does not part it from the others.
+    near = means[0].frequency, np.exp(1j * np.array([mean.phase for mean in means])).sum(axis=0)
+    for mean, (condition, look) in zip(means, drawn, strict=True):
+        plot_admittance(panels, mean.frequency, mean.gain * np.exp(1j * mean.phase), near, **look, markersize=3.5)
         handles.append(Line2D([], [], label=condition.name, **look))
     highest = np.max([mean.gain for mean in means], axis=0)
     for element, masks in (marks or {}).items():
