@@ -41,7 +41,7 @@ from armperturb.recording_files import load_recording
 from armperturb.study.protocol import load_protocol
 from benchmarks.faults import laboratory
 
-LONGEST, LARGEST = 10, 2**30
+LONGEST, LARGEST = 30, 2**30
 """Processor time [s] of a run with the parsers in it, and memory of a parser [byte]."""
 
 PATIENCE = 90

@@ -77,6 +77,8 @@ def main(people: int, servos: list[str]) -> None:
                 f"intervals hold {100 * np.mean(of_name):.1f} % of {len(of_name)}"
             )
         print(f"  all intervals hold {100 * np.mean([inside for _, inside in held]):.1f} % (target 90 to 98)")
+        print(f"  lack of fit: chi2/dof {np.median([each.chi2 / each.dof for each in lacks]):.2f} (median), ", end="")
+        print(f"{sum(each.p_value < 0.01 for each in lacks)} of {len(lacks)} said to lack fit (p < 0.01)")
         print(
             f"  response: circles of 95 % hold {100 * np.mean(covered):.1f} %; called nonlinear (p < 0.001): ", end=""
         )
