@@ -358,13 +358,26 @@ def test_calibrations_that_could_not_be_written_are_refused_before_they_run(tmp_
     assert not list(tmp_path.iterdir())
 
 
+WITHOUT_OSMESA = """
+import ctypes
+
+load = ctypes.CDLL.__init__
+
+def load_others(self, name, *options, **more):
+    if "OSMesa" in str(name):
+        raise OSError(name)
+    load(self, name, *options, **more)
+
+ctypes.CDLL.__init__ = load_others
+"""
+
+
 def in_a_process(folder, backend, *commands):
     """Stderr of commands that fail in a folder with a value of MUJOCO_GL and no display."""
     unset = ("DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM")
     clean = {name: value for name, value in os.environ.items() if name not in unset} | {"MUJOCO_GL": backend}
     # As on a machine without OSMesa, whether or not it is there.
-    hide = "import ctypes.util as u; f = u.find_library; u.find_library = lambda n: None if n == 'OSMesa' else f(n)"
-    code = f"{hide}\nfrom armperturb.cli import main\nprint([main(command) for command in {commands}])"
+    code = f"{WITHOUT_OSMESA}\nfrom armperturb.cli import main\nprint([main(command) for command in {commands}])"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, env=clean, cwd=folder, check=True
     )

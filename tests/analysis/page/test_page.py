@@ -187,7 +187,8 @@ def test_verdicts_in_words(identified):
         return replace(fine, fit=replace(fine.fit, **changes))
 
     def with_chi2(chi2, dof=100):
-        return with_fit(detail=replace(fine.fit.detail, chi2=chi2, dof=dof, arms={"multisine": fine.fit.arm}))
+        arms = {"multisine": fine.fit.arm}
+        return with_fit(detail=replace(fine.fit.detail, chi2=chi2, dof=dof, dispersion=chi2 / dof, arms=arms))
 
     assert verdict(with_chi2(100.0), ()).level == "trust"
     care = verdict(with_chi2(150.0), ())

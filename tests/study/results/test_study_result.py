@@ -273,11 +273,11 @@ def test_conditions_that_the_protocol_lacks_are_told(study, copied):
 
 def test_folders_that_cannot_be_written_to_are_analysed(study, copied, monkeypatch, caplog):
     # By hand, as permissions do not bind the administrator, who runs tests in containers.
-    def read_only(path):
+    def read_only(path, content):
         raise OSError(30, "Read-only file system")
 
     shutil.rmtree(copied / "analysis")
-    monkeypatch.setattr(archive, "written_whole", read_only)
+    monkeypatch.setattr(archive, "write_whole", read_only)
     of = {person.name: person for person in study.people}
 
     def analyse_person(recording, *_):

@@ -77,15 +77,15 @@ def first_pulses(
 
 
 def stable_fits(recording: xr.Dataset, estimate: ThesisEstimate | None) -> dict[int, AdmittanceFit]:
-    """Trial to its own fit, of those that are stable and so predict.
+    """Trial to its own fit, of those that are stable and so predict; none where other trials were fitted.
 
     Args:
       recording: one person's trials of one condition.
       estimate: the fits of the trials that `ConditionTrials.multisine` keeps; None without any.
     """
-    if estimate is None:
-        return {}
     fitted = ConditionTrials.prepare(recording, is_checked=True).multisine.numbers
+    if estimate is None or len(fitted) != len(estimate.fits):
+        return {}
     return {int(trial): fit for trial, fit in zip(fitted, estimate.fits, strict=True) if fit.stable}
 
 
