@@ -9,6 +9,7 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
@@ -73,6 +74,8 @@ class LocalProcesses:
                 # Libraries with a pool of their own (BLAS) must not take every core in every process.
                 names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
                 threads = str(self.threads(0, self.count))
+                # Arrays come and go: a process that keeps some memory is restarted, which concerns nobody.
+                warnings.filterwarnings("ignore", "A worker was restarted", UserWarning)
                 self._executor = ProcessPoolExecutor(
                     self.count,
                     initializer=_end_with,

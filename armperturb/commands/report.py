@@ -8,6 +8,9 @@ from typing import Literal
 from armperturb.commands.command import Command, Positional
 from armperturb.progress import stages
 
+MOST_NAMES = 6
+"""Recalled results that are named on the terminal."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Report(Command):
@@ -42,8 +45,10 @@ class Report(Command):
 
 def kept_lines(recalled: Sequence[Path]) -> list[str]:
     """Which results were not computed now, in one line; none if all were."""
-    names = ", ".join(sorted(path.name.removesuffix(".json.gz") for path in recalled))
-    return [f"recalled from analysis/ (--fresh computes them anew): {names}"] if recalled else []
+    names = sorted(path.name.removesuffix(".json.gz") for path in recalled)
+    if len(names) > MOST_NAMES:
+        names[MOST_NAMES:] = [f"and {len(names) - MOST_NAMES} more"]
+    return [f"recalled from analysis/ (--fresh computes them anew): {', '.join(names)}"] if names else []
 
 
 def analysis_stages(*, nonlinear: bool) -> dict[str, float]:

@@ -77,7 +77,9 @@ def plot_envelopes(envelopes: EnvelopesLike, figure: Figure | None, trial: int, 
     width = max(round(smoothing * envelopes.rate), 1)
     power = ndimage.uniform_filter1d(envelopes.power[trial], width, axis=0)
     amplitude = 100.0 * envelopes.amplitude_of(power)
-    time, names = np.arange(len(amplitude)) / envelopes.rate, list(envelopes.muscles)
+    # A smooth course needs no more points than these.
+    amplitude = amplitude[:: (every := max(width // 4, 1))]
+    time, names = every * np.arange(len(amplitude)) / envelopes.rate, list(envelopes.muscles)
     figure = figure_for(figure, 0.6 + ROW * len(groups))
     axes = figure.subplots(len(groups), 1, squeeze=False, sharex=True)[:, 0]
     for ax, (word, members) in zip(axes, groups.items(), strict=True):
