@@ -56,7 +56,7 @@ def draw(costs: list[dict[str, float]], picture: Path) -> None:
         if name == "memory":
             ax.set_ylim(0.0, 1.3 * max(values))
         else:
-            ax.set(yscale="log", ylim=(10.0, 1000.0 * 10.0 ** (max(values) > 1000.0)))
+            ax.set(yscale="log", ylim=(3.0, 1000.0 * 10.0 ** (max(values) > 1000.0)))
     save_png(figure, picture, 110.0)
 
 

@@ -106,6 +106,7 @@ def test_conditions_of_several_people_are_refused(relax_recording, noisy_relax_r
         ConditionTrials.prepare(mixed).body  # noqa: B018
 
 
+@pytest.mark.slow(reason="runs every estimator")
 def test_estimators_take_prepared_trials_as_they_take_recordings(relax_recording):
     trials = ConditionTrials.prepare(relax_recording)
     found, expected = response(trials), response(relax_recording)

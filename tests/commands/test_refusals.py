@@ -77,6 +77,7 @@ def test_noise_names_its_method(tmp_path, capsys):
     assert re.search(r"does not repeat within .* \(for noise there is --method noise; .*: --period\)", line)
 
 
+@pytest.mark.slow(reason="identifies trials")
 def test_what_is_missing_in_a_table_names_the_repair(signals, tmp_path, capsys):
     d, f, x = (part[:1].copy() for part in signals)
     x[0, 1000:1010] = np.nan
