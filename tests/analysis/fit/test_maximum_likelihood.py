@@ -226,6 +226,7 @@ def test_an_arm_that_cannot_be_stable_is_fitted_and_said_to_be_unstable(relax):
     assert any("unstable" in remark for remark in found.remarks)
 
 
+@pytest.mark.slow(reason="fits records")
 def test_an_unstable_start_is_made_stable(position_group):
     start = {"kv_s": 100.0, "kv_se": 0.0, "kv_e": 100.0, "b_s": 0.1, "b_e": 0.1}
     arm = replace(POSITION, **start)

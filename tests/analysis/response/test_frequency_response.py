@@ -135,6 +135,7 @@ def test_known_load_by_the_thesis_instruments(measured, way):
     assert worst(estimate(recordings, balance=False), "arm") > 1.5 * worst(found, "arm")
 
 
+@pytest.mark.slow(reason="estimates responses of long records")
 def test_a_manipulator_that_does_not_balance_is_found_out(measured):
     recording, _ = measured["clusters"]
     rate = recording.attrs["rate"]

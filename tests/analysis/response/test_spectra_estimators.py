@@ -101,7 +101,13 @@ def noisy_arm():
 
 
 @pytest.mark.parametrize("what", ["arm", "environment", "total"])
-@pytest.mark.parametrize("method", sorted(set(METHODS) - {"welch", "multitaper"}))
+@pytest.mark.parametrize(
+    "method",
+    [
+        pytest.param(method, marks=[pytest.mark.slow(reason="fits a model of high order")] * (method == "subspace"))
+        for method in sorted(set(METHODS) - {"welch", "multitaper"})
+    ],
+)
 def test_a_load_is_recovered_from_multisines(load, method, what):
     # Spectra are averages over clusters: they stand for their mean frequency where responses bend little, above 2 Hz.
     frequency = response(load, "spectral").frequency
