@@ -279,3 +279,25 @@ def _row(tag: str, cells: Sequence[str]) -> str:
         for side, cell in zip(sides, cells, strict=True)
     )
     return f"<tr>{''.join(styled)}</tr>"
+
+
+UNCERTAIN, ALIKE = 0.5, 0.95
+"""Limits beyond which a remark is made: relative standard error, error correlation [-]."""
+
+
+def limits_of(fit: FitResult) -> tuple[str, ...]:
+    """What the trials do not tell of the parameters, a sentence each."""
+    said = [f"{name} sits on a bound" for name in fit.at_bound]
+    for name, error in fit.standard_error.items():
+        value = fit.values[name]
+        if error == np.inf:
+            said.append(f"{name} is not identifiable from these trials")
+        elif error > UNCERTAIN * abs(value):
+            relative = f", relative s.e. {error / abs(value):.0%}" if value else ""
+            said.append(f"{name} is poorly determined ({value:.3g} +/- {error:.2g}{relative})")
+    names = list(fit.values)
+    said += [
+        f"{names[i]} and {names[j]} are not separately identifiable (error correlation r = {fit.correlation[i, j]:.2f})"
+        for i, j in zip(*np.nonzero(np.triu(np.abs(fit.correlation) > ALIKE, 1)), strict=True)
+    ]
+    return tuple(said)

@@ -25,6 +25,7 @@ from scipy import fft
 from armperturb.analysis.arm.parameters import DELAYS, GRIP_DAMPING, GRIP_STIFFNESS, MATRIX, PARAMETERS
 from armperturb.analysis.emg.outputs import ReflexOutputs
 from armperturb.analysis.fit.likelihood import Likelihood
+from armperturb.analysis.fit.trial_effects import FEWEST_TRIALS
 from armperturb.analysis.fit.whittle import ALL, LackOfFit, Normal, Whittle
 from armperturb.arrays import Array, ComplexArray
 from armperturb.validation import require_number
@@ -44,6 +45,12 @@ N_ARM = len(PARAMETERS)
 
 FEEDBACK = ("kp", "kv", "ka")
 """Gains by the power of s that they go with."""
+
+FEW_WITH_EMG = (
+    f"EMG of fewer than {FEWEST_TRIALS} trials: intervals of reflexes hold for these trials, as nothing tells how a "
+    "person differs from trial to trial"
+)
+"""Remark on errors that EMG makes smaller than the differences between trials."""
 
 
 @dataclass(frozen=True, kw_only=True)

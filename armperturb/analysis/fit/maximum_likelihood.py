@@ -13,13 +13,22 @@ from typing import NamedTuple, get_args
 import numpy as np
 from scipy import optimize
 
+from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG
 from armperturb.analysis.fit.group import Group, Method, require_one_person
 from armperturb.analysis.fit.joint_likelihood import PART_OF, Effects, JointLikelihood
 from armperturb.analysis.fit.structures import unit
-from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, TrialScore, fit_mixed, scaled, scatter
+from armperturb.analysis.fit.trial_effects import (
+    FEWEST_TRIALS,
+    QUANTITIES,
+    SINGULAR,
+    TrialScore,
+    fit_mixed,
+    scaled,
+    scatter,
+)
 from armperturb.analysis.fit.whittle import LackOfFit, Normal
 from armperturb.analysis.force_balance import Skew
-from armperturb.analysis.results import Description, FitResult, parameter_table
+from armperturb.analysis.results import Description, FitResult, limits_of, parameter_table
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 from armperturb.validation import require_one_of
@@ -40,15 +49,6 @@ SKETCHED, SKETCH_ROUNDS = 0.2, 12
 EFFECT_ROUNDS = 6
 """Steps after which the search for the differences between trials ends."""
 
-FEWEST_TRIALS = 3
-"""Trials from which on they may differ, or show the dispersion: fewer do not tell by how much."""
-
-FEW_WITH_EMG = (
-    f"EMG of fewer than {FEWEST_TRIALS} trials: intervals of reflexes hold for these trials, as nothing tells how a "
-    "person differs from trial to trial"
-)
-"""Remark on errors that EMG makes smaller than the differences between trials."""
-
 LEAST_SPREAD = 1e-3
 """Spreads over trials below this are none [-]."""
 
@@ -58,8 +58,8 @@ AT_BOUND = 1e-6
 SKEWED = 2e-4
 """Least skew between force and displacement that is reported, if it is beyond three standard errors [s]."""
 
-SUSPICIOUS, UNCERTAIN, ALIKE = 0.01, 0.5, 0.95
-"""Limits beyond which a remark is made: p-value of the lack of fit, relative standard error, error correlation [-]."""
+SUSPICIOUS = 0.01
+"""p-value of the lack of fit below which a remark is made [-]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -148,24 +148,6 @@ def _remarks(fit: Estimate) -> tuple[str, ...]:
                 f"{1e3 * error:.2f} ms); expected clocks that agree, as skew turns inertia into damping"
             )
     return (*said, *limits_of(fit))
-
-
-def limits_of(fit: FitResult) -> tuple[str, ...]:
-    """What the trials do not tell of the parameters, a sentence each."""
-    said = [f"{name} sits on a bound" for name in fit.at_bound]
-    for name, error in fit.standard_error.items():
-        value = fit.values[name]
-        if error == np.inf:
-            said.append(f"{name} is not identifiable from these trials")
-        elif error > UNCERTAIN * abs(value):
-            relative = f", relative s.e. {error / abs(value):.0%}" if value else ""
-            said.append(f"{name} is poorly determined ({value:.3g} +/- {error:.2g}{relative})")
-    names = list(fit.values)
-    said += [
-        f"{names[i]} and {names[j]} are not separately identifiable (error correlation r = {fit.correlation[i, j]:.2f})"
-        for i, j in zip(*np.nonzero(np.triu(np.abs(fit.correlation) > ALIKE, 1)), strict=True)
-    ]
-    return tuple(said)
 
 
 class _Search(NamedTuple):
@@ -450,5 +432,5 @@ def _judge(problem: JointLikelihood, method: Method, search: _Search) -> Estimat
         n_rounds=search.n_rounds,
         skew={group.label: group.parts[0].skew for group in problem.groups},
     )
-    few = problem.uses_emg and sum(map(len, problem.no_effects())) < FEWEST_TRIALS
+    few = problem.uses_emg and problem.n_trials < FEWEST_TRIALS
     return replace(result, remarks=(*_remarks(result), *((FEW_WITH_EMG,) if few else ())))

@@ -24,6 +24,9 @@ from armperturb.arrays import Array
 QUANTITIES = ("b", "k", "kv", "kp", "ka")
 """Quantities that may differ from trial to trial, each with all its parameters in proportion."""
 
+FEWEST_TRIALS = 3
+"""Trials from which on they may differ, or show the dispersion: fewer do not tell by how much."""
+
 RANGE = (1e-4, 1.0)
 """Least and largest spread that is looked for [-]; the least is as good as none."""
 

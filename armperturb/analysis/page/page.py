@@ -9,7 +9,7 @@ from typing import Any
 from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.fit.diagnosis import diagnose
 from armperturb.analysis.fit.identify import ESTIMATOR_NAMES, Identification, Identifications
-from armperturb.analysis.fit.maximum_likelihood import Estimate, limits_of
+from armperturb.analysis.fit.maximum_likelihood import Estimate
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.measures.endpoint import EndpointImpedance, is_straight
 from armperturb.analysis.page import figures
@@ -18,7 +18,7 @@ from armperturb.analysis.page.verdict import likely_causes, nonlinearity, unknow
 from armperturb.analysis.response.best_linear import BestLinear, best_linear
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.frequency_response import FrequencyResponse
-from armperturb.analysis.results import plain
+from armperturb.analysis.results import limits_of, plain
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.files import packaged_table, write_whole
 from armperturb.pages.page import rendered, versions

@@ -9,11 +9,12 @@ import numpy as np
 from armperturb.analysis.fit.diagnosis import Diagnosis
 from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.identify import Identification
-from armperturb.analysis.fit.maximum_likelihood import FEWEST_TRIALS, SKEWED, SUSPICIOUS, Estimate, limits_of
+from armperturb.analysis.fit.maximum_likelihood import SKEWED, SUSPICIOUS, Estimate
+from armperturb.analysis.fit.trial_effects import FEWEST_TRIALS
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.page.data_check import DataCheck
 from armperturb.analysis.response.best_linear import BestLinear
-from armperturb.analysis.results import plain
+from armperturb.analysis.results import limits_of, plain
 from armperturb.pages.formats import chance
 from armperturb.recording import LABELS
 
