@@ -15,15 +15,16 @@ likelihood best). The latency T has the largest profile likelihood, and its 95 %
 it, over the dispersion that the amplitudes show.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from scipy import interpolate, optimize, stats
+from scipy import stats
 
 from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.emg.onset_fit import Fits, Trials, stretch_inputs
 from armperturb.analysis.emg.reflex import rotation
 from armperturb.analysis.results import Description, Result, Table
 from armperturb.analysis.trials import ConditionTrials
@@ -38,23 +39,14 @@ WINDOW = (-0.1, 0.1)
 SHOWN = (-0.1, 0.3)
 """Time about a pulse's onset of which averages are kept [s]."""
 
-LATENCIES = (0.01, 0.08)
-"""Least and largest latency that is looked for [s]."""
+LATENCIES = 0.01 + 1e-3 * np.arange(71)
+"""Latencies that are looked for [s]."""
 
-COARSE, FINE = 0.005, 0.001
-"""Steps of the search [s]."""
-
-SATURATIONS = (np.inf, 2.0, 1.0, 0.5)
-"""Speeds at which the response to velocity may have fallen to half [rad/s]."""
-
-PARTS = 3
-"""Points within the averaging time of a sample at which the model is evaluated."""
+COARSE = 5
+"""How many of these are passed over at first."""
 
 OVERLAP = 2.0
 """Samples of the power that share any moment: neighbours are averages over half the same time."""
-
-STEPS, CONVERGED = 30, 1e-2
-"""Scoring steps at one latency, and fall of the deviance that ends them [-]."""
 
 SIGNIFICANT = 1e-6
 """Level of the test whether a muscle answers at all [-]: of tens of tests, each at the best of tens of latencies."""
@@ -144,10 +136,11 @@ def onsets(trials: Sequence[ConditionTrials], envelopes: Envelopes) -> Onsets:
         for place, row in enumerate(rows):
             row_labels = envelopes.labels.iloc[row]
             onset = float(row_labels["pulse_onset"])
-            if not np.isfinite(onset) or onset + WINDOW[0] - LATENCIES[1] < 0.05:
+            if not np.isfinite(onset) or onset + WINDOW[0] - LATENCIES[-1] < 0.05:
                 continue
             power.append(envelopes.power[row])
-            moved.append(turned[place])
+            # Reflexes act about the posture that is held.
+            moved.append(turned[place] - turned[place, : max(round(onset * rate), 1)].mean(axis=0))
             starts.append(onset)
             directions.append(float(row_labels["pulse_direction"]))
             labels.append(part.label)
@@ -166,14 +159,16 @@ def onsets(trials: Sequence[ConditionTrials], envelopes: Envelopes) -> Onsets:
         spread = amplitude.std(axis=0, ddof=1) if len(chosen) > 1 else np.full(amplitude.shape[1:], np.nan)
         errors.append(spread.T / np.sqrt(len(chosen)))
         cut = [_about(power[k], starts[k], rate, WINDOW) for k in chosen]
-        inputs = _Inputs([moved[k] for k in chosen], [time for _, time in cut], rate, envelopes.averaging)
+        inputs = stretch_inputs(
+            [moved[k] for k in chosen], [time for _, time in cut], LATENCIES, rate, envelopes.averaging
+        )
         its = np.array([labels[k] for k in chosen])
         groups = [np.flatnonzero(its == label) for label in dict.fromkeys(its)]
         for column, name in enumerate(names):
             seen = np.stack([values[:, column] for values, _ in cut])
             weight = envelopes.samples_per_second[column] * envelopes.averaging / OVERLAP
             sign = envelopes.muscles[name].sign
-            answer = _latency(seen, inputs.of(-sign), float(envelopes.noise[column]), float(weight), groups)
+            answer = _latency(seen, -sign * inputs, float(envelopes.noise[column]), float(weight), groups)
             table.append((name, float(direction), len(chosen), *answer))
     n_shown = averages[0].shape[1]
     columns = ["muscle", "direction_deg", "trials", "latency_s", "lower_95_s", "upper_95_s", "p"]
@@ -197,157 +192,79 @@ def _about(values: Array, onset: float, rate: float, window: tuple[float, float]
     return np.where((index == inside)[:, None], values[inside], np.nan), index / rate
 
 
-class _Inputs:
-    """Rotations and velocities about the pulses of one direction, at any latency."""
+class _Profile:
+    """Least deviance at each latency of a muscle, found as it is asked for.
 
-    def __init__(self, moved: Sequence[Array], times: Sequence[Array], rate: float, averaging: float) -> None:
-        within = averaging * ((np.arange(PARTS) + 0.5) / PARTS - 0.5)
-        self._splines, self._times = [], []
-        for turned, time in zip(moved, times, strict=True):
-            margin = round(0.05 * rate)
-            first = max(round((time[0] - LATENCIES[1]) * rate) - margin, 0)
-            last = min(round(time[-1] * rate) + margin, len(turned))
-            grid = np.arange(first, last) / rate
-            spline = interpolate.CubicSpline(grid, turned[first:last] - turned[first:last].mean(axis=0))
-            self._splines.append((spline, spline.derivative()))
-            self._times.append(time[:, None] + within)
-        self._kept: dict[tuple[float, float], Array] = {}
+    Args:
+      power: of the muscle, (trial, time).
+      inputs: as of `stretch_inputs`, positive where the muscle is stretched.
+      noise: power of the silent channel.
+      groups: trials that share their gains.
+    """
 
-    def of(self, sign: int) -> Callable[[float, float], Array]:
-        """The same, positive where muscles of a sign are stretched."""
-        return lambda latency, saturation: sign * self(latency, saturation)
+    def __init__(self, power: Array, inputs: Array, noise: float, groups: Sequence[Indices]) -> None:
+        floor = LEAST_POWER * float(np.nanmean(power))
+        self._parts = [(Trials(power[group], noise, floor), inputs[:, :, group]) for group in groups]
+        self.still = sum(part.still() for part, _ in self._parts)
+        shape = inputs.shape[:2]
+        self._by_saturation = np.full(shape, np.inf)
+        self._found = [
+            Fits(np.zeros(shape), np.zeros((*shape, len(group))), np.zeros((*shape, inputs.shape[-1])))
+            for group in groups
+        ]
 
-    def __call__(self, latency: float, saturation: float) -> Array:
-        """Rotations [rad] and three velocities [rad/s] before a latency [s], (trial, time, part, 5)."""
-        key = latency, saturation
-        if key not in self._kept:
-            parts = []
-            for (turned, turning), time in zip(self._splines, self._times, strict=True):
-                velocity = turning(time - latency)
-                velocity = np.concatenate([velocity, velocity.sum(axis=-1, keepdims=True)], axis=-1)
-                velocity = velocity / (1.0 + np.abs(velocity) / saturation)
-                parts.append(np.concatenate([turned(time - latency), velocity], axis=-1))
-            self._kept[key] = np.stack(parts)
-        return self._kept[key]
+    def __call__(self, latencies: Indices) -> Array:
+        """Least deviance at some latencies, (latency,)."""
+        tried = np.flatnonzero(np.isfinite(self._by_saturation[0]))
+        new = np.setdiff1d(latencies, tried)
+        if len(new):
+            self._by_saturation[:, new] = 0.0
+            near = tried[np.argmin(np.abs(new[:, None] - tried), axis=1)] if len(tried) else None
+            n = len(self._by_saturation)
+            for (part, inputs), found in zip(self._parts, self._found, strict=True):
+                candidates = inputs[:, new].reshape(-1, *inputs.shape[2:])
+                start = None if near is None else Fits(*(each[:, near].reshape(-1, *each.shape[2:]) for each in found))
+                for each, values in zip(found, part.fit(candidates, start), strict=True):
+                    each[:, new] = values.reshape(n, len(new), *values.shape[1:])
+                self._by_saturation[:, new] += found.deviance[:, new]
+        return np.asarray(self._by_saturation[:, latencies].min(axis=0))
 
 
 def _latency(
-    power: Array, inputs: Callable[[float, float], Array], noise: float, weight: float, groups: Sequence[Indices]
+    power: Array, inputs: Array, noise: float, weight: float, groups: Sequence[Indices]
 ) -> tuple[float, float, float, float]:
     """Latency, its limits and p of no response, of the power of one muscle, (trial, time)."""
     known = np.isfinite(power)
     silent = (np.nan,) * 3
     if not known.any() or not np.nansum(power) > 0.0:
         return (*silent, 1.0)
-    floor = LEAST_POWER * float(np.nanmean(power))
-    mean = np.nanmean(power, axis=1, keepdims=True)
-    still = float(np.sum(_deviance(power, np.maximum(mean, floor) + 0.0 * power)[known]))
-    tried: dict[tuple[float, float], tuple[float, list[Array]]] = {}
-
-    def deviance(latency: float, saturation: float) -> float:
-        key = round(float(latency), 6), saturation
-        if key not in tried:
-            near = min(tried, key=lambda other: (other[1] != key[1], abs(other[0] - key[0])), default=None)
-            starts = tried[near][1] if near else [None] * len(groups)
-            every = inputs(*key)
-            fits = [
-                _fitted(power[group], known[group], every[group], noise, floor, start)
-                for group, start in zip(groups, starts, strict=True)
-            ]
-            tried[key] = sum(cost for cost, _ in fits), [values for _, values in fits]
-        return tried[key][0]
-
-    def profile(latency: float) -> float:
-        return min(deviance(latency, saturation) for saturation in SATURATIONS)
-
-    def searched(grid: Array) -> float:
-        return float(grid[int(np.argmin([profile(latency) for latency in grid]))])
-
-    best = searched(np.arange(*LATENCIES, COARSE))
+    profile = _Profile(power, inputs, noise, groups)
+    n = len(LATENCIES)
+    coarse = np.arange(0, n, COARSE)
+    deviances = profile(coarse)
+    best = int(coarse[np.argmin(deviances)])
     dof = max(known.sum() / OVERLAP - len(power) - 5 * len(groups), 1.0)
-    dispersion = max(1.0, weight * profile(best) / dof)
-    p = float(stats.chi2.sf((still - profile(best)) * weight / dispersion, 5 * len(groups)))
+    dispersion = max(1.0, weight * deviances.min() / dof)
+    p = float(stats.chi2.sf((profile.still - deviances.min()) * weight / dispersion, 5 * len(groups)))
     if p > SIGNIFICANT:
         return (*silent, p)
-    best = searched(best + np.arange(-COARSE, COARSE, FINE))
     limit = stats.chi2.ppf(0.95, 1) * dispersion / weight
-
-    def end(sign: int) -> float:
-        at, below = best, best
-        while LATENCIES[0] < at < LATENCIES[1] and profile(at) - profile(best) < limit:
-            below, at = at, at + sign * COARSE / 2
-        for _ in range(4):
-            middle = (below + at) / 2.0
-            below, at = (middle, at) if profile(middle) - profile(best) < limit else (below, middle)
-        return (below + at) / 2.0
-
-    lower, upper = end(-1), end(1)
-    if lower <= LATENCIES[0] or upper >= LATENCIES[1]:
+    first, last = max(best - COARSE, 0), min(best + COARSE, n - 1)
+    while True:
+        deviances = profile(np.arange(first, last + 1))
+        beyond = deviances > deviances.min() + limit
+        if not beyond[0] and first > 0:
+            first = max(first - COARSE, 0)
+        elif not beyond[-1] and last < n - 1:
+            last = min(last + COARSE, n - 1)
+        else:
+            break
+    if not beyond[0] or not beyond[-1]:
         return (*silent, p)
-    return best, lower, upper, p
-
-
-def _deviance(power: Array, model: Array) -> Array:
-    """Of gamma variables about a model, per degree of freedom, (trial, time)."""
-    ratio = np.maximum(power, 1e-12 * model) / model
-    return np.asarray(ratio - 1.0 - np.log(ratio))
-
-
-def _fitted(
-    power: Array, known: Any, inputs: Array, noise: float, floor: float, start: Array | None
-) -> tuple[float, Array]:
-    """Least deviance over backgrounds and gains, and these, by Fisher scoring."""
-    n_trials, n_inputs = len(power), inputs.shape[-1]
-    scale = np.sqrt(np.mean(inputs**2, axis=(0, 1, 2))) + 1e-300
-    scaled = inputs / scale
-    if start is None:
-        level = np.sqrt(np.maximum(np.nanmedian(power, axis=1) - noise, floor))
-        start = np.append(level, np.zeros(n_inputs))
-        # Gains from the response of the amplitude, by least squares.
-        amplitude = np.sqrt(np.maximum(np.nan_to_num(power) - noise, 0.0)) - level[:, None]
-        columns = scaled.mean(axis=2)[known]
-        start[n_trials:] = optimize.nnls(columns, amplitude[known])[0]
-        start = np.append(start[:n_trials], start[n_trials:] / scale)
-    values = np.append(start[:n_trials], start[n_trials:] * scale)
-
-    def modelled(values: Array) -> tuple[Array, Array, Array]:
-        driven = scaled @ values[n_trials:]
-        acts = driven > 0.0
-        amplitude = np.maximum(values[:n_trials], 0.0)[:, None, None] + np.where(acts, driven, 0.0)
-        return np.maximum(np.mean(amplitude**2, axis=2) + noise, floor), amplitude, acts
-
-    def total(model: Array) -> float:
-        return float(np.sum(_deviance(np.where(known, power, model), model)))
-
-    model, amplitude, acts = modelled(values)
-    cost, damping = total(model), 1e-3
-    for _ in range(STEPS):
-        by_level = 2.0 * amplitude.mean(axis=2)
-        by_gain = 2.0 * np.mean((amplitude * acts)[..., None] * scaled, axis=2)
-        design = np.zeros((*power.shape, len(values)))
-        for trial in range(n_trials):
-            design[trial, :, trial] = by_level[trial]
-        design[..., n_trials:] = by_gain
-        rows = (design / model[..., None])[known]
-        residual = (np.where(known, power, model) / model - 1.0)[known]
-        gram = rows.T @ rows
-        while True:
-            ridge = damping * np.diag(gram) + 1e-9 * np.trace(gram)
-            # Gains that are zero and would fall stay where they are.
-            free = np.ones(len(values), dtype=bool)
-            free[n_trials:] = (values[n_trials:] > 0.0) | ((rows.T @ residual)[n_trials:] > 0.0)
-            within = np.ix_(free, free)
-            after = values.copy()
-            after[free] += np.linalg.solve((gram + np.diag(ridge))[within], (rows.T @ residual)[free])
-            after[n_trials:] = np.maximum(after[n_trials:], 0.0)
-            model, amplitude, acts = modelled(after)
-            lower = total(model)
-            if lower <= cost or damping > 1e6:
-                break
-            damping *= 10.0
-        if damping > 1e6:
-            break
-        fall, values, cost, damping = cost - lower, after, lower, damping / 10.0
-        if fall < CONVERGED:
-            break
-    return cost, np.append(values[:n_trials], values[n_trials:] / scale)
+    at, inside = LATENCIES[first : last + 1], np.flatnonzero(~beyond)
+    best = int(np.argmin(deviances))
+    ends = [
+        float(np.interp(deviances.min() + limit, deviances[[i, o]], at[[i, o]]))
+        for i, o in ((inside[0], inside[0] - 1), (inside[-1], inside[-1] + 1))
+    ]
+    return float(at[best]), ends[0], ends[1], p
