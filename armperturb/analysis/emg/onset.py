@@ -168,7 +168,7 @@ def onsets(trials: Sequence[ConditionTrials], envelopes: Envelopes) -> Onsets:
             seen = np.stack([values[:, column] for values, _ in cut])
             weight = envelopes.samples_per_second[column] * envelopes.averaging / OVERLAP
             sign = envelopes.muscles[name].sign
-            answer = _latency(seen, -sign * inputs, float(envelopes.noise[column]), float(weight), groups)
+            answer = _latency(seen, -sign * inputs, float(envelopes.noise[column]), float(weight))
             table.append((name, float(direction), len(chosen), *answer))
     n_shown = averages[0].shape[1]
     columns = ["muscle", "direction_deg", "trials", "latency_s", "lower_95_s", "upper_95_s", "p"]
@@ -196,56 +196,50 @@ class _Profile:
     """Least deviance at each latency of a muscle, found as it is asked for.
 
     Args:
-      power: of the muscle, (trial, time).
+      trials: power of the muscle.
       inputs: as of `stretch_inputs`, positive where the muscle is stretched.
-      noise: power of the silent channel.
-      groups: trials that share their gains.
     """
 
-    def __init__(self, power: Array, inputs: Array, noise: float, groups: Sequence[Indices]) -> None:
-        floor = LEAST_POWER * float(np.nanmean(power))
-        self._parts = [(Trials(power[group], noise, floor), inputs[:, :, group]) for group in groups]
-        self.still = sum(part.still() for part, _ in self._parts)
-        shape = inputs.shape[:2]
-        self._by_saturation = np.full(shape, np.inf)
-        self._found = [
-            Fits(np.zeros(shape), np.zeros((*shape, len(group))), np.zeros((*shape, inputs.shape[-1])))
-            for group in groups
-        ]
+    def __init__(self, trials: Trials, inputs: Array) -> None:
+        self._trials, self._inputs = trials, inputs
+        shape, n_trials = inputs.shape[:2], inputs.shape[3]
+        self._found = Fits(
+            np.full(shape, np.inf),
+            np.zeros((*shape, n_trials)),
+            np.zeros((*shape, n_trials)),
+            np.zeros((*shape, inputs.shape[-1])),
+        )
 
     def __call__(self, latencies: Indices) -> Array:
         """Least deviance at some latencies, (latency,)."""
-        tried = np.flatnonzero(np.isfinite(self._by_saturation[0]))
+        tried = np.flatnonzero(np.isfinite(self._found.deviance[0]))
         new = np.setdiff1d(latencies, tried)
         if len(new):
-            self._by_saturation[:, new] = 0.0
-            near = tried[np.argmin(np.abs(new[:, None] - tried), axis=1)] if len(tried) else None
-            n = len(self._by_saturation)
-            for (part, inputs), found in zip(self._parts, self._found, strict=True):
-                candidates = inputs[:, new].reshape(-1, *inputs.shape[2:])
-                start = None if near is None else Fits(*(each[:, near].reshape(-1, *each.shape[2:]) for each in found))
-                for each, values in zip(found, part.fit(candidates, start), strict=True):
-                    each[:, new] = values.reshape(n, len(new), *values.shape[1:])
-                self._by_saturation[:, new] += found.deviance[:, new]
-        return np.asarray(self._by_saturation[:, latencies].min(axis=0))
+            candidates = self._inputs[:, new].reshape(-1, *self._inputs.shape[2:])
+            start = None
+            if len(tried):
+                near = tried[np.argmin(np.abs(new[:, None] - tried), axis=1)]
+                start = Fits(*(each[:, near].reshape(-1, *each.shape[2:]) for each in self._found))
+            for each, values in zip(self._found, self._trials.fit(candidates, start), strict=True):
+                each[:, new] = values.reshape(-1, len(new), *values.shape[1:])
+        return np.asarray(self._found.deviance[:, latencies].min(axis=0))
 
 
-def _latency(
-    power: Array, inputs: Array, noise: float, weight: float, groups: Sequence[Indices]
-) -> tuple[float, float, float, float]:
+def _latency(power: Array, inputs: Array, noise: float, weight: float) -> tuple[float, float, float, float]:
     """Latency, its limits and p of no response, of the power of one muscle, (trial, time)."""
-    known = np.isfinite(power)
     silent = (np.nan,) * 3
-    if not known.any() or not np.nansum(power) > 0.0:
+    if not np.nansum(power) > 0.0:
         return (*silent, 1.0)
-    profile = _Profile(power, inputs, noise, groups)
+    trials = Trials(power, noise, LEAST_POWER * float(np.nanmean(power)))
+    profile = _Profile(trials, inputs)
     n = len(LATENCIES)
     coarse = np.arange(0, n, COARSE)
     deviances = profile(coarse)
     best = int(coarse[np.argmin(deviances)])
-    dof = max(known.sum() / OVERLAP - len(power) - 5 * len(groups), 1.0)
+    n_response = inputs.shape[-1] + len(power) - 1
+    dof = max(trials.known.sum() / OVERLAP - len(power) - n_response, 1.0)
     dispersion = max(1.0, weight * deviances.min() / dof)
-    p = float(stats.chi2.sf((profile.still - deviances.min()) * weight / dispersion, 5 * len(groups)))
+    p = float(stats.chi2.sf((trials.still() - deviances.min()) * weight / dispersion, n_response))
     if p > SIGNIFICANT:
         return (*silent, p)
     limit = stats.chi2.ppf(0.95, 1) * dispersion / weight

@@ -39,7 +39,7 @@ def stretch_inputs(
       averaging: time over which a sample of the power is averaged [s].
 
     Returns:
-      (saturation, latency, trial, time, part, input), velocities v as v / (1 + |v| / v_0) with `SATURATIONS`.
+      (saturation, latency, part, trial, time, input), velocities v as v / (1 + |v| / v_0) with `SATURATIONS`.
     """
     within = averaging * np.array(WITHIN)
     rotations, velocities = [], []
@@ -50,22 +50,25 @@ def stretch_inputs(
         at = time[:, None] + within - latencies[:, None, None]
         rotations.append(spline(at))
         velocities.append(spline(at, 1))
-    rotation, velocity = np.stack(rotations, axis=1), np.stack(velocities, axis=1)
+    # Parts and trials before time, as what is summed over parts is then contiguous.
+    rotation, velocity = (np.stack(each, axis=1).transpose(0, 3, 1, 2, 4) for each in (rotations, velocities))
     velocity = np.concatenate([velocity, velocity.sum(axis=-1, keepdims=True)], axis=-1)
     return np.stack([np.concatenate([rotation, velocity / (1.0 + np.abs(velocity) / v)], axis=-1) for v in SATURATIONS])
 
 
 class Fits(NamedTuple):
-    """Most likely backgrounds and gains of some candidates.
+    """Most likely backgrounds and responses of some candidates.
 
     Attributes:
       deviance: per degree of freedom of a sample, (candidate,).
       levels: backgrounds, (candidate, trial).
+      sizes: of the responses, one on average, (candidate, trial).
       gains: (candidate, input).
     """
 
     deviance: Array
     levels: Array
+    sizes: Array
     gains: Array
 
     def of(self, which: Indices) -> "Fits":
@@ -73,8 +76,11 @@ class Fits(NamedTuple):
         return Fits(*(each[which] for each in self))
 
 
+COUNT = []
+
+
 class Trials:
-    """Power of a muscle in trials that share their gains.
+    """Power of a muscle in trials.
 
     Args:
       power: (trial, time); NaN where it is not known.
@@ -85,7 +91,8 @@ class Trials:
     def __init__(self, power: Array, noise: float, floor: float) -> None:
         self.known = np.isfinite(power)
         self._power, self._noise, self._floor = np.where(self.known, power, 0.0), noise, floor
-        level = np.sqrt(np.maximum(np.nanmedian(power, axis=1) - noise, floor))
+        with np.errstate(all="ignore"):
+            level = np.sqrt(np.maximum(np.nanmedian(power, axis=1) - noise, floor))
         self._level = np.where(np.isfinite(level), level, np.sqrt(floor))
         # What does not depend on the model: minus the logarithm of the power, and one, of each sample.
         self._rest = float(np.sum(np.log(np.maximum(power[self.known], 1e-12 * floor))) + self.known.sum())
@@ -96,10 +103,13 @@ class Trials:
         return float(self._deviance(np.maximum(mean, self._floor)[None, :, None])[0])
 
     def model(self, inputs: Array, fits: Fits) -> tuple[Array, Array]:
-        """Power of candidates, (candidate, trial, time), and amplitude driven by the stretch, (..., part)."""
-        driven = np.maximum(np.einsum("ctsph,ch->ctsp", inputs, fits.gains), 0.0)
-        amplitude = fits.levels[:, :, None, None] + driven
-        return np.maximum(np.mean(amplitude**2, axis=3) + self._noise, self._floor), driven
+        """Power, (candidate, trial, time), and amplitude of responses of size one, (candidate, part, trial, time)."""
+        n = len(inputs)
+        driven = np.maximum(inputs.reshape(n, -1, inputs.shape[-1]) @ fits.gains[..., None], 0.0)
+        driven = driven.reshape(inputs.shape[:-1])
+        amplitude = fits.levels[:, None, :, None] + fits.sizes[:, None, :, None] * driven
+        power = np.sum(amplitude**2, axis=1) / inputs.shape[1]
+        return np.maximum(power + self._noise, self._floor), driven
 
     def _deviance(self, model: Array) -> Array:
         return np.asarray(np.sum((self._power / model + np.log(model)) * self.known, axis=(1, 2)) - self._rest)
@@ -108,31 +118,27 @@ class Trials:
         """Gains from the amplitude above the background, by least squares."""
         levels = np.tile(self._level, (len(inputs), 1))
         above = np.sqrt(np.maximum(self._power - self._noise, 0.0)) - self._level[:, None]
-        columns = np.maximum(inputs.mean(axis=3), 0.0) * self.known[..., None]
+        columns = np.maximum(inputs.mean(axis=1), 0.0) * self.known[..., None]
         columns = columns.reshape(len(inputs), -1, inputs.shape[-1])
         gram = np.swapaxes(columns, 1, 2) @ columns
         along = np.einsum("cnh,n->ch", columns, above.ravel())
         gains = np.maximum(_solved(gram, along, 1e-2), 0.0)
-        started = Fits(np.zeros(len(inputs)), levels, gains)
-        return started._replace(deviance=self._deviance(self.model(inputs, started)[0]))
+        return Fits(np.zeros(len(inputs)), levels, np.ones_like(levels), gains)
 
     def fit(self, inputs: Array, start: Fits | None = None) -> Fits:
-        """Most likely backgrounds and gains of candidates, by Fisher scoring.
+        """Most likely backgrounds and responses of candidates, by Fisher scoring.
 
         Args:
-          inputs: (candidate, trial, time, part, input).
+          inputs: (candidate, part, trial, time, input).
           start: where the search of each candidate starts; None for `start`.
         """
-        if start is None:
-            now = self.start(inputs)
-        else:
-            now = start._replace(deviance=self._deviance(self.model(inputs, start)[0]))
+        now = self.start(inputs) if start is None else start
+        now = now._replace(deviance=self._deviance(self.model(inputs, now)[0]))
         best = Fits(*(each.copy() for each in now))
-        places, damping = np.arange(len(inputs)), np.full(len(inputs), 1e-3)
+        places, damping = np.arange(len(inputs)), np.full(len(inputs), 1e-2)
         for _ in range(STEPS):
-            after = self._stepped(inputs, now, damping)
-            fall = now.deviance - after.deviance
-            better = fall >= 0.0
+            after, expected = self._stepped(inputs, now, damping)
+            better = after.deviance <= now.deviance
             now = Fits(
                 *(
                     np.where(better if each.ndim == 1 else better[:, None], then, each)
@@ -142,40 +148,61 @@ class Trials:
             damping = np.where(better, damping / 10.0, damping * 10.0)
             for each, found in zip(best, now, strict=True):
                 each[places] = found
-            going = ~(better & (fall < CONVERGED)) & (damping < DAMPED)
+            going = (expected > CONVERGED) & (damping < DAMPED)
+            COUNT.append((len(going), going.sum()))
             if not going.any():
                 break
             if going.sum() < 0.7 * len(going):
                 inputs, now, places, damping = inputs[going], now.of(going), places[going], damping[going]
         return best
 
-    def _stepped(self, inputs: Array, now: Fits, damping: Array) -> Fits:
-        """Candidates after a damped step of scoring."""
+    def _stepped(self, inputs: Array, now: Fits, damping: Array) -> tuple[Fits, Array]:
+        """Candidates after a damped step of scoring, and by how much it should lower their deviance."""
         model, driven = self.model(inputs, now)
         weight = self.known / model
-        amplitude = now.levels[:, :, None, None] + driven
-        by_level = 2.0 * amplitude.mean(axis=3) * weight
-        acts = (2.0 / inputs.shape[3]) * np.where(driven > 0.0, amplitude, 0.0) * weight[..., None]
-        by_gain = np.einsum("ctsp,ctsph->ctsh", acts, inputs)
+        sizes = now.sizes[:, None, :, None]
+        amplitude = (now.levels[:, None, :, None] + sizes * driven) * (2.0 / inputs.shape[1]) * weight[:, None]
+        # Slopes by what acts in one trial: background and size.
+        own = np.stack([np.sum(amplitude, axis=1), np.sum(amplitude * driven, axis=1)], axis=-1)
+        acts = np.where(driven > 0.0, amplitude * sizes, 0.0)
+        by_gain = np.sum(acts[..., None] * inputs, axis=1)
         residual = (self._power - model) * weight
-        of_levels = np.sum(by_level**2, axis=2) * (1.0 + damping[:, None]) + 1e-300
-        cross = np.einsum("cts,ctsh->cth", by_level, by_gain)
         n, n_inputs = now.gains.shape
+        own_gram = np.swapaxes(own, 2, 3) @ own
+        own_slope = (np.swapaxes(own, 2, 3) @ residual[..., None])[..., 0]
         flat = by_gain.reshape(n, -1, n_inputs)
         gram = np.swapaxes(flat, 1, 2) @ flat
-        slope_of_levels = np.sum(by_level * residual, axis=2)
-        slope = np.einsum("cnh,cn->ch", flat, residual.reshape(n, -1))
+        slope = (np.swapaxes(flat, 1, 2) @ residual.reshape(n, -1, 1))[..., 0]
+        cross = np.swapaxes(own, 2, 3) @ by_gain
         # Gains that are zero and would fall stay where they are.
         free = (now.gains > 0.0) | (slope > 0.0)
-        diagonal = np.einsum("chh->ch", gram).copy()
-        gram = gram + np.eye(n_inputs) * (damping[:, None] * diagonal)[:, None]
-        gram -= np.einsum("cth,ctk->chk", cross / of_levels[..., None], cross)
-        along = slope - np.einsum("cth,ct->ch", cross, slope_of_levels / of_levels)
+        grow = 1.0 + damping + 1e-9
+        own_gram[..., 0, 0] = own_gram[..., 0, 0] * grow[:, None] + 1e-300
+        own_gram[..., 1, 1] = own_gram[..., 1, 1] * grow[:, None] + 1e-300
+        determinant = own_gram[..., 0, 0] * own_gram[..., 1, 1] - own_gram[..., 0, 1] ** 2
+        inverse = (
+            np.stack(
+                [own_gram[..., 1, 1], -own_gram[..., 0, 1], -own_gram[..., 0, 1], own_gram[..., 0, 0]], axis=-1
+            ).reshape(own_gram.shape)
+            / determinant[..., None, None]
+        )
+        solved = inverse @ cross
+        diagonal = np.einsum("chh->ch", gram)
+        diagonal[...] *= grow[:, None]
+        gram -= np.einsum("ctoh,ctok->chk", cross, solved)
+        along = slope - np.einsum("ctoh,cto->ch", solved, own_slope)
         change = _solved(gram, along, 1e-9, free)
         gains = np.maximum(now.gains + change, 0.0)
-        levels = now.levels + (slope_of_levels - np.einsum("cth,ch->ct", cross, change)) / of_levels
-        after = Fits(now.deviance, np.maximum(levels, 0.0), gains)
-        return after._replace(deviance=self._deviance(self.model(inputs, after)[0]))
+        own_change = (inverse @ own_slope[..., None])[..., 0] - np.einsum("ctoh,ch->cto", solved, change)
+        levels = np.maximum(now.levels + own_change[..., 0], 0.0)
+        sizes = np.maximum(now.sizes + own_change[..., 1], 0.0)
+        after = Fits(now.deviance, levels, sizes, gains)
+        expected = (
+            np.sum(slope * (gains - now.gains), axis=1)
+            + np.sum(own_slope[..., 0] * (levels - now.levels), axis=1)
+            + np.sum(own_slope[..., 1] * (sizes - now.sizes), axis=1)
+        )
+        return after._replace(deviance=self._deviance(self.model(inputs, after)[0])), expected
 
 
 def _solved(gram: Array, along: Array, ridge: float, free: Flags | None = None) -> Array:
