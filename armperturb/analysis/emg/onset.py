@@ -3,18 +3,20 @@
 A pulse sets the arm in motion slowly, so that a response has no sharp onset, and what a threshold finds is late by a
 time that depends on its strength. So the onset is sought by likelihood: about each pulse, the amplitude of a muscle is
 
-    a(t) = b + max(0, c . z(t - T)),
+    a(t) = b_i + s_i max(0, c . z(t - T)),
 
-with a background b of each trial and gains c >= 0, common to the trials of a condition and direction, of what stretches
-the muscle: z holds the rotations of both joints, their velocities and the sum of these (muscles that cross both), the
-velocities v as v / (1 + |v| / v_0). The speed v_0 at which responses have fallen to half is one of `SATURATIONS`,
-whichever is most likely. The rotation is measured, so that nothing is assumed of when it starts.
+with a background b_i and a size s_i of the response of each trial i, and gains c >= 0 of what stretches the muscle: z
+holds the rotations of both joints from where they were held, their velocities and the sum of these (muscles that cross
+both), the velocities v as v / (1 + |v| / v_0). The speed v_0 at which responses have fallen to half is one of
+`SATURATIONS`, whichever is most likely. The rotation is measured, so that nothing is assumed of when it starts; sizes
+are of trials, as people do not answer alike each time, nor in each condition.
 The power of whitened EMG in an interval is gamma distributed about a^2 + noise with as many degrees of freedom as
 there are independent samples in it (Staude & Wolf 1999, Med. Eng. Phys. 21, compare onset detectors and find those by
-likelihood best). The latency T has the largest profile likelihood, and its 95 % interval holds what is within 3.84 of
-it, over the dispersion that the amplitudes show.
+likelihood best). The latency T has the largest profile likelihood, and its 95 % interval is that of the profile
+likelihood, over the dispersion that the power shows.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -24,7 +26,7 @@ import pandas as pd
 from scipy import stats
 
 from armperturb.analysis.emg.envelope import Envelopes
-from armperturb.analysis.emg.onset_fit import Fits, Trials, stretch_inputs
+from armperturb.analysis.emg.onset_fit import LATENCIES, N_GAINS, Fits, MusclePower, Stretch
 from armperturb.analysis.emg.reflex import rotation
 from armperturb.analysis.results import Description, Result, Table
 from armperturb.analysis.trials import ConditionTrials
@@ -39,20 +41,17 @@ WINDOW = (-0.1, 0.1)
 SHOWN = (-0.1, 0.3)
 """Time about a pulse's onset of which averages are kept [s]."""
 
-LATENCIES = 0.01 + 1e-3 * np.arange(71)
-"""Latencies that are looked for [s]."""
-
 COARSE = 5
-"""How many of these are passed over at first."""
+"""Every so many of the latencies are tried at first."""
+
+ROUGH, CONVERGED = 0.2, 0.02
+"""How near deviances have to be to the least one where the latency is looked for, and for its interval [-]."""
 
 OVERLAP = 2.0
 """Samples of the power that share any moment: neighbours are averages over half the same time."""
 
 SIGNIFICANT = 1e-6
 """Level of the test whether a muscle answers at all [-]: of tens of tests, each at the best of tens of latencies."""
-
-LEAST_POWER = 1e-4
-"""Share of the mean power below which the model's power does not fall [-]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -129,7 +128,7 @@ def onsets(trials: Sequence[ConditionTrials], envelopes: Envelopes) -> Onsets:
       ValueError: no trial has a pulse, or neither joint angles nor the posture are known.
     """
     rate, names = envelopes.rate, list(envelopes.muscles)
-    power, moved, starts, directions, labels = [], [], [], [], []
+    power, moved, starts, directions = [], [], [], []
     for part in trials:
         rows = np.flatnonzero((envelopes.labels["condition"] == part.label).to_numpy())
         turned = rotation(part)
@@ -143,7 +142,6 @@ def onsets(trials: Sequence[ConditionTrials], envelopes: Envelopes) -> Onsets:
             moved.append(turned[place] - turned[place, : max(round(onset * rate), 1)].mean(axis=0))
             starts.append(onset)
             directions.append(float(row_labels["pulse_direction"]))
-            labels.append(part.label)
     if not power:
         raise ValueError(
             f"onsets: no trial of {', '.join(part.label for part in trials)} has a pulse; expected some "
@@ -159,16 +157,12 @@ def onsets(trials: Sequence[ConditionTrials], envelopes: Envelopes) -> Onsets:
         spread = amplitude.std(axis=0, ddof=1) if len(chosen) > 1 else np.full(amplitude.shape[1:], np.nan)
         errors.append(spread.T / np.sqrt(len(chosen)))
         cut = [_about(power[k], starts[k], rate, WINDOW) for k in chosen]
-        inputs = stretch_inputs(
-            [moved[k] for k in chosen], [time for _, time in cut], LATENCIES, rate, envelopes.averaging
-        )
-        its = np.array([labels[k] for k in chosen])
-        groups = [np.flatnonzero(its == label) for label in dict.fromkeys(its)]
+        stretch = Stretch([moved[k] for k in chosen], [time for _, time in cut], rate, envelopes.averaging)
         for column, name in enumerate(names):
             seen = np.stack([values[:, column] for values, _ in cut])
-            weight = envelopes.samples_per_second[column] * envelopes.averaging / OVERLAP
-            sign = envelopes.muscles[name].sign
-            answer = _latency(seen, -sign * inputs, float(envelopes.noise[column]), float(weight))
+            weight = float(envelopes.samples_per_second[column] * envelopes.averaging / OVERLAP)
+            sign = -envelopes.muscles[name].sign
+            answer = _latency(seen, stretch, sign, float(envelopes.noise[column]), weight)
             table.append((name, float(direction), len(chosen), *answer))
     n_shown = averages[0].shape[1]
     columns = ["muscle", "direction_deg", "trials", "latency_s", "lower_95_s", "upper_95_s", "p"]
@@ -196,69 +190,68 @@ class _Profile:
     """Least deviance at each latency of a muscle, found as it is asked for.
 
     Args:
-      trials: power of the muscle.
-      inputs: as of `stretch_inputs`, positive where the muscle is stretched.
+      power: of the muscle.
+      stretch: of the same trials.
+      sign: 1 for muscles that positive rotation stretches, -1 for others.
     """
 
-    def __init__(self, trials: Trials, inputs: Array) -> None:
-        self._trials, self._inputs = trials, inputs
-        shape, n_trials = inputs.shape[:2], inputs.shape[3]
-        self._found = Fits(
-            np.full(shape, np.inf),
-            np.zeros((*shape, n_trials)),
-            np.zeros((*shape, n_trials)),
-            np.zeros((*shape, inputs.shape[-1])),
-        )
+    def __init__(self, power: MusclePower, stretch: Stretch, sign: int) -> None:
+        self._power, self._stretch, self._sign = power, stretch, sign
+        self._found = dict[int, Fits]()
+        self._missed = np.full(len(LATENCIES), np.inf)
 
-    def __call__(self, latencies: Indices) -> Array:
-        """Least deviance at some latencies, (latency,)."""
-        tried = np.flatnonzero(np.isfinite(self._found.deviance[0]))
-        new = np.setdiff1d(latencies, tried)
+    def __call__(self, latencies: Indices, converged: float) -> Array:
+        """Least deviance at some of `LATENCIES`, (latency,), up to about `converged`."""
+        new = latencies[self._missed[latencies] > converged]
         if len(new):
-            candidates = self._inputs[:, new].reshape(-1, *self._inputs.shape[2:])
-            start = None
+            start, tried = None, np.array(sorted(self._found))
             if len(tried):
-                near = tried[np.argmin(np.abs(new[:, None] - tried), axis=1)]
-                start = Fits(*(each[:, near].reshape(-1, *each.shape[2:]) for each in self._found))
-            for each, values in zip(self._found, self._trials.fit(candidates, start), strict=True):
-                each[:, new] = values.reshape(-1, len(new), *values.shape[1:])
-        return np.asarray(self._found.deviance[:, latencies].min(axis=0))
+                near = [self._found[int(tried[np.argmin(np.abs(tried - place))])] for place in new]
+                start = Fits(*(np.stack(each, axis=1).reshape(-1, *each[0].shape[1:]) for each in zip(*near, strict=True)))
+            fits = self._power.fit(self._stretch(new, self._sign), start, converged)
+            for k, place in enumerate(new.tolist()):
+                self._found[place] = fits.of(np.arange(k, len(fits.deviance), len(new)))
+            self._missed[new] = converged
+        return np.array([self._found[place].deviance.min() for place in latencies.tolist()])
 
 
-def _latency(power: Array, inputs: Array, noise: float, weight: float) -> tuple[float, float, float, float]:
+def _latency(
+    seen: Array, stretch: Stretch, sign: int, noise: float, weight: float
+) -> tuple[float, float, float, float]:
     """Latency, its limits and p of no response, of the power of one muscle, (trial, time)."""
-    silent = (np.nan,) * 3
-    if not np.nansum(power) > 0.0:
-        return (*silent, 1.0)
-    trials = Trials(power, noise, LEAST_POWER * float(np.nanmean(power)))
-    profile = _Profile(trials, inputs)
-    n = len(LATENCIES)
-    coarse = np.arange(0, n, COARSE)
-    deviances = profile(coarse)
-    best = int(coarse[np.argmin(deviances)])
-    n_response = inputs.shape[-1] + len(power) - 1
-    dof = max(trials.known.sum() / OVERLAP - len(power) - n_response, 1.0)
-    dispersion = max(1.0, weight * deviances.min() / dof)
-    p = float(stats.chi2.sf((trials.still() - deviances.min()) * weight / dispersion, n_response))
+    if not np.nansum(seen) > 0.0:
+        return math.nan, math.nan, math.nan, 1.0
+    power, last = MusclePower(seen, noise, weight), len(LATENCIES) - 1
+    profile, still = _Profile(power, stretch, sign), power.still()
+    n_response = N_GAINS + len(seen) - 1
+    dof = max(power.known.sum() / OVERLAP - len(seen) - n_response, 1.0)
+
+    def tested(least: float) -> tuple[float, float]:
+        dispersion = max(1.0, weight * least / dof)
+        return float(stats.chi2.sf((still - least) * weight / dispersion, n_response)), dispersion
+
+    every = np.arange(0, last + 1, COARSE)
+    deviances = profile(every, ROUGH)
+    p, _ = tested(deviances.min())
     if p > SIGNIFICANT:
-        return (*silent, p)
-    limit = stats.chi2.ppf(0.95, 1) * dispersion / weight
-    first, last = max(best - COARSE, 0), min(best + COARSE, n - 1)
+        return math.nan, math.nan, math.nan, p
+    best = int(every[np.argmin(deviances)])
+    low, high = max(best - COARSE, 0), min(best + COARSE, last)
     while True:
-        deviances = profile(np.arange(first, last + 1))
-        beyond = deviances > deviances.min() + limit
-        if not beyond[0] and first > 0:
-            first = max(first - COARSE, 0)
-        elif not beyond[-1] and last < n - 1:
-            last = min(last + COARSE, n - 1)
+        deviances = profile(np.arange(low, high + 1), CONVERGED)
+        p, dispersion = tested(deviances.min())
+        limit = deviances.min() + stats.f.ppf(0.95, 1, dof) * dispersion / weight
+        if deviances[0] < limit and low > 0:
+            low = max(low - COARSE, 0)
+        elif deviances[-1] < limit and high < last:
+            high = min(high + COARSE, last)
         else:
             break
-    if not beyond[0] or not beyond[-1]:
-        return (*silent, p)
-    at, inside = LATENCIES[first : last + 1], np.flatnonzero(~beyond)
-    best = int(np.argmin(deviances))
-    ends = [
-        float(np.interp(deviances.min() + limit, deviances[[i, o]], at[[i, o]]))
-        for i, o in ((inside[0], inside[0] - 1), (inside[-1], inside[-1] + 1))
-    ]
-    return float(at[best]), ends[0], ends[1], p
+    if deviances[0] < limit or deviances[-1] < limit:
+        return math.nan, math.nan, math.nan, p
+    at, inside = LATENCIES[low : high + 1], np.flatnonzero(deviances < limit)
+    lower, upper = (
+        float(np.interp(limit, deviances[[within, beyond]], at[[within, beyond]]))
+        for within, beyond in ((inside[0], inside[0] - 1), (inside[-1], inside[-1] + 1))
+    )
+    return float(at[np.argmin(deviances)]), lower, upper, p
