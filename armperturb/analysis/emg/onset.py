@@ -204,15 +204,18 @@ class _Profile:
         """Least deviance at some of `LATENCIES`, (latency,), up to about `converged`."""
         new = latencies[self._missed[latencies] > converged]
         if len(new):
-            start, tried = None, np.array(sorted(self._found))
-            if len(tried):
-                near = [self._found[int(tried[np.argmin(np.abs(tried - place))])] for place in new]
-                start = Fits(*(np.stack(each, axis=1).reshape(-1, *each[0].shape[1:]) for each in zip(*near, strict=True)))
-            fits = self._power.fit(self._stretch(new, self._sign), start, converged)
+            inputs, tried = self._stretch(new, self._sign), np.array(sorted(self._found))
+            starts = [self._near(tried, new + shift) for shift in (-COARSE // 2, 0, COARSE // 2)] if len(tried) else []
+            fits = self._power.fit(inputs, starts, converged)
             for k, place in enumerate(new.tolist()):
                 self._found[place] = fits.of(np.arange(k, len(fits.deviance), len(new)))
             self._missed[new] = converged
         return np.array([self._found[place].deviance.min() for place in latencies.tolist()])
+
+    def _near(self, tried: Indices, places: Indices) -> Fits:
+        """What was found nearest to some latencies."""
+        nearest = [self._found[int(tried[np.argmin(np.abs(tried - place))])] for place in places]
+        return Fits(*(np.stack(each, axis=1).reshape(-1, *each[0].shape[1:]) for each in zip(*nearest, strict=True)))
 
 
 def _latency(

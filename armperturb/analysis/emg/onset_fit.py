@@ -1,8 +1,9 @@
 """Latency from stretch to EMG by likelihood, many candidates of latency and saturation at a time; see `onset`.
 
 Given both, the background of each trial and the size of its response, and the gains of the stretch, none of which is
-negative, follow by Fisher scoring, damped as by Levenberg and Marquardt. Backgrounds and sizes act in one trial each,
-so that they are eliminated from each step, and what is solved is no larger than the number of gains.
+negative, follow by Fisher scoring, damped as by Levenberg and Marquardt. Sizes are about one, with `SIZE_SPREAD`.
+Backgrounds and sizes act in one trial each, so that they are eliminated from each step, and what is solved is no larger
+than the number of gains.
 """
 
 from collections.abc import Sequence
@@ -39,7 +40,7 @@ DAMPING, EASED, HARDENED = 0.1, 0.2, 5.0
 """Damping of the first step, and factors by which it changes where the model is found right or wrong [-]."""
 
 REGULAR = 1e-9
-"""Ridge of what is solved, over its diagonal [-]: gains and sizes have one common size too many."""
+"""Ridge of what is solved, over its diagonal [-]: rotations of few trials may be collinear."""
 
 
 N_GAINS = 5
@@ -140,25 +141,26 @@ class MusclePower:
         """Deviance without any response."""
         return float(self._deviance(np.maximum(self._mean, self._floor)[None, :, None])[0])
 
-    def fit(self, inputs: Array, start: Fits | None, converged: float) -> Fits:
+    def fit(self, inputs: Array, starts: Sequence[Fits], converged: float) -> Fits:
         """Most likely backgrounds and responses of candidates.
 
         Args:
           inputs: as `Stretch` gives them.
-          start: where the search of each candidate starts; None where nothing is known.
+          starts: of which the most likely one is where the search of each candidate starts; none if nothing is known.
           converged: fall of the deviance that a step has to promise.
         """
-        now = self._start(inputs) if start is None else start
-        now = now._replace(deviance=self._cost(inputs, now))
+        now, *others = (each._replace(deviance=self._cost(inputs, each)) for each in starts or [self._start(inputs)])
+        for other in others:
+            now = other.or_other(other.deviance < now.deviance, now)
         best, places = Fits(*(each.copy() for each in now)), np.arange(len(inputs))
         damping = np.full(len(inputs), DAMPING)
         for _ in range(STEPS):
             after, promised = self._stepped(inputs, now, damping)
-            kept = (now.deviance - after.deviance) / np.maximum(promised, 1e-300)
-            now = after.or_other(kept >= 0.0, now)
-            for each, found in zip(best, now, strict=True):
-                each[places] = found
-            damping *= np.select([kept > 0.75, kept > 0.25, kept >= 0.0], [EASED, 1.0, 2.0], HARDENED)
+            gained = (now.deviance - after.deviance) / np.maximum(promised, 1e-300)
+            now = after.or_other(gained >= 0.0, now)
+            for each, reached in zip(best, now, strict=True):
+                each[places] = reached
+            damping *= np.select([gained > 0.75, gained > 0.25, gained >= 0.0], [EASED, 1.0, 2.0], HARDENED)
             going = (promised * (1.0 + damping) > converged) & (damping < MOST_DAMPED)
             if not going.any():
                 break
@@ -201,7 +203,7 @@ class MusclePower:
         residual = (self._power - model) * weight
         sizes = now.sizes[:, None, :, None]
         amplitude = (now.levels[:, None, :, None] + sizes * driven) * (2.0 / inputs.shape[1]) * weight[:, None]
-        own = np.stack([np.sum(amplitude, axis=1), np.sum(amplitude * driven, axis=1)], axis=2)
+        by_trial = np.stack([np.sum(amplitude, axis=1), np.sum(amplitude * driven, axis=1)], axis=2)
         acts = np.where(driven > 0.0, amplitude * sizes, 0.0)
         by_gain = np.sum(acts[..., None] * inputs, axis=1)
         n, n_gains = now.gains.shape
@@ -209,10 +211,10 @@ class MusclePower:
         crossed = np.swapaxes(flat, 1, 2)
         gram, slope = crossed @ flat, (crossed @ residual.reshape(n, -1, 1))[..., 0]
         # Of each trial: its background and size.
-        own_gram, own_slope = own @ np.swapaxes(own, 2, 3), (own @ residual[..., None])[..., 0]
+        own_gram, own_slope = by_trial @ np.swapaxes(by_trial, 2, 3), (by_trial @ residual[..., None])[..., 0]
         own_gram[..., 1, 1] += self._tied
         own_slope[..., 1] += self._tied * (1.0 - now.sizes)
-        mixed = own @ by_gain
+        mixed = by_trial @ by_gain
         growth = 1.0 + damping + REGULAR
         for matrix, times in ((gram, growth[:, None]), (own_gram, growth[:, None, None])):
             diagonal = np.einsum("...ii->...i", matrix)
