@@ -238,10 +238,10 @@ def _by_threshold(neurokit: Any, recording: xr.Dataset, muscle: str, direction: 
     speed = np.gradient(stretch) * rate
 
     def first_above(values: np.ndarray) -> float:
-        background = values[:before]
-        active, _ = neurokit.emg_activation(
-            values, sampling_rate=rate, method="threshold", threshold=background.mean() + 3.0 * background.std()
-        )
+        threshold = values[:before].mean() + 3.0 * values[:before].std()
+        if not values.max() > threshold:
+            return np.nan
+        active, _ = neurokit.emg_activation(values, sampling_rate=rate, method="threshold", threshold=threshold)
         place = np.flatnonzero(np.asarray(active["EMG_Activity"])[before:] > 0)
         return place[0] / rate if len(place) else np.nan
 

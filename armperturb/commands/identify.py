@@ -265,7 +265,7 @@ class Identify(Command):
             window_start=self.window_start,
             period=self.period,
         )
-        write_page(results, trials, self.out / "identify.html", origin)
+        write_page(results, trials, self.out / "identify.html", origin, emg and emg.envelopes)
         lines = []
         for condition, result in results.items():
             lines.append(f"{condition}: {manipulator(result.environment)}")

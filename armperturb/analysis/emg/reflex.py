@@ -8,7 +8,8 @@ where q are the rotations of both joints, c_v and c_p gains of velocity and posi
 and h the average over which the envelope is taken. The amplitude of one muscle follows lengthening alone: gains are
 those of the linear response nearest to it, half of those to lengthening, and what they leave is noise. EMG noise
 moves no arm, so that rotation may be any, and no disturbance is needed to tell. Parameters are maximum
-likelihood estimates from the tapered spectra (Whittle 1953, Ark. Mat. 2), the noise being flat.
+likelihood estimates from the tapered spectra (Whittle 1953, Ark. Mat. 2), as of flat noise; standard errors are the
+larger of those of flat noise and of those that hold for any (Liang & Zeger 1986, Biometrika 73, by bands and trials).
 """
 
 import math
@@ -153,7 +154,7 @@ def reflexes(trials: ConditionTrials, envelopes: Envelopes, *, window_start: flo
         )
     length = min(ends[k] for k in used) - first
     frequency = fft.rfftfreq(length, 1.0 / rate)
-    inside = (frequency >= BAND[0]) & (frequency <= BAND[1])
+    inside = (frequency >= BAND[0]) & (frequency < BAND[1])
     amplitude = envelopes.amplitude[rows]
     taper = np.hanning(length)[None, :, None]
 
@@ -223,12 +224,20 @@ def _fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str,
     everything = np.column_stack([design, change])
     n = len(rows) / shared
     variance = remainder / max(len(rows) - 5 * shared, 1.0)
-    covariance = np.linalg.pinv(everything.T @ everything) * variance * shared
-    errors = np.sqrt(np.diag(covariance))
+    inverse = np.linalg.pinv(everything.T @ everything)
+    of_flat_noise = np.diag(inverse) * variance * shared
+    # What rectification and saturation leave is no flat noise: what a band of a trial tells is judged by how much bands
+    # and trials differ. Of few, that is too little as often as too much, so that the larger of both errors counts.
+    band = np.floor(f / BIN).astype(int)
+    places = np.tile((np.arange(len(a))[:, None] * (band[-1] + 1) + band).ravel(), 2)
+    scores = np.array([np.bincount(places, column) for column in (everything * (rows - design @ gains)[:, None]).T])
+    n_bands = len(np.unique(places))
+    of_bands = np.diag(inverse @ (scores @ scores.T) @ inverse) * n_bands / max(n_bands - 5, 1)
+    errors = np.sqrt(np.maximum(of_flat_noise, of_bands))
     total = float(np.sum(rows**2))
     explained = max(1.0 - remainder / total, 0.0) if total > 0.0 else 0.0
     statistic = explained / max(1.0 - explained, 1e-12) * max(n - 5.0, 1.0) / 5.0
-    half = stats.norm.ppf(0.975) * errors[4]
+    half = stats.t.ppf(0.975, max(n_bands - 5, 1)) * errors[4]
     names = ("velocity_s", "velocity_e", "position_s", "position_e")
     return {
         "delay_s": delay,
