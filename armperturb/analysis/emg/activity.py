@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy import ndimage, stats
 
-from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.emg.envelope import Envelopes, mean_known
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array
 
@@ -134,7 +134,7 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
     rate, labels, names = envelopes.rate, envelopes.labels, list(envelopes.muscles)
     levels, indices = [], []
     for condition in _in_order(labels):
-        trials = np.flatnonzero(labels["condition"] == condition)
+        trials = np.flatnonzero(labels["condition"] == condition).tolist()
         for part in PARTS:
             spans = [_span(labels.iloc[trial], part) for trial in trials]
             used = [
@@ -144,7 +144,7 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
             ]
             if not used:
                 continue
-            power = np.array([np.nanmean(envelopes.power[trial, a:b], axis=0) for trial, a, b in used])
+            power = np.array([mean_known(envelopes.power[trial, a:b]) for trial, a, b in used])
             seconds = np.array([(b - a) / rate for _, a, b in used])
             levels += _tested(envelopes, str(condition), part, power, seconds, limit)
             is_there = power - envelopes.noise > ABOVE_NOISE * np.sqrt(_scatter(envelopes, power, seconds))
@@ -250,10 +250,9 @@ def _index(at: Array, beside: Array, flexors: list[int], extensors: list[int]) -
     pass from one antagonist to the other. So the amplitudes beside a time, the noise of which is another, say which
     antagonist is the lesser one.
     """
-    flexed, extended = (np.nanmean(at[:, columns], axis=1) for columns in (flexors, extensors))
-    is_flexor = np.nanmean(beside[:, flexors], axis=1) < np.nanmean(beside[:, extensors], axis=1)
-    index = float(np.nanmean(np.where(is_flexor, flexed, extended)))
-    both = float(np.nanmean(flexed + extended)) / 2.0
+    flexed, extended, *others = (mean_known(each[:, side].T) for each in (at, beside) for side in (flexors, extensors))
+    index = float(mean_known(np.where(others[0] < others[1], flexed, extended)))
+    both = float(mean_known(flexed + extended)) / 2.0
     return index, index / both if both > 0.0 else math.nan
 
 

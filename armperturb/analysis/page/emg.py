@@ -3,11 +3,11 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from armperturb.analysis.emg.activity import activity, relaxation_sentence
+from armperturb.analysis.emg.activity import Activity, activity, relaxation_sentence
 from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.emg.onset import Onsets, onsets
 from armperturb.analysis.emg.reflex import Reflexes, reflexes
-from armperturb.analysis.results import Description, Result
+from armperturb.analysis.results import Description
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.pages.page import Picture
 from armperturb.plots.style import new_figure
@@ -88,7 +88,7 @@ def _onsets(envelopes: Envelopes, trials: Mapping[str, Sequence[ConditionTrials]
         return None
 
 
-def _drawn(result: Result, **options: int) -> Picture:
+def _drawn(result: Activity | Envelopes | Onsets | Reflexes, **options: int) -> Picture:
     figure = new_figure(1.0)
     result.plot(figure, **options)
     return Picture.of(figure)
