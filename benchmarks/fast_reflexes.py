@@ -60,6 +60,16 @@ FAST = (
 KP = {"kp.shoulder": (15.0, 3.0), "kp.two-joint": (60.0, 3.0), "kp.elbow": (120.0, 3.0)}
 """Typical values and factors of position feedback beside acceleration feedback [Nm/rad]: those of C.8, model 5."""
 
+NEAR_C8 = {
+    **{f"{name}.shoulder": value for name, value in (("k", 25.0), ("kv", 6.0))},
+    **{f"{name}.two-joint": value for name, value in (("k", 25.0), ("kv", 10.0), ("b", 3.0))},
+    **{f"{name}.elbow": value for name, value in (("k", 15.0), ("kv", 8.0), ("b", 6.0))},
+    "thinning_velocity": 3.0,
+    "spindle_saturation": 2.5,
+}
+"""Where the search for acceleration feedback starts: near the groups of C.8, model 5, with little departure from linear
+damping and spindles. The single-joint stiffness of the elbow is negative there, which a muscle's cannot be."""
+
 STARTS: dict[str, dict[str, float]] = {
     "yielding": {},
     "intact": {
@@ -226,7 +236,8 @@ def main() -> None:
     given = {f"remnant_{name}": getattr(options, name) for name in ("cutoff", "share", "floor")}
     noise = replace(HUMAN_NOISE["PT"], **{name: value for name, value in given.items() if value is not None})
     search = Search(options.law, noise, [calibration.SEEN, calibration.SEEN + 1])
-    point = search.minimise(STARTS[options.start], options.iterations)
+    first = NEAR_C8 if options.law == "acceleration" else {}
+    point = search.minimise({**first, **STARTS[options.start]}, options.iterations)
     names = ("cells", "unknowns", "poles", "admittance")
     (parts,) = search.parts([point])
     print(f"{options}", {name: round(float(np.sum(part**2)), 1) for name, part in zip(names, parts or (), strict=True)})
