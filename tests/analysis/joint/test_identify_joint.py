@@ -13,7 +13,7 @@ from armperturb.analysis.joint.identify import identify_joint
 from armperturb.analysis.joint.intrinsic import check_intrinsic
 from armperturb.analysis.joint.model import JointModel, JointStructure
 from armperturb.analysis.joint.signals import joint_signals
-from armperturb.analysis.page.joint_page import write_joint_page
+from armperturb.analysis.page.joint_page import joint_verdict, write_joint_page
 from armperturb.analysis.page.page import Origin
 from armperturb.analysis.results import PARAMETER_COLUMNS
 
@@ -133,6 +133,13 @@ def test_a_structure_without_the_reflex_lacks_fit(recording, result):
     without = identify_joint(recording, reflex="none")
     assert without.lack_of_fit.p_value < 1e-6
     assert any("leaves what a linear response explains" in remark for remark in without.remarks)
+    assert joint_verdict(result).level == "trust"
+    assert joint_verdict(without).level != "trust"
+    # As if a free model were no better: the lack of fit alone is reason for care.
+    alike = replace(without, free_model=replace(without.free_model, left_out_vaf=without.vaf["total"]))
+    assert joint_verdict(alike).level == "care"
+    assert "lack of fit over its degrees of freedom" in joint_verdict(alike).text
+    assert joint_verdict(replace(without, free_model=None)).level == "reject"
 
 
 @pytest.mark.slow(reason="a search in a closed loop")
