@@ -100,8 +100,8 @@ def measure(name: str, options: argparse.Namespace) -> str:
     each_held = ", ".join(f"{share:.0f}" for share in held)
     return (
         f"{options.joint}, {name}: error {np.mean(errors):.2f} % RMS (at most {max(errors):.2f}), mean error "
-        f"{np.mean([each.bias for each in made]):+.2f} %, bands hold {np.mean(held):.1f} % ({each_held}){fall}; splines "
-        f"of stiffness, damping, gain {', '.join(str(each.n_splines) for each in made)}"
+        f"{np.mean([each.bias for each in made]):+.2f} %, bands hold {np.mean(held):.1f} % ({each_held}){fall}; "
+        f"splines of stiffness, damping, gain {', '.join(str(each.n_splines) for each in made)}"
     )
 
 

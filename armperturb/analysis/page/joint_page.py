@@ -83,7 +83,9 @@ def joint_verdict(result: JointIdentification) -> Verdict:
     )
     if result.free_model is None:
         if not lacking:
-            return Verdict("trust", f"The cascade explains the movement as far as the noise shows ({numbers_of(lack)}).")
+            return Verdict(
+                "trust", f"The cascade explains the movement as far as the noise shows ({numbers_of(lack)})."
+            )
         if lack.chi2 <= LARGE * lack.dof:
             return Verdict("care", f"{lacking}: intervals are too short.")
         return Verdict("reject", f"{lacking}: the structure is wrong.")

@@ -1,8 +1,8 @@
 """How far a curve of a few splines may be from a truth that is less smooth: what enters its band beside the noise.
 
 A sum of n splines cannot follow a jump. How much it misses is told by what changes when there are fewer of them: from
-n / 2 to n splines the curve moves by d_1, from n / 4 to n / 2 by d_2, and from n to the truth by about |d_1 / d_2| d_1 if
-that ratio goes on (Aitken's extrapolation). Next to a jump it is near one, and for a smooth course near none.
+n / 2 to n splines the curve moves by d_1, from n / 4 to n / 2 by d_2, and from n to the truth by about |d_1 / d_2| d_1
+if that ratio goes on (Aitken's extrapolation). Next to a jump it is near one, and for a smooth course near none.
 """
 
 from typing import NamedTuple

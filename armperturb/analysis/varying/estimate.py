@@ -64,7 +64,6 @@ REFINED = 2
 """Gauss-Newton steps to the cascade of all repetitions, of which only some are searched."""
 
 
-
 class _Normal(NamedTuple):
     """Normal equations of each group of samples: (group, column, column), (group, column), (group,)."""
 
@@ -150,15 +149,15 @@ class _Problem:
         weights = coefficients[first : first + orders["gain"]]
         free = [each for each in Cascade._fields if each != "threshold" or self.reflex == "half-wave"]
         inside = [each for each in free if getattr(LOWER, each) < getattr(cascade, each) < getattr(UPPER, each)]
-        found = {}
+        tangents = {}
         for name in inside:
             there, step = getattr(cascade, name), getattr(TYPICAL, name) * DIFFERENCE
             up, down = (
                 self.columns("gain", orders["gain"], cascade._replace(**{name: there + sign * step}))
                 for sign in (1.0, -1.0)
             )
-            found[name] = np.tensordot(weights, up - down, 1) / (2.0 * step)
-        return found
+            tangents[name] = np.tensordot(weights, up - down, 1) / (2.0 * step)
+        return tangents
 
     def whitened(self, values: Array) -> Array:
         """What is fitted, with white noise; (..., trial, used time)."""
