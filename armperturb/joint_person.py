@@ -6,9 +6,9 @@ The presets are round numbers of the expected size, and nobody's: what follows f
   de Leva (1996, J. Biomech. 29), see `armperturb.anthropometry`.
 - Inertia, damping and stiffness of the ankle: within those of the recorded ankles of docs/real_people.md.
 - All else (damping and stiffness of elbow and wrist, reflexes, posture and held torque) is an assumption of the
-  expected size that no source is named for. How such numbers are measured: ankle, Weiss, Hunter & Kearney (1988, J. Biomech. 21)
-  and Mirbagheri, Barbeau & Kearney (2000, Exp. Brain Res. 135); wrist, De Serres & Milner (1991, Exp. Brain Res. 86);
-  elbow, Bennett, Hollerbach, Xu & Hunter (1992, Exp. Brain Res. 88).
+  expected size that no source is named for. How such numbers are measured: ankle, Weiss, Hunter & Kearney (1988,
+  J. Biomech. 21) and Mirbagheri, Barbeau & Kearney (2000, Exp. Brain Res. 135); wrist, De Serres & Milner (1991, Exp.
+  Brain Res. 86); elbow, Bennett, Hollerbach, Xu & Hunter (1992, Exp. Brain Res. 88).
 """
 
 from collections.abc import Mapping

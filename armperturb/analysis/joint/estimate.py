@@ -162,7 +162,8 @@ def likelihood_profile(
     likelihood.weigh(fit.values)
     place = fit.structure.parameters.index(name)
     others = np.arange(len(fit.values)) != place
-    bounds = tuple(float(each[place]) for each in fit.structure.bounds(signals, longest_delay))
+    lower, upper = fit.structure.bounds(signals, longest_delay)
+    bounds = float(lower[place]), float(upper[place])
 
     def fitted(at: float, start: Array) -> tuple[Array, float]:
         values = start.copy()

@@ -362,11 +362,11 @@ def _estimate(
         curve, n_basis = whole.curve(problem, quantity, grid), orders[quantity]
         bias = np.zeros(n_points)
         if n_basis >= 4:
-            fewer = [
+            halved, quartered = (
                 _solved(problem, {**orders, quantity: n}, cascade).curve(problem, quantity, grid)
                 for n in (n_basis // 2, n_basis // 4)
-            ]
-            bias = smoothing_bias(curve, *fewer, width=round(n_points / max(n_basis // 2 - DEGREE, 1)))
+            )
+            bias = smoothing_bias(curve, halved, quartered, round(n_points / max(n_basis // 2 - DEGREE, 1)))
         curves[quantity] = Curve(curve.value, np.hypot(curve.standard_error, bias), n_basis)
     left = problem.torque - np.tensordot(whole.coefficients, problem.design(orders, cascade), 1)
     used, rest = slice(problem.n_left, problem.n_used), slice(problem.n_used, None)
