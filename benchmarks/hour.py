@@ -26,7 +26,7 @@ from armperturb.perturbations import Multisine, Sampled
 from armperturb.recording_files import save_recording
 from armperturb.subject import POSITION
 
-WAYS = (["--model", "3b"], [], ["--emg"])
+WAYS: tuple[list[str], ...] = (["--model", "3b"], [], ["--emg"])
 RATE, PERIOD = 200.0, 32.0
 
 
@@ -74,7 +74,8 @@ def main(arguments: list[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as name:
         path = asked.recording or Path(name) / "hour.nc"
         if not path.exists():
-            made = [sys.executable, "-c", f"from benchmarks.hour import *; record(Path({str(path)!r}), {asked.minutes})"]
+            script = f"from benchmarks.hour import *; record(Path({str(path)!r}), {asked.minutes})"
+            made = [sys.executable, "-c", script]
             subprocess.run(made, check=True)
         for options in [asked.options] if asked.options else WAYS:
             command = [sys.executable, "-m", "armperturb.cli", "identify", str(path), "--out", f"{name}/o", *options]

@@ -9,7 +9,6 @@ there may be no other files. What KILL leaves are hidden part files, which are c
 """
 
 import argparse
-import atexit
 import os
 import random
 import shutil
@@ -70,9 +69,8 @@ def started(command: list[str]) -> int:
         said = os.open("../said", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(said, 2)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-        sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)
         status = cli.main(command)
-        atexit._run_exitfuncs()
+        sys.stdout.flush()
         sys.stderr.flush()
     finally:
         os._exit(status)
@@ -84,6 +82,14 @@ def below(process: int) -> list[psutil.Process]:
         return psutil.Process(process).children(recursive=True)
     except psutil.Error:
         return []
+
+
+def runs(process: psutil.Process) -> bool:
+    """Whether a process still runs."""
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.Error:
+        return False
 
 
 def end_of(process: int) -> int | None:
@@ -132,9 +138,7 @@ def stopped(command: list[str], moment: float, number: int, target: str) -> tupl
             os.kill(process, signal.SIGKILL)
         time.sleep(0.005)
     latest = time.monotonic() + AFTERWARDS
-    while (left := [each for each in seen.values() if each.is_running() and each.status() != psutil.STATUS_ZOMBIE]) and (
-        time.monotonic() < latest
-    ):
+    while (left := [each for each in seen.values() if runs(each)]) and time.monotonic() < latest:
         time.sleep(0.02)
     return status, left
 

@@ -101,9 +101,9 @@ class Balance:
         self._band_powers = _powers(frequency[self._used])
 
     @classmethod
-    def kept(cls, results: dict[object, Any], *signals: Array | float) -> Self:
-        """The balance of these signals that is kept among results; of long records it is large, and made anew."""
-        made: Self = results.get(cls) or cls(*signals)
+    def kept(cls, results: dict[object, Any], signals: tuple[Array, Array, Array], rate: float) -> Self:
+        """The balance of d, f and x that is kept among results; of long records it is large, and made anew."""
+        made: Self = results.get(cls) or cls(*signals, rate)
         if made._n_samples <= KEPT:
             results[cls] = made
         return made

@@ -195,11 +195,11 @@ def require_one_person(groups: Sequence[Group]) -> None:
       ValueError: there are such.
     """
     labels = [group.label for group in groups]
-    for field in ("name", "l_h", "l_f", "theta_s_deg", "theta_e_deg"):
-        values = {getattr(group.body, field) for group in groups}
+    for label in ("name", "l_h", "l_f", "theta_s_deg", "theta_e_deg"):
+        values = {getattr(group.body, label) for group in groups}
         if len(values) > 1:
             raise ValueError(
-                f"the conditions {', '.join(labels)} differ in {field} ({', '.join(map(str, sorted(values)))}); "
+                f"the conditions {', '.join(labels)} differ in {label} ({', '.join(map(str, sorted(values)))}); "
                 "expected one person in one posture"
             )
     for label in labels:

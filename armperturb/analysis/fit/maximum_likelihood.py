@@ -255,7 +255,8 @@ def _of_whole_trials(scores: Sequence[TrialScore], group: Group) -> list[TrialSc
     for part, likelihood in zip(group.parts, group.segments, strict=True):
         for _ in range(part.n_trials):
             same = [next(left) for _ in range(likelihood.n_trials // part.n_trials)]
-            score, information = (np.sum([each[field] for each in same], axis=0) for field in (1, 2))
+            score = np.sum([each.score for each in same], axis=0)
+            information = np.sum([each.information for each in same], axis=0)
             summed.append(same[0]._replace(score=score, information=information))
     return [*summed, *left]
 
