@@ -189,6 +189,7 @@ def test_a_long_record_takes_less_memory_to_the_same_result(from_rest, tolerance
 
     usual = judged()
     monkeypatch.setattr(total_admittance_module, "LONGEST_RUN", 100)
+    monkeypatch.setattr(total_admittance_module, "SHORTER_RUN", 60)
     monkeypatch.setattr(frequency_bands, "LARGEST_MATRIX", 1)
     monkeypatch.setattr(likelihood_module, "LONGEST_SIGNALS", 1)
     for found, expected in zip(judged(), usual, strict=True):
