@@ -37,8 +37,8 @@ ROUNDS = 3
 LEFT_OVER = 0.2
 """Share of the load's power at low frequencies from which on there is no balance [-]; noise leaves under 0.01."""
 
-KEPT = 2**18
-"""Samples of a record up to which its balance is kept with it."""
+LONGEST_STORED = 2**18
+"""Samples of a record up to which its balance is stored with it."""
 
 ROUND_OFF = 1e-12
 """No instrument is known to be less noisy than this share of its RMS signal [-]."""
@@ -101,10 +101,10 @@ class Balance:
         self._band_powers = _powers(frequency[self._used])
 
     @classmethod
-    def kept(cls, results: dict[object, Any], signals: tuple[Array, Array, Array], rate: float) -> Self:
-        """The balance of d, f and x that is kept among results; of long records it is large, and made anew."""
+    def stored(cls, results: dict[object, Any], signals: tuple[Array, Array, Array], rate: float) -> Self:
+        """The balance of d, f and x that is stored among results; of long records it is large, and made anew."""
         made: Self = results.get(cls) or cls(*signals, rate)
-        if made._n_samples <= KEPT:
+        if made._n_samples <= LONGEST_STORED:
             results[cls] = made
         return made
 

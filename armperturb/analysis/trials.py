@@ -213,7 +213,7 @@ class ConditionTrials:
     @property
     def balance(self) -> Balance:
         """Force balance of the manipulator. Raises ValueError where the trials are too short."""
-        return Balance.kept(self.results, self.signals, self.rate)
+        return Balance.stored(self.results, self.signals, self.rate)
 
     @cached_property
     def instruments(self) -> tuple[Environment, NoiseLevels]:

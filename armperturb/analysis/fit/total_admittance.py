@@ -4,6 +4,7 @@ The derivatives by all parameters take some kB per frequency, and a trial of an 
 Trials of some minutes are one run.
 """
 
+import itertools
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -30,7 +31,8 @@ class TotalAdmittance:
     def __init__(self, body: Subject, frequency: Array, environment: Environment) -> None:
         self._environment = environment
         length = LONGEST_RUN if len(frequency) <= LONGEST_RUN else SHORTER_RUN
-        self._runs = [slice(start, start + length) for start in range(0, len(frequency), length)]
+        ends = [*range(0, len(frequency), length), len(frequency)]
+        self._runs = [slice(*between) for between in itertools.pairwise(ends)]
         self._arms = [LinearArm(body, frequency[run]) for run in self._runs]
 
     def __call__(self, values: Array) -> ComplexArray:
@@ -69,6 +71,9 @@ class TotalAdmittance:
 
     def _gradient(self, number: int, values: Array, mixing: Array, scale: ComplexArray | None) -> ComplexArray:
         """Derivatives of P by the free parameters in one run, (free parameter, output, input, frequency)."""
+        if not mixing.any():  # as that of the gains of EMG, which move no arm
+            run = self._runs[number]
+            return np.zeros((mixing.shape[1], 2, 2, run.stop - run.start), dtype=complex)
         groups, index = groups_of(np.any(mixing != 0.0, axis=1))
         by_all = self._arms[number].total_and_gradient(values, self._environment, groups)[1].transpose(3, 1, 2, 0)
         # Real and imaginary parts beside one another: the mixing is real.
