@@ -12,7 +12,7 @@ import armperturb
 ROOT = Path(armperturb.__file__).parent
 
 BASE = {"arrays", "validation", "extras", "seeds", "files", "foreign", "recording", "recording_files"}
-BASE |= {"muscle_law", "person_files", "subject", "environment", "joint_person"}
+BASE |= {"jit", "muscle_law", "person_files", "subject", "environment", "joint_person"}
 ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.force_balance",
     "analysis.trials", "analysis.per_trials", "analysis.numerics", "analysis.results", "plots", "anthropometry",
@@ -28,6 +28,7 @@ ARROWS = {
     "compile_cache": set(),
     "extras": {"files"},
     "seeds": set(),
+    "jit": set(),
     "muscle_law": {"validation"},
     "person_files": {"files", "validation", "muscle_law"},
     "subject": {"files", "validation", "muscle_law", "person_files"},
