@@ -122,6 +122,10 @@ def test_imports_follow_the_arrows(path):
     assert ours <= ARROWS[own] | {own}
 
 
+def test_a_file_has_450_lines_at_most():
+    assert not {path.name for path in MODULES if len(path.read_text(encoding="utf-8").splitlines()) > 450}
+
+
 def test_the_table_has_no_circle():
     below: dict[str, set[str]] = {}
 
