@@ -61,7 +61,8 @@ ARROWS = {
     "analysis.fit": ARM | {"analysis.response", "analysis.measures", "analysis.emg"},
     "analysis.varying": ARM | {"analysis.fit", "analysis.joint"},
     "analysis.joint": ARM | {"analysis.fit"},
-    "analysis.page": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.joint", "pages"},
+    "analysis.page": ARM
+    | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.joint", "pages", "analysis.nonlinear"},
     "analysis.emg": ARM | {"analysis.measures", "analysis.response"},
     "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "planar_arm", "archive"},
     "cohort": ARM,
