@@ -218,7 +218,7 @@ class Sketch(NamedTuple):
       objective: as `Estimate.objective`.
       chi2: as `Estimate.chi2`.
       dof: its degrees of freedom.
-      scores: what each trial tells at the estimate.
+      scores: what each trial tells at the estimate; of a single trial that is long, each of its segments.
     """
 
     values: Array
@@ -229,20 +229,36 @@ class Sketch(NamedTuple):
 
 
 def sketch(group: Group, starts: Sequence[Array], method: Method = "record") -> Sketch:
-    """Fit a structure with few steps and quick derivatives, all trials alike.
+    """Fit a structure with few steps and quick derivatives, all trials alike, long ones in `Group.segments`.
 
     Args:
       group: the trials and the structure.
       starts: values of the free parameters, the most likely of which the search starts from, (parameter,) each.
       method: of the likelihood, see `estimate`.
     """
-    problem = JointLikelihood([group], method, (), quick=True)
+    problem = JointLikelihood([group], method, (), sketchy=True)
     stable = [problem.stabilised(np.clip(start, problem.lower, problem.upper)) for start in starts]
     start = min(stable, key=problem.objective)
     values = _search(problem, start, settled=SKETCHED, most=SKETCH_ROUNDS).values
     objective = problem.objective(values)
     fit = problem.lack_of_fit(values)
-    return Sketch(values, objective, fit.chi2, fit.dof, tuple(problem.scores(values, problem.no_effects())))
+    scores = problem.scores(values, problem.no_effects())
+    n_trials = sum(part.n_trials for part in group.parts)
+    if 1 < n_trials < problem.n_trials:
+        scores = _of_whole_trials(scores, group)
+    return Sketch(values, objective, fit.chi2, fit.dof, tuple(scores))
+
+
+def _of_whole_trials(scores: Sequence[TrialScore], group: Group) -> list[TrialScore]:
+    """The scores of segments, those of a trial together."""
+    left, summed = iter(scores), []
+    for part, likelihood in zip(group.parts, group.segments, strict=True):
+        for _ in range(part.n_trials):
+            same = [next(left) for _ in range(likelihood.n_trials // part.n_trials)]
+            score = np.sum([each.score for each in same], axis=0)
+            information = np.sum([each.information for each in same], axis=0)
+            summed.append(same[0]._replace(score=score, information=information))
+    return [*summed, *left]
 
 
 def profile(
