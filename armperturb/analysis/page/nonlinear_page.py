@@ -8,7 +8,7 @@ from typing import Any
 from armperturb.analysis.nonlinear.identify import NonlinearIdentification
 from armperturb.analysis.page import figures
 from armperturb.analysis.page.data_check import check_data
-from armperturb.analysis.page.page import WORDS, Origin
+from armperturb.analysis.page.page import WORDS, Origin, parameter_rows
 from armperturb.analysis.page.verdict import Verdict
 from armperturb.analysis.results import plain
 from armperturb.analysis.trials import ConditionTrials
@@ -35,11 +35,6 @@ def write_nonlinear_page(
       OSError: the folder cannot be written to.
     """
     estimate = result.estimate
-    rows = []
-    for name, value in estimate.values.items():
-        lower, upper = estimate.interval(name)
-        interval = f"{plain(lower, 3)} to {plain(upper, 3)}" if lower == lower else "not known (at bound)"
-        rows.append({"name": name, "unit": estimate.unit_of(name), "cells": [(plain(value, 4), interval)]})
     drawn = new_figure(1.0)
     estimate.plot(drawn)
     pictures = {
@@ -52,7 +47,7 @@ def write_nonlinear_page(
         pictures["pulses"] = Picture.of(of_pulses)
     said = [*(result.choice.verdict() if result.choice else ()), *estimate.remarks]
     sections: dict[str, dict[str, Any]] = {
-        "joint_parameters": {"rows": rows},
+        "parameters": {"rows": parameter_rows({"": estimate}, estimate.unit_of), "triples": False, "conditions": [""]},
         "pulses": {},
         "data": {
             "checks": {label: check_data(parts, origin.window_start, origin.period) for label, parts in trials.items()},
@@ -83,7 +78,7 @@ def nonlinear_verdict(result: NonlinearIdentification) -> Verdict:
     """Whether to trust the parameters of a muscle law."""
     estimate = result.estimate
     if not estimate.converged:
-        return Verdict("care", f"The search did not end at a maximum of the likelihood: {estimate.message}.")
+        return Verdict("care", f"The search did not settle: {estimate.message}.")
     left = [label for label, test in estimate.lack_of_fit.items() if test.p_value < UNLIKELY]
     if left:
         return Verdict(
