@@ -251,18 +251,7 @@ class Identify(Command):
             if chosen is not None:
                 save_structure(chosen, self.out / name)
             result.fit.arm.save(self.out / ("arm.toml" if len(results) == 1 else f"arm_{condition}.toml"))
-<<<<<<< HEAD
-        origin = Origin(
-            command=command_line(self),
-            files={path.name: checksum(path) for path in self.recordings},
-            notes=tuple(notes),
-            window_start=self.window_start,
-            period=self.period,
-        )
-        write_page(results, trials, self.out / "identify.html", origin, emg and emg.envelopes)
-=======
-        write_page(results, trials, self.out / "identify.html", self._origin(notes))
->>>>>>> main
+        write_page(results, trials, self.out / "identify.html", self._origin(notes), emg and emg.envelopes)
         lines = []
         for condition, result in results.items():
             lines.append(f"{condition}: {manipulator(result.environment)}")
