@@ -45,7 +45,7 @@ from benchmarks.faults import laboratory
 LONGEST, LARGEST = 30, 2**30
 """Processor time [s] of a run with the parsers in it, and memory of a parser [byte]."""
 
-PATIENCE = 90
+PATIENCE = 600
 """Time of a run with the guarded child process [s]."""
 
 ENDS = (
