@@ -3,7 +3,8 @@
 Run by `python -m benchmarks.fast_reflexes --law acceleration --cutoff 20 --share 0.9`; some 2 min of one core. The
 average person of the position task is sought as `armperturb calibrate` does (tables 2.1, F.2 to F.4), and so that the
 best linear approximation in PT7.5 is the arm of the mean parameters of model 5 (table C.8): a band of frequencies
-counts as one standard deviation where it is `OFF` of the printed admittance off. Grip and delays are those of C.8.
+counts as one standard deviation where it is `OFF` of the printed admittance off. Grip and delays are those of C.8, with
+`--grip usual` those of all people. `--voluntary` sets the share of slow corrections, which add to the peaks of pulses.
 
 Laws: `slow` is the law of the position task; `cutoff` has the cut-off of the activation as an unknown; `acceleration`
 has feedback of acceleration, from gains near those of model 5, with the cut-off of C.8. `--start yielding` begins at
@@ -98,10 +99,10 @@ def sought(law: str) -> tuple[Unknown, ...]:
     return *changed, *FAST
 
 
-def candidate_of(law: str, values: Mapping[str, float]) -> Candidate:
+def candidate_of(law: str, grip: str, values: Mapping[str, float]) -> Candidate:
     """The person with these values of the unknowns."""
     candidate = Candidate.of("PT", values)
-    changes: dict[str, Any] = dict(OF_C8)
+    changes: dict[str, Any] = dict(OF_C8) if grip == "printed" else {}
     if law == "acceleration":
         s, se, e = (values[unknown.name] for unknown in FAST)
         changes |= {"ka_s": s + se, "ka_se": se, "ka_e": e + se, "fact_s": CUTOFF, "fact_e": CUTOFF}
@@ -154,13 +155,13 @@ def admittance_errors(candidates: Sequence[Candidate], seeds: Sequence[int], noi
 class Search:
     """Residuals over points: logarithms of the unknowns relative to what is typical, over their factors'."""
 
-    def __init__(self, law: str, noise: HumanNoise, seeds: Sequence[int]) -> None:
-        self.law, self.noise, self.seeds, self.unknowns = law, noise, seeds, sought(law)
+    def __init__(self, law: str, grip: str, noise: HumanNoise, seeds: Sequence[int]) -> None:
+        self.law, self.grip, self.noise, self.seeds, self.unknowns = law, grip, noise, seeds, sought(law)
         self.environment = Environment()
 
     def candidate(self, point: Array) -> Candidate:
         values = {u.name: float(u.typical * u.factor**step) for u, step in zip(self.unknowns, point, strict=True)}
-        return candidate_of(self.law, values)
+        return candidate_of(self.law, self.grip, values)
 
     def parts(self, points: Sequence[Array]) -> list[tuple[Array, ...] | None]:
         """Residuals of cells, unknowns, poles and admittance at points; None where nothing can be simulated."""
@@ -229,13 +230,16 @@ def main() -> None:
     parser.add_argument("--cutoff", type=float, help="of the remnant [Hz]; as people have it if not given")
     parser.add_argument("--share", type=float, help="RMS of the remnant over the demand; likewise")
     parser.add_argument("--floor", type=float, help="RMS of the remnant without a perturbation [Nm]; likewise")
+    parser.add_argument("--voluntary", type=float, help="RMS of the slow corrections over the demand; likewise")
+    parser.add_argument("--grip", default="printed", choices=["printed", "usual"])
     parser.add_argument("--start", default="yielding", choices=list(STARTS))
     parser.add_argument("--iterations", type=int, default=12)
     parser.add_argument("--fits", type=int, default=0, help="replicates of 20 trials each, of which C to E are fitted")
     options = parser.parse_args()
     given = {f"remnant_{name}": getattr(options, name) for name in ("cutoff", "share", "floor")}
+    given["voluntary_share"] = options.voluntary
     noise = replace(HUMAN_NOISE["PT"], **{name: value for name, value in given.items() if value is not None})
-    search = Search(options.law, noise, [calibration.SEEN, calibration.SEEN + 1])
+    search = Search(options.law, options.grip, noise, [calibration.SEEN, calibration.SEEN + 1])
     first = NEAR_C8 if options.law == "acceleration" else {}
     point = search.minimise({**first, **STARTS[options.start]}, options.iterations)
     names = ("cells", "unknowns", "poles", "admittance")
