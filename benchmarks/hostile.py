@@ -1,9 +1,9 @@
 """Gives every command hostile files, and looks at how it ends, how long it takes and how much memory.
 
-Run `python -m benchmarks.hostile [COMMAND ...] [--most N] [--seed N]`; half an hour of a core, or N cases by chance. The cases are those of the tests of
-malformed and crafted files (MATLAB, HDF5, netCDF, C3D, CSV, sidecars), and those of this file (TOML, JSON, NPZ, XML,
-pipes, links, devices). A command must refuse each in one line, without a traceback or a signal, within 35 s and
-1.5 GB of any of its processes, and leave nothing; or carry it out.
+Run `python -m benchmarks.hostile [COMMAND ...] [--most N] [--seed N]`; half an hour of a core, or N cases by chance.
+The cases are those of the tests of malformed and crafted files (MATLAB, HDF5, netCDF, C3D, CSV, sidecars), and those of
+this file (TOML, JSON, NPZ, XML, pipes, links, devices). A command must refuse each in one line, without a traceback or
+a signal, within 35 s and 1.5 GB of any of its processes, and leave nothing; or carry it out.
 """
 
 import argparse
