@@ -77,6 +77,7 @@ def with_time(values):
 
 TEXTS = {
     "empty": (retyped(lambda t: ""), "the file is empty"),
+    "a million columns": (retyped(lambda t: "," * 2**20), "line 1: 1048576 characters or more; expected lines of a"),
     "only names": (retyped(lambda t: LINES[0] + "\n"), "rows = 0; expected at least 2"),
     "no names": (retyped(lambda t: "\n".join(LINES[1:])), "no channel 'Dx'"),
     "column missing": (retyped(lambda t: t.replace("Fy", "Fz")), "no channel 'Fy'; expected one of 'trial'"),
@@ -430,6 +431,13 @@ def test_the_command_prints_that_line_and_writes_nothing(cases, name, tmp_path, 
     assert sorted(tmp_path.iterdir()) == before
 
 
+def test_no_sidecar_is_written_of_a_million_columns(tmp_path, capsys):
+    (tmp_path / "lab.csv").write_text("a\n" + "," * 2**20)
+    assert cli.main(["sidecar", str(tmp_path / "lab.csv")]) == 1
+    assert "lab.csv, line 2: 1048576 characters or more" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["lab.csv"]
+
+
 def test_what_does_not_go_together_is_refused(tmp_path):
     path = write(tmp_path, VALUES)
     good = netcdf(lambda content: content)(tmp_path)
@@ -439,7 +447,7 @@ def test_what_does_not_go_together_is_refused(tmp_path):
         ([good], {"rate": 100.0}, "rate = 100.0; expected none with netCDF"),
         ([path, path], {}, "comes twice; expected each recording once"),
         ([path], {"rate": 0.0}, "rate = 0.0; expected a finite number at least 1"),
-        ([path], {"repair": ["holes"]}, "repair = 'holes'; expected one of gaps, drops, clock, lengths, trials"),
+        ([path], {"repair": ["holes"]}, "repair = 'holes'; expected one of gaps, drops, clock, lengths, stretch, trials"),
     ):
         with pytest.raises(ValueError, match=re.escape(message)):
             import_recording(files, **options)
