@@ -61,7 +61,8 @@ ARROWS = {
     "analysis.fit": ARM | {"analysis.response", "analysis.measures", "analysis.emg"},
     "analysis.varying": ARM | {"analysis.fit", "analysis.joint"},
     "analysis.joint": ARM | {"analysis.fit"},
-    "analysis.page": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.joint", "pages"},
+    "analysis.page": ARM
+    | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.joint", "pages", "analysis.nonlinear"},
     "analysis.emg": ARM | {"analysis.measures", "analysis.response"},
     "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "planar_arm", "archive"},
     "cohort": ARM,
@@ -120,6 +121,10 @@ def test_imports_follow_the_arrows(path):
         return
     ours = {room(name.removeprefix("armperturb.")) for name in imported(path) if name.startswith("armperturb.")}
     assert ours <= ARROWS[own] | {own}
+
+
+def test_a_file_has_450_lines_at_most():
+    assert not {path.name for path in MODULES if len(path.read_text(encoding="utf-8").splitlines()) > 450}
 
 
 def test_the_table_has_no_circle():
