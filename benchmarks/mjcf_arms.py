@@ -4,7 +4,8 @@ Run `python -m benchmarks.mjcf_arms --n 8`. Each arm (segments, springs and damp
 drawn and written as MJCF; `armperturb simulate --mjcf` perturbs it with four multisines, as noisy instruments read
 them, and the trials choose the structure by which it is identified. With `--remnant`, noise of a person who keeps
 position acts at the joints, too, which only the Python interface can add. A line of JSON for each arm goes to `--out`
-as soon as it is there; a second run with the same file continues.
+as soon as it is there; a second run with the same file continues. `--myoarm` instead times MyoArm (extra `myo`) and
+says up to which force its displacement is a linear answer to the perturbation.
 """
 
 import argparse
@@ -19,6 +20,7 @@ import numpy as np
 import xarray as xr
 
 import armperturb as ap
+from armperturb.analysis.response.spectra import averaged_spectra
 from armperturb.cli import main as command_line
 
 JUDGED = ("k_s", "k_se", "k_e", "b_s", "b_se", "b_e")
@@ -148,6 +150,26 @@ def report(rows: list[dict]) -> None:
     print(f"processor time of an arm: {', '.join(times)}")
 
 
+def myoarm() -> None:
+    """Time of a trial of 32 s of MyoArm, and its multiple coherence below 10 Hz, at several forces."""
+    posture = {"shoulder_elv_r": 80.0, "elv_angle_r": 45.0, "shoulder_rot_r": 45.0, "elbow_flexion_r": 90.0}
+    cuffed = ("pro_sup_r", "deviation_r", "flexion_r", "cmc*", "mp_*", "ip_*", "mcp*", "pm*", "md*")
+    start = time.process_time()
+    laboratory = ap.Laboratory("myo_sim:myoarm_r", "3proxph_r", activation=0.1, posture_deg=posture, locked=cuffed)
+    print(f"MyoArm comes to rest in {time.process_time() - start:.1f} s of processor time")
+    for rms in (0.3, 1.0, 3.0):
+        pushes = [ap.Multisine.draw(seed=seed, rms=rms, duration=DURATION) for seed in range(N_TRIALS)]
+        start = time.process_time()
+        recording = laboratory.record(pushes, instruments=ap.Instruments(emg=None))
+        took = (time.process_time() - start) / N_TRIALS
+        estimate = averaged_spectra(recording, window_start=8.0)
+        coherence = estimate.coherence[estimate.frequency < 10.0]
+        moved = 1e3 * recording["displacement"].values.std()
+        least, typical = coherence.min(axis=0), np.median(coherence, axis=0)
+        print(f"{rms:g} N, {moved:.1f} mm: {took:.1f} s a trial; coherence of x and y below 10 Hz ", end="")
+        print(f"{typical[0]:.3f} and {typical[1]:.3f} (median), {least[0]:.3f} and {least[1]:.3f} (least)")
+
+
 def main() -> None:
     """Identify the arms that are not in the file yet, and report on all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -156,7 +178,11 @@ def main() -> None:
     parser.add_argument("--rms", type=float, default=1.0, help="force of the multisines per axis [N]")
     parser.add_argument("--remnant", action="store_true", help="a person's noise at the joints")
     parser.add_argument("--out", type=Path, help="file of JSON lines")
+    parser.add_argument("--myoarm", action="store_true", help="MyoArm, in the place of two links")
     asked = parser.parse_args()
+    if asked.myoarm:
+        myoarm()
+        return
     rows = []
     if asked.out and asked.out.exists():
         rows = [json.loads(line) for line in asked.out.read_text(encoding="utf-8").splitlines()]

@@ -31,7 +31,9 @@ def trials(task, person):
     """Multisines of the environment's force, with the person's noise."""
     return [
         ap.Trial(
-            subject=person, perturbation=ap.Multisine.draw(seed=seed, rms=FORCE[task]), noise=ap.HUMAN_NOISE[person.task]
+            subject=person,
+            perturbation=ap.Multisine.draw(seed=seed, rms=FORCE[task]),
+            noise=ap.HUMAN_NOISE[person.task],
         )
         for seed in range(N_TRIALS)
     ]
@@ -57,11 +59,16 @@ def film(task, folder):
     ap.write_video(replay, folder / f"agent_{task.lower()}.gif", clip)
 
 
-def low_frequency_stiffness(recording):
-    """Stiffness at the hand [N/m], as `compare` finds it."""
+def admittance_of(recording):
+    """Frequencies [Hz] and admittance [m/N] up to where `compare` looks."""
     estimate = ap.response(recording, window_start=SETTLED)
     chosen = estimate.frequency <= HIGHEST
-    return impedance_matrices(estimate.frequency[chosen], estimate.response[chosen])["stiffness"]
+    return estimate.frequency[chosen], estimate.response[chosen]
+
+
+def low_frequency_stiffness(recording):
+    """Stiffness at the hand [N/m], as `compare` finds it."""
+    return impedance_matrices(*admittance_of(recording))["stiffness"]
 
 
 def outline(stiffness):
@@ -79,15 +86,16 @@ def main(folder):
     for task, axes in zip(FORCE, figure.subplots(2, 3), strict=True):
         person, colours = subject(task), {"trained policy": COLOURS[subject(task).task], "own action": PALETTE[2]}
         recordings = {name: record(task, agent, trials(task, person)) for name, agent in agents(task).items()}
-        likenesses = {name: ap.compare(recording, "people") for name, recording in recordings.items()}
-        for name, likeness in likenesses.items():
-            print(task, name, {group: f"{value:.2f} ({likeness.usual[group]:.2f})" for group, value in likeness.distance.items()})
+        likeness = ap.compare(recordings["trained policy"], "people")
+        far = [f"{group} {value:.1f} ({likeness.usual[group]:.1f})" for group, value in likeness.distance.items()]
+        print(task, ", ".join(far), flush=True)
         for k, ax in enumerate(axes[:2]):
-            first = likenesses["trained policy"]
-            low, high = 1e3 * np.quantile(first.reference_gains[..., k], (0.025, 0.975), axis=0)
-            ax.fill_between(first.frequency, low, high, color=PALE, linewidth=0, label=f"{N_PEOPLE} people, 95 %")
-            for name, likeness in likenesses.items():
-                ax.loglog(likeness.frequency, 1e3 * likeness.gains[:, k], color=colours[name], label=name)
+            low, high = 1e3 * np.quantile(likeness.reference_gains[..., k], (0.025, 0.975), axis=0)
+            ax.fill_between(likeness.frequency, low, high, color=PALE, linewidth=0, label=f"{N_PEOPLE} people, 95 %")
+            for name, recording in recordings.items():
+                frequency, admittance = admittance_of(recording)
+                gains = 1e3 * np.linalg.svd(admittance, compute_uv=False)[:, k]
+                ax.loglog(frequency, gains, color=colours[name], label=name)
             ax.set(xlabel="frequency [Hz]", title=f"{task}: {('largest', 'smallest')[k]} gain")
         axes[0].set_ylabel("admittance [mm/N]")
         axes[0].legend()
@@ -98,9 +106,9 @@ def main(folder):
             ax.plot(*outline(stiffness), color=GREY, linewidth=0.5)
         for name, recording in recordings.items():
             stiffness = low_frequency_stiffness(recording)
-            size, turned = np.sqrt(np.linalg.det((stiffness + stiffness.T) / 2.0)), np.linalg.eigh(stiffness + stiffness.T)
-            along = np.degrees(np.arctan2(*turned[1][::-1, 1])) % 180.0
-            print(task, name, f"size {size:.0f} N/m, shape {turned[0][1] / turned[0][0]:.2f}, {along:.0f} deg")
+            along, directions = np.linalg.eigh((stiffness + stiffness.T) / 2.0)
+            angle = np.degrees(np.arctan2(*directions[::-1, 1])) % 180.0
+            print(task, name, f"{along[1]:.0f} and {along[0]:.0f} N/m, the longer axis at {angle:.0f} deg", flush=True)
             ax.plot(*outline(stiffness), color=colours[name])
         ax.set(aspect="equal", xlabel="x [N/m]", ylabel="y [N/m]", title=f"{task}: stiffness at the hand")
         ax.title.set_color(INK)
