@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import ArrayLike, NDArray
 
 from armperturb.arrays import Array
 from armperturb.envs.lab.experiment import recorded
@@ -18,10 +19,13 @@ from armperturb.envs.learning.task import task_settings
 from armperturb.models.rig import KNOWN
 from armperturb.validation import require_one_of
 
+Agent = Callable[[NDArray[np.float32]], ArrayLike]
+"""From observations, (trial, sense), to actions, (trial, action)."""
+
 
 def record_agent(
     name: str,
-    agent: Callable[[Array], Array],
+    agent: Agent,
     trials: Sequence[Trial],
     *,
     rate: float = 200.0,
@@ -65,7 +69,7 @@ def record_agent(
     return recorded(trials, subjects, setup, _truth(session, agent, np.array([s.posture for s in subjects]), setup))
 
 
-def _truth(session: Session, agent: Callable[[Array], Array], posture: Array, setup: Setup) -> Truth:
+def _truth(session: Session, agent: Agent, posture: Array, setup: Setup) -> Truth:
     """What happens while the agent decides, from a posture at rest [rad], (trial, joint)."""
     people = session.people
     n_steps = int(people.n_steps[0])
@@ -79,9 +83,9 @@ def _truth(session: Session, agent: Callable[[Array], Array], posture: Array, se
     log = np.nan_to_num(np.concatenate(logs, axis=1))
     rest = np.zeros((len(log), log.shape[2]))
     rest[:, ANGLE] = posture
-    far = (np.abs(log[:, :: setup.decimation, HANDLE]) >= setup.environment.workspace).any(axis=2)
-    reached = np.where(far.any(axis=1), far.argmax(axis=1) / setup.rate, np.inf)
-    limit_time = np.minimum(reached, diverged)
+    farthest = np.max(np.abs(log[:, :: setup.decimation, HANDLE]), axis=2)
+    reached = np.array([next(iter(np.flatnonzero(far)), np.inf) for far in farthest >= setup.environment.workspace])
+    limit_time = np.minimum(reached / setup.rate, diverged)
     signals = np.stack([setup.sampled(*of_trial) for of_trial in zip(log, rest, strict=True)])
     return Truth(
         perturbation=np.stack([setup.sampled(of_trial) for of_trial in push]),
