@@ -67,13 +67,13 @@ ELBOW_ANGLE_DEG = (82.3, 0.68)
 MUSCLES = ("nonlinear", "linear")
 """What people's muscles may be: those of the calibrated law, or the linear ones of the thesis's mean arms."""
 
-SPREAD_ALIKE = {"PT": 0.18, "RT": 0.10}
+SPREAD_ALIKE = {"PT": 0.28, "RT": 0.12}
 """Task to the SD over people of the logarithm of one factor on all torques of their muscles and reflexes [-]."""
 
-SPREAD_OWN = {"PT": 0.10, "RT": 0.10}
+SPREAD_OWN = {"PT": 0.20, "RT": 0.15}
 """Task to the SD over people of the logarithm of a factor of its own on each muscle group's parameters [-]."""
 
-SPREAD_LEVEL = 0.10
+SPREAD_LEVEL = 0.15
 """SD over people of the logarithm of a factor on each condition's level of co-contraction [-]."""
 
 BODY = ("m_h", "m_f", "m_tot")

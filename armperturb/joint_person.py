@@ -1,9 +1,14 @@
 """A person of one joint, moved by a servo: what the one-joint laboratory simulates.
 
-The presets are round numbers of the size that is measured in people: ankle, Weiss, Hunter & Kearney (1988, J. Biomech.
-21) and Mirbagheri, Barbeau & Kearney (2000, Exp. Brain Res. 135); wrist, Lehman & Calhoun (1990, Exp. Brain Res. 81),
-De Serres & Milner (1991, Exp. Brain Res. 86); elbow, Bennett, Hollerbach, Xu & Hunter (1992, Exp. Brain Res. 88). They
-are nobody's, and what follows from them holds for simulated people.
+The presets are round numbers of the expected size, and nobody's: what follows from them holds for simulated people.
+
+- Inertia of the elbow and of the wrist: forearm with hand, and hand, of a man of 1.74 to 1.80 m by the tables of
+  de Leva (1996, J. Biomech. 29), see `armperturb.anthropometry`.
+- Inertia, damping and stiffness of the ankle: within those of the recorded ankles of docs/real_people.md.
+- All else (damping and stiffness of elbow and wrist, reflexes, posture and held torque) is an assumption of the
+  expected size that no source is named for. How such numbers are measured: ankle, Weiss, Hunter & Kearney (1988,
+  J. Biomech. 21) and Mirbagheri, Barbeau & Kearney (2000, Exp. Brain Res. 135); wrist, De Serres & Milner (1991, Exp.
+  Brain Res. 86); elbow, Bennett, Hollerbach, Xu & Hunter (1992, Exp. Brain Res. 88).
 """
 
 from collections.abc import Mapping

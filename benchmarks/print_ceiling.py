@@ -65,15 +65,16 @@ def fits_of(
     """Fits of appendices C to E to the trials of n people with the same arms.
 
     Args:
-      arms: condition to the arm in it.
+      arms: condition to the arm in it, of one task or both.
       noise: task to how noisy they are.
       seed: of multisines and noise.
       n: number of people.
       start: of the fits of appendix C.
     """
     onset = WINDOW_START + PERIOD
-    protocol = with_published_forces([THESIS.condition(name) for name in TABLES], onset, onset + AFTER)
-    person = Person(name="S01", height=1.8, mass=75.0, subjects={task: arms[f"{task}7.5"] for task in TASKS})
+    protocol = with_published_forces([THESIS.condition(name) for name in arms], onset, onset + AFTER)
+    subjects = {task: arms[f"{task}7.5"] for task in TASKS if f"{task}7.5" in arms}
+    person = Person(name="S01", height=1.8, mass=75.0, subjects=subjects)
     everybody, fits = [], []
     for number in range(n):
         trials = [

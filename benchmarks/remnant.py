@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from armperturb.analysis.defaults import WINDOW_START
-from armperturb.analysis.fit.thesis import Wanted, fit_wanted
+from armperturb.analysis.fit.thesis import fit_trials
 from armperturb.analysis.response.spectra import single_trial_spectra
 from armperturb.analysis.trials import trials_by_condition
 from armperturb.cohort import Person, average_person
@@ -43,7 +43,7 @@ def rows(person: Person, task: str, noise: HumanNoise, seed: int) -> list[str]:
     multisines = {name: trials.multisine for name, trials in trials_by_condition(inside).items()}
     model, table = JUDGED[task]
     start = first_start(model, task, "published")
-    estimates = fit_wanted([Wanted(trials, model, start) for trials in multisines.values()])
+    estimates = [fit_trials(trials, model, initial=start) for trials in multisines.values()]
     rate = float(recording.attrs["rate"])
     window = slice(round(WINDOW_START * rate), round((WINDOW_START + PERIOD) * rate))
     lines = []

@@ -2,9 +2,8 @@
 
 Run by `python -m benchmarks.thesis_fit`; about 1 min. All minimise the criterion of eq. 2.19 (with penalty and Pade
 delay), model 3b from vartheta_i5, on the same noisy admittances of linear people. "plain" and "published" do it on the
-modulus with the tolerances of appendix C; "fit" is `fit_admittance` as it comes, which goes on to the minimum; "batch"
-is "published" for all people at once, as a study has it. Time is that of the processor, as others may use the
-machine.
+modulus with the tolerances of appendix C; "fit" is `fit_admittance` as it comes, which goes on to the minimum. Time is
+that of the processor, as others may use the machine.
 """
 
 import time
@@ -17,7 +16,7 @@ from scipy import optimize
 from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
-from armperturb.analysis.fit.admittance_fit import fit_admittance, fit_admittances
+from armperturb.analysis.fit.admittance_fit import fit_admittance
 from armperturb.analysis.fit.admittance_problem import Target, penalty_factor
 from armperturb.analysis.fit.admittance_problem import _checked as prepared
 from armperturb.analysis.fit.structures import STRUCTURES
@@ -82,14 +81,13 @@ def our_fit(admittance: np.ndarray, body: Subject, *, as_published: bool) -> flo
 
 
 def main() -> None:
-    rng, targets = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
     spent = {"plain": 0.0, "published": 0.0, "fit": 0.0}
     print(f"{'person':8}" + "".join(f"{name + ': V':>14} {'time':>9} {'ratio':>6}" for name in spent))
     for person in draw_cohort(N_PEOPLE, 0, muscles="linear"):
         arm = person.subjects["PT"]
         noise = rng.normal(size=(2, len(FREQUENCY), 2, 2))
         admittance = arm_admittance(arm, FREQUENCY, "pade") * np.exp(NOISE * (noise[0] + 1j * noise[1]))
-        targets.append(Target(frequency=FREQUENCY, admittance=admittance, body=arm, environment=ENVIRONMENT))
         methods = {
             "plain": lambda h=admittance, arm=arm: plain_fit(h, arm),
             "published": lambda h=admittance, arm=arm: our_fit(h, arm, as_published=True),
@@ -103,11 +101,8 @@ def main() -> None:
             spent[name] += own[name]
             line += f"{criterion:14.4f} {1e3 * own[name]:6.0f} ms {own['plain'] / own[name]:6.1f}"
         print(line)
-    begin, n = time.process_time(), len(targets)
-    fit_admittances(targets, [STRUCTURE] * n, initials=[VARTHETA["vartheta_i5"]] * n, delay="pade")
-    spent["batch"] = time.process_time() - begin
-    for name in ("published", "fit", "batch"):
-        print(f"all together, {name}: {spent['plain'] / spent[name]:.0f} times faster than plain")
+    for name in ("published", "fit"):
+        print(f"{name}: {spent['plain'] / spent[name]:.0f} times faster than plain")
 
     arm = draw_cohort(1, 0, muscles="linear")[0].subjects["PT"]
     admittance = arm_admittance(arm, FREQUENCY)

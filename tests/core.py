@@ -39,6 +39,7 @@ def check(folder):
     for command in (
         ("convert", str(DATA / "position.csv"), "--out", recording),
         ("identify", recording, "--model", "3b", "--out", str(folder / "fit")),
+        ("identify", recording, "--model", "1", "--estimator", "thesis", "--out", str(folder / "published")),
         ("response", recording, "--out", str(folder / "response")),
         ("--version",),
     ):

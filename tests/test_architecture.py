@@ -12,7 +12,7 @@ import armperturb
 ROOT = Path(armperturb.__file__).parent
 
 BASE = {"arrays", "validation", "extras", "seeds", "files", "foreign", "recording", "recording_files"}
-BASE |= {"muscle_law", "person_files", "subject", "environment", "joint_person"}
+BASE |= {"jit", "muscle_law", "person_files", "subject", "environment", "joint_person"}
 ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.force_balance",
     "analysis.trials", "analysis.per_trials", "analysis.numerics", "analysis.results", "plots", "anthropometry",
@@ -28,6 +28,7 @@ ARROWS = {
     "compile_cache": set(),
     "extras": {"files"},
     "seeds": set(),
+    "jit": set(),
     "muscle_law": {"validation"},
     "person_files": {"files", "validation", "muscle_law"},
     "subject": {"files", "validation", "muscle_law", "person_files"},
@@ -60,7 +61,8 @@ ARROWS = {
     "analysis.fit": ARM | {"analysis.response", "analysis.measures", "analysis.emg"},
     "analysis.varying": ARM | {"analysis.fit", "analysis.joint"},
     "analysis.joint": ARM | {"analysis.fit"},
-    "analysis.page": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.joint", "pages"},
+    "analysis.page": ARM
+    | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.joint", "pages", "analysis.nonlinear"},
     "analysis.emg": ARM | {"analysis.measures", "analysis.response"},
     "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "planar_arm", "archive"},
     "cohort": ARM,
@@ -119,6 +121,10 @@ def test_imports_follow_the_arrows(path):
         return
     ours = {room(name.removeprefix("armperturb.")) for name in imported(path) if name.startswith("armperturb.")}
     assert ours <= ARROWS[own] | {own}
+
+
+def test_a_file_has_450_lines_at_most():
+    assert not {path.name for path in MODULES if len(path.read_text(encoding="utf-8").splitlines()) > 450}
 
 
 def test_the_table_has_no_circle():

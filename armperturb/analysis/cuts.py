@@ -20,5 +20,6 @@ def limit_samples(recording: xr.Dataset) -> Array:
 
 
 def of_condition(recording: xr.Dataset, condition: str) -> xr.Dataset:
-    """Trials of the condition of that name."""
-    return recording.isel(trial=np.flatnonzero(recording["condition"].values == condition))
+    """Trials of the condition of that name; no copy where all are."""
+    of = recording["condition"].values == condition
+    return recording if of.all() else recording.isel(trial=np.flatnonzero(of))

@@ -16,7 +16,8 @@ All this takes the clocks of force and displacement to agree: a skew turns inert
 is seen in the balance as well, as a delay of d - f that no m, b and k explain.
 """
 
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy import fft, optimize, signal
@@ -35,6 +36,9 @@ ROUNDS = 3
 
 LEFT_OVER = 0.2
 """Share of the load's power at low frequencies from which on there is no balance [-]; noise leaves under 0.01."""
+
+LONGEST_STORED = 2**18
+"""Samples of a record up to which its balance is stored with it."""
 
 ROUND_OFF = 1e-12
 """No instrument is known to be less noisy than this share of its RMS signal [-]."""
@@ -87,6 +91,7 @@ class Balance:
         load = perturbation - force
         self._load = fft.rfft(load, self._n_padded, axis=1)
         self._path = fft.rfft(displacement, self._n_padded, axis=1)
+        self._n_averages = displacement.shape[0] * displacement.shape[2]
         self._least = ROUND_OFF * np.sqrt([np.mean(load**2), np.mean(displacement**2)])
         taper = signal.windows.hann(self._n_samples - 2 * self._n_edge, sym=False)
         self._taper = taper / np.linalg.norm(taper)
@@ -94,9 +99,17 @@ class Balance:
         self._used = (frequency > BAND[0]) & (frequency < BAND[1] * rate)
         self._omega = 2 * np.pi * frequency[self._used]
         self._band_powers = _powers(frequency[self._used])
-        self._roots = self._power_roots()
 
-    def _power_roots(self) -> Array:
+    @classmethod
+    def stored(cls, results: dict[object, Any], signals: tuple[Array, Array, Array], rate: float) -> Self:
+        """The balance of d, f and x that is stored among results; of long records it is large, and made anew."""
+        made: Self = results.get(cls) or cls(*signals, rate)
+        if made._n_samples <= LONGEST_STORED:
+            results[cls] = made
+        return made
+
+    @cached_property
+    def _roots(self) -> Array:
         """Per frequency a root of the power of what the balance is made of, (frequency, at most 5, 5).
 
         That is load, acceleration, velocity, displacement (these three negative) and the load's derivative, each
@@ -116,7 +129,6 @@ class Balance:
         terms = np.stack([tapered(self._load), *path, tapered(self._load * self._powers[1][:, None])])
         # Of each frequency: all trials and axes, real and imaginary parts, below one another.
         rows = np.moveaxis(terms, 2, 0).reshape(len(self._omega), 5, -1).swapaxes(1, 2)
-        self._n_averages = rows.shape[1]
         rows = np.concatenate([rows.real, rows.imag], axis=1) / np.sqrt(self._n_averages)
         return np.asarray(np.linalg.qr(rows, mode="r"))
 

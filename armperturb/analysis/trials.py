@@ -210,10 +210,10 @@ class ConditionTrials:
         limit = min(float(self.limit.min(initial=np.inf)), self.n_samples)
         return min(self.n_samples - round(EDGE * self.rate), round(limit), self.last or self.n_samples)
 
-    @cached_property
+    @property
     def balance(self) -> Balance:
         """Force balance of the manipulator. Raises ValueError where the trials are too short."""
-        return Balance(*self.signals, self.rate)
+        return Balance.stored(self.results, self.signals, self.rate)
 
     @cached_property
     def instruments(self) -> tuple[Environment, NoiseLevels]:

@@ -21,7 +21,7 @@ class Convert(Command):
     """Sidecar of all files, see docs/recordings.md; by default FILE.json beside each."""
     repair: tuple[Repair, ...] = ()
     """Faults to repair instead of refusing them: gaps and dropped samples of up to 0.1 s, an uneven clock, unequal
-    lengths; trials leaves out those with other faults."""
+    lengths; stretch keeps the longest part without longer gaps, trials leaves out trials with other faults."""
     rate: float | None = None
     """Sampling rate of the recording [Hz]; by default that of the files."""
     checksum: bool = False

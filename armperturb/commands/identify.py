@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from armperturb.analysis.fit.structures import Structure
     from armperturb.analysis.fit.use_emg import UseOfEmg
+    from armperturb.analysis.page.page import Origin
 
 Model = Literal["1", "2", "3", "4", "5", "6", "3a", "3b", "nonlinear", "joint"]
 RESULTS = [
@@ -45,8 +46,8 @@ class Identify(Command):
     out: Path
     """Folder for identify.html, which tells all, admittance.csv, parameters.csv, fit.json, structure.toml, the fitted
     arm in arm.toml, and stiffness, damping and inertia at the hand in endpoint.csv and endpoint.svg; of the nonlinear
-    model, for parameters.csv, correlations.csv, predictions.csv, fit.json and pulses.svg, and for checkpoints from
-    which an interrupted search continues."""
+    model, for identify.html, parameters.csv, correlations.csv, predictions.csv, fit.json and pulses.svg, and for
+    checkpoints from which an interrupted search continues."""
     model: str | None = None
     """Model structure; by default the trials of each condition choose it. 1 intrinsic and grip; 2 with velocity, 3 with
     velocity and position feedback; 4, 5 and 6 with force, acceleration or both in addition; 3a and 3b total mass and
@@ -133,7 +134,7 @@ class Identify(Command):
             if kind == "joint":
                 lines = self._identify_joint(recordings, notes)
             elif kind == "nonlinear":
-                lines = self._identify_nonlinear(recordings)
+                lines = self._identify_nonlinear(recordings, notes)
             else:
                 MemoryPerSample(longest=2000, all=300).require(recordings)
                 lines = self._identify(recordings, structure, notes)
@@ -167,8 +168,6 @@ class Identify(Command):
         from armperturb.analysis.joint.export import write_joint
         from armperturb.analysis.joint.identify import identify_joint
         from armperturb.analysis.page.joint_page import write_joint_page
-        from armperturb.analysis.page.page import Origin
-        from armperturb.files import checksum
         from armperturb.recording import join_recordings
 
         result = identify_joint(
@@ -179,12 +178,7 @@ class Identify(Command):
             longest_delay=self.longest_delay,
         )
         write_joint(result, self.out)
-        origin = Origin(
-            command=command_line(self),
-            files={path.name: checksum(path) for path in self.recordings},
-            notes=tuple(notes),
-        )
-        write_joint_page(result, self.out / "identify.html", origin)
+        write_joint_page(result, self.out / "identify.html", self._origin(notes))
         return result.summary().splitlines()
 
     def _structure(self) -> "Structure | None":
@@ -224,9 +218,8 @@ class Identify(Command):
         from armperturb.analysis.fit.group import parts_by_condition
         from armperturb.analysis.fit.identify import identify_conditions
         from armperturb.analysis.fit.own_structures import inertia_prior, save_structure
-        from armperturb.analysis.page.page import Origin, write_page
+        from armperturb.analysis.page.page import write_page
         from armperturb.commands.selection import manipulator
-        from armperturb.files import checksum
 
         emg = self._emg(notes) if self.emg else None
         tasks = list(dict.fromkeys(task for recording in recordings for task in recording["task"].values.tolist()))
@@ -258,20 +251,26 @@ class Identify(Command):
             if chosen is not None:
                 save_structure(chosen, self.out / name)
             result.fit.arm.save(self.out / ("arm.toml" if len(results) == 1 else f"arm_{condition}.toml"))
-        origin = Origin(
-            command=command_line(self),
-            files={path.name: checksum(path) for path in self.recordings},
-            notes=tuple(notes),
-            window_start=self.window_start,
-            period=self.period,
-        )
-        write_page(results, trials, self.out / "identify.html", origin)
+        write_page(results, trials, self.out / "identify.html", self._origin(notes))
         lines = []
         for condition, result in results.items():
             lines.append(f"{condition}: {manipulator(result.environment)}")
             lines.append(f"{condition}: {result.fit.message}; VAF x {result.vaf[0]:.1f} %, y {result.vaf[1]:.1f} %")
             lines += [f"{condition}: {remark}" for remark in result.fit.remarks]
         return lines
+
+    def _origin(self, notes: list[str]) -> "Origin":
+        """What the page says of where its results come from."""
+        from armperturb.analysis.page.page import Origin
+        from armperturb.files import checksum
+
+        return Origin(
+            command=command_line(self),
+            files={path.name: checksum(path) for path in self.recordings},
+            notes=tuple(notes),
+            window_start=self.window_start,
+            period=self.period,
+        )
 
     def _emg(self, notes: list[str]) -> "UseOfEmg | None":
         """EMG of all conditions of the person; None, and a note, where it is missing or cannot be used."""
@@ -296,11 +295,13 @@ class Identify(Command):
         notes.extend(result.remarks)
         return UseOfEmg(envelopes=result, delay=delay)
 
-    def _identify_nonlinear(self, recordings: "list[xr.Dataset]") -> list[str]:
+    def _identify_nonlinear(self, recordings: "list[xr.Dataset]", notes: list[str]) -> list[str]:
         with naming_the_extra("identify --model nonlinear"):
             from armperturb.analysis.nonlinear.export import write_nonlinear
             from armperturb.analysis.nonlinear.identify import identify_nonlinear
+            from armperturb.analysis.page.nonlinear_page import write_nonlinear_page
             from armperturb.workers import cpu_count
+        from armperturb.analysis.fit.group import parts_by_condition
         from armperturb.plots.style import save_plot
         from armperturb.recording import join_recordings
 
@@ -324,4 +325,6 @@ class Identify(Command):
         if result.pulses["nonlinear"]:
             save_plot(result, self.out / "pulses.svg")
         write_nonlinear(result, self.out)
+        trials = parts_by_condition(recordings)
+        write_nonlinear_page(result, trials, self.out / "identify.html", self._origin(notes))
         return result.summary().splitlines()

@@ -5,6 +5,7 @@
 | `gaps` | values that are missing | by a cubic spline through the others: up to 0.025 s of forces, 0.1 s of paths |
 | `drops` | times that step by several samples | the same, up to 0.025 s |
 | `clock` | times that run at another rate than stated, or not evenly | by a cubic spline on even times |
+| `stretch` | values that are missing for longer than that | by a cut to the longest stretch without |
 | `lengths` | trials, or signals of a trial, that do not last equally long | by a cut to the shortest |
 | `trials` | any fault that is not repaired otherwise | by leaving out the trial |
 
@@ -159,6 +160,45 @@ def _between(at: Array, values: Array, grid: Array) -> Array:
             near = np.searchsorted(grid, at[~there] - 0.5 * (grid[1] - grid[0]))
             out[np.clip(near, 0, len(grid) - 1), column] = np.nan
     return out
+
+
+def longest_stretch(timed: Timed) -> tuple[Timed, str]:
+    """The longest stretch of a trial without gaps that are too long to be filled, and where it lies.
+
+    Gaps of the EMG do not count. A trial that reached the limit of the workspace counts up to there.
+
+    Raises:
+      ValueError: there is no such stretch.
+    """
+    counted = [name for name in timed.signals if name != "emg"]
+    end = min(len(timed.signals[name]) / timed.rates[name] for name in counted)
+    limit = float(timed.labels.get("limit_time", math.nan))
+    end = min(end, limit) if math.isfinite(limit) else end
+    missing = []
+    for name in counted:
+        values, rate = timed.signals[name], timed.rates[name]
+        longest = LONGEST_GAP.get(name, LONGEST_SLOW_GAP)
+        for first, last in (gap for column in values.T for gap in runs(~np.isfinite(column))):
+            if first == 0 or last == len(values) or (last - first) / rate > longest + 1e-9:
+                missing.append((first / rate, last / rate))
+    parts, free_from = [], 0.0
+    for start, stop in [*sorted(missing), (end, end)]:
+        parts.append((min(start, end) - free_from, free_from, min(start, end)))
+        free_from = max(free_from, stop)
+    length, start, stop = max(parts)
+    if length <= 0.0:
+        raise ValueError(f"{timed.where}: values are missing everywhere; expected a stretch without gaps")
+    if not missing:
+        return timed, ""
+    cut = {}
+    for name, values in timed.signals.items():
+        first = math.ceil(start * timed.rates[name] - 1e-6)
+        cut[name] = values[first : first + math.floor(length * timed.rates[name] + 1e-6)]
+    labels = {**timed.labels, **{name: math.nan for name in ("limit_time",) if name in timed.labels}}
+    onset = float(labels.get("pulse_onset", math.nan))
+    if math.isfinite(onset):
+        labels["pulse_onset"] = onset - start
+    return replace(timed, signals=cut, labels=labels), f"{start:.6g} to {stop:.6g} s"
 
 
 def find_gaps(timed: Timed) -> tuple[Timed, list[Fault]]:

@@ -17,7 +17,15 @@ from armperturb.convert.checks import (
     require_plausible,
     require_plausible_recording,
 )
-from armperturb.convert.faults import Fault, Timed, equal_lengths, find_gaps, find_stuck, without_padding
+from armperturb.convert.faults import (
+    Fault,
+    Timed,
+    equal_lengths,
+    find_gaps,
+    find_stuck,
+    longest_stretch,
+    without_padding,
+)
 from armperturb.convert.joint_balance import check_joint
 from armperturb.convert.raw import RawTrial
 from armperturb.convert.reading import ARRAYS, C3D, TEXT, read_trials
@@ -177,7 +185,12 @@ def _aligned(
     """A trial in SI, repaired as asked; None if it is left out."""
     where = f"{path}: trial {raw.name!r}" if raw.name != path.name else str(path)
     timed, faults = timed_signals(where, raw, meaning)
-    timed, gaps = find_gaps(without_padding(timed))
+    timed = without_padding(timed)
+    if "stretch" in repair:
+        timed, part = longest_stretch(timed)
+        if part:
+            notes.append(f"{where}: cut to {part}, its longest stretch without long gaps")
+    timed, gaps = find_gaps(timed)
     timed, lengths = equal_lengths(timed, [name for name in timed.signals if name != "emg"])
     faults += gaps + lengths
     if all(np.isfinite(values).all() for values in timed.signals.values()):
@@ -199,5 +212,6 @@ def _aligned(
 def _advice(fault: Fault) -> str:
     if fault.repair == "trials" or not fault.can:
         why = "" if fault.repair == "trials" else ", which cannot be repaired"
-        return f"expected a trial without{why} (convert --repair trials leaves it out)"
+        instead = ", stretch keeps the longest part without gaps" if fault.repair == "gaps" else ""
+        return f"expected a trial without{why} (convert --repair trials leaves it out{instead})"
     return f"expected none (convert --repair {fault.repair} puts it right)"

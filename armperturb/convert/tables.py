@@ -4,7 +4,7 @@ from typing import Literal
 
 from armperturb.files import packaged_table
 
-Repair = Literal["gaps", "drops", "clock", "lengths", "trials"]
+Repair = Literal["gaps", "drops", "clock", "lengths", "stretch", "trials"]
 """Faults that can be repaired, see `armperturb.convert.faults`."""
 
 TABLES = packaged_table(__package__, "tables.toml")

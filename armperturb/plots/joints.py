@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from armperturb.arrays import Array
 from armperturb.plots.style import GREY, PALETTE, RECORDED, figure_for, in_style
 
 SHOWN = 8.0
@@ -14,19 +13,16 @@ SHOWN = 8.0
 LIMIT = 3.84
 """Fall of twice the log-likelihood at the limits of a 95 % interval [-]."""
 
-HIGHEST = 60.0
-"""Fall of twice the log-likelihood up to which the profile is drawn [-]."""
-
 
 @in_style()
 def plot_joint(
-    trace: Any, profile: Array, fit_until: float | None, quantity: str, torque: str, figure: Figure | None = None
+    trace: Any, profile: Any, fit_until: float | None, quantity: str, torque: str, figure: Figure | None = None
 ) -> Any:
     """Recorded and predicted signal, the torque of each path below it, and the profile of the delay.
 
     Args:
       trace: times, recorded and predicted signal and torque of the paths, see `analysis.joint.identify.Trace`.
-      profile: delays [s] and fall of twice the log-likelihood [-], (2, delay); may be empty.
+      profile: of the likelihood over the delay, see `analysis.joint.estimate.Profile`; None without.
       fit_until: end of what was fitted [s]; None for all.
       quantity: name and unit of the signal.
       torque: name and unit of the torque.
@@ -35,7 +31,7 @@ def plot_joint(
     Returns:
       Matplotlib axes: of the signal, of the paths, and of the profile if there is one.
     """
-    rows = 3 if profile.size else 2
+    rows = 2 if profile is None else 3
     figure = figure_for(figure, 0.8 + 1.7 * rows)
     axes = figure.subplots(rows, 1)
     start = trace.time[0] if fit_until is None else max(fit_until - 0.5 * SHOWN, trace.time[0])
@@ -53,13 +49,10 @@ def plot_joint(
         if fit_until is not None:
             ax.axvline(fit_until, color=GREY, linewidth=0.8, linestyle=":")
         ax.legend(loc="upper right", ncols=2)
-    if profile.size:
-        axes[2].plot(1e3 * profile[0], profile[1], color=PALETTE[0], marker="o", markersize=2.5, linewidth=1.0)
+    if profile is not None:
+        axes[2].plot(1e3 * profile.values, profile.rise, color=PALETTE[0], marker="o", markersize=2.5, linewidth=1.0)
         axes[2].axhline(LIMIT, color=GREY, linewidth=0.8, linestyle=":")
         axes[2].set_xlabel("reflex delay [ms]")
         axes[2].set_ylabel("fall of 2 log L [-]")
-        axes[2].set_ylim(0.0, min(float(profile[1].max()) * 1.05 + 1.0, HIGHEST))
-        seen = np.flatnonzero(profile[1] <= HIGHEST)
-        first, last = max(seen[0] - 1, 0), min(seen[-1] + 1, profile.shape[1] - 1)
-        axes[2].set_xlim(1e3 * profile[0, first], 1e3 * profile[0, last])
+        axes[2].set_ylim(0.0, None)
     return axes

@@ -19,12 +19,16 @@ ROW, PANEL = 0.24, 0.55
 APART = 0.6
 """Share of a parameter's row over which several fits are spread [-]."""
 
+WIDEST = 100.0
+"""An interval so many times as wide as the largest estimate of its panel is drawn as if it had no limits [-]."""
+
 
 @in_style()
 def plot_parameters(fits: "Mapping[str, pd.DataFrame]", figure: Figure | None = None) -> Any:
     """Estimates as points with their 95 % intervals as bars, one panel per unit.
 
-    An interval without limits crosses the panel as a dotted line; a hollow point sits on a bound.
+    An interval without limits, or one far wider than all estimates, crosses the panel as a dotted line; a hollow
+    point sits on a bound.
 
     Args:
       fits: label, for the legend, to a table of parameters (`results.PARAMETER_COLUMNS`).
@@ -45,10 +49,11 @@ def plot_parameters(fits: "Mapping[str, pd.DataFrame]", figure: Figure | None = 
     colours = colours_for(len(fits))
     places = np.linspace(-0.5, 0.5, len(fits) + 2)[1:-1] * APART
     for ax, (unit, names) in zip(axes, units.items(), strict=True):
+        largest = max(frame.loc[frame["unit"] == unit, "value"].abs().max() for frame in fits.values())
         for (label, frame), colour, place in zip(fits.items(), colours, places, strict=True):
             for row in frame[frame["unit"] == unit].to_dict("records"):
                 y = names.index(row["parameter"]) + place
-                if np.isfinite([row["lower_95"], row["upper_95"]]).all():
+                if row["upper_95"] - row["lower_95"] <= WIDEST * largest:
                     ax.hlines(y, row["lower_95"], row["upper_95"], color=colour, linewidth=1.3)
                 else:
                     ax.axhline(y, color=GREY, linewidth=0.9, linestyle=":")

@@ -94,8 +94,11 @@ def test_a_search_that_is_interrupted_goes_on_and_writes_what_it_found(path, cap
     assert captured.out.startswith("Muscles of relax in RT: linear law, maximum likelihood of raw trials in 2 ")
     assert "\nconverged after " in captured.out
     assert sorted(file.name for file in out.iterdir()) == [
-        "correlations.csv", "fit.json", "parameters.csv", "predictions.csv", "pulses.svg",
+        "correlations.csv", "fit.json", "identify.html", "parameters.csv", "predictions.csv", "pulses.svg",
     ]  # fmt: skip
+    page = (out / "identify.html").read_text()
+    assert "Muscles of relax" in page
+    assert all(f'id="{section}"' in page for section in ("parameters", "pulses", "data", "traces", "remarks", "method"))
     parameters = {row["parameter"]: row for row in rows(out / "parameters.csv")}
     assert tuple(next(iter(parameters.values()))) == PARAMETER_COLUMNS
     for name, true, unit in (("m_f", RELAX.m_f, "kg"), ("k.shoulder", RELAX.muscle_groups("k")[0], "Nm/rad")):

@@ -376,6 +376,26 @@ def test_gaps_are_refused_with_their_time_and_filled_if_asked(tmp_path):
     assert "trial '2' is left out: X (displacement) has a gap" in found.notes[0]
 
 
+def test_a_trial_is_cut_to_its_longest_stretch_without_long_gaps(tmp_path):
+    values = table()
+    values[100:105, 6] = np.nan  # a short one, to be filled
+    values[300:380, 6] = values[1000:1100, 4] = np.nan
+    values[N_TIME:] = table()[N_TIME:]
+    path = write(tmp_path, values[:N_TIME])
+    with pytest.raises(ValueError, match=r"gap of 0.5 s at 5 s.*stretch keeps the longest part without gaps"):
+        import_recording([path], repair=["gaps"])
+    found = import_recording([path], repair=["gaps", "stretch"])
+    assert any("cut to 1.9 to 5 s, its longest stretch" in note for note in found.notes)
+    assert found.recording.sizes["time"] == 620
+    for name in ("perturbation", "displacement"):
+        np.testing.assert_allclose(found.recording[name].values[0], truth(name, 1)[0, 380:1000], atol=1e-12)
+    values[:N_TIME, 6] = np.nan
+    with pytest.raises(ValueError, match="missing everywhere"):
+        import_recording([write(tmp_path, values[:N_TIME])], repair=["stretch"])
+    whole = import_recording([write(tmp_path, table())], repair=["stretch"])
+    assert_is_the_laboratory(whole.recording)
+
+
 def test_dropped_samples_are_refused_with_their_time_and_filled_if_asked(tmp_path):
     path = write(tmp_path, np.delete(table(), slice(700, 705), axis=0), meaning(**TIMED))
     with pytest.raises(ValueError, match=r"trial '1': 5 samples are dropped at 3.495 s .*cannot be repaired"):

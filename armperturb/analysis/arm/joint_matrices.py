@@ -1,51 +1,21 @@
 """Two-by-two matrices of joints or axes over frequency, and derivatives by groups of parameters.
 
-Matrices have their rows and columns first, (row, column, ..., frequency), which makes their products plain sums.
+Matrices have their rows and columns first, (row, column, frequency), which makes their products plain sums.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armperturb.analysis.arm.parameters import GROUPS, MATRIX
 from armperturb.arrays import Array, ComplexArray
-from armperturb.environment import Environment
-
-
-class Environments(NamedTuple):
-    """What the hands of a batch of arms hold.
-
-    Attributes:
-      m_env: virtual mass [kg], (batch,).
-      b_env: virtual damping [Ns/m], (batch,).
-      k_env: virtual stiffness [N/m], (batch,).
-    """
-
-    m_env: Array
-    b_env: Array
-    k_env: Array
-
-    @classmethod
-    def of(cls, environments: Sequence[Environment]) -> Self:
-        """The environment of each hand."""
-        return cls(*np.array([(each.m_env, each.b_env, each.k_env) for each in environments]).T)
-
-    def take(self, index: NDArray[np.int64]) -> Self:
-        """Some of them, in this order."""
-        return type(self)(*(values[index] for values in self))
 
 
 def joint_matrix(values: Array, quantity: str) -> Array:
     """Joint matrix of a quantity, ready for frequencies, (joint, joint, ..., 1)."""
     return values[MATRIX[quantity]][..., None]
-
-
-def columns_of(environment: Environment | Environments) -> tuple[Array, Array, Array]:
-    """Mass, damping and stiffness, (..., 1) each."""
-    m_env, b_env, k_env = environment.m_env, environment.b_env, environment.k_env
-    return np.asarray(m_env)[..., None], np.asarray(b_env)[..., None], np.asarray(k_env)[..., None]
 
 
 def laplace(frequency: ArrayLike) -> ComplexArray:
@@ -77,7 +47,7 @@ def matrix_first(a: NDArray[Any]) -> NDArray[Any]:
 
 
 def parameter_last(gradient: ComplexArray) -> ComplexArray:
-    """From (parameter, output, input, ..., frequency) to (..., frequency, output, input, parameter)."""
+    """From (parameter, output, input, frequency) to (..., frequency, output, input, parameter)."""
     return gradient.transpose(*range(3, gradient.ndim), 1, 2, 0)
 
 
@@ -87,18 +57,16 @@ def by_triple(outer: ComplexArray) -> ComplexArray:
 
 
 class Gradient:
-    """Derivatives by groups of parameters as they are computed, (parameter, output, input, ..., frequency).
+    """Derivatives by groups of parameters as they are computed.
 
     Attributes:
-      values: of the wanted groups one after the other; complex, or the real part of weight x derivative.
-      weight: (output, input, ..., frequency), if there is one.
+      values: of the wanted groups one after the other, (parameter, output, input, frequency).
     """
 
-    def __init__(self, shape: tuple[int, ...], groups: Sequence[str], weight: ComplexArray | None) -> None:
-        self.weight = weight
+    def __init__(self, shape: tuple[int, ...], groups: Sequence[str]) -> None:
         sizes = [GROUPS[group].stop - GROUPS[group].start for group in groups]
         ends = np.cumsum(sizes)
-        self.values = np.empty((int(ends[-1]), 2, 2, *shape), dtype=complex if weight is None else float)
+        self.values = np.empty((int(ends[-1]), 2, 2, *shape), dtype=complex)
         self._rows = {
             group: slice(end - size, end) for group, size, end in zip(groups, sizes, ends.tolist(), strict=True)
         }
@@ -107,31 +75,24 @@ class Gradient:
         """Whether any of these groups is wanted."""
         return any(group in self._rows for group in groups)
 
-    def weighted(self, values: ComplexArray) -> ComplexArray:
-        """Values with output first, then (inner axes,) input, ..., frequency, times the weight."""
-        if self.weight is None:
-            return values
-        inner = values.ndim - self.weight.ndim
-        return values * self.weight[:, *(None,) * inner]
-
     def put(self, group: str, values: ComplexArray) -> None:
-        """Keep the weighted derivatives by a wanted group."""
-        self.values[self._rows[group]] = values if self.weight is None else values.real
+        """Keep the derivatives by a wanted group."""
+        self.values[self._rows[group]] = values
 
 
 class Joints(NamedTuple):
     """What joint impedance and its derivatives share; rows are joints.
 
     Attributes:
-      delayed: transfer function of the delay, (joint, ..., frequency).
-      active: that of the activation filter, (joint, ..., frequency).
-      delay_slope: derivative by the delay, (joint, ..., frequency).
-      active_slope: derivative by the cut-off frequency, (joint, ..., frequency).
-      damping_slope: derivative by the filter's damping, (joint, ..., frequency).
-      loop: (1 - R Kf)^-1, (joint, joint, ..., frequency).
-      muscle: from q to tau, (joint, joint, ..., frequency).
-      reflex: from q to u_r, (joint, joint, ..., frequency).
-      impedance: Z, (joint, joint, ..., frequency).
+      delayed: transfer function of the delay, (joint, frequency).
+      active: that of the activation filter, (joint, frequency).
+      delay_slope: derivative by the delay, (joint, frequency).
+      active_slope: derivative by the cut-off frequency, (joint, frequency).
+      damping_slope: derivative by the filter's damping, (joint, frequency).
+      loop: (1 - R Kf)^-1, (joint, joint, frequency).
+      muscle: from q to tau, (joint, joint, frequency).
+      reflex: from q to u_r, (joint, joint, frequency).
+      impedance: Z, (joint, joint, frequency).
     """
 
     delayed: ComplexArray

@@ -16,7 +16,7 @@ Of a subject with a muscle law, responses are those of its linear parameters; on
 """
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -25,11 +25,9 @@ from numpy.typing import ArrayLike, NDArray
 from armperturb.analysis.arm import states
 from armperturb.analysis.arm.geometry import hand_jacobian, segment_inertias
 from armperturb.analysis.arm.joint_matrices import (
-    Environments,
     Gradient,
     Joints,
     by_triple,
-    columns_of,
     inverse,
     joint_matrix,
     laplace,
@@ -64,115 +62,82 @@ times stiffer than a hand, and so well damped that its own poles are never those
 class LinearArm:
     """Frequency responses of one body's arm as functions of its parameters; what a fit evaluates again and again.
 
-    Everything that is the same for all parameters is computed once. Values are in the order of `PARAMETERS`. Of several
-    bodies, it evaluates a batch: each body at its own values. Below, ... is (batch,) then, and nothing for one body.
+    Everything that is the same for all parameters is computed once. Values are in the order of `PARAMETERS`.
 
     Attributes:
-      frequency: [Hz], (..., frequency).
+      frequency: [Hz], (frequency,).
       delay: "exact" or "pade".
-      jacobian: from joint angles to hand position [m/rad], (..., axis, joint).
+      jacobian: from joint angles to hand position [m/rad], (axis, joint).
+      inertias: joint inertia per mass of either segment [m^2], (segment, joint, joint).
     """
 
-    def __init__(self, body: Subject | Sequence[Subject], frequency: ArrayLike, delay: Delay = "exact") -> None:
+    def __init__(self, body: Subject, frequency: ArrayLike, delay: Delay = "exact") -> None:
         """Prepare responses at frequencies.
 
         Args:
           body: gives posture, and lengths, centres of mass and radii of gyration of the segments; its parameters do not
-            matter. A sequence makes a batch.
-          frequency: [Hz], (frequency,), or one row for each body.
+            matter.
+          frequency: [Hz], (frequency,).
           delay: "exact" or "pade".
         """
-        if isinstance(body, Subject):
-            jacobian, inertias = hand_jacobian(body), np.array(segment_inertias(body))
-        else:
-            # Trials of a person share a body; computing it once is worth it.
-            of_body = {each: (hand_jacobian(each), segment_inertias(each)) for each in dict.fromkeys(body)}
-            jacobian, inertias = (np.array([of_body[each][k] for each in body]) for k in range(2))
-            inertias = inertias.swapaxes(0, 1)
         self.delay: Delay = delay
-        f = np.asarray(frequency, dtype=float)
-        self._prepare(np.broadcast_to(f, (*jacobian.shape[:-2], f.shape[-1])), jacobian, inertias)
-
-    def _prepare(self, frequency: Array, jacobian: Array, inertias: Array) -> None:
-        self.frequency, self.jacobian, self._inertias = frequency, jacobian, inertias
-        self._s = laplace(frequency)
+        self.frequency = np.asarray(frequency, dtype=float)
+        self.jacobian, self.inertias = hand_jacobian(body), np.array(segment_inertias(body))
+        self._s = laplace(self.frequency)
         self._s2 = self._s**2
-        eye = np.broadcast_to(np.eye(2), jacobian.shape)
-        self._left = matrix_first(jacobian)[..., None]
+        self._left = self.jacobian[..., None]
         self._right = self._left.swapaxes(0, 1)
-        self._eye = matrix_first(eye)[..., None]
-        self._deflection = np.concatenate([-jacobian, eye], axis=-1)
-
-    def take(self, index: NDArray[np.int64]) -> Self:
-        """Some arms of a batch, in this order."""
-        taken = copy.copy(self)
-        taken._prepare(self.frequency[index], self.jacobian[index], self._inertias[:, index])
-        return taken
+        self._eye = np.eye(2)[..., None]
+        self._deflection = np.concatenate([-self.jacobian, np.eye(2)], axis=-1)
 
     def _at(self, s: ComplexArray) -> Self:
-        """The same arm with Pade delays at other complex frequencies [1/s], (..., n)."""
+        """The same arm with Pade delays at other complex frequencies [1/s], (n,)."""
         other = copy.copy(self)
         other.delay, other._s, other._s2 = "pade", s, s**2
         return other
 
     def joint_impedance(self, values: Array) -> ComplexArray:
-        """Joint impedance Z from angle to torque [Nm/rad], (..., frequency, joint, joint)."""
+        """Joint impedance Z from angle to torque [Nm/rad], (frequency, joint, joint)."""
         return matrix_last(self._joints(values).impedance)
 
     def admittance(self, values: Array) -> ComplexArray:
-        """Endpoint admittance H_xf of arm and grip, from f to x [m/N], (..., frequency, output, input)."""
+        """Endpoint admittance H_xf of arm and grip, from f to x [m/N], (frequency, output, input)."""
         return matrix_last(self._endpoint(inverse(self._joints(values).impedance), values))
 
     def total_admittance(self, values: Array, environment: Environment) -> ComplexArray:
-        """Admittance P_dx of arm and environment, from d to x [m/N], (..., frequency, output, input)."""
+        """Admittance P_dx of arm and environment, from d to x [m/N], (frequency, output, input)."""
         arm = self._endpoint(inverse(self._joints(values).impedance), values)
         return matrix_last(product(arm, self._share(arm, environment)))
 
     def joint_impedance_gradient(self, values: Array) -> ComplexArray:
-        """Derivative of `joint_impedance` by every parameter, (..., frequency, joint, joint, parameter)."""
-        gradient = Gradient(self._s.shape, tuple(GROUPS), None)
+        """Derivative of `joint_impedance` by every parameter, (frequency, joint, joint, parameter)."""
+        gradient = Gradient(self._s.shape, tuple(GROUPS))
         self._joint_change(gradient, self._joints(values), self._eye, self._eye)
         gradient.put("grip", np.zeros((), dtype=complex))
         return parameter_last(gradient.values)
 
     def admittance_and_gradient(self, values: Array) -> tuple[ComplexArray, ComplexArray]:
-        """`admittance` and its derivative by every parameter, (..., frequency, output, input, parameter)."""
+        """`admittance` and its derivative by every parameter, (frequency, output, input, parameter)."""
         arm, gradient = self._arm_and_gradient(values, None)
         return matrix_last(arm), parameter_last(gradient)
-
-    def admittance_and_weighted_gradient(
-        self, values: Array, weigh: Callable[[ComplexArray], ComplexArray], groups: Sequence[str]
-    ) -> tuple[ComplexArray, Array]:
-        """`admittance` and the real part of its weighted derivative, which a fit of moduli needs.
-
-        Args:
-          values: (..., parameter).
-          weigh: the admittance to the weight of its derivative, (..., frequency, output, input) both.
-          groups: of parameters by which to differentiate, as `groups_of` gives them.
-
-        Returns:
-          The admittance, and the derivative, (..., frequency, output, input, parameter), by the groups' parameters.
-        """
-        arm, gradient = self._arm_and_gradient(values, None, weigh, groups)
-        return matrix_last(arm), np.asarray(parameter_last(gradient), dtype=float)
 
     def total_and_gradient(
         self, values: Array, environment: Environment, groups: Sequence[str] = tuple(GROUPS)
     ) -> tuple[ComplexArray, ComplexArray]:
         """`total_admittance` and its derivative by the groups' parameters, by default all of them.
 
-        The derivative is (..., frequency, output, input, parameter). As P^-1 = E^-1 + H^-1, dP = P H^-1 dH H^-1 P,
+        The derivative is (frequency, output, input, parameter). As P^-1 = E^-1 + H^-1, dP = P H^-1 dH H^-1 P,
         where P H^-1 = H^-1 P = (1 + E^-1 H)^-1.
         """
-        arm, gradient = self._arm_and_gradient(values, environment, None, groups)
+        arm, gradient = self._arm_and_gradient(values, environment, groups)
         return matrix_last(product(arm, self._share(arm, environment))), parameter_last(gradient)
 
-    def poles(self, values: Array, environment: Environment | Environments) -> ComplexArray:
+    def poles(self, values: Array, environment: Environment) -> ComplexArray:
         """Poles of arm and environment with third-order Pade delays [1/s], (..., state).
 
         Args:
           values: (..., parameter); those that are not finite have poles of NaN.
-          environment: what the hand holds, or those of a batch hold.
+          environment: what the hand holds.
         """
         dynamics = self.force_and_dynamics(values, environment)[1]
         lost = np.asarray(~np.isfinite(dynamics).all(axis=(-2, -1)))
@@ -181,40 +146,26 @@ class LinearArm:
         poles[lost] = np.nan
         return poles
 
-    def pole_gradient(
-        self,
-        values: Array,
-        environment: Environment | Environments,
-        pole: ArrayLike,
-        groups: Sequence[str] = tuple(GROUPS),
-    ) -> Array:
-        """Derivative of the real part of a simple pole of arm and environment by parameters, (..., parameter).
+    def pole_gradient(self, values: Array, environment: Environment, pole: complex) -> Array:
+        """Derivative of the real part of a simple pole of arm and environment by every parameter, (parameter,).
 
         A pole is where F = det(1 + E^-1 H) vanishes, so that its derivative is -(dF/dp) / (dF/ds).
 
         Args:
-          values: (..., parameter).
-          environment: as in `poles`.
-          pole: [1/s], (...,).
-          groups: of parameters, as `groups_of` gives them; by default all.
+          values: (parameter,).
+          environment: what the hand holds.
+          pole: [1/s].
         """
-        where = np.asarray(pole, dtype=complex)[..., None]
-        step = 1e-6 * np.maximum(np.abs(where), 1.0)
-        here = self._at(np.concatenate([where, where + step, where - step], axis=-1))
-        held = here._held(environment)
+        step = 1e-6 * max(abs(pole), 1.0)
+        near = self._at(np.array([pole, pole + step, pole - step]))
+        held = near._held(environment)
+        admittance, gradient = near.admittance_and_gradient(values)
+        (p, q), (r, t) = near._eye + held * matrix_first(admittance)
+        vanishing = p * t - q * r
+        weight = np.array([[t[0], -r[0]], [-q[0], p[0]]]) * (-held[0] * 2 * step / (vanishing[1] - vanishing[2]))
+        return np.asarray(np.tensordot(weight, gradient[0], axes=2).real)
 
-        def weigh(arm: ComplexArray) -> ComplexArray:
-            """-(dF/dH) / (dF/ds) at the pole, and nothing beside it."""
-            (p, q), (r, t) = here._eye + held * matrix_first(arm)
-            vanishing = p * t - q * r
-            slope = (vanishing[..., 1] - vanishing[..., 2])[..., None] / (2 * step)
-            weight = np.array([[t, -r], [-q, p]]) * (-held / slope)
-            weight[..., 1:] = 0.0
-            return matrix_last(weight)
-
-        return here.admittance_and_weighted_gradient(values, weigh, groups)[1].sum(axis=(-4, -3, -2))
-
-    def force_and_dynamics(self, values: Array, environment: Environment | Environments) -> tuple[Array, Array]:
+    def force_and_dynamics(self, values: Array, environment: Environment) -> tuple[Array, Array]:
         """Hand reaction force f, (..., 2, 18), and matrix A, (..., 18, 18), of `state_space.StateSpace`."""
         b_h, k_h = _finite_grip(values)
         muscle = np.zeros((*values.shape[:-1], 2, states.N_STATES))
@@ -224,7 +175,7 @@ class LinearArm:
         force[..., states.VELOCITIES] = b_h * self._deflection
         force[..., states.POSITIONS] = k_h * self._deflection
         m_h, m_f = values[..., 0, None, None], values[..., 1, None, None]
-        mass = m_h * self._inertias[0] + m_f * self._inertias[1] + values[..., MATRIX["i"]]
+        mass = m_h * self.inertias[0] + m_f * self.inertias[1] + values[..., MATRIX["i"]]
         acceleration = np.linalg.solve(mass, self.jacobian.swapaxes(-1, -2) @ force - muscle)
 
         excitation = values[..., MATRIX["ka"]] @ acceleration + values[..., MATRIX["kf"]] @ muscle
@@ -245,15 +196,15 @@ class LinearArm:
         a[..., states.ACTIVE_DOT, states.ACTIVE_DOT] -= 2 * zeta * omega
         a[..., states.ACTIVE_DOT, states.ACTIVE] -= omega**2
         a[..., states.Q_DOT, :] = acceleration
-        m_env, b_env, k_env = columns_of(environment)
-        a[..., states.X_DOT, :] = -force / m_env[..., None]
+        m_env, b_env, k_env = environment.m_env, environment.b_env, environment.k_env
+        a[..., states.X_DOT, :] = -force / m_env
         a[..., states.BOTH_JOINTS + 4, states.BOTH_JOINTS + 4] -= b_env / m_env
         a[..., states.BOTH_JOINTS + 4, states.BOTH_JOINTS + 6] -= k_env / m_env
         return force, a
 
-    def _held(self, environment: Environment | Environments) -> ComplexArray:
+    def _held(self, environment: Environment) -> ComplexArray:
         """E^-1, of which the environment's is a multiple of the identity [N/m], (..., frequency)."""
-        m_env, b_env, k_env = columns_of(environment)
+        m_env, b_env, k_env = environment.m_env, environment.b_env, environment.k_env
         return np.asarray(m_env * self._s2 + b_env * self._s + k_env)
 
     def _share(self, arm: ComplexArray, environment: Environment) -> ComplexArray:
@@ -293,7 +244,7 @@ class LinearArm:
         feedback = joint_matrix(values, "ka") * s2 + joint_matrix(values, "kv") * s + joint_matrix(values, "kp")
         loop = inverse(self._eye - r * force)
         muscle = product(loop, joint_matrix(values, "b") * s + joint_matrix(values, "k") + r * feedback)
-        mass = values[0] * matrix_first(self._inertias[0]) + values[1] * matrix_first(self._inertias[1])
+        mass = values[0] * matrix_first(self.inertias[0]) + values[1] * matrix_first(self.inertias[1])
         mass = mass + values[MATRIX["i"]]
         return Joints(
             delayed=delayed,
@@ -308,16 +259,12 @@ class LinearArm:
         )
 
     def _arm_and_gradient(
-        self,
-        values: Array,
-        environment: Environment | None,
-        weigh: Callable[[ComplexArray], ComplexArray] | None = None,
-        groups: Sequence[str] = tuple(GROUPS),
+        self, values: Array, environment: Environment | None, groups: Sequence[str] = tuple(GROUPS)
     ) -> tuple[ComplexArray, NDArray[Any]]:
         """The arm's admittance and its derivative, or that of the total admittance if there is an environment.
 
         Returns:
-          (output, input, ..., frequency) and (parameter, output, input, ..., frequency).
+          (output, input, frequency) and (parameter, output, input, frequency).
         """
         joints = self._joints(values)
         compliance = inverse(joints.impedance)
@@ -327,11 +274,10 @@ class LinearArm:
         if environment is not None:
             share = self._share(arm, environment)
             left, right, through_grip = product(share, left), product(right, share), product(share, share)
-        weight = None if weigh is None else matrix_first(weigh(matrix_last(arm)))
-        gradient = Gradient(self._s.shape, groups, weight)
+        gradient = Gradient(self._s.shape, groups)
         self._joint_change(gradient, joints, -left, right)
         if gradient.wants("grip"):
-            by_stiffness = gradient.weighted(-(self._grip(values) ** 2) * through_grip)
+            by_stiffness = -(self._grip(values) ** 2) * through_grip
             gradient.put("grip", np.stack([self._s * by_stiffness, by_stiffness]))
         return arm, gradient.values
 
@@ -343,30 +289,26 @@ class LinearArm:
         """
         s, s2 = self._s, self._s2
         if out.wants("m"):
-            inertias = (matrix_first(inertia)[..., None] for inertia in self._inertias)
-            out.put("m", np.stack([out.weighted(s2 * product(product(left, each), right)) for each in inertias]))
+            inertias = (matrix_first(inertia)[..., None] for inertia in self.inertias)
+            out.put("m", np.stack([s2 * product(product(left, each), right) for each in inertias]))
         if out.wants("i"):
-            changed = out.weighted(np.broadcast_to(right, (2, 1, *right.shape)))
-            out.put("i", s2 * by_triple(left[:, :, None, None] * changed))
+            out.put("i", s2 * by_triple(left[:, :, None, None] * right))
         left = product(left, joints.loop)
-        changed = out.weighted(np.broadcast_to(right, (2, 1, *right.shape)))
         reflexive = left * (joints.delayed * joints.active)
         if out.wants("b", "k"):
-            stiffness = by_triple(left[:, :, None, None] * changed)
+            stiffness = by_triple(left[:, :, None, None] * right)
             for group, factor in (("b", s), ("k", None)):
                 if out.wants(group):
                     out.put(group, stiffness if factor is None else factor * stiffness)
         if out.wants("kv", "kp", "ka"):
-            position = by_triple(reflexive[:, :, None, None] * changed)
+            position = by_triple(reflexive[:, :, None, None] * right)
             for group, factor in (("kv", s), ("kp", None), ("ka", s2)):
                 if out.wants(group):
                     out.put(group, position if factor is None else factor * position)
         if out.wants("kf"):
-            sensed = product(joints.muscle, right)
-            sensed = out.weighted(np.broadcast_to(sensed, (2, 1, *sensed.shape)))
-            out.put("kf", by_triple(reflexive[:, :, None, None] * sensed))
+            out.put("kf", by_triple(reflexive[:, :, None, None] * product(joints.muscle, right)))
         if out.wants("Td", "fact", "zeta"):
-            moved = out.weighted(left[:, :, None] * product(joints.reflex, right)[None]).swapaxes(0, 1)
+            moved = (left[:, :, None] * product(joints.reflex, right)[None]).swapaxes(0, 1)
             for group, slope in (
                 ("Td", joints.delay_slope * joints.active),
                 ("fact", joints.delayed * joints.active_slope),

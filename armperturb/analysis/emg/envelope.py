@@ -256,15 +256,17 @@ def envelopes(
     spectra = Spectra.of(volts, rate, low)
     noise = noise_spectra(spectra, (low, high), conditions == rest)
     filtered = whitening(spectra, noise, volts.shape[1], rate, (low, high), mains, whiten=whiten)
+    below = spectra.below
+    del spectra  # of a long trial it takes as much memory as the EMG
     half, n_time = 1.0 / mechanical, recording.sizes["time"]
     # The other signals, which are late by the lead, show at a time what the EMG showed before it.
     centre = np.arange(n_time) / mechanical - float(recording["emg"].attrs.get("lead", 0.0))
     power = np.empty((len(volts), n_time, len(names)))
     correlation, faults = np.zeros((len(names), len(names))), list[ChannelFault]()
     for trial, values in enumerate(volts):
-        white = filtered(np.ascontiguousarray(values.T))
+        white = filtered(values.T)
         power[trial] = averaged(white, rate, centre - half, centre + half).T
-        of_trial = faults_of_trial(values.T, white, spectra.below[trial], rate, trial, names)
+        of_trial = faults_of_trial(values.T, white, below[trial], rate, trial, names)
         for fault in of_trial:
             if fault.kind == "dead":
                 dead = slice(int(fault.start * mechanical), int(np.ceil(fault.end * mechanical)) + 1)

@@ -55,11 +55,14 @@ class Whitening:
     def __call__(self, volts: NDArray[np.float32]) -> NDArray[np.float32]:
         """Channels within the band, white where the muscle is above the noise, (muscle, time)."""
         n, edge = volts.shape[1], self.edge
-        # Point reflections at the ends, as a jump there would be a burst of what whitening lets through best.
-        before, after = volts[:, edge:0:-1], volts[:, -2 : -edge - 2 : -1]
-        extended = np.concatenate([2.0 * volts[:, :1] - before, volts, 2.0 * volts[:, -1:] - after], axis=1)
-        filtered = fft.irfft(fft.rfft(extended, self.n_padded) * self.response, self.n_padded)
-        return np.asarray(filtered[:, edge : edge + n])
+        white = np.empty(volts.shape, dtype=np.float32)
+        # One channel after the other, for the sake of memory.
+        for channel, response, out in zip(volts, self.response, white, strict=True):
+            # Point reflections at the ends, as a jump there would be a burst of what whitening lets through best.
+            before, after = channel[edge:0:-1], channel[-2 : -edge - 2 : -1]
+            extended = np.concatenate([2.0 * channel[:1] - before, channel, 2.0 * channel[-1:] - after])
+            out[:] = fft.irfft(fft.rfft(extended, self.n_padded) * response, self.n_padded)[edge : edge + n]
+        return white
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,10 +92,13 @@ class Spectra:
         sizes = np.diff(np.append(starts, len(frequency)))
         power, total = [], np.zeros((volts.shape[2], len(frequency)))
         for values in volts:
-            transformed = fft.rfft(np.ascontiguousarray((values - values.mean(axis=0)).T), n_padded)
-            density = transformed.real**2 + transformed.imag**2
-            total += density
-            power.append(np.add.reduceat(density, starts, axis=1) / sizes)
+            mean, of_trial = values.mean(axis=0), []
+            for column in range(volts.shape[2]):  # one after the other, for the sake of memory
+                transformed = fft.rfft(values[:, column] - mean[column], n_padded)
+                density = transformed.real**2 + transformed.imag**2
+                total[column] += density
+                of_trial.append(np.add.reduceat(density, starts) / sizes)
+            power.append(of_trial)
         stacked = np.array(power, dtype=float)
         centre = np.add.reduceat(frequency, starts) / sizes
         is_below = centre < 0.75 * low
@@ -223,12 +229,13 @@ def averaged(white: NDArray[Any], rate: float, start: Array, end: Array) -> Arra
       end: likewise.
     """
     n = white.shape[1]
-    summed = np.zeros((len(white), n + 1))
-    np.cumsum(white * white, axis=1, dtype=float, out=summed[:, 1:])
     # A sample stands for the time about it.
     edges = np.clip(np.stack([start, end]) * rate + 0.5, 0.0, n)
     whole = np.minimum(edges.astype(int), n - 1)
     part = edges - whole
-    at_edge = summed[:, whole] * (1.0 - part) + summed[:, whole + 1] * part
-    length = edges[1] - edges[0]
-    return np.asarray((at_edge[:, 1] - at_edge[:, 0]) / np.maximum(length, 1e-9))
+    length, summed, means = np.maximum(edges[1] - edges[0], 1e-9), np.zeros(n + 1), np.empty((len(white), len(start)))
+    for signal, out in zip(white, means, strict=True):
+        np.cumsum(signal * signal, dtype=float, out=summed[1:])
+        at_edge = summed[whole] * (1.0 - part) + summed[whole + 1] * part
+        out[:] = (at_edge[1] - at_edge[0]) / length
+    return means

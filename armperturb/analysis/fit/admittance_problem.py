@@ -1,16 +1,13 @@
 """Error of an arm model against an admittance, with its derivative and the penalty on instability (eqs 2.18-2.21)."""
 
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any, Self, get_args
+from dataclasses import dataclass, field
+from typing import get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import optimize
 
-from armperturb.analysis.arm.joint_matrices import Environments
 from armperturb.analysis.arm.linear_arm import Delay, LinearArm
-from armperturb.analysis.arm.parameters import groups_of
 from armperturb.analysis.fit.structures import Structure
 from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
@@ -78,83 +75,55 @@ def least_squares(
 
 @dataclass(frozen=True, eq=False)
 class AdmittanceProblem:
-    """Residual and its derivative for one admittance, or of a batch of them, whose axis is the ... below."""
+    """Residual and its derivative for one admittance."""
 
     frequency: Array
     admittance: ComplexArray
     weight: Array
-    environment: Environment | Environments
+    environment: Environment
     model: LinearArm
     mixing: Array
     constant: Array
     lower: Array
     upper: Array
-    latest_pole: dict[bytes, ComplexArray] = field(default_factory=dict)
-
-    @cached_property
-    def groups(self) -> tuple[tuple[str, ...], NDArray[np.int64]]:
-        """Groups of arm parameters that any free parameter acts through, and the indices of theirs."""
-        acting = np.abs(self.mixing).reshape(-1, *self.mixing.shape[-2:]).sum(axis=(0, 2)) > 0
-        return groups_of(acting)
-
-    def take(self, index: NDArray[np.int64]) -> Self:
-        """Some of a batch, in this order."""
-        assert isinstance(self.environment, Environments)
-        rows = {name: getattr(self, name)[index] for name in ("frequency", "mixing", "constant", "lower", "upper")}
-        rows |= {name: frequency_last(getattr(self, name)[index]) for name in ("admittance", "weight")}
-        environment, model = self.environment.take(index), self.model.take(index)
-        return replace(self, environment=environment, model=model, latest_pole={}, **rows)
+    latest_pole: dict[bytes, complex] = field(default_factory=dict)
 
     def parameters(self, values: Array) -> Array:
-        """Parameters of the arm from the free ones, (..., parameter)."""
-        return self.constant + applied(self.mixing, values)
+        """Parameters of the arm from the free ones, (parameter,)."""
+        return np.asarray(self.constant + self.mixing @ values)
 
-    def penalty(self, values: Array) -> Array:
-        """Factor of eq. 2.21, (...,)."""
-        return penalty_factor(self.largest_pole(values).real)
+    def penalty(self, values: Array) -> float:
+        """Factor of eq. 2.21."""
+        return float(penalty_factor(self.largest_pole(values).real))
 
-    def largest_pole(self, values: Array) -> ComplexArray:
-        """Rightmost pole of arm and environment [1/s], (...,)."""
+    def largest_pole(self, values: Array) -> complex:
+        """Rightmost pole of arm and environment [1/s]."""
         # An optimiser asks for the derivative where it has just asked for the residual.
         key = values.tobytes()
         if key not in self.latest_pole:
             poles = self.model.poles(self.parameters(values), self.environment)
-            largest = np.argmax(poles.real, axis=-1)[..., None]
             self.latest_pole.clear()
-            self.latest_pole[key] = np.take_along_axis(poles, largest, axis=-1)[..., 0]
+            self.latest_pole[key] = complex(poles[np.argmax(poles.real)])
         return self.latest_pole[key]
 
     def log_error(self, values: Array) -> ComplexArray:
-        """Weighted complex log error, (..., 4 frequency)."""
-        return flat(self.weight * np.log(self.admittance / self.model.admittance(self.parameters(values))), 3)
+        """Weighted complex log error, (4 frequency,)."""
+        error = self.weight * np.log(self.admittance / self.model.admittance(self.parameters(values)))
+        return np.asarray(error.reshape(-1))
 
     def log_error_and_slope(self, values: Array) -> tuple[ComplexArray, ComplexArray]:
-        """`log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter)."""
+        """`log_error` and its derivative, (4 frequency,) and (4 frequency, parameter)."""
         model, gradient = self.model.admittance_and_gradient(self.parameters(values))
         error = self.weight * np.log(self.admittance / model)
         slope = gradient * (-self.weight / model)[..., None]
-        return flat(error, 3), np.asarray(flat(slope, 4) @ self.mixing)
+        return np.asarray(error.reshape(-1)), np.asarray(slope.reshape(error.size, -1) @ self.mixing)
 
     def modulus_and_slope(self, values: Array) -> tuple[Array, Array]:
-        """Modulus of `log_error` and its derivative, (..., 4 frequency) and (..., 4 frequency, parameter).
-
-        Errors are ordered with frequency last, as they lie in memory.
-        """
-        modulus = np.empty(0)
-
-        def weigh(model: ComplexArray) -> ComplexArray:
-            nonlocal modulus
-            error = self.weight * np.log(self.admittance / model)
-            modulus = np.abs(error)
-            aligned = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
-            return np.asarray(aligned * self.weight / -model)
-
-        groups, rows = self.groups
-        _, slope = self.model.admittance_and_weighted_gradient(self.parameters(values), weigh, groups)
-        # Frequency is the last axis in memory.
-        flat = np.moveaxis(slope, (-1, -4), (-4, -1)).reshape(*values.shape[:-1], len(rows), -1)
-        mixed = self.mixing[..., rows, :].swapaxes(-1, -2) @ flat
-        return np.moveaxis(modulus, -3, -1).reshape(*values.shape[:-1], -1), mixed.swapaxes(-1, -2)
+        """Modulus of `log_error` and its derivative, (4 frequency,) and (4 frequency, parameter)."""
+        error, slope = self.log_error_and_slope(values)
+        modulus = np.abs(error)
+        direction = np.divide(error.conj(), modulus, out=np.zeros_like(error), where=modulus > 0)
+        return modulus, (direction[:, None] * slope).real
 
     def residual(self, values: Array, with_penalty: bool) -> Array:
         """Weighted complex log error, real then imaginary parts; with penalty and then a zero, (8 frequency [+ 1],)."""
@@ -177,42 +146,19 @@ class AdmittanceProblem:
         curvature = np.linalg.norm(error) * np.sqrt(factor / (factor - 1.0)) * gradient
         return np.vstack([slope * factor + np.outer(error, gradient), curvature])
 
-    def penalty_and_gradient(self, values: Array) -> tuple[Array, Array]:
-        """Penalty and its derivative, (...,) and (..., parameter).
-
-        The derivative is zero where the penalty is one or out of all bounds.
-        """
+    def penalty_and_gradient(self, values: Array) -> tuple[float, Array]:
+        """Penalty and its derivative, (parameter,), which is zero where the penalty is one or out of all bounds."""
         pole = self.largest_pole(values)
-        factor = penalty_factor(pole.real)
-        acts = (factor - 1.0 >= NEGLIGIBLE_PENALTY) & (factor < penalty_factor(np.inf))
-        if not acts.any():
+        factor = float(penalty_factor(pole.real))
+        if factor - 1.0 < NEGLIGIBLE_PENALTY or factor >= penalty_factor(np.inf):
             return factor, np.zeros_like(values)
-        groups, rows = self.groups
-        gradient = self.model.pole_gradient(self.parameters(values), self.environment, pole, groups)
-        slope = applied(self.mixing[..., rows, :].swapaxes(-1, -2), gradient)
-        steepness = (factor - 1.0) * 10.0 * np.log(10.0)
-        return factor, np.where(acts[..., None], steepness[..., None] * slope, 0.0)
+        gradient = self.model.pole_gradient(self.parameters(values), self.environment, pole)
+        return factor, (factor - 1.0) * 10.0 * np.log(10.0) * (gradient @ self.mixing)
 
 
-def applied(matrix: Array, vector: Array) -> Array:
-    """Matrix times vector, batch by batch."""
-    return np.asarray((matrix @ vector[..., None])[..., 0])
-
-
-def frequency_last(values: NDArray[Any]) -> NDArray[Any]:
-    """Values, (batch, frequency, output, input), stored with frequency last in memory, as by `LinearArm`."""
-    return np.moveaxis(np.ascontiguousarray(np.moveaxis(values, (-2, -1), (0, 1))), (0, 1), (-2, -1))
-
-
-def flat(values: NDArray[Any], n: int) -> NDArray[Any]:
-    """One axis in the place of frequency, output and input, of which the first is the n-th from the end."""
-    cut = values.ndim - n
-    return values.reshape(*values.shape[:cut], -1, *values.shape[cut + 3 :])
-
-
-def stack(values: ComplexArray, axis: int = 0) -> Array:
+def stack(values: ComplexArray) -> Array:
     """Real parts, then imaginary parts."""
-    return np.concatenate([values.real, values.imag], axis=axis)
+    return np.concatenate([values.real, values.imag])
 
 
 def silent_directions(jacobian: Array) -> Array:

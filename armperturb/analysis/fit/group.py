@@ -1,7 +1,7 @@
 """Trials of one person in one condition together with the structure that is fitted to them, and their likelihoods."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, Self
 
@@ -15,6 +15,7 @@ from armperturb.analysis.fit.emg_likelihood import EmgLikelihood
 from armperturb.analysis.fit.likelihood import Likelihood, PeriodLikelihood, RecordLikelihood, Signals, whitened
 from armperturb.analysis.fit.linear_start import linear_start
 from armperturb.analysis.fit.structures import Structure
+from armperturb.analysis.fit.total_admittance import LONGEST_RUN
 from armperturb.analysis.force_balance import EDGE
 from armperturb.analysis.per_trials import per_trials
 from armperturb.analysis.response.condition_spectra import condition_spectra, periodic_lines
@@ -28,6 +29,9 @@ from armperturb.subject import Subject
 
 LONG_RECORD = 2**18
 """Samples beyond which a record is cut, by a thousandth at most, to a length of which spectra are computed quickly."""
+
+SEGMENT = 120.0
+"""Length of the segments of long records that structures are compared on [s]; their ends cost 3 % of the samples."""
 
 Method = Literal["frequency", "record"]
 """Whether the mean period of each trial is used, or all of it from its start."""
@@ -57,16 +61,18 @@ class Group:
       parts: the trials, those of one length together.
       structure: what is free.
       spectra: admittances and coherence.
+      top: highest frequency that counts in `records` [Hz].
       period: likelihood of the mean periods; None of a perturbation that is not periodic, or not for long enough.
-      records: likelihood of the whole records of each part.
+      made: what is computed when it is first asked for, also by groups that differ in structure or EMG alone.
       emg: likelihood of the EMG of the first part; None if it is not used.
     """
 
     parts: tuple[ConditionTrials, ...]
     structure: Structure
     spectra: SpectralEstimate
+    top: float
     period: Likelihood | None
-    records: tuple[Likelihood, ...]
+    made: dict[str, tuple[RecordLikelihood, ...]] = field(default_factory=dict)
     emg: EmgLikelihood | None = None
 
     @classmethod
@@ -102,9 +108,33 @@ class Group:
             parts=parts,
             structure=structure,
             spectra=spectra,
+            top=top,
             period=None if lines is None else _period_likelihood(parts[0], window_start, period, top),
-            records=tuple(record_likelihood(part, top) for part in parts),
         )
+
+    @property
+    def records(self) -> tuple[RecordLikelihood, ...]:
+        """Likelihood of the whole records of each part."""
+        if "records" not in self.made:
+            self.made["records"] = tuple(record_likelihood(part, self.top) for part in self.parts)
+        return self.made["records"]
+
+    @property
+    def segments(self) -> tuple[RecordLikelihood, ...]:
+        """The same, of which long records are cut into segments that count as trials of their own.
+
+        They share the frequencies at which a model is evaluated, which makes an hour thirty times as cheap.
+        """
+        if "segments" not in self.made:
+            counts = [_n_segments(part, self.top) for part in self.parts]
+            self.made["segments"] = (
+                self.records
+                if max(counts) < 2
+                else tuple(
+                    record_likelihood(part, self.top, count) for part, count in zip(self.parts, counts, strict=True)
+                )
+            )
+        return self.made["segments"]
 
     def with_structure(self, structure: Structure) -> Self:
         """The same trials, to be fitted by another structure."""
@@ -165,11 +195,11 @@ def require_one_person(groups: Sequence[Group]) -> None:
       ValueError: there are such.
     """
     labels = [group.label for group in groups]
-    for field in ("name", "l_h", "l_f", "theta_s_deg", "theta_e_deg"):
-        values = {getattr(group.body, field) for group in groups}
+    for label in ("name", "l_h", "l_f", "theta_s_deg", "theta_e_deg"):
+        values = {getattr(group.body, label) for group in groups}
         if len(values) > 1:
             raise ValueError(
-                f"the conditions {', '.join(labels)} differ in {field} ({', '.join(map(str, sorted(values)))}); "
+                f"the conditions {', '.join(labels)} differ in {label} ({', '.join(map(str, sorted(values)))}); "
                 "expected one person in one posture"
             )
     for label in labels:
@@ -210,21 +240,42 @@ def _signals(trials: ConditionTrials, window: slice) -> Signals:
     )
 
 
-def record_likelihood(trials: ConditionTrials, top: float) -> RecordLikelihood:
-    """Likelihood of whole records up to the first pulse, at frequencies up to `top` [Hz]."""
+def record_likelihood(trials: ConditionTrials, top: float, n_segments: int = 1) -> RecordLikelihood:
+    """Likelihood of whole records up to the first pulse, or of segments of them, at frequencies up to `top` [Hz]."""
+    signals = _record_signals(trials)
+    top = min(top, 0.45 * signals.rate)
+    if n_segments == 1:
+        return RecordLikelihood(signals, top, from_rest=trials.from_rest)
+    n_each = _quick_length(signals.perturbation.shape[1] // n_segments)
+    d, x = (part[:, : n_segments * n_each].reshape(-1, n_each, 2) for part in signals[:2])
+    return RecordLikelihood(signals._replace(perturbation=d, displacement=x), top, from_rest=False)
+
+
+def _n_segments(trials: ConditionTrials, top: float) -> int:
+    """Into how many segments records are cut: into one of those that are not long."""
+    duration = min(trials.first_onset, trials.n_samples) / trials.rate
+    return max(1, int(duration / SEGMENT)) if duration * top > LONGEST_RUN else 1
+
+
+def _quick_length(n_samples: int) -> int:
+    """Number of samples, hardly smaller, of which spectra are computed quickly."""
+    return next(n for n in range(n_samples, 0, -1) if fft.next_fast_len(n) == n)
+
+
+def _record_signals(trials: ConditionTrials) -> Signals:
+    """Whole records up to the first pulse, at no more than about `MODEL_RATE`."""
     end = min(trials.first_onset, trials.n_samples - round(EDGE * trials.rate))
     if end > LONG_RECORD:
-        end = next(n for n in range(end, 0, -1) if fft.next_fast_len(n) == n)
+        end = _quick_length(end)
     factor = int(trials.rate // MODEL_RATE)
     if factor < 2:
-        return RecordLikelihood(_signals(trials, slice(end)), top, from_rest=trials.from_rest)
+        return _signals(trials, slice(end))
     rate, first = trials.rate / factor, 0 if trials.from_rest else FILTER_REACH
     d, x = (
         thinned(values[:, :end], factor, axis=1)[:, first:-FILTER_REACH]
         for values in (trials.perturbation, trials.displacement)
     )
-    signals = Signals(d, whitened(x, rate), trials.body, trials.environment, rate)
-    return RecordLikelihood(signals, min(top, 0.45 * rate), from_rest=trials.from_rest)
+    return Signals(d, whitened(x, rate), trials.body, trials.environment, rate)
 
 
 def _period_likelihood(

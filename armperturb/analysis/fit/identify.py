@@ -19,7 +19,7 @@ from armperturb.analysis.fit.ladder import Choice, choose_structure, nearest_to_
 from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.structures import STRUCTURES, Structure, structure_of, unit
-from armperturb.analysis.fit.thesis import ThesisEstimate, Wanted, fit_wanted
+from armperturb.analysis.fit.thesis import ThesisEstimate, fit_trials
 from armperturb.analysis.fit.use_emg import UseOfEmg
 from armperturb.analysis.measures.endpoint import EndpointImpedance
 from armperturb.analysis.measures.start_geometry import in_start_geometry
@@ -293,12 +293,10 @@ def identify_conditions(
         for label, parts in conditions.items()
     }
     if estimator == "thesis":
-        wanted = [Wanted(_only(parts), structure) for parts in conditions.values()]
-        fitted = fit_wanted(wanted, window_start=window_start, period=period)
-        fits = {
-            label: _thesis_fit(of_trials, parts[0], structure, spectra[label])
-            for (label, parts), of_trials in zip(conditions.items(), fitted, strict=True)
-        }
+        fits = {}
+        for label, parts in conditions.items():
+            of_trials = fit_trials(_only(parts), structure, window_start=window_start, period=period)
+            fits[label] = _thesis_fit(of_trials, parts[0], structure, spectra[label])
     else:
         groups = [
             Group.prepare(parts, structure, window_start=window_start, period=period) for parts in conditions.values()

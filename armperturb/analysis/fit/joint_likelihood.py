@@ -44,12 +44,12 @@ class JointLikelihood:
       quick: whether derivatives are, see `Likelihood.normal`.
     """
 
-    def __init__(self, groups: Sequence[Group], method: Method, share: Sequence[str], *, quick: bool = False) -> None:
-        self.groups, self.quick = tuple(groups), quick
+    def __init__(self, groups: Sequence[Group], method: Method, share: Sequence[str], *, sketchy: bool = False) -> None:
+        self.groups, self.quick = tuple(groups), sketchy
         self.parts = [
             (at, TrialsWithEmg(likelihood, group.emg) if group.emg else likelihood)
             for at, group in enumerate(self.groups)
-            for likelihood in ([group.period] if method == "frequency" else group.records)
+            for likelihood in _likelihoods(group, method, sketchy)
             if likelihood is not None
         ]
         shared = shared_names(self.groups, share)
@@ -286,6 +286,12 @@ class JointLikelihood:
             if scaled(information)[1][0] > SINGULAR:
                 return
         require_informative(information, self.names)
+
+
+def _likelihoods(group: Group, method: Method, sketchy: bool) -> Sequence[Likelihood | None]:
+    if method == "frequency":
+        return [group.period]
+    return group.segments if sketchy else group.records
 
 
 def names_of_emg(group: Group) -> tuple[str, ...]:

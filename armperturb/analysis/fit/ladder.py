@@ -213,6 +213,8 @@ def choose_structure(recorded: Group, in_geometry: Geometry | None = None, metho
             break
         place = scored[0][:3]
     best = scored[0]
+    for each in (recorded, group):
+        each.made.pop("segments", None)  # they take much memory, and are not needed any more
     initial = dict(zip(best.structure.free, best.sketch.values.tolist(), strict=True))
     estimate_of_best = estimate([group.with_structure(best.structure)], method, initial=initial)
     return Choice(

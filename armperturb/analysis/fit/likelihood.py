@@ -214,7 +214,8 @@ class RecordLikelihood(Likelihood):
 
     def _spectrum(self, values: Array) -> ComplexArray:
         """DFT of what is judged of records (..., time), faded out, at the frequencies that count."""
-        return np.asarray(fft.rfft(values[..., self._judged] * self._taper, axis=-1)[..., self._used])
+        # A copy, as a part of it would keep all frequencies.
+        return fft.rfft(values[..., self._judged] * self._taper, axis=-1)[..., self._used].copy()
 
     def _cut(self, spectrum: ComplexArray) -> ComplexArray:
         """The same of signals (..., axis) that are given by their DFT over the padded time."""
@@ -235,5 +236,9 @@ class RecordLikelihood(Likelihood):
         return np.concatenate([*moved, offsets.reshape(-1, 2, offsets.shape[-1])])
 
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
-        for trial, driven in enumerate(self._model.driven_slopes(values, mixing, self._load)):
-            yield slice(trial, trial + 1), self._cut(driven)[:, None]
+        # Of long records few parameters at a time, for the sake of memory.
+        size = mixing.shape[1] * self._load[0].size
+        parts = np.array_split(mixing, min(mixing.shape[1], -(-size // LONGEST_SIGNALS)), axis=1)
+        of_parts = [self._model.driven_slopes(values, part, self._load, then=self._cut) for part in parts]
+        for trial, derivatives in enumerate(zip(*of_parts, strict=True)):
+            yield slice(trial, trial + 1), np.concatenate(derivatives)[:, None]

@@ -1,8 +1,7 @@
 """Maximum likelihood estimates of arm parameters, from any number of trials, conditions and tasks of one person.
 
 Initial values come from linear least squares (`linear_start`), so that none has to be guessed. Gauss-Newton steps
-within the bounds follow, iteratively reweighted: the noise spectra are estimated before each (`likelihood`). Steps that
-lead to an unstable arm or to a smaller likelihood are shortened. Then trials are allowed to differ (`trial_effects`).
+within the bounds follow (`likelihood_search`). Then trials are allowed to differ (`trial_effects`).
 Standard errors are those of the Fisher information, the Cramer-Rao bound, if they do not.
 """
 
@@ -11,11 +10,18 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, get_args
 
 import numpy as np
-from scipy import optimize
 
 from armperturb.analysis.fit.emg_likelihood import FEW_WITH_EMG
 from armperturb.analysis.fit.group import Group, Method, require_one_person
-from armperturb.analysis.fit.joint_likelihood import PART_OF, Effects, JointLikelihood
+from armperturb.analysis.fit.joint_likelihood import PART_OF, JointLikelihood
+from armperturb.analysis.fit.likelihood_search import (
+    SETTLED,
+    Searched,
+    bounded_step,
+    search_best,
+    search_from,
+    step_size,
+)
 from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.fit.trial_effects import (
     FEWEST_TRIALS,
@@ -32,16 +38,6 @@ from armperturb.analysis.results import Description, FitResult, limits_of, param
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 from armperturb.validation import require_one_of
-
-MAX_ROUNDS = 60
-"""Gauss-Newton steps after which a search ends in any case."""
-
-WEIGHED_ROUNDS = 20
-"""Steps before which the noise is re-estimated. A search that lasts longer alternates between two noise spectra: from
-then on the noise is held."""
-
-SETTLED = 0.01
-"""A step this small in units of the standard error ends the search [-]."""
 
 SKETCHED, SKETCH_ROUNDS = 0.2, 12
 """Size of the step, and number of steps, that end the search of a sketch."""
@@ -150,17 +146,6 @@ def _remarks(fit: Estimate) -> tuple[str, ...]:
     return (*said, *limits_of(fit))
 
 
-class _Search(NamedTuple):
-    values: Array
-    information: Array
-    status: str
-    converged: bool
-    n_rounds: int
-    effects: Effects | None = None
-    spread: Array | None = None
-    dof: Array | None = None
-
-
 def estimate(
     groups: Sequence[Group],
     method: Method = "record",
@@ -195,18 +180,18 @@ def estimate(
     first_method: Method = "record" if any(group.period is None for group in groups) else "frequency"
     problem = JointLikelihood(groups, first_method, share)
     first = problem.stabilised(problem.initial(initial or {}))
-    search = _best(problem, first)
+    search = search_best(problem, first)
     fitted = _judge(problem, first_method, search)
     if not np.isfinite(list(fitted.standard_error.values())).all():
         problem.require_identifiable(first)
     is_given = initial is not None and len(initial) == len(problem.names)
     if not is_given and (not fitted.converged or fitted.is_suspicious):
-        other = _best(problem, problem.stabilised(problem.published()))
+        other = search_best(problem, problem.stabilised(problem.published()))
         if problem.objective(other.values) < fitted.objective:
             search = other
     if first_method != method:
         problem = JointLikelihood(groups, method, share)
-        search = _best(problem, problem.stabilised(search.values))
+        search = search_best(problem, problem.stabilised(search.values))
     return _judge(problem, method, _with_trial_effects(problem, search))
 
 
@@ -218,7 +203,7 @@ class Sketch(NamedTuple):
       objective: as `Estimate.objective`.
       chi2: as `Estimate.chi2`.
       dof: its degrees of freedom.
-      scores: what each trial tells at the estimate.
+      scores: what each trial tells at the estimate; of a single trial that is long, each of its segments.
     """
 
     values: Array
@@ -229,20 +214,36 @@ class Sketch(NamedTuple):
 
 
 def sketch(group: Group, starts: Sequence[Array], method: Method = "record") -> Sketch:
-    """Fit a structure with few steps and quick derivatives, all trials alike.
+    """Fit a structure with few steps and quick derivatives, all trials alike, long ones in `Group.segments`.
 
     Args:
       group: the trials and the structure.
       starts: values of the free parameters, the most likely of which the search starts from, (parameter,) each.
       method: of the likelihood, see `estimate`.
     """
-    problem = JointLikelihood([group], method, (), quick=True)
+    problem = JointLikelihood([group], method, (), sketchy=True)
     stable = [problem.stabilised(np.clip(start, problem.lower, problem.upper)) for start in starts]
     start = min(stable, key=problem.objective)
-    values = _search(problem, start, settled=SKETCHED, most=SKETCH_ROUNDS).values
+    values = search_from(problem, start, settled=SKETCHED, most=SKETCH_ROUNDS).values
     objective = problem.objective(values)
     fit = problem.lack_of_fit(values)
-    return Sketch(values, objective, fit.chi2, fit.dof, tuple(problem.scores(values, problem.no_effects())))
+    scores = problem.scores(values, problem.no_effects())
+    n_trials = sum(part.n_trials for part in group.parts)
+    if 1 < n_trials < problem.n_trials:
+        scores = _of_whole_trials(scores, group)
+    return Sketch(values, objective, fit.chi2, fit.dof, tuple(scores))
+
+
+def _of_whole_trials(scores: Sequence[TrialScore], group: Group) -> list[TrialScore]:
+    """The scores of segments, those of a trial together."""
+    left, summed = iter(scores), []
+    for part, likelihood in zip(group.parts, group.segments, strict=True):
+        for _ in range(part.n_trials):
+            same = [next(left) for _ in range(likelihood.n_trials // part.n_trials)]
+            score = np.sum([each.score for each in same], axis=0)
+            information = np.sum([each.information for each in same], axis=0)
+            summed.append(same[0]._replace(score=score, information=information))
+    return [*summed, *left]
 
 
 def profile(
@@ -281,52 +282,13 @@ def profile(
                 f"{name} = {point!r}; expected {bounds[0][column]:g} to {bounds[1][column]:g} {unit(name.split()[0])}"
             )
         problem.lower[column] = problem.upper[column] = point
-        held = _search(problem, np.clip(best, problem.lower, problem.upper), weigh=False)
+        held = search_from(problem, np.clip(best, problem.lower, problem.upper), weigh=False)
         deviance[index] = problem.cost(held.values) - least
         problem.lower, problem.upper = bounds[0].copy(), bounds[1].copy()
     return deviance
 
 
-def _best(problem: JointLikelihood, start: Array) -> _Search:
-    """The most likely values; of long trials, full derivatives refine what quick ones lead to."""
-    if problem.is_long:
-        problem.quick = True
-        start = _search(problem, start).values
-        problem.quick = False
-    return _search(problem, start)
-
-
-def _search(
-    problem: JointLikelihood, values: Array, *, weigh: bool = True, settled: float = SETTLED, most: int = MAX_ROUNDS
-) -> _Search:
-    """Gauss-Newton steps within bounds; if `weigh`, the noise is re-estimated before each of the first steps.
-
-    No step leads to an unstable arm, or from an unstable start to one that is less stable.
-    """
-    damping = 0.0
-    limit = max(0.0, problem.pole(values))
-    for n_rounds in range(1, most + 1):
-        if weigh and n_rounds <= WEIGHED_ROUNDS:
-            problem.weigh(values)
-        normal = problem.normal(values)
-        room = problem.lower - values, problem.upper - values
-        reason = "no smaller step increases the likelihood"
-        if _size(normal, _bounded_step(normal, 0.0, *room)) < settled:
-            return _Search(values, normal.information, "converged: steps are far below the errors", True, n_rounds)
-        while True:
-            after = np.clip(values + _bounded_step(normal, damping, *room), problem.lower, problem.upper)
-            if not problem.pole(after) < limit:
-                reason = "at the border of stability"
-            elif problem.cost(after) < normal.cost:
-                break
-            damping = max(10.0 * damping, 1e-3)
-            if damping > 1e8:
-                return _Search(values, normal.information, f"not converged: {reason}", False, n_rounds)
-        values, damping = after, damping / 10.0 if damping > 1e-6 else 0.0
-    return _Search(values, normal.information, f"not converged: {most} steps were not enough", False, most)
-
-
-def _with_trial_effects(problem: JointLikelihood, search: _Search) -> _Search:
+def _with_trial_effects(problem: JointLikelihood, search: Searched) -> Searched:
     """The average arm where trials may differ, from one that takes them to be alike.
 
     The noise is estimated with effects of trials that may be large, see `trial_effects.LOOSE`. Where no difference is
@@ -341,7 +303,7 @@ def _with_trial_effects(problem: JointLikelihood, search: _Search) -> _Search:
         scores = problem.scores(values, effects)
         mixed = fit_mixed(scores, len(values))
         normal = Normal(0.0, mixed.slope[None], mixed.information[None])
-        step = _bounded_step(normal, 0.0, problem.lower - values, problem.upper - values)
+        step = bounded_step(normal, 0.0, problem.lower - values, problem.upper - values)
         after = np.clip(values + step, problem.lower, problem.upper)
         if not problem.pole(after) < 0.0:
             return search
@@ -351,7 +313,7 @@ def _with_trial_effects(problem: JointLikelihood, search: _Search) -> _Search:
         )
         effects = [np.array([next(moved) for _ in each]) for each in effects]
         values = after
-        if round_ > 0 and _size(normal, step) < SETTLED:
+        if round_ > 0 and step_size(normal, step) < SETTLED:
             break
     if not mixed.spread.any():
         return search
@@ -360,29 +322,11 @@ def _with_trial_effects(problem: JointLikelihood, search: _Search) -> _Search:
     )
 
 
-def _size(normal: Normal, step: Array) -> float:
-    """Largest change of a parameter in units of its error, were all others known."""
-    return float(np.max(np.abs(step) * np.sqrt(np.diag(normal.information))))
-
-
-def _bounded_step(normal: Normal, damping: float, lower: Array, upper: Array) -> Array:
-    """Levenberg-Marquardt step that stays within bounds."""
-    scale, power, directions = scaled(normal.information)
-    root = np.sqrt(np.maximum(power, 0.0) + damping + SINGULAR)
-    target = directions.T @ (normal.slope / scale) / root
-    design = root[:, None] * directions.T
-    free = upper > lower
-    step = np.zeros(len(scale))
-    bounds = lower[free] * scale[free], upper[free] * scale[free]
-    step[free] = optimize.lsq_linear(design[:, free], target, bounds, method="bvls").x
-    return step / scale
-
-
 def _told(spread: Array) -> dict[str, float]:
     return {name: float(value) for name, value in zip(QUANTITIES, spread, strict=True) if value > LEAST_SPREAD}
 
 
-def _dispersion(problem: JointLikelihood, search: _Search, fit: LackOfFit) -> float:
+def _dispersion(problem: JointLikelihood, search: Searched, fit: LackOfFit) -> float:
     """See `Estimate.dispersion`; the noise must have been weighed."""
     if not problem.are_independent or problem.n_trials < FEWEST_TRIALS:
         return max(1.0, fit.chi2 / fit.dof)
@@ -392,7 +336,7 @@ def _dispersion(problem: JointLikelihood, search: _Search, fit: LackOfFit) -> fl
     return max(1.0, scatter(scores, spread, search.information))
 
 
-def _judge(problem: JointLikelihood, method: Method, search: _Search) -> Estimate:
+def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estimate:
     values, names = search.values, problem.names
     objective = problem.objective(values)
     if search.effects is not None:

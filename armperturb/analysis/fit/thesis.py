@@ -13,14 +13,14 @@ two (`benchmarks.thesis_sem`).
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armperturb.analysis.arm.linear_arm import Delay
 from armperturb.analysis.defaults import WINDOW_START
-from armperturb.analysis.fit.admittance_fit import AdmittanceFit, fit_admittance, fit_admittances
+from armperturb.analysis.fit.admittance_fit import AdmittanceFit, fit_admittance
 from armperturb.analysis.fit.admittance_problem import Target
 from armperturb.analysis.fit.structures import MODEL_3_WIDE, STRUCTURES, Structure, published_starts, unit
 from armperturb.analysis.measures.vaf import trial_vaf
@@ -185,111 +185,59 @@ def _targets(trials: ConditionTrials, *, window_start: float, period: float | No
     )
 
 
-class Wanted(NamedTuple):
-    """A fit of every trial of a condition.
-
-    Attributes:
-      trials: of one person in one condition.
-      structure: model structure, or its name in `STRUCTURES`.
-      initial: parameter vector to start from, SI; the structure's own where not given.
-      use_penalty: whether to push fits away from instability (eq. 2.21).
-    """
-
-    trials: ConditionTrials
-    structure: Structure | str
-    initial: Mapping[str, float] | None = None
-    use_penalty: bool = True
-
-
-def fit_wanted(
-    wanted: Sequence[Wanted],
-    *,
-    as_published: bool = True,
-    delay: Delay = "pade",
-    window_start: float = WINDOW_START,
-    period: float | None = None,
-) -> list[ThesisEstimate]:
-    """Fit structures to trials, all together, which is many times faster than one by one.
-
-    Fits are kept with their trials: what was fitted before, with the same options, is not fitted again.
-
-    Args:
-      wanted: which fits.
-      as_published: see the head of this module and `fit_admittance`.
-      delay: "exact", or the thesis's "pade".
-      window_start: start of the spectral window [s].
-      period: of the disturbance [s]; None to find it, in each condition.
-
-    Returns:
-      The estimate of each.
-
-    Raises:
-      ValueError: trials give no spectra, or structure or initial vector are refused.
-    """
-    options = (as_published, delay, window_start, period)
-    keys = [
-        (fit_wanted, each.structure, tuple((each.initial or {}).items()), each.use_penalty, *options) for each in wanted
-    ]
-    new = [(each, key) for each, key in zip(wanted, keys, strict=True) if key not in each.trials.results]
-    alike: dict[int, list[tuple[int, Target]]] = {}
-    for i, (each, _) in enumerate(new):
-        for target in _targets(each.trials, window_start=window_start, period=period):
-            alike.setdefault(np.size(target.frequency), []).append((i, target))
-    fits: list[list[AdmittanceFit]] = [[] for _ in new]
-    for members in alike.values():
-        if as_published:
-            fitted = fit_admittances(
-                [target for _, target in members],
-                [new[i][0].structure for i, _ in members],
-                initials=[new[i][0].initial for i, _ in members],
-                use_penalty=[new[i][0].use_penalty for i, _ in members],
-                delay=delay,
-            )
-        else:
-            fitted = [
-                fit_admittance(
-                    **vars(target),
-                    structure=new[i][0].structure,
-                    initial=new[i][0].initial,
-                    use_penalty=new[i][0].use_penalty,
-                    delay=delay,
-                )
-                for i, target in members
-            ]
-        for (i, _), fit in zip(members, fitted, strict=True):
-            fits[i].append(fit)
-    for of_trials, ((trials, *_), key) in zip(fits, new, strict=True):
-        trials.results[key] = ThesisEstimate(
-            structure=of_trials[0].structure,
-            subjects=(trials.body.name,) * trials.n_trials,
-            environment=trials.environment,
-            fits=tuple(of_trials),
-            vaf=np.array([trial_vaf(trials, n, fit.arm, trials.environment) for n, fit in enumerate(of_trials)]),
-        )
-    return [each.trials.results[key] for each, key in zip(wanted, keys, strict=True)]
-
-
 def fit_trials(
     trials: Trials,
     structure: Structure | str,
     *,
     initial: Mapping[str, float] | None = None,
     use_penalty: bool = True,
-    **options: Any,
+    as_published: bool = True,
+    delay: Delay = "pade",
+    window_start: float = WINDOW_START,
+    period: float | None = None,
 ) -> ThesisEstimate:
     """Fit a structure to the admittance of each trial.
+
+    Fits are kept with their trials: what was fitted before, with the same options, is not fitted again.
 
     Args:
       trials: of one person in one condition, or their recording.
       structure: model structure, or its name in `STRUCTURES`.
       initial: parameter vector to start from, SI; the structure's own where not given.
       use_penalty: whether to push fits away from instability (eq. 2.21).
-      **options: of `fit_wanted`.
+      as_published: see the head of this module and `fit_admittance`.
+      delay: "exact", or the thesis's "pade".
+      window_start: start of the spectral window [s].
+      period: of the disturbance [s]; None to find it.
 
     Raises:
       ValueError: the recording is refused or gives no spectra, or structure or initial are refused.
     """
-    return fit_wanted([Wanted(prepared(trials), structure, initial, use_penalty)], **options)[0]
+    ready = prepared(trials)
+    options = (use_penalty, as_published, delay, window_start, period)
+    key = (fit_trials, structure, tuple((initial or {}).items()), *options)
+    if key not in ready.results:
+        fits = tuple(
+            fit_admittance(
+                **vars(target),
+                structure=structure,
+                initial=initial,
+                use_penalty=use_penalty,
+                delay=delay,
+                as_published=as_published,
+            )
+            for target in _targets(ready, window_start=window_start, period=period)
+        )
+        ready.results[key] = ThesisEstimate(
+            structure=fits[0].structure,
+            subjects=(ready.body.name,) * ready.n_trials,
+            environment=ready.environment,
+            fits=fits,
+            vaf=np.array([trial_vaf(ready, n, fit.arm, ready.environment) for n, fit in enumerate(fits)]),
+        )
+    estimate = ready.results[key]
+    assert isinstance(estimate, ThesisEstimate)
+    return estimate
 
 
 def join_estimates(estimates: Sequence[ThesisEstimate]) -> ThesisEstimate:
@@ -334,13 +282,16 @@ def fit_starts(trials: Trials, starts: Iterable[str], **options: Any) -> dict[st
     Args:
       trials: of PT7.5, or their recording.
       starts: names in `STARTS`.
-      **options: of `fit_wanted`.
+      **options: of `fit_trials`.
 
     Returns:
       Name of the start to its estimate.
 
     Raises:
-      ValueError: the recording is refused, or as `fit_wanted`.
+      ValueError: the recording is refused, or as `fit_trials`.
     """
-    ready, names = prepared(trials), list(starts)
-    return dict(zip(names, fit_wanted([Wanted(ready, *STARTS[name]) for name in names], **options), strict=True))
+    ready = prepared(trials)
+    wanted = {name: STARTS[name] for name in starts}
+    return {
+        name: fit_trials(ready, structure, initial=initial, **options) for name, (structure, initial) in wanted.items()
+    }

@@ -4,7 +4,8 @@ The derivatives by all parameters take some kB per frequency, and a trial of an 
 Trials of some minutes are one run.
 """
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -14,8 +15,8 @@ from armperturb.arrays import Array, ComplexArray
 from armperturb.environment import Environment
 from armperturb.subject import Subject
 
-LONGEST_RUN = 2**14
-"""Frequencies at which derivatives are evaluated at once."""
+LONGEST_RUN, SHORTER_RUN = 2**14, 2**12
+"""Frequencies up to which derivatives are evaluated at once, and how many of more than these."""
 
 
 class TotalAdmittance:
@@ -29,7 +30,9 @@ class TotalAdmittance:
 
     def __init__(self, body: Subject, frequency: Array, environment: Environment) -> None:
         self._environment = environment
-        self._runs = [slice(start, start + LONGEST_RUN) for start in range(0, len(frequency), LONGEST_RUN)]
+        length = LONGEST_RUN if len(frequency) <= LONGEST_RUN else SHORTER_RUN
+        ends = [*range(0, len(frequency), length), len(frequency)]
+        self._runs = [slice(*between) for between in itertools.pairwise(ends)]
         self._arms = [LinearArm(body, frequency[run]) for run in self._runs]
 
     def __call__(self, values: Array) -> ComplexArray:
@@ -38,7 +41,12 @@ class TotalAdmittance:
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
     def driven_slopes(
-        self, values: Array, mixing: Array, loads: ComplexArray, scale: ComplexArray | None = None
+        self,
+        values: Array,
+        mixing: Array,
+        loads: ComplexArray,
+        scale: ComplexArray | None = None,
+        then: Callable[[ComplexArray], ComplexArray] | None = None,
     ) -> Iterator[ComplexArray]:
         """Derivatives of P d by the free parameters, of one trial after the other, (free parameter, axis, frequency).
 
@@ -47,6 +55,7 @@ class TotalAdmittance:
           mixing: (arm parameter, free parameter).
           loads: DFT of d, (trial, axis, frequency).
           scale: of P, if it is not 1, (frequency,).
+          then: what is made of them before they are handed out, so that they need not be kept.
         """
         gradients = [self._gradient(0, values, mixing, scale)] if len(self._runs) == 1 else None
         for first, second in loads:
@@ -56,10 +65,15 @@ class TotalAdmittance:
                 gradient = gradients[0] if gradients else self._gradient(number, values, mixing, scale)
                 np.multiply(gradient[:, :, 0], first[run], out=driven[..., run])
                 driven[..., run] += gradient[:, :, 1] * second[run]
+            if then is not None:
+                driven = then(driven)
             yield driven
 
     def _gradient(self, number: int, values: Array, mixing: Array, scale: ComplexArray | None) -> ComplexArray:
         """Derivatives of P by the free parameters in one run, (free parameter, output, input, frequency)."""
+        if not mixing.any():  # as that of the gains of EMG, which move no arm
+            run = self._runs[number]
+            return np.zeros((mixing.shape[1], 2, 2, run.stop - run.start), dtype=complex)
         groups, index = groups_of(np.any(mixing != 0.0, axis=1))
         by_all = self._arms[number].total_and_gradient(values, self._environment, groups)[1].transpose(3, 1, 2, 0)
         # Real and imaginary parts beside one another: the mixing is real.

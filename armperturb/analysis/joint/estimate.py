@@ -1,4 +1,4 @@
-"""Maximum-likelihood estimate of a joint with one structure, and the profile of its likelihood over the delay."""
+"""Maximum-likelihood estimate of a joint with one structure, and profiles of its likelihood."""
 
 import itertools
 from typing import NamedTuple
@@ -20,6 +20,7 @@ from armperturb.analysis.joint.model import (
     JointStructure,
 )
 from armperturb.analysis.joint.signals import JointSignals
+from armperturb.analysis.results import Interval
 from armperturb.arrays import Array
 
 DELAYS = (0.02, 0.035, 0.05, 0.065, 0.08, 0.1)
@@ -47,6 +48,16 @@ STILL = 0.2
 """Largest change of a parameter, over its standard error, below which they end on a force servo [-]."""
 
 
+PROFILE_STEPS = (0.7, 1.4, 2.1, 2.8)
+"""Where a profile of the likelihood is taken, over the standard error to either side [-]."""
+
+PROFILE_RISE = 6.6
+"""Rise that it reaches to either side [-]: that of an interval of 99 %."""
+
+MOST_STEPS = 8
+"""Points to either side."""
+
+
 class JointEstimate(NamedTuple):
     """Maximum of the likelihood of one structure.
 
@@ -69,6 +80,36 @@ class JointEstimate(NamedTuple):
     loss: float
     converged: bool
     lack: LackOfFit
+
+
+class Profile(NamedTuple):
+    """Rise of minus twice the log-likelihood with one parameter held and the others estimated.
+
+    Attributes:
+      values: at which it was held, in its unit, (point,).
+      rise: over the least [-], (point,).
+      bounds: of the parameter.
+    """
+
+    values: Array
+    rise: Array
+    bounds: tuple[float, float]
+
+    def interval(self, half: float) -> Interval:
+        """Values at which the root of the rise is a quantile of the normal distribution, within the bounds.
+
+        Args:
+          half: the quantile, 1.96 for an interval of 95 %.
+        """
+        least = int(np.argmin(self.rise))
+        ends = []
+        for side in (slice(least, None, -1), slice(least, None)):
+            root, value = np.maximum.accumulate(np.sqrt(self.rise[side])), self.values[side]
+            end = float(np.interp(half, root, value))
+            if half > root[-1] > 0.0:
+                end = float(value[0] + (value[-1] - value[0]) * half / root[-1])
+            ends.append(float(np.clip(end, *self.bounds)))
+        return Interval(*ends)
 
 
 def estimate_joint(
@@ -101,26 +142,50 @@ def estimate_joint(
     return JointEstimate(structure, values, covariance, at_bound, objective, loss, converged, lack)
 
 
-def delay_profile(fit: JointEstimate, signals: JointSignals, loop: Loop | None, delays: Array) -> Array:
-    """Sum of squares with the delay held at each of several values, other parameters estimated, (delay,).
+def likelihood_profile(
+    fit: JointEstimate, signals: JointSignals, loop: Loop | None, name: str, *, longest_delay: float = LONGEST_DELAY
+) -> Profile:
+    """Rise of the sum of squares with one parameter held at values about its estimate, and the others estimated.
 
-    On a force servo they are those of the movement, which a nonlinear reflex makes slightly less efficient than
+    On a force servo it is that of the movement, which a nonlinear reflex makes slightly less efficient than
     instruments. The noise is that of the estimate, so that differences are those of chi squared with one degree of
     freedom.
+
+    Args:
+      fit: of the joint.
+      signals: of the trials it was fitted to.
+      loop: the virtual environment of a force servo; None of a position servo.
+      name: of the parameter, which has a standard error.
+      longest_delay: of the reflex [s].
     """
     likelihood = JointLikelihood(fit.structure, signals, loop)
     likelihood.weigh(fit.values)
-    place = fit.structure.parameters.index("reflex_delay")
+    place = fit.structure.parameters.index(name)
     others = np.arange(len(fit.values)) != place
-    objectives = np.empty(len(delays))
-    centre = int(np.argmin(np.abs(delays - fit.values[place])))
-    for order in (range(centre, len(delays)), range(centre - 1, -1, -1)):
-        values = fit.values.copy()
-        for at in order:
-            values[place] = delays[at]
-            values = _minimised(likelihood, values, LONGEST_DELAY, others)
-            objectives[at] = np.sum(likelihood.output_rows(values, likelihood.movement(values)) ** 2)
-    return objectives
+    lower, upper = fit.structure.bounds(signals, longest_delay)
+    bounds = float(lower[place]), float(upper[place])
+
+    def fitted(at: float, start: Array) -> tuple[Array, float]:
+        values = start.copy()
+        values[place] = at
+        values = _minimised(likelihood, values, longest_delay, others)
+        return values, float(np.sum(likelihood.output_rows(values, likelihood.movement(values)) ** 2))
+
+    estimate, error = float(fit.values[place]), float(np.sqrt(fit.covariance[place, place]))
+    centre, least = fitted(estimate, fit.values)
+    points = {estimate: least}
+    for side, bound in zip((-1.0, 1.0), bounds, strict=True):
+        values, steps = centre, list(PROFILE_STEPS)
+        for step in steps:
+            at = max(estimate - step * error, bound) if side < 0.0 else min(estimate + step * error, bound)
+            values, points[at] = fitted(at, values)
+            if at == bound:
+                break
+            if step == steps[-1] and points[at] - least < PROFILE_RISE and len(steps) < MOST_STEPS:
+                steps.append(1.5 * step)
+    held = np.array(sorted(points))
+    rise = np.array([points[at] for at in held])
+    return Profile(held, rise - rise.min(), bounds)
 
 
 def _starts(structure: JointStructure, signals: JointSignals, longest_delay: float) -> list[Array]:

@@ -41,7 +41,10 @@ def joint_summary(result: JointIdentification) -> dict[str, Any]:
             {"structure": each.estimate.structure.name, "score": each.score, "loss": each.estimate.loss}
             for each in result.tried
         ],
-        "delay_profile": {"delay_s": result.profile[0].tolist(), "fall": result.profile[1].tolist()},
+        "profiles": {
+            name: {"value": profile.values.tolist(), "rise": profile.rise.tolist()}
+            for name, profile in result.profiles.items()
+        },
         "correlation": {
             "parameters": list(result.values),
             "matrix": [

@@ -10,28 +10,19 @@ import xarray as xr
 from armperturb.analysis.fit.ladder import CAUTION, CLOSE
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
 from armperturb.analysis.fit.whittle import LackOfFit
-from armperturb.analysis.joint.estimate import JointEstimate, delay_profile, estimate_joint
+from armperturb.analysis.joint.estimate import JointEstimate, Profile, estimate_joint, likelihood_profile
 from armperturb.analysis.joint.intrinsic import IntrinsicCheck, check_intrinsic
 from armperturb.analysis.joint.likelihood import Loop, environment_of, simulated_movement
 from armperturb.analysis.joint.model import LONGEST_DELAY, REFLEXES, UNITS, JointModel, JointStructure, Reflex
 from armperturb.analysis.joint.prediction import FreeModel, fit_free_model
 from armperturb.analysis.joint.signals import SHORTEST, JointSignals, joint_signals, mean_angle
-from armperturb.analysis.results import Description, FitResult, parameter_table, plain
+from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, plain, quantile
 from armperturb.arrays import Array
 from armperturb.recording import named
 from armperturb.validation import require_number, require_one_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-PROFILE = 0.03
-"""Farthest delay of the profile from the estimate [s]."""
-
-N_PROFILE = 15
-"""Delays of the profile."""
-
-SHORTEST_DELAY = 0.005
-"""Shortest delay of the profile [s]."""
 
 EVIDENCE = CLOSE
 """What is added to the score of a reflex [-]: delay and dynamics of a path that is not there fit any noise a little."""
@@ -88,7 +79,7 @@ class JointIdentification(FitResult):
       fit_until: end of what was fitted [s]; None for all.
       environment: inertia, damping and stiffness of a force servo's virtual environment; None of a position servo.
       lack_of_fit: whether the structure leaves something that a linear response to the servo's input explains.
-      profile: delays [s] and twice the fall of the log-likelihood [-], (2, delay); empty without reflex.
+      profiles: parameter of the reflex path to the profile of its likelihood; of a force servo only that of the delay.
       band: of the frequencies that count [Hz].
       trace: of the first trial.
     """
@@ -107,7 +98,7 @@ class JointIdentification(FitResult):
     fit_until: float | None
     environment: Loop | None
     lack_of_fit: LackOfFit
-    profile: Array
+    profiles: Mapping[str, Profile]
     band: tuple[float, float]
     trace: Trace
 
@@ -121,6 +112,20 @@ class JointIdentification(FitResult):
     def held_out_vaf(self) -> float | None:
         """VAF of what was not fitted, simulated from the input alone [%]; None without."""
         return self.held_out.get(self.predicted_by)
+
+    def interval(self, name: str, level: float = 0.95) -> Interval:
+        """Confidence interval of a parameter.
+
+        Those of the reflex path are intervals of the profile likelihood on a position servo, as its delay, dynamics and
+        threshold enter nonlinearly; others follow from the standard error.
+
+        Args:
+          name: of the parameter, as in `values`.
+          level: probability with which such intervals hold the true value [-].
+        """
+        if self.servo == "force" or name not in self.profiles:
+            return super().interval(name, level)
+        return self.profiles[name].interval(quantile(level))
 
     def unit_of(self, name: str) -> str:
         """Unit of a parameter."""
@@ -170,7 +175,12 @@ class JointIdentification(FitResult):
 
         quantity = ("torque [Nm]", "angle [rad]") if self.angular else ("force [N]", "displacement [m]")
         return plot_joint(
-            self.trace, self.profile, self.fit_until, quantity[self.servo == "force"], quantity[0], figure
+            self.trace,
+            self.profiles.get("reflex_delay"),
+            self.fit_until,
+            quantity[self.servo == "force"],
+            quantity[0],
+            figure,
         )
 
 
@@ -246,7 +256,7 @@ def identify_joint(
         fit_until=fit_until,
         environment=loop,
         lack_of_fit=best.lack,
-        profile=_profile(best, signals, loop),
+        profiles=_profiles(best, signals, loop, longest_delay),
         band=(0.05, 0.85 * signals.top),
         trace=_trace(every, best, loop, free),
     )
@@ -327,15 +337,15 @@ def _trace(signals: JointSignals, best: JointEstimate, loop: Loop | None, free: 
     )
 
 
-def _profile(best: JointEstimate, signals: JointSignals, loop: Loop | None) -> Array:
-    if best.structure.reflex == "none":
-        return np.empty((2, 0))
-    delay = best.values[best.structure.parameters.index("reflex_delay")]
-    # Densest at the estimate: the fall there is a matter of tenths of a millisecond, or of ten.
-    delays = delay + PROFILE * np.linspace(-1.0, 1.0, N_PROFILE) ** 3
-    delays = delays[delays >= SHORTEST_DELAY]
-    objectives = delay_profile(best, signals, loop, delays)
-    return np.stack([delays, objectives - objectives.min()])
+def _profiles(
+    best: JointEstimate, signals: JointSignals, loop: Loop | None, longest_delay: float
+) -> dict[str, Profile]:
+    names = [name for name in best.structure.parameters if name.startswith("reflex_")]
+    return {
+        name: likelihood_profile(best, signals, loop, name, longest_delay=longest_delay)
+        for name in (names if loop is None else names[1:2])
+        if not best.at_bound[best.structure.parameters.index(name)]
+    }
 
 
 def _remarks(

@@ -1,6 +1,6 @@
 """Writes the page of an identification: findings first, then the data, then how it was made."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -18,7 +18,7 @@ from armperturb.analysis.page.verdict import likely_causes, nonlinearity, unknow
 from armperturb.analysis.response.best_linear import BestLinear, best_linear
 from armperturb.analysis.response.estimate import response
 from armperturb.analysis.response.frequency_response import FrequencyResponse
-from armperturb.analysis.results import limits_of, plain
+from armperturb.analysis.results import FitResult, limits_of, plain
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.files import packaged_table, write_whole
 from armperturb.pages.page import rendered, versions
@@ -95,7 +95,10 @@ def _content(results: Identifications, trials: Mapping[str, Sequence[ConditionTr
     }
     nonlinear = {label: nonlinearity(each).evidence for label, each in distortions.items() if label not in causes}
     sections: dict[str, dict[str, Any]] = {
-        "parameters": {"rows": _parameter_rows(results), "verdicts": verdicts},
+        "parameters": {
+            "rows": parameter_rows({label: result.fit for label, result in results.items()}, unit),
+            "triples": True,
+        },
         "endpoint": {"rows": _endpoint_rows(endpoints)},
         "admittance": {},
         "pulses": {},
@@ -148,22 +151,21 @@ def _response(result: Identification, parts: Sequence[ConditionTrials], period: 
         return FrequencyResponse(frequency=spectra.frequency, response=spectra.arm, covariance=None, what="arm")
 
 
-def _parameter_rows(results: Identifications) -> list[dict[str, Any]]:
-    """Parameter to what each condition says of it."""
-    names = dict.fromkeys(name for result in results.values() for name in result.fit.values)
+def parameter_rows(fits: Mapping[str, FitResult], unit_of: Callable[[str], str]) -> list[dict[str, Any]]:
+    """Parameter to what the fit of each condition says of it."""
+    names = dict.fromkeys(name for fit in fits.values() for name in fit.values)
     rows = []
     for name in names:
         cells = []
-        for result in results.values():
-            fit = result.fit
+        for fit in fits.values():
             if name not in fit.values:
                 cells.append(("–", "–"))
                 continue
             lower, upper = fit.interval(name)
             interval = f"{plain(lower, 3)} to {plain(upper, 3)}" if abs(upper) < float("inf") else "not identifiable"
             mark = " (at bound)" if name in fit.at_bound else ""
-            cells.append((plain(fit.values[name], 4), "not known" if lower != lower else interval + mark))
-        rows.append({"name": name, "unit": unit(name), "cells": cells})
+            cells.append((plain(fit.values[name], 4), ("not known" if lower != lower else interval) + mark))
+        rows.append({"name": name, "unit": unit_of(name), "cells": cells})
     return rows
 
 

@@ -76,10 +76,8 @@ def verdict(identification: Identification, bands: Sequence[BandOfLack]) -> Verd
     lack = LackOfFit(fit.detail.chi2, fit.detail.dof)
     if len(fit.detail.arms) > 1:
         lack = LackOfFit(sum(band.chi2 for band in bands), max(8 * len(bands) - len(fit.values), 1))
-    ratio, p = lack.chi2 / lack.dof, lack.p_value
-    p_value = f"p {'' if p < 1e-3 else '= '}{chance(p)}"
-    numbers = f"lack of fit over its degrees of freedom {plain(ratio, 3)}, {p_value}"
-    if p >= SUSPICIOUS:
+    ratio, numbers = lack.chi2 / lack.dof, numbers_of(lack)
+    if lack.p_value >= SUSPICIOUS:
         return Verdict("trust", f"The model explains the movement as far as the noise lets one see ({numbers}).")
     if ratio <= LARGE and fit.choice is None:
         return Verdict(
@@ -90,6 +88,13 @@ def verdict(identification: Identification, bands: Sequence[BandOfLack]) -> Verd
     wrong = "the model is wrong" if fit.choice is None else "none of the structures that were tried is right"
     more = "The perturbation explains more of the movement than the model does"
     return Verdict("reject", f"{more} ({numbers}): {wrong}.")
+
+
+def numbers_of(lack: LackOfFit) -> str:
+    """A lack of fit in numbers."""
+    p = lack.p_value
+    p_value = f"p {'' if p < 1e-3 else '= '}{chance(p)}"
+    return f"lack of fit over its degrees of freedom {plain(lack.chi2 / lack.dof, 3)}, {p_value}"
 
 
 def likely_causes(

@@ -18,7 +18,8 @@ import xarray as xr
 from scipy import linalg, optimize, signal
 
 from armperturb.analysis.joint.model import Reflex
-from armperturb.analysis.varying.columns import Cascade, Signals, excitation, signals_of, splines
+from armperturb.analysis.varying.bands import Fitted, smoothing_bias
+from armperturb.analysis.varying.columns import DEGREE, Cascade, Signals, excitation, signals_of, splines
 from armperturb.analysis.varying.result import Curve, VaryingEstimate
 from armperturb.arrays import Array, Indices
 from armperturb.validation import require_number, require_one_of
@@ -56,6 +57,12 @@ LOWER, UPPER = Cascade(0.01, 1.0, 0.3, -1.0), Cascade(0.15, 20.0, 2.0, 2.0)
 STARTS = tuple(Cascade(delay, cutoff, 0.8, 0.0) for delay in (0.03, 0.045, 0.06) for cutoff in (3.0, 6.0))
 """Bounds of the cascade, and where its search may start."""
 
+TYPICAL, DIFFERENCE = Cascade(0.01, 1.0, 0.2, 0.1), 1e-2
+"""By how much its parameters are uncertain, and the share of that over which differences are taken [-]."""
+
+REFINED = 2
+"""Gauss-Newton steps to the cascade of all repetitions, of which only some are searched."""
+
 
 class _Normal(NamedTuple):
     """Normal equations of each group of samples: (group, column, column), (group, column), (group,)."""
@@ -64,7 +71,7 @@ class _Normal(NamedTuple):
     slope: Array
     power: Array
 
-    def solved(self, groups: Indices) -> Array:
+    def solved(self, groups: Indices | slice) -> Array:
         """Coefficients from some of the groups, (column,)."""
         gram, slope = self.gram[groups].sum(axis=0), self.slope[groups].sum(axis=0)
         return np.asarray(linalg.lstsq(gram, slope, lapack_driver="gelsy")[0])
@@ -125,6 +132,33 @@ class _Problem:
             self._cached[key] = self.columns(quantity, n_basis, cascade)
         return self._cached[key]
 
+    def tangents(self, orders: Mapping[str, int], cascade: Cascade, coefficients: Array) -> dict[str, Array]:
+        """What a change of the cascade adds to the torque; parameters at a bound are left out.
+
+        Args:
+          orders: numbers of splines.
+          cascade: about which it changes.
+          coefficients: of `design`, (column,).
+
+        Returns:
+          Parameter to its derivative, (trial, slow time).
+        """
+        if self.reflex == "none":
+            return {}
+        first = 1 + sum(orders[quantity] for quantity in ("stiffness", "damping"))
+        weights = coefficients[first : first + orders["gain"]]
+        free = [each for each in Cascade._fields if each != "threshold" or self.reflex == "half-wave"]
+        inside = [each for each in free if getattr(LOWER, each) < getattr(cascade, each) < getattr(UPPER, each)]
+        tangents = {}
+        for name in inside:
+            there, step = getattr(cascade, name), getattr(TYPICAL, name) * DIFFERENCE
+            up, down = (
+                self.columns("gain", orders["gain"], cascade._replace(**{name: there + sign * step}))
+                for sign in (1.0, -1.0)
+            )
+            tangents[name] = np.tensordot(weights, up - down, 1) / (2.0 * step)
+        return tangents
+
     def whitened(self, values: Array) -> Array:
         """What is fitted, with white noise; (..., trial, used time)."""
         return np.asarray(signal.lfilter(self.whitener, [1.0], values[..., : self.n_used]))[..., self.n_left :]
@@ -180,7 +214,7 @@ class _Problem:
             left,
             begin[names],
             bounds=(np.array(LOWER)[names], np.array(UPPER)[names]),
-            x_scale=np.array([0.01, 1.0, 0.2, 0.1])[names],
+            x_scale=np.array(TYPICAL)[names],
             diff_step=1e-3,
             xtol=1e-4,
             ftol=1e-6,
@@ -250,9 +284,10 @@ def identify_varying(
     orders = _chosen(problem, orders, cascade, CANDIDATES[variable])
     if reflex != "none":
         cascade = problem.searched(orders, cascade)
-    design = problem.design(orders, cascade)
-    problem.whiten(design)
-    return _estimate(problem, orders, cascade, design, variable, n_points)
+    problem.whiten(problem.design(orders, cascade))
+    for _ in range(REFINED if reflex != "none" else 0):
+        cascade = Cascade(*np.clip(cascade + _solved(problem, orders, cascade).step, LOWER, UPPER).tolist())
+    return _estimate(problem, orders, cascade, variable, n_points)
 
 
 def _chosen(
@@ -273,24 +308,67 @@ def _chosen(
     return chosen
 
 
-def _estimate(
-    problem: _Problem, orders: Mapping[str, int], cascade: Cascade, design: Array, variable: Variable, n_points: int
-) -> VaryingEstimate:
-    normal = problem.normal(design)
-    groups = np.arange(len(normal.power))
-    coefficients = normal.solved(groups)
-    inverse = linalg.pinvh(normal.gram.sum(axis=0))
+class _Solution(NamedTuple):
+    """Coefficients of all regressors, and what is known of them.
+
+    Attributes:
+      orders: numbers of splines.
+      coefficients: of `_Problem.design`, (column,).
+      covariance: of their errors, those of the cascade counted, (column, column).
+      step: to the cascade that leaves the least, as far as the model is linear there, (parameter of `Cascade`,).
+    """
+
+    orders: Mapping[str, int]
+    coefficients: Array
+    covariance: Array
+    step: Array
+
+    def curve(self, problem: _Problem, quantity: str, grid: Array) -> Fitted:
+        """A quantity on a grid."""
+        names = list(problem.quantities)
+        first = 1 + sum(self.orders[name] for name in names[: names.index(quantity)])
+        part = slice(first, first + self.orders[quantity])
+        basis = splines(grid, self.orders[quantity], problem.low, problem.high)
+        error = np.sqrt(np.einsum("bp,bc,cp->p", basis, self.covariance[part, part], basis))
+        return Fitted(self.coefficients[part] @ basis, error)
+
+
+def _solved(problem: _Problem, orders: Mapping[str, int], cascade: Cascade) -> _Solution:
+    """Least squares, with the cascade as one more unknown near where it was found."""
+    design = problem.design(orders, cascade)
+    n = len(design)
+    coefficients = problem.normal(design).solved(slice(None))
+    tangents = problem.tangents(orders, cascade, coefficients)
+    step = np.zeros(len(cascade))
+    normal = problem.normal(np.concatenate([design, *(tangent[None] for tangent in tangents.values())]))
+    n_groups = len(normal.power)
+    coefficients = normal.solved(slice(None))
+    for place, name in enumerate(tangents):
+        step[Cascade._fields.index(name)] = coefficients[n + place]
+    size = np.sqrt(np.diag(normal.gram.sum(axis=0)))
+    inverse = linalg.pinvh(normal.gram.sum(axis=0) / np.outer(size, size)) / np.outer(size, size)
     scores = normal.slope - normal.gram @ coefficients
-    covariance = inverse @ (scores.T @ scores) @ inverse * len(groups) / (len(groups) - 1.0)
+    covariance = inverse @ (scores.T @ scores) @ inverse * n_groups / (n_groups - 1.0)
+    return _Solution(orders, coefficients[:n], covariance[:n, :n], step)
+
+
+def _estimate(
+    problem: _Problem, orders: Mapping[str, int], cascade: Cascade, variable: Variable, n_points: int
+) -> VaryingEstimate:
+    whole = _solved(problem, orders, cascade)
     grid = np.linspace(problem.low, problem.high, n_points)
-    curves, first = {}, 1
+    curves = {}
     for quantity in problem.quantities:
-        part = slice(first, first + orders[quantity])
-        basis = splines(grid, orders[quantity], problem.low, problem.high)
-        error = np.sqrt(np.einsum("bp,bc,cp->p", basis, covariance[part, part], basis))
-        curves[quantity] = Curve(coefficients[part] @ basis, error, orders[quantity])
-        first = part.stop
-    left = problem.torque - np.tensordot(coefficients, design, 1)
+        curve, n_basis = whole.curve(problem, quantity, grid), orders[quantity]
+        bias = np.zeros(n_points)
+        if n_basis >= 4:
+            halved, quartered = (
+                _solved(problem, {**orders, quantity: n}, cascade).curve(problem, quantity, grid)
+                for n in (n_basis // 2, n_basis // 4)
+            )
+            bias = smoothing_bias(curve, halved, quartered, round(n_points / max(n_basis // 2 - DEGREE, 1)))
+        curves[quantity] = Curve(curve.value, np.hypot(curve.standard_error, bias), n_basis)
+    left = problem.torque - np.tensordot(whole.coefficients, problem.design(orders, cascade), 1)
     used, rest = slice(problem.n_left, problem.n_used), slice(problem.n_used, None)
 
     def vaf(part: slice) -> float:
@@ -301,8 +379,8 @@ def _estimate(
         variable=variable,
         grid=grid,
         curves=curves,
-        inertia=float(coefficients[0]),
-        inertia_error=float(np.sqrt(covariance[0, 0])),
+        inertia=float(whole.coefficients[0]),
+        inertia_error=float(np.sqrt(whole.covariance[0, 0])),
         vaf=vaf(used),
         held_out_vaf=vaf(rest) if problem.n_used < problem.torque.shape[1] else None,
         **options,

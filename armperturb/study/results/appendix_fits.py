@@ -4,13 +4,11 @@ Each step takes one person; only the second step of appendix C needs those of ev
 """
 
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
-from armperturb.analysis.defaults import LINEAR_MODELS
 from armperturb.analysis.fit import thesis
 from armperturb.analysis.fit.structures import neutral_start, structure_of
 from armperturb.analysis.response.spectra import single_trial_spectra
@@ -110,39 +108,19 @@ def fit_person(conditions: Mapping[str, ConditionTrials], settings: AnalysisSett
     first: dict[Key, thesis.ThesisEstimate] = {}
     starts: dict[str, thesis.ThesisEstimate] = {}
     try:
-        first = _fitted(
-            {
-                (condition, model): thesis.Wanted(
-                    trials, model, first_start(model, condition[:2], settings.start), use_penalty=False
-                )
-                for condition, trials in prepared.items()
-                for model in settings.structures
-            }
-        )
+        first = {
+            (condition, model): thesis.fit_trials(
+                trials, model, initial=first_start(model, condition[:2], settings.start), use_penalty=False
+            )
+            for condition, trials in prepared.items()
+            for model in settings.structures
+        }
         if settings.starts_of in prepared:
             trials = prepared[settings.starts_of]
             starts = thesis.fit_starts(trials, thesis.THETA) | thesis.fit_starts(trials, thesis.VARTHETA)
     except ValueError as error:
         left_out.append(f"{name} was not fitted as in appendices C to E: {error}")
     return Fits(name, first, starts, tuple(left_out))
-
-
-def fit_together(conditions: Mapping[str, ConditionTrials], settings: AnalysisSettings) -> None:
-    """Fit appendix E and the position task of one person in one lockstep: they have the same number of parameters.
-
-    The published search is so sensitive that other partners in a lockstep, and so another rounding, move two fifths of
-    the fits, some by a standard error. Fits that are refused are left to those who ask for them.
-
-    Args:
-      conditions: condition to the person's trials.
-      settings: which fits are made.
-    """
-    multisines = _fittable(conditions, [label for label in conditions if label.startswith("PT")], [])
-    wanted = [thesis.Wanted(trials, structure_of(LINEAR_MODELS["PT"])) for trials in multisines.values()]
-    if settings.starts_of in multisines:
-        wanted += [thesis.Wanted(multisines[settings.starts_of], *thesis.STARTS[name]) for name in thesis.VARTHETA]
-    with suppress(ValueError):
-        thesis.fit_wanted(wanted)
 
 
 def fit_second_step(conditions: Mapping[str, ConditionTrials], means: Mapping[Key, Mapping[str, float]]) -> SecondStep:
@@ -157,14 +135,12 @@ def fit_second_step(conditions: Mapping[str, ConditionTrials], means: Mapping[Ke
     prepared = _fittable(conditions, filter(published.has_multisine, published.conditions()), left_out)
     estimates: dict[Key, thesis.ThesisEstimate] = {}
     try:
-        estimates = _fitted(
-            {
-                (condition, model): thesis.Wanted(trials, model, start)
-                for condition, trials in prepared.items()
-                for (task, model), start in means.items()
-                if condition.startswith(task)
-            }
-        )
+        estimates = {
+            (condition, model): thesis.fit_trials(trials, model, initial=start)
+            for condition, trials in prepared.items()
+            for (task, model), start in means.items()
+            if condition.startswith(task)
+        }
     except ValueError as error:
         left_out.append(f"{name} was not fitted as in step 2 of appendix C: {error}")
     return SecondStep(estimates, tuple(left_out))
@@ -188,11 +164,6 @@ def _fittable(
                 f"{next(iter(conditions.values())).name} in {condition} was not fitted as in appendices C to E: {error}"
             )
     return fittable
-
-
-def _fitted(wanted: Mapping[Key, thesis.Wanted]) -> dict[Key, thesis.ThesisEstimate]:
-    """All fits at once, which is many times faster than one after the other."""
-    return dict(zip(wanted, thesis.fit_wanted(list(wanted.values())), strict=True))
 
 
 def means_of(first: Mapping[Key, thesis.ThesisEstimate]) -> dict[Key, dict[str, float]]:

@@ -7,7 +7,7 @@ import xarray as xr
 
 from armperturb.analysis.trials import trials_by_condition
 from armperturb.study.protocol import Protocol
-from armperturb.study.results.appendix_fits import Fits, fit_person, fit_together
+from armperturb.study.results.appendix_fits import Fits, fit_person
 from armperturb.study.results.cases import Case, identify_person
 from armperturb.study.results.settings import AnalysisSettings
 from armperturb.study.results.trial_measures import PersonMeasures, measure_person
@@ -42,7 +42,6 @@ def analyse_person(recording: xr.Dataset, path: Path, protocol: Protocol, settin
       ValueError: the recording holds several people.
     """
     conditions = trials_by_condition(recording, is_checked=True)
-    fit_together(conditions, settings)
     cases = identify_person(conditions, path, protocol)
     return PersonResults(
         cases=cases,

@@ -11,7 +11,6 @@ from scipy import integrate
 
 from armperturb.analysis.arm import state_space as state_space_module
 from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix, with_rigid_segments
-from armperturb.analysis.arm.joint_matrices import Environments
 from armperturb.analysis.arm.linear_arm import (
     LinearArm,
     arm_admittance,
@@ -19,7 +18,7 @@ from armperturb.analysis.arm.linear_arm import (
     joint_impedance,
     total_admittance,
 )
-from armperturb.analysis.arm.parameters import PARAMETERS, groups_of, parameter_vector
+from armperturb.analysis.arm.parameters import PARAMETERS, parameter_vector
 from armperturb.analysis.arm.state_space import largest_real_pole, require_stable, simulate_linear, state_space
 from armperturb.environment import Environment
 from armperturb.subject import POSITION, RELAX
@@ -219,49 +218,6 @@ def test_one_prepared_arm_serves_any_parameters():
     response, gradient = model.total_and_gradient(values, ENVIRONMENT)
     np.testing.assert_array_equal(response, total_admittance(same_body, ENVIRONMENT, FREQUENCY))
     assert gradient.shape == (len(FREQUENCY), 2, 2, len(PARAMETERS))
-
-
-@pytest.mark.parametrize("delay", ["exact", "pade"])
-def test_a_batch_of_arms_is_what_each_is_alone(delay):
-    people = [RELAX, POSITION, OTHER, SENSING]
-    environments = [Environment(m_env=1.0 + n, b_env=0.3 * n, k_env=30.0) for n in range(4)]
-    frequency = np.array([FREQUENCY * (1 + 0.1 * n) for n in range(4)])
-    batch, order = LinearArm(people, frequency, delay), np.array([3, 0, 2])
-    values, held = np.array([parameter_vector(one) for one in people]), Environments.of(environments)
-    for arms, index in ((batch, np.arange(4)), (batch.take(order), order)):
-        poles = arms.poles(values[index], held.take(index))
-        largest = np.take_along_axis(poles, np.argmax(poles.real, axis=-1)[:, None], axis=-1)[:, 0]
-        found = (
-            arms.joint_impedance(values[index]),
-            arms.joint_impedance_gradient(values[index]),
-            *arms.admittance_and_gradient(values[index]),
-            poles,
-            arms.pole_gradient(values[index], held.take(index), largest),
-        )
-        for row, i in enumerate(index):
-            alone = LinearArm(people[i], frequency[i], delay)
-            expected = (
-                alone.joint_impedance(values[i]),
-                alone.joint_impedance_gradient(values[i]),
-                *alone.admittance_and_gradient(values[i]),
-                alone.poles(values[i], environments[i]),
-                alone.pole_gradient(values[i], environments[i], largest[row]),
-            )
-            for one, other in zip(found, expected, strict=True):
-                np.testing.assert_allclose(one[row], other, rtol=1e-9, atol=1e-12 * np.abs(other).max())
-
-
-def test_weighted_gradient_is_the_real_part_of_weight_times_gradient():
-    arm, values = LinearArm(SENSING, FREQUENCY, "pade"), parameter_vector(SENSING)
-    admittance, gradient = arm.admittance_and_gradient(values)
-    wanted = np.array([name.startswith(("m_", "kp", "fact", "b_")) for name in PARAMETERS])
-    groups, columns = groups_of(wanted)
-    assert {PARAMETERS[i] for i in columns} >= {name for name, one in zip(PARAMETERS, wanted, strict=True) if one}
-    assert not {"k_s", "Td_s", "kf_e"} & {PARAMETERS[i] for i in columns}
-    same, real = arm.admittance_and_weighted_gradient(values, lambda h: (2 - 1j) / h, groups)
-    np.testing.assert_array_equal(same, admittance)
-    expected = (((2 - 1j) / admittance)[..., None] * gradient).real[..., columns]
-    np.testing.assert_allclose(real, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
 
 
 @given(st.integers(0, 2**32 - 1))

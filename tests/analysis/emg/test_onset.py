@@ -13,7 +13,7 @@ DELAY = 0.034
 PULSES = np.linspace(1.5, 2.5, N_TRIALS)
 
 
-def person(seed, gain=0.6, saturation=np.inf):
+def person(seed, gain=0.6, saturation=np.inf, spread=0.0):
     """A shoulder that pulses push towards flexion, which stretches the extensor."""
     rng = np.random.default_rng(seed)
     time = np.arange(N) / EMG_RATE
@@ -24,7 +24,7 @@ def person(seed, gain=0.6, saturation=np.inf):
     angle = np.cumsum(velocity, axis=1) / EMG_RATE
     seen = velocity / (1.0 + np.abs(velocity) / saturation)
     late = np.array([np.interp(time - DELAY, time, each) for each in seen])
-    drive = gain * late
+    drive = gain * (1.0 + spread * rng.uniform(-1.0, 1.0, (N_TRIALS, 1))) * late
     amplitude = 0.1 + np.stack([np.clip(-drive, 0.0, None), np.clip(drive, 0.0, None)], axis=1)
     volts = amplitude * noise((N_TRIALS, 2, N), seed)
     recording = recorded(volts, pulse_onset=PULSES.tolist(), pulse_direction=[20.0] * N_TRIALS)
@@ -38,9 +38,11 @@ def answers(recording):
     return result, result.latencies.set_index("muscle")
 
 
-@pytest.mark.parametrize("saturation", [np.inf, 1.0])
-def test_latency_is_the_delay_that_was_made(saturation):
-    rows = [answers(person(seed, saturation=saturation))[1].loc["extensor"] for seed in range(4)]
+@pytest.mark.parametrize(("saturation", "spread"), [(np.inf, 0.0), (1.0, 0.5)])
+def test_latency_is_the_delay_that_was_made(saturation, spread):
+    """Also if the size of the answer differs from trial to trial."""
+    people = [person(seed, saturation=saturation, spread=spread) for seed in range(4)]
+    rows = [answers(each)[1].loc["extensor"] for each in people]
     errors = np.array([row["latency_s"] - DELAY for row in rows])
     assert np.abs(errors.mean()) < 2e-3
     for row, error in zip(rows, errors, strict=True):

@@ -8,7 +8,7 @@ from scipy import optimize
 
 from armperturb.analysis.arm.linear_arm import arm_admittance
 from armperturb.analysis.arm.state_space import largest_real_pole
-from armperturb.analysis.fit.admittance_fit import fit_admittance, fit_admittances
+from armperturb.analysis.fit.admittance_fit import fit_admittance
 from armperturb.analysis.fit.admittance_problem import Target, checked_problem, penalty_factor
 from armperturb.analysis.fit.structures import STRUCTURES
 from armperturb.cohort import draw_subject
@@ -217,58 +217,6 @@ def test_as_published_is_lsqnonlin_on_the_modulus_from_one_start(use_penalty):
     assert result.criterion * 72 == pytest.approx(2 * expected.cost, rel=1e-3)
     best = fit_admittance(FREQUENCY, admittance, POSITION, "3b", ENVIRONMENT, use_penalty=use_penalty, delay="pade")
     assert best.criterion <= result.criterion
-
-
-@pytest.mark.slow(reason="fits alone and in batches")
-@pytest.mark.parametrize("use_penalty", [False, True])
-def test_fits_of_a_batch_are_those_of_each_alone(use_penalty):
-    rng, targets = np.random.default_rng(9), []
-    for n, arm in enumerate((RELAX, POSITION, replace(POSITION, l_h=0.33), RELAX)):
-        admittance = arm_admittance(arm, FREQUENCY, "pade") * np.exp(0.2 * rng.normal(size=(len(FREQUENCY), 2, 2)))
-        environment = Environment(m_env=3.0 + 0.2 * n)
-        coherence = rng.uniform(0.5, 1.0, (len(FREQUENCY), 2))
-        targets.append(
-            Target(frequency=FREQUENCY, admittance=admittance, body=arm, environment=environment, coherence=coherence)
-        )
-    structures, starts = ["1", "3b", STRUCTURES["2"], "1"], [None, {"k_s": 150.0}, None, {"m_h": 1.5}]
-    together = fit_admittances(targets, structures, initials=starts, use_penalty=use_penalty, delay="pade")
-    for target, structure, start, fit_of_batch in zip(targets, structures, starts, together, strict=True):
-        alone = fit_admittance(
-            target.frequency,
-            target.admittance,
-            target.body,
-            structure,
-            target.environment,
-            coherence=target.coherence,
-            initial=start,
-            use_penalty=use_penalty,
-            as_published=True,
-            delay="pade",
-        )
-        assert fit_of_batch.structure == alone.structure
-        assert list(fit_of_batch.values) == list(alone.values)
-        assert fit_of_batch.criterion == pytest.approx(alone.criterion, rel=1e-4)
-        assert fit_of_batch.arm.l_h == target.body.l_h
-        own = np.sqrt(target.coherence)[:, :, None] * np.abs(
-            np.log(target.admittance / arm_admittance(fit_of_batch.arm, FREQUENCY, "pade"))
-        )
-        penalty = penalty_factor(largest_real_pole(fit_of_batch.arm, target.environment)) if use_penalty else 1.0
-        assert fit_of_batch.criterion == pytest.approx(np.mean(own**2) * penalty**2)
-
-
-def test_a_batch_has_one_number_of_frequencies():
-    targets = [
-        Target(
-            frequency=FREQUENCY[:n],
-            admittance=arm_admittance(RELAX, FREQUENCY[:n]),
-            body=RELAX,
-            environment=ENVIRONMENT,
-        )
-        for n in (18, 12)
-    ]
-    assert fit_admittances([], [], initials=[]) == []
-    with pytest.raises(ValueError, match="targets have 12, 18 frequencies; expected the same number"):
-        fit_admittances(targets, ["1", "1"], initials=[None, None])
 
 
 @pytest.mark.parametrize("model", ["2", "3", "4", "5", "6", "3a"])

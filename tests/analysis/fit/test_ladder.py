@@ -1,13 +1,18 @@
 """The trials choose the structure of arms that the package did not make."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from armperturb.analysis.fit import group as group_module
+from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.ladder import left_out_loss
+from armperturb.analysis.fit.maximum_likelihood import sketch
+from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.trial_effects import TrialScore
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
@@ -55,6 +60,29 @@ def test_loss_on_left_out_trials_is_that_of_leaving_them_out():
         without = np.linalg.lstsq(designs[others].reshape(-1, 3), answers[others].ravel(), rcond=None)[0]
         loss += np.sum((answers[trial] - design @ without) ** 2) - np.sum(left**2)
     assert left_out_loss(scores) == pytest.approx(loss, rel=1e-9)
+
+
+def test_long_trials_are_compared_in_segments_to_the_same_result(monkeypatch):
+    """Segments lose what is about their ends, so that results differ by a part of their errors."""
+    setup = draw_foreign(6, n_trials=2, duration=80.0, rate=200.0, kind="noise", grip="rigid", reflex="velocity")
+    setup = replace(setup, linear=True)
+    structure = composed(inertia="free", grip="rigid", reflex="velocity")
+    group = Group.prepare(setup.recording(), structure)
+    start = [group.initial]
+    whole = sketch(group, start)
+    assert group.segments is group.records
+    monkeypatch.setattr(group_module, "LONGEST_RUN", 1000)
+    monkeypatch.setattr(group_module, "SEGMENT", 25.0)
+    cut = replace(group, made={})
+    in_segments = sketch(cut, start)
+    assert [likelihood.n_trials for likelihood in cut.segments] == [6]
+    assert len(whole.scores) == len(in_segments.scores) == 2
+    information = sum(score.information for score in whole.scores)
+    error = np.sqrt(np.diag(np.linalg.inv(information)))
+    assert np.abs((in_segments.values - whole.values) / error).max() < 0.7
+    lost = sum(score.information for score in in_segments.scores).diagonal() / information.diagonal()
+    assert lost.min() > 0.7
+    assert lost.max() < 1.1
 
 
 def test_a_choice_of_structure_shares_nothing():

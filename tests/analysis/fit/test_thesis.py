@@ -12,10 +12,8 @@ from armperturb.analysis.fit.thesis import (
     MODEL_3_WIDE,
     THETA,
     VARTHETA,
-    Wanted,
     fit_starts,
     fit_trials,
-    fit_wanted,
     join_estimates,
 )
 from armperturb.analysis.trials import ConditionTrials
@@ -97,23 +95,15 @@ def test_a_second_step_from_the_means_of_the_first_is_penalised_where_it_is_unst
     assert step_2.fits[0].penalty == pytest.approx(penalty_factor(step_2.fits[0].largest_real_pole))
 
 
-@pytest.mark.slow(reason="fits trials together and alone")
-def test_wanted_fits_are_those_of_each_alone(first, other):
-    one, two = ConditionTrials.prepare(other), ConditionTrials.prepare(first.isel(trial=[1, 2]))
-    two = replace(two, given=(Environment(m_env=3.0), two.noise))
-    start = VARTHETA["vartheta_i4"]
-    wanted = [Wanted(one, "1", use_penalty=False), Wanted(two, "3b", start), Wanted(one, "3b")]
-    found = fit_wanted(wanted)
-    alone = [fit_wanted([each._replace(trials=replace(each.trials))])[0] for each in wanted]
-    for a, b in zip(found, alone, strict=True):
-        assert (a.structure, a.subjects, a.environment) == (b.structure, b.subjects, b.environment)
-        np.testing.assert_allclose(a.criterion, b.criterion, rtol=1e-3)
-        np.testing.assert_allclose(a.vaf, b.vaf, atol=0.1)
-        assert all(x is not y for x, y in zip(a.fits, b.fits, strict=True))
-    assert found[1].subjects == ("first", "first")
-    assert fit_wanted([]) == []
-    assert fit_trials(one, "3b") is found[2]  # kept with the trials
-    assert fit_trials(one, "3b", use_penalty=False) is not found[2]
+@pytest.mark.slow(reason="fits trials")
+def test_fits_are_kept_with_their_trials(first):
+    one = ConditionTrials.prepare(first.isel(trial=[1, 2]))
+    one = replace(one, given=(Environment(m_env=3.0), one.noise))
+    found = fit_trials(one, "3b", initial=VARTHETA["vartheta_i4"])
+    assert (found.structure, found.subjects, found.environment.m_env) == ("3b", ("first", "first"), 3.0)
+    assert fit_trials(one, "3b", initial=VARTHETA["vartheta_i4"]) is found
+    assert fit_trials(one, "3b") is not found
+    assert fit_trials(one, "3b", initial=VARTHETA["vartheta_i4"], use_penalty=False) is not found
 
 
 @pytest.mark.slow(reason="fits from every published start")

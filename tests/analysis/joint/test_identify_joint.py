@@ -7,12 +7,13 @@ import numpy as np
 import one_joint
 import pytest
 
+from armperturb.analysis.joint.estimate import Profile
 from armperturb.analysis.joint.export import joint_summary, write_joint
 from armperturb.analysis.joint.identify import identify_joint
 from armperturb.analysis.joint.intrinsic import check_intrinsic
 from armperturb.analysis.joint.model import JointModel, JointStructure
 from armperturb.analysis.joint.signals import joint_signals
-from armperturb.analysis.page.joint_page import write_joint_page
+from armperturb.analysis.page.joint_page import joint_verdict, write_joint_page
 from armperturb.analysis.page.page import Origin
 from armperturb.analysis.results import PARAMETER_COLUMNS
 
@@ -69,9 +70,21 @@ def test_what_was_held_out_is_predicted(result):
 
 @pytest.mark.slow(reason="shares the search above")
 def test_the_profile_of_the_delay_has_its_minimum_at_the_estimate(result):
-    delays, fall = result.profile
-    assert delays[np.argmin(fall)] == pytest.approx(result.values["reflex_delay"], abs=1e-3)
-    assert min(fall[0], fall[-1]) > 3.84
+    delays, rise, _ = result.profiles["reflex_delay"]
+    assert delays[np.argmin(rise)] == pytest.approx(result.values["reflex_delay"], abs=1e-3)
+    assert min(rise[0], rise[-1]) > 3.84
+    # Little noise: the likelihood is quadratic, and the interval that of the standard error.
+    half = 1.96 * result.standard_error["reflex_delay"]
+    lower, upper = result.interval("reflex_delay")
+    assert lower == pytest.approx(result.values["reflex_delay"] - half, abs=0.1 * half)
+    assert upper == pytest.approx(result.values["reflex_delay"] + half, abs=0.1 * half)
+
+
+def test_an_interval_of_a_profile_ends_where_its_root_says():
+    held = np.array([0.0, 1.0, 2.0, 4.0, 6.0])
+    skewed = Profile(held, np.array([16.0, 4.0, 0.0, 1.0, 4.0]), (0.5, 9.0))
+    assert skewed.interval(2.0) == (1.0, 6.0)
+    assert skewed.interval(3.0) == (0.5, 8.0)  # at a bound, and beyond what was held
 
 
 @pytest.mark.slow(reason="shares the search above")
@@ -120,6 +133,13 @@ def test_a_structure_without_the_reflex_lacks_fit(recording, result):
     without = identify_joint(recording, reflex="none")
     assert without.lack_of_fit.p_value < 1e-6
     assert any("leaves what a linear response explains" in remark for remark in without.remarks)
+    assert joint_verdict(result).level == "trust"
+    assert joint_verdict(without).level != "trust"
+    # As if a free model were no better: the lack of fit alone is reason for care.
+    alike = replace(without, free_model=replace(without.free_model, left_out_vaf=without.vaf["total"]))
+    assert joint_verdict(alike).level == "care"
+    assert "lack of fit over its degrees of freedom" in joint_verdict(alike).text
+    assert joint_verdict(replace(without, free_model=None)).level == "reject"
 
 
 @pytest.mark.slow(reason="a search in a closed loop")
@@ -127,7 +147,7 @@ def test_a_force_servo_gives_the_same_joint():
     person = one_joint.person("ankle", 7, "linear")
     made = one_joint.recording(person, 7, "force", duration=30.0)
     result = identify_joint(made, reflex="linear")
-    delays, fall = result.profile
+    delays, fall, _ = result.profiles["reflex_delay"]
     at_error = result.values["reflex_delay"] + np.array([-2.0, 2.0]) * result.standard_error["reflex_delay"]
     # Two standard errors are a fall of four.
     np.testing.assert_allclose(np.interp(at_error, delays, fall), 4.0, atol=2.0)

@@ -7,6 +7,7 @@ import pytest
 from scipy import signal
 from scipy.interpolate import CubicSpline
 
+from armperturb.anthropometry import anthropometric_body
 from armperturb.envs.lab.joint_experiment import JointTrial, at_signal_to_noise, run_joint_experiment
 from armperturb.joint_person import JOINT_PEOPLE, JointPerson, half_wave, servo_of
 from armperturb.muscle_law import MuscleLaw
@@ -161,3 +162,10 @@ def test_people_are_read_back_as_they_were_written(person, tmp_path):
     person.save(tmp_path / "person.toml")
     assert JointPerson.load(tmp_path / "person.toml") == person
     assert JointPerson.load(tmp_path / "person.toml").at_level(2.0).held_torque == 2.0 * person.held_torque
+
+
+def test_the_elbow_has_the_inertia_of_forearm_and_hand():
+    body = anthropometric_body("male", 1.74, 73.0)  # the mean of de Leva's men
+    length = body["l_f"]
+    inertia = body["m_f"] * ((body["r_f"] * length) ** 2 + (body["c_f"] * length) ** 2)
+    assert JOINT_PEOPLE["elbow"].inertia == pytest.approx(inertia, rel=0.1)

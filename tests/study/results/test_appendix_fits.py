@@ -42,17 +42,16 @@ def test_scattered_starts_are_published_ones_times_factors_within_the_bounds():
 def test_the_first_step_starts_where_the_settings_say(monkeypatch):
     wanted = []
 
-    def fitted(fits):
-        wanted.extend(fits)
-        return [None] * len(fits)
+    def fitted(_, model, *, initial, use_penalty):
+        wanted.append((model, initial, use_penalty))
 
     trials = SimpleNamespace(name="S01")
     monkeypatch.setattr(appendix_fits, "_fittable", lambda *_: {"PT7.5": trials, "RT7.5": trials})
-    monkeypatch.setattr(appendix_fits.thesis, "fit_wanted", fitted)
+    monkeypatch.setattr(appendix_fits.thesis, "fit_trials", fitted)
     for start in ("neutral", "published"):
         wanted.clear()
         fit_person({"PT7.5": trials}, AnalysisSettings(structures=("3",), starts_of=None, start=start))
-        assert [each.initial for each in wanted] == [first_start("3", task, start) for task in ("PT", "RT")]
+        assert wanted == [("3", first_start("3", task, start), False) for task in ("PT", "RT")]
     assert first_start("3", "RT", "neutral") == neutral_start(STRUCTURES["3"], "RT")
     with pytest.raises(ValueError, match="start = 'PT'"):
         AnalysisSettings(start="PT")

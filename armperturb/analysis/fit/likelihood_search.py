@@ -1,0 +1,106 @@
+"""The search of the likelihood: Gauss-Newton steps within bounds, iteratively reweighted.
+
+The noise spectra are estimated before each of the first steps (`likelihood`). Steps that lead to an unstable arm or to
+a smaller likelihood are shortened.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize
+
+from armperturb.analysis.fit.joint_likelihood import Effects, JointLikelihood
+from armperturb.analysis.fit.trial_effects import SINGULAR, scaled
+from armperturb.analysis.fit.whittle import Normal
+from armperturb.arrays import Array
+
+MAX_ROUNDS = 60
+"""Gauss-Newton steps after which a search ends in any case."""
+
+WEIGHED_ROUNDS = 20
+"""Steps before which the noise is re-estimated. A search that lasts longer alternates between two noise spectra: from
+then on the noise is held."""
+
+SETTLED = 0.01
+"""A step this small in units of the standard error ends the search [-]."""
+
+
+class Searched(NamedTuple):
+    """Where a search of the likelihood ended.
+
+    Attributes:
+      values: of the free parameters, (parameter,).
+      information: inverse covariance of their errors, (parameter, parameter).
+      status: how it ended, in words.
+      converged: whether it ended at a maximum.
+      n_rounds: steps that were made.
+      effects: of trials that differ; None where they are taken to be alike.
+      spread: of each quantity over trials [-], (quantity,).
+      dof: degrees of freedom of each parameter's variance, (parameter,).
+    """
+
+    values: Array
+    information: Array
+    status: str
+    converged: bool
+    n_rounds: int
+    effects: Effects | None = None
+    spread: Array | None = None
+    dof: Array | None = None
+
+
+def bounded_step(normal: Normal, damping: float, lower: Array, upper: Array) -> Array:
+    """Levenberg-Marquardt step that stays within bounds."""
+    scale, power, directions = scaled(normal.information)
+    root = np.sqrt(np.maximum(power, 0.0) + damping + SINGULAR)
+    target = directions.T @ (normal.slope / scale) / root
+    design = root[:, None] * directions.T
+    free = upper > lower
+    step = np.zeros(len(scale))
+    bounds = lower[free] * scale[free], upper[free] * scale[free]
+    step[free] = optimize.lsq_linear(design[:, free], target, bounds, method="bvls").x
+    return step / scale
+
+
+def step_size(normal: Normal, step: Array) -> float:
+    """Largest change of a parameter in units of its error, were all others known."""
+    return float(np.max(np.abs(step) * np.sqrt(np.diag(normal.information))))
+
+
+def search_from(
+    problem: JointLikelihood, values: Array, *, weigh: bool = True, settled: float = SETTLED, most: int = MAX_ROUNDS
+) -> Searched:
+    """Gauss-Newton steps within bounds; if `weigh`, the noise is re-estimated before each of the first steps.
+
+    No step leads to an unstable arm, or from an unstable start to one that is less stable.
+    """
+    damping = 0.0
+    limit = max(0.0, problem.pole(values))
+    for n_rounds in range(1, most + 1):
+        if weigh and n_rounds <= WEIGHED_ROUNDS:
+            problem.weigh(values)
+        normal = problem.normal(values)
+        room = problem.lower - values, problem.upper - values
+        reason = "no smaller step increases the likelihood"
+        if step_size(normal, bounded_step(normal, 0.0, *room)) < settled:
+            return Searched(values, normal.information, "converged: steps are far below the errors", True, n_rounds)
+        while True:
+            after = np.clip(values + bounded_step(normal, damping, *room), problem.lower, problem.upper)
+            if not problem.pole(after) < limit:
+                reason = "at the border of stability"
+            elif problem.cost(after) < normal.cost:
+                break
+            damping = max(10.0 * damping, 1e-3)
+            if damping > 1e8:
+                return Searched(values, normal.information, f"not converged: {reason}", False, n_rounds)
+        values, damping = after, damping / 10.0 if damping > 1e-6 else 0.0
+    return Searched(values, normal.information, f"not converged: {most} steps were not enough", False, most)
+
+
+def search_best(problem: JointLikelihood, start: Array) -> Searched:
+    """The most likely values; of long trials, full derivatives refine what quick ones lead to."""
+    if problem.is_long:
+        problem.quick = True
+        start = search_from(problem, start).values
+        problem.quick = False
+    return search_from(problem, start)

@@ -1,0 +1,265 @@
+"""Sends KILL, INT, TERM and HUP to commands at random moments, and looks at what is left.
+
+Run `python -m benchmarks.kills [COMMAND ...] [--kills N] [--seed N]`: by default every command that writes, 100 kills
+each; report, design, validate and calibrate take longest. A signal goes to the command, to its process group, or to a
+process that it has started, if there is one. Half of the moments are after the first file was begun. Then no process
+may be left; each file must be that of an undisturbed run or of before, to the last byte, or absent if there was none
+before; the command must have said at most one line of an error; and after every signal but KILL to the command itself
+there may be no other files. What KILL leaves are hidden part files, which are counted.
+"""
+
+import argparse
+import os
+import random
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import psutil
+
+from armperturb import cli
+from benchmarks.faults import COMMANDS as FAILED
+from benchmarks.faults import contents, laboratory
+
+SIGNALS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+TARGETS = ("command", "group", "worker")
+PATIENCE, AFTERWARDS = 300.0, 10.0
+"""Time that a command may take, and that what it has started may last longer [s]."""
+
+_VALIDATE = ["validate", "--groups", "2", "--trials", "2", "--estimators", "frequency", "--workers", "2"]
+_STUDY = ["study", "--protocol", "short.toml", "--subjects", "3", "--block", "8", "--workers", "2", "--record-only"]
+
+COMMANDS = {
+    **FAILED,
+    "study": ([], [*_STUDY, "--out", "o"]),
+    "report": ([], ["report", "made", "--workers", "2"]),
+    "joint": ([], ["joint", "--duration", "20", "--out", "o.nc"]),
+    "compare": ([], ["compare", "r.nc", "--out", "o"]),
+    "validate": ([], [*_VALIDATE, "--out", "o"]),
+    "live": ([], ["live", "--out", "o.html"]),
+}
+"""Name to the command that ran before, and the command that is stopped."""
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """A folder that is removed by this process alone, not by those that are forked from it."""
+    folder = Path(tempfile.mkdtemp())
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder)
+
+
+def started(command: list[str]) -> int:
+    """Process of a command, in a session of its own and in the current folder, by a fork of this one."""
+    child = os.fork()
+    if child:
+        return child
+    status = 1
+    try:
+        os.setsid()
+        said = os.open("../said", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(said, 2)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        status = cli.main(command)
+        sys.stdout.flush()
+        sys.stderr.flush()
+    finally:
+        os._exit(status)
+
+
+def below(process: int) -> list[psutil.Process]:
+    """What a process has started, and what that has."""
+    try:
+        return psutil.Process(process).children(recursive=True)
+    except psutil.Error:
+        return []
+
+
+def runs(process: psutil.Process) -> bool:
+    """Whether a process still runs."""
+    try:
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    except psutil.Error:
+        return False
+
+
+def end_of(process: int) -> int | None:
+    """Its exit status, minus the signal that ended it; None if it runs."""
+    ended, status = os.waitpid(process, os.WNOHANG)
+    return os.waitstatus_to_exitcode(status) if ended else None
+
+
+def undisturbed(command: list[str]) -> tuple[float, float]:
+    """Time that a command takes, and time of its first new file [s]; in the current folder."""
+    before, start, first = set(os.listdir()), time.monotonic(), None
+    process = started(command)
+    while (status := end_of(process)) is None:
+        if first is None and set(os.listdir()) != before:
+            first = time.monotonic() - start
+        time.sleep(0.002)
+    if status:
+        raise RuntimeError(f"{' '.join(command)}: {Path('../said').read_text()}")
+    took = time.monotonic() - start
+    return took, min(first or 0.0, 0.9 * took)
+
+
+def stopped(command: list[str], moment: float, number: int, target: str) -> tuple[int, list[psutil.Process]] | None:
+    """Exit status, and processes that are left; None if the command had ended before that moment [s]."""
+    process, start = started(command), time.monotonic()
+    seen: dict[int, psutil.Process] = {}
+    while time.monotonic() < start + moment:
+        if end_of(process) is not None:
+            return None
+        time.sleep(0.002)
+    seen |= {each.pid: each for each in below(process)}
+    if target == "worker" and not seen:
+        target = "command"
+    try:
+        if target == "group":
+            os.killpg(process, number)
+        elif target == "command":
+            os.kill(process, number)
+        else:
+            os.kill(random.choice(list(seen)), number)
+    except ProcessLookupError:
+        pass
+    while (status := end_of(process)) is None:
+        seen |= {each.pid: each for each in below(process)}
+        if time.monotonic() > start + PATIENCE:
+            os.kill(process, signal.SIGKILL)
+        time.sleep(0.005)
+    latest = time.monotonic() + AFTERWARDS
+    while (left := [each for each in seen.values() if runs(each)]) and time.monotonic() < latest:
+        time.sleep(0.02)
+    return status, left
+
+
+def wrong(status: int, by: str, files: tuple[dict[str, bytes], dict[str, bytes], dict[str, bytes]], said: str) -> str:
+    """What is not as it should be, in words; empty if nothing is.
+
+    Args:
+      status: of the command.
+      by: signal and target.
+      files: before the command, after an undisturbed one, and now.
+      said: what it said of errors.
+    """
+    before, after, now = files
+    if "Traceback" in said or sum(line.startswith("armperturb: ") for line in said.splitlines()) > 1:
+        return f"status {status}, {said[-200:]!r}"
+    hidden = {name for name in now if Path(name).name.startswith(".") and name.endswith(".part")}
+    other = [name for name, content in now.items() if content not in (before.get(name), after.get(name))]
+    if others := [name for name in other if not (name in hidden and by.startswith("SIGKILL"))]:
+        return f"status {status}, other or new files: {', '.join(others)}"
+    if lost := [name for name in before if name not in now and name in after]:
+        return f"status {status}, lost: {', '.join(lost)}"
+    if status == 0 and now != after:
+        return "status 0 without all outputs"
+    return ""
+
+
+def kills(name: str, inputs: Path, count: int, rng: random.Random) -> tuple[Counter[str], list[str]]:
+    """How often a command was stopped by which signal, and what was wrong.
+
+    Args:
+      name: of `COMMANDS`.
+      inputs: folder whose copy is the current folder of each run.
+      count: of runs that are stopped.
+      rng: of the moments.
+    """
+    earlier, command = COMMANDS[name]
+    here, seen, faults = Path.cwd(), Counter[str](), []
+    with scratch_folder() as scratch:
+        old, now = scratch / "old", scratch / "now"
+
+        def afresh() -> None:
+            os.chdir(scratch)
+            shutil.rmtree(now, ignore_errors=True)
+            shutil.copytree(old, now)
+            os.chdir(now)
+
+        try:
+            shutil.copytree(inputs, old)
+            os.chdir(old)
+            if earlier:
+                _in_a_fork(earlier)
+            before = contents(old)
+            afresh()
+            undisturbed(command)  # imports, and what is compiled
+            after = contents(now)
+            afresh()
+            took, first = undisturbed(command)
+            if contents(now) != after:
+                raise RuntimeError(f"{name}: other files each time")
+            for _ in range(3 * count):
+                if sum(seen.values()) - seen["part files left by KILL"] >= count:
+                    break
+                afresh()
+                number, target = rng.choice(SIGNALS), rng.choice(TARGETS)
+                moment = rng.uniform(first if rng.random() < 0.5 else 0.0, took)
+                if (ended := stopped(command, moment, number, target)) is None:
+                    continue
+                by, left = f"{number.name} to {target}", contents(now)
+                seen[by] += 1
+                seen["part files left by KILL"] += sum(each.endswith(".part") for each in left)
+                said = Path("../said").read_text(errors="replace")
+                fault = wrong(ended[0], by, (before, after, left), said)
+                if ended[1]:
+                    fault = f"{fault} processes left: {[each.pid for each in ended[1]]}"
+                    for each in ended[1]:
+                        each.kill()
+                if fault:
+                    faults.append(f"{by} after {moment:.3f} s: {fault}")
+        finally:
+            os.chdir(here)
+    return seen, faults
+
+
+def _in_a_fork(command: list[str]) -> None:
+    process = started(command)
+    if os.waitstatus_to_exitcode(os.waitpid(process, 0)[1]):
+        raise RuntimeError(f"{' '.join(command)}: {Path('../said').read_text()}")
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Print for each command how often it was stopped, and what was wrong."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("commands", nargs="*", choices=[[], *COMMANDS])
+    parser.add_argument("--kills", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args([] if arguments is None else arguments)
+    commands, here = options.commands or list(COMMANDS), Path.cwd()
+    rng = random.Random(options.seed)
+    with scratch_folder() as folder:
+        inputs = folder / "inputs"
+        inputs.mkdir()
+        os.environ["ARMPERTURB_KEY"] = str(folder / "key")
+        child = os.fork()  # which may draw and start processes, as this one may not before it forks
+        if not child:
+            try:
+                laboratory(inputs, with_study=bool({"report", "score", "video"} & set(commands)))
+            finally:
+                os._exit(0)
+        os.waitpid(child, 0)
+        os.chdir(here)
+        with redirect_stdout(StringIO()):
+            for module in ("report.report", "validation.validate", "planning.plan", "experiments.calibration"):
+                __import__(f"armperturb.study.{module}")
+        for command in commands:
+            seen, faults = kills(command, inputs, options.kills, rng)
+            count = sum(seen.values()) - (parts := seen.pop("part files left by KILL", 0))
+            print(f"{command}: {count} stopped, {len(faults)} wrong, {parts} part files left by KILL", flush=True)
+            for fault in faults[:5]:
+                print(f"    {fault}", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
