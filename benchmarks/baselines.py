@@ -93,9 +93,7 @@ def draw_curves(results: dict[tuple[str, str], list[dict[str, Any]]], file: Path
             ax.fill_between(decisions, middle - half, middle + half, color=colour, alpha=0.15, linewidth=0)
             ax.plot(decisions, rewards.T, color=colour, linewidth=0.5)
             ax.plot(decisions, middle, color=colour, linewidth=1.6, label=method)
-        ax.set(
-            title=task, xlabel="decisions [million]", ylim=(min(0.4, rewards.min()), min(1.02, rewards.max() + 0.05))
-        )
+        ax.set(title=task, xlabel="decisions [million]", ylim=(max(0.4, own - 0.15), min(1.01, own + 0.17)))
         if task == TASKS[0]:
             ax.set_ylabel("mean reward per decision")
             ax.legend(loc="lower right")

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from matplotlib.ticker import NullFormatter
 
 import armperturb as ap
 from armperturb.envs.render.clip import Clip
@@ -28,12 +29,11 @@ def subject(task):
 
 
 def trials(task, person):
-    """Multisines of the environment's force, with the person's noise."""
+    """Multisines of the environment's force, without the person's noise, as `compare` pushes people."""
     return [
         ap.Trial(
             subject=person,
             perturbation=ap.Multisine.draw(seed=seed, rms=FORCE[task]),
-            noise=ap.HUMAN_NOISE[person.task],
         )
         for seed in range(N_TRIALS)
     ]
@@ -97,12 +97,13 @@ def main(folder):
                 gains = 1e3 * np.linalg.svd(admittance, compute_uv=False)[:, k]
                 ax.loglog(frequency, gains, color=colours[name], label=name)
             ax.set(xlabel="frequency [Hz]", title=f"{task}: {('largest', 'smallest')[k]} gain")
+            ax.yaxis.set_minor_formatter(NullFormatter())
         axes[0].set_ylabel("admittance [mm/N]")
         axes[0].legend()
         ax = axes[2]
         for number in range(N_PEOPLE):
             one = ap.draw_person(0, number).subjects[person.task]
-            stiffness = low_frequency_stiffness(ap.run_experiment(trials(task, one)[:1], engine="compiled"))
+            stiffness = low_frequency_stiffness(ap.run_experiment(trials(task, one), engine="compiled"))
             ax.plot(*outline(stiffness), color=GREY, linewidth=0.5)
         for name, recording in recordings.items():
             stiffness = low_frequency_stiffness(recording)
