@@ -27,6 +27,18 @@ LARGEST_TOML = 2**16
 _LONG_KEY = re.compile(r"""(?:[ \t]{0,9}(?:[\w-]{1,99}|"[^"\n]{0,99}"|'[^'\n]{0,99}')[ \t]{0,9}\.){32}""")
 
 
+def endings_of(labels: Iterable[str]) -> dict[str, str]:
+    """Label to what a name of a file may end in: what files are rarely called is replaced, and no two are alike."""
+    endings: dict[str, str] = {}
+    for label in dict.fromkeys(labels):
+        plain = ending = re.sub(r"[^\w.+-]", "_", label)
+        number = 2
+        while ending in endings.values():
+            ending, number = f"{plain}_{number}", number + 1
+        endings[label] = ending
+    return endings
+
+
 @contextmanager
 def inputs_untouched() -> Iterator[None]:
     """Within the block, a file that `require_input` has accepted is neither replaced nor removed."""

@@ -16,6 +16,7 @@ import xarray as xr
 from armperturb.analysis.defaults import LINEAR_MODELS
 from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.structures import structure_of, true_values
+from armperturb.analysis.measures.start_geometry import in_start_geometry
 from armperturb.cohort import Person, draw_person
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
@@ -56,6 +57,7 @@ def main() -> None:
     parser.add_argument("--groups", type=int, default=16)
     parser.add_argument("--muscles", choices=("linear", "nonlinear"), default="linear")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--start-geometry", action="store_true", help="without what the moving arm makes nonlinear")
     asked = parser.parse_args()
     settings = StudySettings(seed=asked.seed, muscles=asked.muscles, engine="compiled")
     model, condition = LINEAR_MODELS[asked.task], f"{asked.task}7.5"
@@ -74,6 +76,8 @@ def main() -> None:
     held, ratios = [], []
     for recording, truth in groups:
         fit = identify(recording, model).fit
+        if asked.start_geometry:
+            fit = identify(in_start_geometry(recording, fit.arm), model).fit
         low, high = np.transpose([fit.interval(name) for name in names])
         held.append((low <= truth) & (truth <= high))
         errors = np.array([fit.values[name] for name in names]) - truth

@@ -1,10 +1,11 @@
 """Damages files of every format that is read, and counts what readers and commands make of them.
 
-Run `python -m benchmarks.fuzz [CASE ...] [--runs N] [--seed N]`; 3,000 runs by default. A bit is flipped, a sector of
-512 bytes is zeroed, or the file is cut off, at a random place. A command, or a function that reads, then runs in a
-forked process, with the parsers that the guarded child process runs: an end by a signal, or one for lack of processor
-time, is what that child turns into a refusal, and the run is repeated with it. A refused command must say one line and
-leave nothing. Of what is read, damage to values must be noticed.
+Run `python -m benchmarks.fuzz [CASE ...] [--runs N] [--seed N]`; 3,000 runs by default. First `--flips` bits (4,000
+by default) are flipped one by one within the arrays of a recording, each of which must be noticed or change nothing.
+Then a bit is flipped, a sector of 512 bytes is zeroed, or the file is cut off, at a random place. A command, or a
+function that reads, then runs in a forked process, with the parsers that the guarded child process runs: an end by a
+signal, or one for lack of processor time, is what that child turns into a refusal, and the run is repeated with it. A
+refused command must say one line and leave nothing. Of what is read, damage to values must be noticed.
 """
 
 import argparse
@@ -44,7 +45,7 @@ from benchmarks.faults import laboratory
 LONGEST, LARGEST = 30, 2**30
 """Processor time [s] of a run with the parsers in it, and memory of a parser [byte]."""
 
-PATIENCE = 90
+PATIENCE = 600
 """Time of a run with the guarded child process [s]."""
 
 ENDS = (
@@ -306,13 +307,60 @@ def fuzz(names: list[str], runs: int, seed: int = 0) -> dict[str, Counter[str]]:
     return ends
 
 
+def array_bytes(path: Path) -> np.ndarray:
+    """Where in a netCDF4 file the bytes of its arrays lie, their checksums included."""
+    import h5py
+
+    parts = []
+    with h5py.File(path) as file:
+        for each in file.values():
+            dataset = each.id
+            if each.chunks is None:
+                chunks = [(dataset.get_offset(), dataset.get_storage_size())]
+            else:
+                infos = map(dataset.get_chunk_info, range(dataset.get_num_chunks()))
+                chunks = [(info.byte_offset, info.size) for info in infos]
+            parts += [np.arange(start, start + size) for start, size in chunks if start is not None]
+    return np.concatenate(parts)
+
+
+def flipped_arrays(flips: int, seed: int = 0) -> Counter[str]:
+    """How often one flipped bit in an array of a recording is refused, changes nothing, or is not noticed."""
+    rng, ends = random.Random(seed), Counter[str]()
+    here = Path.cwd()
+    with tempfile.TemporaryDirectory() as name:
+        try:
+            laboratory(Path(name), with_study=False)
+            expected = load_recording("r.nc")
+            content, places = Path("r.nc").read_bytes(), array_bytes(Path("r.nc"))
+            with mock.patch.object(importlib.import_module(READERS[0]), "read_foreign", _parsed):
+                for _ in range(flips):
+                    changed, at = bytearray(content), int(rng.choice(places))
+                    changed[at] ^= 1 << rng.randrange(8)
+                    Path("d.nc").write_bytes(changed)
+                    try:
+                        same = expected.identical(load_recording("d.nc"))
+                        ends["as before" if same else "DAMAGE NOT NOTICED"] += 1
+                    except ValueError:
+                        ends["refused"] += 1
+        finally:
+            os.chdir(here)
+    return ends
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Print how often each case ended how, and where files lie that were not treated as they should be."""
     parser = argparse.ArgumentParser()
     parser.add_argument("cases", nargs="*", choices=[[], *CASES])
     parser.add_argument("--runs", type=int, default=3000)
+    parser.add_argument("--flips", type=int, default=4000)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args([] if arguments is None else arguments)
+    if options.flips:
+        ends_of_flips = flipped_arrays(options.flips, options.seed)
+        print(f"flips within arrays: {dict(ends_of_flips)}", flush=True)
+    if not options.runs:
+        return
     ends = fuzz(options.cases or list(CASES), options.runs, options.seed)
     total = sum(ends.values(), Counter[str]())
     print(f"all: {sum(total.values())} runs, {dict(total)}")

@@ -5,7 +5,7 @@ each; report, design, validate and calibrate take longest. A signal goes to the 
 process that it has started, if there is one. Half of the moments are after the first file was begun. Then no process
 may be left; each file must be that of an undisturbed run or of before, to the last byte, or absent if there was none
 before; the command must have said at most one line of an error; and after every signal but KILL to the command itself
-there may be no other files. What KILL leaves are hidden part files, which are counted.
+there may be no other files. KILL may leave hidden part files, which are counted, and what a study continues from.
 """
 
 import argparse
@@ -155,7 +155,7 @@ def wrong(status: int, by: str, files: tuple[dict[str, bytes], dict[str, bytes],
     before, after, now = files
     if "Traceback" in said or sum(line.startswith("armperturb: ") for line in said.splitlines()) > 1:
         return f"status {status}, {said[-200:]!r}"
-    hidden = {name for name in now if Path(name).name.startswith(".") and name.endswith(".part")}
+    hidden = {name for name in now if any(part.startswith(".") for part in Path(name).parts)}
     other = [name for name, content in now.items() if content not in (before.get(name), after.get(name))]
     if others := [name for name in other if not (name in hidden and by.startswith("SIGKILL"))]:
         return f"status {status}, other or new files: {', '.join(others)}"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 from armperturb.analysis.defaults import LINES_PER_AVERAGE, WINDOW_START, Estimator
 from armperturb.commands.command import Command, Positional, command_line
 from armperturb.extras import MissingExtraError, naming_the_extra
-from armperturb.files import require_no_input
+from armperturb.files import endings_of, require_no_input
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -244,13 +244,14 @@ class Identify(Command):
             emg=emg,
         )
         write_identification(results, self.out)
+        endings = endings_of(results)
         for condition, result in results.items():
             choice = result.fit.choice
             chosen = structure if choice is None else choice.chosen.structure
-            name = "structure.toml" if structure or len(results) == 1 else f"structure_{condition}.toml"
+            name = "structure.toml" if structure or len(results) == 1 else f"structure_{endings[condition]}.toml"
             if chosen is not None:
                 save_structure(chosen, self.out / name)
-            result.fit.arm.save(self.out / ("arm.toml" if len(results) == 1 else f"arm_{condition}.toml"))
+            result.fit.arm.save(self.out / ("arm.toml" if len(results) == 1 else f"arm_{endings[condition]}.toml"))
         write_page(results, trials, self.out / "identify.html", self._origin(notes))
         lines = []
         for condition, result in results.items():

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from armperturb.commands.command import Command
+from armperturb.files import require_new
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,11 +16,15 @@ class Live(Command):
     arms: tuple[Path, ...] = ()
     """TOML files of arms to begin with, e.g. arm.toml that identify writes; the average person and ten people are
     always there."""
+    overwrite: bool = False
+    """Replace an existing page; an input is never replaced."""
 
     def run(self) -> list[str]:
         """Write the page."""
         from armperturb.live.page import write_live
         from armperturb.subject import Subject
 
-        write_live(self.out, {str(path.with_suffix("")): Subject.load(path) for path in self.arms})
+        arms = {str(path.with_suffix("")): Subject.load(path) for path in self.arms}
+        require_new([self.out], overwrite=self.overwrite)
+        write_live(self.out, arms)
         return [f"live laboratory: {self.out}"]

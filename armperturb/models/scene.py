@@ -9,6 +9,7 @@ import numpy as np
 from armperturb.arrays import Array
 from armperturb.environment import Environment
 from armperturb.extras import naming_the_extra
+from armperturb.models.copies import require_moderate
 from armperturb.models.rig import AHEAD, GRIP, KNOWN, MANIPULATOR_XML, RIG_XML, SLIDES, STRAIN_GAUGE
 
 PREFIX = "lab/"
@@ -52,6 +53,8 @@ def load_arm(source: str | Path | mujoco.MjSpec) -> mujoco.MjSpec:
     """
     if isinstance(source, mujoco.MjSpec):
         return source.copy()
+    if not str(source).startswith(MYO_SIM):
+        require_moderate(Path(source))
     try:
         if str(source).startswith(MYO_SIM):
             with naming_the_extra(str(source)):

@@ -439,7 +439,11 @@ def test_what_does_not_go_together_is_refused(tmp_path):
         ([good], {"rate": 100.0}, "rate = 100.0; expected none with netCDF"),
         ([path, path], {}, "comes twice; expected each recording once"),
         ([path], {"rate": 0.0}, "rate = 0.0; expected a finite number at least 1"),
-        ([path], {"repair": ["holes"]}, "repair = 'holes'; expected one of gaps, drops, clock, lengths, trials"),
+        (
+            [path],
+            {"repair": ["holes"]},
+            "repair = 'holes'; expected one of gaps, drops, clock, lengths, stretch, trials",
+        ),
     ):
         with pytest.raises(ValueError, match=re.escape(message)):
             import_recording(files, **options)

@@ -73,3 +73,8 @@ def test_command_writes_the_page_with_arms_from_files(tmp_path, capsys):
     assert main(["live", "--out", str(tmp_path / "live.html"), "--arms", str(tmp_path / "arm.toml")]) == 0
     assert capsys.readouterr().out == f"live laboratory: {tmp_path / 'live.html'}\n"
     assert str(tmp_path / "arm") in data_of((tmp_path / "live.html").read_text(encoding="utf-8"))["presets"]
+    assert main(["live", "--out", str(tmp_path / "live.html")]) == 1
+    assert "live.html: exists already; expected a new name (--overwrite replaces" in capsys.readouterr().err
+    assert main(["live", "--out", str(tmp_path / "arm.toml"), "--arms", str(tmp_path / "arm.toml"), "--overwrite"]) == 1
+    assert "arm.toml: is an input of this command" in capsys.readouterr().err
+    assert main(["live", "--out", str(tmp_path / "live.html"), "--overwrite"]) == 0

@@ -92,19 +92,22 @@ class Mixed(NamedTuple):
 def fit_mixed(trials: Sequence[TrialScore], n_parameters: int) -> Mixed:
     """The most likely spreads, and what follows from them."""
     n_quantities = trials[0].design.shape[1]
-    inner = [(trial.design.T @ trial.information @ trial.design, trial.information @ trial.design) for trial in trials]
-    tells = np.sum([np.diag(within) for within, _ in inner], axis=0) > 0.0
+    within = np.array([trial.design.T @ trial.information @ trial.design for trial in trials])
+    force = np.array([trial.design.T @ trial.score for trial in trials])
+    across = np.zeros((len(trials), n_parameters, n_quantities))
+    slope_alike, information_alike = np.zeros(n_parameters), np.zeros((n_parameters, n_parameters))
+    for trial, of_trial in zip(trials, across, strict=True):
+        of_trial[trial.columns] = trial.information @ trial.design
+        slope_alike[trial.columns] += trial.score
+        information_alike[np.ix_(trial.columns, trial.columns)] += trial.information
+    tells = np.sum([np.diag(matrix) for matrix in within], axis=0) > 0.0
 
     def solve(spread: Array) -> tuple[float, Array, Array, tuple[Array, ...]]:
-        slope, information, deviance = np.zeros(n_parameters), np.zeros((n_parameters, n_parameters)), 0.0
-        weights = []
-        for trial, (within, across) in zip(trials, inner, strict=True):
-            gram, weight = _gram_and_weight(within, spread)
-            force = trial.design.T @ trial.score
-            slope[trial.columns] += trial.score - across @ weight @ force
-            information[np.ix_(trial.columns, trial.columns)] += trial.information - across @ weight @ across.T
-            deviance += float(np.linalg.slogdet(gram)[1] - force @ weight @ force)
-            weights.append(weight)
+        gram, weights = _gram_and_weight(within, spread)
+        weighted = across @ weights
+        slope = slope_alike - np.einsum("tpq,tq->p", weighted, force)
+        information = information_alike - np.einsum("tpq,trq->pr", weighted, across, optimize=True)
+        deviance = float(np.sum(np.linalg.slogdet(gram)[1]) - np.einsum("tq,tqr,tr->", force, weights, force))
         scale, power, directions = scaled(information)
         known = power > SINGULAR
         along = directions[:, known].T @ (slope / scale)
@@ -135,7 +138,7 @@ def fit_mixed(trials: Sequence[TrialScore], n_parameters: int) -> Mixed:
 
 
 def _gram_and_weight(within: Array, spread: Array) -> tuple[Array, Array]:
-    """1 + w D^T I D w and w (1 + w D^T I D w)^-1 w of one trial, (quantity, quantity) both."""
+    """1 + w D^T I D w and w (1 + w D^T I D w)^-1 w, (..., quantity, quantity) both."""
     gram = np.eye(len(spread)) + spread[:, None] * within * spread
     return gram, spread[:, None] * np.linalg.solve(gram, np.diag(spread))
 

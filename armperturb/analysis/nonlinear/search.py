@@ -23,7 +23,12 @@ MAX_STEPS = 40
 
 SEARCH_STEP, STALLED_STEP, FINAL_STEP = 1.0, 0.3, 0.05
 """Convergence thresholds: largest parameter change / standard error, for the first two stages, for a final stage that
-cannot lower the cost any more, and for the final stage [-]."""
+cannot lower the cost by more than `NO_GAIN`, and for the final stage [-]."""
+
+NO_GAIN = 0.05
+"""Decrease of the cost that is nothing [-]: a parameter's standard error changes it by one. Draws of the noise make the
+likelihood rough on the scale of a few tenths of a standard error, so that a search may go on much longer without any
+change that matters."""
 
 MAX_REFERENCES, MAX_EXPECTATIONS = 16, 200
 """Most times that the final stage takes spectrum and derivatives anew, and steps of expectation maximisation in each of
@@ -203,7 +208,7 @@ class Search:
             self._count(cost, part * step)
             self._at, predicted = replace(self._at, state=moved), answer
             self._keep()
-            if step < FINAL_STEP:
+            if step < FINAL_STEP or (step < STALLED_STEP and before - cost < NO_GAIN):
                 return CONVERGED
             if part < 1.0 or self._distance() > FAR:
                 return ""

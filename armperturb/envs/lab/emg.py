@@ -123,12 +123,14 @@ class Emg:
             joint: np.interp(time - getattr(subject, f"Td_{joint}"), sampled, excitation[:, column], left=0.0)
             for column, joint in enumerate(("s", "e"))
         }
-        activation = np.empty((len(MUSCLES), len(time)))
-        for row, (joints, sign) in enumerate(ACTIONS.values()):
-            # A joint that is pushed towards flexion stretches its extensors: the reflex torque is minus the excitation.
-            stretch = -sign * np.mean([delayed[joint] for joint in joints], axis=0)
-            activation[row] = self._cocontraction(subject, joints) + np.maximum(stretch, 0.0) / self.reflex_torque
-        return np.minimum(activation, 1.0)
+        delayed["se"] = (delayed["s"] + delayed["e"]) / 2.0
+        # A joint that is pushed towards flexion stretches its extensors: the reflex torque is minus the excitation.
+        driven = {
+            action: self._cocontraction(subject, action.joints)
+            + np.maximum(-action.sign * delayed[action.joints], 0.0) / self.reflex_torque
+            for action in dict.fromkeys(ACTIONS.values())
+        }
+        return np.minimum([driven[action] for action in ACTIONS.values()], 1.0)
 
     def n_samples(self, n_excitation: int, rate: float) -> int:
         """How many samples the converter reads beside so many of the excitation at a rate [Hz]."""
@@ -147,6 +149,7 @@ class Emg:
         rate: float,
         rng: np.random.Generator,
         contraction: float | None = None,
+        out: Float32 | None = None,
     ) -> Float32:
         """What the converter reads [V], whole numbers of `adc_step`, (emg_time, muscle).
 
@@ -158,6 +161,7 @@ class Emg:
           rate: as in `activation`.
           rng: what the noise is drawn from.
           contraction: as in `activation`.
+          out: to fill, (emg_time, muscle); by default a new array.
         """
         from armperturb.envs.lab.amplifier import amplify
 
@@ -167,7 +171,7 @@ class Emg:
             pair = MUSCLES.index(one_side), MUSCLES.index(other_side)
             mixing[pair] = mixing[pair[::-1]] = self.crosstalk
         colour, amplifier, quiet = _filters(self.rate, self.highpass)
-        read = np.empty((n_samples, len(MUSCLES)), dtype=np.float32)
+        read = np.empty((n_samples, len(MUSCLES)), dtype=np.float32) if out is None else out
         # One stream for each muscle and one for its electrode, drawn in the order of time.
         muscles, electrodes = zip(*(stream.spawn(2) for stream in rng.spawn(len(MUSCLES))), strict=True)
         white = np.empty((2 * len(MUSCLES), CHUNK), dtype=np.float32)

@@ -156,7 +156,7 @@ def _voltages(
     volts = np.empty((len(trials), emg.n_samples(excitation.shape[1], rate), len(MUSCLES)), dtype=np.float32)
 
     def read(i: int) -> None:
-        volts[i] = emg.read(subjects[i], excitation[i], rate, trials[i].generator(EMG), trials[i].contraction)
+        emg.read(subjects[i], excitation[i], rate, trials[i].generator(EMG), trials[i].contraction, volts[i])
 
     list(in_threads(read, len(trials), n_threads))
     return volts
