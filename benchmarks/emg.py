@@ -1,18 +1,20 @@
-"""What the analysis of EMG reaches: `python -m benchmarks.emg [PEOPLE]`; some minutes of a core per three people.
+"""What the analysis of EMG reaches: `python -m benchmarks.emg [PEOPLE]`; some 30 s of a core per person.
 
 People are drawn as in a study and do the thesis's protocol with a maximal contraction, under the published forces, with
-all noise. Lines that begin with NeuroKit2 need it installed, and are left out otherwise.
+all noise. Each line is a quantity, its target if it has one, and what was measured. Lines of NeuroKit2 need it
+installed, and are left out otherwise.
 """
 
 import importlib
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 from unittest import mock
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from scipy import signal, stats
 
@@ -36,7 +38,7 @@ from armperturb.recording import ACTIONS, Action, make_recording
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.subject import POSITION, RELAX, Subject
 
-PEOPLE, SEED = 3, 5
+PEOPLE, SEED = 10, 5
 MAXIMAL = Condition(name="MVC", task="PT", contraction=1.0)
 PROTOCOL = replace(THESIS, forces="published", conditions=(*THESIS.conditions, MAXIMAL))
 HELD = ("PT0", "PT2.5", "PT7.5", "PT22.5")
@@ -79,7 +81,23 @@ def slightly_active(person: Person) -> Person:
     return replace(person, subjects={**person.subjects, "RT": replace(person.subjects["RT"], muscle=None, **stiffer)})
 
 
-def known_envelopes() -> Iterator[str]:
+class Line(NamedTuple):
+    """A line of the table."""
+
+    quantity: str
+    target: str
+    measured: str
+
+
+def optional_neurokit() -> Any:
+    """NeuroKit2; None where it is not installed."""
+    try:
+        return importlib.import_module("neurokit2")
+    except ImportError:
+        return None
+
+
+def known_envelopes() -> Iterator[Line]:
     """Modulated noise of known shape, and what NeuroKit2 makes of it."""
     rate, n, n_trials, window = 2000.0, 40_000, 40, 0.1
     at = np.arange(n) / rate
@@ -115,12 +133,11 @@ def known_envelopes() -> Iterator[str]:
         result = envelopes(recording, whiten=whiten)
         power = result.power[..., 0].reshape(n_trials, -1, round(window * 200)).mean(axis=2)
         ratio = scatter(result.amplitude_of(power[..., None])[..., 0]) / bound
-        target = " (target 0.85 to 1.15)" if whiten else ""
-        yield f"variance of the amplitude over the bound, {'' if whiten else 'not '}whitened: {ratio:.2f}{target}"
-    yield f"cross-talk of 20 %: {'; '.join(map(str, envelopes(recording).crosstalk))}"
-    try:
-        neurokit = importlib.import_module("neurokit2")
-    except ImportError:
+        target = "0.85 to 1.15" if whiten else ""
+        yield Line(f"variance over the bound, {'' if whiten else 'not '}whitened", target, f"{ratio:.2f}")
+    yield Line("cross-talk of 20 %", "named", "; ".join(map(str, envelopes(recording).crosstalk)))
+    neurokit = optional_neurokit()
+    if neurokit is None:
         return
     amplitudes = []
     start = time.process_time()
@@ -129,101 +146,185 @@ def known_envelopes() -> Iterator[str]:
         amplitude = np.asarray(neurokit.emg_amplitude(cleaned))
         amplitudes.append(np.sqrt(np.mean(amplitude.reshape(-1, steps) ** 2, axis=1)))
     spent = time.process_time() - start
-    yield f"NeuroKit2: variance over the bound {scatter(np.array(amplitudes)) / bound:.2f}, {spent:.1f} CPU s"
+    yield Line(
+        "variance over the bound, NeuroKit2", "", f"{scatter(np.array(amplitudes)) / bound:.2f}, {spent:.1f} CPU s"
+    )
     start = time.process_time()
     envelopes(recording.isel(muscle=[0]))
-    yield f"here, the same channel: {time.process_time() - start:.1f} CPU s"
+    yield Line("the same channel here", "", f"{time.process_time() - start:.1f} CPU s")
 
 
-def people(n: int) -> Iterator[str]:
-    """Relaxation and co-contraction of synthetic people."""
-    spent, relaxed, slight, of_conditions, delays, inside, by_phase = 0.0, [], [], [], [], [], []
+def nonlinear_people(n: int) -> Iterator[Line]:
+    """Relaxation, co-contraction, reflex responses and latencies of nonlinear people in the thesis's protocol."""
+    spent, late, relaxed, slight, of_conditions = 0.0, 0.0, [], [], []
+    responses, by_phase, latencies = Intervals(), [], Intervals()
     only_relaxed = replace(PROTOCOL, conditions=(THESIS.condition("RT7.5"), MAXIMAL), pulse_unit_condition="")
     for number, person in enumerate(draw_cohort(n, SEED)):
         recording, indices = recorded(person, number)
+        conditions = trials_by_condition(recording, is_checked=True)
         start = time.process_time()
         amplitudes = envelopes(recording)
         result = activity(amplitudes)
-        conditions = trials_by_condition(recording, is_checked=True)
-        answers = [reflexes(conditions[name], amplitudes) for name in ("PT2.5", "PT7.5", "PT22.5")]
-        spent += time.process_time() - start
+        answers = [reflexes(conditions[name], amplitudes).responses for name in HELD[1:]]
+        between = time.process_time()
+        latencies.add(onsets([conditions[name] for name in HELD], amplitudes).latencies, "latency_s", person)
+        spent, late = spent + between - start, late + time.process_time() - between
         for answer in answers:
-            true, frame = person.subjects["PT"].Td_s, answer.responses
-            delays += list(frame["delay_s"] - true)
-            inside += list((frame["lower_95_s"] <= true) & (true <= frame["upper_95_s"]))
-            by_phase += list(frame["delay_by_phase_s"] - true)
+            responses.add(answer, "delay_s", person)
+            by_phase += list(answer["delay_by_phase_s"] - person.subjects["PT"].Td_s)
         relaxed += [bool(result.active_muscles(name)) for name in ("RT0", "RT2.5", "RT7.5", "RT22.5")]
         of_conditions.append(_indices(result, recording, indices))
         recording, _ = recorded(slightly_active(person), number, only_relaxed)
         slight.append(bool(activity(envelopes(recording)).active_muscles("RT7.5")))
-    yield f"relaxed people called active: {sum(relaxed)} of {len(relaxed)} conditions (target at most 5 %)"
-    yield f"people with {SLIGHT:.0%} co-contraction noticed: {sum(slight)} of {len(slight)} (target at least 90 %)"
-    correlation = [stats.spearmanr(*each.T).statistic for each in of_conditions]
-    yield f"rank correlation of the index with the truth over conditions, least: {min(correlation):.3f} (target 0.95)"
+    yield Line("relaxed people called active", "at most 5 %", f"{sum(relaxed)} of {len(relaxed)} conditions")
+    yield Line(f"people with {SLIGHT:.0%} co-contraction noticed", "at least 90 %", f"{sum(slight)} of {len(slight)}")
+    correlation = min(stats.spearmanr(*each.T).statistic for each in of_conditions)
+    yield Line("rank correlation of co-contraction with the truth, least", "0.95", f"{correlation:.3f}")
     error = np.concatenate([each[:, 0] / each[:, 1] - 1.0 for each in of_conditions])
-    yield f"error of the index: mean {error.mean():+.1%}, largest {np.abs(error).max():.1%} (target 10 %)"
-    spread = f"SD {1e3 * np.std(delays):.2f} ms"
-    yield f"delay from rotation to EMG: bias {1e3 * np.mean(delays):+.2f} ms (target 2), {spread}"
-    yield f"its 95 % intervals hold {100.0 * np.mean(inside):.0f} % of {len(inside)} (target 90 to 98)"
-    yield f"delay by phase: bias {1e3 * np.mean(by_phase):+.2f} ms, SD {1e3 * np.std(by_phase):.2f} ms"
-    yield f"CPU of ten people: {10 * spent / n:.1f} s (target 20 s)"
+    yield Line("error of the index", "10 %", f"mean {error.mean():+.1%}, largest {np.abs(error).max():.1%}")
+    yield from responses.lines("delay from rotation to EMG")
+    phase = f"bias {1e3 * np.mean(by_phase):+.2f} ms, SD {1e3 * np.std(by_phase):.2f} ms"
+    yield Line("the same by phase", "", phase)
+    yield from latencies.lines("latency of answers to pulses, nonlinear people")
+    every, of_latencies = 10 * (spent + late) / n, 10 * late / n
+    yield Line("CPU of ten people, all of these", "20 s", f"{every:.1f} s, {of_latencies:.1f} s of it latencies")
 
 
-def pulses(n: int) -> Iterator[str]:
-    """Latencies of answers to pulses while holding the position, of nonlinear people and of linear ones."""
-    for muscles in ("nonlinear", "linear"):
-        errors, inside, spent = [], [], 0.0
-        for number, person in enumerate(draw_cohort(n, SEED, muscles=muscles)):
-            recording, _ = recorded(person, number, HOLDING)
-            conditions = trials_by_condition(recording, is_checked=True)
-            start = time.process_time()
-            frame = onsets([conditions[name] for name in HELD], envelopes(recording)).latencies.dropna()
-            spent += time.process_time() - start
-            true = person.subjects["PT"].Td_s
-            errors += list(frame["latency_s"] - true)
-            inside += list((frame["lower_95_s"] <= true) & (true <= frame["upper_95_s"]))
-        spread = f"SD {1e3 * np.std(errors):.2f} ms, {spent / n:.1f} CPU s a person"
-        yield f"latency of answers to pulses, {muscles}: bias {1e3 * np.mean(errors):+.2f} ms (target 2), {spread}"
-        yield f"its 95 % intervals hold {100.0 * np.mean(inside):.0f} % of {len(inside)} (target 90 to 98)"
-
-
-def fits(n: int) -> Iterator[str]:
-    """Reflexes of linear people in PT7.5 and PT22.5, model 3, each condition by itself, with EMG and without."""
-    ratios: dict[str, list[float]] = {}
-    errors: dict[str, list[tuple[float, float]]] = {}
-    inside: dict[str, list[tuple[bool, bool]]] = {}
-    spent = [0.0, 0.0]
+def linear_people(n: int) -> Iterator[Line]:
+    """Latencies of linear people, also by NeuroKit2, and reflexes that are identified with EMG and without."""
+    latencies, fits, neurokit = Intervals(), Fits(), optional_neurokit()
+    thresholds, here = [], []
     for number, person in enumerate(draw_cohort(n, SEED, muscles="linear")):
         recording, _ = recorded(person, number, HOLDING)
         conditions, amplitudes = trials_by_condition(recording, is_checked=True), envelopes(recording)
-        for name in ("PT7.5", "PT22.5"):
-            groups = _with_and_without(conditions[name], amplitudes)
-            estimates = []
-            for place, group in enumerate(groups):
-                start = time.process_time()
-                estimates.append(estimate([group]))
-                spent[place] += time.process_time() - start
-            alike = [_alike(group, each) for group, each in zip(groups, estimates, strict=True)]
-            for parameter in estimates[0].values:
-                quantity = f"{parameter.partition('_')[0]}, {name}"
+        result = onsets([conditions[name] for name in HELD], amplitudes)
+        latencies.add(result.latencies, "latency_s", person)
+        if neurokit is not None:
+            for row in result.latencies.dropna().to_dict("records"):
+                latency = _by_threshold(neurokit, recording, row["muscle"], row["direction_deg"])
+                thresholds.append(latency - person.subjects["PT"].Td_s)
+                here.append(row["latency_s"] - person.subjects["PT"].Td_s)
+        fits.add(person, conditions, amplitudes)
+    yield from latencies.lines("latency of answers to pulses, linear people")
+    if neurokit is not None:
+        known = np.isfinite(thresholds)
+        late = 1e3 * np.array(thresholds)[known]
+        said = f"bias {late.mean():+.1f} ms, SD {late.std():.1f} ms; none in {(~known).sum()} of {len(known)}"
+        same = 1e3 * np.array(here)[known]
+        yield Line("the same by NeuroKit2, pulses of PT0", "", said)
+        yield Line("the same muscles here", "", f"bias {same.mean():+.1f} ms, SD {same.std():.1f} ms")
+    yield from fits.lines()
+
+
+def _by_threshold(neurokit: Any, recording: xr.Dataset, muscle: str, direction: float) -> float:
+    """Latency by a threshold, of the mean over pulses of PT0 [s], from when the stretched joints move."""
+    chosen = (recording["condition"].values == "PT0") & (recording["pulse_direction"].values == direction)
+    rate, action = float(recording.attrs["emg_rate"]), ACTIONS[muscle]
+    n, before = round(0.3 * rate), round(0.1 * rate)
+    amplitudes, moved = [], []
+    for trial in np.flatnonzero(chosen):
+        onset = float(recording["pulse_onset"].values[trial])
+        cleaned = neurokit.emg_clean(
+            recording["emg"].sel(muscle=muscle).values[trial].astype(float), sampling_rate=rate
+        )
+        first = round(onset * rate) - before
+        amplitudes.append(np.asarray(neurokit.emg_amplitude(cleaned))[first : first + n])
+        fine = np.arange(first, first + n) / rate
+        mechanical = np.arange(recording.sizes["time"]) / float(recording.attrs["rate"])
+        lead = float(recording["emg"].attrs.get("lead", 0.0))
+        angle = sum(recording["joint_angle"].values[trial, :, "se".index(joint)] for joint in action.joints)
+        moved.append(np.interp(fine + lead, mechanical, -action.sign * angle))
+    amplitude, stretch = np.mean(amplitudes, axis=0), np.mean(moved, axis=0)
+    speed = np.gradient(stretch) * rate
+
+    def first_above(values: np.ndarray) -> float:
+        threshold = values[:before].mean() + 3.0 * values[:before].std()
+        if not values.max() > threshold:
+            return np.nan
+        active, _ = neurokit.emg_activation(values, sampling_rate=rate, method="threshold", threshold=threshold)
+        place = np.flatnonzero(np.asarray(active["EMG_Activity"])[before:] > 0)
+        return place[0] / rate if len(place) else np.nan
+
+    return first_above(amplitude) - first_above(speed)
+
+
+class Intervals:
+    """Errors of delays, and whether their intervals hold the true ones."""
+
+    def __init__(self) -> None:
+        self.errors, self.inside = list[float](), list[bool]()
+
+    def add(self, frame: pd.DataFrame, column: str, person: Person) -> None:
+        """Add a table with 95 % limits."""
+        frame, true = frame.dropna(subset=["lower_95_s", "upper_95_s"]), person.subjects["PT"].Td_s
+        self.errors += list(frame[column] - true)
+        self.inside += list((frame["lower_95_s"] <= true) & (true <= frame["upper_95_s"]))
+
+    def lines(self, name: str) -> Iterator[Line]:
+        """Bias and coverage."""
+        spread = f"SD {1e3 * np.std(self.errors):.2f} ms"
+        yield Line(name, "bias 2 ms", f"bias {1e3 * np.mean(self.errors):+.2f} ms, {spread}")
+        yield Line("its 95 % intervals hold", "90 to 98 %", f"{100 * np.mean(self.inside):.0f} % of {len(self.inside)}")
+
+
+class Fits:
+    """Reflexes of linear people, model 3: each condition by itself without and with EMG, and all with common gains."""
+
+    WAYS = ("alone", "EMG", "EMG, conditions together")
+    FITTED, JOINED = ("PT7.5", "PT22.5"), ("PT2.5", "PT7.5", "PT22.5")
+    BETTER = 100.0
+    """By how much the EMG of the bound tells more than that of people [-]."""
+
+    def __init__(self) -> None:
+        self.rows, self.seconds, self.n = list[dict[str, Any]](), np.zeros(3), 0
+
+    def add(self, person: Person, conditions: dict[str, ConditionTrials], amplitudes: Envelopes) -> None:
+        """Fit a person's trials."""
+        groups = {name: _with_and_without(conditions[name], amplitudes) for name in self.JOINED}
+        ways: list[dict[str, Any]] = []
+        for place in (0, 1):
+            start = time.process_time()
+            ways.append({name: estimate([groups[name][place]]) for name in self.FITTED})
+            self.seconds[place] += (time.process_time() - start) / len(self.FITTED)
+        start = time.process_time()
+        together, share = estimate([each[1] for each in groups.values()], share=["gain"]), ("gain",)
+        self.seconds[2] += time.process_time() - start
+        self.n += 1
+        of_all = _alike([each[1] for each in groups.values()], together, share)
+        for name in self.FITTED:
+            moved, active = (ways[place][name] for place in (0, 1))
+            alone, with_emg = _alike([groups[name][0]], moved), _alike([groups[name][1]], active)
+            bound = _alike([groups[name][1]], active, emg_times=self.BETTER)
+            for parameter in moved.values:
                 if not parameter.startswith(("kv_", "kp_", "Td_", "fact_")):
                     continue
-                true = getattr(person.subjects["PT"], parameter)
-                ratios.setdefault(quantity, []).append(alike[1][parameter] / alike[0][parameter])
-                both = [each.values[parameter] - true for each in estimates]
-                errors.setdefault(quantity, []).append((both[0], both[1]))
-                limits = [each.interval(parameter) for each in estimates]
-                held = [bool(low <= true <= high) for low, high in limits]
-                inside.setdefault(quantity, []).append((held[0], held[1]))
-    for quantity, of in ratios.items():
-        rms = np.sqrt(np.mean(np.square(errors[quantity]), axis=0))
-        held = 100.0 * np.mean(inside[quantity], axis=0)
-        yield (
-            f"{quantity}: standard error with EMG over without, trials alike: median {np.median(of):.2f}, largest "
-            f"{max(of):.2f} (target 0.5 of kv and kp); RMS error {rms[0]:.3g} to {rms[1]:.3g}; intervals hold "
-            f"{held[0]:.0f} to {held[1]:.0f} % (target 90 to 98)"
-        )
-    yield f"CPU of a fit: {spent[0] / (2 * n):.1f} s without EMG, {spent[1] / (2 * n):.1f} s with it"
+                true, label = getattr(person.subjects["PT"], parameter), f"{parameter} [{name}]"
+                row: dict[str, Any] = {"quantity": f"{parameter.partition('_')[0]}, {name}"}
+                row["EMG"], row["bound"] = with_emg[parameter] / alone[parameter], bound[parameter] / alone[parameter]
+                row["EMG, conditions together"] = of_all[label] / alone[parameter]
+                fitted = (moved, parameter), (active, parameter), (together, label)
+                for way, (fit, key) in zip(self.WAYS, fitted, strict=True):
+                    low, high = fit.interval(key)
+                    row[f"error {way}"], row[f"held {way}"] = fit.values[key] - true, low <= true <= high
+                self.rows.append(row)
+
+    def lines(self) -> Iterator[Line]:
+        """Medians of ratios, errors and coverage."""
+        for quantity, of in pd.DataFrame(self.rows).groupby("quantity", sort=False):
+            of_gains = quantity.startswith("k")
+            for way in self.WAYS[1:]:
+                yield Line(
+                    f"{quantity}: standard error over that without EMG, {way}",
+                    "0.5" if of_gains else "",
+                    f"{of[way].median():.2f}" + (f" (bound {of['bound'].median():.2f})" if way == "EMG" else ""),
+                )
+            for way in self.WAYS:
+                error = np.sqrt(np.mean(of[f"error {way}"] ** 2))
+                target = "90 to 98 %" + ("; 2 ms" if quantity.startswith("Td") else "")
+                held = f"intervals hold {100 * of[f'held {way}'].mean():.0f} % of {len(of)}"
+                yield Line(f"{quantity}, {way}", target, f"{held}; RMS error {error:.3g}")
+        spent = ", ".join(f"{each / self.n:.1f} s" for each in self.seconds)
+        yield Line("CPU of a fit without EMG, with it, of three conditions together", "", spent)
 
 
 def _with_and_without(trials: ConditionTrials, amplitudes: Envelopes) -> tuple[Group, Group]:
@@ -233,13 +334,29 @@ def _with_and_without(trials: ConditionTrials, amplitudes: Envelopes) -> tuple[G
     return group, group.with_emg(likelihood)
 
 
-def _alike(group: Group, fitted: Estimate) -> dict[str, float]:
-    """Standard errors were all trials alike: what people vary from trial to trial is the same with EMG and without."""
-    problem = JointLikelihood([group], "record", ())
+def _alike(
+    groups: Sequence[Group], fitted: Estimate, share: Sequence[str] = (), emg_times: float = 1.0
+) -> dict[str, float]:
+    """Standard errors were all trials alike: what people vary from trial to trial is the same with EMG and without.
+
+    Args:
+      groups: that were fitted.
+      fitted: the estimate.
+      share: as it was for the estimate.
+      emg_times: by how much more EMG tells than it does.
+    """
+    problem = JointLikelihood(groups, "record", share)
     values = np.array([fitted.values[name] for name in problem.names])
     problem.weigh(values)
-    covariance = np.linalg.inv(problem.normal(values).information)
-    return dict(zip(problem.names, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+    information = problem.normal(values).information
+    if emg_times != 1.0:
+        without = JointLikelihood([replace(group, emg=None) for group in groups], "record", ())
+        columns = [problem.names.index(name) for name in without.names]
+        without.weigh(values[columns])
+        of_movement = np.zeros_like(information)
+        of_movement[np.ix_(columns, columns)] = without.normal(values[columns]).information
+        information = of_movement + emg_times * (information - of_movement)
+    return dict(zip(problem.names, np.sqrt(np.diag(np.linalg.inv(information))).tolist(), strict=True))
 
 
 def _indices(result: Activity, recording: xr.Dataset, true: np.ndarray) -> np.ndarray:
@@ -254,11 +371,9 @@ def _indices(result: Activity, recording: xr.Dataset, true: np.ndarray) -> np.nd
 
 def main(n: int) -> None:
     """Print every line."""
-    for line in known_envelopes():
-        print(line, flush=True)
-    for part in (people, pulses, fits):
-        for line in part(n):
-            print(line, flush=True)
+    for part in (known_envelopes(), nonlinear_people(n), linear_people(n)):
+        for line in part:
+            print(f"{line.quantity:75}  {line.target:16}  {line.measured}", flush=True)
 
 
 if __name__ == "__main__":

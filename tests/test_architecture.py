@@ -62,7 +62,8 @@ ARROWS = {
     "analysis.varying": ARM | {"analysis.fit", "analysis.joint"},
     "analysis.joint": ARM | {"analysis.fit"},
     "analysis.page": ARM
-    | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.joint", "pages", "analysis.nonlinear"},
+    | {"analysis.response", "analysis.measures", "analysis.fit", "analysis.joint", "analysis.emg", "analysis.nonlinear"}
+    | {"pages"},
     "analysis.emg": ARM | {"analysis.measures", "analysis.response"},
     "analysis.nonlinear": ARM | {"analysis.response", "analysis.measures", "analysis.fit", "planar_arm", "archive"},
     "cohort": ARM,

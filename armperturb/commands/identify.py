@@ -252,7 +252,7 @@ class Identify(Command):
             if chosen is not None:
                 save_structure(chosen, self.out / name)
             result.fit.arm.save(self.out / ("arm.toml" if len(results) == 1 else f"arm_{endings[condition]}.toml"))
-        write_page(results, trials, self.out / "identify.html", self._origin(notes))
+        write_page(results, trials, self.out / "identify.html", self._origin(notes), emg.envelopes if emg else None)
         lines = []
         for condition, result in results.items():
             lines.append(f"{condition}: {manipulator(result.environment)}")

@@ -268,6 +268,10 @@ def plot_reflexes(reflexes: ReflexesLike, figure: Figure | None) -> Any:
             phase = np.degrees(np.angle(reflexes.response[row, joint]))
             axes[1, joint].plot(f, known * phase, ".", color=colour, markersize=3)
             axes[2, joint].plot(f, reflexes.coherence[row], **line)
+        # Limits may reach down to zero, and there may be no response at all.
+        size = np.abs(reflexes.response[:, joint])
+        seen = size[size > 1.7 * 1.96 * reflexes.response_error[:, joint]]
+        axes[0, joint].set_ylim(*((seen.min() / 3.0, seen.max() * 3.0) if len(seen) else (0.1, 10.0)))
         axes[0, joint].set_yscale("log")
         axes[0, joint].set_title(f"from rotation of the {word}", loc="left")
         axes[2, joint].set_ylim(0.0, 1.0)

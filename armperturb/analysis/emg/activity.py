@@ -1,6 +1,7 @@
 """How active muscles are apart from their reflexes: whether a person relaxed, and how much antagonists co-contract."""
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy import ndimage, stats
 
-from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.emg.envelope import Envelopes, mean_known
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array
 
@@ -34,10 +35,9 @@ FEWEST_TRIALS = 3
 PARTS = ("before", "during")
 """Before anything perturbs the arm, and from then on to the pulse."""
 
-INDEX_SMOOTHING = 0.055
-"""Time over which power is averaged before antagonists are compared [s]. In longer ones strong reflexes pass from one
-antagonist to the other, and in shorter ones the lesser of two noisy amplitudes is too small: errors of either sign are
-alike here."""
+INDEX_AVERAGE, BESIDE = 0.015, 0.01
+"""Time over which power is averaged for the index of co-contraction, and at either side for its choice of the lesser
+antagonist [s]."""
 
 ABOVE_NOISE = 5.0
 """Standard errors by which the power of a trial has to be above the noise for a muscle to co-contract at all [-]."""
@@ -85,7 +85,10 @@ class Activity(Result):
                     str(condition),
                     str(part),
                     "none" if not active else "all" if len(active) == len(of_part) else ", ".join(active),
-                    *(plain(100.0 * index.get((condition, part, joint), math.nan), 3) for joint in JOINTS.values()),
+                    *(
+                        plain(100.0 * index[condition, part, joint], 3) if (condition, part, joint) in index else "–"
+                        for joint in JOINTS.values()
+                    ),
                 )
             )
         return Description(
@@ -130,9 +133,8 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
         limit = RELAXED if envelopes.is_normalised else RELAXED_OF_LOUDEST
     rate, labels, names = envelopes.rate, envelopes.labels, list(envelopes.muscles)
     levels, indices = [], []
-    smooth = max(round(INDEX_SMOOTHING * rate), 1)
-    for condition in dict.fromkeys(labels["condition"]):
-        trials = np.flatnonzero(labels["condition"] == condition)
+    for condition in _in_order(labels):
+        trials = np.flatnonzero(labels["condition"] == condition).tolist()
         for part in PARTS:
             spans = [_span(labels.iloc[trial], part) for trial in trials]
             used = [
@@ -142,12 +144,12 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
             ]
             if not used:
                 continue
-            power = np.array([np.nanmean(envelopes.power[trial, a:b], axis=0) for trial, a, b in used])
+            power = np.array([mean_known(envelopes.power[trial, a:b]) for trial, a, b in used])
             seconds = np.array([(b - a) / rate for _, a, b in used])
             levels += _tested(envelopes, str(condition), part, power, seconds, limit)
             is_there = power - envelopes.noise > ABOVE_NOISE * np.sqrt(_scatter(envelopes, power, seconds))
-            smoothed = [
-                envelopes.amplitude_of(ndimage.uniform_filter1d(envelopes.power[trial, a:b], smooth, axis=0)) * there
+            averages = [
+                [each * there for each in _averages(envelopes, trial, slice(a, b))]
                 for (trial, a, b), there in zip(used, is_there, strict=True)
             ]
             for joint, word in JOINTS.items():
@@ -160,7 +162,7 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
                     for sign in (1, -1)
                 ]
                 if all(groups):
-                    index, ratio = np.mean([_index(each, *groups) for each in smoothed], axis=0)
+                    index, ratio = np.mean([_index(*each, *groups) for each in averages], axis=0)
                     indices.append((condition, part, word, index, ratio))
     return Activity(
         subject=str(labels["subject"].iloc[0]),
@@ -172,6 +174,18 @@ def activity(envelopes: Envelopes, limit: float | None = None) -> Activity:
         cocontraction=pd.DataFrame(indices, columns=["condition", "part", "joint", "index", "ratio"]),
         remarks=envelopes.remarks,
     )
+
+
+def _in_order(labels: pd.DataFrame) -> list[str]:
+    """Conditions by task, and then by the number in their names."""
+    tasks = dict(zip(labels["condition"], labels["task"], strict=True))
+    number = re.compile(r"\d+(\.\d+)?")
+
+    def key(name: str) -> tuple[str, str, float]:
+        first = number.search(name)
+        return tasks[name], number.sub("", name), float(first.group()) if first else 0.0
+
+    return sorted(tasks, key=key)
 
 
 def _span(row: "pd.Series", part: str) -> tuple[int, int]:
@@ -215,11 +229,30 @@ def holm(p: Array) -> Array:
     return adjusted
 
 
-def _index(amplitude: Array, flexors: list[int], extensors: list[int]) -> tuple[float, float]:
-    """Index and ratio of co-contraction of a trial's amplitudes, (time, muscle)."""
-    flexed, extended = (np.nanmean(amplitude[:, columns], axis=1) for columns in (flexors, extensors))
-    index = float(np.mean(np.minimum(flexed, extended)))
-    both = float(np.mean(flexed + extended)) / 2.0
+def _averages(envelopes: Envelopes, trial: int, part: slice) -> tuple[Array, Array]:
+    """Amplitudes of a part of a trial over a short time, and beside that time, (time, muscle) both."""
+    half = round(INDEX_AVERAGE * envelopes.rate) // 2
+    apart = half + math.ceil(envelopes.averaging * envelopes.rate / 2.0)
+    reach = apart + max(round(BESIDE * envelopes.rate), 1)
+    distance = np.abs(np.arange(-reach, reach + 1))
+    power = envelopes.power[trial, part]
+    at, beside = (
+        envelopes.amplitude_of(ndimage.convolve1d(power, weight / weight.sum(), axis=0))
+        for weight in ((distance <= half).astype(float), (distance > apart).astype(float))
+    )
+    return at, beside
+
+
+def _index(at: Array, beside: Array, flexors: list[int], extensors: list[int]) -> tuple[float, float]:
+    """Index and ratio of co-contraction of a trial's amplitudes, (time, muscle).
+
+    The lesser of two noisy amplitudes is too small, and averages that are long enough to be free of noise let reflexes
+    pass from one antagonist to the other. So the amplitudes beside a time, the noise of which is another, say which
+    antagonist is the lesser one.
+    """
+    flexed, extended, *others = (mean_known(each[:, side].T) for each in (at, beside) for side in (flexors, extensors))
+    index = float(mean_known(np.where(others[0] < others[1], flexed, extended)))
+    both = float(mean_known(flexed + extended)) / 2.0
     return index, index / both if both > 0.0 else math.nan
 
 
@@ -241,6 +274,8 @@ def relaxation_sentence(people: Iterable[Activity], conditions: Iterable[str], t
         if any(person.active_muscles(name) for name in wanted)
     }
     limit = f"{100.0 * known[0].limit:g} {known[0].unit}"
+    if not active and len(known) == 1:
+        return f"In the {task}, all muscles of {known[0].subject} stayed below {limit}."
     if not active:
         return f"In the {task}, all muscles of all {len(known)} people stayed below {limit}: they relaxed."
     named = "; ".join(f"{name} in {', '.join(where)}" for name, where in active.items())

@@ -127,7 +127,9 @@ def faults_of_trial(
         in_a_row = np.flatnonzero(np.diff(at_limit) == 1)
         if len(in_a_row):
             add(name, "clipped", at_limit[in_a_row[0]], at_limit[in_a_row[-1]] + 2)
-        inside = largest[row, ENDS:-ENDS] > SPIKE * np.maximum(total[row, ENDS:-ENDS], 1e-30)
+        # And over the last window but one and the next but one, as a contraction may begin or end with any sample.
+        around = np.maximum.reduce([np.roll(total[row], shift) for shift in (-2, 0, 2)])
+        inside = largest[row, ENDS:-ENDS] > SPIKE * np.maximum(around[ENDS:-ENDS], 1e-30)
         for window in (ENDS + np.flatnonzero(inside))[:MOST_SPIKES]:
             at = window * SPIKE_WINDOW + int(np.argmax(np.abs(windows[row, window])))
             add(name, "spike", at, at + 1)

@@ -325,9 +325,12 @@ def _reference(power: Array, labels: pd.DataFrame, maximal: str, rate: float) ->
     return loudest, by_condition.loc[loudest].fillna(0.0).to_numpy(dtype=float)
 
 
+def mean_known(power: Array) -> Array:
+    """Mean along the first axis of what is known; NaN where nothing is, as of a dead channel."""
+    with warnings.catch_warnings(action="ignore"):
+        return np.asarray(np.nanmean(power, axis=0))
+
+
 def _means(power: Array, ends: Array, first: int) -> Array:
     """Mean of each trial from a sample to its end, without what is dead, (trial, muscle)."""
-    with warnings.catch_warnings(action="ignore"):
-        return np.stack(
-            [np.nanmean(each[first : max(int(end), first + 1)], axis=0) for each, end in zip(power, ends, strict=True)]
-        )
+    return np.stack([mean_known(each[first : max(int(end), first + 1)]) for each, end in zip(power, ends, strict=True)])

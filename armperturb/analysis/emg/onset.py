@@ -25,7 +25,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.emg.envelope import Envelopes, mean_known
 from armperturb.analysis.emg.onset_fit import LATENCIES, N_GAINS, Fits, MusclePower, Stretch
 from armperturb.analysis.emg.reflex import rotation
 from armperturb.analysis.results import Description, Result, Table
@@ -153,7 +153,7 @@ def onsets(trials: Sequence[ConditionTrials], envelopes: Envelopes) -> Onsets:
         chosen = [k for k, each in enumerate(directions) if each == direction]
         shown = np.stack([_about(power[k], starts[k], rate, SHOWN)[0] for k in chosen])
         amplitude = envelopes.amplitude_of(shown)  # (trial, time, muscle)
-        averages.append(np.nanmean(amplitude, axis=0).T)
+        averages.append(mean_known(amplitude).T)
         spread = amplitude.std(axis=0, ddof=1) if len(chosen) > 1 else np.full(amplitude.shape[1:], np.nan)
         errors.append(spread.T / np.sqrt(len(chosen)))
         cut = [_about(power[k], starts[k], rate, WINDOW) for k in chosen]

@@ -8,7 +8,8 @@ where q are the rotations of both joints, c_v and c_p gains of velocity and posi
 and h the average over which the envelope is taken. The amplitude of one muscle follows lengthening alone: gains are
 those of the linear response nearest to it, half of those to lengthening, and what they leave is noise. EMG noise
 moves no arm, so that rotation may be any, and no disturbance is needed to tell. Parameters are maximum
-likelihood estimates from the tapered spectra (Whittle 1953, Ark. Mat. 2), the noise being flat.
+likelihood estimates from the tapered spectra (Whittle 1953, Ark. Mat. 2), as of flat noise; standard errors are the
+larger of those of flat noise and of those that hold for any (Liang & Zeger 1986, Biometrika 73, by bands and trials).
 """
 
 import math
@@ -23,7 +24,7 @@ from scipy import fft, optimize, stats
 
 from armperturb.analysis.arm.geometry import hand_jacobian
 from armperturb.analysis.defaults import WINDOW_START
-from armperturb.analysis.emg.envelope import Envelopes
+from armperturb.analysis.emg.envelope import Envelopes, mean_known
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.arrays import Array, ComplexArray
@@ -45,6 +46,9 @@ BIN = 1.0
 
 BACKGROUND, SHORT, LONG = (-0.1, 0.0), (0.02, 0.05), (0.05, 0.1)
 """Windows about the onset of a pulse: before it, of short and of long latency [s]."""
+
+WITH_LIMITS = ("delay_s", "delay_error_s", "lower_95_s", "upper_95_s")
+"""Columns of a delay."""
 
 FEWEST_SECONDS = 4.0
 """Time of a trial from which on it tells of reflexes [s]."""
@@ -84,8 +88,14 @@ class Reflexes(Result):
         rows = tuple(
             (
                 row["muscle"],
-                f"{1e3 * row['delay_s']:.1f} ± {1e3 * row['delay_error_s']:.1f}",
-                f"{1e3 * row['delay_by_phase_s']:.1f}",
+                *(
+                    ("–", "–")
+                    if math.isnan(row["delay_s"])
+                    else (
+                        f"{1e3 * row['delay_s']:.1f} ± {1e3 * row['delay_error_s']:.1f}",
+                        f"{1e3 * row['delay_by_phase_s']:.1f}",
+                    )
+                ),
                 plain(row["coherence"], 2),
                 f"{row['p']:.2g}",
             )
@@ -153,7 +163,7 @@ def reflexes(trials: ConditionTrials, envelopes: Envelopes, *, window_start: flo
         )
     length = min(ends[k] for k in used) - first
     frequency = fft.rfftfreq(length, 1.0 / rate)
-    inside = (frequency >= BAND[0]) & (frequency <= BAND[1])
+    inside = (frequency >= BAND[0]) & (frequency < BAND[1])
     amplitude = envelopes.amplitude[rows]
     taper = np.hanning(length)[None, :, None]
 
@@ -205,6 +215,10 @@ def _design(q: ComplexArray, f: Array, delay: float) -> Array:
 def _fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str, float]:
     """Delay and gains of a muscle, with standard errors; a is (trial, frequency)."""
     rows = np.concatenate([a.ravel().real, a.ravel().imag])
+    names = ("velocity_s", "velocity_e", "position_s", "position_e")
+    if not rows.any():  # a dead channel
+        values = (*WITH_LIMITS, *names, *(f"{name}_error" for name in names))
+        return dict.fromkeys(values, math.nan) | {"coherence": 0.0, "p": 1.0}
 
     def left(delay: float) -> tuple[float, Array]:
         gains, *_ = np.linalg.lstsq(_design(q, f, delay), rows, rcond=None)
@@ -223,18 +237,22 @@ def _fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str,
     everything = np.column_stack([design, change])
     n = len(rows) / shared
     variance = remainder / max(len(rows) - 5 * shared, 1.0)
-    covariance = np.linalg.pinv(everything.T @ everything) * variance * shared
-    errors = np.sqrt(np.diag(covariance))
-    total = float(np.sum(rows**2))
-    explained = max(1.0 - remainder / total, 0.0) if total > 0.0 else 0.0
+    inverse = np.linalg.pinv(everything.T @ everything)
+    of_flat_noise = np.diag(inverse) * variance * shared
+    # What rectification and saturation leave is no flat noise: what a band of a trial tells is judged by how much bands
+    # and trials differ. Of few, that is too little as often as too much, so that the larger of both errors counts.
+    band = np.floor(f / BIN).astype(int)
+    places = np.tile((np.arange(len(a))[:, None] * (band[-1] + 1) + band).ravel(), 2)
+    scores = np.array([np.bincount(places, column) for column in (everything * (rows - design @ gains)[:, None]).T])
+    n_bands = len(np.unique(places))
+    of_bands = np.diag(inverse @ (scores @ scores.T) @ inverse) * n_bands / max(n_bands - 5, 1)
+    errors = np.sqrt(np.maximum(of_flat_noise, of_bands))
+    explained = max(1.0 - remainder / float(np.sum(rows**2)), 0.0)
     statistic = explained / max(1.0 - explained, 1e-12) * max(n - 5.0, 1.0) / 5.0
-    half = stats.norm.ppf(0.975) * errors[4]
-    names = ("velocity_s", "velocity_e", "position_s", "position_e")
+    half = stats.t.ppf(0.975, max(n_bands - 5, 1)) * errors[4]
+    limits = (delay, float(errors[4]), delay - half, delay + half)
     return {
-        "delay_s": delay,
-        "delay_error_s": float(errors[4]),
-        "lower_95_s": delay - half,
-        "upper_95_s": delay + half,
+        **dict(zip(WITH_LIMITS, limits, strict=True)),
         **dict(zip(names, gains.tolist(), strict=True)),
         **{f"{name}_error": float(error) for name, error in zip(names, errors[:4], strict=True)},
         "coherence": explained,
@@ -267,6 +285,8 @@ def _response(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> tupl
 
 def _by_phase(response: ComplexArray, error: Array, frequency: Array, fit: dict[str, float]) -> float:
     """Delay from the phase of the response to the joint that tells more, beyond the lead of its gains [s]."""
+    if not fit["coherence"] > 0.0:
+        return math.nan
     snr = np.abs(response) / np.maximum(error, 1e-300)
     joint = int(np.argmax(np.sum(snr**2, axis=1)))
     name = "se"[joint]
@@ -294,7 +314,7 @@ def pulse_averages(envelopes: Envelopes, rows: Iterable[int]) -> pd.DataFrame:
             windows = []
             for start, end in (BACKGROUND, SHORT, LONG):
                 a, b = (round((onset + t) * rate) for t in (start, end))
-                windows.append(envelopes.amplitude_of(np.nanmean(envelopes.power[trial, max(a, 0) : b], axis=0)))
+                windows.append(envelopes.amplitude_of(mean_known(envelopes.power[trial, max(a, 0) : b])))
             levels.append(windows)
         of_all = np.array(levels)  # (trial, window, muscle)
         above = of_all[:, 1:] - of_all[:, :1]

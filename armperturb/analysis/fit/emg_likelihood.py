@@ -48,7 +48,7 @@ FEEDBACK = ("kp", "kv", "ka")
 
 FEW_WITH_EMG = (
     f"EMG of fewer than {FEWEST_TRIALS} trials: intervals of reflexes hold for these trials, as nothing tells how a "
-    "person differs from trial to trial"
+    "person differs from trial to trial (other conditions in the same fit would: --share gain)"
 )
 """Remark on errors that EMG makes smaller than the differences between trials."""
 

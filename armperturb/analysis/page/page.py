@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from armperturb.analysis.defaults import WINDOW_START
+from armperturb.analysis.emg.envelope import Envelopes
 from armperturb.analysis.fit.diagnosis import diagnose
 from armperturb.analysis.fit.identify import ESTIMATOR_NAMES, Identification, Identifications
 from armperturb.analysis.fit.maximum_likelihood import Estimate
@@ -14,6 +15,7 @@ from armperturb.analysis.fit.structures import unit
 from armperturb.analysis.measures.endpoint import EndpointImpedance, is_straight
 from armperturb.analysis.page import figures
 from armperturb.analysis.page.data_check import DataCheck, check_data
+from armperturb.analysis.page.emg import EmgSection, emg_section
 from armperturb.analysis.page.verdict import likely_causes, nonlinearity, unknowns, verdict
 from armperturb.analysis.response.best_linear import BestLinear, best_linear
 from armperturb.analysis.response.estimate import response
@@ -47,7 +49,11 @@ class Origin:
 
 
 def write_page(
-    results: Identifications, trials: Mapping[str, Sequence[ConditionTrials]], path: str | Path, origin: Origin
+    results: Identifications,
+    trials: Mapping[str, Sequence[ConditionTrials]],
+    path: str | Path,
+    origin: Origin,
+    emg: Envelopes | None = None,
 ) -> None:
     """Write the page, one HTML file that needs no other and no network.
 
@@ -56,15 +62,21 @@ def write_page(
       trials: condition to its trials, those of one length together.
       path: of the page.
       origin: where the results come from.
+      emg: of the person, which has a section then; None without.
 
     Raises:
       OSError: the folder cannot be written to.
     """
-    content = _content(results, trials, origin)
+    content = _content(results, trials, origin, emg_section(emg, trials) if emg else None)
     write_whole(path, content)
 
 
-def _content(results: Identifications, trials: Mapping[str, Sequence[ConditionTrials]], origin: Origin) -> str:
+def _content(
+    results: Identifications,
+    trials: Mapping[str, Sequence[ConditionTrials]],
+    origin: Origin,
+    emg: EmgSection | None,
+) -> str:
     choices = {label: result.fit.choice for label, result in results.items() if result.fit.choice is not None}
     checks = {label: check_data(trials[label], origin.window_start, origin.period) for label in results}
     # What a fit to trials in the start geometry leaves is left of those.
@@ -88,6 +100,8 @@ def _content(results: Identifications, trials: Mapping[str, Sequence[ConditionTr
     of_pulses = figures.pulses(results, trials)
     if of_pulses is not None:
         pictures["pulses"] = of_pulses
+    if emg is not None:
+        pictures |= emg.pictures
     causes = {
         label: likely_causes(result, checks[label], diagnoses[label], distortions[label])
         for label, result in results.items()
@@ -102,6 +116,7 @@ def _content(results: Identifications, trials: Mapping[str, Sequence[ConditionTr
         "endpoint": {"rows": _endpoint_rows(endpoints)},
         "admittance": {},
         "pulses": {},
+        "emg": {"emg": emg},
         "data": {"checks": checks, "notes": origin.notes},
         "traces": {},
         "residual": {},
@@ -113,6 +128,7 @@ def _content(results: Identifications, trials: Mapping[str, Sequence[ConditionTr
     absent = {
         "endpoint": not endpoints,
         "pulses": of_pulses is None,
+        "emg": emg is None,
         "structures": not choices,
     }
     return rendered(

@@ -94,6 +94,13 @@ def test_sound_channels_are_not_suspected(modulated):
     assert envelopes(modulated).remarks == ()
 
 
+def test_a_contraction_that_begins_at_once_is_no_spike():
+    """Among starts at all places in a window of 20 ms, some are in its last sample."""
+    begins = 4000 + 4 * np.arange(10)[:, None, None]
+    volts = np.where(np.arange(N) < begins, 0.005, 0.5) * noise((10, 2, N))
+    assert not envelopes(recorded(volts)).faults
+
+
 def test_unknown_muscles_are_named():
     remarks = envelopes(recorded(noise((1, 2, N)), muscles={"flexor": PAIR["flexor"], "soleus": Action("", 0)})).remarks
     assert remarks == ("EMG of soleus: nobody says what the muscle does; expected signals.emg.muscles in the sidecar",)

@@ -92,3 +92,15 @@ def test_a_result_describes_itself(result):
     assert "Reflexes of A in RT7.5" in result.summary()
     assert result.to_xarray()["response"].shape == (2, 2, len(result.frequency))
     assert result.plot().shape == (3, 2)
+
+
+def test_a_channel_of_zeros_says_nothing_and_the_others_what_they_did(recording, result):
+    silent = recording.copy(deep=True)
+    silent["emg"].values[:, :, 0] = 0.0
+    dead = reflexes(ConditionTrials.prepare(silent), envelopes(silent), window_start=1.0)
+    first, second = dead.responses.to_dict("records")
+    assert np.isnan(first["delay_s"])
+    assert np.isnan(first["delay_by_phase_s"])
+    assert first["p"] == 1.0
+    assert second["delay_s"] == pytest.approx(result.responses["delay_s"][1], abs=1e-6)
+    assert "flexor" in dead.summary()

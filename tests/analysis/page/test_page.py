@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from foreign_arms import Arm
 from foreign_recordings import Setup, recording_of
+from invented_emg import noise, recorded
 
 import armperturb
+from armperturb.analysis.emg.envelope import envelopes
 from armperturb.analysis.fit.diagnosis import diagnose
 from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.group import parts_by_condition
@@ -46,6 +48,15 @@ def session():
     return both.assign_coords(subject=("trial", [NAME] * 8))
 
 
+def silent_muscles():
+    """EMG of the same trials, of muscles that answer to nothing, beside a trial of maximal contraction."""
+    volts = np.append(np.full(8, 0.1), 1.0)[:, None, None] * noise((9, 2, 40_000))
+    volts[-1, :, :2000] *= 0.01
+    conditions = ["multisine"] * 4 + ["pulsed"] * 4 + ["MVC"]
+    pulses = [math.nan] * 4 + [17.0] * 4 + [math.nan], [math.nan] * 4 + [20.0, 200.0] * 2 + [math.nan]
+    return recorded(volts, conditions, subject=[NAME] * 9, pulse_onset=pulses[0], pulse_direction=pulses[1])
+
+
 @pytest.fixture(scope="module")
 def identified():
     trials = parts_by_condition(session())
@@ -71,7 +82,7 @@ def page(identified, tmp_path_factory):
         notes=("a gap & a <repair>",),
     )
     path = tmp_path_factory.mktemp("page") / "identify.html"
-    write_page(results, trials, path, origin)
+    write_page(results, trials, path, origin, envelopes(silent_muscles()))
     return path
 
 
@@ -118,7 +129,7 @@ def test_all_sections_are_there_in_order(content):
     assert levels[0] == "h1"
     assert levels.count("h1") == 1
     figures = [attrs for tag, attrs in content.tags if tag == "img"]
-    assert len(figures) == 9
+    assert len(figures) == 14
     assert all(len(attrs["alt"]) > 20 for attrs in figures)
     n_tables = sum(tag == "table" for tag, _ in content.tags)
     assert n_tables == sum(tag == "thead" for tag, _ in content.tags) > 4
@@ -281,7 +292,7 @@ def test_a_browser_shows_it_whole_at_both_widths(page, tmp_path):
         browser.open_page()
         for width in (1280, 400):
             browser.show(page, width)
-            assert browser.evaluate("document.images.length") == 9
+            assert browser.evaluate("document.images.length") == 14
             for wrong in (BROKEN_IMAGES, TOO_WIDE, SMALL_PRINT, DEAD_LINKS):
                 assert browser.evaluate(wrong) == []
             assert browser.evaluate(CONTRAST) > LEAST_CONTRAST
