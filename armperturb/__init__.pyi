@@ -38,6 +38,8 @@ from .envs.lab.joint_experiment import run_joint_experiment as run_joint_experim
 from .envs.lab.laboratory import Laboratory as Laboratory
 from .envs.lab.stretch_reflex import StretchReflex as StretchReflex
 from .envs.lab.trial import Trial as Trial
+from .envs.learning.agent_recording import record_agent as record_agent
+from .envs.learning.policy import trained_policy as trained_policy
 from .envs.learning.registration import load_dm_env as load_dm_env
 from .envs.render.video import write_video as write_video
 from .joint_person import JointPerson as JointPerson

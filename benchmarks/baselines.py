@@ -1,139 +1,146 @@
-"""What agents reach in the environments: zero, random, the person's own action, and linear policies that are trained.
+"""What agents reach in the environments: policies that learn nothing, and two methods that learn, three seeds each.
 
-Run `python -m benchmarks.baselines --out FOLDER`. Policies are trained by the cross-entropy method (Rubinstein & Kroese
-2004, The Cross-Entropy Method): each generation draws candidates around a mean, lets all meet the same trials, and goes
-on with mean and spread of the best. Everything has a seed; each training is one process and one core. FOLDER gets the
-learning curves, and with --ship the package gets the best policy of each environment.
+Run `python -m benchmarks.baselines --out FOLDER`; it needs the extra `baselines`. Methods are those of
+`benchmarks.policies`. FOLDER gets a file for each training, which a second run does not train again, the learning
+curves as `learning_curves.png`, and the table of docs/environments.md as `table.md`. With --ship the package gets, of
+each environment, the policy that earned most on the trials of its learning curve; all are judged on other ones.
 """
 
 import argparse
 import json
-import time
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
-import gymnasium as gym
 import numpy as np
-import tomli_w
+from scipy import stats
 
 import armperturb.envs.learning
-from armperturb.envs.learning.linear_policy import LinearPolicy
+from armperturb.arrays import Array
+from armperturb.envs.learning.policy import Policy
+from armperturb.plots.style import GREY, PALETTE, in_style, new_figure, save_png
+from benchmarks.policies import JUDGED, METHODS, judge, untrained
 
 TASKS = ("Position", "Relax", "Pulse")
-SEEDS, GENERATIONS, CANDIDATES, BEST, TRIALS = 3, 30, 48, 8, 2
-JUDGED = range(1000, 1024)
-"""Seeds of the trials that policies are judged on; those of training begin at zero."""
-
-DECISIONS = 500
+SEEDS = 3
 
 
-def run(name: str, act, seeds, n_people: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean reward per decision and success of each person, and all observations of the first people.
+def environment(task: str) -> str:
+    """Name of a task's environment."""
+    return f"ArmPerturb/{task}-v1"
 
-    Args:
-      name: of the environment.
-      act: from observations, (person, 8), to actions, (person, 11).
-      seeds: of the people's trials.
-      n_people: how many people the observations are kept of.
+
+def training_file(folder: Path, task: str, method: str, seed: int) -> Path:
+    """Where a training's result is kept."""
+    return folder / f"{task}_{method.partition(',')[0]}_{seed}.json"
+
+
+def train(task: str, method: str, seed: int) -> dict[str, Any]:
+    """A trained policy, its learning curve, what it cost, and how it is judged; weights are rounded as they ship."""
+    policy, curve = METHODS[method](environment(task), seed)
+    layers = [layer.round(4).tolist() for layer in policy.layers]
+    judged = judge(environment(task), Policy(tuple(np.array(layer) for layer in layers)))
+    return {"layers": layers, "curve": curve.points, "seconds": curve.seconds(), "judged": judged}
+
+
+def interval(values: Array) -> tuple[float, float]:
+    """Mean of values, and half the width of its interval of 95 %."""
+    half = stats.t.ppf(0.975, len(values) - 1) * np.std(values, ddof=1) / np.sqrt(len(values))
+    return float(np.mean(values)), float(half)
+
+
+def table(results: dict[tuple[str, str], list[dict[str, Any]]]) -> str:
+    """Mean reward of each policy in each task, the best first.
+
+    Means of what learns nothing have the interval over trials, those of trained policies that over trainings.
     """
-    envs = gym.make_vec(name, num_envs=len(seeds), engine="compiled", n_threads=1)
-    observations, info = envs.reset(seed=list(seeds))
-    total, running, success, seen = np.zeros(len(seeds)), np.ones(len(seeds), dtype=bool), 0, []
-    for _ in range(DECISIONS):
-        seen.append(observations[:n_people].copy())
-        observations, reward, terminated, _, info = envs.step(act(observations))
-        total += np.where(running, reward, 0.0)
-        running &= ~terminated
-        success = np.asarray(info["success"]) & running
-    envs.close()
-    return total / DECISIONS, success, np.array(seen)
+    lines = [
+        "| environment | policy | mean reward, 95 % | trainings | success | SDs of observations | s |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for task in TASKS:
+        rows = []
+        for policy, act in untrained(environment(task)).items():
+            judged = judge(environment(task), act)
+            rows.append((*interval(judged["rewards"]), policy, "", [judged], ""))
+        for method in METHODS:
+            trained = results[task, method]
+            means = [float(np.mean(each["judged"]["rewards"])) for each in trained]
+            each_mean = ", ".join(f"{mean:.3f}" for mean in means)
+            seconds = f"{np.mean([each['seconds'] for each in trained]):.0f}"
+            rows.append((*interval(means), method, each_mean, [each["judged"] for each in trained], seconds))
+        for mean, half, policy, each_mean, judged, seconds in sorted(rows, key=lambda row: -row[0]):
+            spread = np.array([each["observation_sd"] for each in judged])
+            success = sum(each["success"] for each in judged)
+            cells = (f"{mean:.3f} ± {half:.3f}", each_mean, f"{success} of {len(judged) * len(JUDGED)}")
+            cells += (f"{spread.min():.2f} to {spread.max():.2f}", seconds)
+            lines.append(f"| {task} | {policy} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
 
 
-def train(name: str, seed: int) -> dict:
-    """A policy and how its reward on trials that training does not see rose, generation by generation."""
-    rng, start = np.random.default_rng(seed), time.process_time()
-    shape = (11, 9)
-    mean, spread = np.zeros(shape), np.full(shape, 0.1)
-    mean[:9, -1], spread[:9, -1] = 0.5, 0.3
-    curve = []
-    for generation in range(GENERATIONS):
-        drawn = mean + spread * rng.normal(size=(CANDIDATES, *shape))
-        drawn[0] = mean
-        of_person = np.repeat(drawn, TRIALS, axis=0)
-        trials = [TRIALS * generation + trial for trial in range(TRIALS)] * CANDIDATES
-
-        def act(observations, of_person=of_person):
-            return (np.einsum("pao,po->pa", of_person[..., :-1], observations) + of_person[..., -1]).astype(np.float32)
-
-        reward, _, _ = run(name, act, trials, 0)
-        score = reward.reshape(CANDIDATES, TRIALS).mean(axis=1)
-        best = drawn[np.argsort(score)[-BEST:]]
-        mean = 0.3 * mean + 0.7 * best.mean(axis=0)
-        spread = 0.3 * spread + 0.7 * best.std(axis=0) + 0.02 * 0.9**generation
-        curve.append(float(score[0]))
-    return {"weights": mean.round(4).tolist(), "curve": curve, "seconds": time.process_time() - start}
+@in_style()
+def draw_curves(results: dict[tuple[str, str], list[dict[str, Any]]], file: Path) -> None:
+    """Learning curves: each training, their mean, and its interval of 95 %."""
+    figure = new_figure(2.9)
+    for ax, task in zip(figure.subplots(1, len(TASKS)), TASKS, strict=True):
+        own = np.mean(judge(environment(task), untrained(environment(task))["own action"])["rewards"])
+        ax.axhline(own, color=GREY, linestyle=":", label="own action")
+        for method, colour in zip(METHODS, PALETTE, strict=False):
+            curves = [np.array(each["curve"]) for each in results[task, method]]
+            decisions, rewards = curves[0][:, 0] / 1e6, np.array([curve[:, 1] for curve in curves])
+            middle, half = np.transpose([interval(of_moment) for of_moment in rewards.T])
+            ax.fill_between(decisions, middle - half, middle + half, color=colour, alpha=0.15, linewidth=0)
+            ax.plot(decisions, rewards.T, color=colour, linewidth=0.5)
+            ax.plot(decisions, middle, color=colour, linewidth=1.6, label=method)
+        ax.set(title=task, xlabel="decisions [million]", ylim=(max(0.4, own - 0.15), min(1.01, own + 0.17)))
+        if task == TASKS[0]:
+            ax.set_ylabel("mean reward per decision")
+            ax.legend(loc="lower right")
+    save_png(figure, file)
 
 
-def judge(name: str, act) -> dict:
-    """Mean and standard deviation over trials of the reward per decision, successes, and SDs of the observations."""
-    reward, success, seen = run(name, act, JUDGED, len(JUDGED))
-    spread = seen.reshape(-1, seen.shape[-1]).std(axis=0)
-    return {
-        "mean": float(reward.mean()),
-        "sd": float(reward.std(ddof=1)),
-        "success": int(np.sum(success)),
-        "observation_sd": spread.round(2).tolist(),
-    }
-
-
-def policies(name: str) -> dict:
-    """Policies that learn nothing."""
-    envs = gym.make_vec(name, num_envs=1, engine="compiled")
-    person, low, high = envs.own_action, envs.single_action_space.low, envs.single_action_space.high
-    envs.close()
-    rng = np.random.default_rng(0)
-    return {
-        "zero": lambda seen: np.zeros((len(seen), len(person)), dtype=np.float32),
-        "random": lambda seen: rng.uniform(low, high, (len(seen), len(person))).astype(np.float32),
-        "own action": lambda seen: np.repeat(person[None], len(seen), axis=0),
-    }
+def ship(results: dict[tuple[str, str], list[dict[str, Any]]]) -> None:
+    """Write the best policy of each environment into the package."""
+    lines = ["# Policies that `python -m benchmarks.baselines --ship` trained: weights and, last in a row, the bias."]
+    for task in TASKS:
+        trained = {(method, seed): each for method in METHODS for seed, each in enumerate(results[task, method])}
+        method, seed = max(trained, key=lambda key: trained[key]["curve"][-1][1])
+        best = trained[method, seed]
+        lines += ["", f'["{environment(task)}"]', f'trained = "{method}, seed {seed}"']
+        lines += [f"reward = {np.mean(best['judged']['rewards']):.3f}", "layers = ["]
+        for layer in best["layers"]:
+            lines += ["  [", *(f"    [{', '.join(f'{value:g}' for value in row)}]," for row in layer), "  ],"]
+        lines += ["]"]
+    folder = Path(armperturb.envs.learning.__file__).parent
+    (folder / "policies.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def main() -> None:
-    """Judge, train what is not in the folder yet, and report."""
+    """Train what is not in the folder yet, judge, draw and report."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="folder of the learning curves")
-    parser.add_argument("--seeds", type=int, default=SEEDS, help="trainings of each environment")
-    parser.add_argument("--only", choices=TASKS, nargs="+", default=TASKS, help="environments to train in")
-    parser.add_argument(
-        "--ship",
-        action="store_true",
-        help="write the best policies of these environments into the package, in the place of all that are there",
-    )
+    parser.add_argument("--out", type=Path, required=True, help="folder of the results")
+    parser.add_argument("--jobs", type=int, default=2, help="trainings side by side")
+    parser.add_argument("--ship", action="store_true", help="write the best policies into the package")
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
-    results: dict = {}
-    for seed in range(asked.seeds):
-        for name in (f"ArmPerturb/{task}-v1" for task in asked.only):
-            file = asked.out / f"{name.rpartition('/')[2]}_{seed}.json"
-            if not file.exists():
-                trained = train(name, seed)
-                trained |= {"judged": judge(name, LinearPolicy(np.array(trained["weights"])))}
-                file.write_text(json.dumps(trained), encoding="utf-8")
-            results.setdefault(name, []).append(json.loads(file.read_text(encoding="utf-8")))
-    shipped = {}
-    for name, trained in results.items():
-        print(f"{name}\n  {'policy':14}{'reward':>8}{'SD':>7}  success  SDs of observations")
-        rows = {policy: judge(name, act) for policy, act in policies(name).items()}
-        rows |= {f"linear, seed {seed}": each["judged"] for seed, each in enumerate(trained)}
-        for policy, row in rows.items():
-            numbers = f"{row['mean']:8.3f}{row['sd']:7.3f}{row['success']:6d}/{len(JUDGED)}"
-            print(f"  {policy:14}{numbers}  {row['observation_sd']}")
-        print(f"  training: {np.mean([each['seconds'] for each in trained]):.0f} s of processor time each")
-        best = max(trained, key=lambda each: each["judged"]["mean"])
-        shipped[name] = {"weights": best["weights"], "reward": round(best["judged"]["mean"], 3)}
+    wanted = [(task, method, seed) for method in METHODS for seed in range(SEEDS) for task in TASKS]
+    left = [each for each in wanted if not training_file(asked.out, *each).exists()]
+    with ProcessPoolExecutor(asked.jobs, mp_context=get_context("spawn")) as pool:
+        waiting = {pool.submit(train, *each): each for each in left}
+        for future in as_completed(waiting):
+            training_file(asked.out, *waiting[future]).write_text(json.dumps(future.result()), encoding="utf-8")
+            print(*waiting[future], flush=True)
+    results: dict[tuple[str, str], list[dict[str, Any]]] = {}
+    for task, method, seed in wanted:
+        kept = training_file(asked.out, task, method, seed).read_text(encoding="utf-8")
+        results.setdefault((task, method), []).append(json.loads(kept))
+    text = table(results)
+    (asked.out / "table.md").write_text(text, encoding="utf-8")
+    print(text)
+    draw_curves(results, asked.out / "learning_curves.png")
     if asked.ship:
-        folder = Path(armperturb.envs.learning.__file__).parent
-        (folder / "policies.toml").write_text(tomli_w.dumps(shipped), encoding="utf-8")
+        ship(results)
 
 
 if __name__ == "__main__":

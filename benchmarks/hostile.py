@@ -1,15 +1,16 @@
 """Gives every command hostile files, and looks at how it ends, how long it takes and how much memory.
 
-Run `python -m benchmarks.hostile [COMMAND ...]`; some ten minutes of a core. The cases are those of the tests of
-malformed and crafted files (MATLAB, HDF5, netCDF, C3D, CSV, sidecars), and those of this file (TOML, JSON, NPZ, XML,
-pipes, links, devices). A command must refuse each in one line, without a traceback or a signal, within 35 s and
-1.5 GB of any of its processes, and leave nothing; or carry it out.
+Run `python -m benchmarks.hostile [COMMAND ...] [--most N] [--seed N]`; half an hour of a core, or N cases by chance.
+The cases are those of the tests of malformed and crafted files (MATLAB, HDF5, netCDF, C3D, CSV, sidecars), and those of
+this file (TOML, JSON, NPZ, XML, pipes, links, devices). A command must refuse each in one line, without a traceback or
+a signal, within 35 s and 1.5 GB of any of its processes, and leave nothing; or carry it out.
 """
 
 import argparse
 import importlib
 import io
 import os
+import random
 import resource
 import shutil
 import signal
@@ -279,8 +280,11 @@ def main(arguments: list[str] | None = None) -> None:
     """Print for each command how its runs ended, and the most time and memory."""
     parser = argparse.ArgumentParser()
     parser.add_argument("commands", nargs="*", choices=[[], *COMMANDS])
+    parser.add_argument("--most", type=int)
+    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args([] if arguments is None else arguments)
     made, total = cases(), Counter[str]()
+    rng = random.Random(options.seed)
     print(f"{len(made)} cases")
     with tempfile.TemporaryDirectory() as name:
         good = Path(name) / "good"
@@ -294,7 +298,8 @@ def main(arguments: list[str] | None = None) -> None:
             importlib.import_module(f"armperturb.study.{module}")
         for command in options.commands or COMMANDS:
             ends, most = Counter[str](), np.zeros(2)
-            for case, make in made.items():
+            chosen = sorted(rng.sample(sorted(made), min(options.most or len(made), len(made))))
+            for case, make in ((case, made[case]) for case in chosen):
                 end, *costs = outcome(COMMANDS[command], make, good, Path(name) / "now")
                 ends[end.split()[0] if end[0].isupper() else end] += 1
                 most = np.maximum(most, costs)

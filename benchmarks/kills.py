@@ -41,7 +41,7 @@ COMMANDS = {
     "study": ([], [*_STUDY, "--out", "o"]),
     "report": ([], ["report", "made", "--workers", "2"]),
     "joint": ([], ["joint", "--duration", "20", "--out", "o.nc"]),
-    "compare": ([], ["compare", "r.nc", "--out", "o"]),
+    "compare": ([], ["compare", "r.nc", "--with", "thesis", "--out", "o"]),
     "validate": ([], [*_VALIDATE, "--out", "o"]),
     "live": ([], ["live", "--out", "o.html"]),
 }

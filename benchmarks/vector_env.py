@@ -1,9 +1,11 @@
 """Decisions per second of the vectorised gymnasium environment, beside gymnasium's own vector environments.
 
-Run `python -m benchmarks.vector_env`. All sides run in turns, and what counts is the ratio of their times in a turn.
+Run `python -m benchmarks.vector_env`, with `--people` for another number than 256. All sides run in turns, and what
+counts is the ratio of their times in a turn.
 Targets with 256 people: 10 times `SyncVectorEnv`, 4 times `AsyncVectorEnv`, and within 1.15 of bare `Batch.step`.
 """
 
+import argparse
 import os
 import statistics
 import time
@@ -19,22 +21,22 @@ from armperturb.envs.learning.gym_vector_env import ArmPerturbVectorEnv
 from armperturb.models.rig import build_model
 
 STEPS = round(0.02 / TIMESTEP)
-NAME, N, TURNS = "ArmPerturb/Position-v1", 256, 7
+NAME, TURNS = "ArmPerturb/Position-v1", 7
 DECISIONS = {"bare Batch.step": 20, "vector": 20, "compiled": 20, "async": 4, "sync": 1}
 """Side to the decisions of everybody that are timed in a turn."""
 
 
-def actions() -> np.ndarray:
+def actions(n: int) -> np.ndarray:
     """Around what the person does, (decision, person, action): people who change their minds all the time."""
     envs = ArmPerturbVectorEnv(1)
     rng = np.random.default_rng(0)
-    drawn = envs.own_action + rng.uniform(-0.1, 0.1, (20, N, len(envs.own_action)))
+    drawn = envs.own_action + rng.uniform(-0.1, 0.1, (20, n, len(envs.own_action)))
     return np.clip(drawn, envs.single_action_space.low, envs.single_action_space.high).astype(np.float32)
 
 
-def bare() -> Callable[[int], object]:
+def bare(n: int) -> Callable[[int], object]:
     """As many steps as lie between two decisions, on the same model, alone."""
-    batch = Batch(build_model(average_person().subjects["PT"], visual=False), N)
+    batch = Batch(build_model(average_person().subjects["PT"], visual=False), n)
     batch.reset()
 
     def decide(_: int) -> None:
@@ -45,20 +47,23 @@ def bare() -> Callable[[int], object]:
 
 
 def main() -> None:
-    """Compare the four."""
+    """Compare the five."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--people", type=int, default=256, help="side by side")
+    people = parser.parse_args().people
     modes = {"vector": None, "compiled": None, "async": "async", "sync": "sync"}
     # Processes first, while this one is small.
     envs = {
         name: gym.make_vec(
             NAME,
-            num_envs=N,
+            num_envs=people,
             vectorization_mode=modes[name],
             engine="compiled" if name == "compiled" else "mujoco",
         )
         for name in ("async", "sync", "vector", "compiled")
     }
-    chosen = actions()
-    sides = {"bare Batch.step": bare()} | {
+    chosen = actions(people)
+    sides = {"bare Batch.step": bare(people)} | {
         name: lambda i, env=env: env.step(chosen[i % len(chosen)]) for name, env in envs.items()
     }
     for env in envs.values():
@@ -74,11 +79,10 @@ def main() -> None:
     for env in envs.values():
         env.close()
     for name, values in times.items():
-        print(
-            f"{name:>16}: {1e3 * statistics.median(values):8.1f} ms, {N / statistics.median(values):9.0f} decisions/s"
-        )
+        middle = statistics.median(values)
+        print(f"{name:>16}: {1e3 * middle:8.1f} ms, {people / middle:9.0f} decisions/s")
     print(
-        f"{N} people, {STEPS} steps of {1e3 * TIMESTEP:g} ms a decision, {os.cpu_count()} cores; ratios of each turn:"
+        f"{people} people, {STEPS} steps of {1e3 * TIMESTEP:g} ms a decision, {os.cpu_count()} cores; ratios of a turn:"
     )
     for over, under, target in (
         ("sync", "vector", "at least 10"),

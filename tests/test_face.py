@@ -20,7 +20,7 @@ response best_linear arm_admittance plot
 Structure STRUCTURES load_structure save_structure ConditionTrials variance_accounted_for
 Protocol Condition load_protocol StudySettings run_study analyse_study write_report score design DesignSettings
 validate ValidateSettings calibrate measure_cohort compare
-load_dm_env write_video
+load_dm_env record_agent trained_policy write_video
 """
 HEAVY = {"numpy", "scipy", "xarray", "pandas", "matplotlib", "numba", "gymnasium", "mujoco", "dm_control", "joblib"}
 KNOWN = "assert gym.spec('ArmPerturb/Pulse-v1').vector_entry_point"

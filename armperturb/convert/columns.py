@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from armperturb.convert.reading import C3D, TEXT
 from armperturb.convert.sidecar import Dialect
 from armperturb.convert.tables import TABLES
+from armperturb.convert.text import lines_of
 from armperturb.convert.units import UNITS
 from armperturb.files import require_input
 from armperturb.foreign import LARGEST, read_foreign
@@ -54,13 +55,13 @@ def dialect_of(path: Path) -> Dialect:
     """Dialect of a text file: that of the longest table among its first lines.
 
     Raises:
-      ValueError: the file is no text, or too large.
+      ValueError: the file is no text, too large, or has too long a line.
       OSError: it cannot be read.
     """
     require_input(path, LARGEST)
     try:
         with path.open(encoding="utf-8-sig") as file:
-            lines = "".join(islice(file, 50)).rstrip("\r\n").splitlines()
+            lines = "".join(islice(lines_of(file, path), 50)).rstrip("\r\n").splitlines()
     except UnicodeDecodeError as error:
         raise ValueError(f"{path}: no readable text ({error}); expected columns in UTF-8") from None
     best, length, width = Dialect(), 0, 1

@@ -3,8 +3,10 @@
 import csv
 import math
 from array import array
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from functools import partial
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -16,6 +18,22 @@ from armperturb.foreign import LARGEST
 
 MARKS = {b"PK\x03\x04": "a zip archive", b"\x89HDF": "an HDF5 file", b"MATLAB": "a MATLAB file", b"\x1f\x8b": "gzip"}
 """First bytes of files that are not text."""
+
+
+LONGEST_LINE = 2**20
+"""Characters of the longest line: a file of commas alone would become a column for each."""
+
+
+def lines_of(file: TextIO, path: Path) -> Iterator[str]:
+    """Lines of a text file.
+
+    Raises:
+      ValueError: one is too long.
+    """
+    for number, line in enumerate(iter(partial(file.readline, LONGEST_LINE), ""), 1):
+        if len(line) == LONGEST_LINE:
+            raise ValueError(f"{path}, line {number}: {LONGEST_LINE} characters or more; expected lines of a table")
+        yield line
 
 
 def read_text(path: Path, names: Collection[str], number: str | None, dialect: Dialect) -> Sequence[RawTrial]:
@@ -38,9 +56,10 @@ def read_text(path: Path, names: Collection[str], number: str | None, dialect: D
         if start.startswith(mark):
             raise ValueError(f"{path}: the file is {what}; expected text with columns")
     try:
-        with path.open(encoding="utf-8-sig", newline="") as lines:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            lines = lines_of(file, path)
             for _ in range(dialect.skip_lines):
-                lines.readline()
+                next(lines, "")
             reader = csv.reader(lines, delimiter=dialect.delimiter)
             header = [name.strip() for name in next(reader, [])]
             if not any(header):

@@ -101,7 +101,10 @@ def live_page(arms: Mapping[str, Subject]) -> str:
     # Inside a script element, no text may look like its end.
     content = json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     folder, of_pages = (resources.files(package) / "templates" for package in (__package__, "armperturb.pages"))
-    files = (of_pages / "drawing.js", *(folder / name for name in ("live.css", "model.js", "live.js")))
+    files = (
+        *(of_pages / name for name in ("drawing.js", "playing.js")),
+        *(folder / name for name in ("live.css", "model.js", "live.js")),
+    )
     parts = {file.name.replace(".", "_"): Markup(file.read_text(encoding="utf-8")) for file in files}
     template = (folder / "live.html").read_text(encoding="utf-8")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)

@@ -150,7 +150,7 @@ def _read_numbers(path: str | Path) -> tuple[np.ndarray, list[int]]:
         raise ValueError(f"{path}: the file is empty; expected the columns {expected}")
     header = [name.strip() for name in lines[0][1]]
     wrong = [f"unknown column {name!r}" for name in header if name not in COLUMNS]
-    wrong += [f"column {name!r} twice" for name in header if header.count(name) > 1]
+    wrong += [f"column {name!r} twice" for name in COLUMNS if header.count(name) > 1]
     wrong += [f"missing column {name!r}" for name in COLUMNS if name not in header]
     if wrong:
         raise ValueError(f"{path}, line {lines[0][0]}: {wrong[0]}; expected the columns {expected}")

@@ -77,6 +77,7 @@ def with_time(values):
 
 TEXTS = {
     "empty": (retyped(lambda t: ""), "the file is empty"),
+    "a million columns": (retyped(lambda t: "," * 2**20), "line 1: 1048576 characters or more; expected lines of a"),
     "only names": (retyped(lambda t: LINES[0] + "\n"), "rows = 0; expected at least 2"),
     "no names": (retyped(lambda t: "\n".join(LINES[1:])), "no channel 'Dx'"),
     "column missing": (retyped(lambda t: t.replace("Fy", "Fz")), "no channel 'Fy'; expected one of 'trial'"),
@@ -428,6 +429,13 @@ def test_the_command_prints_that_line_and_writes_nothing(cases, name, tmp_path, 
     assert message in line
     assert captured.out == ""
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_no_sidecar_is_written_of_a_million_columns(tmp_path, capsys):
+    (tmp_path / "lab.csv").write_text("a\n" + "," * 2**20)
+    assert cli.main(["sidecar", str(tmp_path / "lab.csv")]) == 1
+    assert "lab.csv, line 2: 1048576 characters or more" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["lab.csv"]
 
 
 def test_what_does_not_go_together_is_refused(tmp_path):

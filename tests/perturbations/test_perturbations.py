@@ -270,6 +270,9 @@ BAD_FILES = {
     HEADER: ": rows = 0; expected at least 2 below the header",
     HEADER + "0,1,2\n": ": rows = 1; expected at least 2 below the header",
     "time_s,d_x_N\n0,1\n": ", line 1: missing column 'd_y_N'; expected the columns time_s,d_x_N,d_y_N",
+    ",".join(f"c{column}" for column in range(100_000)): (
+        ", line 1: unknown column 'c0'; expected the columns time_s,d_x_N,d_y_N"
+    ),
     "t,d_x_N,d_y_N\n": ", line 1: unknown column 't'; expected the columns time_s,d_x_N,d_y_N",
     "time_s,d_x_N,d_x_N,d_y_N\n": ", line 1: column 'd_x_N' twice; expected the columns time_s,d_x_N,d_y_N",
     HEADER + "0,1,2\n0.1,one,2\n": ", line 3: d_x_N = 'one'; expected a finite number",

@@ -89,17 +89,32 @@ def run_experiment(
     for subject in dict.fromkeys(subjects):  # as varied: the person on average may be slow enough where this is not
         require_integrable(subject, setup.environment, strap, timestep)
     simulate = simulate_linear_arms if linear else simulate_multibody
-    truth = simulate(trials, subjects, setup, n_threads, progress)
+    return recorded(trials, subjects, setup, simulate(trials, subjects, setup, n_threads, progress), n_threads)
+
+
+def recorded(
+    trials: Sequence[Trial], subjects: Sequence[Subject], setup: Setup, truth: Truth, n_threads: int = 0
+) -> xr.Dataset:
+    """What instruments make of what happened in trials.
+
+    Args:
+      trials: that were simulated.
+      subjects: the person as it was in each.
+      setup: of the laboratory.
+      truth: what happened.
+      n_threads: 0 takes all cores.
+    """
     signals = {name: getattr(truth, name) for name in ("perturbation", "force", "displacement", "joint_angle")}
     clock: dict[str, Any] = {}
-    if instruments is not None:
-        signals |= read_instruments([trial.seed for trial in trials], instruments, truth)
+    if setup.instruments is not None:
+        signals |= read_instruments([trial.seed for trial in trials], setup.instruments, truth)
     elif truth.shoulder is not None:
         signals["shoulder_marker"] = truth.shoulder
     if setup.emg is not None:
         clock = {"emg_rate": setup.emg.rate, "adc_step": setup.emg.adc_step, "emg_lead": setup.emg_lead}
-        signals["emg"] = _voltages(setup.emg, trials, subjects, truth.excitation, rate, n_threads)
-    return make_recording(signals, {**_labels(trials), "limit_time": truth.limit_time}, rate, **clock)
+        n_threads = n_threads or os.cpu_count() or 1
+        signals["emg"] = _voltages(setup.emg, trials, subjects, truth.excitation, setup.rate, n_threads)
+    return make_recording(signals, {**_labels(trials), "limit_time": truth.limit_time}, setup.rate, **clock)
 
 
 def _require_sound(trials: Sequence[Trial], setup: Setup) -> None:

@@ -119,7 +119,7 @@ class TaskSettings:
     visual_delay: float = 0.150
     visual_gain: float = 1.0
     senses: str = "normalised"
-    sense_scales: tuple[float, ...] = (0.02, 0.2, 5.0, 0.01)
+    sense_scales: tuple[float, ...] = (0.02, 0.2, 5.0, 0.005)
     reward: str = "bounded"
     displacement_weight: float = 1e4
     co_contraction_weight: float = 0.15

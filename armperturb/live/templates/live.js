@@ -201,7 +201,7 @@ const Lab = (() => {
     showSettings();
     tell(drawCurves());
     drawCourse();
-    if (timer === null) cursor = movement.log.x.length - 1;
+    if (!player.isOn()) cursor = movement.log.x.length - 1;
     drawArm(Math.min(cursor, movement.log.x.length - 1));
     api.took = performance.now() - began;
   }
@@ -212,25 +212,8 @@ const Lab = (() => {
   }
 
   // ---- playing
-  let timer = null, since = 0;
-  function frame(now) {
-    const log = movement.log;
-    cursor = Math.floor((now - since) / 1e3 * parseFloat(at("speed").value) / log.timestep) % (log.x.length + 200);
-    drawArm(Math.min(cursor, log.x.length - 1));
-    timer = requestAnimationFrame(frame);
-  }
-  function play(on) {
-    if (timer !== null) cancelAnimationFrame(timer);
-    timer = null;
-    at("play").textContent = on ? "Stop" : "Play";
-    at("play").setAttribute("aria-pressed", on);
-    if (on) {
-      since = performance.now();
-      timer = requestAnimationFrame(frame);
-    } else {
-      redraw();
-    }
-  }
+  const show = index => { cursor = index; drawArm(index); };
+  const player = playing({ button: at("play"), speed: at("speed"), log: () => movement.log, show, pause: 200, stopped: redraw });
 
   const api = { state, redraw, armOf: () => armOf(value), forceOf: () => forceOf(value), took: 0 };
 
@@ -260,7 +243,6 @@ const Lab = (() => {
   at("preset").addEventListener("change", event => { state.preset = event.target.value; changed(); });
   at("kind").addEventListener("change", event => { state.kind = event.target.value; changed(); });
   at("reset").addEventListener("click", () => { state.values = {}; changed(); });
-  at("play").addEventListener("click", () => play(timer === null));
   addEventListener("hashchange", () => { readHash(); redraw(); });
   addEventListener("resize", redraw);
   readHash();

@@ -204,6 +204,8 @@ def _agree(root: Path, manifest: Mapping[str, Any]) -> None:
     recording = next((root / RECORDINGS).glob("*.nc*"), None)
     before = None
     if path.exists():
+        if not path.is_file():
+            raise ValueError(f"{path}: is a folder, a pipe or a device; expected what an earlier run wrote")
         try:
             before = json.loads(path.read_text(encoding="utf-8"))
         except (ValueError, RecursionError) as error:

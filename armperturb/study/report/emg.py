@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from armperturb.analysis.emg.activity import relaxation_sentence
-from armperturb.files import checksum
 from armperturb.progress import Progress
 from armperturb.study.comparison.cocontraction import cocontraction_tests
 from armperturb.study.report.figures import emg as emg_figures
@@ -22,11 +21,14 @@ CLEAR = 0.001
 """Level at which a muscle counts as responding to rotation [-]."""
 
 
-def emg_of(study: StudyResult, out: Path, pool: Workers | None, show_progress: bool) -> tuple[PersonEmg, ...]:
+def emg_of(
+    study: StudyResult, checksums: Mapping[str, str], out: Path, pool: Workers | None, show_progress: bool
+) -> tuple[PersonEmg, ...]:
     """What everybody's EMG tells, kept in the study folder as results are; empty if nobody has any.
 
     Args:
       study: analysed; its recordings must still be there.
+      checksums: file name of each recording to its checksum.
       out: the study folder.
       pool: workers; None for this process.
       show_progress: whether to draw progress bars on the terminal.
@@ -37,7 +39,7 @@ def emg_of(study: StudyResult, out: Path, pool: Workers | None, show_progress: b
                 path=out / ANALYSIS / f"{path.stem}-emg.json.gz",
                 kind="emg",
                 result=PersonEmg,
-                recordings={path.name: checksum(path)},
+                recordings={path.name: checksums[path.name]},
             ),
             run=partial(person_emg, name, path),
         )

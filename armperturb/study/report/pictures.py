@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 
 import armperturb
 from armperturb.archive import digest
-from armperturb.files import checksum
 from armperturb.pages.page import Picture
 from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit
 from armperturb.study.results.cases import Case
@@ -27,17 +26,18 @@ from armperturb.study.results.study_result import StudyResult
 LIBRARIES = ("matplotlib", "mujoco", "numpy", "scipy")
 
 
-def picture_units(drawings: Mapping[str, "partial[Figure]"], out: Path) -> list[Unit[Picture]]:
+def picture_units(
+    drawings: Mapping[str, "partial[Figure]"], checksums: Mapping[str, str], out: Path
+) -> list[Unit[Picture]]:
     """What draws each figure, if it is not kept; it gives the reason instead if this machine cannot draw the rig.
 
     Args:
       drawings: figures by name, see `figures.catalogue`.
+      checksums: file name of each recording to its checksum.
       out: the study folder.
     """
     arguments = {id(argument): argument for draw in drawings.values() for argument in draw.args}
     digests = {key: digest(_shown(argument)) for key, argument in arguments.items()}
-    paths = {argument.recording for argument in arguments.values() if isinstance(argument, Case)}
-    recordings = {path: checksum(path) for path in paths}
     units = []
     for name, draw in drawings.items():
         read = [argument.recording for argument in draw.args if isinstance(argument, Case)]
@@ -45,7 +45,7 @@ def picture_units(drawings: Mapping[str, "partial[Figure]"], out: Path) -> list[
             path=out / ANALYSIS / f"figure-{name}.json.gz",
             kind="figure",
             result=Picture,
-            recordings={path.name: recordings[path] for path in read},
+            recordings={path.name: checksums[path.name] for path in read},
             settings={"arguments": [digests[id(argument)] for argument in draw.args], "program": program()},
         )
         units.append(Unit(cached=cached, run=partial(_picture, draw)))

@@ -71,17 +71,17 @@ def write_report(
     scored = score(study) if any(person.cells for person in study.people) else None
     if scored is not None:
         write_score(scored, out / "score")
+    checksums = {path.name: checksum(path) for path in study.recordings.values()}
     with workers_for(worker_count(workers, MOST_WORKERS), None) as pool:
         yielding, shoulder = _simulated(study, out, pool, show_progress) if simulate else (None, None)
-        emg = emg_of(study, out, pool, show_progress)
+        emg = emg_of(study, checksums, out, pool, show_progress)
         every = {**drawings(study, tested, yielding), **emg_drawings(study, emg)}
         draws = {name: draw for name, draw in every.items() if figures is None or name in figures}
-        checksums = {path.name: checksum(path) for path in study.recordings.values()}
         pulses = draws["stills"].args[-1] if "stills" in draws else ()
         # What takes longest comes first, so that workers end together.
         kinds: dict[str, list[Unit[Any]]] = {
             "films": film_units(pulses, checksums, out),
-            "drawn": picture_units(draws, out),
+            "drawn": picture_units(draws, checksums, out),
             "played": played_units(study, checksums, out),
         }
         units = [unit for of_kind in kinds.values() for unit in of_kind]

@@ -47,7 +47,7 @@ VERSIONS = {
     "figure": 1,
     "played": 1,
     "films": 1,
-    "emg": 1,
+    "emg": 2,
 }
 """Kind of result to the version of its algorithm.
 

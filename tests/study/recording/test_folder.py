@@ -125,6 +125,12 @@ def test_a_study_that_recorded_nothing_leaves_nothing(tmp_path):
     assert [path.name for path in root.iterdir()] == ["notes.txt"]
 
 
+def test_a_pipe_is_no_manifest(tmp_path):
+    os.mkfifo(tmp_path / "manifest.json")
+    with pytest.raises(ValueError, match=r"manifest\.json: is a folder, a pipe"), open_study(tmp_path, MANIFEST):
+        pass
+
+
 def test_a_manifest_without_recordings_is_replaced(tmp_path):
     (tmp_path / "manifest.json").write_text(json.dumps({**MANIFEST, "seed": 4}))
     with open_study(tmp_path, MANIFEST):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from armperturb.files import checksum
 from armperturb.pages import page as pages
 from armperturb.study.comparison.effects import effects
 from armperturb.study.report import pictures
@@ -18,7 +19,8 @@ from tests.studies import plain_picture, sketch
 def sources(study):
     """Figure to what it is drawn from."""
     draws = drawings(study, effects(study), None)
-    units = picture_units(draws, Path())
+    checksums = {path.name: checksum(path) for path in study.recordings.values()}
+    units = picture_units(draws, checksums, Path())
     return {name: unit.cached.source for name, unit in zip(draws, units, strict=True)}
 
 

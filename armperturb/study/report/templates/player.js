@@ -4,7 +4,7 @@
   if (!at("arm")) return;
   const people = JSON.parse(at("data").textContent);
   const { BLUE, RED, GREY } = Drawing.COLOURS, METRE = 1e-4, NEWTON = 0.1;
-  let movement = null, prediction = null, cursor = 0, timer = null, since = 0;
+  let movement = null, prediction = null, cursor = 0;
 
   // Angles of shoulder and elbow with the hand at a place; the elbow bends as at the start.
   function angles({ l_h, l_f, posture }, [x, y]) {
@@ -63,29 +63,13 @@
     });
   }
 
-  function frame(now) {
-    const n = movement.log.x.length;
-    // A pause at the end, before it starts again.
-    show(Math.min(Math.floor((now - since) / 1e3 * parseFloat(at("speed").value) / movement.log.timestep) % (n + 20), n - 1));
-    timer = requestAnimationFrame(frame);
-  }
-
-  function play(on) {
-    if (timer !== null) cancelAnimationFrame(timer);
-    timer = null;
-    at("play").textContent = on ? "Stop" : "Play";
-    at("play").setAttribute("aria-pressed", on);
-    if (!on) return;
-    since = performance.now();
-    timer = requestAnimationFrame(frame);
-  }
+  const player = playing({ button: at("play"), speed: at("speed"), log: () => movement.log, show, pause: 20 });
 
   at("person").addEventListener("change", list);
   at("trial").addEventListener("change", choose);
-  at("play").addEventListener("click", () => play(timer === null));
   at("time").addEventListener("input", () => {
     const wanted = parseFloat(at("time").value);
-    play(false);
+    player.play(false);
     show(Math.round(wanted * (movement.log.x.length - 1)));
   });
   addEventListener("resize", () => show(cursor));
