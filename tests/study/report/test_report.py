@@ -212,19 +212,19 @@ def test_summary_shows_its_table(page, out):
     cells = page.tables["summary"][1:]
     assert [shown[0] for shown in cells] == [row["condition"] for row in rows(out, "summary")]
     for shown, row in zip(cells, rows(out, "summary"), strict=True):
-        assert shown[2] == "3 of 3"
-        assert shown[3] == f"{row['trials_used']} of {row['trials']}"
+        assert shown[8] == "3 of 3"
+        assert shown[9] == f"{row['trials_used']} of {row['trials']}"
         for place, name, off in (
-            (4, "median_abs_error_percent", {"rel": 0.06}),  # two digits
-            (5, "VAF_x_mean", {"abs": 0.051}),
-            (6, "VAF_y_mean", {"abs": 0.051}),
+            (2, "median_abs_error_percent", {"rel": 0.06}),  # two digits
+            (3, "VAF_x_mean", {"abs": 0.051}),
+            (4, "VAF_y_mean", {"abs": 0.051}),
         ):
             mine, of_thesis = (number(part) for part in shown[place].rstrip(")").split(" ("))
             assert mine == pytest.approx(float(row[name]), **off)
             assert of_thesis == pytest.approx(float(row[f"thesis_{name}"]), **off)
-        assert shown[7] == f"{row['at_bound']} ({row['thesis_at_bound']})"
-        assert number(shown[8]) == pytest.approx(float(row["coverage_95_percent"]), abs=0.51)
-        assert shown[9] == row["suspicious"]
+        assert shown[5] == f"{row['at_bound']} ({row['thesis_at_bound']})"
+        assert number(shown[6]) == pytest.approx(float(row["coverage_95_percent"]), abs=0.51)
+        assert shown[7] == row["suspicious"]
 
 
 def test_first_screen_tells_what_was_found_and_how_sure(written, page, out):
@@ -482,8 +482,8 @@ def test_reports_what_went_badly(study, tmp_path):
     assert "reached the &lt;limit&gt; at 9.000 s" in text
     shown = Page(text).tables["summary"][1:]
     assert [row[0] for row in shown] == ["PT7.5"]
-    assert shown[0][5] == f"{MISSING} ({MISSING})"
-    assert shown[0][9] == "1"
+    assert shown[0][3] == f"{MISSING} ({MISSING})"
+    assert shown[0][7] == "1"
     assert "<dd>k_s &lt;sits&gt;</dd>" in text
 
 
