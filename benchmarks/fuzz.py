@@ -19,13 +19,14 @@ import shutil
 import signal
 import sys
 import tempfile
+import traceback
 from collections import Counter
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TextIO
 from unittest import mock
 
 import numpy as np
@@ -171,7 +172,9 @@ def damaged(content: bytes, rng: random.Random) -> bytes:
     return bytes(changed)
 
 
-def _end(run: list[str] | Callable[[], Any], compared: Callable[[], Any] | None, expected: Any) -> int:
+def _end(
+    run: list[str] | Callable[[], Any], compared: Callable[[], Any] | None, expected: Any, tracebacks: TextIO
+) -> int:
     """Index among `ENDS`, in the current folder."""
     sys.stderr = said = io.StringIO()
     before = set(os.listdir())
@@ -184,9 +187,10 @@ def _end(run: list[str] | Callable[[], Any], compared: Callable[[], Any] | None,
             status, there = 0, run()
     except SystemExit as error:
         status, there = int(error.code or 0), None
-    except (ValueError, TypeError, OSError):
-        return 6 if isinstance(run, list) else 1
-    except BaseException:
+    except BaseException as error:
+        if not isinstance(run, list) and isinstance(error, ValueError | TypeError | OSError):
+            return 1
+        traceback.print_exc(file=tracebacks)
         return 6
     if status:
         errors = [line for line in said.getvalue().splitlines() if line.startswith("armperturb: error: ")]
@@ -221,9 +225,10 @@ def outcome(folder: Path, case: Case, expected: Any, *, guarded: bool) -> str:
                 for name in READERS:
                     sys.modules[name].__dict__["read_foreign"] = _parsed
             signal.alarm(PATIENCE)
+            tracebacks = os.fdopen(os.dup(2), "w", buffering=1)  # where tracebacks go; what libraries print is dropped
             os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
             os.chdir(folder)
-            status = _end(case.run, case.compared, expected)
+            status = _end(case.run, case.compared, expected, tracebacks)
         finally:
             os._exit(status)
     status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
