@@ -3,13 +3,12 @@
 from collections.abc import Callable
 from typing import Any
 
-try:
-    from numba import njit as jit
-except ModuleNotFoundError:
 
-    def jit(**_: Any) -> Callable[..., Any]:  # type: ignore[no-redef]
-        """Leave the function as it is."""
+def jit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """A decorator that compiles a function with these options of `numba.njit`, or leaves it as it is."""
+    try:
+        from numba import njit
+    except ModuleNotFoundError:
         return lambda function: function
-
-
-__all__ = ["jit"]
+    decorator: Callable[[Callable[..., Any]], Any] = njit(**options)
+    return decorator
