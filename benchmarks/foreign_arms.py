@@ -10,6 +10,7 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ import numpy as np
 from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.own_structures import composed
 from armperturb.analysis.fit.structures import Structure
+from benchmarks.kept_rows import Row, with_kept_rows
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -112,19 +114,14 @@ def main() -> None:
     parser.add_argument("--given", type=json.loads, default={}, help='of every arm, e.g. \'{"kind": "multisine"}\'')
     parser.add_argument("--out", type=Path, help="file of JSON lines")
     asked = parser.parse_args()
-    rows = []
-    if asked.out and asked.out.exists():
-        rows = [json.loads(line) for line in asked.out.read_text(encoding="utf-8").splitlines()]
-    left = sorted({*range(asked.seed, asked.seed + asked.n)} - {row["seed"] for row in rows})
-    with ProcessPoolExecutor(2) as pool:
-        options = asked.mujoco, asked.model, asked.given
-        waiting = [pool.submit(judge, seed, *options) for seed in left]
-        for future in as_completed(waiting):
-            rows.append(future.result())
-            if asked.out:
-                with asked.out.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(rows[-1]) + "\n")
-    report(rows)
+
+    def judged(left: list[int]) -> Iterator[Row]:
+        with ProcessPoolExecutor(2) as pool:
+            waiting = [pool.submit(judge, seed, asked.mujoco, asked.model, asked.given) for seed in left]
+            for future in as_completed(waiting):
+                yield future.result()
+
+    report(with_kept_rows(asked.out, range(asked.seed, asked.seed + asked.n), judged))
 
 
 if __name__ == "__main__":

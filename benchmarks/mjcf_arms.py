@@ -9,7 +9,6 @@ says up to which force its displacement is a linear answer to the perturbation.
 """
 
 import argparse
-import json
 import tempfile
 import time
 from collections.abc import Callable
@@ -22,6 +21,7 @@ import xarray as xr
 import armperturb as ap
 from armperturb.analysis.response.spectra import averaged_spectra
 from armperturb.cli import main as command_line
+from benchmarks.kept_rows import with_kept_rows
 
 JUDGED = ("k_s", "k_se", "k_e", "b_s", "b_se", "b_e")
 N_TRIALS, RATE, DURATION = 4, 200.0, 32.0
@@ -183,17 +183,8 @@ def main() -> None:
     if asked.myoarm:
         myoarm()
         return
-    rows = []
-    if asked.out and asked.out.exists():
-        rows = [json.loads(line) for line in asked.out.read_text(encoding="utf-8").splitlines()]
-    for seed in range(asked.seed, asked.seed + asked.n):
-        if seed in {row["seed"] for row in rows}:
-            continue
-        rows.append(judge(seed, asked.rms, asked.remnant))
-        if asked.out:
-            with asked.out.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(rows[-1]) + "\n")
-    report(rows)
+    seeds = range(asked.seed, asked.seed + asked.n)
+    report(with_kept_rows(asked.out, seeds, lambda left: (judge(seed, asked.rms, asked.remnant) for seed in left)))
 
 
 if __name__ == "__main__":

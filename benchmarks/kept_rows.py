@@ -1,0 +1,27 @@
+"""Results of arms, one JSON line each, that a benchmark keeps so that it may be stopped and go on."""
+
+import json
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+Row = dict[str, Any]
+
+
+def with_kept_rows(path: Path | None, seeds: range, judged: Callable[[list[int]], Iterable[Row]]) -> list[Row]:
+    """What a file has, and what is judged now; each new row is kept as soon as it is there.
+
+    Args:
+      path: of the file; None to keep nothing.
+      seeds: that are wanted.
+      judged: seeds that the file lacks to their rows, in any order.
+    """
+    rows = []
+    if path and path.exists():
+        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    for row in judged(sorted({*seeds} - {row["seed"] for row in rows})):
+        rows.append(row)
+        if path:
+            with path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+    return rows
