@@ -70,6 +70,7 @@ class ConditionTrials:
       numbers: which trials these are, of those that were prepared, (trial,).
       whole: the trials that these were taken from, whose manipulator and displacement they share; None for none.
       given: manipulator and instrument noise; None to identify them from these trials.
+      given_covariance: of the errors of the given manipulator, see `manipulator_covariance`; None for none.
       last: number of samples that fits over whole records may use; None for all.
     """
 
@@ -77,6 +78,7 @@ class ConditionTrials:
     numbers: Indices
     whole: Self | None = None
     given: tuple[Environment, NoiseLevels] | None = None
+    given_covariance: Array | None = None
     last: int | None = None
     results: dict[object, Any] = field(default_factory=dict, init=False, repr=False)
 
@@ -231,6 +233,15 @@ class ConditionTrials:
     def noise(self) -> NoiseLevels:
         """White noise of the instruments."""
         return self.instruments[1]
+
+    @cached_property
+    def manipulator_covariance(self) -> Array:
+        """Covariance of the errors of the manipulator's mass, damping and stiffness in SI units, (3, 3)."""
+        if self.given is not None:
+            return np.zeros((3, 3)) if self.given_covariance is None else self.given_covariance
+        if self.whole is not None:
+            return self.whole.manipulator_covariance
+        return self.balance.covariance(*self.instruments)
 
     @cached_property
     def from_rest(self) -> bool:

@@ -78,7 +78,8 @@ def in_start_geometry(trials: Trials, arm: Subject | None = None) -> ConditionTr
         "displacement": displacement,
     }
     changed = {name: ready.recording[name].copy(data=values) for name, values in signals.items()}
-    return replace(ready, recording=ready.recording.assign(changed), given=ready.instruments)
+    recording = ready.recording.assign(changed)
+    return replace(ready, recording=recording, given=ready.instruments, given_covariance=ready.manipulator_covariance)
 
 
 def coupling(arm: Subject) -> float:
