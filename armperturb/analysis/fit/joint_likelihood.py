@@ -13,6 +13,7 @@ from armperturb.analysis.fit.likelihood import Likelihood
 from armperturb.analysis.fit.structures import PUBLISHED, unit
 from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, TrialScore, inverse, scaled
 from armperturb.analysis.fit.whittle import LackOfFit, Normal
+from armperturb.analysis.manipulator import manipulator_covariance
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -46,14 +47,14 @@ class JointLikelihood:
 
     def __init__(self, groups: Sequence[Group], method: Method, share: Sequence[str], *, sketchy: bool = False) -> None:
         self.groups, self.quick = tuple(groups), sketchy
-        told = [
+        every = [
             (at, TrialsWithEmg(likelihood, group.emg) if group.emg else likelihood, trials)
             for at, group in enumerate(self.groups)
             for likelihood, trials in zip(_likelihoods(group, method, sketchy), group.parts, strict=False)
             if likelihood is not None
         ]
-        self.parts = [(at, likelihood) for at, likelihood, _ in told]
-        self._trials = [trials for _, _, trials in told]
+        self.parts = [(at, likelihood) for at, likelihood, _ in every]
+        self._trials = [trials for _, _, trials in every]
         shared = shared_names(self.groups, share)
         self.names: list[str] = []
         self.columns: list[list[int]] = []
@@ -273,7 +274,7 @@ class JointLikelihood:
             changes = movement.by_manipulator(parameters[:N_ARM], *trials.instruments)
             slope = np.zeros((len(self.names), len(changes)))
             slope[columns] = movement.errors_by(parameters[:N_ARM], mixing[:N_ARM], changes)
-            variances, directions = np.linalg.eigh(trials.manipulator_covariance)
+            variances, directions = np.linalg.eigh(manipulator_covariance(trials))
             slopes.append(slope @ directions * np.sqrt(np.maximum(variances, 0.0)))
         return inverse(information) @ np.concatenate(slopes, axis=1)
 

@@ -128,9 +128,9 @@ class Likelihood(Whittle):
           levels: of the instruments' noise.
         """
         mean = values if values.ndim == 1 else values.mean(axis=0)
-        s = 2j * np.pi * self._frequency[self._answering]
-        impedance = environment.m_env * s**2 + environment.b_env * s + environment.k_env
-        share = self._answer(mean) - gauge_gain(impedance, levels) * np.eye(2)[..., None]
+        s = np.asarray(2j * np.pi * self._frequency[self._answering], dtype=complex)
+        impedance = np.asarray(environment.m_env * s**2 + environment.b_env * s + environment.k_env, dtype=complex)
+        share = np.subtract(self._answer(mean), gauge_gain(impedance, levels) * np.eye(2)[..., None])
         return np.stack([applied(share * s**power, self._observed) for power in (2, 1, 0)])
 
     def _to_smooth(self, values: Array) -> ComplexArray:

@@ -26,6 +26,7 @@ import numpy as np
 from scipy import signal
 
 from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix
+from armperturb.analysis.manipulator import manipulator_covariance
 from armperturb.analysis.measures.kinematics import CUTOFF, hand_path, joint_rotations, joint_velocities
 from armperturb.analysis.trials import ConditionTrials, Trials, prepared
 from armperturb.arrays import Array
@@ -79,7 +80,7 @@ def in_start_geometry(trials: Trials, arm: Subject | None = None) -> ConditionTr
     }
     changed = {name: ready.recording[name].copy(data=values) for name, values in signals.items()}
     recording = ready.recording.assign(changed)
-    return replace(ready, recording=recording, given=ready.instruments, given_covariance=ready.manipulator_covariance)
+    return replace(ready, recording=recording, given=ready.instruments, given_covariance=manipulator_covariance(ready))
 
 
 def coupling(arm: Subject) -> float:

@@ -8,6 +8,7 @@ from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.maximum_likelihood import estimate, profile
 from armperturb.analysis.fit.structures import STRUCTURES
+from armperturb.analysis.manipulator import manipulator_covariance
 from armperturb.analysis.trials import ConditionTrials
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
@@ -189,7 +190,7 @@ def test_intervals_contain_what_is_unknown_of_the_manipulator():
 
     best, alone = fitted(known)
     moved = []
-    for row in np.linalg.cholesky(trials.manipulator_covariance).T:
+    for row in np.linalg.cholesky(manipulator_covariance(trials)).T:
         off = {name: value + change for (name, value), change in zip(known.items(), row, strict=True)}
         moved.append(fitted(off)[0] - best)
     errors = np.array([*estimate([group_of([trials], "1")], "frequency").standard_error.values()])
