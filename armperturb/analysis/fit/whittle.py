@@ -80,6 +80,8 @@ class Whittle:
         strong it is.
       scale: of the model's response where a lack of it is looked for, (frequency,).
       least: power that smoothed noise has at least.
+      cause: DFT of what a lack of fit is looked for with, like force; None for the force. It must not depend on the
+        noise.
     """
 
     def __init__(
@@ -91,10 +93,12 @@ class Whittle:
         *,
         scale: ComplexArray,
         least: float,
+        cause: ComplexArray | None = None,
     ) -> None:
         self._frequency, self._scale = frequency, scale[answering]
         self._answering = answering
         self._force, self._observed = force[..., answering], observed[..., answering]
+        self._cause = self._force if cause is None else cause[..., answering]
         self._quiet = np.ones(len(frequency), dtype=bool)
         self._quiet[answering] = False
         noise = observed[..., self._quiet]
@@ -251,7 +255,7 @@ class Whittle:
         regression has as many real parameters as the response has numbers: eight of two inputs and outputs.
         """
         residual = complex_values(self._white_rows(values), self._observed.shape)
-        changes = np.einsum("aof,tif->tafoi", self._white * self._scale, self._force)
+        changes = np.einsum("aof,tif->tafoi", self._white * self._scale, self._cause)
         frequency, left = self._frequency[self._answering], []
         for band in self._bands:
             change = changes[:, :, band]
