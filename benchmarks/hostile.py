@@ -9,6 +9,7 @@ end it with a signal.
 """
 
 import argparse
+import gc
 import importlib
 import io
 import os
@@ -309,6 +310,7 @@ def main(arguments: list[str] | None = None) -> None:
         lab.with_suffix(".json").rename(good / "good.json")
         for module in ("report.report", "validation.validate", "planning.plan", "comparison.likeness"):
             importlib.import_module(f"armperturb.study.{module}")
+        gc.freeze()  # or each forked process would copy most of this one's memory
         for command in options.commands or COMMANDS:
             path = keep / f"{command.replace(' ', '_')}.jsonl" if keep else None
             rows = with_kept_rows(path, numbers, partial(outcomes, command, made, good))

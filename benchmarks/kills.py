@@ -12,6 +12,7 @@ undisturbed, and its files must be those of a first run.
 
 import argparse
 import dataclasses
+import gc
 import importlib
 import os
 import random
@@ -296,6 +297,7 @@ def main(arguments: list[str] | None = None) -> None:
                 importlib.import_module(f"armperturb.study.{module}")
         calibration = importlib.import_module("armperturb.study.experiments.calibration")
         calibration.__dict__["N_UNSEEN"] = 1  # it takes twice as long otherwise
+        gc.freeze()  # or each forked process would copy most of this one's memory
         for command in commands:
             path = keep / f"{command}.jsonl" if keep else None
             rows = with_kept_rows(path, range(options.kills), partial(kills, command, inputs))
