@@ -24,6 +24,7 @@ from armperturb.analysis.fit.frequency_bands import EXCITED_POWER
 from armperturb.analysis.fit.frequency_rows import applied
 from armperturb.analysis.fit.total_admittance import TotalAdmittance
 from armperturb.analysis.fit.whittle import ALL, ROUND_OFF, Whittle
+from armperturb.analysis.force_balance import NoiseLevels, gauge_gain
 from armperturb.arrays import Array, ComplexArray, Indices
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -118,6 +119,23 @@ class Likelihood(Whittle):
         self._filter = whitening(frequency, signals.rate)
         least = float(ROUND_OFF * np.abs(force).max()) ** 2
         super().__init__(frequency, force, observed, answering, scale=self._filter, least=least, cause=applied)
+
+    def by_manipulator(self, values: Array, environment: Environment, levels: NoiseLevels) -> ComplexArray:
+        """How the residual changes with the manipulator's mass, damping and stiffness, (3, trial, axis, answer).
+
+        An error of its impedance by s^k is one of the force s^k x in the model, and of the force that the balance
+        leaves in the displacement: the residual has (P - G) s^k x of it, see `force_balance`.
+
+        Args:
+          values: parameters of the arm.
+          environment: the manipulator as it was identified.
+          levels: of the instruments' noise.
+        """
+        mean = values if values.ndim == 1 else values.mean(axis=0)
+        s = np.asarray(2j * np.pi * self._frequency[self._answering], dtype=complex)
+        impedance = np.asarray(environment.m_env * s**2 + environment.b_env * s + environment.k_env, dtype=complex)
+        share = np.subtract(self._answer(mean), gauge_gain(impedance, levels) * np.eye(2)[..., None])
+        return np.stack([applied(share * s**power, self._observed) for power in (2, 1, 0)])
 
     def _to_smooth(self, values: Array) -> ComplexArray:
         (a, b), (c, d) = self._total(values) * self._filter

@@ -227,6 +227,22 @@ class Whittle:
                 informations[trial] = rows @ rows.T
         return Normal(float(np.sum(residual**2)), slopes, informations)
 
+    def errors_by(self, values: Array, mixing: Array, changes: ComplexArray) -> Array:
+        """What changes of the outputs do to `Normal.slope`, (free parameter, change).
+
+        Args:
+          values: of the model.
+          mixing: (parameter, free parameter).
+          changes: of what is observed, less of what is predicted, (change, trial, output, answer).
+        """
+        mean = values if values.ndim == 1 else values.mean(axis=0)
+        slopes = np.zeros((mixing.shape[1], len(changes)))
+        rows = self._left(applied_rows(self._white, changes))
+        for trials, derivatives in self._quick_slopes(mean, mixing):
+            for place, trial in enumerate(range(self.n_trials)[trials]):
+                slopes += applied_rows(self._white, derivatives[:, place]) @ rows[:, trial].T
+        return slopes
+
     def lack_of_fit(self, values: Array) -> LackOfFit:
         """Whether models leave something that the input explains, the noise being as last weighed."""
         bands = self.lack_by_band(values)

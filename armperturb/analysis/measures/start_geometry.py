@@ -29,6 +29,7 @@ import numpy as np
 from scipy import signal
 
 from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix
+from armperturb.analysis.manipulator import manipulator_covariance
 from armperturb.analysis.measures.kinematics import CUTOFF, hand_path, joint_rotations, joint_velocities
 from armperturb.analysis.trials import ConditionTrials, Trials, prepared
 from armperturb.arrays import Array
@@ -85,7 +86,8 @@ def in_start_geometry(trials: Trials, arm: Subject | None = None) -> ConditionTr
     }
     changed = {name: ready.recording[name].copy(data=values) for name, values in signals.items()}
     changed[APPLIED] = ready.recording["perturbation"]
-    return replace(ready, recording=ready.recording.assign(changed), given=ready.instruments)
+    recording = ready.recording.assign(changed)
+    return replace(ready, recording=recording, given=ready.instruments, given_covariance=manipulator_covariance(ready))
 
 
 def applied_perturbation(trials: ConditionTrials) -> Array:
