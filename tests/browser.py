@@ -156,7 +156,7 @@ SMALL_PRINT = """
 
 SMALL_FIGURES = """
 [...document.querySelectorAll("figure .frame img")]
-  .filter(image => image.getBoundingClientRect().width < 0.8 * image.naturalWidth).map(image => image.alt)
+  .filter(image => image.getBoundingClientRect().width < 0.75 * image.naturalWidth).map(image => image.alt)
 """
 
 ZOOMS = """
