@@ -7,9 +7,9 @@ or left-out stretches of a single record, are the most likely.
 
 That number balances noise with what few splines cannot follow, so that at the balance bands of noise alone hold too
 little. The distance of knots is therefore halved once more: what a smooth course lacks falls to a sixteenth, and
-noise grows by the root of two (undersmoothing: Hall 1992, Ann. Statist. 20, 675-694). Where halving moves a curve
-clearly more than noise does, as it does next to a jump, bands count by how much. Standard errors are those of an
-estimating equation (sandwich) over repetitions or stretches.
+noise grows by the root of two (undersmoothing: Hall 1992, Ann. Statist. 20, 675-694). Where halving moves a curve by
+more than noise does, as it does next to a jump, bands count by how much, without the share of it that noise makes up
+(Wiener's estimate). Standard errors are those of an estimating equation (sandwich) over repetitions or stretches.
 """
 
 import itertools
@@ -19,7 +19,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy import linalg, ndimage, stats
+from scipy import linalg, ndimage
 
 from armperturb.analysis.fit.ladder import left_out_loss
 from armperturb.analysis.fit.likelihood_search import search_from
@@ -31,7 +31,7 @@ from armperturb.analysis.joint.torque_likelihood import BlockScore
 from armperturb.analysis.varying.likelihood import STRETCH, VaryingLikelihood
 from armperturb.analysis.varying.model import DEGREE, VaryingModel, finer
 from armperturb.analysis.varying.result import Curve, VaryingEstimate
-from armperturb.arrays import Array
+from armperturb.arrays import Array, Indices
 from armperturb.validation import require_number, require_one_of
 
 Variable = Literal["time", "scheduling"]
@@ -60,9 +60,6 @@ FEWEST = 4
 """Repetitions of an ensemble at least."""
 
 N_FOLDS = 5
-
-CLEAR = float(stats.chi2.ppf(0.95, 2)) / 2.0
-"""Mean square over its expectation [-], of two independent numbers, that noise alone exceeds in 5 %."""
 
 DELAYS, FREQUENCIES = (0.03, 0.045, 0.06), (3.0, 6.0)
 """Delays [s] and natural frequencies [Hz] of the reflex path from which the search may start."""
@@ -95,7 +92,7 @@ class _Search:
         """Least squares of all parameters."""
         return self.likelihood.normal(values, np.eye(len(values)))
 
-    def inside(self, values: Array) -> Array:
+    def inside(self, values: Array) -> Indices:
         """Numbers of the parameters that are not at a bound."""
         return np.flatnonzero((self.lower < values) & (values < self.upper))
 
@@ -300,13 +297,12 @@ def _solved(likelihood: VaryingLikelihood, values: Array) -> _Solution:
 
 
 def _curve(solution: _Solution, likelihood: VaryingLikelihood, quantity: str, n_chosen: int, grid: Array) -> Curve:
-    """A quantity over the grid; its band counts where splines of twice the distance clearly lead elsewhere."""
+    """A quantity over the grid; its band counts how much further than noise splines of twice the distance lead."""
     coarse = likelihood.with_orders({**solution.model.orders, quantity: n_chosen})
     before = _solved(coarse, _linear(coarse, solution.values[solution.model.n_linear :]))
     (value, influence), (other, of_other) = (each.curve(quantity, grid) for each in (solution, before))
-    distance = _over_knots((value - other) ** 2, n_chosen)
-    noise = _over_knots(_size(influence - of_other) ** 2, n_chosen)
-    bias = np.where(distance > CLEAR * noise, distance - noise, 0.0)
+    moved, noise = (_over_knots(each, n_chosen) for each in ((value - other) ** 2, _size(influence - of_other) ** 2))
+    bias = np.maximum(moved - noise, 0.0) ** 2 / np.maximum(moved, np.finfo(float).tiny)
     return Curve(value, np.sqrt(_size(influence) ** 2 + bias), solution.model.orders[quantity])
 
 
