@@ -1,11 +1,12 @@
 """What EMG of an unknown gain can tell of reflex gains at most.
 
 Run `python -m benchmarks.emg_bound [--people N] [--seed N]`.
-EMG without noise would tell the delay and, of each joint, the ratio of position to velocity feedback; their common size
-it cannot tell, as its own gain is unknown. That comes from the movement, whose information I is known from a fit of
-PT7.5 (model 3, linear people). Standard errors with such EMG are those of I with the delays held and feedback of each
-joint changed in proportion: C^T I C instead of I. Medians of their ratio to those of I are printed, and of what would
-remain if further parameters were known, which tells what the size of the velocity feedback is confused with.
+EMG without noise would tell delays and all ratios of gains of feedback, also those between joints, which the two-joint
+gains tie together. It cannot tell their common size, as its own gain is unknown. That comes from the movement, whose
+information I is known from a fit of PT7.5 (model 3, linear people). Standard errors with such EMG are those of I with
+delays held and all feedback changed in proportion: C^T I C instead of I.
+Medians of their ratio to those of I are printed, and
+of what would remain if further parameters were known, which tells what the size of velocity feedback is confused with.
 """
 
 import argparse
@@ -40,15 +41,9 @@ def ratios(information: np.ndarray, names: Sequence[str], values: dict[str, floa
     before = np.sqrt(np.diag(np.linalg.inv(information)))
     found = {}
     for label, known in FURTHER.items():
-        columns = []
-        for place, name in enumerate(names):
-            if name.startswith(("Td", *known)) or name.startswith("kp_"):
-                continue
-            column = np.eye(len(names))[place]
-            partner = name.replace("kv_", "kp_", 1)
-            if partner != name and partner in names:
-                column[names.index(partner)] = values[partner] / values[name]
-            columns.append(column)
+        size = np.array([values[name] if name.startswith(("kv_", "kp_")) else 0.0 for name in names])
+        others = [place for place, name in enumerate(names) if not name.startswith(("Td", "kv_", "kp_", *known))]
+        columns = [size, *np.eye(len(names))[others]]
         change = np.array(columns).T
         inverse = change @ np.linalg.inv(change.T @ information @ change) @ change.T
         for place, name in enumerate(names):

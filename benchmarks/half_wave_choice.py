@@ -1,12 +1,12 @@
 """Half-wave or linear spindles of the arm, with all noise: which does `identify --law choose` take?
 
 Run `python -m benchmarks.half_wave_choice [--people N] [--seed N] [--trials N] [--all] [--kept FILE]`. People are
-drawn as in a study, in the position task. Half of them have half-wave rectified spindles (direction 0.7, threshold 0.15 rad/s), the
-other half respond both ways. Each does trials of 14 s with the person's noise, in one condition. The full and the
-half-wave law are fitted to one half of the trials and judged by the other, and the other way round, as `choose` does;
-the half-wave law is taken if its gain is significant. What the choice does not depend on, masses and the mechanics of
-muscles, is held at the truth: the gains, direction and threshold of the reflexes are fitted (5 s of a core per person).
-With `--all` everything is fitted, as `choose` does (minutes).
+drawn as in a study, in the position task. Half of them have half-wave rectified spindles (direction 0.7, threshold 0.15
+rad/s), the other half respond both ways. Each does trials of 14 s with the person's noise, in one condition. The full
+and the half-wave law are fitted to one half of the trials and judged by the other, and the other way round, as `choose`
+does; the half-wave law is taken if its gain is significant. Masses and the mechanics of muscles are held at the truth:
+gains, direction and threshold of the reflexes are fitted (5 s of a core per person with four trials). With `--all`
+everything is fitted, as `choose` does (minutes).
 """
 
 import argparse
