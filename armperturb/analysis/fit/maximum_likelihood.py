@@ -62,8 +62,8 @@ SUSPICIOUS = 0.01
 class Estimate(FitResult):
     """Maximum-likelihood estimate of the parameters of one person, of all conditions together.
 
-    With several conditions, a parameter that is not shared is called "k_s [RT7.5]". Standard errors are those of the
-    Fisher information, times the square root of `dispersion`.
+    With several conditions, a parameter that is not shared is called "k_s [RT7.5]". Variances are those of
+    the Fisher information, times `dispersion`, and what errors of the manipulator, which the same trials identify, add.
 
     Attributes:
       method: "frequency" or "record".
@@ -213,18 +213,19 @@ class Sketch(NamedTuple):
     scores: tuple[TrialScore, ...]
 
 
-def sketch(group: Group, starts: Sequence[Array], method: Method = "record") -> Sketch:
+def sketch(group: Group, starts: Sequence[Array], method: Method = "record", *, most: int = SKETCH_ROUNDS) -> Sketch:
     """Fit a structure with few steps and quick derivatives, all trials alike, long ones in `Group.segments`.
 
     Args:
       group: the trials and the structure.
       starts: values of the free parameters, the most likely of which the search starts from, (parameter,) each.
       method: of the likelihood, see `estimate`.
+      most: steps after which the search ends in any case.
     """
     problem = JointLikelihood([group], method, (), sketchy=True)
     stable = [problem.stabilised(np.clip(start, problem.lower, problem.upper)) for start in starts]
     start = min(stable, key=problem.objective)
-    values = search_from(problem, start, settled=SKETCHED, most=SKETCH_ROUNDS).values
+    values = search_from(problem, start, settled=SKETCHED, most=most).values
     objective = problem.objective(values)
     fit = problem.lack_of_fit(values)
     scores = problem.scores(values, problem.no_effects())
@@ -346,7 +347,9 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
     known = power > SINGULAR
     covariance = (directions[:, known] / power[known]) @ directions[:, known].T
     dispersion = _dispersion(problem, search, fit)
-    error = np.sqrt(np.diag(covariance)) / scale * np.sqrt(dispersion)
+    by_manipulators = problem.manipulator_errors(values) * scale[:, None]
+    covariance = dispersion * covariance + by_manipulators @ by_manipulators.T
+    error = np.sqrt(np.diag(covariance)) / scale
     unknown = np.abs(directions[:, ~known]).max(axis=1, initial=0.0) > PART_OF
     error[unknown] = np.inf
     correlation = np.eye(len(names))
