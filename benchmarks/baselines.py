@@ -9,6 +9,7 @@ each environment, the policy that earned most on the trials of its learning curv
 import argparse
 import json
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from importlib.util import find_spec
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -123,6 +124,8 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2, help="trainings side by side")
     parser.add_argument("--ship", action="store_true", help="write the best policies into the package")
     asked = parser.parse_args()
+    if find_spec("stable_baselines3") is None:  # before the trainings that need it fail, and the others with them
+        parser.error("stable-baselines3 is not installed; expected `pip install 'armperturb[baselines]'`")
     asked.out.mkdir(parents=True, exist_ok=True)
     wanted = [(task, method, seed) for method in METHODS for seed in range(SEEDS) for task in TASKS]
     left = [each for each in wanted if not training_file(asked.out, *each).exists()]

@@ -5,7 +5,8 @@ drawn and written as MJCF; `armperturb simulate --mjcf` perturbs it with four mu
 them, and the trials choose the structure by which it is identified. With `--remnant`, noise of a person who keeps
 position acts at the joints, too, which only the Python interface can add. A line of JSON for each arm goes to `--out`
 as soon as it is there; a second run with the same file continues. `--myoarm` instead times MyoArm (extra `myo`) and
-says up to which force its displacement is a linear answer to the perturbation.
+says up to which force its displacement is a linear answer to the perturbation. `--human` compares it at three levels of
+co-contraction with the thesis's arms and with people, as docs/laboratory.md has it.
 """
 
 import argparse
@@ -13,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -150,12 +152,32 @@ def report(rows: list[dict]) -> None:
     print(f"processor time of an arm: {', '.join(times)}")
 
 
-def myoarm() -> None:
-    """Time of a trial of 32 s of MyoArm, and its multiple coherence below 10 Hz, at several forces."""
+def around_myoarm(activation: float, **options: Any) -> ap.Laboratory:
+    """The laboratory around MyoArm, whose elbow is bent by a right angle and whose wrist and fingers are held."""
     posture = {"shoulder_elv_r": 80.0, "elv_angle_r": 45.0, "shoulder_rot_r": 45.0, "elbow_flexion_r": 90.0}
     cuffed = ("pro_sup_r", "deviation_r", "flexion_r", "cmc*", "mp_*", "ip_*", "mcp*", "pm*", "md*")
+    return ap.Laboratory(
+        "myo_sim:myoarm_r", "3proxph_r", activation=activation, posture_deg=posture, locked=cuffed, **options
+    )
+
+
+def human() -> None:
+    """Distance of MyoArm from people who keep position, under one multisine of 1 N."""
+    for level in (0.02, 0.1, 0.4):
+        laboratory = around_myoarm(level, joints=("elv_angle_r", "elbow_flexion_r"), turn_deg=180.0)
+        recording = laboratory.record([ap.Multisine.draw(rms=1.0, seed=0)])
+        for reference in ("thesis", "people"):
+            found = ap.compare(recording, reference)
+            size = found.to_frame().set_index("quantity").loc["stiffness: size"]
+            distances = [f"{name} {found.distance[name]:.1f} ({found.usual[name]:.1f})" for name in found.distance]
+            stiffness = f"stiffness {np.exp(size['value']):.0f} N/m, theirs {np.exp(size['mean']):.0f}"
+            print(f"co-contraction {level:g}, {reference}: {', '.join(distances)}; {stiffness}", flush=True)
+
+
+def myoarm() -> None:
+    """Time of a trial of 32 s of MyoArm, and its multiple coherence below 10 Hz, at several forces."""
     start = time.process_time()
-    laboratory = ap.Laboratory("myo_sim:myoarm_r", "3proxph_r", activation=0.1, posture_deg=posture, locked=cuffed)
+    laboratory = around_myoarm(0.1)
     print(f"MyoArm comes to rest in {time.process_time() - start:.1f} s of processor time")
     for rms in (0.3, 1.0, 3.0):
         pushes = [ap.Multisine.draw(seed=seed, rms=rms, duration=DURATION) for seed in range(N_TRIALS)]
@@ -179,9 +201,10 @@ def main() -> None:
     parser.add_argument("--remnant", action="store_true", help="a person's noise at the joints")
     parser.add_argument("--out", type=Path, help="file of JSON lines")
     parser.add_argument("--myoarm", action="store_true", help="MyoArm, in the place of two links")
+    parser.add_argument("--human", action="store_true", help="how far MyoArm is from people")
     asked = parser.parse_args()
-    if asked.myoarm:
-        myoarm()
+    if asked.myoarm or asked.human:
+        (myoarm if asked.myoarm else human)()
         return
     seeds = range(asked.seed, asked.seed + asked.n)
     report(with_kept_rows(asked.out, seeds, lambda left: (judge(seed, asked.rms, asked.remnant) for seed in left)))

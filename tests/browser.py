@@ -154,6 +154,11 @@ SMALL_PRINT = """
   .map(one => one.outerHTML.slice(0, 80))
 """
 
+SMALL_FIGURES = """
+[...document.querySelectorAll("figure .frame img")]
+  .filter(image => image.getBoundingClientRect().width < 0.75 * image.naturalWidth).map(image => image.alt)
+"""
+
 ZOOMS = """
 (() => {
   const zooms = [...document.querySelectorAll("figure .zoom")];

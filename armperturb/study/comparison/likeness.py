@@ -143,7 +143,7 @@ def compare(recording: xr.Dataset | Sequence[xr.Dataset], reference: str = "peop
       seed: of whom is drawn.
 
     Raises:
-      ValueError: reference is something else, or as `response`.
+      ValueError: reference is something else, nobody has the arm's posture, or as `response`.
     """
     require_one_of("compare", "reference", reference, REFERENCES)
     first = recording if isinstance(recording, xr.Dataset) else recording[0]
@@ -154,7 +154,12 @@ def compare(recording: xr.Dataset | Sequence[xr.Dataset], reference: str = "peop
     frequency, admittance = estimate.frequency[chosen], estimate.response[chosen]
     geometry: dict[str, Any] = {name: float(first[name].values[0]) for name in GEOMETRY}
     known = bool(np.isfinite([*geometry.values()]).all())
-    bodies = _drawn(reference, task, seed, geometry if known else {})
+    try:
+        bodies = _drawn(reference, task, seed, geometry if known else {})
+    except ValueError as error:
+        raise ValueError(
+            f"recording: no person has its posture: {error} (--turn-deg turns the axes of a model)"
+        ) from None
     if reference == "thesis":
         of_people = np.stack([arm_admittance(body, frequency) for body in bodies])
     else:

@@ -43,3 +43,9 @@ def test_a_person_is_human_and_an_arm_of_iron_is_not():
 def test_an_unknown_reference_is_refused():
     with pytest.raises(ValueError, match="reference = 'apes'; expected one of thesis, people"):
         ap.compare(None, "apes")
+
+
+def test_a_posture_that_nobody_has_is_refused_with_the_option_that_mends_it():
+    turned = linear_trial(ap.POSITION).assign_coords(theta_s_deg=("trial", [-130.0]))
+    with pytest.raises(ValueError, match=r"theta_s_deg = -130\.0; expected .* at least -90 .*--turn-deg"):
+        ap.compare(turned, "thesis")

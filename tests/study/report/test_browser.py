@@ -7,6 +7,7 @@ from tests.browser import (
     CHROMIUM,
     DEAD_LINKS,
     LEFT_OPEN,
+    SMALL_FIGURES,
     SMALL_PRINT,
     TOO_WIDE,
     ZOOMS,
@@ -55,6 +56,7 @@ def test_report_is_whole_and_readable(browser, thesis_report, width):
     assert browser.evaluate(BROKEN_IMAGES) == []
     assert browser.evaluate(TOO_WIDE) == []
     assert browser.evaluate(SMALL_PRINT) == []
+    assert browser.evaluate(SMALL_FIGURES) == []
     assert barriers(browser) == {}
     assert browser.evaluate("document.querySelectorAll('nav a').length") > 5
     assert browser.evaluate(DEAD_LINKS) == []
