@@ -1,6 +1,6 @@
 """Which spectrum of the remnant gives the published VAF and criterion, and what the person is who then fits the tables.
 
-Run by `python -m benchmarks.remnant --cutoff 20 --share 0.9`; some 10 s of one core, with `--calibrate` 2 min. The
+Run by `python -m benchmarks.remnant --cutoff 20 --share 0.9 --fast-share 0`; some 10 s of one core, with `--calibrate` 2 min. The
 average person goes through four trials per condition under the published mean forces. One model is fitted to their
 admittances as in step 2 of appendix C, from the published means of step 1: model 3 in PT, model 1 in RT. Printed are
 criterion and VAF, in brackets the published ones (tables C.12, C.22), the multiple coherence up to 1.5 Hz, to 10 Hz and
@@ -77,10 +77,13 @@ def main() -> None:
     parser.add_argument("--cutoff", type=float, help="of the remnant [Hz]; as people have it if not given")
     parser.add_argument("--share", type=float, help="RMS of the remnant over the demand; likewise")
     parser.add_argument("--floor", type=float, help="RMS of the remnant without a perturbation [Nm]; likewise")
+    parser.add_argument("--fast-share", type=float, help="RMS of the remnant's fast part over the demand; likewise")
+    parser.add_argument("--fast-cutoff", type=float, help="of the fast part [Hz]; likewise")
     parser.add_argument("--seed", type=int, default=700)
     parser.add_argument("--calibrate", action="store_true")
     options = parser.parse_args()
     given = {f"remnant_{name}": getattr(options, name) for name in ("cutoff", "share", "floor")}
+    given |= {name: getattr(options, name) for name in ("fast_share", "fast_cutoff")}
     noise = replace(HUMAN_NOISE[options.task], **{name: value for name, value in given.items() if value is not None})
     person = average_person()
     if options.calibrate:
