@@ -65,6 +65,7 @@ def test_the_command_prints_and_writes_them(study, tmp_path, monkeypatch, capsys
         return StartScores(people=len(paths), cells={start: cells(0.25) for start in STARTS}, unstable={})
 
     monkeypatch.setattr("armperturb.study.comparison.start_scores.compare_starts", compared)
+    monkeypatch.setattr("armperturb.study.results.analyse.analyse_study", lambda *_, **__: study)
     folder = study.of("PT7.5")[0].recording.parents[1]
     assert main(["score", str(folder), "--out", str(tmp_path), "--workers", "1", "--starts"]) == 0
     assert "appendix C of 2 people from three starts" in capsys.readouterr().out
