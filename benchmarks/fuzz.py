@@ -218,6 +218,7 @@ def outcome(folder: Path, case: Case, expected: Any, *, guarded: bool) -> str:
     child = os.fork()
     if child == 0:
         status = 6
+        tracebacks = os.fdopen(os.dup(2), "w", buffering=1)  # where tracebacks go; what libraries print is dropped
         try:
             resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
             if not guarded:
@@ -225,10 +226,11 @@ def outcome(folder: Path, case: Case, expected: Any, *, guarded: bool) -> str:
                 for name in READERS:
                     sys.modules[name].__dict__["read_foreign"] = _parsed
             signal.alarm(PATIENCE)
-            tracebacks = os.fdopen(os.dup(2), "w", buffering=1)  # where tracebacks go; what libraries print is dropped
             os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
             os.chdir(folder)
             status = _end(case.run, case.compared, expected, tracebacks)
+        except BaseException:
+            traceback.print_exc(file=tracebacks)
         finally:
             os._exit(status)
     status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])

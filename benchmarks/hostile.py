@@ -1,16 +1,18 @@
 """Gives every command hostile files, and looks at how it ends, how long it takes and how much memory.
 
-Run `python -m benchmarks.hostile [COMMAND ...] [--most N] [--seed N]`; half an hour of a core, or N cases by chance.
-The cases are those of the tests of malformed and crafted files (MATLAB, HDF5, netCDF, C3D, CSV, sidecars), and those of
-this file (TOML, JSON, NPZ, XML, pipes, links, devices). A command must refuse each in one line, without a traceback or
-a signal, within 35 s and 1.5 GB of any of its processes, and leave nothing; or carry it out.
+Run `python -m benchmarks.hostile [COMMAND ...] [--most N] [--keep FOLDER]`; half an hour of a core, or N cases that are
+spread evenly; with a folder, what was seen is kept there and the rest can follow later. The cases are those of the
+tests of malformed and crafted files (MATLAB, HDF5, netCDF, C3D, CSV, sidecars), and those of this file (TOML, JSON,
+NPZ, XML, pipes, links, devices). A command must refuse each in one line, without a traceback or a signal, within 35 s
+of processor time and 1.5 GB of any of its processes, and leave nothing; or carry it out. By the clock, three times 35 s
+end it with a signal.
 """
 
 import argparse
+import gc
 import importlib
 import io
 import os
-import random
 import resource
 import shutil
 import signal
@@ -19,18 +21,18 @@ import tempfile
 import time
 import zipfile
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import redirect_stdout
+from functools import partial
 from pathlib import Path
-
-import numpy as np
 
 from armperturb import cli
 from armperturb.perturbations import Multisine, save_perturbation
 from armperturb.subject import RELAX
+from benchmarks.kept_rows import Row, with_kept_rows
 
 LONGEST, LARGEST = 35.0, 1.5e9
-"""Time of a run [s], and memory of a process [byte]."""
+"""Processor time of a run [s], and memory of a process [byte]."""
 
 Make = Callable[[Path], Path]
 """Writes a case into a folder, and says which file it is."""
@@ -224,8 +226,9 @@ COMMANDS: dict[str, Callable[[str], int]] = {
 """Name to what runs with a file, in a folder that holds good ones."""
 
 
-def outcome(run: Callable[[str], int], make: Make, good: Path, folder: Path) -> tuple[str, float, float]:
-    """How a command ends with a case, the time that it takes [s], and the memory of its largest process [byte].
+def outcome(run: Callable[[str], int], make: Make, good: Path, folder: Path) -> Row:
+    """How a command ends with a case (`end`), the time that it takes by the clock and of the processor [s] (`took`,
+    `processor`), and the memory of its largest process [byte] (`memory`).
 
     Args:
       run: of `COMMANDS`.
@@ -267,24 +270,35 @@ def outcome(run: Callable[[str], int], make: Make, good: Path, folder: Path) -> 
         end = f"LEFT BEHIND {sorted(new)}"
     else:
         end = "refused" if code else "carried out"
-    if took > LONGEST or 1024 * usage.ru_maxrss > LARGEST:
+    processor, memory = usage.ru_utime + usage.ru_stime, 1024.0 * usage.ru_maxrss
+    if processor > LONGEST or memory > LARGEST:
         end = f"TOO MUCH, then {end}"
     for path in folder.rglob("*"):
         if path.is_dir() and not path.is_symlink():
             path.chmod(0o700)
     shutil.rmtree(folder)
-    return end, took, 1024.0 * usage.ru_maxrss
+    return {"end": end, "took": took, "processor": processor, "memory": memory}
+
+
+def outcomes(command: str, made: dict[str, Make], good: Path, numbers: list[int]) -> Iterator[Row]:
+    """`outcome` of a command with cases by their numbers (`seed`), and their names (`case`)."""
+    for number in numbers:
+        case = sorted(made)[number]
+        yield {"seed": number, "case": case} | outcome(COMMANDS[command], made[case], good, good.parent / "now")
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Print for each command how its runs ended, and the most time and memory."""
     parser = argparse.ArgumentParser()
     parser.add_argument("commands", nargs="*", choices=[[], *COMMANDS])
-    parser.add_argument("--most", type=int)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--most", type=int, default=10**6)
+    parser.add_argument("--keep", type=Path, help="folder for what was seen, from which the next run goes on")
     options = parser.parse_args([] if arguments is None else arguments)
+    keep = options.keep and options.keep.absolute()
+    if keep:
+        keep.mkdir(parents=True, exist_ok=True)
     made, total = cases(), Counter[str]()
-    rng = random.Random(options.seed)
+    numbers = range(0, len(made), max(-(-len(made) // options.most), 1))
     print(f"{len(made)} cases")
     with tempfile.TemporaryDirectory() as name:
         good = Path(name) / "good"
@@ -296,17 +310,21 @@ def main(arguments: list[str] | None = None) -> None:
         lab.with_suffix(".json").rename(good / "good.json")
         for module in ("report.report", "validation.validate", "planning.plan", "comparison.likeness"):
             importlib.import_module(f"armperturb.study.{module}")
+        gc.freeze()  # or each forked process would copy most of this one's memory
         for command in options.commands or COMMANDS:
-            ends, most = Counter[str](), np.zeros(2)
-            chosen = sorted(rng.sample(sorted(made), min(options.most or len(made), len(made))))
-            for case, make in ((case, made[case]) for case in chosen):
-                end, *costs = outcome(COMMANDS[command], make, good, Path(name) / "now")
-                ends[end.split()[0] if end[0].isupper() else end] += 1
-                most = np.maximum(most, costs)
-                if end[0].isupper():
-                    print(f"    {command}, {case}: {end}", flush=True)
+            path = keep / f"{command.replace(' ', '_')}.jsonl" if keep else None
+            rows = with_kept_rows(path, numbers, partial(outcomes, command, made, good))
+            ends = Counter(row["end"].split()[0] if row["end"][0].isupper() else row["end"] for row in rows)
+            for row in rows:
+                if row["end"][0].isupper():
+                    print(f"    {command}, {row['case']}: {row['end']}", flush=True)
             total += ends
-            print(f"{command}: {dict(ends)}, at most {most[0]:.1f} s and {most[1] / 1e9:.2f} GB", flush=True)
+            most = [max(row[cost] for row in rows) for cost in ("processor", "took", "memory")]
+            print(
+                f"{command}: {dict(ends)}, at most {most[0]:.1f} s of processor time, {most[1]:.1f} s by the clock and "
+                f"{most[2] / 1e9:.2f} GB",
+                flush=True,
+            )
     print(f"all: {dict(total)}")
 
 

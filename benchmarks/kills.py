@@ -1,14 +1,19 @@
 """Sends KILL, INT, TERM and HUP to commands at random moments, and looks at what is left.
 
-Run `python -m benchmarks.kills [COMMAND ...] [--kills N] [--seed N]`: by default every command that writes, 100 kills
-each; report, design, validate and calibrate take longest. A signal goes to the command, to its process group, or to a
-process that it has started, if there is one. Half of the moments are after the first file was begun. Then no process
-may be left; each file must be that of an undisturbed run or of before, to the last byte, or absent if there was none
-before; the command must have said at most one line of an error; and after every signal but KILL to the command itself
-there may be no other files. KILL may leave hidden part files, which are counted, and what a study continues from.
+Run `python -m benchmarks.kills [COMMAND ...] [--kills N] [--keep FOLDER]`: by default every command that writes, 100
+kills each, half an hour of a core; with a folder, what was seen is kept there and the rest can follow later. A signal
+goes to the command, to its process group, or to a process that it has started, if there is one. Half of the moments are
+after the first file was begun. Then no process may be left; each file must be that of an undisturbed run or of before,
+to the last byte, or absent if there was none before; the command must have said at most one line of an error; and after
+every signal but KILL there may be no other files. KILL may leave hidden part files, which are counted, and what a study
+continues from. Of every fifth kill of a command that continues where it was interrupted, the same command then runs
+undisturbed, and its files must be those of a first run.
 """
 
 import argparse
+import dataclasses
+import gc
+import importlib
 import os
 import random
 import shutil
@@ -19,33 +24,51 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
+from functools import partial
 from io import StringIO
 from pathlib import Path
 
 import psutil
+import tomli_w
 
 from armperturb import cli
+from armperturb.study.protocol import THESIS
 from benchmarks.faults import COMMANDS as FAILED
 from benchmarks.faults import contents, laboratory
+from benchmarks.kept_rows import Row, with_kept_rows
 
 SIGNALS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 TARGETS = ("command", "group", "worker")
 PATIENCE, AFTERWARDS = 300.0, 10.0
 """Time that a command may take, and that what it has started may last longer [s]."""
 
-_VALIDATE = ["validate", "--groups", "2", "--trials", "2", "--estimators", "frequency", "--workers", "2"]
-_STUDY = ["study", "--protocol", "short.toml", "--subjects", "3", "--block", "8", "--workers", "2", "--record-only"]
+_STUDY = ["study", "--protocol", "tiny.toml", "--subjects", "2", "--block", "2", "--workers", "2", "--record-only"]
+_VALIDATE = ["validate", "--groups", "2", "--trials", "1", "--estimators", "frequency", "--workers", "2"]
+_DESIGN = ["--goal", "mass", "--force", "5", "--displacement", "0.01", "--duration", "9.2"]
+_REPORT = ["report", "made", "--workers", "1"]
 
 COMMANDS = {
     **FAILED,
     "study": ([], [*_STUDY, "--out", "o"]),
-    "report": ([], ["report", "made", "--workers", "2"]),
+    "report": (_REPORT, _REPORT),
     "joint": ([], ["joint", "--duration", "20", "--out", "o.nc"]),
     "compare": ([], ["compare", "r.nc", "--with", "thesis", "--out", "o"]),
     "validate": ([], [*_VALIDATE, "--out", "o"]),
     "live": ([], ["live", "--out", "o.html"]),
+    "design": ([], ["design", "--subject", "person.toml", *_DESIGN, "--out", "o"]),
 }
 """Name to the command that ran before, and the command that is stopped."""
+
+REMOVED = {
+    "report": ("made/report.html", "made/tables/*", "made/figures/p*", "made/analysis/*-p*", "made/analysis/*-emg*")
+}
+"""Name to what is removed of the results of the command before: a report on a study that is new takes too long."""
+
+CONTINUING = ("study", "report")
+"""Commands that continue where they were interrupted."""
+
+TRIES = 5
+"""Moments that are drawn until one is before the end of the command."""
 
 
 @contextmanager
@@ -112,7 +135,9 @@ def undisturbed(command: list[str]) -> tuple[float, float]:
     return took, min(first or 0.0, 0.9 * took)
 
 
-def stopped(command: list[str], moment: float, number: int, target: str) -> tuple[int, list[psutil.Process]] | None:
+def stopped(
+    command: list[str], moment: float, number: int, target: str, rng: random.Random
+) -> tuple[int, list[psutil.Process]] | None:
     """Exit status, and processes that are left; None if the command had ended before that moment [s]."""
     process, start = started(command), time.monotonic()
     seen: dict[int, psutil.Process] = {}
@@ -129,7 +154,7 @@ def stopped(command: list[str], moment: float, number: int, target: str) -> tupl
         elif target == "command":
             os.kill(process, number)
         else:
-            os.kill(random.choice(list(seen)), number)
+            os.kill(rng.choice(list(seen)), number)
     except ProcessLookupError:
         pass
     while (status := end_of(process)) is None:
@@ -166,17 +191,20 @@ def wrong(status: int, by: str, files: tuple[dict[str, bytes], dict[str, bytes],
     return ""
 
 
-def kills(name: str, inputs: Path, count: int, rng: random.Random) -> tuple[Counter[str], list[str]]:
-    """How often a command was stopped by which signal, and what was wrong.
+def kills(name: str, inputs: Path, seeds: list[int]) -> Iterator[Row]:
+    """What each kill of a command led to.
 
     Args:
       name: of `COMMANDS`.
       inputs: folder whose copy is the current folder of each run.
-      count: of runs that are stopped.
-      rng: of the moments.
+      seeds: one of each kill.
+
+    Yields:
+      The `seed`, the signal and its target (`by`), whether it came in time (`stopped`), what was wrong (`fault`), and
+      how many part files were left by KILL (`parts`).
     """
     earlier, command = COMMANDS[name]
-    here, seen, faults = Path.cwd(), Counter[str](), []
+    here = Path.cwd()
     with scratch_folder() as scratch:
         old, now = scratch / "old", scratch / "now"
 
@@ -191,6 +219,8 @@ def kills(name: str, inputs: Path, count: int, rng: random.Random) -> tuple[Coun
             os.chdir(old)
             if earlier:
                 _in_a_fork(earlier)
+            for path in [path for pattern in REMOVED.get(name, ()) for path in old.glob(pattern)]:
+                path.unlink()
             before = contents(old)
             afresh()
             undisturbed(command)  # imports, and what is compiled
@@ -199,28 +229,37 @@ def kills(name: str, inputs: Path, count: int, rng: random.Random) -> tuple[Coun
             took, first = undisturbed(command)
             if contents(now) != after:
                 raise RuntimeError(f"{name}: other files each time")
-            for _ in range(3 * count):
-                if sum(seen.values()) - seen["part files left by KILL"] >= count:
-                    break
-                afresh()
-                number, target = rng.choice(SIGNALS), rng.choice(TARGETS)
-                moment = rng.uniform(first if rng.random() < 0.5 else 0.0, took)
-                if (ended := stopped(command, moment, number, target)) is None:
+            for seed in seeds:
+                rng = random.Random(f"{name} {seed}")
+                by, ended = "", None
+                for _ in range(TRIES):
+                    afresh()
+                    number, target = rng.choice(SIGNALS), rng.choice(TARGETS)
+                    moment = rng.uniform(first if rng.random() < 0.5 else 0.0, took)
+                    by = f"{number.name} to {target}"
+                    if (ended := stopped(command, moment, number, target, rng)) is not None:
+                        break
+                if ended is None:
+                    yield {"seed": seed, "by": by, "stopped": False, "fault": "", "parts": 0}
                     continue
-                by, left = f"{number.name} to {target}", contents(now)
-                seen[by] += 1
-                seen["part files left by KILL"] += sum(each.endswith(".part") for each in left)
+                left = contents(now)
                 said = Path("../said").read_text(errors="replace")
                 fault = wrong(ended[0], by, (before, after, left), said)
                 if ended[1]:
                     fault = f"{fault} processes left: {[each.pid for each in ended[1]]}"
                     for each in ended[1]:
                         each.kill()
-                if fault:
-                    faults.append(f"{by} after {moment:.3f} s: {fault}")
+                if not fault and name in CONTINUING and seed % 5 == 0:
+                    _in_a_fork(command)
+                    fault = "" if _visible(contents(now)) == _visible(after) else "continued to other files"
+                parts = sum(each.endswith(".part") for each in left)
+                yield {"seed": seed, "by": by, "stopped": True, "fault": fault, "parts": parts}
         finally:
             os.chdir(here)
-    return seen, faults
+
+
+def _visible(files: dict[str, bytes]) -> dict[str, bytes]:
+    return {name: content for name, content in files.items() if not Path(name).name.startswith(".")}
 
 
 def _in_a_fork(command: list[str]) -> None:
@@ -234,10 +273,12 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("commands", nargs="*", choices=[[], *COMMANDS])
     parser.add_argument("--kills", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--keep", type=Path, help="folder for what was seen, from which the next run goes on")
     options = parser.parse_args([] if arguments is None else arguments)
     commands, here = options.commands or list(COMMANDS), Path.cwd()
-    rng = random.Random(options.seed)
+    keep = options.keep and options.keep.absolute()
+    if keep:
+        keep.mkdir(parents=True, exist_ok=True)
     with scratch_folder() as folder:
         inputs = folder / "inputs"
         inputs.mkdir()
@@ -246,19 +287,42 @@ def main(arguments: list[str] | None = None) -> None:
         if not child:
             try:
                 laboratory(inputs, with_study=bool({"report", "score", "video"} & set(commands)))
+                tiny_protocol(inputs / "tiny.toml")
             finally:
                 os._exit(0)
         os.waitpid(child, 0)
         os.chdir(here)
         with redirect_stdout(StringIO()):
             for module in ("report.report", "validation.validate", "planning.plan", "experiments.calibration"):
-                __import__(f"armperturb.study.{module}")
+                importlib.import_module(f"armperturb.study.{module}")
+        calibration = importlib.import_module("armperturb.study.experiments.calibration")
+        calibration.__dict__["N_UNSEEN"] = 1  # it takes twice as long otherwise
+        gc.freeze()  # or each forked process would copy most of this one's memory
         for command in commands:
-            seen, faults = kills(command, inputs, options.kills, rng)
-            count = sum(seen.values()) - (parts := seen.pop("part files left by KILL", 0))
-            print(f"{command}: {count} stopped, {len(faults)} wrong, {parts} part files left by KILL", flush=True)
+            path = keep / f"{command}.jsonl" if keep else None
+            rows = with_kept_rows(path, range(options.kills), partial(kills, command, inputs))
+            seen = [row for row in rows if row["stopped"]]
+            faults = [f"{row['by']}: {row['fault']}" for row in seen if row["fault"]]
+            counts = dict(sorted(Counter(row["by"] for row in seen).items()))
+            parts = sum(row["parts"] for row in seen)
+            print(f"{command}: {len(seen)} stopped, {len(faults)} wrong, {parts} part files left by KILL", flush=True)
             for fault in faults[:5]:
                 print(f"    {fault}", flush=True)
+            print(f"    {', '.join(f'{count} {by}' for by, count in counts.items())}", flush=True)
+
+
+def tiny_protocol(path: Path) -> None:
+    """Two conditions of the thesis in trials of 8 s."""
+    conditions = tuple(each for each in THESIS.conditions if each.name in ("PT0", "PT7.5"))
+    tiny = dataclasses.replace(
+        THESIS,
+        conditions=conditions,
+        forces="published",
+        trial_duration=8.0,
+        multisine_duration=6.0,
+        onset_window=(1.0, 4.0),
+    )
+    path.write_text(tomli_w.dumps(tiny.to_dict()))
 
 
 if __name__ == "__main__":

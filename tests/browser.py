@@ -140,7 +140,7 @@ DEAD_LINKS = """
 TOO_WIDE = """
 (() => {
   const wide = [...document.querySelectorAll("h1, h2, h3, p, li, dd, summary, figcaption, img, nav a, .table")].filter(
-    one => one.offsetParent && !one.parentElement.closest(".table")
+    one => one.offsetParent && !one.parentElement.closest(".table, .frame")
       && (one.getBoundingClientRect().right > innerWidth + 0.5 || one.getBoundingClientRect().left < 0));
   const found = wide.map(one => one.outerHTML.slice(0, 80));
   const page = document.documentElement.scrollWidth;

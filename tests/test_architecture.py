@@ -15,7 +15,8 @@ BASE = {"arrays", "validation", "extras", "seeds", "files", "foreign", "recordin
 BASE |= {"jit", "muscle_law", "person_files", "subject", "environment", "joint_person"}
 ARM = BASE | {
     "analysis.cuts", "analysis.defaults", "analysis.plateaus", "analysis.arm", "analysis.force_balance",
-    "analysis.trials", "analysis.per_trials", "analysis.numerics", "analysis.results", "plots", "anthropometry",
+    "analysis.trials", "analysis.per_trials", "analysis.manipulator", "analysis.numerics",
+    "analysis.results", "plots", "anthropometry",
 }  # fmt: skip
 ANALYSIS = ARM | {"analysis.response", "analysis.measures", "analysis.emg", "analysis.fit", "analysis.nonlinear"}
 ANALYSIS |= {"analysis.varying"}
@@ -54,8 +55,9 @@ ARROWS = {
     "plots": BASE,
     "pages": BASE | {"plots"},
     "analysis.results": BASE | {"plots"},
-    "analysis.trials": ARM - {"analysis.trials", "analysis.per_trials"},
-    "analysis.per_trials": ARM - {"analysis.per_trials"},
+    "analysis.trials": ARM - {"analysis.trials", "analysis.per_trials", "analysis.manipulator"},
+    "analysis.per_trials": ARM - {"analysis.per_trials", "analysis.manipulator"},
+    "analysis.manipulator": ARM - {"analysis.manipulator"},
     "analysis.response": ARM,
     "analysis.measures": ARM,
     "analysis.fit": ARM | {"analysis.response", "analysis.measures", "analysis.emg"},

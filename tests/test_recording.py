@@ -209,6 +209,7 @@ def with_units(recording):
         (lambda r: r.transpose("time", "trial", ...), r"has dims .*; expected \('trial', 'time', 'axis'\)"),
         (lambda r: r.isel(time=slice(None, None, 4)), "time runs at 50 Hz.*expected even steps .* rate = 200 Hz"),
         (lambda r: r.assign_attrs(rate=100.0), "time runs at 200 Hz.*rate = 100 Hz"),
+        (lambda r: r.assign_coords(time=r["time"].where(r["time"] != r["time"][3])), "sample 3 is at nan s"),
         (lambda r: r.assign_attrs(rate=-1.0), "rate = -1.0; expected the sampling rate in Hz"),
         (lambda r: r.drop_attrs(deep=False), "rate = None; expected the sampling rate in Hz"),
         (lambda r: r.isel(time=[0, 1, 2, 10, 11]), "sample 3 is at 0.05 s"),

@@ -56,6 +56,17 @@ class NoiseLevels(NamedTuple):
     displacement: float
 
 
+def gauge_gain(impedance: ComplexArray, levels: NoiseLevels) -> ComplexArray:
+    """What the best displacement has of what is left of the balance, G [m/N], (frequency,).
+
+    Args:
+      impedance: E^-1 of the manipulator [N/m], (frequency,).
+      levels: of the instruments' noise.
+    """
+    variance = levels.displacement**2
+    return np.asarray(variance * impedance.conj() / (variance * np.abs(impedance) ** 2 + levels.force**2))
+
+
 class Skew(NamedTuple):
     """How much later the force was recorded than the displacement.
 
@@ -217,15 +228,32 @@ class Balance:
         information[3, 3] = -float(np.sum(self._omega**2 * (products[:, 0, 1:4] @ values)))
         variance = float(np.linalg.inv(information)[3, 3])
         slope = float(np.sum(products[:, 4, :4] @ np.concatenate([[1.0], values])))
-        # Tapering makes neighbouring frequencies depend on each other, as a shorter record would.
-        shorter = len(self._taper) * float(np.sum(self._taper**4))
-        return Skew(-variance * slope, float(np.sqrt(shorter * variance / (2 * self._n_averages))))
+        return Skew(-variance * slope, float(np.sqrt(variance * self._shorter / (2 * self._n_averages))))
+
+    @property
+    def _shorter(self) -> float:
+        """Tapering makes neighbouring frequencies depend on each other, as a record shorter by this factor would."""
+        return len(self._taper) * float(np.sum(self._taper**4))
+
+    def covariance(self, environment: Environment, levels: NoiseLevels) -> Array:
+        """Covariance of the errors of mass, damping and stiffness as `fit` estimates them, in SI units, (3, 3).
+
+        The encoders' noise is no movement: its expected power is taken out of what the path tells, unless little else
+        is in it.
+        """
+        values = np.array([environment.m_env, environment.b_env, environment.k_env])
+        density = self._density(values, levels)[:, None, None]
+        path = self._roots[:, :, 1:4]
+        noise = levels.displacement**2 * np.einsum("if,jf->fij", self._band_powers.conj(), self._band_powers).real
+        seen = np.sum(np.einsum("fki,fkj->fij", path, path) / density, axis=0)
+        moved = seen - np.sum(noise / density, axis=0)
+        information = moved if np.linalg.eigvalsh(moved)[0] > 0.0 else seen
+        return np.asarray(np.linalg.inv(information) * self._shorter / (2 * self._n_averages))
 
     def displacement(self, environment: Environment, levels: NoiseLevels) -> Array:
         """Best displacement from encoders and gauge [m], (trial, time, axis); its last `EDGE` s are not to be used."""
         impedance = np.array([environment.m_env, environment.b_env, environment.k_env]) @ self._powers
-        gain = levels.displacement**2 * impedance.conj()
-        gain /= levels.displacement**2 * np.abs(impedance) ** 2 + levels.force**2
+        gain = gauge_gain(impedance, levels)
         balance = fft.irfft(self._load - impedance[:, None] * self._path, self._n_padded, axis=1)
         # Where the record breaks off the balance holds a jump, on which the gain of good instruments would ring on.
         end, half = self._n_samples, self._n_edge // 2

@@ -10,7 +10,7 @@ A trial is used up to its pulse; `cuts` says where that is.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple, ParamSpec, Self, TypeAlias, TypeVar
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 import xarray as xr
@@ -43,9 +43,6 @@ ALIKE = 0.9
 ONE_VALUED = ("subject", "task", "condition", *ARM_LABELS)
 """Coordinates that all trials of a person in a condition share."""
 
-P = ParamSpec("P")
-T = TypeVar("T")
-
 
 class TrialRecord(NamedTuple):
     """One trial from the start of the analysis to its pulse.
@@ -70,6 +67,7 @@ class ConditionTrials:
       numbers: which trials these are, of those that were prepared, (trial,).
       whole: the trials that these were taken from, whose manipulator and displacement they share; None for none.
       given: manipulator and instrument noise; None to identify them from these trials.
+      given_covariance: of the errors of the given manipulator, see `manipulator.manipulator_covariance`; None for none.
       last: number of samples that fits over whole records may use; None for all.
     """
 
@@ -77,6 +75,7 @@ class ConditionTrials:
     numbers: Indices
     whole: Self | None = None
     given: tuple[Environment, NoiseLevels] | None = None
+    given_covariance: Array | None = None
     last: int | None = None
     results: dict[object, Any] = field(default_factory=dict, init=False, repr=False)
 

@@ -289,7 +289,9 @@ class Identify(Command):
             joined = recordings[0]
             if len(recordings) > 1:
                 joined = join_recordings(recordings, optional=("emg",)).recording
-            result = envelopes(joined)
+            del recordings
+            # Envelopes need no times, which take twice as much memory as a channel.
+            result = envelopes(joined.drop_vars("emg_time", errors="ignore"))
         except ValueError as error:
             notes.append(f"{error}; the movement alone is used")
             return None

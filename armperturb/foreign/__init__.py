@@ -2,7 +2,7 @@
 
 Damaged or crafted files crash the libraries that parse them, keep them busy for ever, or make them allocate any amount
 of memory. All of that happens to `program.py`; this process reads plain arrays from a pipe. Starting a child takes
-longer than parsing most files, so one that has parsed a file well waits for the next; any other is ended.
+longer than parsing most files, so one that has parsed a file of usual size well waits for the next; any other is ended.
 """
 
 import atexit
@@ -28,6 +28,9 @@ from armperturb.foreign.program import Refused as Refused
 
 LARGEST = 2**30
 """Largest file, and largest content of one [byte]: an hour of eight channels at 2 kHz takes less than half of it."""
+
+LARGE = 2**27
+"""A child process that has parsed a larger file [byte] is ended, since it may keep much of the memory that it took."""
 
 LONGEST = 30.0
 """Time in which a file must be parsed [s]."""
@@ -71,7 +74,7 @@ def read_foreign(
             raise ModuleNotFoundError(name="ezc3d")
     wanted = None if names is None else sorted(names)
     request = {"path": str(path.resolve()), "names": wanted, "without": sorted(without)}
-    latest = time.monotonic() + seconds
+    is_large, latest = path.stat().st_size > LARGE, time.monotonic() + seconds
     child, answer = _taken(), {}
     watch = threading.Timer(seconds, child.kill)
     watch.start()
@@ -80,7 +83,7 @@ def read_foreign(
     finally:
         watch.cancel()
         in_time = time.monotonic() < latest
-        if in_time and "content" in answer and not _waiting:
+        if in_time and "content" in answer and not _waiting and not is_large:
             _waiting.append(child)
         else:
             _end(child)

@@ -50,6 +50,13 @@ class Disturbances:
         self.n_samples = perturbation.shape[1]
         self.force = _halved(perturbation, self.decimation, straight)
 
+    def coarser(self, longest_step: float) -> "Disturbances":
+        """The same disturbances for a simulation with longer steps; these themselves, if its steps are no longer."""
+        samples = self.force[:, :: 2 * self.decimation]
+        rate = 1.0 / (self.timestep * self.decimation)
+        coarser = Disturbances(samples, rate, self._threads, longest_step=longest_step)
+        return coarser if coarser.decimation < self.decimation else self
+
     def responses(
         self,
         lanes: Table,

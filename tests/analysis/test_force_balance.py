@@ -50,6 +50,11 @@ def test_environment_and_noise_of_both_instruments_come_out_of_the_balance(balan
         assert levels.force == pytest.approx(LEVELS.force, rel=0.15)
         assert levels.displacement == pytest.approx(LEVELS.displacement, rel=0.03)
     assert np.mean([levels.force for _, levels in found]) == pytest.approx(LEVELS.force, rel=0.04)
+    scatter = np.std([[environment.m_env, environment.b_env, environment.k_env] for environment, _ in found], axis=0)
+    covariance = np.mean(
+        [balance.covariance(*each) for (balance, _), each in zip(balances, found, strict=True)], axis=0
+    )
+    assert scatter == pytest.approx(np.sqrt(np.diag(covariance)), rel=0.5)  # of twelve recordings
     # No bias: least squares would make the mass too small by more than this.
     mass = np.array([environment.m_env for environment, _ in found])
     assert abs(mass.mean() - ENVIRONMENT.m_env) < 3 * mass.std(ddof=1) / np.sqrt(len(mass))

@@ -82,6 +82,14 @@ def test_a_signal_may_have_axes_of_its_own(tmp_path):
     assert_is_the_laboratory(import_recording([write(tmp_path, values, sidecar)]).recording)
 
 
+@pytest.mark.parametrize(("force", "length"), [("nt", "meters"), ("Newtons", "metres")])
+def test_units_have_the_names_that_laboratories_write(tmp_path, force, length):
+    sidecar = meaning()
+    for name, unit in zip(REQUIRED_SIGNALS, (force, force, length), strict=True):
+        sidecar["signals"][name]["unit"] = unit
+    assert_is_the_laboratory(import_recording([write(tmp_path, sidecar=sidecar)]).recording)
+
+
 def test_one_file_per_trial_with_one_sidecar(tmp_path):
     values = table(3)
     paths = [write(tmp_path, values[values[:, 0] == k], name=f"trial{k}") for k in (1, 2, 3)]

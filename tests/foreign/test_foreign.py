@@ -169,7 +169,7 @@ def waiting():
     return {child.pid for child in psutil.Process().children() if any("program.py" in word for word in child.cmdline())}
 
 
-def test_a_child_process_stays_until_it_refuses_or_dies(recording_file, tmp_path):
+def test_a_child_process_stays_until_it_refuses_or_dies(recording_file, tmp_path, monkeypatch):
     read_foreign(recording_file)
     (first,) = waiting()
     read_foreign(recording_file)
@@ -184,6 +184,9 @@ def test_a_child_process_stays_until_it_refuses_or_dies(recording_file, tmp_path
     psutil.Process(second).wait()
     assert read_foreign(recording_file)["attrs"]
     assert waiting().isdisjoint({first, second})
+    monkeypatch.setattr("armperturb.foreign.LARGE", 1000)
+    read_foreign(recording_file)
+    assert waiting() == set()
 
 
 def test_threads_read_at_the_same_time(recording_file):

@@ -150,10 +150,11 @@ def hum_lines(power: Array, frequency: Array, mains: Sequence[float]) -> list[fl
     lines = []
     for fundamental in mains:
         for line in fundamental * np.arange(1, MOST_HARMONICS + 1):
-            near = np.abs(frequency - line) <= MAINS_DRIFT
-            around = (np.abs(frequency - line) <= HUM_WIDTH) & ~near
-            if near.any() and around.any() and power[near].max() > HUM * power[around].mean():
-                lines.append(float(frequency[near][np.argmax(power[near])]))
+            first, last = np.searchsorted(frequency, [line - HUM_WIDTH, line + HUM_WIDTH])
+            here, there = frequency[first:last], power[first:last]
+            near = np.abs(here - line) <= MAINS_DRIFT
+            if near.any() and not near.all() and there[near].max() > HUM * there[~near].mean():
+                lines.append(float(here[near][np.argmax(there[near])]))
     return lines
 
 

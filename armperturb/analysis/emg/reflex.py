@@ -220,19 +220,26 @@ def _fit(q: ComplexArray, a: ComplexArray, f: Array, shared: float) -> dict[str,
         values = (*WITH_LIMITS, *names, *(f"{name}_error" for name in names))
         return dict.fromkeys(values, math.nan) | {"coherence": 0.0, "p": 1.0}
 
-    def left(delay: float) -> tuple[float, Array]:
-        gains, *_ = np.linalg.lstsq(_design(q, f, delay), rows, rcond=None)
-        return float(np.sum((rows - _design(q, f, delay) @ gains) ** 2)), gains
+    # A delay turns what the joints do, but does not change how the columns of the design go together.
+    undelayed = _design(q, f, 0.0)
+    inverse_gram = np.linalg.pinv(undelayed.T @ undelayed, hermitian=True)
+    columns = np.concatenate([2j * np.pi * f * q, q], axis=1)  # (trial, gain, frequency)
+    together = np.einsum("tgf,tf->gf", columns.conj(), a)
+
+    def explained_by(delay: float) -> float:
+        seen = (together @ np.exp(2j * np.pi * f * delay)).real
+        return float(seen @ inverse_gram @ seen)
 
     delays = np.linspace(*DELAYS, N_DELAYS)
-    start = delays[int(np.argmin([left(delay)[0] for delay in delays]))]
+    start = delays[int(np.argmax([explained_by(delay) for delay in delays]))]
     step = delays[1] - delays[0]
     bounds = max(DELAYS[0], start - step), min(DELAYS[1], start + step)
     delay = float(
-        optimize.minimize_scalar(lambda x: left(x)[0], bounds=bounds, method="bounded", options={"xatol": 1e-6}).x
+        optimize.minimize_scalar(lambda x: -explained_by(x), bounds=bounds, method="bounded", options={"xatol": 1e-6}).x
     )
-    remainder, gains = left(delay)
     design = _design(q, f, delay)
+    gains, *_ = np.linalg.lstsq(design, rows, rcond=None)
+    remainder = float(np.sum((rows - design @ gains) ** 2))
     change = (_design(q, f, delay + 1e-5) - _design(q, f, delay - 1e-5)) @ gains / 2e-5
     everything = np.column_stack([design, change])
     n = len(rows) / shared

@@ -72,14 +72,14 @@ class Spectra:
     Attributes:
       frequency: centres of bins [Hz], (bin,).
       power: mean within each bin, (trial, muscle, bin).
-      periodogram: mean over trials, at all frequencies, (muscle, frequency).
+      periodogram: mean over trials, at all frequencies, (muscle, frequency): as many numbers as a trial has samples.
       all_frequencies: [Hz], (frequency,).
       below: power below the band over that in it, (trial, muscle).
     """
 
     frequency: Array
     power: Array
-    periodogram: Array
+    periodogram: NDArray[np.float32]
     all_frequencies: Array
     below: Array
 
@@ -90,7 +90,7 @@ class Spectra:
         frequency = fft.rfftfreq(n_padded, 1.0 / rate)
         starts = np.unique(np.searchsorted(frequency, np.arange(0.0, rate / 2.0, RESOLUTION)))
         sizes = np.diff(np.append(starts, len(frequency)))
-        power, total = [], np.zeros((volts.shape[2], len(frequency)))
+        power, total = [], np.zeros((volts.shape[2], len(frequency)), dtype=np.float32)
         for values in volts:
             mean, of_trial = values.mean(axis=0), []
             for column in range(volts.shape[2]):  # one after the other, for the sake of memory
@@ -104,7 +104,11 @@ class Spectra:
         is_below = centre < 0.75 * low
         below = stacked[..., is_below].sum(axis=-1) / np.maximum(stacked[..., ~is_below].sum(axis=-1), 1e-30)
         return cls(
-            frequency=centre, power=stacked, periodogram=total / len(volts), all_frequencies=frequency, below=below
+            frequency=centre,
+            power=stacked,
+            periodogram=np.divide(total, len(volts), out=total),
+            all_frequencies=frequency,
+            below=below,
         )
 
 

@@ -17,6 +17,7 @@ from armperturb.analysis.fit.linear_start import linear_start
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.fit.total_admittance import LONGEST_RUN
 from armperturb.analysis.force_balance import EDGE
+from armperturb.analysis.measures.start_geometry import applied_perturbation
 from armperturb.analysis.per_trials import per_trials
 from armperturb.analysis.response.condition_spectra import condition_spectra, periodic_lines
 from armperturb.analysis.response.joint_records import FILTER_REACH, MODEL_RATE, thinned
@@ -235,9 +236,10 @@ def parts_by_condition(recordings: xr.Dataset | Sequence[xr.Dataset]) -> dict[st
 
 
 def _signals(trials: ConditionTrials, window: slice) -> Signals:
-    return Signals(
-        trials.perturbation[:, window], _white(trials)[:, window], trials.body, trials.environment, trials.rate
+    d, applied, white = (
+        part[:, window] for part in (trials.perturbation, applied_perturbation(trials), _white(trials))
     )
+    return Signals(d, applied, white, trials.body, trials.environment, trials.rate)
 
 
 def record_likelihood(trials: ConditionTrials, top: float, n_segments: int = 1) -> RecordLikelihood:
@@ -247,8 +249,11 @@ def record_likelihood(trials: ConditionTrials, top: float, n_segments: int = 1) 
     if n_segments == 1:
         return RecordLikelihood(signals, top, from_rest=trials.from_rest)
     n_each = _quick_length(signals.perturbation.shape[1] // n_segments)
-    d, x = (part[:, : n_segments * n_each].reshape(-1, n_each, 2) for part in signals[:2])
-    return RecordLikelihood(signals._replace(perturbation=d, displacement=x), top, from_rest=False)
+    cut = {
+        name: getattr(signals, name)[:, : n_segments * n_each].reshape(-1, n_each, 2)
+        for name in ("perturbation", "applied", "displacement")
+    }
+    return RecordLikelihood(signals._replace(**cut), top, from_rest=False)
 
 
 def _n_segments(trials: ConditionTrials, top: float) -> int:
@@ -271,11 +276,11 @@ def _record_signals(trials: ConditionTrials) -> Signals:
     if factor < 2:
         return _signals(trials, slice(end))
     rate, first = trials.rate / factor, 0 if trials.from_rest else FILTER_REACH
-    d, x = (
+    d, applied, x = (
         thinned(values[:, :end], factor, axis=1)[:, first:-FILTER_REACH]
-        for values in (trials.perturbation, trials.displacement)
+        for values in (trials.perturbation, applied_perturbation(trials), trials.displacement)
     )
-    return Signals(d, whitened(x, rate), trials.body, trials.environment, rate)
+    return Signals(d, applied, whitened(x, rate), trials.body, trials.environment, rate)
 
 
 def _period_likelihood(

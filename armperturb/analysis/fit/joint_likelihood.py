@@ -7,12 +7,13 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from armperturb.analysis.arm.linear_arm import LinearArm
-from armperturb.analysis.fit.emg_likelihood import TrialsWithEmg
+from armperturb.analysis.fit.emg_likelihood import N_ARM, TrialsWithEmg
 from armperturb.analysis.fit.group import Group, Method
 from armperturb.analysis.fit.likelihood import Likelihood
 from armperturb.analysis.fit.structures import PUBLISHED, unit
-from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, TrialScore, scaled
+from armperturb.analysis.fit.trial_effects import QUANTITIES, SINGULAR, TrialScore, inverse, scaled
 from armperturb.analysis.fit.whittle import LackOfFit, Normal
+from armperturb.analysis.manipulator import manipulator_covariance
 from armperturb.arrays import Array
 from armperturb.subject import Subject
 
@@ -46,12 +47,14 @@ class JointLikelihood:
 
     def __init__(self, groups: Sequence[Group], method: Method, share: Sequence[str], *, sketchy: bool = False) -> None:
         self.groups, self.quick = tuple(groups), sketchy
-        self.parts = [
-            (at, TrialsWithEmg(likelihood, group.emg) if group.emg else likelihood)
+        every = [
+            (at, TrialsWithEmg(likelihood, group.emg) if group.emg else likelihood, trials)
             for at, group in enumerate(self.groups)
-            for likelihood in _likelihoods(group, method, sketchy)
+            for likelihood, trials in zip(_likelihoods(group, method, sketchy), group.parts, strict=False)
             if likelihood is not None
         ]
+        self.parts = [(at, likelihood) for at, likelihood, _ in every]
+        self._trials = [trials for _, _, trials in every]
         shared = shared_names(self.groups, share)
         self.names: list[str] = []
         self.columns: list[list[int]] = []
@@ -254,6 +257,26 @@ class JointLikelihood:
         parts = [likelihood.lack_of_fit(parameters) for likelihood, parameters in every]
         dof = sum(part.dof for part in parts) - len(self.names)
         return LackOfFit(sum(part.chi2 for part in parts), max(dof, 1))
+
+    def manipulator_errors(self, values: Array) -> Array:
+        """Errors of estimates that one SD of the errors of manipulators makes, independent ones, (parameter, error).
+
+        Each condition's manipulator is identified from its own trials, and then counts as known. The noise must have
+        been weighed. Trials are taken to be alike.
+        """
+        information, slopes = np.diag(self._sharpness).copy(), []
+        for number, parameters in enumerate(self.parameters(values)):
+            (at, likelihood), trials = self.parts[number], self._trials[number]
+            mixing, columns = self._mixing[at], self._of(at)
+            normal = likelihood.normal(parameters, mixing, quick=True)
+            information[np.ix_(columns, columns)] += normal.information
+            movement = likelihood.movement if isinstance(likelihood, TrialsWithEmg) else likelihood
+            changes = movement.by_manipulator(parameters[:N_ARM], *trials.instruments)
+            slope = np.zeros((len(self.names), len(changes)))
+            slope[columns] = movement.errors_by(parameters[:N_ARM], mixing[:N_ARM], changes)
+            variances, directions = np.linalg.eigh(manipulator_covariance(trials))
+            slopes.append(slope @ directions * np.sqrt(np.maximum(variances, 0.0)))
+        return inverse(information) @ np.concatenate(slopes, axis=1)
 
     def published(self) -> Array:
         """Mean over the groups of the structures' default starts."""

@@ -24,6 +24,7 @@ from armperturb.analysis.fit.frequency_bands import EXCITED_POWER
 from armperturb.analysis.fit.frequency_rows import applied
 from armperturb.analysis.fit.total_admittance import TotalAdmittance
 from armperturb.analysis.fit.whittle import ALL, ROUND_OFF, Whittle
+from armperturb.analysis.force_balance import NoiseLevels, gauge_gain
 from armperturb.arrays import Array, ComplexArray, Indices
 from armperturb.environment import Environment
 from armperturb.subject import Subject
@@ -53,6 +54,7 @@ class Signals(NamedTuple):
 
     Attributes:
       perturbation: d [N], (trial, time, axis).
+      applied: d without what depends on the person's noise [N], likewise; see `measures.start_geometry`.
       displacement: whitened, of the same time, (trial, time, axis).
       body: gives segments and posture.
       environment: what the hand holds.
@@ -60,6 +62,7 @@ class Signals(NamedTuple):
     """
 
     perturbation: Array
+    applied: Array
     displacement: Array
     body: Subject
     environment: Environment
@@ -93,6 +96,7 @@ class Likelihood(Whittle):
       signals: of the trials.
       frequency: of the residual, evenly spaced [Hz], (frequency,).
       force: DFT of d at these frequencies, (trial, axis, frequency).
+      applied: that of `Signals.applied`, likewise.
       observed: DFT of the whitened displacement, (trial, axis, frequency).
       answering: as in `Whittle`.
     """
@@ -102,6 +106,7 @@ class Likelihood(Whittle):
         signals: Signals,
         frequency: Array,
         force: ComplexArray,
+        applied: ComplexArray,
         observed: ComplexArray,
         answering: Indices | slice,
     ) -> None:
@@ -113,7 +118,24 @@ class Likelihood(Whittle):
         )
         self._filter = whitening(frequency, signals.rate)
         least = float(ROUND_OFF * np.abs(force).max()) ** 2
-        super().__init__(frequency, force, observed, answering, scale=self._filter, least=least)
+        super().__init__(frequency, force, observed, answering, scale=self._filter, least=least, cause=applied)
+
+    def by_manipulator(self, values: Array, environment: Environment, levels: NoiseLevels) -> ComplexArray:
+        """How the residual changes with the manipulator's mass, damping and stiffness, (3, trial, axis, answer).
+
+        An error of its impedance by s^k is one of the force s^k x in the model, and of the force that the balance
+        leaves in the displacement: the residual has (P - G) s^k x of it, see `force_balance`.
+
+        Args:
+          values: parameters of the arm.
+          environment: the manipulator as it was identified.
+          levels: of the instruments' noise.
+        """
+        mean = values if values.ndim == 1 else values.mean(axis=0)
+        s = np.asarray(2j * np.pi * self._frequency[self._answering], dtype=complex)
+        impedance = np.asarray(environment.m_env * s**2 + environment.b_env * s + environment.k_env, dtype=complex)
+        share = np.subtract(self._answer(mean), gauge_gain(impedance, levels) * np.eye(2)[..., None])
+        return np.stack([applied(share * s**power, self._observed) for power in (2, 1, 0)])
 
     def _to_smooth(self, values: Array) -> ComplexArray:
         (a, b), (c, d) = self._total(values) * self._filter
@@ -147,7 +169,8 @@ class PeriodLikelihood(Likelihood):
         # Lines without disturbance hold noise alone, which is why they are here.
         excited = np.flatnonzero(power > EXCITED_POWER * power.max())
         force[..., power <= EXCITED_POWER * power.max()] = 0.0
-        super().__init__(signals, frequency[used], force, spectrum(signals.displacement), excited)
+        applied = spectrum(signals.applied)
+        super().__init__(signals, frequency[used], force, applied, spectrum(signals.displacement), excited)
         self._load = force[..., excited] * self._filter[excited]
 
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
@@ -182,7 +205,8 @@ class RecordLikelihood(Likelihood):
         frequency = fft.rfftfreq(len(self._taper), 1.0 / rate)
         self._used = slice(1, int(np.searchsorted(frequency, top)))
         observed = self._spectrum(signals.displacement.swapaxes(1, 2))
-        super().__init__(signals, frequency[self._used], self._spectrum(force), observed, slice(None))
+        d, applied = self._spectrum(force), self._spectrum(signals.applied.swapaxes(1, 2))
+        super().__init__(signals, frequency[self._used], d, applied, observed, slice(None))
         fine = fft.rfftfreq(self._n_padded, 1.0 / rate)
         fine = fine[: np.searchsorted(fine, min(1.3 * top, 0.5 * rate))]
         # A model cannot be asked at zero frequency, where powers of it stand in denominators.

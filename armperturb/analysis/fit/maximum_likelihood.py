@@ -62,8 +62,8 @@ SUSPICIOUS = 0.01
 class Estimate(FitResult):
     """Maximum-likelihood estimate of the parameters of one person, of all conditions together.
 
-    With several conditions, a parameter that is not shared is called "k_s [RT7.5]". Standard errors are those of the
-    Fisher information, times the square root of `dispersion`.
+    With several conditions, a parameter that is not shared is called "k_s [RT7.5]". Variances are those of
+    the Fisher information, times `dispersion`, and what errors of the manipulator, which the same trials identify, add.
 
     Attributes:
       method: "frequency" or "record".
@@ -346,7 +346,9 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
     known = power > SINGULAR
     covariance = (directions[:, known] / power[known]) @ directions[:, known].T
     dispersion = _dispersion(problem, search, fit)
-    error = np.sqrt(np.diag(covariance)) / scale * np.sqrt(dispersion)
+    by_manipulators = problem.manipulator_errors(values) * scale[:, None]
+    covariance = dispersion * covariance + by_manipulators @ by_manipulators.T
+    error = np.sqrt(np.diag(covariance)) / scale
     unknown = np.abs(directions[:, ~known]).max(axis=1, initial=0.0) > PART_OF
     error[unknown] = np.inf
     correlation = np.eye(len(names))

@@ -130,7 +130,7 @@ def fit_mixed(trials: Sequence[TrialScore], n_parameters: int) -> Mixed:
 
     def deviance_and_variances(values: Array) -> tuple[float, Array]:
         deviance, _, information, _ = solve(spread_of(values))
-        return deviance, _variances(information)
+        return deviance, np.diag(inverse(information))
 
     moving = [i for i, value in enumerate(logarithms) if value > bounds[i][0] + 1.0]
     dof = _satterthwaite(deviance_and_variances, logarithms, moving)
@@ -206,8 +206,8 @@ def scaled(information: Array) -> tuple[Array, Array, Array]:
     return scale, np.asarray(power), np.asarray(directions)
 
 
-def _variances(information: Array) -> Array:
-    """Diagonal of its pseudo-inverse, (parameter,)."""
+def inverse(information: Array) -> Array:
+    """Its inverse, without the directions in which it tells nothing, (parameter, parameter)."""
     scale, power, directions = scaled(information)
     known = power > SINGULAR
-    return np.asarray(np.sum(directions[:, known] ** 2 / power[known], axis=1) / scale**2)
+    return np.asarray((directions[:, known] / power[known]) @ directions[:, known].T / np.outer(scale, scale))

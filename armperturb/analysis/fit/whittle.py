@@ -80,6 +80,8 @@ class Whittle:
         strong it is.
       scale: of the model's response where a lack of it is looked for, (frequency,).
       least: power that smoothed noise has at least.
+      cause: DFT of what a lack of fit is looked for with, like force; None for the force. It must not depend on the
+        noise.
     """
 
     def __init__(
@@ -91,10 +93,12 @@ class Whittle:
         *,
         scale: ComplexArray,
         least: float,
+        cause: ComplexArray | None = None,
     ) -> None:
         self._frequency, self._scale = frequency, scale[answering]
         self._answering = answering
         self._force, self._observed = force[..., answering], observed[..., answering]
+        self._cause = self._force if cause is None else cause[..., answering]
         self._quiet = np.ones(len(frequency), dtype=bool)
         self._quiet[answering] = False
         noise = observed[..., self._quiet]
@@ -223,6 +227,22 @@ class Whittle:
                 informations[trial] = rows @ rows.T
         return Normal(float(np.sum(residual**2)), slopes, informations)
 
+    def errors_by(self, values: Array, mixing: Array, changes: ComplexArray) -> Array:
+        """What changes of the outputs do to `Normal.slope`, (free parameter, change).
+
+        Args:
+          values: of the model.
+          mixing: (parameter, free parameter).
+          changes: of what is observed, less of what is predicted, (change, trial, output, answer).
+        """
+        mean = values if values.ndim == 1 else values.mean(axis=0)
+        slopes = np.zeros((mixing.shape[1], len(changes)))
+        rows = self._left(applied_rows(self._white, changes))
+        for trials, derivatives in self._quick_slopes(mean, mixing):
+            for place, trial in enumerate(range(self.n_trials)[trials]):
+                slopes += applied_rows(self._white, derivatives[:, place]) @ rows[:, trial].T
+        return slopes
+
     def lack_of_fit(self, values: Array) -> LackOfFit:
         """Whether models leave something that the input explains, the noise being as last weighed."""
         bands = self.lack_by_band(values)
@@ -235,7 +255,7 @@ class Whittle:
         regression has as many real parameters as the response has numbers: eight of two inputs and outputs.
         """
         residual = complex_values(self._white_rows(values), self._observed.shape)
-        changes = np.einsum("aof,tif->tafoi", self._white * self._scale, self._force)
+        changes = np.einsum("aof,tif->tafoi", self._white * self._scale, self._cause)
         frequency, left = self._frequency[self._answering], []
         for band in self._bands:
             change = changes[:, :, band]

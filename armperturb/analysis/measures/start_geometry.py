@@ -18,6 +18,9 @@ segments: what the torque of the start posture's inertia lacks,
 
 is subtracted from J^T f. c is the difference of the inertia's off-diagonal and the elbow's over cos theta_0. Near a
 right angle, where that says nothing, it is what anthropometric tables make of the elbow's inertia.
+
+d' depends on the person's noise, as f' - f and x' - x do. What is to be free of that noise is regressed on d, which is
+kept beside d'.
 """
 
 from dataclasses import replace
@@ -26,6 +29,7 @@ import numpy as np
 from scipy import signal
 
 from armperturb.analysis.arm.geometry import hand_jacobian, mass_matrix
+from armperturb.analysis.manipulator import manipulator_covariance
 from armperturb.analysis.measures.kinematics import CUTOFF, hand_path, joint_rotations, joint_velocities
 from armperturb.analysis.trials import ConditionTrials, Trials, prepared
 from armperturb.arrays import Array
@@ -35,6 +39,9 @@ COUPLING = 1.25
 """Coupling of the segments over l_h / l_f times the elbow's inertia [-], which is centre / (centre^2 + gyration^2) of
 the forearm with hand in shares of l_f: 1.29 to 1.32 by the tables of `anthropometry`, 1.15 to 1.19 with 0.5 kg of cuff
 and handle at the hand."""
+
+APPLIED = "applied_perturbation"
+"""Variable of a recording in the start geometry that holds d."""
 
 LEAST_LAG = 1e-6
 """Time constant of a grip without damping, as a share of a sample [-]."""
@@ -78,7 +85,15 @@ def in_start_geometry(trials: Trials, arm: Subject | None = None) -> ConditionTr
         "displacement": displacement,
     }
     changed = {name: ready.recording[name].copy(data=values) for name, values in signals.items()}
-    return replace(ready, recording=ready.recording.assign(changed), given=ready.instruments)
+    changed[APPLIED] = ready.recording["perturbation"]
+    recording = ready.recording.assign(changed)
+    return replace(ready, recording=recording, given=ready.instruments, given_covariance=manipulator_covariance(ready))
+
+
+def applied_perturbation(trials: ConditionTrials) -> Array:
+    """d as it was applied [N], (trial, time, axis), of trials as recorded or in the start geometry."""
+    recording = trials.recording
+    return np.asarray(recording[APPLIED if APPLIED in recording else "perturbation"].values, dtype=float)
 
 
 def coupling(arm: Subject) -> float:

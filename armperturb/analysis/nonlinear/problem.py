@@ -23,6 +23,10 @@ from armperturb.planar_arm.lanes import lane_table
 from armperturb.planar_arm.simulation import Disturbances
 from armperturb.subject import Subject
 
+COARSE_STEP = 5e-3
+"""Longest step of the simulation from which coarse derivatives are taken [s]. They are off by some 15 %, which costs a
+search a step or two, and take half the time."""
+
 COORDINATE_STEP = 1e-4
 """Change of a coordinate in finite differences [-]."""
 
@@ -140,7 +144,7 @@ class Problem:
             Noise(arms[trials.label], trials.environment, trials.end, trials.n_trials, trials.rate)
             for trials in self.sets
         ]
-        self._averaged: tuple[Disturbances, ...] = (Disturbances(self.perturbation, self._rate, self._threads),)
+        self._average_over(Disturbances(self.perturbation, self._rate, self._threads))
 
     @property
     def is_noisy(self) -> bool:
@@ -149,7 +153,16 @@ class Problem:
 
     def predict_with(self, draws: NoiseDraws) -> None:
         """From now on predict the mean response in the presence of these draws of the noise."""
-        self._averaged = tuple(disturbances for pair in self._disturbed(draws) for disturbances in pair)
+        self._average_over(*(disturbances for pair in self._disturbed(draws) for disturbances in pair))
+
+    def _average_over(self, *disturbances: Disturbances) -> None:
+        self._averaged = disturbances
+        self._coarse = tuple(each.coarser(COARSE_STEP) for each in disturbances)
+
+    @property
+    def can_be_coarse(self) -> bool:
+        """Whether coarse derivatives take less time than others."""
+        return self._coarse != self._averaged
 
     def _disturbed(self, draws: NoiseDraws) -> Iterator[tuple[Disturbances, Disturbances]]:
         """The disturbances plus and minus each draw of the noise."""
@@ -198,9 +211,9 @@ class Problem:
         place = place.reshape(len(states), self.n_trials)
         return place, (each.responses(lanes[first], trials, self._ends[trials]) for each in disturbed)
 
-    def predict(self, states: Sequence[State], *, n_draws: int | None = None) -> Array:
+    def predict(self, states: Sequence[State], *, n_draws: int | None = None, coarse: bool = False) -> Array:
         """Displacement [m], (state, trial, time, axis)."""
-        averaged = self._averaged[:n_draws]
+        averaged = (self._coarse if coarse else self._averaged)[:n_draws]
         place, responses = self._responses(states, averaged)
         total = next(responses)
         for response in responses:
@@ -267,7 +280,7 @@ class Problem:
         """Minus twice the log-likelihood and log prior, but for a constant, with the noise as last estimated."""
         return self.cost(state, predicted) + float(np.sum(self.log_determinants(state)))
 
-    def slopes(self, state: State, *, n_draws: int | None = None) -> list[Array]:
+    def slopes(self, state: State, *, n_draws: int | None = None, coarse: bool = False) -> list[Array]:
         """Derivatives of white predictions: of each trial (parameters and own effects, number)."""
         states = []
         for column in range(len(state.point)):
@@ -280,7 +293,9 @@ class Problem:
                 if places.start + effect < places.stop:
                     effects[places.start + effect] += COORDINATE_STEP
             states.append(state._replace(effects=effects))
-        predicted = self.predict([state, *states], n_draws=n_draws)
+        predicted = self.predict([state, *states], n_draws=n_draws, coarse=coarse)
+        if coarse and not np.isfinite(predicted).all():  # the step is too long for this arm
+            return self.slopes(state, n_draws=n_draws)
         changes = (predicted[1:] - predicted[0]) / COORDINATE_STEP
         slopes = []
         for rows, noise in zip(self.rows, self.noises, strict=True):
@@ -299,8 +314,8 @@ class Problem:
         return total
 
     def normal(self, state: State, predicted: Array, slopes: Sequence[Array] | None = None) -> Normal:
-        """Gauss-Newton equations, by default with derivatives from the first draws."""
-        slopes = slopes or self.slopes(state, n_draws=2 * PAIRS_OF_SLOPES)
+        """Gauss-Newton equations, by default with coarse derivatives from the first draws."""
+        slopes = slopes or self.slopes(state, n_draws=2 * PAIRS_OF_SLOPES, coarse=True)
         white, n = self.white(self.residual(predicted)), len(state.point)
         slope = self.gathered(state, [columns @ left for columns, left in zip(slopes, white, strict=True)])
         slope[n:] -= self.prior(state)[n:] * state.effects

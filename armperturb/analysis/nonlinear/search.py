@@ -1,10 +1,11 @@
-"""The search for the maximum of the likelihood, in three stages, each of which goes on where the one before ended.
+"""The search for the maximum of the likelihood, in four stages, each of which goes on where the one before ended.
 
 The first two take Levenberg-Marquardt steps in the coordinates of the parameters, first without noise in the
 prediction, then in its presence (`draws`); the noise spectrum is re-estimated before each step (iteratively
-reweighted). Steps after which an arm is unstable, or the likelihood lower, are shortened. In the third, Gauss-Newton
-steps hold spectrum and derivatives, the latter averaged over all draws: derivatives from few draws would add noise of
-their own to the estimate. Its steps estimate the spread of the trials as well.
+reweighted). Steps after which an arm is unstable, or the likelihood lower, are shortened. In the other two stages,
+Gauss-Newton steps hold spectrum and derivatives, the latter averaged over all draws: derivatives from few draws would
+add noise of their own to the estimate. Their steps estimate the spread of the trials as well. Only the last stage,
+which decides where the search ends, takes derivatives at the step of the predictions; earlier ones are coarse.
 """
 
 from collections.abc import Callable
@@ -23,7 +24,7 @@ MAX_STEPS = 40
 
 SEARCH_STEP, STALLED_STEP, FINAL_STEP = 1.0, 0.3, 0.05
 """Convergence thresholds: largest parameter change / standard error, for the first two stages, for a final stage that
-cannot lower the cost by more than `NO_GAIN`, and for the final stage [-]."""
+cannot lower the cost by more than `NO_GAIN` and the stage before it, and for the final stage [-]."""
 
 NO_GAIN = 0.05
 """Decrease of the cost that is nothing [-]: a parameter's standard error changes it by one. Draws of the noise make the
@@ -31,11 +32,11 @@ likelihood rough on the scale of a few tenths of a standard error, so that a sea
 change that matters."""
 
 MAX_REFERENCES, MAX_EXPECTATIONS = 16, 200
-"""Most times that the final stage takes spectrum and derivatives anew, and steps of expectation maximisation in each of
-its steps."""
+"""Most times that each of the last two stages takes spectrum and derivatives anew, and steps of expectation
+maximisation in each of its steps."""
 
 FAR = 0.3
-"""Change of a coordinate from which on the final stage takes spectrum and derivatives anew [-]."""
+"""Change of a coordinate from which on these stages take spectrum and derivatives anew [-]."""
 
 ENOUGH = 1e-3
 """Relative decrease of the cost below which the noise-free stage stops: further steps only fit bias in poorly
@@ -58,7 +59,7 @@ CONVERGED = "converged"
 """How a search ends that has found a maximum."""
 
 
-Stage = Literal["noise-free", "noisy", "final"]
+Stage = Literal["noise-free", "noisy", "nearing", "final"]
 """Part of the search."""
 
 
@@ -69,7 +70,7 @@ class Position:
     Attributes:
       stage: that it is in.
       state: of the unknowns.
-      reference: state at which the final stage has its spectrum and derivatives.
+      reference: state at which the last two stages have their spectrum and derivatives.
       damping: of the last step.
       n_steps: that were taken in all stages.
       draws: of the noise in whose presence trials are predicted; None for none.
@@ -118,9 +119,13 @@ class Search:
         """Search on to the end."""
         if self._at.stage == "noise-free":
             self._approach()
-            self._enter("noisy" if self._n_pairs else "final", self._drawn() if self._n_pairs else None)
+            self._enter("noisy" if self._n_pairs else "nearing", self._drawn() if self._n_pairs else None)
         if self._at.stage == "noisy":
             self._approach()
+            self._enter("nearing", self._at.draws)
+        if self._at.stage == "nearing":
+            if self._problem.can_be_coarse:
+                self._finish()
             self._enter("final", self._at.draws)
         message, slopes = self._finish()
         return self._at, message, slopes
@@ -165,12 +170,12 @@ class Search:
                 return
 
     def _finish(self) -> tuple[str, list[Array]]:
-        """The final stage; returns how it ended, and with which derivatives."""
-        problem = self._problem
+        """One of the last two stages; returns how it ended, and with which derivatives."""
+        problem, is_coarse = self._problem, self._at.stage == "nearing"
         for _ in range(MAX_REFERENCES):
             predicted = problem.predict([self._at.reference])[0]
             problem.weigh(problem.residual(predicted))
-            slopes = problem.slopes(self._at.reference)
+            slopes = problem.slopes(self._at.reference, coarse=is_coarse)
             if self._distance():
                 predicted = problem.predict([self._at.state])[0]
             message = self._descend(slopes, predicted)
@@ -187,6 +192,7 @@ class Search:
     def _descend(self, slopes: list[Array], predicted: Array) -> str:
         """Gauss-Newton steps with one spectrum and one set of derivatives; returns how they ended, "" if far away."""
         problem = self._problem
+        short = STALLED_STEP if self._at.stage == "nearing" else FINAL_STEP
         while True:
             state = self._at.state
             maximum, step = self._linearised_maximum(problem.normal(state, predicted, slopes))
@@ -208,7 +214,7 @@ class Search:
             self._count(cost, part * step)
             self._at, predicted = replace(self._at, state=moved), answer
             self._keep()
-            if step < FINAL_STEP or (step < STALLED_STEP and before - cost < NO_GAIN):
+            if step < short or (step < STALLED_STEP and before - cost < NO_GAIN):
                 return CONVERGED
             if part < 1.0 or self._distance() > FAR:
                 return ""

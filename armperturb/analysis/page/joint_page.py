@@ -61,7 +61,6 @@ def write_joint_page(result: JointIdentification, path: str | Path, origin: Orig
         verdicts=verdicts,
         words=WORDS,
         plain=plain,
-        choices={},
         versions=versions("armperturb", "numpy", "scipy", "matplotlib"),
     )
     write_whole(path, content)

@@ -117,12 +117,12 @@
     });
   });
 
-  // A table that is wider or longer than its window says so.
-  const look = () => all(".table").forEach(box => {
+  // A table or figure that is wider or longer than its window says so.
+  const look = () => all(".table, .frame").forEach(box => {
     box.classList.toggle("wide", box.scrollWidth > box.clientWidth + 1 && box.scrollLeft + box.clientWidth < box.scrollWidth - 1);
     box.classList.toggle("long", box.scrollHeight > box.clientHeight + 1 && box.scrollTop + box.clientHeight < box.scrollHeight - 1);
   });
-  all(".table").forEach(box => box.addEventListener("scroll", look, { passive: true }));
+  all(".table, .frame").forEach(box => box.addEventListener("scroll", look, { passive: true }));
   all("details").forEach(each => each.addEventListener("toggle", look));
   addEventListener("resize", look);
   look();

@@ -33,11 +33,13 @@ def moved(arm, n_samples, n_trials=1):
 
 def by_period(d, x, arm):
     steady = slice(8 * 200, 8 * 200 + 2 * N_PERIOD)
-    return PeriodLikelihood(Signals(d[:, steady], whitened(x, RATE)[:, steady], arm, ENVIRONMENT, RATE), N_PERIOD, TOP)
+    return PeriodLikelihood(
+        Signals(d[:, steady], d[:, steady], whitened(x, RATE)[:, steady], arm, ENVIRONMENT, RATE), N_PERIOD, TOP
+    )
 
 
 def by_record(d, x, arm, from_rest=True):
-    return RecordLikelihood(Signals(d, whitened(x, RATE), arm, ENVIRONMENT, RATE), TOP, from_rest=from_rest)
+    return RecordLikelihood(Signals(d, d, whitened(x, RATE), arm, ENVIRONMENT, RATE), TOP, from_rest=from_rest)
 
 
 def unexplained(likelihood, arm):
@@ -58,7 +60,7 @@ def noisy(arm, seed, kind=None, n_trials=4, shake=0.05):
     path = np.einsum("fij,tfj->tfi", total_admittance(arm, ENVIRONMENT, frequency), force)
     x = np.fft.irfft(path, n_padded, axis=1)[:, :n]
     white = whitened(np.concatenate([x[:, -2:], x], axis=1), RATE)[:, 2:] if kind is by_period else whitened(x, RATE)
-    signals = Signals(d, white, arm, ENVIRONMENT, RATE)
+    signals = Signals(d, d, white, arm, ENVIRONMENT, RATE)
     return PeriodLikelihood(signals, N_PERIOD, TOP) if kind is by_period else RecordLikelihood(signals, TOP)
 
 

@@ -8,6 +8,8 @@ from armperturb.analysis.arm.state_space import largest_real_pole
 from armperturb.analysis.fit.group import Group
 from armperturb.analysis.fit.maximum_likelihood import estimate, profile
 from armperturb.analysis.fit.structures import STRUCTURES
+from armperturb.analysis.manipulator import manipulator_covariance
+from armperturb.analysis.trials import ConditionTrials
 from armperturb.controllers.remnant import HUMAN_NOISE
 from armperturb.environment import Environment
 from armperturb.envs.lab.experiment import run_experiment
@@ -172,6 +174,26 @@ def test_skew_of_the_clocks_is_remarked_upon(relax, relax_group):
         late[name].values[:] = np.fft.irfft(spectrum, 12000, axis=1)[:, : relax.sizes["time"]]
     remarks = estimate([group_of(late, "1")], "frequency").remarks
     assert late_by(remarks) == pytest.approx(1.0, abs=0.05)
+
+
+def test_intervals_contain_what_is_unknown_of_the_manipulator():
+    """By as much as estimates move if a manipulator is taken that is off by one standard deviation."""
+    trials = ConditionTrials.prepare(record(RELAX, 2, noise=0.0))
+    environment, noise = trials.instruments
+    known = {name: getattr(environment, name) for name in ("m_env", "b_env", "k_env")}
+
+    def fitted(given):
+        found = estimate([group_of([replace(trials, given=(Environment(**given), noise))], "1")], "frequency")
+        return [np.array([*each.values()]) for each in (found.values, found.standard_error)]
+
+    best, alone = fitted(known)
+    moved = []
+    for row in np.linalg.cholesky(manipulator_covariance(trials)).T:
+        off = {name: value + change for (name, value), change in zip(known.items(), row, strict=True)}
+        moved.append(fitted(off)[0] - best)
+    errors = np.array([*estimate([group_of([trials], "1")], "frequency").standard_error.values()])
+    assert errors == pytest.approx(np.sqrt(alone**2 + np.sum(np.square(moved), axis=0)), rel=0.05)
+    assert (errors / alone).max() > 1.5
 
 
 @pytest.mark.slow(reason="fits records twice")

@@ -7,10 +7,11 @@ import pytest
 from foreign_arms import Arm, admittance, symmetric
 from foreign_recordings import Setup, draw_foreign, recording_of
 
-from armperturb.analysis.fit.group import Group
+from armperturb.analysis.arm.parameters import parameter_vector
+from armperturb.analysis.fit.group import Group, record_likelihood
 from armperturb.analysis.fit.maximum_likelihood import estimate
 from armperturb.analysis.fit.own_structures import composed
-from armperturb.analysis.measures.start_geometry import coupling, in_start_geometry
+from armperturb.analysis.measures.start_geometry import APPLIED, coupling, in_start_geometry
 from armperturb.analysis.trials import prepared
 from benchmarks.foreign_arms import JUDGED, right_structure
 
@@ -120,3 +121,20 @@ def test_foreign_arms_that_move_by_centimetres_are_identified_within_their_error
         ratios.append([[(fit.values[n] - truth[n]) / fit.standard_error[n] for n in JUDGED] for fit in fits])
     moving, without_arm, with_arm = np.sqrt(np.mean(np.square(ratios), axis=(0, 2)))
     assert with_arm < 1.5 < moving, (moving, without_arm, with_arm)
+
+
+def test_what_the_persons_noise_moves_is_not_taken_for_a_wrong_structure():
+    lacks = np.zeros((2, 2))
+    free = {"rms": 0.02, "remnant": 0.15, "load": (0.9, 25.0, 0.0), "kind": "noise", "reflex": "none"}
+    for seed in range(2):
+        setup = draw_foreign(seed, **free, duration=30.0, rate=200.0)
+        recording = setup.recording()
+        arm = known(setup.arm, prepared(recording).body)
+        ready = in_start_geometry(recording, arm)
+        for row, drop in enumerate(([], [APPLIED])):
+            likelihood = record_likelihood(replace(ready, recording=ready.recording.drop_vars(drop)), 20.0)
+            likelihood.weigh(parameter_vector(arm))
+            lacks[row] += likelihood.lack_of_fit(parameter_vector(arm))
+    (with_applied, dof), (without, _) = lacks
+    assert abs(with_applied / dof - 1.0) < 4.0 * np.sqrt(2.0 / dof)
+    assert without > 1.2 * with_applied

@@ -26,13 +26,15 @@ def findings(study: StudyResult) -> Figure:
     excess = _excess(study)
     figure = new_figure(5.3, width=6.2)
     if excess:
-        grid = figure.subplot_mosaic([["gain", "gain"], ["course", "excess"]], height_ratios=(1.0, 1.05))
+        grid = figure.subplot_mosaic(
+            [["gain", "gain"], ["course", "excess"]], height_ratios=(1.0, 1.05), width_ratios=(1.0, 1.45)
+        )
         draw_people(grid["excess"], excess)
         grid["excess"].axhline(1.0, color=GREY, linewidth=0.9)
         grid["excess"].set_title("c  Pulses against the linear arm", loc="left")
         grid["excess"].set_ylabel("recorded / predicted peak [-]")
         grid["excess"].yaxis.set_major_locator(FixedLocator([0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0]))
-        grid["excess"].tick_params(axis="x", labelsize=6)
+        grid["excess"].tick_params(axis="x", labelsize=7.5)
     else:
         grid = figure.subplot_mosaic([["gain"], ["course"]])
     gains = {
