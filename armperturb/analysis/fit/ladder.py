@@ -24,11 +24,13 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from armperturb.analysis.fit.group import Group, Method
+from armperturb.analysis.fit.likelihood_search import MAX_ROUNDS
 from armperturb.analysis.fit.linear_start import linear_starts
-from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS, Estimate, Sketch, estimate, sketch
+from armperturb.analysis.fit.maximum_likelihood import SKETCH_ROUNDS, SUSPICIOUS, Estimate, Sketch, estimate, sketch
 from armperturb.analysis.fit.own_structures import Grip, Inertia, Reflex, composed
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.fit.trial_effects import scaled
+from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.response.best_linear import best_linear
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.analysis.trials import ConditionTrials
@@ -63,6 +65,9 @@ ORDER: tuple[tuple[Inertia, ...], tuple[Grip, ...], tuple[Reflex, ...]] = (
 """Choices of inertia, grip and reflexes, each a special case of the next."""
 
 Place = tuple[Inertia, Grip, Reflex]
+
+RICHEST: Place = ("free", "spring", "position")
+"""The rung of which all others are special cases."""
 
 Geometry = Callable[[Subject | None], Group | None]
 """Trials of one condition in the geometry of the start posture, from an estimate of the arm."""
@@ -198,16 +203,21 @@ def choose_structure(recorded: Group, in_geometry: Geometry | None = None, metho
     Raises:
       ValueError: as `estimate`, of every structure that was tried.
     """
-    group = nearest_to_linear(recorded, in_geometry, method) if in_geometry else recorded
+    group, richest = _nearest_to_linear(recorded, in_geometry, method)
     fits = _fits_of_spectra(group)
     place = min(fits, key=lambda each: fits[each].score)
     # Neighbouring lines share noise and an arm is never quite linear: the nearest fit sets the scale.
     limit = fits[place].score + FAR * max(1.0, fits[place].distance / (8 * len(group.spectra.frequency)))
-    tried = {place: _sketched(group, place, fits[place], (), method)}
+    tried = {RICHEST: richest}
+    if place not in tried:
+        tried[place] = _sketched(group, place, fits[place], [richest], method)
     while True:
+        # If the trials refute a structure, the spectra that led to it tell too little of the others, too.
+        refuted = _is_refuted(tried[place])
         for other in _neighbours(place):
-            if other not in tried and (fits[other].score < limit or sum(_rank(other)) < sum(_rank(place))):
-                tried[other] = _sketched(group, other, fits[other], [tried[place]], method)
+            promising = refuted or fits[other].score < limit or sum(_rank(other)) < sum(_rank(place))
+            if other not in tried and promising:
+                tried[other] = _sketched(group, other, fits[other], [tried[place], richest], method)
         scored = _scored(tuple(tried.values()))
         if scored[0][:3] == place:
             break
@@ -237,16 +247,35 @@ def nearest_to_linear(recorded: Group, in_geometry: Geometry, method: Method) ->
     Raises:
       ValueError: as `estimate`.
     """
-    richest: Place = ("free", "spring", "position")
-    rung = _sketched(recorded, richest, _fit_of_spectra(recorded, richest), (), method)
-    tried: list[tuple[float, Group]] = [(rung.sketch.objective, recorded)]
+    return _nearest_to_linear(recorded, in_geometry, method)[0]
+
+
+def _nearest_to_linear(recorded: Group, in_geometry: Geometry | None, method: Method) -> tuple[Group, Rung]:
+    """Those trials, and the richest rung with them."""
+    tried = [(recorded, _richest(recorded, (), method))]
     arm: Subject | None = None
-    while len(tried) < 3 and (group := in_geometry(arm)) is not None:
-        others = () if arm is None else (rung,)
-        rung = _sketched(group, richest, _fit_of_spectra(group, richest), others, method)
+    while in_geometry is not None and len(tried) < 3 and (group := in_geometry(arm)) is not None:
+        rung = _richest(group, () if arm is None else [tried[-1][1]], method)
         arm = rung.structure.arm(group.body, rung.sketch.values)
-        tried.append((rung.sketch.objective, group))
-    return min(tried, key=lambda each: each[0])[1]
+        tried.append((group, rung))
+    return min(tried, key=lambda each: each[1].sketch.objective)
+
+
+def _richest(group: Group, others: Sequence[Rung], method: Method) -> Rung:
+    """The rung of which all others are special cases; if it is refuted, searched longer and from another start."""
+    start = _fit_of_spectra(group, RICHEST)
+    rung = _sketched(group, RICHEST, start, others, method)
+    if not _is_refuted(rung):
+        return rung
+    usual = np.array([start.structure.initial[name] for name in start.structure.free])
+    starts = usual, rung.sketch.values
+    longer = [_sketched(group, RICHEST, start._replace(values=each), (), method, MAX_ROUNDS) for each in starts]
+    return min(longer, key=lambda each: each.sketch.objective)
+
+
+def _is_refuted(rung: Rung) -> bool:
+    """Whether the trials say that the structure is wrong, or its search ended in the wrong place."""
+    return LackOfFit(rung.sketch.chi2, rung.sketch.dof).p_value < SUSPICIOUS
 
 
 def _rank(place: Place) -> tuple[int, ...]:
@@ -272,10 +301,12 @@ def _scored(rungs: Sequence[Rung]) -> list[Rung]:
     return sorted(scored, key=lambda rung: rung.score)
 
 
-def _sketched(group: Group, place: Place, start: "_Fitted", others: Sequence[Rung], method: Method) -> Rung:
+def _sketched(
+    group: Group, place: Place, start: "_Fitted", others: Sequence[Rung], method: Method, most: int = SKETCH_ROUNDS
+) -> Rung:
     """One rung, from the fit to the admittance or from what other rungs have found, without its score."""
     carried = [_carried(other.structure, other.sketch.values, start.structure) for other in others]
-    fit = sketch(group.with_structure(start.structure), [start.values, *carried], method)
+    fit = sketch(group.with_structure(start.structure), [start.values, *carried], method, most=most)
     return Rung(*place, start.structure, fit, left_out_loss(fit.scores), np.inf)
 
 

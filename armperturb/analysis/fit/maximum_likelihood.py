@@ -213,18 +213,19 @@ class Sketch(NamedTuple):
     scores: tuple[TrialScore, ...]
 
 
-def sketch(group: Group, starts: Sequence[Array], method: Method = "record") -> Sketch:
+def sketch(group: Group, starts: Sequence[Array], method: Method = "record", *, most: int = SKETCH_ROUNDS) -> Sketch:
     """Fit a structure with few steps and quick derivatives, all trials alike, long ones in `Group.segments`.
 
     Args:
       group: the trials and the structure.
       starts: values of the free parameters, the most likely of which the search starts from, (parameter,) each.
       method: of the likelihood, see `estimate`.
+      most: steps after which the search ends in any case.
     """
     problem = JointLikelihood([group], method, (), sketchy=True)
     stable = [problem.stabilised(np.clip(start, problem.lower, problem.upper)) for start in starts]
     start = min(stable, key=problem.objective)
-    values = search_from(problem, start, settled=SKETCHED, most=SKETCH_ROUNDS).values
+    values = search_from(problem, start, settled=SKETCHED, most=most).values
     objective = problem.objective(values)
     fit = problem.lack_of_fit(values)
     scores = problem.scores(values, problem.no_effects())

@@ -30,6 +30,7 @@ from armperturb.analysis.response.local_polynomial import (
     fit_locally,
     frequency_response,
     n_unknowns,
+    where_independent,
 )
 from armperturb.analysis.response.spectra import EXCITED_LINE
 from armperturb.analysis.trials import (
@@ -355,7 +356,11 @@ def estimate_noise(
 
     def fit(answer: Answer) -> list[LocalFit]:
         windows = [part._replace(answer=answer(part.frequency, part.perturbation, part.answer)) for part in spectra]
-        return [fit_near(lines_around(windows, centre, orders[0]), centre, orders) for centre in wanted.tolist()]
+
+        def at(centre: float) -> LocalFit:
+            return fit_near(lines_around(windows, centre, orders[0]), centre, orders)
+
+        return [*map(at, wanted.tolist())] if frequency is not None else [*where_independent(wanted, at).values()]
 
     fits, environment = _balanced(fit, several if balance and what != "environment" else None)
     return frequency_response(fits, what, [(fit.noise, fit.dof) for fit in fits], environment)
@@ -391,13 +396,13 @@ def local_fits(recordings: SeveralTrials, window_start: float) -> tuple[list[Loc
     """
     records = records_of(prepared_recordings(recordings), window_start)
     spectra = [whole_window(record) for record in records]
-    fits, power = [], []
-    for centre in excited_band(records).tolist():
-        windows = lines_around(spectra, centre, HIGH_ORDERS[0])
-        fits.append(fit_near(windows, centre, HIGH_ORDERS))
-        d = np.concatenate([window.perturbation for window in windows])
-        power.append(d.T @ d.conj() / len(d))
-    return fits, np.array(power)
+
+    def near(centre: float) -> list[Window]:
+        return lines_around(spectra, centre, HIGH_ORDERS[0])
+
+    fits = where_independent(excited_band(records), lambda centre: fit_near(near(centre), centre, HIGH_ORDERS))
+    lines = [np.concatenate([window.perturbation for window in near(centre)]) for centre in fits]
+    return [*fits.values()], np.array([d.T @ d.conj() / len(d) for d in lines])
 
 
 def whole_window(record: TrialRecord) -> Window:

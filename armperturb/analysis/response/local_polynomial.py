@@ -20,7 +20,7 @@ to first order. Assumed: d is known without noise and no person or instrument ad
 noise is stationary, and its spectrum about the same all over the window.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -90,6 +90,10 @@ def n_unknowns(
     return n_inputs * (n_levels + order) + n_records * (leakage_order + 1)
 
 
+class DependentDisturbancesError(ValueError):
+    """The disturbances along x and y are not independent at some frequency."""
+
+
 def fit_locally(
     windows: Sequence[Window], centre: float, *, order: int, leakage_order: int, own_levels: bool = False
 ) -> LocalFit:
@@ -103,8 +107,8 @@ def fit_locally(
       own_levels: whether each record has its own constant term of the response: a person changes between trials.
 
     Raises:
-      ValueError: there are no more equations than unknowns, or the disturbances along x and y are not
-        independent.
+      ValueError: there are no more equations than unknowns.
+      DependentDisturbancesError: the disturbances along x and y are not independent.
     """
     offset = [window.frequency - centre for window in windows]
     scale = max(float(np.abs(values).max()) for values in offset) or 1.0
@@ -135,7 +139,7 @@ def fit_locally(
     lengths[lengths == 0.0] = 1.0
     orthonormal, triangle = np.linalg.qr(matrix / lengths)
     if np.linalg.cond(triangle) > LARGEST_CONDITION:
-        raise ValueError(
+        raise DependentDisturbancesError(
             f"the disturbances along x and y are not independent at {centre:.3f} Hz; expected independent "
             "disturbances (other realisations, one trial for each direction, or more lines per average)"
         )
@@ -197,3 +201,22 @@ def frequency_response(
         dof=np.array([dof for _, dof in noises]),
         environment=environment,
     )
+
+
+def where_independent(wanted: Array, fit: Callable[[float], LocalFit]) -> dict[float, LocalFit]:
+    """Of the wanted frequencies [Hz], those at which the disturbances along x and y are independent, and their fits.
+
+    Below the frequency at which a sweep starts, each axis's spectrum is as smooth as what leaks from the edges.
+
+    Raises:
+      DependentDisturbancesError: they are at less than half of the frequencies.
+    """
+    fits, refusal = {}, None
+    for centre in wanted.tolist():
+        try:
+            fits[centre] = fit(centre)
+        except DependentDisturbancesError as error:
+            refusal = error
+    if refusal is not None and 2 * len(fits) < len(wanted):
+        raise refusal
+    return fits

@@ -8,9 +8,11 @@ import pytest
 
 from armperturb.analysis.fit.identify import identify
 from armperturb.analysis.fit.own_structures import composed
+from armperturb.analysis.response.closed_loop import estimate_noise
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from foreign_arms import admittance
 from foreign_recordings import draw_foreign
 
 JUDGED = ("k_s", "k_se", "k_e", "b_s", "b_se", "b_e")
@@ -58,3 +60,16 @@ def test_trials_that_differ_widen_intervals_and_are_told():
     assert 0.05 < differing.detail.trial_spread["k"] < 0.2
     assert differing.standard_error["k_s"] > 3 * alike.standard_error["k_s"]
     assert 6.0 < differing.degrees_of_freedom["k_e"] < 20.0
+
+
+def test_below_the_start_of_sweeps_nothing_is_asked():
+    setup = draw_foreign(921, kind="chirp", rate=200.0)
+    recording = setup.recording()
+    with pytest.raises(ValueError, match=r"not independent at 0\.1"):
+        estimate_noise(recording, frequency=[0.1])
+    found = estimate_noise(recording)
+    assert 0.1 < found.frequency[0] < 0.3  # they start at 0.2 Hz
+    assert len(found.frequency) > 20
+    truth = admittance(setup.arm, found.frequency)
+    off = np.abs(found.response - truth) / np.abs(truth).max(axis=(1, 2), keepdims=True)
+    assert np.median(off) < 0.03
