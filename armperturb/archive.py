@@ -112,6 +112,8 @@ def read_archive(path: Path) -> Archive:
         classes that this version of the package lacks.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise ValueError("a folder, a pipe or a device")
         with path.open("rb") as file:
             unpacker = zlib.decompressobj(wbits=31)  # of gzip
             text, _, signature = unpacker.decompress(file.read(LARGEST), LARGEST + 128).rpartition(b"\n")

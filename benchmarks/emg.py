@@ -107,18 +107,7 @@ def known_envelopes() -> Iterator[Line]:
     volts = signal.sosfilt(amplifier, shape * signal.sosfilt(colour, white))
     volts[:, 1] += 0.2 * volts[:, 0]
     volts += 2e-3 * np.random.default_rng(1).standard_normal(volts.shape)
-    still = np.zeros((n_trials, n // 10, 2))
-    labels = {name: [np.nan] * n_trials for name in ("pulse_direction", "pulse_onset", "limit_time", "l_h", "l_f")}
-    labels |= {name: [np.nan] * n_trials for name in ("theta_s_deg", "theta_e_deg")}
-    labels |= {"subject": ["A"] * n_trials, "task": ["RT"] * n_trials, "condition": ["RT"] * n_trials}
-    labels |= {"repetition": list(range(n_trials)), "pulse_level": [0.0] * n_trials}
-    recording = make_recording(
-        {"perturbation": still, "force": still, "displacement": still, "emg": volts.swapaxes(1, 2)},
-        labels,
-        200.0,
-        emg_rate=rate,
-        muscles={"flexor": Action("s", 1), "extensor": Action("s", -1)},
-    )
+    recording = one_muscle(volts.swapaxes(1, 2), rate)
     steps = round(window * rate)
     true = np.sqrt(np.mean(shape.reshape(-1, steps) ** 2, axis=1))[1:-1]
 
@@ -152,6 +141,40 @@ def known_envelopes() -> Iterator[Line]:
     start = time.process_time()
     envelopes(recording.isel(muscle=[0]))
     yield Line("the same channel here", "", f"{time.process_time() - start:.1f} CPU s")
+
+
+def lateness() -> Iterator[Line]:
+    """How much later than the drive of a muscle an envelope is, for what an amplifier's high-pass does to it."""
+    rate, n, n_trials, modulated = 2000.0, 40_000, 30, 20.0
+    shape = 0.3 * (1.0 + 0.6 * np.sin(2 * np.pi * modulated * np.arange(n) / rate))
+    colour, amplifier, _ = (np.asarray(each, dtype=float) for each in _filters(rate, 20.0))
+    driven = shape * signal.sosfilt(colour, np.random.default_rng(0).standard_normal((n_trials, 1, n)))
+    electrode = 2e-3 * np.random.default_rng(1).standard_normal(driven.shape)
+    for name, volts in (("without", driven), ("with", signal.sosfilt(amplifier, driven))):
+        recording = one_muscle((volts + electrode).swapaxes(1, 2), rate)
+        amplitude = envelopes(recording).amplitude[:, 200:-200, 0]
+        phase = 2 * np.pi * modulated * np.arange(200, 200 + amplitude.shape[1]) / 200.0
+        answers = (amplitude * np.exp(-1j * phase)).mean(axis=1) / np.mean(np.sin(phase) * np.exp(-1j * phase))
+        late = -np.angle(answers) / (2 * np.pi * modulated)
+        said = f"{1e3 * late.mean():+.2f} ms, standard error {1e3 * late.std() / np.sqrt(n_trials):.2f} ms"
+        yield Line(f"delay of an envelope, {name} the amplifier's high-pass", "", said)
+
+
+def one_muscle(volts: np.ndarray, rate: float) -> xr.Dataset:
+    """A recording of EMG of a still arm, (trial, time, muscle) in volts."""
+    still, n_trials = np.zeros((len(volts), volts.shape[1] // 10, 2)), len(volts)
+    labels = {name: [np.nan] * n_trials for name in ("pulse_direction", "pulse_onset", "limit_time", "l_h", "l_f")}
+    labels |= {name: [np.nan] * n_trials for name in ("theta_s_deg", "theta_e_deg")}
+    labels |= {"subject": ["A"] * n_trials, "task": ["RT"] * n_trials, "condition": ["RT"] * n_trials}
+    labels |= {"repetition": list(range(n_trials)), "pulse_level": [0.0] * n_trials}
+    muscles = {"flexor": Action("s", 1), "extensor": Action("s", -1)}
+    return make_recording(
+        {"perturbation": still, "force": still, "displacement": still, "emg": volts},
+        labels,
+        200.0,
+        emg_rate=rate,
+        muscles=dict(list(muscles.items())[: volts.shape[2]]),
+    )
 
 
 def nonlinear_people(n: int) -> Iterator[Line]:
@@ -371,7 +394,7 @@ def _indices(result: Activity, recording: xr.Dataset, true: np.ndarray) -> np.nd
 
 def main(n: int) -> None:
     """Print every line."""
-    for part in (known_envelopes(), nonlinear_people(n), linear_people(n)):
+    for part in (known_envelopes(), lateness(), nonlinear_people(n), linear_people(n)):
         for line in part:
             print(f"{line.quantity:75}  {line.target:16}  {line.measured}", flush=True)
 

@@ -1,17 +1,25 @@
-"""Accuracy of the joint model on simulated people of one joint: `python -m benchmarks.one_joint [PEOPLE] [SERVO ...]`.
+"""Accuracy of the joint model on simulated people of one joint.
 
-People of three joints, half of them with a one-sided and half with a linear reflex, and people without one, on a
-position and on a force servo, 60 s each with noise of 10 to 20 dB. Their equations are those of `tests/one_joint.py`.
-Beside each median error stands the one that the standard errors let expect. `response` is judged on the same people.
+Run `python -m benchmarks.one_joint [PEOPLE] [SERVO ...] [--seed FIRST]`; other seeds are other people. They are people
+of three joints, half of them with a one-sided and half with a linear reflex, and people without one, on a position and
+on a force servo, 60 s each with noise of 10 to 20 dB. Their equations are those of `tests/one_joint.py`.
+Beside each median error stands the one that the standard errors let expect. `--bound` prints instead what the
+Cramer-Rao bound lets expect, at the true parameters and with noise of a free spectrum, without identifying anybody.
+`response` is judged on the same people.
 """
 
+import argparse
 import sys
 import time
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 
 from armperturb.analysis.joint.identify import identify_joint
+from armperturb.analysis.joint.likelihood import JointLikelihood, environment_of
+from armperturb.analysis.joint.model import JointStructure
+from armperturb.analysis.joint.signals import joint_signals
 from armperturb.analysis.response.one_axis import one_axis_response
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
@@ -26,19 +34,62 @@ QUARTILE = 0.6745
 """Median of the modulus of a standard normal variable [-]."""
 
 
-def main(people: int, servos: list[str]) -> None:
+def bounds(person: one_joint.Joint, recording: xr.Dataset) -> dict[str, float]:
+    """Parameter of the true structure to the least standard error that an estimate from this recording can have.
+
+    Noise reaches the joint on a force servo, but with a free spectrum it tells nothing of the parameters: what counts
+    is the torque at the movement that the perturbation causes (Forssell & Ljung 1999, Automatica 35, 1215-1241).
+    """
+    structure = JointStructure(reflex=person.reflex, side=person.side)
+    signals = joint_signals(recording)
+    loop = environment_of(signals) if signals.servo == "force" else None
+    likelihood = JointLikelihood(structure, signals, loop)
+    true = np.array([getattr(person, name) for name in structure.parameters])
+    likelihood.weigh(true)
+    columns = likelihood.derivatives(true, likelihood.movement(true)).reshape(len(true), -1)
+    size = np.linalg.norm(columns, axis=1)
+    inverse = np.linalg.inv((columns / size[:, None]) @ (columns / size[:, None]).T)
+    return dict(zip(structure.parameters, np.sqrt(np.diag(inverse)) / size, strict=True))
+
+
+def print_bounds(people: int, servos: list[str], first: int) -> None:
+    """Print the median error that the bound lets expect of each parameter."""
+    for servo in servos:
+        least: dict[str, list[float]] = {name: [] for name in TARGETS}
+        for number in range(first, first + people):
+            for reflex in ("half-wave", "linear", "none"):
+                person, recording = made(number, reflex, servo)
+                for name, error in bounds(person, recording).items():
+                    if name in TARGETS:
+                        least[name].append(unit_of(name, person) * QUARTILE * error)
+        each = ", ".join(f"{name} {np.median(errors):.2f}" for name, errors in least.items())
+        print(f"{servo} servo, {people} people of each kind: the Cramer-Rao bound lets expect {each}", flush=True)
+
+
+def made(number: int, reflex: str, servo: str) -> tuple[one_joint.Joint, xr.Dataset]:
+    """A person and a recording."""
+    name = list(one_joint.JOINTS)[number % 3]
+    person = one_joint.person(name, 100 + number, reflex)
+    decibel = float(np.random.default_rng(number).uniform(10.0, 20.0))
+    return person, one_joint.recording(person, number, servo, decibel=decibel, name=name)
+
+
+def unit_of(parameter: str, person: one_joint.Joint) -> float:
+    """What makes an error one in per cent, or in milliseconds."""
+    return 1e3 if parameter == "reflex_delay" else 100.0 / getattr(person, parameter)
+
+
+def main(people: int, servos: list[str], first: int) -> None:
     """Print errors, coverage and choices."""
     for servo in servos:
         errors = {name: [] for name in TARGETS}
         expected = {name: [] for name in TARGETS}
         covered, linear, one_sided, lacks = [], [], [], []
         held, right, started = [], {"half-wave": [], "linear": [], "none": []}, time.process_time()
-        for number in range(people):
+        for number in range(first, first + people):
             name = list(one_joint.JOINTS)[number % 3]
             for reflex in right:
-                person = one_joint.person(name, 100 + number, reflex)
-                decibel = float(np.random.default_rng(number).uniform(10.0, 20.0))
-                recording = one_joint.recording(person, number, servo, decibel=decibel, name=name)
+                person, recording = made(number, reflex, servo)
                 response = one_axis_response(recording, window_start=1.0)
                 (one_sided if reflex == "half-wave" else linear).append(response.p_linear)
                 if reflex != "half-wave":
@@ -62,7 +113,7 @@ def main(people: int, servos: list[str]) -> None:
                     true = getattr(person, parameter)
                     if parameter in TARGETS:
                         miss = abs(value - true)
-                        unit = 1e3 if parameter == "reflex_delay" else 100.0 / true
+                        unit = unit_of(parameter, person)
                         errors[parameter].append(unit * miss)
                         expected[parameter].append(unit * QUARTILE * result.standard_error[parameter])
                     lower, upper = result.interval(parameter)
@@ -89,5 +140,11 @@ def main(people: int, servos: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    numbers = [int(each) for each in sys.argv[1:] if each.isdigit()]
-    main(numbers[0] if numbers else 30, [each for each in sys.argv[1:] if not each.isdigit()] or ["position", "force"])
+    parser = argparse.ArgumentParser()
+    parser.add_argument("people", type=int, nargs="?", default=30)
+    parser.add_argument("servos", nargs="*", default=["position", "force"])
+    parser.add_argument("--seed", type=int, default=0, help="of the first person")
+    parser.add_argument("--bound", action="store_true", help="print only what the Cramer-Rao bound lets expect")
+    options = parser.parse_args()
+    run = print_bounds if options.bound else main
+    run(options.people, options.servos, options.seed)

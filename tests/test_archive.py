@@ -3,6 +3,7 @@
 import gzip
 import json
 import math
+import os
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -145,6 +146,12 @@ def test_the_key_is_the_users_alone_and_lasts(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("ARMPERTURB_KEY", str(tmp_path / "file" / "key"))
     assert archive._key.__wrapped__() != archive._key.__wrapped__()  # nowhere to keep it
+
+
+def test_a_pipe_is_no_archive(tmp_path):
+    os.mkfifo(tmp_path / "a.json.gz")
+    with pytest.raises(ValueError, match="a folder, a pipe or a device; expected what this version writes"):
+        read_archive(tmp_path / "a.json.gz")
 
 
 def test_an_archive_that_unpacks_to_gigabytes_is_refused(tmp_path):

@@ -214,11 +214,9 @@ class Identify(Command):
         return structure
 
     def _identify(self, recordings: "list[xr.Dataset]", structure: "Structure | None", notes: list[str]) -> list[str]:
-        from armperturb.analysis.fit.export import write_identification
         from armperturb.analysis.fit.group import parts_by_condition
         from armperturb.analysis.fit.identify import identify_conditions
         from armperturb.analysis.fit.own_structures import inertia_prior, save_structure
-        from armperturb.analysis.page.page import write_page
         from armperturb.commands.selection import manipulator
 
         emg = self._emg(notes) if self.emg else None
@@ -243,6 +241,10 @@ class Identify(Command):
             lines_per_average=self.lines_per_average,
             emg=emg,
         )
+        # What draws is loaded only now, as it takes memory that fits of long trials need.
+        from armperturb.analysis.fit.export import write_identification
+        from armperturb.analysis.page.page import write_page
+
         write_identification(results, self.out)
         endings = endings_of(results)
         for condition, result in results.items():
@@ -275,7 +277,7 @@ class Identify(Command):
 
     def _emg(self, notes: list[str]) -> "UseOfEmg | None":
         """EMG of all conditions of the person; None, and a note, where it is missing or cannot be used."""
-        from armperturb.analysis.emg.envelope import envelopes
+        from armperturb.analysis.emg.envelope import envelopes, require_emg
         from armperturb.analysis.fit.emg_likelihood import ElectromechanicalDelay
         from armperturb.analysis.fit.use_emg import UseOfEmg
         from armperturb.commands.selection import select_trials
@@ -289,9 +291,9 @@ class Identify(Command):
             joined = recordings[0]
             if len(recordings) > 1:
                 joined = join_recordings(recordings, optional=("emg",)).recording
+            require_emg(joined)
             del recordings
-            # Envelopes need no times, which take twice as much memory as a channel.
-            result = envelopes(joined.drop_vars("emg_time", errors="ignore"))
+            result = envelopes(joined[["perturbation", "emg"]].drop_vars("emg_time"))
         except ValueError as error:
             notes.append(f"{error}; the movement alone is used")
             return None

@@ -28,7 +28,7 @@ from armperturb.environment import Environment
 from armperturb.files import write_whole
 from armperturb.recording import REQUIRED_SIGNALS, SIGNALS, TEXT_COORDINATES, TRIAL_COORDINATES
 from armperturb.subject import POSITION
-from armperturb.validation import require_one_of
+from armperturb.validation import require_number, require_one_of
 
 ROLES: Mapping[str, str] = TABLES["roles"]
 """Signal to words of names that stand for it, in the order in which they decide; a bare x or y is displacement."""
@@ -72,10 +72,11 @@ def write_sidecar(file: str | Path, out: str | Path | None = None, *, rate: floa
 
     Raises:
       FileExistsError: the sidecar exists already.
-      ValueError: the file is damaged, too large, or has an unknown ending.
+      ValueError: the file is damaged, too large, or has an unknown ending; the rate is not from 1 to 1e6 Hz.
       ModuleNotFoundError: C3D is to be read, and ezc3d is not installed.
       OSError: a file cannot be read or written.
     """
+    require_number("sidecar", "rate", rate, at_least=1.0, at_most=1e6, optional=True)
     path = Path(file)
     target = path.with_suffix(".json") if out is None else Path(out)
     require_one_of(str(path), "ending", path.suffix.lower(), (*TEXT, *ARRAYS, *C3D))

@@ -150,6 +150,9 @@ def test_existing_sidecars_are_never_overwritten_and_other_files_refused(tmp_pat
             write_sidecar(tmp_path / name)
     with pytest.raises(FileNotFoundError, match="no such file"):
         write_sidecar(tmp_path / "absent.csv")
+    for rate in (np.nan, np.inf, 0.0, -1.0, 1e308):
+        with pytest.raises(ValueError, match=r"rate = .*; expected a finite number at least 1 and at most 1e"):
+            write_sidecar(path, tmp_path / "other.json", rate=rate)
     assert [file.name for file in tmp_path.glob("*.json")] == ["lab.json"]
 
 

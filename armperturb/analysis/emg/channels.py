@@ -86,56 +86,49 @@ class Crosstalk(NamedTuple):
         )
 
 
-def faults_of_trial(
-    volts: NDArray[np.float32],
-    white: NDArray[np.float32],
-    low_power: Array,
-    rate: float,
-    trial: int,
-    names: Sequence[str],
+def faults_of_channel(
+    volts: NDArray[np.float32], white: NDArray[np.float32], low_power: float, rate: float, trial: int, name: str
 ) -> list[ChannelFault]:
-    """What is wrong with the channels of a trial.
+    """What is wrong with a channel of a trial.
 
     Args:
-      volts: as recorded [V], (muscle, time). Three samples in a row at the largest or least value are clipped.
-      white: within the band, whitened, (muscle, time).
-      low_power: power below the band over that in it, (muscle,).
+      volts: as recorded [V], (time,). Three samples in a row at the largest or least value are clipped.
+      white: within the band, whitened, (time,).
+      low_power: power below the band over that in it.
       rate: of the samples [Hz].
       trial: its number.
-      names: of the muscles.
+      name: of the muscle.
     """
     faults = []
 
-    def add(name: str, kind: str, start: float, end: float) -> None:
+    def add(kind: str, start: float, end: float) -> None:
         faults.append(ChannelFault(name, trial, kind, float(start) / rate, float(end) / rate))
 
-    n_windows = white.shape[1] // SPIKE_WINDOW
-    windows = white[:, : n_windows * SPIKE_WINDOW].reshape(len(white), n_windows, SPIKE_WINDOW)
-    total = np.einsum("mws,mws->mw", windows, windows)
-    largest = np.maximum(windows.max(axis=2), -windows.min(axis=2)) ** 2
-    for row, name in enumerate(names):
-        x = volts[row]
-        top, bottom = x.max(), x.min()
-        still = np.flatnonzero(x[1:] == x[:-1])
-        if len(still) >= DEAD * rate:
-            spans = [(start, end) for start, end in runs(x[1:] == x[:-1]) if end - start >= DEAD * rate]
-            for start, end in spans:
-                add(name, "dead", start, end + 1)
-            if spans:
-                continue
-        at_limit = still[(x[still] == top) | (x[still] == bottom)]
-        in_a_row = np.flatnonzero(np.diff(at_limit) == 1)
-        if len(in_a_row):
-            add(name, "clipped", at_limit[in_a_row[0]], at_limit[in_a_row[-1]] + 2)
-        # And over the last window but one and the next but one, as a contraction may begin or end with any sample.
-        around = np.maximum.reduce([np.roll(total[row], shift) for shift in (-2, 0, 2)])
-        inside = largest[row, ENDS:-ENDS] > SPIKE * np.maximum(around[ENDS:-ENDS], 1e-30)
-        for window in (ENDS + np.flatnonzero(inside))[:MOST_SPIKES]:
-            at = window * SPIKE_WINDOW + int(np.argmax(np.abs(windows[row, window])))
-            add(name, "spike", at, at + 1)
-        if low_power[row] > MOVED:
-            at = int(np.argmax(np.abs(x - x.mean())))
-            add(name, "movement artefact", max(at - rate / 2, 0), min(at + rate / 2, len(x)))
+    top, bottom = volts.max(), volts.min()
+    still = np.flatnonzero(volts[1:] == volts[:-1])
+    if len(still) >= DEAD * rate:
+        spans = [(start, end) for start, end in runs(volts[1:] == volts[:-1]) if end - start >= DEAD * rate]
+        for start, end in spans:
+            add("dead", start, end + 1)
+        if spans:
+            return faults
+    at_limit = still[(volts[still] == top) | (volts[still] == bottom)]
+    in_a_row = np.flatnonzero(np.diff(at_limit) == 1)
+    if len(in_a_row):
+        add("clipped", at_limit[in_a_row[0]], at_limit[in_a_row[-1]] + 2)
+    n_windows = len(white) // SPIKE_WINDOW
+    windows = white[: n_windows * SPIKE_WINDOW].reshape(n_windows, SPIKE_WINDOW)
+    total = np.einsum("ws,ws->w", windows, windows)
+    largest = np.maximum(windows.max(axis=1), -windows.min(axis=1)) ** 2
+    # And over the last window but one and the next but one, as a contraction may begin or end with any sample.
+    around = np.maximum.reduce([np.roll(total, shift) for shift in (-2, 0, 2)])
+    inside = largest[ENDS:-ENDS] > SPIKE * np.maximum(around[ENDS:-ENDS], 1e-30)
+    for window in (ENDS + np.flatnonzero(inside))[:MOST_SPIKES]:
+        at = window * SPIKE_WINDOW + int(np.argmax(np.abs(windows[window])))
+        add("spike", at, at + 1)
+    if low_power > MOVED:
+        at = int(np.argmax(np.abs(volts - volts.mean())))
+        add("movement artefact", max(at - rate / 2, 0), min(at + rate / 2, len(volts)))
     return faults
 
 

@@ -27,7 +27,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from armperturb.analysis.cuts import onset_samples
-from armperturb.analysis.emg.channels import ChannelFault, Crosstalk, crosstalk_of, faults_of_trial, said_of
+from armperturb.analysis.emg.channels import ChannelFault, Crosstalk, crosstalk_of, faults_of_channel, said_of
 from armperturb.analysis.emg.whitening import Spectra, averaged, noise_spectra, whitening
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array
@@ -48,6 +48,9 @@ MAINS = (50.0, 60.0)
 
 MAXIMAL_WINDOW, PLATEAU = 1.0, 0.8
 """Time over which a maximal contraction is averaged [s], and power over its largest with which it counts [-]."""
+
+CORRELATED = 2**19
+"""Samples of a trial, the first ones, in which channels are compared for cross-talk: four minutes at 2 kHz."""
 
 NEGLIGIBLE = 1e-6
 """Disturbances below this count as none [N]."""
@@ -263,16 +266,20 @@ def envelopes(
     centre = np.arange(n_time) / mechanical - float(recording["emg"].attrs.get("lead", 0.0))
     power = np.empty((len(volts), n_time, len(names)))
     correlation, faults = np.zeros((len(names), len(names))), list[ChannelFault]()
+    compared = np.empty((len(names), min(volts.shape[1], CORRELATED)), dtype=np.float32)
     for trial, values in enumerate(volts):
-        white = filtered(values.T)
-        power[trial] = averaged(white, rate, centre - half, centre + half).T
-        of_trial = faults_of_trial(values.T, white, below[trial], rate, trial, names)
-        for fault in of_trial:
-            if fault.kind == "dead":
-                dead = slice(int(fault.start * mechanical), int(np.ceil(fault.end * mechanical)) + 1)
-                power[trial, dead, names.index(fault.muscle)] = np.nan
-        faults += of_trial
-        correlation += _correlation(white) / len(volts)
+        for column, name in enumerate(names):  # one after the other, for the sake of memory
+            channel = values[:, column]
+            white = filtered(channel, column)
+            compared[column] = white[: compared.shape[1]]
+            power[trial, :, column] = averaged(white, rate, centre - half, centre + half)
+            of_channel = faults_of_channel(channel, white, below[trial, column], rate, trial, name)
+            for fault in of_channel:
+                if fault.kind == "dead":
+                    dead = slice(int(fault.start * mechanical), int(np.ceil(fault.end * mechanical)) + 1)
+                    power[trial, dead, column] = np.nan
+            faults += of_channel
+        correlation += _correlation(compared) / len(volts)
     labels = _labels(recording)
     reference, largest = _reference(power, labels, maximal, mechanical)
     # A muscle that never rises above the noise is silent, not fully active.

@@ -52,16 +52,15 @@ class Whitening:
     noise: Array
     hum: dict[int, list[float]]
 
-    def __call__(self, volts: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Channels within the band, white where the muscle is above the noise, (muscle, time)."""
-        n, edge = volts.shape[1], self.edge
-        white = np.empty(volts.shape, dtype=np.float32)
-        # One channel after the other, for the sake of memory.
-        for channel, response, out in zip(volts, self.response, white, strict=True):
-            # Point reflections at the ends, as a jump there would be a burst of what whitening lets through best.
-            before, after = channel[edge:0:-1], channel[-2 : -edge - 2 : -1]
-            extended = np.concatenate([2.0 * channel[:1] - before, channel, 2.0 * channel[-1:] - after])
-            out[:] = fft.irfft(fft.rfft(extended, self.n_padded) * response, self.n_padded)[edge : edge + n]
+    def __call__(self, volts: NDArray[np.float32], column: int) -> NDArray[np.float32]:
+        """One channel of a trial within the band, white where the muscle is above the noise, (time,)."""
+        n, edge = len(volts), self.edge
+        # Point reflections at the ends, as a jump there would be a burst of what whitening lets through best.
+        before, after = volts[edge:0:-1], volts[-2 : -edge - 2 : -1]
+        extended = np.concatenate([2.0 * volts[:1] - before, volts, 2.0 * volts[-1:] - after])
+        spectrum = fft.rfft(extended, self.n_padded)
+        spectrum *= self.response[column]
+        white: NDArray[np.float32] = fft.irfft(spectrum, self.n_padded, overwrite_x=True)[edge : edge + n]
         return white
 
 
@@ -224,22 +223,21 @@ def whitening(
 
 
 def averaged(white: NDArray[Any], rate: float, start: Array, end: Array) -> Array:
-    """Mean square of signals between times, (signal, interval), the ends of which need not fall on samples.
+    """Mean square of a signal between times, (interval,), the ends of which need not fall on samples.
 
     Args:
-      white: (signal, time).
+      white: (time,).
       rate: of the samples [Hz].
       start: of each interval [s], (interval,).
       end: likewise.
     """
-    n = white.shape[1]
+    n = len(white)
     # A sample stands for the time about it.
     edges = np.clip(np.stack([start, end]) * rate + 0.5, 0.0, n)
     whole = np.minimum(edges.astype(int), n - 1)
     part = edges - whole
-    length, summed, means = np.maximum(edges[1] - edges[0], 1e-9), np.zeros(n + 1), np.empty((len(white), len(start)))
-    for signal, out in zip(white, means, strict=True):
-        np.cumsum(signal * signal, dtype=float, out=summed[1:])
-        at_edge = summed[whole] * (1.0 - part) + summed[whole + 1] * part
-        out[:] = (at_edge[1] - at_edge[0]) / length
-    return means
+    summed = np.zeros(n + 1)
+    np.multiply(white, white, out=summed[1:])
+    np.cumsum(summed[1:], out=summed[1:])
+    at_edge = summed[whole] * (1.0 - part) + summed[whole + 1] * part
+    return np.asarray((at_edge[1] - at_edge[0]) / np.maximum(edges[1] - edges[0], 1e-9))

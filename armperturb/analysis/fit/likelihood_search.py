@@ -4,7 +4,7 @@ The noise spectra are estimated before each of the first steps (`likelihood`). S
 a smaller likelihood are shortened.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy import optimize
@@ -23,6 +23,29 @@ then on the noise is held."""
 
 SETTLED = 0.01
 """A step this small in units of the standard error ends the search [-]."""
+
+
+class Searchable(Protocol):
+    """A likelihood of free parameters within bounds, (parameter,), and how far they are from an unstable model."""
+
+    lower: Array
+    upper: Array
+
+    def pole(self, values: Array) -> float:
+        """Positive where the model is unstable."""
+        ...
+
+    def weigh(self, values: Array) -> None:
+        """Estimate the noise that is left."""
+        ...
+
+    def cost(self, values: Array) -> float:
+        """Weighed sum of squares."""
+        ...
+
+    def normal(self, values: Array) -> Normal:
+        """Least squares at one point."""
+        ...
 
 
 class Searched(NamedTuple):
@@ -68,7 +91,7 @@ def step_size(normal: Normal, step: Array) -> float:
 
 
 def search_from(
-    problem: JointLikelihood, values: Array, *, weigh: bool = True, settled: float = SETTLED, most: int = MAX_ROUNDS
+    problem: Searchable, values: Array, *, weigh: bool = True, settled: float = SETTLED, most: int = MAX_ROUNDS
 ) -> Searched:
     """Gauss-Newton steps within bounds; if `weigh`, the noise is re-estimated before each of the first steps.
 

@@ -14,7 +14,7 @@ from armperturb.analysis.joint.estimate import JointEstimate, Profile, estimate_
 from armperturb.analysis.joint.intrinsic import IntrinsicCheck, check_intrinsic
 from armperturb.analysis.joint.likelihood import Loop, environment_of, simulated_movement
 from armperturb.analysis.joint.model import LONGEST_DELAY, REFLEXES, UNITS, JointModel, JointStructure, Reflex
-from armperturb.analysis.joint.prediction import FreeModel, fit_free_model
+from armperturb.analysis.joint.prediction import FreeModel, explained, fit_free_model
 from armperturb.analysis.joint.signals import SHORTEST, JointSignals, joint_signals, mean_angle
 from armperturb.analysis.results import Description, FitResult, Interval, parameter_table, plain, quantile
 from armperturb.arrays import Array
@@ -288,19 +288,12 @@ def _shares(signals: JointSignals, model: JointModel, values: Array, loop: Loop 
     """VAF of the torque by the whole model and by each path; of the movement too on a force servo."""
     paths = model.paths(values)
     used = signals.used
-    shares = {"total": _vaf(signals.torque[:, used], model.torque(values)[:, used])}
-    shares |= {name: _vaf(signals.torque[:, used], path[:, used]) for name, path in paths.items()}
+    shares = {"total": explained(signals.torque[:, used], model.torque(values)[:, used])}
+    shares |= {name: explained(signals.torque[:, used], path[:, used]) for name, path in paths.items()}
     if loop is not None:
         moved = simulated_movement(model.structure, values, signals, loop)
-        shares["movement"] = _vaf(signals.angle[:, used], moved.angle[:, used])
+        shares["movement"] = explained(signals.angle[:, used], moved.angle[:, used])
     return shares
-
-
-def _vaf(recorded: Array, predicted: Array) -> float:
-    """Variance accounted for, offsets of trials left out [%]."""
-    miss = recorded - predicted
-    left, whole = (each - each.mean(axis=1, keepdims=True) for each in (miss, recorded))
-    return float(100.0 * (1.0 - np.sum(left**2) / np.sum(whole**2)))
 
 
 def _predictions(
@@ -320,7 +313,7 @@ def _held_out(
 ) -> dict[str, float]:
     recorded, predicted = _predictions(signals, best, loop, free)
     part = slice(round(fit_until * signals.rate), signals.used.stop)
-    return {name: _vaf(recorded[:, part], each[:, part]) for name, each in predicted.items()}
+    return {name: explained(recorded[:, part], each[:, part]) for name, each in predicted.items()}
 
 
 def _trace(signals: JointSignals, best: JointEstimate, loop: Loop | None, free: FreeModel | None) -> Trace:
@@ -367,7 +360,7 @@ def _remarks(
     if free is not None:
         used = signals.used
         torque = JointModel(best.structure, signals).torque(best.values)
-        ahead = free.left_out_vaf - _vaf(signals.torque[:, used], torque[:, used])
+        ahead = free.left_out_vaf - explained(signals.torque[:, used], torque[:, used])
         if ahead > LACKING:
             said.append(
                 f"a free model predicts {ahead:.1f} % more of the torque's variance on left-out data than the parallel "

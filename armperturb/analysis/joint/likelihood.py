@@ -1,12 +1,9 @@
-"""Likelihood of a joint's torque with coloured noise, for an imposed movement and inside a closed loop.
-
-The residual u = torque - model is complex normal at each frequency with a smooth, unknown spectrum (Whittle 1953). That
-is estimated from the residual as in `analysis.fit.whittle`. Offset and drift of each trial are taken out.
+"""Likelihood of a joint's parallel cascade, for an imposed movement and inside a closed loop.
 
 On a position servo the movement is imposed and the derivatives of the model are those at the recorded movement. On a
 force servo the noise moves the joint too. Derivatives are then those at the movement that the perturbation alone causes
-in the model, which no noise reaches: at the optimum they are instruments that are not correlated with u, whatever the
-nonlinearity (Soderstrom and Stoica 1983, Instrumental Variable Methods, ch. 6).
+in the model, which no noise reaches: at the optimum they are instruments that are not correlated with the torque's
+residual, whatever the nonlinearity (Soderstrom and Stoica 1983, Instrumental Variable Methods, ch. 6).
 """
 
 from collections.abc import Iterator
@@ -14,19 +11,13 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft, signal
+from scipy import fft
 
-from armperturb.analysis.fit.frequency_rows import applied_rows, orthonormal
-from armperturb.analysis.fit.whittle import ALL, Whittle
+from armperturb.analysis.fit.whittle import ALL
 from armperturb.analysis.joint.model import JointModel, JointStructure, activated, drive_of, play_operator
-from armperturb.analysis.joint.signals import JointSignals, time_blocks
+from armperturb.analysis.joint.signals import JointSignals
+from armperturb.analysis.joint.torque_likelihood import BlockScore, TorqueLikelihood
 from armperturb.arrays import Array, ComplexArray
-
-LOWEST = 0.05
-"""Lowest frequency that counts [Hz]: below, people drift."""
-
-SHARE = 0.85
-"""Highest frequency that counts, over that of the signals [-]."""
 
 N_BLOCKS = 8
 """Blocks of time that are left out one by one, of a single trial."""
@@ -36,18 +27,6 @@ LOOP_ROUNDS = 25
 
 LOOP_SETTLED = 1e-4
 """RMS change of the movement below which these end, over the RMS angle [-]."""
-
-
-class BlockScore(NamedTuple):
-    """What a block of time says of the parameters.
-
-    Attributes:
-      score: derivative of the model times the white residual, (parameter,).
-      information: Fisher information, (parameter, parameter).
-    """
-
-    score: Array
-    information: Array
 
 
 class Loop(NamedTuple):
@@ -64,8 +43,8 @@ class Loop(NamedTuple):
     stiffness: float
 
 
-class JointLikelihood(Whittle):
-    """Likelihood of trials of a joint with one structure: of one output, the torque at the recorded movement.
+class JointLikelihood(TorqueLikelihood):
+    """Likelihood of trials of a joint with one structure.
 
     Args:
       structure: of the joint.
@@ -74,61 +53,18 @@ class JointLikelihood(Whittle):
     """
 
     def __init__(self, structure: JointStructure, signals: JointSignals, loop: Loop | None = None) -> None:
-        self.structure, self.signals, self._loop = structure, signals, loop
+        self.structure, self._loop = structure, loop
         self._model = JointModel(structure, signals)
         self._moved: tuple[bytes, JointSignals] = b"", signals
         self._impedance: ComplexArray | None = None
-        used = signals.used
-        n = used.stop - used.start
-        self._taper = signal.windows.tukey(n, min(1.0, signals.rate / n), sym=False)
-        frequency = fft.rfftfreq(n, 1.0 / signals.rate)
-        self._lines = (frequency >= LOWEST) & (frequency <= SHARE * signals.top)
-        self.frequency = frequency[self._lines]
-        ones = np.ones(len(self.frequency), dtype=complex)
-        super().__init__(
-            self.frequency,
-            self._spectrum(signals.angle if signals.perturbation is None else signals.perturbation),
-            self._spectrum(signals.torque),
-            slice(None),
-            scale=ones,
-            least=np.finfo(float).tiny,
-        )
-        time = np.linspace(-1.0, 1.0, signals.angle.shape[1])
-        self._drift = self._spectrum(np.stack([np.ones_like(time), time]))
-        self._white = ones[None, None]  # until the noise is weighed
-        self._span = orthonormal(applied_rows(self._white, self._drift))
-
-    @property
-    def noise(self) -> Array:
-        """Power of the noise as last weighed, (line,)."""
-        return np.asarray(2.0 / np.abs(self._white[0, 0]) ** 2)
-
-    def _spectrum(self, values: Array) -> ComplexArray:
-        """DFT of signals where they count, (..., 1, line)."""
-        part = values[..., self.signals.used] * self._taper
-        return np.asarray(fft.rfft(part, axis=-1)[..., None, self._lines] / np.sqrt(np.sum(self._taper**2)))
+        super().__init__(signals)
 
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
         return self._spectrum(self._model.torque(values)[trials])
 
-    def _unknowns(self, values: Array) -> ComplexArray:
-        """Offset and drift."""
-        return self._drift
-
     def _slopes(self, values: Array, mixing: Array) -> Iterator[tuple[slice, ComplexArray]]:
         columns = JointModel(self.structure, self.movement(values)).derivatives(values)
         yield ALL, np.einsum("ptol,pf->ftol", self._spectrum(np.stack(list(columns.values()))), mixing)
-
-    def _to_smooth(self, values: Array) -> ComplexArray:
-        return np.ones((1, 1, len(self.frequency)), dtype=complex)
-
-    def rows(self, values: Array) -> Array:
-        """White signal without offset and drift, real then imaginary parts, (trial, number)."""
-        return self._left(applied_rows(self._white, self._spectrum(values)))
-
-    def residual(self, values: Array) -> Array:
-        """White residual of the torque at the recorded movement, (trial, number)."""
-        return self._white_rows(values)
 
     def weigh(self, values: Array) -> None:
         """Estimate the spectrum of the noise that a model leaves; it holds until the next call."""
@@ -182,26 +118,8 @@ class JointLikelihood(Whittle):
 
     def scores(self, values: Array) -> list[BlockScore]:
         """What each block of time says; a block is a trial where there are several."""
-        movement = self.movement(values)
-        rows, columns = self.residual(values), self.derivatives(values, movement)
-        residual, slopes = self._in_time(rows), self._in_time(columns)
-        if self.n_trials > 1:
-            blocks = [(slice(trial, trial + 1), slice(None)) for trial in range(self.n_trials)]
-        else:
-            cuts = time_blocks(residual.shape[1], N_BLOCKS)
-            blocks = [(slice(None), slice(int(cut[0]), int(cut[-1]) + 1)) for cut in cuts]
-        scores = []
-        for trial, time in blocks:
-            part = slopes[:, trial, time].reshape(len(slopes), -1)
-            scores.append(BlockScore(part @ residual[trial, time].ravel(), part @ part.T))
-        return scores
-
-    def _in_time(self, rows: Array) -> Array:
-        """White rows as white signals over time, with the same sums of products."""
-        half = rows.shape[-1] // 2
-        spectrum = np.zeros((*rows.shape[:-1], len(self._lines)), dtype=complex)
-        spectrum[..., self._lines] = (rows[..., :half] + 1j * rows[..., half:]) / np.sqrt(2.0)
-        return np.asarray(fft.irfft(spectrum, len(self._taper), axis=-1, norm="ortho"))
+        columns = self.derivatives(values, self.movement(values))
+        return self.block_scores(self.residual(values), columns, 1 if self.n_trials > 1 else N_BLOCKS)
 
 
 def environment_of(signals: JointSignals) -> Loop:

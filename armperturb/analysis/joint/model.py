@@ -24,7 +24,8 @@ REFLEXES: tuple[Reflex, ...] = ("none", "linear", "half-wave")
 
 INTRINSIC = ("inertia", "damping", "stiffness")
 SHORT_RANGE = ("short_range_stiffness", "short_range_limit")
-OF_REFLEX = ("reflex_gain", "reflex_delay", "reflex_frequency", "reflex_damping_ratio")
+DYNAMICS = ("reflex_delay", "reflex_frequency", "reflex_damping_ratio")
+OF_REFLEX = ("reflex_gain", *DYNAMICS)
 THRESHOLD = "reflex_threshold"
 
 UNITS = {
@@ -108,10 +109,7 @@ class JointModel:
 
     def __init__(self, structure: JointStructure, signals: JointSignals) -> None:
         self.structure, self._signals = structure, signals
-        n = signals.angle.shape[1]
-        self._n, self._n_padded = n, fft.next_fast_len(n + round(MEMORY * signals.rate), real=True)
-        self._s = 2j * np.pi * fft.rfftfreq(self._n_padded, 1.0 / signals.rate)
-        self._velocity = fft.rfft(signals.velocity, self._n_padded, axis=1)
+        self._path = ReflexPath(signals.angle.shape[1], signals.rate)
 
     def torque(self, values: ArrayLike) -> Array:
         """Torque without its offset, (trial, time)."""
@@ -141,30 +139,44 @@ class JointModel:
         return {name: columns[name] for name in self.structure.parameters}
 
     def _reflex(self, given: dict[str, float]) -> dict[str, Array]:
-        s, gain, wn = self._s, given["reflex_gain"], 2 * np.pi * given["reflex_frequency"]
-        ratio = given["reflex_damping_ratio"]
-        denominator = s**2 + 2.0 * ratio * wn * s + wn**2
-        path = activated(s, given["reflex_delay"], given["reflex_frequency"], ratio)
-        drive = self._velocity
+        velocity, gain, dynamics = self._signals.velocity, given["reflex_gain"], [given[name] for name in DYNAMICS]
+        drive = drive_of(velocity, self.structure.reflex, given.get(THRESHOLD, 0.0), self.structure.side)
+        torque, slopes = self._path.derivatives(drive, *dynamics)
+        columns = {"reflex_gain": torque} | {name: gain * slope for name, slope in slopes.items()}
         if self.structure.reflex == "half-wave":
-            moved = drive_of(self._signals.velocity, "half-wave", given[THRESHOLD], self.structure.side)
-            drive = fft.rfft(moved, self._n_padded, axis=1)
-        unit = drive * path
-
-        def back(spectrum: Array) -> Array:
-            return np.asarray(fft.irfft(spectrum, self._n_padded, axis=1)[:, : self._n])
-
-        by_wn = 2.0 / wn - (2.0 * ratio * s + 2.0 * wn) / denominator
-        columns = {
-            "reflex_gain": back(unit),
-            "reflex_delay": back(-gain * s * unit),
-            "reflex_frequency": back(gain * 2 * np.pi * by_wn * unit),
-            "reflex_damping_ratio": back(-gain * 2.0 * wn * s / denominator * unit),
-        }
-        if self.structure.reflex == "half-wave":
-            closing = fft.rfft(-self.structure.side * (moved != 0.0).astype(float), self._n_padded, axis=1)
-            columns[THRESHOLD] = back(gain * closing * path)
+            columns[THRESHOLD] = gain * self._path.torque(closing_of(drive, self.structure.side), *dynamics)
         return columns
+
+
+class ReflexPath:
+    """Delay and dynamics of a reflex, from rest, of signals over time.
+
+    Args:
+      n: samples of a trial.
+      rate: of these [Hz].
+    """
+
+    def __init__(self, n: int, rate: float) -> None:
+        self._n, self._n_padded = n, fft.next_fast_len(n + round(MEMORY * rate), real=True)
+        self._s = 2j * np.pi * fft.rfftfreq(self._n_padded, 1.0 / rate)
+
+    def torque(self, drive: Array, delay: float, frequency: float, damping_ratio: float) -> Array:
+        """Torque of a reflex with a gain of one, (trial, time); arguments as of `activated`."""
+        return self._back(fft.rfft(drive, self._n_padded, axis=1) * activated(self._s, delay, frequency, damping_ratio))
+
+    def derivatives(
+        self, drive: Array, delay: float, frequency: float, damping_ratio: float
+    ) -> tuple[Array, dict[str, Array]]:
+        """`torque`, and name of each of its other arguments to the derivative by it, (trial, time) each."""
+        s, wn = self._s, 2 * np.pi * frequency
+        denominator = s**2 + 2.0 * damping_ratio * wn * s + wn**2
+        unit = fft.rfft(drive, self._n_padded, axis=1) * activated(s, delay, frequency, damping_ratio)
+        by_wn = 2.0 / wn - (2.0 * damping_ratio * s + 2.0 * wn) / denominator
+        factors = (-s, 2 * np.pi * by_wn, -2.0 * wn * s / denominator)
+        return self._back(unit), {name: self._back(by * unit) for name, by in zip(DYNAMICS, factors, strict=True)}
+
+    def _back(self, spectrum: ComplexArray) -> Array:
+        return np.asarray(fft.irfft(spectrum, self._n_padded, axis=1)[:, : self._n])
 
 
 def activated(s: ComplexArray, delay: float, frequency: float, damping_ratio: float) -> ComplexArray:
@@ -183,6 +195,11 @@ def activated(s: ComplexArray, delay: float, frequency: float, damping_ratio: fl
 def drive_of(velocity: Array, reflex: Reflex, threshold: float = 0.0, side: int = 1) -> Array:
     """What a reflex answers to [rad/s]: the velocity, or its half-wave above a threshold, as `velocity`."""
     return velocity if reflex == "linear" else np.asarray(side * np.maximum(side * velocity - threshold, 0.0))
+
+
+def closing_of(drive: Array, side: int = 1) -> Array:
+    """Derivative of what a half-wave lets through by its threshold [-], as `drive`."""
+    return -side * (drive != 0.0).astype(float)
 
 
 def play_operator(angle: Array, width: float) -> Array:

@@ -197,3 +197,10 @@ def _ridge(gram: Array, side: Array, n: int) -> Array:
     scale = np.sqrt(np.maximum(np.diag(gram), np.finfo(float).tiny) / n)
     scaled = gram / np.outer(scale, scale) + RIDGE * n * np.eye(len(gram))
     return np.asarray(np.linalg.solve(scaled, side / scale) / scale)
+
+
+def explained(recorded: Array, predicted: Array) -> float:
+    """Variance accounted for, offsets of trials left out [%]."""
+    miss = recorded - predicted
+    left, whole = (each - each.mean(axis=1, keepdims=True) for each in (miss, recorded))
+    return float(100.0 * (1.0 - np.sum(left**2) / np.sum(whole**2)))

@@ -44,6 +44,7 @@ class JointSignals:
       rate: [Hz].
       top: highest frequency [Hz].
       servo: "force" or "position".
+      settle: what is left out at the start of each trial [s].
     """
 
     angle: Array
@@ -55,11 +56,12 @@ class JointSignals:
     rate: float
     top: float
     servo: str
+    settle: float = SETTLE
 
     @property
     def used(self) -> slice:
         """Samples that count."""
-        return slice(round(SETTLE * self.rate), self.angle.shape[1] - round(EDGE * self.rate))
+        return slice(round(self.settle * self.rate), self.angle.shape[1] - round(EDGE * self.rate))
 
     @property
     def velocity_scale(self) -> float:
@@ -72,12 +74,16 @@ class JointSignals:
         return float(np.sqrt(np.mean(self.angle**2)))
 
 
-def joint_signals(recording: xr.Dataset, *, reference: float | None = None) -> JointSignals:
+def joint_signals(
+    recording: xr.Dataset, *, reference: float | None = None, settle: float = SETTLE, shortest: float = SHORTEST
+) -> JointSignals:
     """Band-limited signals of a recording of one axis.
 
     Args:
       recording: the trials.
       reference: angle from which angles count [rad, or m]; None for their mean.
+      settle: what is left out at the start of each trial [s].
+      shortest: record that is taken [s].
 
     Raises:
       ValueError: the recording is refused, not of one axis, too short, or sampled too slowly.
@@ -86,8 +92,8 @@ def joint_signals(recording: xr.Dataset, *, reference: float | None = None) -> J
     if recording.sizes["axis"] != 1:
         raise ValueError(f"recording: axes = {recording.sizes['axis']}; expected one axis, of a joint (model joint)")
     rate, n = float(recording.attrs["rate"]), recording.sizes["time"]
-    if n / rate < SHORTEST:
-        raise ValueError(f"recording: duration = {n / rate:.3g} s; expected at least {SHORTEST:g} s")
+    if n / rate < shortest:
+        raise ValueError(f"recording: duration = {n / rate:.3g} s; expected at least {shortest:g} s")
     if rate < 50.0:
         raise ValueError(f"recording: rate = {rate:g} Hz; expected at least 50 Hz")
     step = max(int(rate / RATE), 1)
@@ -116,6 +122,7 @@ def joint_signals(recording: xr.Dataset, *, reference: float | None = None) -> J
         rate=rate / step,
         top=top,
         servo=str(recording.attrs["servo"]),
+        settle=settle,
     )
 
 

@@ -1,245 +1,106 @@
-"""Least squares of the parallel cascade with parameters that change.
+"""Maximum likelihood of the parallel cascade with parameters that change.
 
-Given delay, activation and threshold of the reflex, the torque is linear in all other parameters. These three are
-searched (variable projection, Golub & Pereyra 1973), and the number of splines of each quantity is that which predicts
-left-out repetitions, or left-out stretches of a single record, best.
+The likelihood is that of other joints (`analysis.joint.torque_likelihood`), the search that of arms
+(`analysis.fit.likelihood_search`). Delay, dynamics and threshold of the reflex are searched with the weights of the
+splines, in which the torque is linear. The number of splines of each quantity is that with which left-out repetitions,
+or left-out stretches of a single record, are the most likely.
 
-In an ensemble the residual is whitened by an autoregressive model of the noise: maximum likelihood with noise of a
-rational spectrum. Over a scheduling variable it is not: what the model lacks outweighs the noise there, and weights
-would fit the high frequencies at the cost of the torque that is to be predicted. Standard errors are those of an
-estimating equation (sandwich) over repetitions or stretches, which need no model of the noise.
+That number balances noise with what few splines cannot follow, so that at the balance bands of noise alone hold too
+little. The distance of knots is therefore halved once more: what a smooth course lacks falls to a sixteenth, and
+noise grows by the root of two (undersmoothing: Hall 1992, Ann. Statist. 20, 675-694). Where halving moves a curve by
+more than noise does, as it does next to a jump, bands count by how much, without the share of it that noise makes up
+(Wiener's estimate). Standard errors are those of an estimating equation (sandwich) over repetitions or stretches.
 """
 
+import itertools
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from dataclasses import replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
-from scipy import linalg, optimize, signal
+from scipy import linalg, ndimage
 
-from armperturb.analysis.joint.model import Reflex
-from armperturb.analysis.varying.bands import Fitted, smoothing_bias
-from armperturb.analysis.varying.columns import DEGREE, Cascade, Signals, excitation, signals_of, splines
+from armperturb.analysis.fit.ladder import left_out_loss
+from armperturb.analysis.fit.likelihood_search import search_from
+from armperturb.analysis.fit.whittle import Normal
+from armperturb.analysis.joint.model import DYNAMICS, REFLEXES, JointStructure, Reflex
+from armperturb.analysis.joint.prediction import explained
+from armperturb.analysis.joint.signals import JointSignals, joint_signals, mean_angle
+from armperturb.analysis.joint.torque_likelihood import BlockScore
+from armperturb.analysis.varying.likelihood import STRETCH, VaryingLikelihood
+from armperturb.analysis.varying.model import DEGREE, VaryingModel, finer
 from armperturb.analysis.varying.result import Curve, VaryingEstimate
 from armperturb.arrays import Array, Indices
 from armperturb.validation import require_number, require_one_of
 
 Variable = Literal["time", "scheduling"]
 
-CANDIDATES: Mapping[str, tuple[int, ...]] = {"time": (1, 4, 8, 16, 32, 64, 128), "scheduling": (1, 3, 4, 6, 8, 12)}
+CANDIDATES: Mapping[str, tuple[int, ...]] = {
+    "time": (1, 4, 5, 7, 11, 19, 35, 67, 131),
+    "scheduling": (1, 4, 5, 7, 11),
+}
 """Numbers of splines that are tried for stiffness; those up to `MOST_OF_OTHERS` also for damping and gain."""
 
-MOST_OF_OTHERS = 32
+MOST_OF_OTHERS = 35
 
-FIRST: Mapping[str, int] = {"time": 8, "scheduling": 4}
+FIRST: Mapping[str, int] = {"time": 7, "scheduling": 4}
 """Splines of each quantity before their numbers are chosen."""
 
 STATIC = 8
 """Splines of the static torque over a scheduling variable."""
 
 SETTLE = 0.3
-"""What is left out at the start of each trial, whose reflexes answer to what was before it [s]."""
+"""What is left out at the start of each repetition, whose reflexes answer to what was before it [s]."""
+
+SHORTEST = 1.0
+"""Shortest repetition [s]."""
+
+FEWEST = 4
+"""Repetitions of an ensemble at least."""
 
 N_FOLDS = 5
-STRETCH = 2.5
-"""Length of the stretches of a single record that are left out in turn [s]."""
 
-AR_ORDER = 10
-FLOOR = 0.1
-"""White noise beside that of the autoregressive model, as a share of the residual's power [-].
-
-A person's noise is low-passed: without a floor, whitening would weigh what the model lacks at high frequencies most."""
-
-N_SEARCHED = 20
-"""Repetitions from which the cascade is searched."""
-
-LOWER, UPPER = Cascade(0.01, 1.0, 0.3, -1.0), Cascade(0.15, 20.0, 2.0, 2.0)
-STARTS = tuple(Cascade(delay, cutoff, 0.8, 0.0) for delay in (0.03, 0.045, 0.06) for cutoff in (3.0, 6.0))
-"""Bounds of the cascade, and where its search may start."""
-
-TYPICAL, DIFFERENCE = Cascade(0.01, 1.0, 0.2, 0.1), 1e-2
-"""By how much its parameters are uncertain, and the share of that over which differences are taken [-]."""
-
-REFINED = 2
-"""Gauss-Newton steps to the cascade of all repetitions, of which only some are searched."""
+DELAYS, FREQUENCIES = (0.03, 0.045, 0.06), (3.0, 6.0)
+"""Delays [s] and natural frequencies [Hz] of the reflex path from which the search may start."""
 
 
-class _Normal(NamedTuple):
-    """Normal equations of each group of samples: (group, column, column), (group, column), (group,)."""
+class _Search:
+    """A likelihood as the search sees it: parameters that are held have no room.
 
-    gram: Array
-    slope: Array
-    power: Array
+    Args:
+      likelihood: of the trials.
+      values: of all parameters, for their number.
+    """
 
-    def solved(self, groups: Indices | slice) -> Array:
-        """Coefficients from some of the groups, (column,)."""
-        gram, slope = self.gram[groups].sum(axis=0), self.slope[groups].sum(axis=0)
-        return np.asarray(linalg.lstsq(gram, slope, lapack_driver="gelsy")[0])
-
-    def cost(self, coefficients: Array, groups: Indices) -> float:
-        """Sum of squares that coefficients leave in some groups."""
-        gram, slope = self.gram[groups].sum(axis=0), self.slope[groups].sum(axis=0)
-        return float(self.power[groups].sum() - 2 * coefficients @ slope + coefficients @ gram @ coefficients)
-
-
-class _Problem:
-    """Regressors of one recording, made when they are asked for."""
-
-    def __init__(self, signals: Signals, reflex: Reflex, fit_until: float | None) -> None:
-        self.signals, self.reflex = signals, reflex
-        self.quantities = ("stiffness", "damping") + (() if reflex == "none" else ("gain",))
-        n_settle = round(SETTLE * signals.rate)
-        self.low, self.high = float(signals.variable[:, n_settle:].min()), float(signals.variable.max())
-        self.torque = signals.prepared(signals.torque[None])[0]
-        n_trials, n_slow = self.torque.shape
-        rate = signals.rate / signals.stride
-        self.n_used = n_slow if fit_until is None else min(n_slow, round(fit_until * rate))
-        self.whitener = np.ones(1)
-        self._cached: dict[tuple[str, int, Cascade], Array] = {}
-        self.n_left = round(SETTLE * rate)
-        n_fitted = self.n_used - self.n_left
-        length = n_fitted if signals.ensemble else round(STRETCH * rate)
-        of_time = np.minimum(np.arange(n_fitted) // length, max(n_fitted // length, 1) - 1)
-        self.group = np.arange(n_trials)[:, None] * (of_time[-1] + 1) + of_time
-
-    def columns(self, quantity: str, n_basis: int, cascade: Cascade) -> Array:
-        """Regressors of a quantity that changes, (basis, trial, slow time)."""
-        signals = self.signals
-        if quantity == "static":
-            return signals.prepared(splines(signals.variable, n_basis, self.low, self.high))
-        factor = {"stiffness": signals.angle, "damping": signals.velocity}.get(quantity)
-        if factor is None:
-            factor = excitation(signals, self.reflex, cascade.threshold)
-        made = []
-        for basis in splines(signals.variable, n_basis, self.low, self.high):  # one at a time, for memory
-            product = (basis * factor)[None]
-            made.append(signals.prepared(signals.activated(product, cascade) if quantity == "gain" else product)[0])
-        return np.stack(made)
-
-    def design(self, orders: Mapping[str, int], cascade: Cascade) -> Array:
-        """All regressors: the acceleration first, then each quantity's, (column, trial, slow time)."""
-        parts = [self.signals.prepared(self.signals.acceleration[None])]
-        parts += [self._remembered(quantity, orders[quantity], cascade) for quantity in self.quantities]
-        if not self.signals.ensemble:
-            parts.append(self.columns("static", STATIC, cascade))
-        return np.concatenate(parts)
-
-    def _remembered(self, quantity: str, n_basis: int, cascade: Cascade) -> Array:
-        key = quantity, n_basis, cascade
-        if key not in self._cached:
-            if any(other != cascade for _, _, other in self._cached):
-                self._cached.clear()
-            self._cached[key] = self.columns(quantity, n_basis, cascade)
-        return self._cached[key]
-
-    def tangents(self, orders: Mapping[str, int], cascade: Cascade, coefficients: Array) -> dict[str, Array]:
-        """What a change of the cascade adds to the torque; parameters at a bound are left out.
-
-        Args:
-          orders: numbers of splines.
-          cascade: about which it changes.
-          coefficients: of `design`, (column,).
-
-        Returns:
-          Parameter to its derivative, (trial, slow time).
-        """
-        if self.reflex == "none":
-            return {}
-        first = 1 + sum(orders[quantity] for quantity in ("stiffness", "damping"))
-        weights = coefficients[first : first + orders["gain"]]
-        free = [each for each in Cascade._fields if each != "threshold" or self.reflex == "half-wave"]
-        inside = [each for each in free if getattr(LOWER, each) < getattr(cascade, each) < getattr(UPPER, each)]
-        tangents = {}
-        for name in inside:
-            there, step = getattr(cascade, name), getattr(TYPICAL, name) * DIFFERENCE
-            up, down = (
-                self.columns("gain", orders["gain"], cascade._replace(**{name: there + sign * step}))
-                for sign in (1.0, -1.0)
-            )
-            tangents[name] = np.tensordot(weights, up - down, 1) / (2.0 * step)
-        return tangents
-
-    def whitened(self, values: Array) -> Array:
-        """What is fitted, with white noise; (..., trial, used time)."""
-        return np.asarray(signal.lfilter(self.whitener, [1.0], values[..., : self.n_used]))[..., self.n_left :]
-
-    def normal(self, design: Array) -> _Normal:
-        """Normal equations of each group."""
-        x, y = self.whitened(design), self.whitened(self.torque)
-        n_groups = int(self.group.max()) + 1
-        gram = np.empty((n_groups, len(x), len(x)))
-        slope, power = np.empty((n_groups, len(x))), np.empty(n_groups)
-        for i in range(n_groups):
-            inside = self.group == i
-            rows, values = x[:, inside], y[inside]
-            gram[i], slope[i], power[i] = rows @ rows.T, rows @ values, values @ values
-        return _Normal(gram, slope, power)
-
-    def whiten(self, design: Array) -> None:
-        """Take the noise's spectrum from the residual of a fit, in an ensemble."""
-        if not self.signals.ensemble:
-            return
-        normal = self.normal(design)
-        coefficients = normal.solved(np.arange(len(normal.power)))
-        left = (self.torque - np.tensordot(coefficients, design, 1))[:, self.n_left : self.n_used]
-        length = left.shape[1]
-        power = [float(np.mean(left[:, lag:] * left[:, : length - lag])) for lag in range(AR_ORDER + 1)]
-        power[0] *= 1.0 + FLOOR
-        self.whitener = np.concatenate([[1.0], -linalg.solve_toeplitz(power[:-1], power[1:])])
-
-    def searched(self, orders: Mapping[str, int], start: Cascade | None) -> Cascade:
-        """Delay, activation and threshold that leave the least whitened residual."""
-        few = slice(0, N_SEARCHED)
-        part = self if len(self.torque) <= N_SEARCHED else self._part(few)
-        fixed = part.design({**orders, "gain": 1}, STARTS[0])
-        first = 1 + sum(orders[quantity] for quantity in ("stiffness", "damping"))
-        others = part.whitened(np.delete(fixed, first, axis=0)).reshape(len(fixed) - 1, -1)
-        basis = linalg.qr(others.T, mode="economic", pivoting=True)[0]
-        target = part.whitened(part.torque).ravel()
-        target = target - basis @ (basis.T @ target)
-        names = [True, True, True, self.reflex == "half-wave"]
-
-        def left(point: Array) -> Array:
-            values = np.array(STARTS[0])
-            values[names] = point
-            of_gain = part.columns("gain", orders["gain"], Cascade(*values))
-            rows = part.whitened(of_gain).reshape(orders["gain"], -1).T
-            rows = rows - basis @ (basis.T @ rows)
-            return np.asarray(target - rows @ linalg.lstsq(rows, target)[0])
-
-        starts = STARTS if start is None else (start,)
-        costs = [float(np.sum(left(np.array(each)[names]) ** 2)) for each in starts]
-        begin = np.array(starts[int(np.argmin(costs))])
-        searched = optimize.least_squares(
-            left,
-            begin[names],
-            bounds=(np.array(LOWER)[names], np.array(UPPER)[names]),
-            x_scale=np.array(TYPICAL)[names],
-            diff_step=1e-3,
-            xtol=1e-4,
-            ftol=1e-6,
-            max_nfev=20,
+    def __init__(self, likelihood: VaryingLikelihood, values: Array) -> None:
+        self.likelihood, n = likelihood, len(values)
+        self.lower, self.upper = np.full(n, -np.inf), np.full(n, np.inf)
+        model, first = likelihood.model, likelihood.model.n_linear
+        lower, upper = (
+            dict(zip(model.structure.parameters, bound, strict=True)) for bound in model.structure.bounds(model.signals)
         )
-        values = begin.copy()
-        values[names] = searched.x
-        return Cascade(*map(float, values))
+        self.lower[first:] = [lower[name] for name in model.dynamics]
+        self.upper[first:] = [upper[name] for name in model.dynamics]
+        self.weigh, self.cost = likelihood.weigh, likelihood.cost
 
-    def _part(self, trials: slice) -> "_Problem":
-        s = self.signals
-        few = {name: getattr(s, name)[trials] for name in ("angle", "velocity", "acceleration", "torque", "variable")}
-        part = _Problem(Signals(**few, rate=s.rate, stride=s.stride, ensemble=s.ensemble), self.reflex, None)
-        part.n_used, part.whitener = self.n_used, self.whitener
-        part.low, part.high = self.low, self.high
-        return part
+    def pole(self, values: Array) -> float:
+        """The movement is imposed: nothing is unstable."""
+        return -1.0
 
-    def left_out(self, normal: _Normal) -> float:
-        """Whitened sum of squares of groups that the fit did not see."""
-        groups = np.arange(len(normal.power))
-        total = 0.0
-        for fold in range(min(N_FOLDS, len(groups))):
-            out = groups % N_FOLDS == fold
-            total += normal.cost(normal.solved(groups[~out]), groups[out])
-        return total
+    def normal(self, values: Array) -> Normal:
+        """Least squares of all parameters."""
+        return self.likelihood.normal(values, np.eye(len(values)))
+
+    def inside(self, values: Array) -> Indices:
+        """Numbers of the parameters that are not at a bound."""
+        return np.flatnonzero((self.lower < values) & (values < self.upper))
+
+
+def _size(influence: Array) -> Array:
+    """Standard error from the influence of independent groups, (group, ...) to (...)."""
+    n = len(influence)
+    return np.asarray(np.sqrt(np.sum(influence**2, axis=0) * n / (n - 1.0)))
 
 
 def identify_varying(
@@ -256,7 +117,7 @@ def identify_varying(
       recording: of one axis on a position servo: repetitions with different perturbations of the same course of
         parameters, or, for "scheduling", any trials with a scheduling signal.
       variable: what parameters depend on.
-      reflex: static nonlinearity of the reflex path, or "none".
+      reflex: static nonlinearity of the reflex path, or "none"; the direction of a half-wave is that which fits better.
       fit_until: time from which on samples are held out [s]; None fits all.
       n_points: of the curves.
 
@@ -264,124 +125,188 @@ def identify_varying(
       ValueError: the recording is of another kind, an option is unknown, or too little is left to fit.
     """
     require_one_of("identify_varying", "variable", variable, tuple(CANDIDATES))
-    require_one_of("identify_varying", "reflex", reflex, ("none", "linear", "half-wave"))
-    signals = signals_of(recording, variable)
+    require_one_of("identify_varying", "reflex", reflex, REFLEXES)
     last = float(recording["time"].values[-1])
     require_number("identify_varying", "fit_until", fit_until, above=0.0, at_most=last, optional=True)
-    problem = _Problem(signals, reflex, fit_until)
-    n_groups = int(problem.group.max(initial=0)) + 1
-    if n_groups < 2:
-        raise ValueError(
-            f"recording: {problem.n_used * signals.stride / signals.rate:g} s to fit; expected at least "
-            f"{2 * STRETCH:g} s, of which a part is left out in turn"
-        )
-    orders = dict.fromkeys(problem.quantities, FIRST[variable])
-    cascade = Cascade()
-    for first in (True, False):
-        if reflex != "none":
-            cascade = problem.searched(orders, None if first else cascade)
-        problem.whiten(problem.design(orders, cascade))
-    orders = _chosen(problem, orders, cascade, CANDIDATES[variable])
-    if reflex != "none":
-        cascade = problem.searched(orders, cascade)
-    problem.whiten(problem.design(orders, cascade))
-    for _ in range(REFINED if reflex != "none" else 0):
-        cascade = Cascade(*np.clip(cascade + _solved(problem, orders, cascade).step, LOWER, UPPER).tolist())
-    return _estimate(problem, orders, cascade, variable, n_points)
-
-
-def _chosen(
-    problem: _Problem, orders: Mapping[str, int], cascade: Cascade, candidates: tuple[int, ...]
-) -> dict[str, int]:
-    """Numbers of splines that predict left-out groups best, one quantity after the other, twice."""
-    chosen = dict(orders)
-    scores: dict[tuple[int, ...], float] = {}
-    for _ in range(2):
-        for quantity in problem.quantities:
-            allowed = [n for n in candidates if quantity == "stiffness" or n <= MOST_OF_OTHERS]
-            for n_basis in allowed:
-                tried = {**chosen, quantity: n_basis}
-                key = tuple(tried.values())
-                if key not in scores:
-                    scores[key] = problem.left_out(problem.normal(problem.design(tried, cascade)))
-            chosen[quantity] = min(allowed, key=lambda n: scores[tuple({**chosen, quantity: n}.values())])
-    return chosen
-
-
-class _Solution(NamedTuple):
-    """Coefficients of all regressors, and what is known of them.
-
-    Attributes:
-      orders: numbers of splines.
-      coefficients: of `_Problem.design`, (column,).
-      covariance: of their errors, those of the cascade counted, (column, column).
-      step: to the cascade that leaves the least, as far as the model is linear there, (parameter of `Cascade`,).
-    """
-
-    orders: Mapping[str, int]
-    coefficients: Array
-    covariance: Array
-    step: Array
-
-    def curve(self, problem: _Problem, quantity: str, grid: Array) -> Fitted:
-        """A quantity on a grid."""
-        names = list(problem.quantities)
-        first = 1 + sum(self.orders[name] for name in names[: names.index(quantity)])
-        part = slice(first, first + self.orders[quantity])
-        basis = splines(grid, self.orders[quantity], problem.low, problem.high)
-        error = np.sqrt(np.einsum("bp,bc,cp->p", basis, self.covariance[part, part], basis))
-        return Fitted(self.coefficients[part] @ basis, error)
-
-
-def _solved(problem: _Problem, orders: Mapping[str, int], cascade: Cascade) -> _Solution:
-    """Least squares, with the cascade as one more unknown near where it was found."""
-    design = problem.design(orders, cascade)
-    n = len(design)
-    coefficients = problem.normal(design).solved(slice(None))
-    tangents = problem.tangents(orders, cascade, coefficients)
-    step = np.zeros(len(cascade))
-    normal = problem.normal(np.concatenate([design, *(tangent[None] for tangent in tangents.values())]))
-    n_groups = len(normal.power)
-    coefficients = normal.solved(slice(None))
-    for place, name in enumerate(tangents):
-        step[Cascade._fields.index(name)] = coefficients[n + place]
-    size = np.sqrt(np.diag(normal.gram.sum(axis=0)))
-    inverse = linalg.pinvh(normal.gram.sum(axis=0) / np.outer(size, size)) / np.outer(size, size)
-    scores = normal.slope - normal.gram @ coefficients
-    covariance = inverse @ (scores.T @ scores) @ inverse * n_groups / (n_groups - 1.0)
-    return _Solution(orders, coefficients[:n], covariance[:n, :n], step)
-
-
-def _estimate(
-    problem: _Problem, orders: Mapping[str, int], cascade: Cascade, variable: Variable, n_points: int
-) -> VaryingEstimate:
-    whole = _solved(problem, orders, cascade)
-    grid = np.linspace(problem.low, problem.high, n_points)
-    curves = {}
-    for quantity in problem.quantities:
-        curve, n_basis = whole.curve(problem, quantity, grid), orders[quantity]
-        bias = np.zeros(n_points)
-        if n_basis >= 4:
-            halved, quartered = (
-                _solved(problem, {**orders, quantity: n}, cascade).curve(problem, quantity, grid)
-                for n in (n_basis // 2, n_basis // 4)
+    ensemble, rate = variable == "time", float(recording.attrs["rate"])
+    fitted = recording if fit_until is None else recording.isel(time=slice(0, round(fit_until * rate)))
+    reference = mean_angle(fitted)
+    signals, place = _recorded(fitted, ensemble, reference)
+    low, high = float(place[:, signals.used].min()), float(place[:, signals.used].max())
+    orders = dict.fromkeys(("stiffness", "damping", *(() if reflex == "none" else ("gain",))), FIRST[variable])
+    orders |= {} if ensemble else {"static": STATIC}
+    tried = []
+    for side in (1, -1) if reflex == "half-wave" else (1,):
+        structure = JointStructure(reflex=reflex, side=side)
+        model = VaryingModel(structure=structure, signals=signals, variable=place, orders=orders, low=low, high=high)
+        likelihood = VaryingLikelihood(model, ensemble=ensemble)
+        if likelihood.n_groups < 2:
+            raise ValueError(
+                f"recording: {place.shape[1] / signals.rate:g} s to fit; expected at least {2 * STRETCH:g} s, of which "
+                "a part is left out in turn"
             )
-            bias = smoothing_bias(curve, halved, quartered, round(n_points / max(n_basis // 2 - DEGREE, 1)))
-        curves[quantity] = Curve(curve.value, np.hypot(curve.standard_error, bias), n_basis)
-    left = problem.torque - np.tensordot(whole.coefficients, problem.design(orders, cascade), 1)
-    used, rest = slice(problem.n_left, problem.n_used), slice(problem.n_used, None)
-
-    def vaf(part: slice) -> float:
-        return float(100.0 * (1.0 - left[:, part].var() / problem.torque[:, part].var()))
-
-    options: dict[str, Any] = {"n_trials": len(problem.torque), "reflex": problem.reflex, "cascade": cascade}
+        tried += [(likelihood, values) for values in _starts(likelihood)]
+    likelihood, values = min(tried, key=lambda each: each[0].cost(each[1]))
+    values = _searched(likelihood, values)
+    likelihood.weigh(values)
+    chosen = _chosen(likelihood, values, CANDIDATES[variable])
+    likelihood = likelihood.with_orders({name: finer(n) if name != "static" else n for name, n in chosen.items()})
+    values = _searched(likelihood, _linear(likelihood, values[model.n_linear :]))
+    solution = _solved(likelihood, values)
+    grid = np.linspace(low, high, n_points)
+    curves = {
+        name: _curve(solution, likelihood, name, chosen[name], grid)
+        for name in likelihood.model.orders
+        if name != "static"
+    }
+    model, values = solution.model, solution.values
+    every, there = (signals, place) if fit_until is None else _recorded(recording, ensemble, reference)
+    torque, predicted = every.torque, replace(model, signals=every, variable=there).torque(values)
+    if ensemble:
+        torque, predicted = (each - each.mean(axis=0) for each in (torque, predicted))
+    held = slice(signals.angle.shape[1], every.used.stop)
     return VaryingEstimate(
         variable=variable,
         grid=grid,
         curves=curves,
-        inertia=float(whole.coefficients[0]),
-        inertia_error=float(np.sqrt(whole.covariance[0, 0])),
-        vaf=vaf(used),
-        held_out_vaf=vaf(rest) if problem.n_used < problem.torque.shape[1] else None,
-        **options,
+        inertia=float(values[0]),
+        inertia_error=float(_size(solution.influence)[0]),
+        structure=model.structure,
+        dynamics=dict(zip(model.dynamics, map(float, values[model.n_linear :]), strict=True)),
+        vaf=explained(torque[:, signals.used], predicted[:, signals.used]),
+        held_out_vaf=None if fit_until is None else explained(torque[:, held], predicted[:, held]),
+        n_trials=len(torque),
     )
+
+
+def _recorded(recording: xr.Dataset, ensemble: bool, reference: float) -> tuple[JointSignals, Array]:
+    """Signals of trials, and what parameters depend on, (trial, time)."""
+    if recording.sizes["axis"] != 1 or recording.attrs.get("servo") != "position":
+        raise ValueError(
+            f"recording: servo = {recording.attrs.get('servo')!r} with {recording.sizes['axis']} axes; expected one "
+            "axis and servo = 'position', as parameters that change are estimated in open loop"
+        )
+    if ensemble and recording.sizes["trial"] < FEWEST:
+        raise ValueError(
+            f"recording: {recording.sizes['trial']} trials; expected an ensemble of at least {FEWEST} repetitions "
+            "(variable = 'scheduling' takes one)"
+        )
+    if not ensemble and "scheduling" not in recording:
+        raise ValueError("recording: no scheduling signal; expected one (signals.scheduling of the sidecar)")
+    if np.ptp(recording["displacement"].values, axis=1).min() == 0.0:
+        raise ValueError("recording: the angle of a trial is constant; expected a perturbation")
+    signals = joint_signals(recording, reference=reference, settle=SETTLE, shortest=SHORTEST)
+    if signals.scheduling is not None and not ensemble:
+        return signals, signals.scheduling
+    time = float(recording["time"].values[0]) + np.arange(signals.angle.shape[1]) / signals.rate
+    return signals, np.broadcast_to(time, signals.angle.shape)
+
+
+def _starts(likelihood: VaryingLikelihood) -> list[Array]:
+    """Values from which a search may start, the noise being white."""
+    names = likelihood.model.dynamics
+    if not names:
+        return [_linear(likelihood, np.empty(0))]
+    usual = {"reflex_damping_ratio": 0.8}
+    given = [dict(zip(DYNAMICS, each, strict=False)) for each in itertools.product(DELAYS, FREQUENCIES)]
+    return [_linear(likelihood, np.array([(usual | each).get(name, 0.0) for name in names])) for each in given]
+
+
+def _linear(likelihood: VaryingLikelihood, dynamics: Array) -> Array:
+    """Values of all parameters with given delay, dynamics and threshold; the noise is held."""
+    n = likelihood.model.n_linear
+    values = np.concatenate([np.zeros(n), dynamics])
+    normal = likelihood.normal(values, np.eye(len(values))[:, :n])
+    return np.concatenate([_inverse(normal.information) @ normal.slope, dynamics])
+
+
+def _inverse(information: Array) -> Array:
+    """Inverse of an information whose parameters have units of their own; directions it does not tell are zero."""
+    size = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    return np.asarray(linalg.pinvh(information / np.outer(size, size)) / np.outer(size, size))
+
+
+def _searched(likelihood: VaryingLikelihood, start: Array) -> Array:
+    """Values at the maximum of the likelihood."""
+    return search_from(_Search(likelihood, start), start).values
+
+
+def _chosen(likelihood: VaryingLikelihood, values: Array, candidates: tuple[int, ...]) -> dict[str, int]:
+    """Numbers of splines with which left-out groups are the most likely, one quantity after the other, twice."""
+    model = likelihood.model
+    dynamics, chosen = values[model.n_linear :], dict(model.orders)
+    scores: dict[tuple[int, ...], float] = {}
+
+    def score(orders: Mapping[str, int]) -> float:
+        """Cost that splines do not take away, with the loss on what is left out."""
+        key = tuple(orders.values())
+        if key not in scores:
+            tried = likelihood.with_orders(orders)
+            n = tried.model.n_linear
+            nothing = np.concatenate([np.zeros(n), dynamics])
+            groups = tried.scores(nothing, np.eye(len(nothing))[:, :n])
+            folds = [_together(groups[first::N_FOLDS]) for first in range(min(N_FOLDS, len(groups)))]
+            slope, information = (np.sum(each, axis=0) for each in zip(*folds, strict=True))
+            weights = _inverse(information) @ slope
+            left = [BlockScore(fold.score - fold.information @ weights, fold.information) for fold in folds]
+            scores[key] = float(-weights @ slope) + left_out_loss(left)
+        return scores[key]
+
+    for _ in range(2):
+        for quantity in (name for name in model.orders if name != "static"):
+            allowed = [n for n in candidates if quantity == "stiffness" or n <= MOST_OF_OTHERS]
+            chosen[quantity] = min(allowed, key=lambda n: score({**chosen, quantity: n}))
+    return chosen
+
+
+def _together(groups: list[BlockScore]) -> BlockScore:
+    return BlockScore(*(np.sum(each, axis=0) for each in zip(*groups, strict=True)))
+
+
+class _Solution(NamedTuple):
+    """Estimates and what is known of their errors.
+
+    Attributes:
+      model: with its numbers of splines.
+      values: of all parameters, (parameter,).
+      influence: of each repetition or stretch on them, (group, parameter); the sum over groups is zero.
+    """
+
+    model: VaryingModel
+    values: Array
+    influence: Array
+
+    def curve(self, quantity: str, grid: Array) -> tuple[Array, Array]:
+        """A quantity on a grid, (point,), and the influence of each group on it, (group, point)."""
+        basis, part = self.model.basis(quantity, grid), self.model.part(quantity)
+        return self.values[part] @ basis, self.influence[:, part] @ basis
+
+
+def _solved(likelihood: VaryingLikelihood, values: Array) -> _Solution:
+    """One step from near the estimate, and how much each group has to do with where it leads; the noise is held."""
+    inside = _Search(likelihood, values).inside(values)
+    groups = likelihood.scores(values, np.eye(len(values))[:, inside])
+    slope, information = _together(groups)
+    inverse = _inverse(information)
+    step = inverse @ slope
+    influence = np.zeros((len(groups), len(values)))
+    influence[:, inside] = [inverse @ (group.score - group.information @ step) for group in groups]
+    solution = values.copy()
+    solution[inside] += step
+    return _Solution(likelihood.model, solution, influence)
+
+
+def _curve(solution: _Solution, likelihood: VaryingLikelihood, quantity: str, n_chosen: int, grid: Array) -> Curve:
+    """A quantity over the grid; its band counts how much further than noise splines of twice the distance lead."""
+    coarse = likelihood.with_orders({**solution.model.orders, quantity: n_chosen})
+    before = _solved(coarse, _linear(coarse, solution.values[solution.model.n_linear :]))
+    (value, influence), (other, of_other) = (each.curve(quantity, grid) for each in (solution, before))
+    moved, noise = (_over_knots(each, n_chosen) for each in ((value - other) ** 2, _size(influence - of_other) ** 2))
+    bias = np.maximum(moved - noise, 0.0) ** 2 / np.maximum(moved, np.finfo(float).tiny)
+    return Curve(value, np.sqrt(_size(influence) ** 2 + bias), solution.model.orders[quantity])
+
+
+def _over_knots(squares: Array, n_basis: int) -> Array:
+    """Means over twice the distance of knots, (point,): two of the splines that halving it adds."""
+    width = min(round(2.0 * len(squares) / max(n_basis - DEGREE, 1)), 2 * len(squares))
+    return np.asarray(ndimage.uniform_filter1d(squares, max(width, 1), mode="reflect"))

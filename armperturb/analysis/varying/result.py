@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from armperturb.analysis.joint.model import Reflex
+from armperturb.analysis.joint.model import UNITS as REFLEX_UNITS
+from armperturb.analysis.joint.model import JointStructure
 from armperturb.analysis.results import Description, Result, Table, quantile
-from armperturb.analysis.varying.columns import Cascade
 from armperturb.arrays import Array
 
 if TYPE_CHECKING:
@@ -44,9 +44,9 @@ class VaryingEstimate(Result):
       curves: quantity to its curve: "stiffness", "damping" and, with a reflex, "gain".
       inertia: [kg m^2].
       inertia_error: its standard error.
-      reflex: the reflex path's static nonlinearity.
-      cascade: delay, activation and threshold of the reflex path.
-      vaf: torque below `columns.TOP` that the model explains in the samples that were fitted [%].
+      structure: the reflex path's static nonlinearity, and the direction of stretch that it answers to.
+      dynamics: delay, frequency, damping ratio and threshold of the reflex path, as in `joint.model.UNITS`.
+      vaf: torque that the model explains in the samples that were fitted [%].
       held_out_vaf: in the rest, simulated from the angle alone [%]; None if everything was fitted.
       n_trials: how many trials.
     """
@@ -56,8 +56,8 @@ class VaryingEstimate(Result):
     curves: Mapping[str, Curve]
     inertia: float
     inertia_error: float
-    reflex: Reflex
-    cascade: Cascade
+    structure: JointStructure
+    dynamics: Mapping[str, float]
     vaf: float
     held_out_vaf: float | None
     n_trials: int
@@ -87,13 +87,9 @@ class VaryingEstimate(Result):
             f"inertia {self.inertia:.4g} +/- {self.inertia_error:.2g} kg m^2; the model explains {self.vaf:.1f} % of "
             "the torque"
         ]
-        if self.reflex != "none":
-            c = self.cascade
-            threshold = f", threshold {c.threshold:.3g} rad/s" if self.reflex == "half-wave" else ""
-            facts.append(
-                f"{self.reflex} reflex: delay {1e3 * c.delay:.0f} ms, activation {c.cutoff:.2g} Hz, damping ratio "
-                f"{c.zeta:.2g}{threshold}"
-            )
+        if self.dynamics:
+            each = ", ".join(f"{name} {value:.3g} {REFLEX_UNITS[name][0]}" for name, value in self.dynamics.items())
+            facts.append(f"{self.structure.name}: {each}".replace(" -", ""))
         if self.held_out_vaf is not None:
             facts.append(f"held out, simulated from the angle alone: {self.held_out_vaf:.1f} % of the torque")
         return Description(

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from armperturb.analysis.varying.columns import splines
+from armperturb.analysis.joint.model import JointStructure
+from armperturb.analysis.joint.signals import joint_signals
 from armperturb.analysis.varying.estimate import identify_varying
+from armperturb.analysis.varying.model import VaryingModel, finer, splines
 from armperturb.perturbations.one_axis import random_steps
 from armperturb.recording import make_recording
 
@@ -41,10 +43,37 @@ def measured(stiffness, n_trials, duration, noise, seed=0):
 
 def test_splines_sum_to_one_and_a_single_one_is_constant():
     place = np.linspace(-2.0, 3.0, 50)
-    for n_basis in (1, 2, 3, 4, 9):
+    for n_basis in (1, 4, 5, 9):
         values = splines(place, n_basis, -1.0, 2.0)
         assert values.shape == (n_basis, 50)
         np.testing.assert_allclose(values.sum(axis=0), 1.0)
+
+
+def test_half_the_distance_of_knots_contains_what_was_there():
+    place = np.linspace(0.0, 1.0, 200)
+    for n_basis in (1, 4, 7):
+        coarse, fine = splines(place, n_basis, 0.0, 1.0), splines(place, finer(n_basis), 0.0, 1.0)
+        _, left, *_ = np.linalg.lstsq(fine.T, coarse.T)
+        assert np.all(left < 1e-20)
+
+
+@pytest.mark.parametrize("threshold", [0.1, -0.1])
+def test_derivatives_are_those_of_differences(threshold):
+    signals = joint_signals(recorded(*measured(100.0, 2, 4.0, 0.0)))
+    time = np.broadcast_to(np.arange(signals.angle.shape[1]) / signals.rate, signals.angle.shape)
+    orders = {"stiffness": 4, "damping": 1, "gain": 5}
+    model = VaryingModel(
+        structure=JointStructure(side=-1), signals=signals, variable=time, orders=orders, low=0.0, high=4.0
+    )
+    dynamics = np.array([0.04, 3.0, 0.8, threshold])
+    values = np.concatenate([[INERTIA], np.linspace(80.0, 120.0, 4), [DAMPING], np.linspace(1.0, 3.0, 5), dynamics])
+    columns = [column for quantity in orders for column in model.columns(quantity, values)]
+    exact = [signals.acceleration, *columns, *model.slopes(values)]
+    assert len(exact) == len(values)
+    for place, slope in enumerate(exact):
+        step = 1e-5 * abs(values[place]) * np.eye(len(values))[place]
+        change = (model.torque(values + step) - model.torque(values - step)) / (2.0 * step[place])
+        assert np.abs(change - slope).max() < 2e-3 * np.abs(slope).max(), place
 
 
 @pytest.mark.slow(reason="chooses among many numbers of splines")
