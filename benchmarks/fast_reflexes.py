@@ -36,6 +36,7 @@ from armperturb.study.experiments import calibration
 from armperturb.study.experiments.candidates import Candidate, Unknown, unknowns
 from armperturb.study.protocol import THESIS
 from armperturb.study.results.quantities import LIMITS, Cell, published_cells
+from armperturb.study.results.uses import CALIBRATED, HELD_OUT
 from benchmarks.print_ceiling import arms_of_tables, fits_of
 
 EDGES = np.geomspace(0.28, 16.0, 17)
@@ -173,7 +174,7 @@ class Search:
         errors = dict(
             zip(able, admittance_errors([candidates[number] for number in able], self.seeds, self.noise), strict=True)
         )
-        goal, answers = wanted(calibration.CALIBRATED), list[tuple[Array, ...] | None]()
+        goal, answers = wanted(CALIBRATED), list[tuple[Array, ...] | None]()
         for number, (candidate, point, of_one) in enumerate(zip(candidates, points, cells, strict=True)):
             if of_one is None or (off := errors[number]) is None:
                 answers.append(None)
@@ -252,7 +253,7 @@ def main() -> None:
     if cells is None:
         print("leaves the workspace on multisines that the search did not see")
         return
-    for kind, tables in (("calibrated", calibration.CALIBRATED), ("held out", calibration.HELD_OUT)):
+    for kind, tables in (("calibrated", CALIBRATED), ("held out", HELD_OUT)):
         off = {cell: (cells[cell] - mean) / sd for cell, (mean, sd) in wanted(tables).items()}
         size = np.abs(list(off.values()))
         within = " / ".join(f"{100.0 * np.mean(size <= limit):.0f}" for limit in LIMITS)

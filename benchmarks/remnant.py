@@ -1,12 +1,14 @@
 """Which spectrum of the remnant gives the published VAF and criterion, and what the person is who then fits the tables.
 
-Run by `python -m benchmarks.remnant --cutoff 20 --share 0.9`; some 10 s of one core, with `--calibrate` 2 min. The
-average person goes through four trials per condition under the published mean forces. One model is fitted to their
-admittances as in step 2 of appendix C, from the published means of step 1: model 3 in PT, model 1 in RT. Printed are
-criterion and VAF, in brackets the published ones (tables C.12, C.22), the multiple coherence up to 1.5 Hz, to 10 Hz and
-above, and the RMS displacement. Trials that leave the workspace are not counted. With `--calibrate`, the person is
-calibrated anew under this noise before (tables 2.1, F.2 to F.4), and the shares of calibrated and held-out cells (F.5,
-F.6) are printed.
+Run by `python -m benchmarks.remnant --cutoff 20 --share 0.9`, or `--share 0.35 --fast-share 0.7 --fast-cutoff 40` for
+a remnant in two parts; some 10 s of one core, with `--calibrate` half a minute more. The average person goes through
+four trials per condition under the published mean forces. One model is fitted to their admittances as in step 2 of
+appendix C, from the published means of step 1: model 3 in PT, model 1 in RT. Printed are criterion and VAF, in brackets
+the published ones (tables C.12, C.22), the multiple coherence up to 1.5 Hz, to 10 Hz and above, and the RMS
+displacement. Trials that leave the workspace are not counted. With `--calibrate`, the person is calibrated anew under
+this noise before (tables 2.1, F.2 to F.4), and the shares of calibrated and held-out cells (F.5, F.6) are printed. With
+`--fits N`, the shares of the task's cells of appendices C to E within 0.5, 1 and 2 SD are printed that N replicates of
+the person have, from neutral starts; but for the criterion and VAF above, none is sought.
 """
 
 import argparse
@@ -23,9 +25,11 @@ from armperturb.controllers.remnant import HUMAN_NOISE, HumanNoise
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.perturbations.multisine import PERIOD
+from armperturb.study.comparison.score import fitted_cells, share
 from armperturb.study.experiments.calibration import calibrate, schedules
 from armperturb.study.published import tables as published
 from armperturb.study.results.appendix_fits import first_start
+from benchmarks.print_ceiling import arms_of, fits_of
 
 JUDGED = {"PT": ("3", "C.12"), "RT": ("1", "C.22")}
 """Task to the model by which the noise is set, and the table of its criterion and VAF."""
@@ -77,18 +81,30 @@ def main() -> None:
     parser.add_argument("--cutoff", type=float, help="of the remnant [Hz]; as people have it if not given")
     parser.add_argument("--share", type=float, help="RMS of the remnant over the demand; likewise")
     parser.add_argument("--floor", type=float, help="RMS of the remnant without a perturbation [Nm]; likewise")
+    parser.add_argument("--fast-share", type=float, help="RMS of the remnant's fast part over the demand; likewise")
+    parser.add_argument("--fast-cutoff", type=float, help="of the fast part [Hz]; likewise")
     parser.add_argument("--seed", type=int, default=700)
     parser.add_argument("--calibrate", action="store_true")
+    parser.add_argument("--iterations", type=int, default=6, help="of the calibration")
+    parser.add_argument("--fits", type=int, default=0, help="replicates of 20 trials each, of which C to E are fitted")
     options = parser.parse_args()
     given = {f"remnant_{name}": getattr(options, name) for name in ("cutoff", "share", "floor")}
+    given |= {name: getattr(options, name) for name in ("fast_share", "fast_cutoff")}
     noise = replace(HUMAN_NOISE[options.task], **{name: value for name, value in given.items() if value is not None})
     person = average_person()
     if options.calibrate:
-        calibration = calibrate(options.task, noise=noise, n_threads=1, max_iterations=8, progress=print)
+        calibration = calibrate(options.task, noise=noise, n_threads=1, max_iterations=options.iterations)
         print(calibration.summary())
         person = calibration.candidate.person
     print(noise)
     print("\n".join(rows(person, options.task, noise, options.seed)))
+    if options.fits:
+        arms = {name: arm for name, arm in arms_of(person).items() if name.startswith(options.task)}
+        cells = fitted_cells(fits_of(arms, {options.task: noise}, 11, options.fits, "neutral"))
+        own = [each for each in cells if each.cell.condition.startswith(options.task)]
+        for appendix in "CDE":
+            parts = share(each for each in own if each.cell.table[0] == appendix).parts
+            print(appendix, *(f"{100.0 * part:.0f} %" for part in parts))
 
 
 if __name__ == "__main__":

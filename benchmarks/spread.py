@@ -12,10 +12,10 @@ import argparse
 import numpy as np
 
 from armperturb import cohort
-from armperturb.study.experiments.calibration import CALIBRATED, HELD_OUT
 from armperturb.study.experiments.cohort_cells import measure_cohort
 from armperturb.study.recording.settings import StudySettings
 from armperturb.study.results.quantities import published_cells
+from armperturb.study.results.uses import CALIBRATED, HELD_OUT
 from armperturb.subject import TASKS
 
 

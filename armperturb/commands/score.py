@@ -23,10 +23,17 @@ class Score(Command):
     fresh: bool = False
     """Compute anew what analysis/ has kept; nonlinear fits are used again."""
 
+    starts: bool = False
+    """Fit appendix C also from the published and from scattered starts, and print all three side by side with the cells
+    that the start made; FOLDER/score/starts.csv has every cell."""
+
     def run(self) -> list[str]:
         """Compare, and write the tables."""
+        from armperturb.files import write_csv
         from armperturb.study.comparison.cohorts import CohortScores
         from armperturb.study.comparison.score import score, write_score
+        from armperturb.study.comparison.start_scores import compare_starts
+        from armperturb.study.recording.folder import find_recordings
         from armperturb.study.results.analyse import analyse_study
         from armperturb.study.results.cache import forget_results, recalled_results
 
@@ -34,7 +41,7 @@ class Score(Command):
             raise ValueError("score: no folder; expected at least one study (armperturb score FOLDER)")
         if self.out and len(self.folders) > 1:
             raise ValueError(f"score: out = {self.out} for {len(self.folders)} studies; expected one study with --out")
-        scores, written = [], []
+        scores, written, of_starts = [], [], list[str]()
         with recalled_results() as recalled:
             for folder in self.folders:
                 if self.fresh:
@@ -43,5 +50,9 @@ class Score(Command):
                 out = self.out or folder / "score"
                 write_score(scores[-1], out)
                 written.append(f"results: {out}")
-        result = scores[0] if len(scores) == 1 else CohortScores(scores=tuple(scores))
-        return [result.summary(), *kept_lines(recalled), *written]
+                if self.starts:
+                    result = compare_starts(find_recordings(folder)[0])
+                    write_csv(result.to_frame(), out / "starts.csv")
+                    of_starts.append(result.summary())
+        total = scores[0] if len(scores) == 1 else CohortScores(scores=tuple(scores))
+        return [total.summary(), *of_starts, *kept_lines(recalled), *written]

@@ -10,7 +10,7 @@ both PT2.5 and PT22.5 their published VAF (table C.12).
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,8 +29,8 @@ VOLUNTARY_ORDER = 4
 
 MAX_REDRAWS = 1000
 
-_PARTS = ((REMNANT_ORDER, "remnant_cutoff"), (VOLUNTARY_ORDER, "voluntary_cutoff"))
-"""Order and field of the cut-off of each part of the noise."""
+_PARTS = ((REMNANT_ORDER, "remnant"), (VOLUNTARY_ORDER, "voluntary"), (REMNANT_ORDER, "fast"))
+"""Order of the low-pass of each part of the noise, and what the names of its fields begin with."""
 
 _VARIED = ("b", "k", "kv", "kp")
 
@@ -51,6 +51,9 @@ class HumanNoise:
       voluntary_floor: RMS of the slow corrections without a perturbation [Nm], >= 0.
       voluntary_cutoff: of the corrections' fourth-order low-pass [Hz], > 0. At 0.3 Hz, 97 % of their power is below the
         0.40 Hz from which on the thesis takes the VAF (2.7).
+      fast_share: RMS of the fast part of the remnant as a share of the demand [-], >= 0.
+      fast_floor: RMS of the fast part without a perturbation [Nm], >= 0.
+      fast_cutoff: of the fast part's second-order low-pass [Hz], > 0.
       spread_b: SD over trials of the logarithm of one factor on all intrinsic damping [-], >= 0.
       spread_k: the same of intrinsic stiffness, long-range and short-range [-], >= 0.
       spread_kv: the same of velocity feedback [-], >= 0.
@@ -67,6 +70,9 @@ class HumanNoise:
     voluntary_share: float = 0.0
     voluntary_floor: float = 0.0
     voluntary_cutoff: float = 0.3
+    fast_share: float = 0.0
+    fast_floor: float = 0.0
+    fast_cutoff: float = 20.0
     spread_b: float = 0.0
     spread_k: float = 0.0
     spread_kv: float = 0.0
@@ -74,6 +80,11 @@ class HumanNoise:
 
     def __post_init__(self) -> None:
         require_ranges("HumanNoise", self)
+
+    def scaled(self, factor: float) -> Self:
+        """The noise with `factor` times the torque; what differs from trial to trial stays."""
+        names = [f"{part}_{level}" for _, part in _PARTS for level in ("share", "floor")]
+        return replace(self, **{name: factor * getattr(self, name) for name in names})
 
     def vary(self, subject: Subject, rng: np.random.Generator, accept: Callable[[Subject], bool]) -> Subject:
         """The subject as it is in one trial; the subject itself if all spreads are zero.
@@ -101,12 +112,11 @@ class HumanNoise:
                 return drawn
         raise RuntimeError(f"no stable variation of subject {subject.name!r} in {MAX_REDRAWS} draws with {self}")
 
-    def rms(self, demand: ArrayLike) -> tuple[Array, Array]:
-        """RMS torque of remnant and of slow corrections [Nm], (joint,) each, at a demand [Nm], (joint,)."""
+    def rms(self, demand: ArrayLike) -> tuple[Array, ...]:
+        """RMS torque of remnant, slow corrections and fast part [Nm], (joint,) each, at a demand [Nm], (joint,)."""
         demand = np.asarray(demand, dtype=float)
-        return (
-            np.hypot(self.remnant_floor, self.remnant_share * demand),
-            np.hypot(self.voluntary_floor, self.voluntary_share * demand),
+        return tuple(
+            np.hypot(getattr(self, f"{part}_floor"), getattr(self, f"{part}_share") * demand) for _, part in _PARTS
         )
 
     def torque_spectrum(self, demand: ArrayLike, timestep: float, frequency: ArrayLike) -> Array:
@@ -122,6 +132,8 @@ class HumanNoise:
         """
         spectrum = np.zeros((np.size(frequency), 2))
         for part, rms in zip(_PARTS, self.rms(demand), strict=True):
+            if not rms.any():
+                continue
             _, response = signal.sosfreqz(self._lowpass(*part, timestep), frequency, fs=1.0 / timestep)
             spectrum += 2.0 * timestep * rms**2 * np.abs(response)[:, None] ** 2
         return spectrum
@@ -148,7 +160,8 @@ class HumanNoise:
                 torque += rms * signal.sosfilt(self._lowpass(*part, timestep), white, axis=0)
         return torque
 
-    def _lowpass(self, order: int, field: str, timestep: float) -> Array:
+    def _lowpass(self, order: int, part: str, timestep: float) -> Array:
+        field = f"{part}_cutoff"
         require_number("HumanNoise", field, getattr(self, field), above=0.0, below=0.5 / timestep)
         return _unit_lowpass(order, getattr(self, field), timestep)
 

@@ -33,6 +33,8 @@ def test_without_settings_there_is_no_noise():
         (HumanNoise(remnant_share=0.5, remnant_floor=2.0), (2.5, np.hypot(2.0, 2.0))),
         (HumanNoise(voluntary_share=0.5, voluntary_floor=2.0), (2.5, np.hypot(2.0, 2.0))),
         (HumanNoise(remnant_floor=3.0, voluntary_floor=4.0), (5.0, 5.0)),
+        (HumanNoise(fast_share=0.5, remnant_floor=2.0), (2.5, np.hypot(2.0, 2.0))),
+        (HumanNoise(fast_share=1.0, remnant_share=0.5, voluntary_floor=4.0).scaled(0.5), (2.61, 3.0)),
     ],
 )
 def test_torque_has_the_set_rms_at_each_joint(noise, expected):
@@ -57,9 +59,10 @@ def test_a_longer_trial_begins_the_same_and_other_seeds_differ():
 
 
 def test_parts_are_switched_off_without_touching_the_others():
-    both = torque(HumanNoise(remnant_floor=1.0, voluntary_floor=1.0), n_steps=500)
-    parts = [torque(HumanNoise(**{field: 1.0}), n_steps=500) for field in ("remnant_floor", "voluntary_floor")]
-    np.testing.assert_allclose(parts[0] + parts[1], both, rtol=1e-12)
+    floors = ("remnant_floor", "voluntary_floor", "fast_floor")
+    together = torque(HumanNoise(**dict.fromkeys(floors, 1.0)), n_steps=500)
+    parts = [torque(HumanNoise(**{floor: 1.0}), n_steps=500) for floor in floors]
+    np.testing.assert_allclose(sum(parts), together, rtol=1e-12)
 
 
 def test_relaxed_people_make_no_slow_corrections():

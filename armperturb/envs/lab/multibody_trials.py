@@ -79,8 +79,8 @@ def simulate_multibody(
             (push,), (log,), (diverged,) = simulate(i, i + 1, parts)
         rest = np.zeros(log.shape[1])
         rest[ANGLE] = subjects[i].posture
-        signals = np.nan_to_num(log[:, HANDLE.start :]) if diverged else log[:, HANDLE.start :]
-        signals = setup.sampled(signals, rest[HANDLE.start :])
+        log = np.nan_to_num(log) if diverged else log
+        signals = setup.sampled(log[:, HANDLE.start :], rest[HANDLE.start :])
         every = np.concatenate([flushed(log[::decimation, : HANDLE.start]), signals], axis=1)
         limit_time = np.nan if end is None else end * decimation * timestep
         return setup.sampled(push), every, limit_time

@@ -44,6 +44,33 @@ def replicate_share(limit: float, people: int) -> float:
     return float(2.0 * stats.t.cdf(limit / math.sqrt(1.0 / PEOPLE + 1.0 / people), PEOPLE - 1) - 1.0)
 
 
+def causes(within: Mapping[str, float], people: int) -> list[str]:
+    """Which misses are the people's, and which the print's: a line for movements and one for fitted tables.
+
+    Args:
+      within: group of tables ("2.1 and F", "C", "D", "E") to our share of its cells within 1 SD [-]; others count not.
+      people: number of people behind the shares.
+    """
+    lines = []
+    if "2.1 and F" in within:
+        off, chance = 1.0 - within["2.1 and F"], 1.0 - replicate_share(1.0, people)
+        lines.append(
+            f"movements beyond 1 SD: {100.0 * off:.0f} % of cells; {100.0 * chance:.0f} % would be by the sampling of "
+            "people alone, the rest is our people's"
+        )
+    each = [
+        f"{name} {100.0 * (1.0 - within[name]):.0f} % ({100 - high} to {100 - low} %)"
+        for name, (low, high) in OF_PRINTED_ARMS.items()
+        if name in within
+    ]
+    if each:
+        lines.append(
+            f"fitted cells beyond 1 SD: {', '.join(each)}; in brackets what people miss who are the printed arms: so "
+            "much is the print's, whose parameters are not those of one arm, and the rest our people's, noise included"
+        )
+    return lines
+
+
 def _low_gains(table: str, model: str) -> Array:
     """Gain of the diagonal at the lowest frequencies of the arm of mean parameters, (frequency, axis)."""
     structure = structure_of(model)

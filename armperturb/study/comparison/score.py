@@ -21,7 +21,7 @@ import pandas as pd
 from armperturb.analysis.fit.thesis import ThesisEstimate
 from armperturb.analysis.results import Description, Result, Table
 from armperturb.files import write_csv, write_whole
-from armperturb.study.comparison.ceiling import OF_PRINTED_ARMS, replicate_share
+from armperturb.study.comparison.ceiling import OF_PRINTED_ARMS, causes, replicate_share
 from armperturb.study.comparison.headlines import Headline, headlines
 from armperturb.study.published import tables as published
 from armperturb.study.published.tables import FitEntry, MeanSD
@@ -30,6 +30,7 @@ from armperturb.study.results.quantities import LIMITS, Cell, published_cells
 from armperturb.study.results.settings import STARTS_OF
 from armperturb.study.results.study_result import StudyResult
 from armperturb.study.results.trial_measures import PersonMeasures, diverged
+from armperturb.study.results.uses import use_of
 from armperturb.subject import TASKS
 
 if TYPE_CHECKING:
@@ -94,7 +95,13 @@ class Score(Result):
             ("number of the text", "published", "ours", "unit", "remark"),
             tuple((line.name, line.published, f"{line.ours:.3g}", line.unit, line.remark) for line in self.headlines),
         )
-        details = [*ceiling_lines(self.people), "", *(line.rstrip() for line in quoted.lines())]
+        within = {name: near.parts[1] for name, near in each.items() if near.computed}
+        details = [
+            *ceiling_lines(self.people),
+            *causes(within, self.people),
+            "",
+            *(line.rstrip() for line in quoted.lines()),
+        ]
         if against := [line for line in self.headlines if line.contradiction]:
             details += ["", "numbers of the text that other printed numbers contradict:"]
             details += [f"  {line.name}: {line.contradiction}" for line in against]
@@ -122,6 +129,7 @@ class Score(Result):
                     "ours": scored.ours.mean,
                     "z": scored.z,
                     "ours_sd": scored.ours.sd,
+                    "use": use_of(scored.cell),
                     "reason": scored.reason,
                 }
                 for scored in self.cells
@@ -279,7 +287,11 @@ def share(cells: Iterable[ScoredCell]) -> Share:
 
 
 def shares(result: Score) -> dict[str, Share]:
-    """Share of each table, and of groups of them: measured (2.1 and F, and of these each task) and fitted (C to E)."""
+    """Share of each table, and of groups of cells.
+
+    Groups are what is measured (2.1 and F, and of these each task), what is fitted (C to E), and all cells that people
+    were set on (calibrated) or not (held out), see `study.results.uses`.
+    """
     tables = dict.fromkeys(scored.cell.table for scored in result.cells)
     of = {table: share(scored for scored in result.cells if scored.cell.table == table) for table in tables}
     measured = [scored for scored in result.cells if scored.cell.table.startswith(("2", "F"))]
@@ -289,6 +301,9 @@ def shares(result: Score) -> dict[str, Share]:
         },
         "2.1 and F": measured,
         **{appendix: [scored for scored in result.cells if scored.cell.table[0] == appendix] for appendix in "CDE"},
+        **{
+            use: [scored for scored in result.cells if use_of(scored.cell) == use] for use in ("calibrated", "held out")
+        },
         "total": list(result.cells),
     }
     return of | {name: share(cells) for name, cells in groups.items()}

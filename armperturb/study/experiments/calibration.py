@@ -32,17 +32,12 @@ from armperturb.study.experiments.cohort_cells import cells_of_trials
 from armperturb.study.protocol import PULSE_LEAD, THESIS, Protocol, with_published_forces
 from armperturb.study.published.tables import MeanSD
 from armperturb.study.results.quantities import LIMITS, Cell, published_cells
+from armperturb.study.results.uses import CALIBRATED, HELD_OUT
 from armperturb.subject import TASKS
 from armperturb.validation import require_number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-CALIBRATED = ("2.1", "F.2", "F.3", "F.4")
-"""Tables that the calibration sees."""
-
-HELD_OUT = ("F.5", "F.6")
-"""Tables of the same kind that it does not see."""
 
 SLOPE_STEP = 0.03
 """Of the logarithm of an unknown, for slopes."""

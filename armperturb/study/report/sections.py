@@ -9,7 +9,7 @@ import numpy as np
 
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
 from armperturb.pages.formats import digits, fixed
-from armperturb.study.comparison.ceiling import OF_PRINTED_ARMS, replicate_share
+from armperturb.study.comparison.ceiling import OF_PRINTED_ARMS, causes, replicate_share
 from armperturb.study.comparison.effects import Effects
 from armperturb.study.comparison.elastic_limits import NAMES, elastic_rows
 from armperturb.study.comparison.headlines import Headline
@@ -231,6 +231,8 @@ def _differs(score: Score, factors: list[Row]) -> list[str]:
     if far:
         worst = ", ".join(f"{name} ({100.0 * part:.0f}\u00a0%)" for part, name in far[:MOST_NAMED])
         lines.append(f"less than half of the cells within 1 SD: {len(far)} of {len(of_tables)} tables, least {worst}")
+    every = shares(score)
+    lines += causes({name: every[name].parts[1] for name in WORDS["groups"] if every[name].computed}, score.people)
     lacking = sum(missing_cells(score).values())
     if lacking:
         lines.append(f"{lacking} of {len(score.cells)} cells could not be computed and count as not reproduced")

@@ -262,9 +262,7 @@ def collect(settings: ValidateSettings, results: Sequence[tuple[int, dict[Estima
 
 def _trial(settings: ValidateSettings, truth: Subject, group: int, number: int) -> Trial:
     force = RMS_FORCE[truth.task] if settings.force is None else settings.force
-    noise = HUMAN_NOISE[truth.task]
-    levels = ("remnant_share", "remnant_floor", "voluntary_share", "voluntary_floor")
-    louder = {name: settings.noise * getattr(noise, name) for name in levels}
+    noise = HUMAN_NOISE[truth.task].scaled(settings.noise)
     rng = np.random.default_rng(trial_seed(settings.seed, "validate multisine", group, number))
     return Trial(
         subject=truth,
@@ -273,7 +271,7 @@ def _trial(settings: ValidateSettings, truth: Subject, group: int, number: int) 
         repetition=number,
         seed=trial_seed(settings.seed, "validate trial", group, number),
         # The person is the same in all trials: else there is no one truth.
-        noise=replace(noise, **louder, spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0),
+        noise=replace(noise, spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0),
     )
 
 

@@ -25,10 +25,8 @@ INSTRUMENTS = Instruments(marker_noise=None, emg=None)
 
 def record(subject, n=4, *, seed=0, noise=1.0, linear=True, instruments=INSTRUMENTS, condition="", force=1.0):
     """Trials of a person who is the same in all of them."""
-    human = HUMAN_NOISE[subject.task]
-    names = ("remnant_share", "remnant_floor", "voluntary_share", "voluntary_floor")
     spreads = {f"spread_{quantity}": 0.0 for quantity in ("b", "k", "kv", "kp")}
-    human = replace(human, **spreads, **{name: noise * getattr(human, name) for name in names})
+    human = replace(HUMAN_NOISE[subject.task].scaled(noise), **spreads)
     trials = [
         Trial(
             subject=subject,

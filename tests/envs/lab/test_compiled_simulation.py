@@ -89,3 +89,12 @@ def test_a_delay_beyond_what_is_remembered_is_refused():
 def test_what_the_engine_has_not_is_refused(options, message):
     with pytest.raises(ValueError, match=message):
         run_experiment([Trial(subject=RELAX, perturbation=PULSE)], Environment(), **{"engine": "compiled", **options})
+
+
+def test_an_arm_that_diverges_beyond_the_workspace_leaves_a_whole_recording():
+    pulse = Pulse(peak=5000.0, direction_deg=20.0, onset=0.3, duration=1.0)
+    trial = Trial(subject=POSITION, perturbation=pulse)
+    recording = run_experiment([trial], engine="compiled", instruments=Instruments())
+    assert 0.3 < float(recording["limit_time"][0]) < 0.5
+    for name in ("displacement", "joint_angle", "force", "emg"):
+        assert np.isfinite(recording[name].values).all(), name

@@ -362,7 +362,7 @@ def test_noise_at_zero_is_no_noise_to_the_last_bit():
 def test_every_kind_of_noise_moves_the_arm_by_its_seed():
     still = mixed_trials()[1]
     ideal = run_experiment([still], ENVIRONMENT)
-    for setting in ("remnant_share", "remnant_floor", "voluntary_share", "voluntary_floor", "spread_k", "spread_kv"):
+    for setting in ("remnant_share", "remnant_floor", "voluntary_share", "fast_share", "spread_k", "spread_kv"):
         noise = HumanNoise(**{setting: 0.5})
         first, again, other = (
             run_experiment([replace(still, noise=noise, seed=seed)], ENVIRONMENT) for seed in (1, 1, 2)

@@ -5,7 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from armperturb.study.comparison.ceiling import amplitude_factors, contradictions, replicate_share
+from armperturb.study.comparison.ceiling import (
+    OF_PRINTED_ARMS,
+    amplitude_factors,
+    causes,
+    contradictions,
+    replicate_share,
+)
 from armperturb.study.published import tables as published
 
 
@@ -46,3 +52,11 @@ def test_contradictions_name_headline_numbers_and_quote_the_tables():
     # 13.85 / 6.20 cm over 1.3.
     assert "2.23 times the displacement" in said["pulse_admittance_ratio_max_min_pt0"]
     assert "1.72-fold" in said["pulse_admittance_ratio_max_min_pt0"]
+
+
+def test_misses_are_divided_between_people_and_print():
+    movements, fitted = causes({"2.1 and F": 0.88, "C": 0.43, "total": 0.5}, 10)
+    assert movements.startswith("movements beyond 1 SD: 12 % of cells; 5 % would be by the sampling of people alone")
+    low, high = OF_PRINTED_ARMS["C"]
+    assert fitted.startswith(f"fitted cells beyond 1 SD: C 57 % ({100 - high} to {100 - low} %); in brackets")
+    assert causes({"total": 0.5}, 10) == []

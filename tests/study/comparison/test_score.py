@@ -38,7 +38,7 @@ from armperturb.study.results.quantities import Cell, measured_cells, published_
 from armperturb.study.results.trial_measures import PersonMeasures, TrialMeasures, measure_person
 from armperturb.subject import POSITION
 
-HEADER = "table,condition,quantity,published_mean,published_sd,ours,z,ours_sd,reason"
+HEADER = "table,condition,quantity,published_mean,published_sd,ours,z,ours_sd,use,reason"
 
 
 @pytest.fixture(scope="module")
@@ -181,6 +181,8 @@ def test_shares():
     assert found["2.1 and F, RT"][:2] == (0, 0)
     assert found["C"].within == (1, 1, 1)
     assert found["total"][:2] == (6, 5)
+    assert found["calibrated"] == found["2.1"]
+    assert found["held out"] == found["C"]
     assert share([missing]).within == (0, 0, 0)
 
 

@@ -13,8 +13,6 @@ from armperturb.files import read_toml
 from armperturb.muscle_law import ELEMENTS
 from armperturb.study.experiments import calibration as module
 from armperturb.study.experiments.calibration import (
-    CALIBRATED,
-    HELD_OUT,
     Calibration,
     calibrate,
     poles,
@@ -26,6 +24,7 @@ from armperturb.study.experiments.calibration import (
 from armperturb.study.experiments.candidates import LAWS, Candidate, unknowns
 from armperturb.study.recording.practice import linear_displacement
 from armperturb.study.results.quantities import Cell, published_cells
+from armperturb.study.results.uses import CALIBRATED, HELD_OUT
 from armperturb.subject import TASKS
 
 
