@@ -9,6 +9,7 @@ refused command must say one line and leave nothing. Of what is read, damage to 
 """
 
 import argparse
+import gc
 import importlib
 import io
 import json
@@ -218,6 +219,7 @@ def outcome(folder: Path, case: Case, expected: Any, *, guarded: bool) -> str:
     child = os.fork()
     if child == 0:
         status = 6
+        gc.freeze()  # what the parent has left is not finalised in here, amid anything
         tracebacks = os.fdopen(os.dup(2), "w", buffering=1)  # where tracebacks go; what libraries print is dropped
         try:
             resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

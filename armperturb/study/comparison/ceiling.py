@@ -56,7 +56,7 @@ def causes(within: Mapping[str, float], people: int) -> list[str]:
         off, chance = 1.0 - within["2.1 and F"], 1.0 - replicate_share(1.0, people)
         lines.append(
             f"movements beyond 1 SD: {100.0 * off:.0f} % of cells; {100.0 * chance:.0f} % would be by the sampling of "
-            "people alone, the rest is our people's"
+            "people alone"
         )
     each = [
         f"{name} {100.0 * (1.0 - within[name]):.0f} % ({100 - high} to {100 - low} %)"
@@ -66,7 +66,7 @@ def causes(within: Mapping[str, float], people: int) -> list[str]:
     if each:
         lines.append(
             f"fitted cells beyond 1 SD: {', '.join(each)}; in brackets what people miss who are the printed arms: so "
-            "much is the print's, whose parameters are not those of one arm, and the rest our people's, noise included"
+            "much is the print's, the rest our people's"
         )
     return lines
 
