@@ -69,6 +69,9 @@ Place = tuple[Inertia, Grip, Reflex]
 RICHEST: Place = ("free", "spring", "position")
 """The rung of which all others are special cases."""
 
+REFUTED = 2.0
+"""Lack of fit over degrees of freedom above which a search goes on [-]: long trials refute what is off by little."""
+
 Geometry = Callable[[Subject | None], Group | None]
 """Trials of one condition in the geometry of the start posture, from an estimate of the arm."""
 
@@ -274,8 +277,9 @@ def _richest(group: Group, others: Sequence[Rung], method: Method) -> Rung:
 
 
 def _is_refuted(rung: Rung) -> bool:
-    """Whether the trials say that the structure is wrong, or its search ended in the wrong place."""
-    return LackOfFit(rung.sketch.chi2, rung.sketch.dof).p_value < SUSPICIOUS
+    """Whether the structure is wrong by far, or its search ended in the wrong place."""
+    fit = LackOfFit(rung.sketch.chi2, rung.sketch.dof)
+    return fit.p_value < SUSPICIOUS and fit.chi2 > REFUTED * fit.dof
 
 
 def _rank(place: Place) -> tuple[int, ...]:
