@@ -45,17 +45,18 @@ class Disturbances:
         straight: bool = False,
     ) -> None:
         self._threads = threads
-        self.decimation = max(1, int(np.ceil(round(1.0 / (rate * longest_step), 9))))
+        self.decimation = _steps_per_sample(rate, longest_step)
         self.timestep = 1.0 / (rate * self.decimation)
         self.n_samples = perturbation.shape[1]
         self.force = _halved(perturbation, self.decimation, straight)
 
     def coarser(self, longest_step: float) -> "Disturbances":
         """The same disturbances for a simulation with longer steps; these themselves, if its steps are no longer."""
-        samples = self.force[:, :: 2 * self.decimation]
         rate = 1.0 / (self.timestep * self.decimation)
-        coarser = Disturbances(samples, rate, self._threads, longest_step=longest_step)
-        return coarser if coarser.decimation < self.decimation else self
+        if _steps_per_sample(rate, longest_step) >= self.decimation:
+            return self
+        samples = self.force[:, :: 2 * self.decimation]
+        return Disturbances(samples, rate, self._threads, longest_step=longest_step)
 
     def responses(
         self,
@@ -111,6 +112,10 @@ def load_compiled_arm() -> Callable[..., None]:
     with naming_the_extra("the compiled arm"):
         from armperturb.planar_arm.compiled import simulate_lanes
     return simulate_lanes
+
+
+def _steps_per_sample(rate: float, longest_step: float) -> int:
+    return max(1, int(np.ceil(round(1.0 / (rate * longest_step), 9))))
 
 
 def _halved(perturbation: Array, decimation: int, straight: bool) -> Array:

@@ -26,7 +26,15 @@ import numpy as np
 from armperturb.analysis.fit.group import Group, Method
 from armperturb.analysis.fit.likelihood_search import MAX_ROUNDS
 from armperturb.analysis.fit.linear_start import linear_starts
-from armperturb.analysis.fit.maximum_likelihood import SKETCH_ROUNDS, SUSPICIOUS, Estimate, Sketch, estimate, sketch
+from armperturb.analysis.fit.maximum_likelihood import (
+    LARGE_LACK,
+    SKETCH_ROUNDS,
+    SUSPICIOUS,
+    Estimate,
+    Sketch,
+    estimate,
+    sketch,
+)
 from armperturb.analysis.fit.own_structures import Grip, Inertia, Reflex, composed
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.fit.trial_effects import scaled
@@ -68,9 +76,6 @@ Place = tuple[Inertia, Grip, Reflex]
 
 RICHEST: Place = ("free", "spring", "position")
 """The rung of which all others are special cases."""
-
-REFUTED = 2.0
-"""Lack of fit over degrees of freedom above which a search goes on [-]: long trials refute what is off by little."""
 
 Geometry = Callable[[Subject | None], Group | None]
 """Trials of one condition in the geometry of the start posture, from an estimate of the arm."""
@@ -279,7 +284,7 @@ def _richest(group: Group, others: Sequence[Rung], method: Method) -> Rung:
 def _is_refuted(rung: Rung) -> bool:
     """Whether the structure is wrong by far, or its search ended in the wrong place."""
     fit = LackOfFit(rung.sketch.chi2, rung.sketch.dof)
-    return fit.p_value < SUSPICIOUS and fit.chi2 > REFUTED * fit.dof
+    return fit.p_value < SUSPICIOUS and fit.chi2 > LARGE_LACK * fit.dof
 
 
 def _rank(place: Place) -> tuple[int, ...]:

@@ -57,6 +57,10 @@ SKEWED = 2e-4
 SUSPICIOUS = 0.01
 """p-value of the lack of fit below which a remark is made [-]."""
 
+LARGE_LACK = 2.0
+"""Lack of fit over its degrees of freedom from which on parameters are not to be trusted [-]. Of long trials, the
+p-value refutes what is off by less."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Estimate(FitResult):

@@ -3,10 +3,10 @@
 from importlib import metadata
 from pathlib import Path
 
-from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
+from armperturb.analysis.fit.maximum_likelihood import LARGE_LACK, SUSPICIOUS
 from armperturb.analysis.joint.identify import JointIdentification
 from armperturb.analysis.page.page import WORDS, Origin, parameter_rows
-from armperturb.analysis.page.verdict import LARGE, Verdict, numbers_of
+from armperturb.analysis.page.verdict import Verdict, numbers_of
 from armperturb.analysis.results import Description, Table, plain
 from armperturb.files import write_whole
 from armperturb.pages.page import Picture, rendered, versions
@@ -85,7 +85,7 @@ def joint_verdict(result: JointIdentification) -> Verdict:
             return Verdict(
                 "trust", f"The cascade explains the movement as far as the noise shows ({numbers_of(lack)})."
             )
-        if lack.chi2 <= LARGE * lack.dof:
+        if lack.chi2 <= LARGE_LACK * lack.dof:
             return Verdict("care", f"{lacking}: intervals are too short.")
         return Verdict("reject", f"{lacking}: the structure is wrong.")
     ahead = result.free_model.left_out_vaf - result.vaf["total"]

@@ -9,7 +9,7 @@ import numpy as np
 from armperturb.analysis.fit.diagnosis import Diagnosis
 from armperturb.analysis.fit.frequency_bands import BandOfLack
 from armperturb.analysis.fit.identify import Identification
-from armperturb.analysis.fit.maximum_likelihood import SKEWED, SUSPICIOUS, Estimate
+from armperturb.analysis.fit.maximum_likelihood import LARGE_LACK, SKEWED, SUSPICIOUS, Estimate
 from armperturb.analysis.fit.trial_effects import FEWEST_TRIALS
 from armperturb.analysis.fit.whittle import LackOfFit
 from armperturb.analysis.page.data_check import DataCheck
@@ -17,9 +17,6 @@ from armperturb.analysis.response.best_linear import BestLinear
 from armperturb.analysis.results import limits_of, plain
 from armperturb.pages.formats import chance
 from armperturb.recording import LABELS
-
-LARGE = 2.0
-"""Lack of fit over its degrees of freedom from which on parameters are not to be trusted [-]."""
 
 REFLEXES = (1.5, 6.0)
 """Frequencies at which reflexes act most [Hz]; above, inertia and grip do."""
@@ -79,7 +76,7 @@ def verdict(identification: Identification, bands: Sequence[BandOfLack]) -> Verd
     ratio, numbers = lack.chi2 / lack.dof, numbers_of(lack)
     if lack.p_value >= SUSPICIOUS:
         return Verdict("trust", f"The model explains the movement as far as the noise lets one see ({numbers}).")
-    if ratio <= LARGE and fit.choice is None:
+    if ratio <= LARGE_LACK and fit.choice is None:
         return Verdict(
             "care",
             f"The perturbation explains slightly more of the movement than the model does ({numbers}). Intervals are "
