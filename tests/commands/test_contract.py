@@ -1,8 +1,10 @@
 """Names, tables, settings and files that would run, obey, or run away are refused, or made harmless."""
 
+import io
 import json
 import os
 import resource
+import sys
 import time
 
 import pytest
@@ -61,6 +63,22 @@ def test_spreadsheets_run_no_cell(tmp_path, start):
     cells = (tmp_path / "t.csv").read_text(encoding="utf-8").splitlines()[1:]
     assert cells[0].lstrip('"').startswith("'")
     assert cells[-1].endswith(",-1.5,-1.5")
+
+
+def test_results_are_written_where_nothing_can_be_printed(tmp_path, monkeypatch, capsys):
+    page = tmp_path / "o.html"
+    with open("/dev/full", "w") as full, monkeypatch.context() as patched:
+        patched.setattr(sys, "stdout", full)
+        message = refused(capsys, "live", "--out", str(page))
+    assert "standard output: cannot be written (No space left on device); the results are" in message
+    assert page.stat().st_size > 10_000
+
+
+def test_a_terminal_without_a_letter_shows_its_number(monkeypatch):
+    with io.TextIOWrapper(io.BytesIO(), encoding="ascii") as terminal:
+        monkeypatch.setattr(sys, "stdout", terminal)
+        cli.show(["Jürgen: 3°"])
+        assert terminal.buffer.getvalue() == b"J\\xfcrgen: 3\\xb0\n"
 
 
 def test_control_characters_do_not_reach_a_terminal(capsys, tmp_path):
