@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             with naming_the_extra(f"armperturb {type(command).__name__.lower()}"):
                 if command.needs_simulator:
                     require_simulator()
-                show(command.run())
+                show(list(command.run()))
     except REFUSED as error:
         _remove_empty(new_folder)
         print(f"armperturb: error: {printable(' '.join(str(error).split()))}", file=sys.stderr)
@@ -126,7 +126,7 @@ def show(lines: Iterable[str]) -> None:
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the end of the process would try again
         explained = f"standard output: cannot be written ({error.strerror}); the results are"
-        raise type(error)(error.errno, explained) from error
+        raise type(error)(explained) from error
 
 
 def _missing(folder: Path | None) -> Path | None:
