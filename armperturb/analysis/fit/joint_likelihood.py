@@ -286,6 +286,10 @@ class JointLikelihood:
             [[group.structure.initial[name] for name in group.structure.free] for group in self.groups]
         )
 
+    def nearest(self) -> Array:
+        """Mean over the groups of the best fits to their estimated admittances, from several starts."""
+        return self._started([group.best_fit_of_spectra()[0] for group in self.groups])
+
     def stabilised(self, values: Array) -> Array:
         """The values moved towards the structures' default starts until every arm is stable, or all the way."""
         published = self.published()

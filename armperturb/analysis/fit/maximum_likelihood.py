@@ -67,8 +67,8 @@ class Estimate(FitResult):
     """Maximum-likelihood estimate of the parameters of one person, of all conditions together.
 
     With several conditions, a parameter that is not shared is called "k_s [RT7.5]". Variances are those of
-    the Fisher information, times `dispersion`, and what errors of the noise's spectrum and of the manipulator add, which
-    the same trials tell.
+    the Fisher information, times `dispersion`, and what errors of the noise's spectrum and of the manipulator add, both
+    of which the same trials tell.
 
     Attributes:
       method: "frequency" or "record".
@@ -191,9 +191,11 @@ def estimate(
         problem.require_identifiable(first)
     is_given = initial is not None and len(initial) == len(problem.names)
     if not is_given and (not fitted.converged or fitted.is_suspicious):
-        other = search_best(problem, problem.stabilised(problem.published()))
-        if problem.objective(other.values) < fitted.objective:
-            search = other
+        starts = [problem.published()]
+        if fitted.chi2 > LARGE_LACK * fitted.dof:
+            starts.append(problem.nearest())
+        others = (search_best(problem, problem.stabilised(start)) for start in starts)
+        search = min(search, *others, key=lambda each: problem.objective(each.values))
     if first_method != method:
         problem = JointLikelihood(groups, method, share)
         search = search_best(problem, problem.stabilised(search.values))

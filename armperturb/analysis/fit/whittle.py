@@ -22,7 +22,13 @@ import numpy as np
 from scipy import stats
 
 from armperturb.analysis.fit.frequency_bands import BandOfLack, Smoother, excited_bands
-from armperturb.analysis.fit.frequency_rows import applied, applied_rows, complex_values, least_squares_rows, orthonormal
+from armperturb.analysis.fit.frequency_rows import (
+    applied,
+    applied_rows,
+    complex_values,
+    least_squares_rows,
+    orthonormal,
+)
 from armperturb.analysis.fit.total_admittance import LONGEST_RUN
 from armperturb.arrays import Array, ComplexArray, Indices
 
