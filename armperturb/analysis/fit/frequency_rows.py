@@ -56,5 +56,6 @@ def least_squares_rows(columns: Array, rows: Array) -> tuple[Array, Array]:
     """
     scale = np.linalg.norm(columns, axis=1)
     directions, size, basis = np.linalg.svd(columns / scale[:, None], full_matrices=False)
-    kept = size > SINGULAR * size[0]
-    return np.asarray(rows @ basis[kept].T / size[kept] @ directions[:, kept].T / scale), np.asarray(basis[kept])
+    rank = int(np.sum(size > SINGULAR * size[0]))
+    directions, size, basis = directions[:, :rank], size[:rank], basis[:rank]
+    return np.asarray(rows @ basis.T / size @ directions.T / scale), np.asarray(basis)
