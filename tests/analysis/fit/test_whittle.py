@@ -71,7 +71,8 @@ def test_errors_are_as_large_as_the_information_says(tapered, with_drift):
     assert np.sqrt(np.var(gains) / np.mean(as_estimated)) == pytest.approx(1.0, abs=0.05)
 
 
-def test_least_squares_of_rows_is_numpys(rng=np.random.default_rng(1)):
+def test_least_squares_of_rows_is_numpys():
+    rng = np.random.default_rng(1)
     columns, rows = rng.standard_normal((3, 20)), rng.standard_normal((4, 20))
     amounts, basis = least_squares_rows(columns, rows)
     np.testing.assert_allclose(amounts.T, np.linalg.lstsq(columns.T, rows.T)[0], rtol=1e-10)
