@@ -23,8 +23,8 @@ from benchmarks.kept_rows import Row, with_kept_rows
 from benchmarks.kills import COMMANDS, inputs_of
 
 VALUES = (
-    "", "nan", "-1", "0", "1e30", "1000000000000000000000000000000", "inf", "Zoë Ünïcödé ☃", "x" * 5000, "..", "none.nc",
-    "a=b:c", "$\\frac", "\x1b[2J",
+    "", "nan", "inf", "-1", "0", "1e30", "1000000000000000000000000000000", "Zoë Ünïcödé ☃", "x" * 5000, "..",
+    "none.nc", "a=b:c", "$\\frac", "\x1b[2J",
 )  # fmt: skip
 """What each option gets."""
 
@@ -63,7 +63,11 @@ def outcomes(command: str, lines: list[list[str]], inputs: Path, numbers: list[i
     """`benchmarks.hostile.outcome` of command lines by their numbers (`seed`), and what each was (`case`)."""
     for number in numbers:
         line = lines[number]
-        ended = outcome(lambda _, line=line: cli.main(line), lambda folder: folder, inputs, inputs.parent / "now")
+
+        def run(_: str, line: list[str] = line) -> int:
+            return cli.main(line)
+
+        ended = outcome(run, lambda folder: folder, inputs, inputs.parent / "now")
         yield {"seed": number, "case": " ".join(f"{word:.40}" for word in line)} | ended
 
 
