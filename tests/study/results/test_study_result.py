@@ -340,7 +340,7 @@ def test_the_command_reports_on_what_is_there(copied, capsys, monkeypatch):
     assert recalled.startswith("recalled from analysis/ (--fresh computes them anew): S01")
     assert written == f"report: {copied / 'report.html'}"
     numbers = re.search(
-        r"Numbers recalled from an earlier analysis.*\n  (.*)\.</p>", (copied / "report.html").read_text()
+        r"Numbers recalled from an earlier analysis(?:.*\n){2}  (.*)\.</p>", (copied / "report.html").read_text()
     )
     assert numbers[1].split(", ")[0] == "S01"
     assert (copied / "score" / "score.csv").is_file()
