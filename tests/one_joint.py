@@ -12,7 +12,8 @@ from scipy import signal
 from armperturb.recording import make_recording
 
 RATE = 1000
-FINE = 8  # instants in a sample at which the torque on a force servo is known, for RK4's half steps
+FINE = 8
+"""Instants in a sample at which the torques on a force servo are known: half steps of RK4."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +147,9 @@ def _closed_loop(load, noise, env, joint, dt, halfwave, side):
             k1 = _slopes(state, here, start, env, joint)
             if j == 0:
                 angle[i] = state[0]
-                torque[i] = inertia * k1[1] + damping * state[1] + stiffness * state[0] + gain * state[2] + noise[at_half]
+                torque[i] = (
+                    inertia * k1[1] + damping * state[1] + stiffness * state[0] + gain * state[2] + noise[at_half]
+                )
             k2 = _slopes(state + 0.5 * h * k1, half, 0.5 * (start + end), env, joint)
             k3 = _slopes(state + 0.5 * h * k2, half, 0.5 * (start + end), env, joint)
             k4 = _slopes(state + h * k3, there, end, env, joint)
