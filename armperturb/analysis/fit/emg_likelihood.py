@@ -111,7 +111,13 @@ class EmgLikelihood(Whittle):
             self.names = (*self.names, DELAY_NAME)
         tiny = np.finfo(float).tiny
         super().__init__(
-            frequency, spectrum(outputs.rotation), observed, ALL, scale=np.ones(len(frequency), complex), least=tiny
+            frequency,
+            spectrum(outputs.rotation),
+            observed,
+            ALL,
+            scale=np.ones(len(frequency), complex),
+            least=tiny,
+            taper=taper,
         )
 
     @property
@@ -252,6 +258,12 @@ class TrialsWithEmg:
         moved = self.movement.normal(values[..., :N_ARM], mixing[:N_ARM], quick=quick)
         active = self.emg.normal(values, mixing, quick=quick)
         return Normal(moved.cost + active.cost, moved.slopes + active.slopes, moved.informations + active.informations)
+
+    def informations(self, values: Array, mixing: Array) -> tuple[Array, Array]:
+        """As `Whittle.informations`."""
+        moved = self.movement.informations(values[..., :N_ARM], mixing[:N_ARM])
+        active = self.emg.informations(values, mixing)
+        return moved[0] + active[0], moved[1] + active[1]
 
     def lack_of_fit(self, values: Array) -> LackOfFit:
         """As `Whittle.lack_of_fit`."""

@@ -43,18 +43,21 @@ class Smoother:
       n: how many frequencies there are.
       n_trials: that are averaged as well.
       wanted: indices of those at which the average is wanted; None for all.
+
+    Attributes:
+      count: frequencies that are averaged for each that is wanted, (wanted,).
     """
 
     def __init__(self, n: int, n_trials: int, wanted: Indices | None = None) -> None:
         index = np.arange(n) if wanted is None else wanted
         half = np.maximum(int(np.ceil(N_SMOOTH / n_trials / 2)), (RELATIVE_WIDTH * index).astype(int))
         self._first = np.maximum(index - half, 0)
-        self._count = np.minimum(index + half, n - 1) - self._first + 1
-        ends = np.cumsum(self._count)
+        self.count = np.minimum(index + half, n - 1) - self._first + 1
+        ends = np.cumsum(self.count)
         self._matrix: sparse.csr_array | None = None
         if ends[-1] <= LARGEST_MATRIX:
-            near = np.arange(ends[-1]) - np.repeat(ends - self._count - self._first, self._count)
-            weights = np.repeat(1.0 / self._count, self._count)
+            near = np.arange(ends[-1]) - np.repeat(ends - self.count - self._first, self.count)
+            weights = np.repeat(1.0 / self.count, self.count)
             self._matrix = sparse.csr_array((weights, near, np.append(0, ends)), shape=(len(index), n))
 
     def __call__(self, values: Array | ComplexArray) -> Array | ComplexArray:
@@ -66,13 +69,13 @@ class Smoother:
         total = np.zeros((len(self._first), *values.shape[1:]), dtype=values.dtype)
         at, blocks, length = self._first.copy(), values, 1
         while True:
-            odd = np.flatnonzero(self._count & length)
+            odd = np.flatnonzero(self.count & length)
             total[odd] += blocks[at[odd]]
             at[odd] += length
-            if 2 * length > self._count.max():
+            if 2 * length > self.count.max():
                 break
             blocks, length = blocks[:-length] + blocks[length:], 2 * length
-        return total / self._count.reshape(-1, *(1,) * (values.ndim - 1))
+        return total / self.count.reshape(-1, *(1,) * (values.ndim - 1))
 
 
 def excited_bands(frequency: Array, force: ComplexArray) -> list[slice]:

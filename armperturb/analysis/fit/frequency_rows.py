@@ -7,6 +7,9 @@ from armperturb.arrays import Array, ComplexArray
 CACHED = 2**12
 """Frequencies at which derivatives stay in a processor's cache."""
 
+SINGULAR = 1e-9
+"""Singular value over the largest up to which a direction counts as none [-]."""
+
 
 def applied(matrix: ComplexArray, values: ComplexArray) -> ComplexArray:
     """Matrices (row, column, frequency) times vectors (..., column, frequency)."""
@@ -38,4 +41,21 @@ def complex_values(rows: Array, shape: tuple[int, ...]) -> ComplexArray:
 def orthonormal(rows: Array) -> Array:
     """Orthonormal rows that span the given ones, none of which is zero, (at most row, number)."""
     _, size, basis = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True), full_matrices=False)
-    return np.asarray(basis[size > 1e-9 * size[0]])
+    return np.asarray(basis[size > SINGULAR * size[0]])
+
+
+def least_squares_rows(columns: Array, rows: Array) -> tuple[Array, Array]:
+    """How much of some rows, none of which is zero, is in others, and an orthonormal basis of the former.
+
+    Args:
+      columns: that are fitted, (column, number).
+      rows: to which, (row, number).
+
+    Returns:
+      Amounts, (row, column), and the basis, (at most column, number).
+    """
+    scale = np.linalg.norm(columns, axis=1)
+    directions, size, basis = np.linalg.svd(columns / scale[:, None], full_matrices=False)
+    rank = int(np.sum(size > SINGULAR * size[0]))
+    directions, size, basis = directions[:, :rank], size[:rank], basis[:rank]
+    return np.asarray(rows @ basis.T / size @ directions.T / scale), np.asarray(basis)

@@ -13,7 +13,7 @@ from armperturb.analysis.defaults import WINDOW_START
 from armperturb.analysis.fit.admittance_problem import Target, checked_problem, least_squares
 from armperturb.analysis.fit.emg_likelihood import EmgLikelihood
 from armperturb.analysis.fit.likelihood import Likelihood, PeriodLikelihood, RecordLikelihood, Signals, whitened
-from armperturb.analysis.fit.linear_start import linear_start
+from armperturb.analysis.fit.linear_start import linear_start, linear_starts
 from armperturb.analysis.fit.structures import Structure
 from armperturb.analysis.fit.total_admittance import LONGEST_RUN
 from armperturb.analysis.force_balance import EDGE
@@ -43,6 +43,9 @@ NOT_PERIODIC = 0.01
 
 EVALUATIONS = 40
 """Of a structure, in a fit to the estimated admittance, which is but a start."""
+
+STARTS = 3
+"""Starts from which each structure is fitted to the estimated admittance, which differ in delay and cut-off."""
 
 COHERENCE = (0.05, 0.9999)
 """Coherences beyond which an admittance counts as no less, or no more, well known [-]."""
@@ -172,6 +175,12 @@ class Group:
         )
         solution = least_squares(problem, start, with_penalty=False, most=EVALUATIONS)
         return solution.x, float(2.0 * solution.cost)
+
+    def best_fit_of_spectra(self) -> tuple[Array, float]:
+        """The nearest of what `fit_of_spectra` makes of several starts."""
+        starts = linear_starts(self.spectra.frequency, self.spectra.arm, self.body, self.structure)
+        nearest = sorted(starts, key=lambda start: start[1])[:STARTS]
+        return min((self.fit_of_spectra(start) for start, _ in nearest), key=lambda end: end[1])
 
     @property
     def label(self) -> str:

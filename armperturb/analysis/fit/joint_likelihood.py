@@ -258,31 +258,37 @@ class JointLikelihood:
         dof = sum(part.dof for part in parts) - len(self.names)
         return LackOfFit(sum(part.chi2 for part in parts), max(dof, 1))
 
-    def manipulator_errors(self, values: Array) -> Array:
-        """Errors of estimates that one SD of the errors of manipulators makes, independent ones, (parameter, error).
+    def added_covariance(self, values: Array) -> Array:
+        """What errors of the noise and of the manipulators add to the variance of estimates, (parameter, parameter).
 
-        Each condition's manipulator is identified from its own trials, and then counts as known. The noise must have
-        been weighed. Trials are taken to be alike.
+        The noise is estimated from the residual, see `whittle`; each condition's manipulator is identified from its own
+        trials, and then counts as known. The noise must have been weighed. Trials are taken to be alike.
         """
-        information, slopes = np.diag(self._sharpness).copy(), []
+        known = np.diag(self._sharpness)
+        left, slopes = known.copy(), []
         for number, parameters in enumerate(self.parameters(values)):
             (at, likelihood), trials = self.parts[number], self._trials[number]
             mixing, columns = self._mixing[at], self._of(at)
-            normal = likelihood.normal(parameters, mixing, quick=True)
-            information[np.ix_(columns, columns)] += normal.information
+            for total, part in zip((known, left), likelihood.informations(parameters, mixing), strict=True):
+                total[np.ix_(columns, columns)] += part
             movement = likelihood.movement if isinstance(likelihood, TrialsWithEmg) else likelihood
             changes = movement.by_manipulator(parameters[:N_ARM], *trials.instruments)
             slope = np.zeros((len(self.names), len(changes)))
             slope[columns] = movement.errors_by(parameters[:N_ARM], mixing[:N_ARM], changes)
             variances, directions = np.linalg.eigh(manipulator_covariance(trials))
             slopes.append(slope @ directions * np.sqrt(np.maximum(variances, 0.0)))
-        return inverse(information) @ np.concatenate(slopes, axis=1)
+        by_manipulators = inverse(known) @ np.concatenate(slopes, axis=1)
+        return inverse(left) - inverse(known) + by_manipulators @ by_manipulators.T
 
     def published(self) -> Array:
         """Mean over the groups of the structures' default starts."""
         return self._started(
             [[group.structure.initial[name] for name in group.structure.free] for group in self.groups]
         )
+
+    def nearest(self) -> Array:
+        """Mean over the groups of the best fits to their estimated admittances, from several starts."""
+        return self._started([group.best_fit_of_spectra()[0] for group in self.groups])
 
     def stabilised(self, values: Array) -> Array:
         """The values moved towards the structures' default starts until every arm is stable, or all the way."""

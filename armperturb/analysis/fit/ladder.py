@@ -25,7 +25,6 @@ import numpy as np
 
 from armperturb.analysis.fit.group import Group, Method
 from armperturb.analysis.fit.likelihood_search import MAX_ROUNDS
-from armperturb.analysis.fit.linear_start import linear_starts
 from armperturb.analysis.fit.maximum_likelihood import (
     LARGE_LACK,
     SKETCH_ROUNDS,
@@ -51,9 +50,6 @@ CAUTION = 2.0
 FAR = 300.0
 """Difference of the squared distances from the estimated admittance beyond which a structure is not fitted to the
 trials, over what a right one leaves [-]; special cases of the best one always are."""
-
-STARTS = 3
-"""Starts from which each structure is fitted to the estimated admittance, which differ in delay and cut-off."""
 
 STIFF = 1e5
 """Stiffness from which a search starts where a rigid grip was tried before [N/m]."""
@@ -346,10 +342,7 @@ def _fit_of_spectra(group: Group, place: Place) -> _Fitted:
     """The nearest of what several starts give."""
     inertia, grip, reflex = place
     candidate = group.with_structure(composed(inertia=inertia, grip=grip, reflex=reflex))
-    starts = linear_starts(group.spectra.frequency, group.spectra.arm, group.body, candidate.structure)
-    nearest = sorted(starts, key=lambda start: start[1])[:STARTS]
-    ends = [candidate.fit_of_spectra(start) for start, _ in nearest]
-    return _Fitted(candidate.structure, *min(ends, key=lambda end: end[1]))
+    return _Fitted(candidate.structure, *candidate.best_fit_of_spectra())
 
 
 def _fits_of_spectra(group: Group) -> dict[Place, _Fitted]:

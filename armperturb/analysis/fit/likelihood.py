@@ -99,6 +99,7 @@ class Likelihood(Whittle):
       applied: that of `Signals.applied`, likewise.
       observed: DFT of the whitened displacement, (trial, axis, frequency).
       answering: as in `Whittle`.
+      taper: likewise.
     """
 
     def __init__(
@@ -109,6 +110,7 @@ class Likelihood(Whittle):
         applied: ComplexArray,
         observed: ComplexArray,
         answering: Indices | slice,
+        taper: Array | None = None,
     ) -> None:
         self._total = TotalAdmittance(signals.body, frequency, signals.environment)
         # Where an arm answers: often everywhere.
@@ -118,7 +120,9 @@ class Likelihood(Whittle):
         )
         self._filter = whitening(frequency, signals.rate)
         least = float(ROUND_OFF * np.abs(force).max()) ** 2
-        super().__init__(frequency, force, observed, answering, scale=self._filter, least=least, cause=applied)
+        super().__init__(
+            frequency, force, observed, answering, scale=self._filter, least=least, cause=applied, taper=taper
+        )
 
     def by_manipulator(self, values: Array, environment: Environment, levels: NoiseLevels) -> ComplexArray:
         """How the residual changes with the manipulator's mass, damping and stiffness, (3, trial, axis, answer).
@@ -206,7 +210,7 @@ class RecordLikelihood(Likelihood):
         self._used = slice(1, int(np.searchsorted(frequency, top)))
         observed = self._spectrum(signals.displacement.swapaxes(1, 2))
         d, applied = self._spectrum(force), self._spectrum(signals.applied.swapaxes(1, 2))
-        super().__init__(signals, frequency[self._used], d, applied, observed, slice(None))
+        super().__init__(signals, frequency[self._used], d, applied, observed, slice(None), self._taper)
         fine = fft.rfftfreq(self._n_padded, 1.0 / rate)
         fine = fine[: np.searchsorted(fine, min(1.3 * top, 0.5 * rate))]
         # A model cannot be asked at zero frequency, where powers of it stand in denominators.
@@ -230,11 +234,11 @@ class RecordLikelihood(Likelihood):
         """
         scale = 2.0 / (self._rate * np.sum(self._taper**2) * np.abs(self._filter) ** 2)[:, None]
         moved, left = (
-            np.mean(np.abs(part) ** 2, axis=0).T for part in (self._observed, self._without_unknowns(values))
+            np.mean(np.abs(part) ** 2, axis=0).T for part in (self._observed, self._without_unknowns(values)[0])
         )
         whitener = np.moveaxis(self._white, -1, 0)
         noise = 2.0 * np.diagonal(np.linalg.inv(whitener.conj().swapaxes(1, 2) @ whitener), axis1=1, axis2=2).real
-        return self._frequency, scale * moved, scale * left, scale * noise
+        return self._frequency, scale * moved, scale * left, scale * noise / self._dependence
 
     def _spectrum(self, values: Array) -> ComplexArray:
         """DFT of what is judged of records (..., time), faded out, at the frequencies that count."""

@@ -2,7 +2,7 @@
 
 Initial values come from linear least squares (`linear_start`), so that none has to be guessed. Gauss-Newton steps
 within the bounds follow (`likelihood_search`). Then trials are allowed to differ (`trial_effects`).
-Standard errors are those of the Fisher information, the Cramer-Rao bound, if they do not.
+Standard errors are those of the Fisher information, near the Cramer-Rao bound, if they do not.
 """
 
 from collections.abc import Mapping, Sequence
@@ -67,7 +67,8 @@ class Estimate(FitResult):
     """Maximum-likelihood estimate of the parameters of one person, of all conditions together.
 
     With several conditions, a parameter that is not shared is called "k_s [RT7.5]". Variances are those of
-    the Fisher information, times `dispersion`, and what errors of the manipulator, which the same trials identify, add.
+    the Fisher information, times `dispersion`, and what errors of the noise's spectrum and of the manipulator add, both
+    of which the same trials tell.
 
     Attributes:
       method: "frequency" or "record".
@@ -190,9 +191,11 @@ def estimate(
         problem.require_identifiable(first)
     is_given = initial is not None and len(initial) == len(problem.names)
     if not is_given and (not fitted.converged or fitted.is_suspicious):
-        other = search_best(problem, problem.stabilised(problem.published()))
-        if problem.objective(other.values) < fitted.objective:
-            search = other
+        starts = [problem.published()]
+        if fitted.chi2 > LARGE_LACK * fitted.dof:
+            starts.append(problem.nearest())
+        others = (search_best(problem, problem.stabilised(start)) for start in starts)
+        search = min(search, *others, key=lambda each: problem.objective(each.values))
     if first_method != method:
         problem = JointLikelihood(groups, method, share)
         search = search_best(problem, problem.stabilised(search.values))
@@ -351,8 +354,7 @@ def _judge(problem: JointLikelihood, method: Method, search: Searched) -> Estima
     known = power > SINGULAR
     covariance = (directions[:, known] / power[known]) @ directions[:, known].T
     dispersion = _dispersion(problem, search, fit)
-    by_manipulators = problem.manipulator_errors(values) * scale[:, None]
-    covariance = dispersion * covariance + by_manipulators @ by_manipulators.T
+    covariance = dispersion * covariance + problem.added_covariance(values) * np.outer(scale, scale)
     error = np.sqrt(np.diag(covariance)) / scale
     unknown = np.abs(directions[:, ~known]).max(axis=1, initial=0.0) > PART_OF
     error[unknown] = np.inf

@@ -7,16 +7,28 @@ At each frequency the residual v of several outputs is complex normal, and trial
 Phi_vv is estimated from the residual itself, smoothed over frequency. What is smoothed is F v, where the filters F take
 out what the model knows of the shape of the noise. What a trial may hold in any amount is least-squares fitted to its
 residual and taken out of it, and out of the derivatives.
+
+Three things make noise seem weaker, or trials tell more, than is so. A taper of weights w over N samples makes nearby
+frequencies dependent: they tell as much as independent ones with N sum(w^4) / sum(w^2)^2 times the noise. What is
+fitted to each trial takes part of the noise with it: the share that its leverage says. And an average over m numbers of
+each of n outputs fits the noise of the very trials that it weighs: estimates then vary by (m / (m - n))^2 more than the
+inverse of the information, one factor for that inverse's mean and one for what errors of the weights add.
 """
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import stats
 
 from armperturb.analysis.fit.frequency_bands import BandOfLack, Smoother, excited_bands
-from armperturb.analysis.fit.frequency_rows import applied, applied_rows, complex_values, orthonormal
+from armperturb.analysis.fit.frequency_rows import (
+    applied,
+    applied_rows,
+    complex_values,
+    least_squares_rows,
+    orthonormal,
+)
 from armperturb.analysis.fit.total_admittance import LONGEST_RUN
 from armperturb.arrays import Array, ComplexArray, Indices
 
@@ -82,6 +94,8 @@ class Whittle:
       least: power that smoothed noise has at least.
       cause: DFT of what a lack of fit is looked for with, like force; None for the force. It must not depend on the
         noise.
+      taper: window of what is transformed, (time,); None of one without. It makes neighbouring frequencies tell less
+        than independent ones would.
     """
 
     def __init__(
@@ -94,6 +108,7 @@ class Whittle:
         scale: ComplexArray,
         least: float,
         cause: ComplexArray | None = None,
+        taper: Array | None = None,
     ) -> None:
         self._frequency, self._scale = frequency, scale[answering]
         self._answering = answering
@@ -111,6 +126,7 @@ class Whittle:
         ]
         self._smoother = Smoother(len(frequency), len(force), index)
         self._least = least
+        self._dependence = 1.0 if taper is None else len(taper) * float(np.sum(taper**4) / np.sum(taper**2) ** 2)
         self._n_outputs = observed.shape[1]
         self._white = np.zeros((self._n_outputs, self._n_outputs, len(index)), dtype=complex)
         self._latest: tuple[bytes, ComplexArray] = b"", self._observed
@@ -166,13 +182,18 @@ class Whittle:
         to_force, n = self._to_smooth(mean), self._n_outputs
         answers = to_force[..., self._answering]
         self._unknown = self._unknowns(mean)
-        force = applied(answers, self._without_unknowns(values))
+        residual, leverage = self._without_unknowns(values)
+        force = applied(answers, residual)
         power = np.empty(to_force.shape, dtype=complex)
         power[..., self._answering] = np.einsum("taf,tbf->abf", force, force.conj()) / len(force)
         quiet = to_force[..., self._quiet]
         half = np.einsum("acf,cdf->adf", quiet, self._noise_power)
         power[..., self._quiet] = np.einsum("adf,bdf->abf", half, quiet.conj())
-        smooth = self._smoother(power.reshape(n * n, -1).T).reshape(-1, n, n)
+        smooth = self._smoother(power.reshape(n * n, -1).T).reshape(-1, n, n) * self._dependence
+        if leverage is not None:
+            left = np.ones(len(self._frequency))
+            left[self._answering] -= leverage
+            smooth /= self._smoother(left)[:, None, None]
         floor = self._least + ROUND_OFF * np.trace(smooth, axis1=1, axis2=2).real
         root = np.linalg.cholesky(smooth + floor[:, None, None] * np.eye(n))
         # Real and imaginary part of the residual have half its power each.
@@ -181,16 +202,20 @@ class Whittle:
         if self._unknown is not None:
             self._span = orthonormal(applied_rows(self._white, self._unknown))
 
-    def _without_unknowns(self, values: Array) -> ComplexArray:
-        """The residual without what is unknown of each trial, as far as the noise is known yet."""
+    def _without_unknowns(self, values: Array) -> tuple[ComplexArray, Array | None]:
+        """The residual without what is unknown of each trial, as far as the noise is known yet, and its share in that.
+
+        The share is of the noise at each frequency where the model answers [-]; None if nothing is unknown.
+        """
         residual = self._residual(values)
         if self._unknown is None:
-            return residual
+            return residual, None
         eye = np.eye(self._n_outputs, dtype=complex)
         white = self._white if self._white.any() else eye[..., None] + 0 * self._white
         columns, rows = applied_rows(white, self._unknown), applied_rows(white, residual)
-        amounts = np.asarray(linalg.lstsq(columns.T, rows.T, cond=1e-9)[0])
-        return np.asarray(residual - np.einsum("ct,caf->taf", amounts, self._unknown))
+        amounts, basis = least_squares_rows(columns, rows)
+        share = np.mean(np.sum(basis**2, axis=0).reshape(2 * self._n_outputs, -1), axis=0)
+        return np.asarray(residual - np.einsum("tc,caf->taf", amounts, self._unknown)), np.asarray(share)
 
     def _left(self, rows: Array) -> Array:
         """Rows without what the unknown outputs span."""
@@ -226,6 +251,24 @@ class Whittle:
                 slopes[trial] = rows @ residual[trial]
                 informations[trial] = rows @ rows.T
         return Normal(float(np.sum(residual**2)), slopes, informations)
+
+    def informations(self, values: Array, mixing: Array) -> tuple[Array, Array]:
+        """Fisher information of all trials, and what of it is left as the noise is estimated, (parameter, parameter).
+
+        The latter is the inverse covariance of estimates, the former what `normal` says. Arguments are as there, and
+        derivatives are quick.
+        """
+        mean = values if values.ndim == 1 else values.mean(axis=0)
+        averaged = self._smoother.count * len(self._force)
+        sure = np.tile(np.maximum(1.0 - self._n_outputs / averaged, 0.0), 2 * self._n_outputs)
+        known, left = np.zeros((2, mixing.shape[1], mixing.shape[1]))
+        for _, derivatives in self._quick_slopes(mean, mixing):
+            for each in np.moveaxis(derivatives, 1, 0):
+                rows = self._left(applied_rows(self._white, each))
+                known += rows @ rows.T
+                rows *= sure
+                left += rows @ rows.T
+        return known, left
 
     def errors_by(self, values: Array, mixing: Array, changes: ComplexArray) -> Array:
         """What changes of the outputs do to `Normal.slope`, (free parameter, change).

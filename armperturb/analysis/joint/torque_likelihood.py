@@ -61,6 +61,7 @@ class TorqueLikelihood(Whittle):
             slice(None),
             scale=ones,
             least=np.finfo(float).tiny,
+            taper=self._taper,
         )
         time = np.linspace(-1.0, 1.0, signals.angle.shape[1])
         self._drift = self._of_trials(np.stack([np.ones_like(time), time]))
@@ -101,7 +102,8 @@ class TorqueLikelihood(Whittle):
         """Estimate the spectrum of the noise that a model leaves; it holds until the next call."""
         super().weigh(values)
         if self._is_white:
-            power = np.mean(np.abs(self._without_unknowns(values)) ** 2)
+            residual, leverage = self._without_unknowns(values)
+            power = self._dependence * np.mean(np.abs(residual) ** 2) / np.mean(1.0 - leverage)
             self._white = np.full_like(self._white, np.sqrt(2.0 / power))
             self._span = orthonormal(applied_rows(self._white, self._drift))
 

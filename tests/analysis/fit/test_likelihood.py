@@ -97,7 +97,7 @@ def test_what_came_before_a_record_is_taken_out_of_its_residual(response):
     amid = by_record(d, x, arm, from_rest=False)
     assert unexplained(amid, arm) > 0.03
     amid.weigh(parameter_vector(arm))
-    left = amid._without_unknowns(parameter_vector(arm))
+    left, _ = amid._without_unknowns(parameter_vector(arm))
     assert np.sqrt(np.mean(np.abs(left) ** 2) / np.mean(np.abs(amid._observed) ** 2)) < 6e-3
 
 

@@ -99,10 +99,12 @@ def test_a_right_structure_raises_no_doubt_and_a_wrong_one_does(position, positi
     assert not right.is_suspicious
     assert not any("explains more" in remark for remark in right.remarks)
     late = STRUCTURES["3b"].fixing(Td_s=0.060, Td_e=0.060, m_tot=2.5)
-    for wrong in (estimate([group_of(position, "1")], method), estimate([group_of(position, late)], method)):
+    without_reflexes, with_late_ones = (estimate([group_of(position, kind)], method) for kind in ("1", late))
+    for wrong in (without_reflexes, with_late_ones):
         assert wrong.is_suspicious
-        assert wrong.dispersion > 1.2
         assert any("differs from trial to trial" in remark for remark in wrong.remarks)
+    # A wrong structure may explain each perturbation in its own way, or all in the same one.
+    assert with_late_ones.dispersion > 1.2
 
 
 @pytest.mark.slow(reason="simulates laboratories and fits by both methods")
