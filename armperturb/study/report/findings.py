@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -10,7 +11,7 @@ from scipy import stats
 from armperturb.analysis.fit.maximum_likelihood import SUSPICIOUS
 from armperturb.arrays import Array
 from armperturb.study.comparison.headlines import PREDICTED
-from armperturb.study.experiments.mechanisms import ONE_LEVEL, Yielding
+from armperturb.study.experiments.mechanisms import AMPLITUDES, ONE_LEVEL, Yielding
 from armperturb.study.report.tables import Row
 from armperturb.study.results.cases import Case
 from armperturb.study.results.mean_admittance import by_task, main_conditions
@@ -175,12 +176,34 @@ def estimators_differ(rows: Sequence[Row]) -> float:
     return 100.0 * float(np.median(known)) if known else math.nan
 
 
-def law_alone(yielding: Yielding | None) -> tuple[float, float] | None:
-    """Gain of PT22.5 over PT2.5 of the first person, with the person's levels of co-contraction and with one [-].
+class LawAlone(NamedTuple):
+    """What movements that grow do to the first person's admittance in the position task.
+
+    Attributes:
+      above: condition of the larger movement.
+      below: that of the smaller one.
+      with_levels: gain in the one over that in the other, with the person's levels of co-contraction [-].
+      alone: the same with one level of co-contraction in all conditions [-].
+      unstable: whether the arm with one level does not last in the condition of the largest movement.
+    """
+
+    above: str
+    below: str
+    with_levels: float
+    alone: float
+    unstable: bool
+
+
+def law_alone(yielding: Yielding | None) -> LawAlone | None:
+    """Gain in the largest movement in which both arms last over that in the smallest.
 
     None where that was not simulated, or the person co-contracts equally in all conditions.
     """
     if yielding is None or ONE_LEVEL not in yielding.variants:
         return None
-    with_levels, alone = (yielding.rise(name, "PT22.5", "PT2.5") for name in (yielding.variants[0], ONE_LEVEL))
-    return (with_levels, alone) if math.isfinite(with_levels) and math.isfinite(alone) else None
+    below, *larger = AMPLITUDES["PT"]
+    for above in reversed(larger):
+        with_levels, alone = (yielding.rise(name, above, below) for name in (yielding.variants[0], ONE_LEVEL))
+        if math.isfinite(with_levels) and math.isfinite(alone):
+            return LawAlone(above, below, with_levels, alone, (ONE_LEVEL, larger[-1]) in yielding.unstable)
+    return None

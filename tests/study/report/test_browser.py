@@ -159,6 +159,31 @@ def test_a_persons_pulse_is_played(browser, thesis_report, thesis_study, width):
     assert browser.evaluate("document.querySelectorAll('.film video').length") == 2
 
 
+WALKED = """
+(() => {
+  document.querySelectorAll("details").forEach(each => { each.open = true; });
+  return [...document.querySelectorAll(".panels svg")].map(panel => {
+    panel.focus();
+    panel.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight" }));
+    return [document.querySelector(".said-of-point").textContent, document.activeElement === panel,
+      panel.querySelectorAll(".dot.chosen").length > 0, panel.querySelectorAll(".grid").length];
+  });
+})()
+"""
+
+
+def test_every_panel_has_an_axis_and_is_read_with_arrow_keys(browser, thesis_report, thesis_study):
+    browser.show(thesis_report / "report.html", 400)
+    panels = browser.evaluate(WALKED)
+    assert len(panels) > 10
+    names = tuple(f"{person.name} in " for person in thesis_study.people)
+    for said, focused, chosen, lines in panels:
+        assert said.startswith(names)
+        assert focused
+        assert chosen
+        assert 2 <= lines <= 6
+
+
 FIRST_PAINT = "performance.getEntriesByName('first-contentful-paint')[0].startTime"
 
 MOST_PAINT = 1500.0

@@ -17,12 +17,13 @@ from armperturb.files import checksum
 from armperturb.pages.formats import MISSING, chance, digits, mean_sd, signed, symbol, words
 from armperturb.plots.style import COLOURS, TRUE, save_svg, shades
 from armperturb.study.comparison.effects import effects
+from armperturb.study.experiments.mechanisms import ONE_LEVEL, WHOLE, Response, Yielding
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.study.recording.settings import StudySettings
 from armperturb.study.report.figures import fit as fit_figures
 from armperturb.study.report.figures import rig as rig_figures
 from armperturb.study.report.figures.catalogue import drawings
-from armperturb.study.report.findings import findings, geometric_mean
+from armperturb.study.report.findings import findings, geometric_mean, law_alone
 from armperturb.study.report.provenance import digest_of
 from armperturb.study.report.sections import left_out, remarks
 from armperturb.study.report.tables import fit_rows
@@ -262,6 +263,21 @@ def test_findings_are_geometric_means_over_people(thesis_study):
     assert all(map(math.isnan, alone[1:]))
 
 
+@pytest.mark.parametrize(("lasting", "above"), [(3, "PT22.5"), (2, "PT7.5")])
+def test_law_alone_is_told_of_movements_in_which_an_arm_with_one_level_lasts(lasting, above):
+    gains = {WHOLE: (1.0, 0.9, 0.6), ONE_LEVEL: (1.0, 1.2, 1.5)}
+    responses = {
+        (arm, condition): Response(subject=None, gain=np.full((3, 2, 2), gain))
+        for arm, of_arm in gains.items()
+        for condition, gain in zip(("PT2.5", "PT7.5", "PT22.5"), of_arm[: 3 if arm == WHOLE else lasting], strict=False)
+    }
+    unstable = {} if lasting == 3 else {(ONE_LEVEL, "PT22.5"): "leaves the workspace at 21.9 s"}
+    told = law_alone(Yielding(person=None, variants=(WHOLE, ONE_LEVEL), responses=responses, unstable=unstable))
+    assert (told.below, told.above, told.unstable) == ("PT2.5", above, lasting == 2)
+    assert (told.with_levels, told.alone) == pytest.approx((0.6, 1.5) if lasting == 3 else (0.9, 1.2))
+    assert law_alone(Yielding(person=None, variants=(WHOLE,), responses=responses, unstable={})) is None
+
+
 def test_foot_has_command_digest_and_how_to_cite(thesis_study, written):
     foot = written.read_text(encoding="utf-8").split("<footer>")[1]
     assert "armperturb study --out DIR --subjects 3 --seed" in foot
@@ -345,12 +361,12 @@ def test_published_tables_mark_every_cell(page, out):
 
 
 def test_statistics_show_their_tables(page, out):
-    for name, place, column in (("statistics", 5, "statistic"), ("statistics_pairs", 4, "t")):
+    for name, place, column, task in (("statistics", 5, "statistic", 1), ("statistics_pairs", 5, "t", 7)):
         shown, table = page.tables[name][1:], rows(out, name)
         assert len(shown) == len(table) > 5
         for line, row in zip(shown, table, strict=True):
             assert line[0].replace(",", "") == row["quantity"].replace("_", "").replace(",", "")
-            assert line[1] == row["task"]
+            assert line[task] == row["task"]
             if math.isfinite(float(row[column])):
                 assert number(line[place]) == pytest.approx(float(row[column]), rel=0.006, abs=0.0051)
             else:
@@ -361,11 +377,11 @@ def test_kinematics_shows_its_tables(page, out):
     shown, table = page.tables["joints"][1:], rows(out, "joints")
     assert len(shown) == len(table) > 50
     for line, row in zip(shown, table, strict=True):
-        assert line[:2] == [row["table"], row["condition"]]
+        assert line[:2] == [row["quantity"].replace("_", " "), row["condition"]]
         path, simulated = float(row["path_mean"]), float(row["simulated_mean"])
-        assert number(line[6]) == pytest.approx(100.0 * (path / simulated - 1.0), abs=0.051)
+        assert number(line[5]) == pytest.approx(100.0 * (path / simulated - 1.0), abs=0.051)
         # A third digit at most is lost beside the SD.
-        mean = number(line[4].split(" ± ")[0])
+        mean = number(line[2].split(" ± ")[0])
         assert mean == pytest.approx(math.degrees(path), abs=0.06 * math.degrees(float(row["path_sd"])) + 0.5)
     assert page.tables["moving_shoulder"][1:]
     assert page.tables["elastic_limits"][1:]

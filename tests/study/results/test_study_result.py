@@ -340,7 +340,7 @@ def test_the_command_reports_on_what_is_there(copied, capsys, monkeypatch):
     assert recalled.startswith("recalled from analysis/ (--fresh computes them anew): S01")
     assert written == f"report: {copied / 'report.html'}"
     numbers = re.search(
-        r"Numbers recalled from an earlier analysis.*\n  (.*)\.</p>", (copied / "report.html").read_text()
+        r"Numbers recalled from an earlier analysis(?:.*\n){2}  (.*)\.</p>", (copied / "report.html").read_text()
     )
     assert numbers[1].split(", ")[0] == "S01"
     assert (copied / "score" / "score.csv").is_file()
@@ -360,6 +360,8 @@ def test_a_folder_without_recordings_is_one_line(tmp_path, capsys, command):
 def test_bad_numbers_of_workers_are_refused(folder):
     with pytest.raises(ValueError, match="analysis: workers = 0; expected a finite number at least 1"):
         analyse_study(folder, workers=0)
+    with pytest.raises(ValueError, match="at least 1 and at most 1000"):
+        analyse_study(folder, workers=10**30)
     with pytest.raises(TypeError, match="workers"):
         analyse_study(folder, workers="two")
 
