@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import MISSING, fields, is_dataclass, make_dataclass
 from pathlib import Path
@@ -73,8 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             with naming_the_extra(f"armperturb {type(command).__name__.lower()}"):
                 if command.needs_simulator:
                     require_simulator()
-                for line in command.run():
-                    print(printable(line))
+                show(list(command.run()))
     except REFUSED as error:
         _remove_empty(new_folder)
         print(f"armperturb: error: {printable(' '.join(str(error).split()))}", file=sys.stderr)
@@ -109,6 +108,25 @@ def ended_in_order() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def show(lines: Iterable[str]) -> None:
+    """Print what a command tells when its results are written.
+
+    Raises:
+      OSError: there is no space for it, or nobody who reads it.
+    """
+    if sys.stdout is None:  # closed before this process began
+        return
+    encoding = sys.stdout.encoding or "utf-8"
+    try:
+        for line in lines:
+            print(printable(line).encode(encoding, "backslashreplace").decode(encoding))
+        sys.stdout.flush()
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the end of the process would try again
+        explained = f"standard output: cannot be written ({error.strerror}); the results are"
+        raise type(error)(explained) from error
 
 
 def _missing(folder: Path | None) -> Path | None:

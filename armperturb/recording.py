@@ -18,9 +18,10 @@ there is one, which joint moves. Along `trial` lie the coordinates of `TRIAL_COO
 of the dataset, and `emg_rate` [Hz] where there is EMG; every variable has its `units`. Muscles that are not among
 `MUSCLES` may say what they move in the coordinates `muscle_joints` ("s", "e" or "se") and `muscle_sign` (1 flexes, -1
 extends, 0 unknown). If the other signals pass a filter that the EMG does not, its attribute `lead` [s] is the delay of
-that filter. On disk it is netCDF4. EMG is in
-single precision in memory; if its attribute `adc_step` [V] says so, it holds whole numbers of that step, and the file
-holds the 16-bit counts with the step as `scale_factor` (CF packing, which readers of netCDF undo).
+that filter. If they are known, its attributes `highpass` [Hz] and `highpass_order` are those of its amplifier. On disk
+it is netCDF4. EMG is in single precision in memory; if its attribute `adc_step` [V] says so, it holds whole numbers of
+that step, and the file holds the 16-bit counts with the step as `scale_factor` (CF packing, which readers of netCDF
+undo).
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -48,6 +49,18 @@ class Action(NamedTuple):
     sign: int
 
 
+class HighPass(NamedTuple):
+    """The high-pass of an EMG amplifier, which delays what it lets through.
+
+    Attributes:
+      frequency: its cut-off [Hz].
+      order: of the Butterworth filter that it is or resembles; each adds 6 dB per octave.
+    """
+
+    frequency: float
+    order: int
+
+
 ACTIONS: Mapping[str, Action] = {name: Action(row["joints"], row["sign"]) for name, row in _TABLES["muscles"].items()}
 """Muscles whose EMG the thesis recorded (2.3), and what they do."""
 
@@ -57,6 +70,9 @@ JOINTS_OF_MUSCLES = ("s", "e", "se", "")
 
 LONGEST_LEAD = 0.1
 """Largest delay that filters of the other signals may have against the EMG [s]."""
+
+LARGEST_HIGHPASS = HighPass(500.0, 8)
+"""Largest cut-off and order of an EMG amplifier's high-pass."""
 
 SIGNALS: Mapping[str, tuple[tuple[str, str], str, str]] = {
     name: (tuple(dims), unit, description) for name, (dims, unit, description) in _TABLES["signals"].items()
@@ -119,6 +135,7 @@ def make_recording(
     emg_rate: float | None = None,
     adc_step: float | None = None,
     emg_lead: float = 0.0,
+    emg_highpass: HighPass | None = None,
     muscles: Mapping[str, Action] | None = None,
     servo: str | None = None,
     joint: str | None = None,
@@ -134,6 +151,7 @@ def make_recording(
       emg_rate: sampling rate of the EMG [Hz], if there is any.
       adc_step: voltage of which the EMG holds whole numbers [V]; None if it holds any number.
       emg_lead: delay of the filter that the other signals pass and the EMG does not [s].
+      emg_highpass: of the EMG's amplifier; None if nobody knows it.
       muscles: names of the EMG's columns, and what each does; those of `ACTIONS` if None.
       servo: what the device of a recording of one axis does, of `SERVOS`; None with two axes.
       joint: which joint a recording of one axis is of, e.g. "ankle"; None if unknown.
@@ -156,6 +174,9 @@ def make_recording(
         variables["emg"][2]["adc_step"] = float(adc_step)
     if "emg" in variables and emg_lead:
         variables["emg"][2]["lead"] = float(emg_lead)
+    if "emg" in variables and emg_highpass is not None:
+        frequency, order = emg_highpass
+        variables["emg"][2].update(highpass=float(frequency), highpass_order=int(order))
     rates = {dim: clock for dim, clock in (("time", rate), ("emg_time", emg_rate)) if clock is not None}
     sizes = xr.Dataset(variables).sizes
     if "emg" in variables and emg_rate is None:
@@ -364,6 +385,24 @@ def _check_muscles(recording: xr.Dataset, source: str) -> None:
     lead = recording["emg"].attrs.get("lead", 0.0)
     if not isinstance(lead, (int, float, np.number)) or not 0.0 <= lead <= LONGEST_LEAD:
         raise ValueError(f"{source}: lead of emg = {lead!r}; expected 0 to {LONGEST_LEAD:g} s")
+    emg_highpass(recording, source)
+
+
+def emg_highpass(recording: xr.Dataset, source: str = "recording") -> HighPass | None:
+    """The high-pass of the EMG's amplifier; None if the recording does not say it.
+
+    Raises:
+      ValueError: it is no cut-off and order within `LARGEST_HIGHPASS`.
+    """
+    attributes, largest = recording["emg"].attrs, LARGEST_HIGHPASS
+    if "highpass" not in attributes:
+        return None
+    frequency, order = attributes["highpass"], attributes.get("highpass_order", 2)
+    if not isinstance(frequency, (int, float, np.number)) or not 0.0 < frequency <= largest.frequency:
+        raise ValueError(f"{source}: highpass of emg = {frequency!r:.60}; expected above 0 to {largest.frequency:g} Hz")
+    if not isinstance(order, (int, float, np.number)) or order not in range(1, largest.order + 1):
+        raise ValueError(f"{source}: highpass_order of emg = {order!r:.60}; expected 1 to {largest.order}")
+    return HighPass(float(frequency), int(order))
 
 
 def _require_numbers(variable: xr.DataArray, source: str) -> None:

@@ -162,6 +162,22 @@ Workers = LocalProcesses | DaskCluster
 """Processes that compute units of work."""
 
 
+def require_workers(owner: str, count: int | None) -> None:
+    """Refuse a number of processes that this machine cannot have; None, which stands for about one per core, is good.
+
+    It is asked before any work, which may need fewer.
+
+    Args:
+      owner: what they work for, for the message.
+      count: of local processes.
+
+    Raises:
+      TypeError: it is not a whole number.
+      ValueError: it is below 1 or above `MOST_WORKERS`.
+    """
+    require_number(owner, "workers", count, at_least=1, at_most=MOST_WORKERS, whole=True, optional=True)
+
+
 @contextmanager
 def workers_for(count: int, dask: str | None) -> Iterator[Workers | None]:
     """The workers to compute with; None stands for this process itself.
@@ -171,12 +187,10 @@ def workers_for(count: int, dask: str | None) -> Iterator[Workers | None]:
       dask: address of a Dask scheduler, which takes the place of local processes.
 
     Raises:
-      ValueError: there would be more processes than `MOST_WORKERS`.
       MemoryError: a process may take too little memory to become one.
       MissingExtraError: Dask is not installed.
       OSError: no scheduler answers.
     """
-    require_number("command", "workers", count, at_most=MOST_WORKERS)
     if count != 1 and dask is None:
         _require_addresses()
     workers = DaskCluster(dask) if dask is not None else LocalProcesses(count) if count != 1 else None

@@ -31,10 +31,10 @@ from armperturb.analysis.fit.maximum_likelihood import Estimate, estimate
 from armperturb.analysis.fit.structures import structure_of
 from armperturb.analysis.trials import ConditionTrials, trials_by_condition
 from armperturb.cohort import Person, draw_cohort
-from armperturb.envs.lab.emg import Emg, _filters
+from armperturb.envs.lab.emg import HIGHPASS_ORDER, Emg, _filters
 from armperturb.envs.lab.experiment import run_experiment
 from armperturb.envs.lab.instruments import Instruments
-from armperturb.recording import ACTIONS, Action, make_recording
+from armperturb.recording import ACTIONS, Action, HighPass, make_recording
 from armperturb.study.protocol import THESIS, Condition, Protocol
 from armperturb.subject import POSITION, RELAX, Subject
 
@@ -150,8 +150,11 @@ def lateness() -> Iterator[Line]:
     colour, amplifier, _ = (np.asarray(each, dtype=float) for each in _filters(rate, 20.0))
     driven = shape * signal.sosfilt(colour, np.random.default_rng(0).standard_normal((n_trials, 1, n)))
     electrode = 2e-3 * np.random.default_rng(1).standard_normal(driven.shape)
-    for name, volts in (("without", driven), ("with", signal.sosfilt(amplifier, driven))):
-        recording = one_muscle((volts + electrode).swapaxes(1, 2), rate)
+    passed, known = signal.sosfilt(amplifier, driven), HighPass(20.0, HIGHPASS_ORDER)
+    for name, volts, said in (
+        ("without", driven, None), ("with", passed, None), ("with, which is known,", passed, known)
+    ):  # fmt: skip
+        recording = one_muscle((volts + electrode).swapaxes(1, 2), rate, said)
         amplitude = envelopes(recording).amplitude[:, 200:-200, 0]
         phase = 2 * np.pi * modulated * np.arange(200, 200 + amplitude.shape[1]) / 200.0
         answers = (amplitude * np.exp(-1j * phase)).mean(axis=1) / np.mean(np.sin(phase) * np.exp(-1j * phase))
@@ -160,7 +163,7 @@ def lateness() -> Iterator[Line]:
         yield Line(f"delay of an envelope, {name} the amplifier's high-pass", "", said)
 
 
-def one_muscle(volts: np.ndarray, rate: float) -> xr.Dataset:
+def one_muscle(volts: np.ndarray, rate: float, highpass: HighPass | None = None) -> xr.Dataset:
     """A recording of EMG of a still arm, (trial, time, muscle) in volts."""
     still, n_trials = np.zeros((len(volts), volts.shape[1] // 10, 2)), len(volts)
     labels = {name: [np.nan] * n_trials for name in ("pulse_direction", "pulse_onset", "limit_time", "l_h", "l_f")}
@@ -173,6 +176,7 @@ def one_muscle(volts: np.ndarray, rate: float) -> xr.Dataset:
         labels,
         200.0,
         emg_rate=rate,
+        emg_highpass=highpass,
         muscles=dict(list(muscles.items())[: volts.shape[2]]),
     )
 

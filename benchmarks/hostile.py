@@ -250,6 +250,8 @@ def outcome(run: Callable[[str], int], make: Make, good: Path, folder: Path) -> 
             os.dup2(os.open("../said", os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
             with redirect_stdout(io.StringIO()):
                 status = run(file.name)
+        except SystemExit as stop:  # the command line cannot be parsed
+            status = int(stop.code or 0)
         finally:
             sys.stderr.flush()
             os._exit(status)
@@ -260,6 +262,8 @@ def outcome(run: Callable[[str], int], make: Make, good: Path, folder: Path) -> 
     lines = said.splitlines()
     if code < 0:
         end = f"SIGNAL {-code}"
+    elif code == 2 and "Traceback" not in said and not new:
+        end = "not parsed"
     elif code not in (0, 1) or "Traceback" in said:
         end = f"TRACEBACK {said[-300:]!r}"
     elif code == 1 and (len(lines) != 1 or not lines[0].startswith("armperturb: error: ")):

@@ -8,18 +8,18 @@ from typing import Any
 Row = dict[str, Any]
 
 
-def with_kept_rows(path: Path | None, seeds: range, judged: Callable[[list[int]], Iterable[Row]]) -> list[Row]:
+def with_kept_rows(path: Path | None, seeds: Iterable[Any], judged: Callable[[list[Any]], Iterable[Row]]) -> list[Row]:
     """What a file has, and what is judged now; each new row is kept as soon as it is there.
 
     Args:
       path: of the file; None to keep nothing.
-      seeds: that are wanted.
+      seeds: that are wanted, numbers or texts; each row has its own as `seed`.
       judged: seeds that the file lacks to their rows, in any order.
     """
-    rows = []
+    rows, seeds = [], set(seeds)
     if path and path.exists():
         rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    for row in judged(sorted({*seeds} - {row["seed"] for row in rows})):
+    for row in judged(sorted(seeds - {row["seed"] for row in rows})):
         rows.append(row)
         if path:
             with path.open("a", encoding="utf-8") as file:

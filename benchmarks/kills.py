@@ -81,6 +81,32 @@ def scratch_folder() -> Iterator[Path]:
         shutil.rmtree(folder)
 
 
+@contextmanager
+def inputs_of(commands: list[str]) -> Iterator[Path]:
+    """A folder with what commands read; what they need is then imported in this process, which forks."""
+    here = Path.cwd()
+    with scratch_folder() as folder:
+        inputs = folder / "inputs"
+        inputs.mkdir()
+        os.environ["ARMPERTURB_KEY"] = str(folder / "key")
+        child = os.fork()  # which may draw and start processes, as this one may not before it forks
+        if not child:
+            try:
+                laboratory(inputs, with_study=bool({"report", "score", "video"} & set(commands)))
+                tiny_protocol(inputs / "tiny.toml")
+            finally:
+                os._exit(0)
+        os.waitpid(child, 0)
+        os.chdir(here)
+        with redirect_stdout(StringIO()):
+            for module in ("report.report", "validation.validate", "planning.plan", "experiments.calibration"):
+                importlib.import_module(f"armperturb.study.{module}")
+        calibration = importlib.import_module("armperturb.study.experiments.calibration")
+        calibration.__dict__["N_UNSEEN"] = 1  # it takes twice as long otherwise
+        gc.freeze()  # or each forked process would copy most of this one's memory
+        yield inputs
+
+
 def started(command: list[str]) -> int:
     """Process of a command, in a session of its own and in the current folder, by a fork of this one."""
     child = os.fork()
@@ -275,29 +301,11 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--kills", type=int, default=100)
     parser.add_argument("--keep", type=Path, help="folder for what was seen, from which the next run goes on")
     options = parser.parse_args([] if arguments is None else arguments)
-    commands, here = options.commands or list(COMMANDS), Path.cwd()
+    commands = options.commands or list(COMMANDS)
     keep = options.keep and options.keep.absolute()
     if keep:
         keep.mkdir(parents=True, exist_ok=True)
-    with scratch_folder() as folder:
-        inputs = folder / "inputs"
-        inputs.mkdir()
-        os.environ["ARMPERTURB_KEY"] = str(folder / "key")
-        child = os.fork()  # which may draw and start processes, as this one may not before it forks
-        if not child:
-            try:
-                laboratory(inputs, with_study=bool({"report", "score", "video"} & set(commands)))
-                tiny_protocol(inputs / "tiny.toml")
-            finally:
-                os._exit(0)
-        os.waitpid(child, 0)
-        os.chdir(here)
-        with redirect_stdout(StringIO()):
-            for module in ("report.report", "validation.validate", "planning.plan", "experiments.calibration"):
-                importlib.import_module(f"armperturb.study.{module}")
-        calibration = importlib.import_module("armperturb.study.experiments.calibration")
-        calibration.__dict__["N_UNSEEN"] = 1  # it takes twice as long otherwise
-        gc.freeze()  # or each forked process would copy most of this one's memory
+    with inputs_of(commands) as inputs:
         for command in commands:
             path = keep / f"{command}.jsonl" if keep else None
             rows = with_kept_rows(path, range(options.kills), partial(kills, command, inputs))

@@ -1,26 +1,30 @@
 """Accuracy of the joint model on simulated people of one joint.
 
-Run `python -m benchmarks.one_joint [PEOPLE] [SERVO ...] [--seed FIRST]`; other seeds are other people. They are people
-of three joints, half of them with a one-sided and half with a linear reflex, and people without one, on a position and
-on a force servo, 60 s each with noise of 10 to 20 dB. Their equations are those of `tests/one_joint.py`.
-Beside each median error stands the one that the standard errors let expect. `--bound` prints instead what the
-Cramer-Rao bound lets expect, at the true parameters and with noise of a free spectrum, without identifying anybody.
-`response` is judged on the same people.
+Run `python -m benchmarks.one_joint [PEOPLE] [SERVO ...] [--seed FIRST] [--given] [--kept FILE]`; other seeds are other
+people. They are people of three joints, half of them with a one-sided and half with a linear reflex, and people without
+one, on a position and on a force servo, 60 s each with noise of 10 to 20 dB. Their equations are those of
+`tests/one_joint.py`. Beside each median error stands the one that the standard errors let expect. With `--given` the
+structure is that of the person, and intervals are those of standard errors, which takes a fifth of the time. `--bound`
+prints instead what the Cramer-Rao bound lets expect, at the true parameters and with noise of a free spectrum, without
+identifying anybody. `response` is judged on the same people.
 """
 
 import argparse
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
+from armperturb.analysis.joint.estimate import estimate_joint
 from armperturb.analysis.joint.identify import identify_joint
 from armperturb.analysis.joint.likelihood import JointLikelihood, environment_of
 from armperturb.analysis.joint.model import JointStructure
 from armperturb.analysis.joint.signals import joint_signals
 from armperturb.analysis.response.one_axis import one_axis_response
+from benchmarks.kept_rows import Row, with_kept_rows
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import one_joint
@@ -29,6 +33,8 @@ TARGETS = {
     "inertia": 3.0, "damping": 5.0, "stiffness": 3.0, "reflex_gain": 8.0, "reflex_delay": 1.0, "reflex_threshold": 15.0,
 }  # fmt: skip
 """Parameter to the largest median error [%], of the delay [ms]."""
+
+REFLEXES = ("half-wave", "linear", "none")
 
 QUARTILE = 0.6745
 """Median of the modulus of a standard normal variable [-]."""
@@ -57,7 +63,7 @@ def print_bounds(people: int, servos: list[str], first: int) -> None:
     for servo in servos:
         least: dict[str, list[float]] = {name: [] for name in TARGETS}
         for number in range(first, first + people):
-            for reflex in ("half-wave", "linear", "none"):
+            for reflex in REFLEXES:
                 person, recording = made(number, reflex, servo)
                 for name, error in bounds(person, recording).items():
                     if name in TARGETS:
@@ -79,64 +85,89 @@ def unit_of(parameter: str, person: one_joint.Joint) -> float:
     return 1e3 if parameter == "reflex_delay" else 100.0 / getattr(person, parameter)
 
 
-def main(people: int, servos: list[str], first: int) -> None:
+def judged(number: int, reflex: str, servo: str, *, is_given: bool) -> Row:
+    """One person: what was chosen, errors, intervals, and what `response` says."""
+    person, recording = made(number, reflex, servo)
+    row: Row = {"seed": f"{number} {reflex} {servo}", "kind": reflex, "is_right": True, "values": {}}
+    if is_given:
+        structure = JointStructure(reflex=person.reflex, side=person.side)
+        signals = joint_signals(recording)
+        fit = estimate_joint(structure, signals, environment_of(signals) if servo == "force" else None)
+        both = fit.values, np.sqrt(np.diag(fit.covariance))
+        values, errors = (dict(zip(structure.parameters, of, strict=True)) for of in both)
+        intervals = {name: (value - 1.96 * errors[name], value + 1.96 * errors[name]) for name, value in values.items()}
+        lack = fit.lack
+    else:
+        response = one_axis_response(recording, window_start=1.0)
+        row["p_linear"] = response.p_linear
+        if reflex != "half-wave":
+            impedance = one_joint.impedance(person, response.frequency)
+            truth = impedance if servo == "position" else 1.0 / impedance
+            row["covered"] = float(np.mean(response.covers(truth[:, None, None])))
+        try:
+            result = identify_joint(recording)
+        except ValueError as error:
+            return row | {"is_right": False, "said": str(error)}
+        chosen = result.structure
+        if chosen.reflex != reflex or (reflex == "half-wave" and chosen.side != person.side):
+            return row | {"is_right": False, "said": f"chosen {chosen.name}"}
+        values, errors, lack = result.values, result.standard_error, result.lack_of_fit
+        intervals = {name: result.interval(name) for name in values}
+    row |= {"chi2_over_dof": lack.chi2 / lack.dof, "p_of_lack": lack.p_value}
+    for name, value in values.items():
+        true, unit = getattr(person, name), unit_of(name, person) if name in TARGETS else 1.0
+        lower, upper = intervals[name]
+        row["values"][name] = [unit * (value - true), unit * errors[name], bool(lower <= true <= upper)]
+    return row
+
+
+def rows_of(wanted: Iterable[str], *, is_given: bool) -> Iterable[Row]:
+    """Rows as they come."""
+    for seed in wanted:
+        number, reflex, servo = seed.split()
+        row = judged(int(number), reflex, servo, is_given=is_given)
+        if not row["is_right"]:
+            print(f"{seed}: {row['said']}", flush=True)
+        yield row
+
+
+def main(options: argparse.Namespace) -> None:
     """Print errors, coverage and choices."""
-    for servo in servos:
-        errors = {name: [] for name in TARGETS}
-        expected = {name: [] for name in TARGETS}
-        covered, linear, one_sided, lacks = [], [], [], []
-        held, right, started = [], {"half-wave": [], "linear": [], "none": []}, time.process_time()
-        for number in range(first, first + people):
-            name = list(one_joint.JOINTS)[number % 3]
-            for reflex in right:
-                person, recording = made(number, reflex, servo)
-                response = one_axis_response(recording, window_start=1.0)
-                (one_sided if reflex == "half-wave" else linear).append(response.p_linear)
-                if reflex != "half-wave":
-                    impedance = one_joint.impedance(person, response.frequency)
-                    truth = impedance if servo == "position" else 1.0 / impedance
-                    covered.append(np.mean(response.covers(truth[:, None, None])))
-                try:
-                    result = identify_joint(recording)
-                except ValueError as error:
-                    print(f"{servo} {name} {number} {reflex}: {error}", flush=True)
-                    right[reflex].append(False)
-                    continue
-                chosen = result.structure
-                is_side = reflex != "half-wave" or chosen.side == person.side
-                right[reflex].append(chosen.reflex == reflex and is_side)
-                if not right[reflex][-1]:
-                    print(f"{servo} {name} {number} {reflex}: chosen {chosen.name}", flush=True)
-                    continue
-                lacks.append(result.lack_of_fit)
-                for parameter, value in result.values.items():
-                    true = getattr(person, parameter)
-                    if parameter in TARGETS:
-                        miss = abs(value - true)
-                        unit = unit_of(parameter, person)
-                        errors[parameter].append(unit * miss)
-                        expected[parameter].append(unit * QUARTILE * result.standard_error[parameter])
-                    lower, upper = result.interval(parameter)
-                    held.append((parameter, lower <= true <= upper))
-        print(f"{servo} servo, {people} people of each kind, {time.process_time() - started:.0f} s of processor time")
+    numbers = range(options.seed, options.seed + options.people)
+    for servo in options.servos:
+        started = time.process_time()
+        wanted = {f"{number} {reflex} {servo}" for number in numbers for reflex in REFLEXES}
+        rows = with_kept_rows(options.kept, wanted, lambda left: rows_of(left, is_given=options.given))
+        rows = [row for row in rows if row["seed"] in wanted]
+        spent = time.process_time() - started
+        print(f"{servo} servo, {options.people} people of each kind, {spent:.0f} s of processor time")
         for name, target in TARGETS.items():
-            of_name = [inside for parameter, inside in held if parameter == name]
+            of_name = np.array([row["values"][name] for row in rows if name in row["values"]], dtype=float)
             unit = "ms" if name == "reflex_delay" else "%"
+            error, expected, is_inside = of_name.T
             print(
-                f"  {name}: median error {np.median(errors[name]):.2f} {unit} (target {target:g}, "
-                f"standard errors let expect {np.nanmedian(expected[name]):.2f}), "
-                f"intervals hold {100 * np.mean(of_name):.1f} % of {len(of_name)}"
+                f"  {name}: median error {np.median(np.abs(error)):.2f} {unit} (target {target:g}, standard errors let "
+                f"expect {QUARTILE * np.nanmedian(expected):.2f}), mean {error.mean():+.2f} {unit}, RMS of error over "
+                f"standard error {np.sqrt(np.nanmean((error / expected) ** 2)):.2f}, "
+                f"intervals hold {100 * is_inside.mean():.1f} % of {len(error)}"
             )
-        print(f"  all intervals hold {100 * np.mean([inside for _, inside in held]):.1f} % (target 90 to 98)")
-        print(f"  lack of fit: chi2/dof {np.median([each.chi2 / each.dof for each in lacks]):.2f} (median), ", end="")
-        print(f"{sum(each.p_value < 0.01 for each in lacks)} of {len(lacks)} said to lack fit (p < 0.01)")
+        held = [inside for row in rows for _, _, inside in row["values"].values()]
+        print(f"  all intervals hold {100 * np.mean(held):.1f} % (target 90 to 98)")
+        lacks = np.array([(row["chi2_over_dof"], row["p_of_lack"]) for row in rows if row["values"]])
+        print(f"  lack of fit: chi2/dof {np.median(lacks[:, 0]):.2f} (median), ", end="")
+        print(f"{np.sum(lacks[:, 1] < 0.01)} of {len(lacks)} said to lack fit (p < 0.01)", flush=True)
+        if options.given:
+            continue
+        covered = [row["covered"] for row in rows if "covered" in row]
         print(
             f"  response: circles of 95 % hold {100 * np.mean(covered):.1f} %; called nonlinear (p < 0.001): ", end=""
         )
-        print(f"{np.sum(np.array(one_sided) < 1e-3)} of {people} with a half-wave reflex, ", end="")
-        print(f"{np.sum(np.array(linear) < 1e-3)} of {2 * people} others")
-        for reflex, choices in right.items():
-            print(f"  right choice of {reflex}: {sum(choices)} of {len(choices)}", flush=True)
+        called = {kind: sum(row["p_linear"] < 1e-3 for row in rows if row["kind"] == kind) for kind in REFLEXES}
+        print(f"{called['half-wave']} of {options.people} with a half-wave reflex, ", end="")
+        print(f"{called['linear'] + called['none']} of {2 * options.people} others")
+        for kind in REFLEXES:
+            choices = [row["is_right"] for row in rows if row["kind"] == kind]
+            print(f"  right choice of {kind}: {sum(choices)} of {len(choices)}", flush=True)
 
 
 if __name__ == "__main__":
@@ -145,6 +176,10 @@ if __name__ == "__main__":
     parser.add_argument("servos", nargs="*", default=["position", "force"])
     parser.add_argument("--seed", type=int, default=0, help="of the first person")
     parser.add_argument("--bound", action="store_true", help="print only what the Cramer-Rao bound lets expect")
+    parser.add_argument("--given", action="store_true", help="give the structure; intervals are of standard errors")
+    parser.add_argument("--kept", type=Path, default=None, help="file of rows; a run that was stopped goes on")
     options = parser.parse_args()
-    run = print_bounds if options.bound else main
-    run(options.people, options.servos, options.seed)
+    if options.bound:
+        print_bounds(options.people, options.servos, options.seed)
+    else:
+        main(options)

@@ -13,6 +13,7 @@ from armperturb.recording import (
     TRIAL_COORDINATES,
     Action,
     check_recording,
+    emg_highpass,
     join_recordings,
     make_recording,
     muscle_actions,
@@ -269,11 +270,25 @@ def test_muscles_of_any_name_are_kept_with_what_they_do(whole_recording, tmp_pat
     labels = {name: whole_recording[name].values for name in TRIAL_COORDINATES if name in whole_recording.coords}
     signals = {name: whole_recording[name].values for name in REQUIRED_SIGNALS}
     signals["emg"] = whole_recording["emg"].values[..., :3]
-    made = make_recording(signals, labels, 200.0, emg_rate=2000.0, muscles=actions, emg_lead=5e-3)
+    made = make_recording(
+        signals, labels, 200.0, emg_rate=2000.0, muscles=actions, emg_lead=5e-3, emg_highpass=(30.0, 4)
+    )
     save_recording(made, tmp_path / "r.nc")
     loaded = load_recording(tmp_path / "r.nc")
     assert muscle_actions(loaded) == actions
     assert loaded["emg"].attrs["lead"] == 5e-3
+    assert emg_highpass(loaded) == (30.0, 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("highpass", 0.0), ("highpass", [20.0]), ("highpass", "20 Hz"), ("highpass", np.nan), ("highpass_order", 2.5),
+     ("highpass_order", 9), ("highpass_order", "2")],
+)  # fmt: skip
+def test_a_highpass_that_is_none_is_named(whole_recording, name, said):
+    whole_recording["emg"].attrs |= {"highpass": 20.0, name: said}
+    with pytest.raises(ValueError, match=f"{name} of emg = .*; expected "):
+        check_recording(whole_recording)
 
 
 def test_text_of_any_alphabet_is_kept(recording, tmp_path):

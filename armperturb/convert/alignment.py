@@ -94,10 +94,16 @@ def timed_signals(where: str, raw: RawTrial, meaning: Sidecar) -> tuple[Timed, l
         components=components,
         muscles=emg.muscles if emg else None,
         emg_lead=emg.lead if emg else 0.0,
+        emg_highpass=emg.highpass if emg else None,
         units=units,
         servo=meaning.servo,
     )
     return timed, faults
+
+
+def _amplified(trial: Timed) -> tuple[Any, ...]:
+    """What is said of the EMG of a trial, beside its rate."""
+    return trial.muscles, trial.emg_lead, trial.emg_highpass
 
 
 def in_si(values: Array, meaning: Signal) -> Array:
@@ -159,9 +165,9 @@ def joined(
         for name in {*first.signals, *trial.signals}:
             if name not in first.signals or name not in trial.signals:
                 raise ValueError(f"{trial.where}: {name} is not in all trials; expected the same signals in all")
-            if name == "emg" and (trial.muscles, trial.emg_lead) != (first.muscles, first.emg_lead):
+            if name == "emg" and _amplified(trial) != _amplified(first):
                 raise ValueError(
-                    f"{trial.where}: emg of other muscles, or another lead; expected the same in all trials"
+                    f"{trial.where}: emg of other muscles, lead or highpass; expected the same in all trials"
                 )
             if trial.rates[name] != first.rates[name]:
                 raise ValueError(
@@ -188,6 +194,7 @@ def joined(
         first.rates["displacement"],
         emg_rate=first.rates.get("emg"),
         emg_lead=first.emg_lead,
+        emg_highpass=first.emg_highpass,
         muscles=first.muscles,
         servo=first.servo,
         joint=joint,

@@ -19,6 +19,7 @@ from armperturb.recording import (
     TEXT_COORDINATES,
     TRIAL_COORDINATES,
     check_recording,
+    emg_highpass,
     is_one_axis,
     muscle_actions,
 )
@@ -151,6 +152,8 @@ def _sidecar(recording: xr.Dataset, channels: Mapping[str, Sequence[str]]) -> di
         signals["emg"]["rate"] = float(recording.attrs["emg_rate"])
         if lead := recording["emg"].attrs.get("lead"):
             signals["emg"]["lead"] = float(lead)
+        if highpass := emg_highpass(recording):
+            signals["emg"]["highpass"] = highpass._asdict()
         if "muscle_joints" in recording.coords:
             signals["emg"]["muscles"] = {
                 name: {"joints": action.joints, "sign": action.sign}

@@ -24,7 +24,7 @@ from scipy import interpolate
 from armperturb.analysis.plateaus import LEAST_RUN, clipped_stretches, runs
 from armperturb.arrays import Array
 from armperturb.convert.tables import Repair
-from armperturb.recording import REQUIRED_SIGNALS, Action
+from armperturb.recording import REQUIRED_SIGNALS, Action, HighPass
 
 LONGEST_GAP = {"perturbation": 0.025, "force": 0.025}
 """Longest gap that is filled in a signal [s]: a quarter period of its highest frequency of substantial power."""
@@ -65,6 +65,7 @@ class Timed:
       components: name to what its components are called in the file.
       muscles: of the EMG, and what each does; None for those that recordings have anyway.
       emg_lead: delay of filters that the other signals pass and the EMG does not [s].
+      emg_highpass: of the EMG's amplifier; None if nobody knows it.
       units: name to its SI unit.
       servo: what the device of a recording of one axis does; None with two axes.
     """
@@ -78,6 +79,7 @@ class Timed:
     servo: str | None = None
     muscles: Mapping[str, Action] | None = None
     emg_lead: float = 0.0
+    emg_highpass: HighPass | None = None
 
 
 def even_times(

@@ -17,6 +17,7 @@ from armperturb.recording import (
     ACTIONS,
     JOINTS_OF_MUSCLES,
     LABELS,
+    LARGEST_HIGHPASS,
     LONGEST_LEAD,
     ONE_AXIS_SIGNALS,
     SERVOS,
@@ -24,6 +25,7 @@ from armperturb.recording import (
     TEXT_COORDINATES,
     TRIAL_COORDINATES,
     Action,
+    HighPass,
     required_signals,
     signal_unit,
 )
@@ -78,6 +80,7 @@ class Signal:
       rate: sampling rate of this signal, if it is not that of the others [Hz].
       file: name of the text file beside the sidecar that holds it, if it is not that of the others.
       lead: of EMG: delay of filters that the other signals pass and it does not [s].
+      highpass: of EMG: that of its amplifier; None if nobody knows it.
       muscles: of EMG: what each muscle does.
     """
 
@@ -89,6 +92,7 @@ class Signal:
     rate: float | None
     file: str | None
     lead: float = 0.0
+    highpass: HighPass | None = None
     muscles: Mapping[str, Action] | None = None
 
 
@@ -322,6 +326,7 @@ def _signal(fields: Fields, name: str, axes: Array | None, angular: bool) -> Sig
         rate=fields.rate("rate"),
         file=_file(fields) if "file" in fields else None,
         lead=_lead(fields),
+        highpass=_highpass(fields) if "highpass" in fields else None,
         muscles=_muscles(fields, components) if name == "emg" else None,
     )
 
@@ -332,6 +337,16 @@ def _lead(fields: Fields) -> float:
     lead = quantity(fields["lead"], "s", fields.where("lead"))
     require_number(fields.file, fields.place_of("lead"), lead, at_least=0.0, at_most=LONGEST_LEAD)
     return lead
+
+
+def _highpass(of_signal: Fields) -> HighPass:
+    fields = of_signal.fields("highpass", HighPass._fields, HighPass._fields)
+    frequency = quantity(fields["frequency"], "Hz", fields.where("frequency"))
+    largest = LARGEST_HIGHPASS
+    require_number(fields.file, fields.place_of("frequency"), frequency, above=0.0, at_most=largest.frequency)
+    order = fields["order"]
+    require_number(fields.file, fields.place_of("order"), order, at_least=1, at_most=largest.order, whole=True)
+    return HighPass(frequency, order)
 
 
 def _muscles(fields: Fields, names: Sequence[str]) -> dict[str, Action]:

@@ -1,8 +1,10 @@
 """Names, tables, settings and files that would run, obey, or run away are refused, or made harmless."""
 
+import io
 import json
 import os
 import resource
+import sys
 import time
 
 import pytest
@@ -63,6 +65,22 @@ def test_spreadsheets_run_no_cell(tmp_path, start):
     assert cells[-1].endswith(",-1.5,-1.5")
 
 
+def test_results_are_written_where_nothing_can_be_printed(tmp_path, monkeypatch, capsys):
+    page = tmp_path / "o.html"
+    with open("/dev/full", "w") as full, monkeypatch.context() as patched:
+        patched.setattr(sys, "stdout", full)
+        message = refused(capsys, "live", "--out", str(page))
+    assert "standard output: cannot be written (No space left on device); the results are" in message
+    assert page.stat().st_size > 10_000
+
+
+def test_a_terminal_without_a_letter_shows_its_number(monkeypatch):
+    with io.TextIOWrapper(io.BytesIO(), encoding="ascii") as terminal:
+        monkeypatch.setattr(sys, "stdout", terminal)
+        cli.show(["Jürgen: 3°"])
+        assert terminal.buffer.getvalue() == b"J\\xfcrgen: 3\\xb0\n"
+
+
 def test_control_characters_do_not_reach_a_terminal(capsys, tmp_path):
     assert printable("a\x1b[2Jb\n") == "a\\x1b[2Jb\n"
     assert "\\x1b[2J" in refused(capsys, "identify", tmp_path / "\x1b[2J.nc", "--model", "3b", "--out", tmp_path / "o")
@@ -74,7 +92,10 @@ def test_control_characters_do_not_reach_a_terminal(capsys, tmp_path):
         (("study", "--subjects", "100000000"), "subjects = 100000000; expected a finite number"),
         (("validate", "--groups", "1000000000"), "groups = 1000000000; expected a finite number"),
         (("validate", "--trials", "1000000000"), "trials = 1000000000; expected a finite number"),
-        (("validate", "--workers", "1000000", "--groups", "100000"), "workers = 100000; expected a finite number"),
+        (
+            ("validate", "--workers", "1000000", "--groups", "100000"),
+            "workers = 1000000; expected a finite number at least 1 and",
+        ),
     ],
 )
 def test_counts_that_run_away_are_refused(tmp_path, capsys, arguments, message):

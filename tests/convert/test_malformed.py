@@ -196,6 +196,14 @@ SIDECARS = {
         redefined(lambda s: s["signals"].update(emg=EMG | {"file": "emg.csv"})),
         "emg.csv: no such file, or a folder; expected signals.emg.file",
     ),
+    "a high-pass without an order": (
+        redefined(lambda s: s["signals"].update(emg=EMG | {"file": "emg.csv", "highpass": {"frequency": "20 Hz"}})),
+        "signals.emg.highpass.order is missing; expected the order of the amplifier's high-pass",
+    ),
+    "a high-pass of half an order": (
+        redefined(lambda s: s["signals"].update(emg=EMG | {"highpass": {"frequency": 20, "order": 0.5}})),
+        "signals.emg.highpass.order = 0.5; expected",
+    ),
     "EMG of another rate in one file": (
         redefined(lambda s: s["signals"].update(emg=EMG)),
         "signals.emg.rate without signals.emg.file",

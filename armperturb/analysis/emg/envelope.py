@@ -6,7 +6,7 @@ averaged over a time T is known to
     var(a) / a^2 = 1 / (4 B T)    (maximum likelihood; Hogan & Mann 1980, IEEE Trans. Biomed. Eng. 27),
 
 while surface EMG, most of which lies between 40 and 150 Hz, tells far less unless it is whitened first. So each channel
-is filtered with zero phase by
+is filtered with zero phase, counting that of the amplifier's high-pass where the recording says it, by
 
     |H|^2 = S / (S + N)^2    within the band,
 
@@ -31,7 +31,7 @@ from armperturb.analysis.emg.channels import ChannelFault, Crosstalk, crosstalk_
 from armperturb.analysis.emg.whitening import Spectra, averaged, noise_spectra, whitening
 from armperturb.analysis.results import Description, Result, Table, plain
 from armperturb.arrays import Array
-from armperturb.recording import Action, muscle_actions
+from armperturb.recording import Action, emg_highpass, muscle_actions
 from armperturb.validation import require_number
 
 if TYPE_CHECKING:
@@ -258,7 +258,9 @@ def envelopes(
     names, conditions = list(actions), recording["condition"].values.astype(str)
     spectra = Spectra.of(volts, rate, low)
     noise = noise_spectra(spectra, (low, high), conditions == rest)
-    filtered = whitening(spectra, noise, volts.shape[1], rate, (low, high), mains, whiten=whiten)
+    filtered = whitening(
+        spectra, noise, volts.shape[1], rate, (low, high), mains, highpass=emg_highpass(recording), whiten=whiten
+    )
     below = spectra.below
     del spectra  # of a long trial it takes as much memory as the EMG
     half, n_time = 1.0 / mechanical, recording.sizes["time"]

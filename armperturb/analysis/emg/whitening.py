@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, optimize
+from scipy import fft, optimize, signal
 
 from armperturb.analysis.emg.channels import NOTCH, hum_lines
 from armperturb.arrays import Array
+from armperturb.recording import HighPass
 
 RESOLUTION = 12.5
 """Of the spectra that filters are made from [Hz]: they ring for less than half its inverse."""
@@ -32,12 +33,13 @@ DEAD_SHARE = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Whitening:
-    """Zero-phase filter of each channel.
+    """Filter of each channel: of zero phase, together with the amplifier where that is known.
 
     Attributes:
       edge: samples by which a trial is extended at either end.
       n_padded: samples of a trial that is so extended, with the zeros behind it.
       response: (muscle, frequency), real.
+      undone: what takes the phase of the amplifier away, of modulus one, (frequency,); None where nobody knows it.
       samples_per_second: independent numbers in a second of what comes out [1/s], (muscle,).
       gain: power that comes out over that of the muscle in the band, (muscle,).
       noise: power that comes out of the silent channel [V^2], (muscle,).
@@ -47,6 +49,7 @@ class Whitening:
     edge: int
     n_padded: int
     response: NDArray[np.float32]
+    undone: NDArray[np.complex64] | None
     samples_per_second: Array
     gain: Array
     noise: Array
@@ -60,6 +63,8 @@ class Whitening:
         extended = np.concatenate([2.0 * volts[:1] - before, volts, 2.0 * volts[-1:] - after])
         spectrum = fft.rfft(extended, self.n_padded)
         spectrum *= self.response[column]
+        if self.undone is not None:
+            spectrum *= self.undone
         white: NDArray[np.float32] = fft.irfft(spectrum, self.n_padded, overwrite_x=True)[edge : edge + n]
         return white
 
@@ -172,6 +177,7 @@ def whitening(
     band: tuple[float, float],
     mains: Sequence[float],
     *,
+    highpass: HighPass | None = None,
     whiten: bool = True,
 ) -> Whitening:
     """The filter of a person's channels.
@@ -183,6 +189,7 @@ def whitening(
       rate: of the samples [Hz].
       band: its edges [Hz].
       mains: frequencies whose hum is cut out where there is any, with their multiples [Hz].
+      highpass: that of the amplifier; None if nobody knows it.
       whiten: whether to whiten; if not, the band alone is let through.
     """
     frequency, fine = spectra.frequency, spectra.all_frequencies
@@ -215,11 +222,25 @@ def whitening(
         edge=edge_length(n_samples, rate),
         n_padded=n_padded,
         response=response,
+        undone=None if highpass is None else _without_phase(fine, highpass),
         samples_per_second=samples,
         gain=gain,
         noise=silent,
         hum=hum,
     )
+
+
+def _without_phase(frequency: Array, highpass: HighPass) -> NDArray[np.complex64]:
+    """What takes the phase of a Butterworth high-pass away, of modulus one, (frequency,).
+
+    Passed forward in time only, it delays each frequency by its group delay, and what modulates the EMG by the mean of
+    that over the spectrum: some tenths of a millisecond.
+    """
+    poles = signal.butter(highpass.order, 1.0, analog=True, output="zpk")[1]
+    phase = np.full(len(frequency), 0.5 * np.pi * highpass.order)
+    for pole in poles:
+        phase -= np.angle(1j * frequency / highpass.frequency - pole)
+    return np.exp(np.complex64(-1j) * phase.astype(np.float32))
 
 
 def averaged(white: NDArray[Any], rate: float, start: Array, end: Array) -> Array:

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from armperturb.analysis.arm.state_space import require_stable
 from armperturb.arrays import Array
 from armperturb.environment import TIMESTEP, Environment, Strap
-from armperturb.envs.lab.emg import Emg
+from armperturb.envs.lab.emg import HIGHPASS_ORDER, Emg
 from armperturb.envs.lab.instruments import Instruments
 from armperturb.envs.lab.linear_trials import simulate_linear_arms
 from armperturb.envs.lab.multibody_trials import simulate_multibody
 from armperturb.envs.lab.setup import Progress, Setup, Truth, in_threads
 from armperturb.envs.lab.trial import EMG, MARKER, MAX_DURATION, Trial, pulse_of, require_integrable, subject_in
 from armperturb.perturbations import Perturbation, check_bandwidth
-from armperturb.recording import MUSCLES, make_recording
+from armperturb.recording import MUSCLES, HighPass, make_recording
 from armperturb.subject import Subject
 from armperturb.validation import require_number
 
@@ -111,7 +111,12 @@ def recorded(
     elif truth.shoulder is not None:
         signals["shoulder_marker"] = truth.shoulder
     if setup.emg is not None:
-        clock = {"emg_rate": setup.emg.rate, "adc_step": setup.emg.adc_step, "emg_lead": setup.emg_lead}
+        clock = {
+            "emg_rate": setup.emg.rate,
+            "adc_step": setup.emg.adc_step,
+            "emg_lead": setup.emg_lead,
+            "emg_highpass": HighPass(setup.emg.highpass, HIGHPASS_ORDER),
+        }
         n_threads = n_threads or os.cpu_count() or 1
         signals["emg"] = _voltages(setup.emg, trials, subjects, truth.excitation, setup.rate, n_threads)
     return make_recording(signals, {**_labels(trials), "limit_time": truth.limit_time}, setup.rate, **clock)

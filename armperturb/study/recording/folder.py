@@ -34,6 +34,9 @@ STAGING = ".staging"
 HOLDER = "run"
 """File in the staging folder that names the run at work."""
 
+LARGEST_MANIFEST, LARGEST_SUMS, LARGEST_HOLDER = 2**22, 2**24, 2**10
+"""Sizes of the manifest, of the checksums (75 bytes each) and of `HOLDER` that are read [byte]."""
+
 MAX_SHOWN = 60
 """How long a value may be in a message [characters]."""
 
@@ -183,6 +186,31 @@ def find_recordings(root: Path) -> tuple[list[Path], list[str]]:
     return whole, remarks
 
 
+def kept_manifest(root: Path) -> dict[str, Any] | None:
+    """What the manifest of a folder holds; None without one.
+
+    Args:
+      root: the folder.
+
+    Raises:
+      ValueError: it is no file, too large, or no table in JSON.
+      OSError: it cannot be read.
+    """
+    path = root / MANIFEST
+    if not path.exists():
+        return None
+    if not path.is_file():
+        raise ValueError(f"{path}: is a folder, a pipe or a device; expected what an earlier run wrote")
+    text = _text_of(path, LARGEST_MANIFEST)
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: not readable as JSON ({error}); expected what an earlier run wrote") from None
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: holds a {type(content).__name__}; expected what an earlier run wrote")
+    return content
+
+
 def _locked(root: Path) -> AcquireReturnProxy:
     try:
         with _naming(root):
@@ -192,7 +220,7 @@ def _locked(root: Path) -> AcquireReturnProxy:
             return FileLock(root / LOCK, timeout=0).acquire()
     except Timeout:
         holder = root / STAGING / HOLDER
-        process = holder.read_text(encoding="utf-8") if holder.is_file() else "unknown"
+        process = _text_of(holder, LARGEST_HOLDER) if holder.is_file() else "unknown"
         raise RuntimeError(
             f"{root}: another run is at work in this folder ({process}); expected it to have ended, or another folder"
         ) from None
@@ -200,24 +228,16 @@ def _locked(root: Path) -> AcquireReturnProxy:
 
 def _agree(root: Path, manifest: Mapping[str, Any]) -> None:
     """Write the manifest if nothing is recorded, else compare."""
-    path = root / MANIFEST
+    path, before = root / MANIFEST, kept_manifest(root)
     recording = next((root / RECORDINGS).glob("*.nc*"), None)
-    before = None
-    if path.exists():
-        if not path.is_file():
-            raise ValueError(f"{path}: is a folder, a pipe or a device; expected what an earlier run wrote")
-        try:
-            before = json.loads(path.read_text(encoding="utf-8"))
-        except (ValueError, RecursionError) as error:
-            raise ValueError(f"{path}: not readable as JSON ({error}); expected what an earlier run wrote") from None
-    elif recording is not None:
+    if before is None and recording is not None:
         raise ValueError(
             f"{root}: holds {recording.relative_to(root)} but no {MANIFEST} that says how it was made; expected an "
             "empty folder, or one with an unfinished study"
         )
     wanted = json.loads(json.dumps(manifest))
     different = list(differences(before, wanted))
-    is_ours = before is None or (isinstance(before, dict) and {"subjects", "protocol"} <= before.keys())
+    is_ours = before is None or {"subjects", "protocol"} <= before.keys()
     if different and recording is None and is_ours:
         with _naming(path):
             write_whole(path, json.dumps(manifest, indent=1, ensure_ascii=False) + "\n")
@@ -285,11 +305,20 @@ def _read_sums(path: Path) -> dict[str, str]:
     if not path.is_file():
         return {}
     sums = {}
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+    for line in _text_of(path, LARGEST_SUMS).splitlines():
         sha256, _, file = line.partition("  ")
         if len(sha256) == 64 and file.endswith(".nc"):
             sums[file.removesuffix(".nc")] = sha256
     return sums
+
+
+def _text_of(path: Path, largest: int) -> str:
+    """Content of a file, which must not be larger [byte]."""
+    with path.open("rb") as file:
+        content = file.read(largest + 1)
+    if len(content) > largest:
+        raise ValueError(f"{path}: size = {path.stat().st_size} bytes; expected at most {largest}")
+    return content.decode("utf-8", errors="replace")
 
 
 @contextmanager

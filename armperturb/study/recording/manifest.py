@@ -2,7 +2,6 @@
 
 import hashlib
 import importlib.metadata
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any, Self
 from armperturb.cohort import MUSCLES, Person, draw_cohort
 from armperturb.environment import ENGINES, Environment
 from armperturb.study.protocol import Protocol
-from armperturb.study.recording.folder import MANIFEST
+from armperturb.study.recording.folder import MANIFEST, kept_manifest
 from armperturb.study.recording.settings import StudySettings
 from armperturb.validation import require_one_of, require_ranges
 
@@ -102,16 +101,8 @@ def read_manifest(root: Path) -> Manifest | None:
       ValueError: it cannot be read.
       OSError: likewise.
     """
-    path = root / MANIFEST
-    if not path.is_file():
-        return None
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path}: not readable as JSON ({error}); expected what a run wrote") from None
-    if not isinstance(values, dict):
-        raise ValueError(f"{path}: holds a {type(values).__name__}; expected what a run wrote")
-    return Manifest.from_dict(values, str(path))
+    values = kept_manifest(root)
+    return None if values is None else Manifest.from_dict(values, str(root / MANIFEST))
 
 
 def current_versions() -> dict[str, str]:

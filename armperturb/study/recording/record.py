@@ -34,7 +34,7 @@ from armperturb.study.recording.manifest import Manifest
 from armperturb.study.recording.practice import practise
 from armperturb.study.recording.settings import BLOCK, StudySettings
 from armperturb.validation import require_number
-from armperturb.workers import LOG, Workers, completed, cpu_count, signals_held_back, workers_for
+from armperturb.workers import LOG, Workers, completed, cpu_count, require_workers, signals_held_back, workers_for
 
 PROGRESS_INTERVAL = 0.2
 """Time between two reports of a worker's progress [s]."""
@@ -102,7 +102,7 @@ def record_study(
       OSError: a file cannot be read or written, or no Dask scheduler answers.
     """
     require_number("study", "block", block, at_least=1)
-    require_number("study", "workers", workers, at_least=1, optional=True)
+    require_workers("study", workers)
     protocol = settings.load_protocol()
     people = settings.draw_people(Environment())
     names = [person.name for person in people]

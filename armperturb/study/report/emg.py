@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from armperturb.analysis.emg.activity import relaxation_sentence
+from armperturb.analysis.emg.reflex import DELAYS
 from armperturb.progress import Progress
 from armperturb.study.comparison.cocontraction import cocontraction_tests
 from armperturb.study.report.figures import emg as emg_figures
@@ -138,10 +139,12 @@ def _levels(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _delays(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Median delay over people of muscles that clearly respond, and its range [ms]."""
+    """Median delay over people of muscles that clearly respond and whose interval is within what is looked for [ms]."""
     said = []
     for (condition, muscle), members in _grouped(rows, ("condition", "muscle")).items():
-        delays = [1e3 * row["delay_s"] for row in members if row["p"] < CLEAR]
+        clear = (row for row in members if row["p"] < CLEAR)
+        bounded = (row for row in clear if DELAYS[0] < row["lower_95_s"] and row["upper_95_s"] < DELAYS[1])
+        delays = [1e3 * row["delay_s"] for row in bounded]
         if delays:
             said.append(
                 {

@@ -30,7 +30,7 @@ from armperturb.study.report.words import WORDS
 from armperturb.study.results.cache import ANALYSIS, CachedResult, Unit, kept_or_computed
 from armperturb.study.results.mean_admittance import by_task, main_conditions
 from armperturb.study.results.study_result import StudyResult
-from armperturb.workers import Workers, workers_for
+from armperturb.workers import Workers, require_workers, workers_for
 
 MOST_WORKERS = 8
 """Processes that drawing is shared between at most: each has to load what draws."""
@@ -62,9 +62,12 @@ def write_report(
       The path of the report.
 
     Raises:
+      TypeError: workers is no whole number.
+      ValueError: workers is out of its range.
       OSError: the folder cannot be written to, or a recording is gone.
       RuntimeError: workers die again and again.
     """
+    require_workers("report", workers)
     rows = write_tables(study, out / "tables")
     tested = effects(study)
     # Without a condition of the published tables there is nothing to compare.

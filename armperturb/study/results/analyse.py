@@ -30,8 +30,7 @@ from armperturb.study.results.person import PersonResults, analyse_person
 from armperturb.study.results.settings import AnalysisSettings
 from armperturb.study.results.study_result import StudyResult
 from armperturb.subject import TASKS
-from armperturb.validation import require_number
-from armperturb.workers import Workers, workers_for
+from armperturb.workers import Workers, require_workers, workers_for
 
 Result = TypeVar("Result")
 
@@ -95,7 +94,7 @@ def analyse_study(
       RuntimeError: workers die again and again.
       OSError: the folder holds no recording, or a file cannot be read.
     """
-    require_number("analysis", "workers", workers, at_least=1, optional=True)
+    require_workers("analysis", workers)
     study, missing = _Study.find(root, settings or AnalysisSettings())
     with workers_for(worker_count(workers, len(study.paths)), None) as pool:
         with Progress("analysis", total=2 * len(study.paths), unit="steps", show=show_progress) as bar:

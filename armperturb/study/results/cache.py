@@ -47,7 +47,7 @@ VERSIONS = {
     "figure": 1,
     "played": 1,
     "films": 1,
-    "emg": 2,
+    "emg": 3,
 }
 """Kind of result to the version of its algorithm.
 

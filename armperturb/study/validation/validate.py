@@ -32,8 +32,7 @@ from armperturb.progress import Progress
 from armperturb.seeds import trial_seed
 from armperturb.study.validation.settings import ValidateSettings
 from armperturb.subject import Subject
-from armperturb.validation import require_number
-from armperturb.workers import completed, cpu_count, workers_for
+from armperturb.workers import completed, cpu_count, require_workers, workers_for
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -192,9 +191,9 @@ def validate(settings: ValidateSettings, *, workers: int | None = None, show_pro
       OSError: the subject's file cannot be read.
     """
     settings.structure()
+    require_workers("validate", workers)
     if workers is None:
         workers = cpu_count()
-    require_number("validate", "workers", workers, at_least=1)
     units, do, results = range(settings.groups), partial(run_group, settings), []
     with (
         workers_for(min(workers, settings.groups), None) as pool,

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from invented_emg import EMG_RATE, PAIR, RATE, noise, recorded
+from scipy import signal
 
 from armperturb.analysis.emg.envelope import envelopes
 from armperturb.recording import Action
@@ -62,6 +63,22 @@ def test_envelope_is_in_step_with_signals_that_a_filter_delays():
         recording["emg"].attrs["lead"] = lead
         phase = np.angle(1j * wave @ envelopes(recording).power.mean(axis=(0, 2)))
         assert -phase / (2 * np.pi * 4.0) == pytest.approx(lead, abs=1e-3)
+
+
+def test_the_delay_of_an_amplifier_that_is_known_is_undone():
+    within, modulated = slice(100, -100), 20.0
+    volts = (0.3 + 0.2 * np.sin(2 * np.pi * modulated * TIME)) * noise((10, 2, N))
+    recording = recorded(signal.sosfilt(signal.butter(4, 100.0, "highpass", fs=EMG_RATE, output="sos"), volts))
+    wave = np.exp(-2j * np.pi * modulated * np.arange(N // 10)[within] / RATE)
+
+    def late():
+        phase = np.angle(1j * wave @ envelopes(recording).amplitude[:, within].mean(axis=(0, 2)))
+        return -phase / (2 * np.pi * modulated)
+
+    # A standard error is 0.02 ms.
+    assert late() == pytest.approx(0.97e-3, abs=0.1e-3)
+    recording["emg"].attrs |= {"highpass": 100.0, "highpass_order": 4}
+    assert late() == pytest.approx(0.0, abs=0.1e-3)
 
 
 @pytest.mark.parametrize(

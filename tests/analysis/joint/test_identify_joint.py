@@ -7,10 +7,11 @@ import numpy as np
 import one_joint
 import pytest
 
-from armperturb.analysis.joint.estimate import Profile
+from armperturb.analysis.joint.estimate import Profile, estimate_joint
 from armperturb.analysis.joint.export import joint_summary, write_joint
 from armperturb.analysis.joint.identify import identify_joint
 from armperturb.analysis.joint.intrinsic import check_intrinsic
+from armperturb.analysis.joint.likelihood import environment_of
 from armperturb.analysis.joint.model import JointModel, JointStructure
 from armperturb.analysis.joint.signals import joint_signals
 from armperturb.analysis.page.joint_page import joint_verdict, write_joint_page
@@ -151,10 +152,19 @@ def test_a_force_servo_gives_the_same_joint():
     at_error = result.values["reflex_delay"] + np.array([-2.0, 2.0]) * result.standard_error["reflex_delay"]
     # Two standard errors are a fall of four.
     np.testing.assert_allclose(np.interp(at_error, delays, fall), 4.0, atol=2.0)
-    assert result.environment.inertia == pytest.approx(0.25 * person.inertia, rel=0.03)
+    assert result.environment.inertia == pytest.approx(0.25 * person.inertia, rel=1e-4)
     assert result.lack_of_fit.p_value > 0.001
     for name, tolerance in {"inertia": 0.05, "damping": 0.08, "stiffness": 0.08}.items():
         assert result.values[name] == pytest.approx(getattr(person, name), rel=tolerance), name
+
+
+@pytest.mark.slow(reason="a search in a closed loop")
+def test_without_noise_a_force_servo_leaves_no_bias():
+    person = one_joint.person("elbow", 8, "linear")
+    signals = joint_signals(one_joint.recording(person, 8, "force", duration=30.0, decibel=80.0, name="elbow"))
+    fit = estimate_joint(JointStructure(reflex="linear"), signals, environment_of(signals))
+    true = [getattr(person, name) for name in fit.structure.parameters]
+    np.testing.assert_allclose(fit.values, true, rtol=1e-3)
 
 
 def test_bad_options_are_named(recording):

@@ -131,6 +131,18 @@ def test_a_pipe_is_no_manifest(tmp_path):
         pass
 
 
+@pytest.mark.parametrize("name", ["manifest.json", "recordings/SHA256SUMS"])
+def test_what_others_wrote_is_not_read_beyond_a_size(tmp_path, name):
+    (tmp_path / "recordings").mkdir()
+    with (tmp_path / name).open("wb") as file:
+        file.truncate(2**40)  # takes no space
+    with (
+        pytest.raises(ValueError, match=rf"{name}: size = 1099511627776 bytes; expected at most"),
+        open_study(tmp_path, MANIFEST),
+    ):
+        pass
+
+
 def test_a_manifest_without_recordings_is_replaced(tmp_path):
     (tmp_path / "manifest.json").write_text(json.dumps({**MANIFEST, "seed": 4}))
     with open_study(tmp_path, MANIFEST):

@@ -373,7 +373,7 @@ def test_by_default_the_last_round_is_full_if_it_can_be(monkeypatch):
 
 def test_bad_numbers_are_refused(settings, tmp_path):
     for options, message in (
-        ({"workers": 0}, "workers = 0; expected a finite number at least 1"),
+        ({"workers": 0}, "workers = 0; expected a finite number at least 1 and at most 1000"),
         ({"block": 0}, "block = 0; expected a finite number at least 1"),
     ):
         with pytest.raises(ValueError, match=message):

@@ -360,6 +360,8 @@ def test_a_folder_without_recordings_is_one_line(tmp_path, capsys, command):
 def test_bad_numbers_of_workers_are_refused(folder):
     with pytest.raises(ValueError, match="analysis: workers = 0; expected a finite number at least 1"):
         analyse_study(folder, workers=0)
+    with pytest.raises(ValueError, match="at least 1 and at most 1000"):
+        analyse_study(folder, workers=10**30)
     with pytest.raises(TypeError, match="workers"):
         analyse_study(folder, workers="two")
 
