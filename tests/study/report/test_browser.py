@@ -184,6 +184,22 @@ def test_every_panel_has_an_axis_and_is_read_with_arrow_keys(browser, thesis_rep
         assert 2 <= lines <= 6
 
 
+CUT = """
+(() => {
+  dispatchEvent(new Event("beforeprint"));
+  return [...document.querySelectorAll(".table")]
+    .filter(table => !table.clientWidth || table.scrollWidth > table.clientWidth + 1).map(table => table.id);
+})()
+"""
+
+
+def test_paper_shows_whole_tables(browser, thesis_report):
+    browser.show(thesis_report / "report.html", 720)
+    browser.ask("Emulation.setEmulatedMedia", media="print")
+    assert browser.evaluate(CUT) == []
+    browser.ask("Emulation.setEmulatedMedia", media="")
+
+
 FIRST_PAINT = "performance.getEntriesByName('first-contentful-paint')[0].startTime"
 
 MOST_PAINT = 1500.0
