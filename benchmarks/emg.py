@@ -302,6 +302,10 @@ class Fits:
     BETTER = 100.0
     """By how much the EMG of the bound tells more than that of people [-]."""
 
+    RECTIFIED = 2.0
+    """By how much it would tell more at most if muscles were outputs one by one, each rectified: the difference between
+    antagonists has the noise of both, and while the arm moves one way only one of them answers [-]."""
+
     def __init__(self) -> None:
         self.rows, self.seconds, self.n = list[dict[str, Any]](), np.zeros(3), 0
 
@@ -321,13 +325,16 @@ class Fits:
         for name in self.FITTED:
             moved, active = (ways[place][name] for place in (0, 1))
             alone, with_emg = _alike([groups[name][0]], moved), _alike([groups[name][1]], active)
-            bound = _alike([groups[name][1]], active, emg_times=self.BETTER)
+            bound, rectified = (
+                _alike([groups[name][1]], active, emg_times=times) for times in (self.BETTER, self.RECTIFIED)
+            )
             for parameter in moved.values:
                 if not parameter.startswith(("kv_", "kp_", "Td_", "fact_")):
                     continue
                 true, label = getattr(person.subjects["PT"], parameter), f"{parameter} [{name}]"
                 row: dict[str, Any] = {"quantity": f"{parameter.partition('_')[0]}, {name}"}
                 row["EMG"], row["bound"] = with_emg[parameter] / alone[parameter], bound[parameter] / alone[parameter]
+                row["rectified"] = rectified[parameter] / alone[parameter]
                 row["EMG, conditions together"] = of_all[label] / alone[parameter]
                 fitted = (moved, parameter), (active, parameter), (together, label)
                 for way, (fit, key) in zip(self.WAYS, fitted, strict=True):
@@ -339,11 +346,12 @@ class Fits:
         """Medians of ratios, errors and coverage."""
         for quantity, of in pd.DataFrame(self.rows).groupby("quantity", sort=False):
             of_gains = quantity.startswith("k")
+            beside = f" (rectified outputs at best {of['rectified'].median():.2f}, bound {of['bound'].median():.2f})"
             for way in self.WAYS[1:]:
                 yield Line(
                     f"{quantity}: standard error over that without EMG, {way}",
                     "0.5" if of_gains else "",
-                    f"{of[way].median():.2f}" + (f" (bound {of['bound'].median():.2f})" if way == "EMG" else ""),
+                    f"{of[way].median():.2f}" + (beside if way == "EMG" else ""),
                 )
             for way in self.WAYS:
                 error = np.sqrt(np.mean(of[f"error {way}"] ** 2))

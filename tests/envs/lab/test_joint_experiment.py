@@ -56,7 +56,7 @@ def test_a_linear_joint_on_its_servo_has_the_closed_form(joint, kind):
     s = 2j * np.pi * cycles / PERIOD
     limb, device = impedance(person, s), servo.inertia * s**2 + servo.damping * s + servo.stiffness
     driven = servo.stiffness + servo.damping * s if kind == "position" else 1.0
-    assert np.abs(f / q - limb).max() < 0.003 * np.abs(limb).max()
+    assert np.abs(f / q - limb).max() < 0.0012 * np.abs(limb).max()
     np.testing.assert_allclose(q / d, driven / (limb + device), rtol=0.002)
 
 
