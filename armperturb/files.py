@@ -83,7 +83,7 @@ def require_no_input(path: Path) -> None:
 
 
 def require_new(paths: Iterable[Path], *, overwrite: bool) -> None:
-    """Refuse outputs that are inputs, or that exist already.
+    """Refuse outputs that are inputs or folders, exist already, or have no folder to lie in.
 
     Args:
       paths: of the files to write.
@@ -91,11 +91,25 @@ def require_new(paths: Iterable[Path], *, overwrite: bool) -> None:
 
     Raises:
       ValueError: one is an input, or exists and must not be replaced.
+      IsADirectoryError: one is a folder.
+      FileNotFoundError: the folder of one does not exist.
     """
     for path in paths:
+        require_folder_of(path)
         require_no_input(path)
+        require_no_folder(path)
         if path.is_file() and not overwrite:
             raise ValueError(f"{path}: exists already; expected a new name (--overwrite replaces the file)")
+
+
+def require_no_folder(path: Path) -> None:
+    """Refuse a file to write that is a folder.
+
+    Raises:
+      IsADirectoryError: it is.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: is a folder; expected the name of a file to write")
 
 
 def packaged_table(package: str, name: str) -> dict[str, Any]:
@@ -194,8 +208,7 @@ def _part(path: Path) -> Path:
     """A new temporary file beside a file to write."""
     require_folder_of(path)
     require_no_input(path)
-    if path.is_dir():
-        raise IsADirectoryError(f"{path}: is a folder; expected the name of a file to write")
+    require_no_folder(path)
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
     except OSError as error:

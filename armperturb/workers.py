@@ -4,6 +4,7 @@ Work is divided into units, each of which a pure function computes. A unit whose
 again, and the assignment of units to workers has no effect on any file.
 """
 
+import importlib
 import logging
 import os
 import signal
@@ -15,9 +16,10 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from contextvars import ContextVar
 from importlib.util import find_spec
 from multiprocessing import resource_tracker
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from loky import ProcessPoolExecutor
 from loky import cpu_count as cpu_count
@@ -58,13 +60,15 @@ class LocalProcesses:
 
     Args:
       count: of processes.
+      modules: that they load before they work.
     """
 
     remote = False
     """Whether they may lack this machine's file system."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, modules: Sequence[str] = ()) -> None:
         self.count = count
+        self._modules = tuple(modules)
         self._executor: ProcessPoolExecutor | None = None
 
     def submit(self, function: Callable[[Unit], Result], unit: Unit) -> "Future[Result]":
@@ -78,8 +82,8 @@ class LocalProcesses:
                 warnings.filterwarnings("ignore", "A worker was restarted", UserWarning)
                 self._executor = ProcessPoolExecutor(
                     self.count,
-                    initializer=_end_with,
-                    initargs=(os.getpid(),),
+                    initializer=_begin,
+                    initargs=(os.getpid(), self._modules),
                     env={**dict.fromkeys(names, threads), **MALLOC},
                 )
             return self._executor.submit(function, unit)
@@ -178,6 +182,51 @@ def require_workers(owner: str, count: int | None) -> None:
     require_number(owner, "workers", count, at_least=1, at_most=MOST_WORKERS, whole=True, optional=True)
 
 
+class _Kept(NamedTuple):
+    """Processes that are kept, none or one kind, and the modules that they load."""
+
+    processes: list[LocalProcesses]
+    modules: tuple[str, ...]
+
+
+_KEPT: ContextVar[_Kept | None] = ContextVar("kept workers", default=None)
+
+
+@contextmanager
+def kept_workers(*modules: str) -> Iterator[None]:
+    """Within it, who asks for as many local processes as who asked before gets the same.
+
+    Args:
+      modules: what any of their work needs. They load it first: what a process takes up later counts as a leak, for
+        which it is started anew.
+    """
+    kept_ones = _Kept([], modules)
+    token = _KEPT.set(kept_ones)
+    try:
+        yield
+    finally:
+        _KEPT.reset(token)
+        for workers in kept_ones.processes:
+            workers.close()
+
+
+def _local_processes(count: int) -> LocalProcesses:
+    kept_ones = _KEPT.get()
+    if kept_ones is None:
+        return LocalProcesses(count)
+    processes = kept_ones.processes
+    if [workers.count for workers in processes] != [count]:
+        for workers in processes:
+            workers.close()
+        processes[:] = [LocalProcesses(count, kept_ones.modules)]
+    return processes[0]
+
+
+def _is_kept(workers: Workers) -> bool:
+    kept_ones = _KEPT.get()
+    return kept_ones is not None and workers in kept_ones.processes
+
+
 @contextmanager
 def workers_for(count: int, dask: str | None) -> Iterator[Workers | None]:
     """The workers to compute with; None stands for this process itself.
@@ -193,11 +242,14 @@ def workers_for(count: int, dask: str | None) -> Iterator[Workers | None]:
     """
     if count != 1 and dask is None:
         _require_addresses()
-    workers = DaskCluster(dask) if dask is not None else LocalProcesses(count) if count != 1 else None
+    workers = DaskCluster(dask) if dask is not None else _local_processes(count) if count != 1 else None
+    is_done = False
     try:
         yield workers
+        is_done = True
     finally:
-        if workers is not None:
+        # What is left undone must not go on behind the back of those who clean up.
+        if workers is not None and not (is_done and _is_kept(workers)):
             workers.close()
 
 
@@ -306,8 +358,8 @@ def _on_its_own(function: Callable[[Unit], Result], unit: Unit) -> Result:
         return function(unit)
 
 
-def _end_with(parent: int) -> None:
-    """Make this process end soon after its parent, even if that was killed."""
+def _begin(parent: int, modules: Sequence[str]) -> None:
+    """Load what the work needs; and make this process end soon after its parent, even if that was killed."""
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -315,3 +367,5 @@ def _end_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+    for module in modules:
+        importlib.import_module(module)

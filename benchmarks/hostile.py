@@ -250,6 +250,7 @@ def outcome(run: Callable[[str], int], make: Make, good: Path, folder: Path) -> 
             os.dup2(os.open("../said", os.O_WRONLY | os.O_CREAT | os.O_TRUNC), 2)
             with redirect_stdout(io.StringIO()):
                 status = run(file.name)
+            gc.collect()  # this process ends without what Python does at its end: pools give back what they share
         except SystemExit as stop:  # the command line cannot be parsed
             status = int(stop.code or 0)
         finally:

@@ -16,6 +16,7 @@ import gc
 import importlib
 import os
 import random
+import re
 import shutil
 import signal
 import sys
@@ -66,6 +67,9 @@ REMOVED = {
 
 CONTINUING = ("study", "report")
 """Commands that continue where they were interrupted."""
+
+RECALLED = re.compile(rb"<details>\s*<summary>Numbers recalled from an earlier analysis.*?</details>", re.DOTALL)
+"""Where a report names the results that it did not compute."""
 
 TRIES = 5
 """Moments that are drawn until one is before the end of the command."""
@@ -285,7 +289,9 @@ def kills(name: str, inputs: Path, seeds: list[int]) -> Iterator[Row]:
 
 
 def _visible(files: dict[str, bytes]) -> dict[str, bytes]:
-    return {name: content for name, content in files.items() if not Path(name).name.startswith(".")}
+    """Files that are not hidden, without what a report says of results that were kept, as a first one has none."""
+    visible = {name: content for name, content in files.items() if not Path(name).name.startswith(".")}
+    return {name: b" ".join(RECALLED.sub(b" ", content).split()) for name, content in visible.items()}
 
 
 def _in_a_fork(command: list[str]) -> None:

@@ -14,7 +14,7 @@ from loky import ProcessPoolExecutor
 
 from armperturb import workers
 from armperturb.extras import MissingExtraError
-from armperturb.workers import DaskCluster, LocalProcesses, completed, workers_for
+from armperturb.workers import DaskCluster, LocalProcesses, completed, kept_workers, workers_for
 
 ROOT = Path(__file__).parents[1]
 
@@ -52,6 +52,27 @@ def test_all_units_are_done_once():
             found = list(completed(square, range(first, first + 20), pool, lambda: ticks.append(0)))
             assert sorted(found) == [n**2 for n in range(first, first + 20)]
     assert ticks
+
+
+def process_of(_):
+    return os.getpid()
+
+
+@pytest.mark.slow(reason="starts processes three times")
+def test_kept_workers_are_the_same_until_something_fails():
+    def processes(count):
+        with workers_for(count, None) as pool:
+            return set(completed(process_of, range(8), pool))
+
+    with kept_workers():
+        first = processes(2)
+        assert processes(2) & first
+        with pytest.raises(ValueError, match="unit 3 is wrong"), workers_for(2, None) as pool:
+            list(completed(fail, [3], pool))
+        second = processes(2)
+        assert not second & first
+        assert not processes(3) & second
+    assert not any(psutil.pid_exists(pid) for pid in first | second)
 
 
 @pytest.mark.slow(reason="processes that are killed")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from armperturb.commands.command import Command
-from armperturb.files import require_folder_of, require_new
+from armperturb.files import require_new
 from armperturb.progress import Progress
 from armperturb.subject import TASKS
 
@@ -34,7 +34,6 @@ class Calibrate(Command):
 
         if "full" not in self.laws:
             raise ValueError(f"laws = {self.laws!r}; expected 'full' among them, as its person is written")
-        require_folder_of(self.out)
         require_new([self.out], overwrite=self.overwrite)
         searches = [(law, task) for law in dict.fromkeys(self.laws) for task in TASKS]
         calibrations = []

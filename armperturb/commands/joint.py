@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from armperturb.commands.command import Command
-from armperturb.files import require_folder_of, require_new
+from armperturb.files import require_new
 from armperturb.validation import require_number
 
 
@@ -55,7 +55,6 @@ class Joint(Command):
         require_number("joint", "level", self.level, at_least=0.0)
         require_number("joint", "seed", self.seed, at_least=0, whole=True)
         require_number("joint", "signal_to_noise", self.signal_to_noise, at_least=-100.0, at_most=200.0, optional=True)
-        require_folder_of(self.out)
         require_new([self.out], overwrite=self.overwrite)
         if self.person.endswith(".toml"):
             person = JointPerson.load(self.person)

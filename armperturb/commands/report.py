@@ -11,6 +11,9 @@ from armperturb.progress import stages
 MOST_NAMES = 6
 """Recalled results that are named on the terminal."""
 
+LAST_STAGE = "armperturb.study.report.report"
+"""Module of the stage that needs the code of all others."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Report(Command):
@@ -34,10 +37,12 @@ class Report(Command):
         from armperturb.study.report.report import write_report
         from armperturb.study.results.analyse import analyse_study
         from armperturb.study.results.cache import forget_results, recalled_results
+        from armperturb.workers import kept_workers
 
         if self.fresh:
             forget_results(self.folder, self.nonlinear)
-        with stages(analysis_stages(nonlinear=bool(self.nonlinear))), recalled_results() as recalled:
+        shares = analysis_stages(nonlinear=bool(self.nonlinear))
+        with stages(shares), recalled_results() as recalled, kept_workers(LAST_STAGE):
             result = analyse_study(self.folder, workers=self.workers, nonlinear=self.nonlinear)
             path = write_report(result, self.folder, workers=self.workers)
         return [*kept_lines(recalled), f"report: {path}"]

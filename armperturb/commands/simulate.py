@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from armperturb.commands.command import Command
-from armperturb.files import checksum, require_folder_of, require_new
+from armperturb.files import checksum, require_new
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -84,7 +84,6 @@ class Simulate(Command):
 
         self._require_one_arm()
         perturbation = load_perturbation(self.perturbation)
-        require_folder_of(self.out)
         require_new([self.out], overwrite=self.overwrite)
         instruments = None if self.ideal else Instruments()
         arm = self.mjcf or self.subject

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from armperturb.commands.command import Command
-from armperturb.commands.report import analysis_stages
+from armperturb.commands.report import LAST_STAGE, analysis_stages
 from armperturb.progress import stages
 from armperturb.study.recording.settings import BLOCK, StudySettings
 
@@ -44,9 +44,10 @@ class Study(Command):
         from armperturb.study.report.report import write_report
         from armperturb.study.results.analyse import run_study
         from armperturb.study.results.cache import recalled_results
+        from armperturb.workers import kept_workers
 
         shares = {"recording": RECORDING} | analysis_stages(nonlinear=bool(self.nonlinear))
-        with stages(shares), recalled_results():
+        with stages(shares), recalled_results(), kept_workers(LAST_STAGE):
             result = run_study(
                 self.settings,
                 self.out,

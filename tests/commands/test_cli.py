@@ -355,6 +355,8 @@ def test_calibrations_that_could_not_be_written_are_refused_before_they_run(tmp_
     assert "laws = ('linear',); expected 'full' among them" in message
     message = refused(capsys, "calibrate", "--out", tmp_path / "nowhere" / "person.toml")
     assert f"folder {tmp_path / 'nowhere'} does not exist" in message
+    message = refused(capsys, "calibrate", "--out", tmp_path)
+    assert f"{tmp_path}: is a folder; expected the name of a file to write" in message
     assert not list(tmp_path.iterdir())
 
 

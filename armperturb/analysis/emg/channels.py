@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,7 +132,7 @@ def faults_of_channel(
     return faults
 
 
-def hum_lines(power: Array, frequency: Array, mains: Sequence[float]) -> list[float]:
+def hum_lines(power: NDArray[Any], frequency: Array, mains: Sequence[float]) -> list[float]:
     """Frequencies at which a channel hums [Hz].
 
     Args:

@@ -256,13 +256,11 @@ def envelopes(
     require_number("envelopes", "high", high, above=low, at_most=rate / 2.0)
     volts, actions = recording["emg"].values, muscle_actions(recording)
     names, conditions = list(actions), recording["condition"].values.astype(str)
-    spectra = Spectra.of(volts, rate, low)
+    spectra = Spectra.of(volts, rate, low, mains)
     noise = noise_spectra(spectra, (low, high), conditions == rest)
     filtered = whitening(
-        spectra, noise, volts.shape[1], rate, (low, high), mains, highpass=emg_highpass(recording), whiten=whiten
+        spectra, noise, volts.shape[1], rate, (low, high), highpass=emg_highpass(recording), whiten=whiten
     )
-    below = spectra.below
-    del spectra  # of a long trial it takes as much memory as the EMG
     half, n_time = 1.0 / mechanical, recording.sizes["time"]
     # The other signals, which are late by the lead, show at a time what the EMG showed before it.
     centre = np.arange(n_time) / mechanical - float(recording["emg"].attrs.get("lead", 0.0))
@@ -275,7 +273,7 @@ def envelopes(
             white = filtered(channel, column)
             compared[column] = white[: compared.shape[1]]
             power[trial, :, column] = averaged(white, rate, centre - half, centre + half)
-            of_channel = faults_of_channel(channel, white, below[trial, column], rate, trial, name)
+            of_channel = faults_of_channel(channel, white, spectra.below[trial, column], rate, trial, name)
             for fault in of_channel:
                 if fault.kind == "dead":
                     dead = slice(int(fault.start * mechanical), int(np.ceil(fault.end * mechanical)) + 1)

@@ -76,44 +76,45 @@ class Spectra:
     Attributes:
       frequency: centres of bins [Hz], (bin,).
       power: mean within each bin, (trial, muscle, bin).
-      periodogram: mean over trials, at all frequencies, (muscle, frequency): as many numbers as a trial has samples.
-      all_frequencies: [Hz], (frequency,).
       below: power below the band over that in it, (trial, muscle).
+      hum: column to the frequencies of the mains in it [Hz].
     """
 
     frequency: Array
     power: Array
-    periodogram: NDArray[np.float32]
-    all_frequencies: Array
     below: Array
+    hum: dict[int, list[float]]
 
     @classmethod
-    def of(cls, volts: NDArray[np.float32], rate: float, low: float) -> "Spectra":
-        """Spectra of trials, (trial, time, muscle) [V], with a band from `low` [Hz] on."""
+    def of(cls, volts: NDArray[np.float32], rate: float, low: float, mains: Sequence[float]) -> "Spectra":
+        """Spectra of trials.
+
+        Args:
+          volts: (trial, time, muscle) [V].
+          rate: of the samples [Hz].
+          low: lower edge of the band [Hz].
+          mains: frequencies whose hum is looked for, with their multiples [Hz].
+        """
         n_padded = padded_length(volts.shape[1], rate)
         frequency = fft.rfftfreq(n_padded, 1.0 / rate)
         starts = np.unique(np.searchsorted(frequency, np.arange(0.0, rate / 2.0, RESOLUTION)))
         sizes = np.diff(np.append(starts, len(frequency)))
-        power, total = [], np.zeros((volts.shape[2], len(frequency)), dtype=np.float32)
-        for values in volts:
-            mean, of_trial = values.mean(axis=0), []
-            for column in range(volts.shape[2]):  # one after the other, for the sake of memory
-                transformed = fft.rfft(values[:, column] - mean[column], n_padded)
+        means = [values.mean(axis=0) for values in volts]
+        power, hum = np.empty((len(volts), volts.shape[2], len(starts))), dict[int, list[float]]()
+        for column in range(volts.shape[2]):  # one after the other, for the sake of memory
+            total = np.zeros(len(frequency), dtype=np.float32)
+            for trial, values in enumerate(volts):
+                transformed = fft.rfft(values[:, column] - means[trial][column], n_padded)
                 density = transformed.real**2 + transformed.imag**2
-                total[column] += density
-                of_trial.append(np.add.reduceat(density, starts) / sizes)
-            power.append(of_trial)
-        stacked = np.array(power, dtype=float)
+                total += density
+                power[trial, column] = np.add.reduceat(density, starts) / sizes
+            total /= len(volts)
+            if lines := hum_lines(total, frequency, mains):
+                hum[column] = lines
         centre = np.add.reduceat(frequency, starts) / sizes
         is_below = centre < 0.75 * low
-        below = stacked[..., is_below].sum(axis=-1) / np.maximum(stacked[..., ~is_below].sum(axis=-1), 1e-30)
-        return cls(
-            frequency=centre,
-            power=stacked,
-            periodogram=np.divide(total, len(volts), out=total),
-            all_frequencies=frequency,
-            below=below,
-        )
+        below = power[..., is_below].sum(axis=-1) / np.maximum(power[..., ~is_below].sum(axis=-1), 1e-30)
+        return cls(frequency=centre, power=power, below=below, hum=hum)
 
 
 def padded_length(n_samples: int, rate: float) -> int:
@@ -175,7 +176,6 @@ def whitening(
     n_samples: int,
     rate: float,
     band: tuple[float, float],
-    mains: Sequence[float],
     *,
     highpass: HighPass | None = None,
     whiten: bool = True,
@@ -188,15 +188,13 @@ def whitening(
       n_samples: of a trial.
       rate: of the samples [Hz].
       band: its edges [Hz].
-      mains: frequencies whose hum is cut out where there is any, with their multiples [Hz].
       highpass: that of the amplifier; None if nobody knows it.
       whiten: whether to whiten; if not, the band alone is let through.
     """
-    frequency, fine = spectra.frequency, spectra.all_frequencies
-    passed, n_muscles, n_padded = band_power(frequency, *band), len(noise), padded_length(n_samples, rate)
+    frequency, n_muscles, n_padded = spectra.frequency, len(noise), padded_length(n_samples, rate)
+    passed, fine = band_power(frequency, *band), fft.rfftfreq(n_padded, 1.0 / rate)
     response = np.empty((n_muscles, len(fine)), dtype=np.float32)
     samples, gain, silent = np.empty(n_muscles), np.empty(n_muscles), np.empty(n_muscles)
-    hum = dict[int, list[float]]()
     for column in range(n_muscles):
         of_trials = spectra.power[:, column]
         # The geometric mean: between strong and weak contractions, rather than the strongest.
@@ -207,11 +205,8 @@ def whitening(
         power = passed * (muscle / total**2 if whiten and not is_silent else np.ones(len(total)))
         power /= power.max()
         root = np.interp(fine, frequency, np.sqrt(power))
-        lines = hum_lines(spectra.periodogram[column], fine, mains)
-        if lines:
-            hum[column] = lines
-            for line in lines:
-                root[np.abs(fine - line) < NOTCH] = 0.0
+        for line in spectra.hum.get(column, ()):
+            root[np.abs(fine - line) < NOTCH] = 0.0
         response[column] = root
         out = np.interp(fine, frequency, total) * root**2
         samples[column] = 2.0 * fine[1] * np.sum(out) ** 2 / np.sum(out**2)
@@ -226,7 +221,7 @@ def whitening(
         samples_per_second=samples,
         gain=gain,
         noise=silent,
-        hum=hum,
+        hum=spectra.hum,
     )
 
 
@@ -239,7 +234,7 @@ def _without_phase(frequency: Array, highpass: HighPass) -> NDArray[np.complex64
     poles = signal.butter(highpass.order, 1.0, analog=True, output="zpk")[1]
     phase = np.full(len(frequency), 0.5 * np.pi * highpass.order)
     for pole in poles:
-        phase -= np.angle(1j * frequency / highpass.frequency - pole)
+        phase -= np.arctan2(frequency / highpass.frequency - pole.imag, -pole.real)
     return np.exp(np.complex64(-1j) * phase.astype(np.float32))
 
 

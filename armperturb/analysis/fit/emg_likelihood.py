@@ -20,6 +20,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 
 from armperturb.analysis.arm.parameters import DELAYS, GRIP_DAMPING, GRIP_STIFFNESS, MATRIX, PARAMETERS
@@ -119,6 +120,13 @@ class EmgLikelihood(Whittle):
             least=tiny,
             taper=taper,
         )
+
+    @property
+    def rows(self) -> list[int]:
+        """Places of the values that EMG depends on."""
+        of_grip = [] if self._grip_load is None else [GRIP_STIFFNESS, GRIP_DAMPING]
+        feedback = np.unique([MATRIX[name] for name in FEEDBACK]).tolist()
+        return [*feedback, *range(N_ARM)[DELAYS], *of_grip, *range(N_ARM, N_ARM + len(self.names))]
 
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
@@ -255,15 +263,28 @@ class TrialsWithEmg:
 
     def normal(self, values: Array, mixing: Array, *, quick: bool = False) -> Normal:
         """As `Whittle.normal`."""
-        moved = self.movement.normal(values[..., :N_ARM], mixing[:N_ARM], quick=quick)
-        active = self.emg.normal(values, mixing, quick=quick)
-        return Normal(moved.cost + active.cost, moved.slopes + active.slopes, moved.informations + active.informations)
+        n_trials, n = self.n_trials, mixing.shape[1]
+        cost, slopes, informations = 0.0, np.zeros((n_trials, n)), np.zeros((n_trials, n, n))
+        for each, of_its, acts in self._parts(values, mixing):
+            normal = each.normal(of_its, mixing[: of_its.shape[-1], acts], quick=quick)
+            cost += normal.cost
+            slopes[:, acts] += normal.slopes
+            informations[:, acts[:, None], acts] += normal.informations
+        return Normal(cost, slopes, informations)
 
     def informations(self, values: Array, mixing: Array) -> tuple[Array, Array]:
         """As `Whittle.informations`."""
-        moved = self.movement.informations(values[..., :N_ARM], mixing[:N_ARM])
-        active = self.emg.informations(values, mixing)
-        return moved[0] + active[0], moved[1] + active[1]
+        known, left = np.zeros((2, mixing.shape[1], mixing.shape[1]))
+        for each, of_its, acts in self._parts(values, mixing):
+            of_all, of_noise = each.informations(of_its, mixing[: of_its.shape[-1], acts])
+            known[acts[:, None], acts] += of_all
+            left[acts[:, None], acts] += of_noise
+        return known, left
+
+    def _parts(self, values: Array, mixing: Array) -> Iterator[tuple[Whittle, Array, NDArray[np.int_]]]:
+        """Movement and EMG, the values that each depends on, and the free parameters: of most, derivatives are zero."""
+        yield self.movement, values[..., :N_ARM], np.flatnonzero(mixing[:N_ARM].any(axis=0))
+        yield self.emg, values, np.flatnonzero(mixing[self.emg.rows].any(axis=0))
 
     def lack_of_fit(self, values: Array) -> LackOfFit:
         """As `Whittle.lack_of_fit`."""

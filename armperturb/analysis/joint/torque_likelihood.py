@@ -103,6 +103,7 @@ class TorqueLikelihood(Whittle):
         super().weigh(values)
         if self._is_white:
             residual, leverage = self._without_unknowns(values)
+            assert leverage is not None  # offset and drift are unknown
             power = self._dependence * np.mean(np.abs(residual) ** 2) / np.mean(1.0 - leverage)
             self._white = np.full_like(self._white, np.sqrt(2.0 / power))
             self._span = orthonormal(applied_rows(self._white, self._drift))
