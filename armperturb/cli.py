@@ -28,6 +28,10 @@ study report score simulate joint sidecar convert identify response compare vali
 COMMANDS = tuple(_NAMES.split())
 """The commands as they are typed, in the order in which help and documentation show them."""
 
+BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""How many threads linear algebra takes, if the user says so; by default one, as more only wait for each other: the
+matrices of this package are small."""
+
 REFUSED = (ValueError, TypeError, OSError, RuntimeError, ArithmeticError, MemoryError, ImportError)
 """What an invalid input, or this machine, makes a command raise."""
 
@@ -60,6 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
       The exit status: 0, 1 for invalid input (one line on stderr says why), 130 for Ctrl-C, and 128 more than the
       number of another signal that asked this process to end.
     """
+    for name in BLAS_THREADS:
+        os.environ.setdefault(name, "1")  # read by NumPy when it is loaded, which is later
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     if arguments == ["--version"]:
         print(f"armperturb {importlib.metadata.version('armperturb')}")

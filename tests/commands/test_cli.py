@@ -444,3 +444,17 @@ def test_help_loads_no_heavy_library(arguments):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "armperturb" in done.stdout
     assert done.stderr == "[]\n"
+
+
+@pytest.mark.parametrize(("given", "taken"), [(None, "1"), ("3", "3")])
+def test_linear_algebra_takes_one_thread_unless_the_user_says_more(given, taken):
+    environment = {key: value for key, value in os.environ.items() if key not in cli.BLAS_THREADS}
+    environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
+    program = (
+        "import os, sys; from armperturb.cli import main; loaded = 'numpy' in sys.modules; main(['--version']); "
+        "print(loaded, os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    said = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    ).stdout
+    assert said.splitlines()[-1] == f"False {taken}"
