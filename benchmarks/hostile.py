@@ -292,6 +292,21 @@ def outcomes(command: str, made: dict[str, Make], good: Path, numbers: list[int]
         yield {"seed": number, "case": case} | outcome(COMMANDS[command], made[case], good, good.parent / "now")
 
 
+def told(command: str, rows: list[Row]) -> Counter[str]:
+    """How often its runs ended in each way; printed, with each fault and the most that any run took."""
+    ends = Counter(row["end"].split()[0] if row["end"][0].isupper() else row["end"] for row in rows)
+    for row in rows:
+        if row["end"][0].isupper():
+            print(f"    {command}, {row['case']}: {row['end']}", flush=True)
+    most = [max(row[cost] for row in rows) for cost in ("processor", "took", "memory")]
+    print(
+        f"{command}: {dict(ends)}, at most {most[0]:.1f} s of processor time, {most[1]:.1f} s by the clock and "
+        f"{most[2] / 1e9:.2f} GB",
+        flush=True,
+    )
+    return ends
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Print for each command how its runs ended, and the most time and memory."""
     parser = argparse.ArgumentParser()
@@ -319,17 +334,7 @@ def main(arguments: list[str] | None = None) -> None:
         for command in options.commands or COMMANDS:
             path = keep / f"{command.replace(' ', '_')}.jsonl" if keep else None
             rows = with_kept_rows(path, numbers, partial(outcomes, command, made, good))
-            ends = Counter(row["end"].split()[0] if row["end"][0].isupper() else row["end"] for row in rows)
-            for row in rows:
-                if row["end"][0].isupper():
-                    print(f"    {command}, {row['case']}: {row['end']}", flush=True)
-            total += ends
-            most = [max(row[cost] for row in rows) for cost in ("processor", "took", "memory")]
-            print(
-                f"{command}: {dict(ends)}, at most {most[0]:.1f} s of processor time, {most[1]:.1f} s by the clock and "
-                f"{most[2] / 1e9:.2f} GB",
-                flush=True,
-            )
+            total += told(command, rows)
     print(f"all: {dict(total)}")
 
 

@@ -18,7 +18,7 @@ from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from armperturb import cli
 from armperturb.commands.command import option_name
-from benchmarks.hostile import outcome
+from benchmarks.hostile import outcome, told
 from benchmarks.kept_rows import Row, with_kept_rows
 from benchmarks.kills import COMMANDS, inputs_of
 
@@ -93,17 +93,7 @@ def main(arguments: list[str] | None = None) -> None:
             numbers = range(0, len(lines), max(-(-len(lines) // options.most), 1))
             path = keep / f"{command}.jsonl" if keep else None
             rows = with_kept_rows(path, numbers, partial(outcomes, command, lines, inputs))
-            ends = Counter(row["end"].split()[0] if row["end"][0].isupper() else row["end"] for row in rows)
-            for row in rows:
-                if row["end"][0].isupper():
-                    print(f"    {row['case']!r}: {row['end']}", flush=True)
-            total += ends
-            most = [max(row[cost] for row in rows) for cost in ("processor", "took", "memory")]
-            print(
-                f"{command}: {dict(ends)}, at most {most[0]:.1f} s of processor time, {most[1]:.1f} s by the clock and "
-                f"{most[2] / 1e9:.2f} GB",
-                flush=True,
-            )
+            total += told(command, rows)
     print(f"all: {dict(total)}")
 
 
