@@ -315,8 +315,6 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--keep", type=Path, help="folder for what was seen, from which the next run goes on")
     options = parser.parse_args([] if arguments is None else arguments)
     keep = options.keep and options.keep.absolute()
-    if keep:
-        keep.mkdir(parents=True, exist_ok=True)
     made, total = cases(), Counter[str]()
     numbers = range(0, len(made), max(-(-len(made) // options.most), 1))
     print(f"{len(made)} cases")

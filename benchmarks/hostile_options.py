@@ -80,8 +80,6 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args([] if arguments is None else arguments)
     commands, total = options.commands or list(COMMANDS), Counter[str]()
     keep = options.keep and options.keep.absolute()
-    if keep:
-        keep.mkdir(parents=True, exist_ok=True)
     with inputs_of(commands) as inputs:
         for command in commands:
             base = COMMANDS[command][1]

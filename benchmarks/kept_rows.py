@@ -19,6 +19,8 @@ def with_kept_rows(path: Path | None, seeds: Iterable[Any], judged: Callable[[li
     rows, seeds = [], set(seeds)
     if path and path.exists():
         rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    if path:
+        path.parent.mkdir(parents=True, exist_ok=True)
     for row in judged(sorted(seeds - {row["seed"] for row in rows})):
         rows.append(row)
         if path:

@@ -166,8 +166,6 @@ def main(arguments: list[str] | None = None) -> None:
     options = parser.parse_args([] if arguments is None else arguments)
     commands = options.commands or list(COMMANDS)
     keep = options.keep and options.keep.absolute()
-    if keep:
-        keep.mkdir(parents=True, exist_ok=True)
     with inputs_of(commands) as inputs:
         for command in commands:
             path = keep / f"{command}.jsonl" if keep else None

@@ -40,8 +40,7 @@ def complex_values(rows: Array, shape: tuple[int, ...]) -> ComplexArray:
 
 def orthonormal(rows: Array) -> Array:
     """Orthonormal rows that span the given ones, none of which is zero, (at most row, number)."""
-    _, size, basis = np.linalg.svd(rows / np.linalg.norm(rows, axis=1, keepdims=True), full_matrices=False)
-    return np.asarray(basis[size > SINGULAR * size[0]])
+    return _decomposed(rows)[3]
 
 
 def least_squares_rows(columns: Array, rows: Array) -> tuple[Array, Array]:
@@ -54,8 +53,13 @@ def least_squares_rows(columns: Array, rows: Array) -> tuple[Array, Array]:
     Returns:
       Amounts, (row, column), and the basis, (at most column, number).
     """
-    scale = np.linalg.norm(columns, axis=1)
-    directions, size, basis = np.linalg.svd(columns / scale[:, None], full_matrices=False)
+    scale, directions, size, basis = _decomposed(columns)
+    return np.asarray(rows @ basis.T / size @ directions.T / scale), basis
+
+
+def _decomposed(rows: Array) -> tuple[Array, Array, Array, Array]:
+    """Lengths of rows, (row,), and the singular value decomposition of the rows over these, as far as they span."""
+    scale = np.linalg.norm(rows, axis=1)
+    directions, size, basis = np.linalg.svd(rows / scale[:, None], full_matrices=False)
     rank = int(np.sum(size > SINGULAR * size[0]))
-    directions, size, basis = directions[:, :rank], size[:rank], basis[:rank]
-    return np.asarray(rows @ basis.T / size @ directions.T / scale), np.asarray(basis)
+    return scale, directions[:, :rank], size[:rank], basis[:rank]
