@@ -143,6 +143,12 @@ class Whittle:
         """Whether derivatives that are not quick take long."""
         return len(self._frequency) > LONGEST_RUN
 
+    @property
+    def certainty(self) -> Array:
+        """Factor on white rows that makes them tell as little as estimated noise lets them, (number,)."""
+        averaged = self._smoother.count * len(self._force)
+        return np.tile(np.maximum(1.0 - self._n_outputs / averaged, 0.0), 2 * self._n_outputs)
+
     def _predicted(self, values: Array, trials: slice = ALL) -> ComplexArray:
         """DFT of what the model says of some trials where it answers, (trial, output, answer)."""
         raise NotImplementedError
@@ -259,14 +265,12 @@ class Whittle:
         derivatives are quick.
         """
         mean = values if values.ndim == 1 else values.mean(axis=0)
-        averaged = self._smoother.count * len(self._force)
-        sure = np.tile(np.maximum(1.0 - self._n_outputs / averaged, 0.0), 2 * self._n_outputs)
         known, left = np.zeros((2, mixing.shape[1], mixing.shape[1]))
         for _, derivatives in self._quick_slopes(mean, mixing):
             for each in np.moveaxis(derivatives, 1, 0):
                 rows = self._left(applied_rows(self._white, each))
                 known += rows @ rows.T
-                rows *= sure
+                rows *= self.certainty
                 left += rows @ rows.T
         return known, left
 
