@@ -6,7 +6,8 @@ one, on a position and on a force servo, 60 s each with noise of 10 to 20 dB. Th
 `tests/one_joint.py`. Beside each median error stands the one that the standard errors let expect. With `--given` the
 structure is that of the person, and intervals are those of standard errors, which takes a fifth of the time. `--bound`
 prints instead what the Cramer-Rao bound lets expect, at the true parameters and with noise of a free spectrum, without
-identifying anybody. `response` is judged on the same people.
+identifying anybody; `--bandwidth` asks what a narrower or wider movement would let expect. `response` is judged on the
+same people.
 """
 
 import argparse
@@ -78,12 +79,15 @@ def print_bounds(people: int, servos: list[str], first: int, bandwidth: float) -
         print(f"{servo} servo, {people} people of each kind: the Cramer-Rao bound lets expect {each}", flush=True)
 
 
-def made(number: int, reflex: str, servo: str, bandwidth: float = 1.0) -> tuple[one_joint.Joint, xr.Dataset]:
-    """A person and a recording."""
+def made(
+    number: int, reflex: str, servo: str, bandwidth: float = one_joint.BANDWIDTH
+) -> tuple[one_joint.Joint, xr.Dataset]:
+    """A person and a recording, with movement and noise of their own."""
     name = list(one_joint.JOINTS)[number % 3]
-    person = one_joint.person(name, 100 + number, reflex)
-    decibel = float(np.random.default_rng(number).uniform(10.0, 20.0))
-    return person, one_joint.recording(person, number, servo, decibel=decibel, name=name, bandwidth=bandwidth)
+    seed = len(REFLEXES) * number + REFLEXES.index(reflex)
+    person = one_joint.person(name, 100 + seed, reflex)
+    decibel = float(np.random.default_rng(seed).uniform(10.0, 20.0))
+    return person, one_joint.recording(person, seed, servo, decibel=decibel, name=name, bandwidth=bandwidth)
 
 
 def unit_of(parameter: str, person: one_joint.Joint) -> float:
@@ -185,8 +189,8 @@ if __name__ == "__main__":
     parser.add_argument(
         "--bandwidth",
         type=float,
-        default=1.0,
-        help="with --bound: of a position servo's movement, over the natural frequency",
+        default=one_joint.BANDWIDTH,
+        help="with --bound: of the imposed movement, over the natural frequency",
     )
     parser.add_argument("--given", action="store_true", help="give the structure; intervals are of standard errors")
     parser.add_argument("--kept", type=Path, default=None, help="file of rows; a run that was stopped goes on")

@@ -12,6 +12,8 @@ from scipy import signal
 from armperturb.recording import make_recording
 
 RATE = 1000
+BANDWIDTH = 2.0**0.5
+"""Of an imposed movement, over the natural frequency of a joint."""
 FINE = 8
 """Instants in a sample at which the torques on a force servo are known: half steps of RK4."""
 
@@ -170,10 +172,11 @@ def _closed_loop(load, noise, env, joint, dt, halfwave, side):
     return angle, torque
 
 
-def recording(joint, seed, servo="position", *, duration=60.0, decibel=15.0, name="ankle", bandwidth=1.0):
+def recording(joint, seed, servo="position", *, duration=60.0, decibel=15.0, name="ankle", bandwidth=BANDWIDTH):
     """A trial. A position servo moves the joint up to `bandwidth` times the natural frequency of joints of its name.
 
-    Below that frequency stiffness, above it inertia takes more torque, and noise is in proportion to the torque.
+    Up to the root of two of that no movement needs more torque than the stiffness alone takes of a slow one, and noise
+    is in proportion to the torque.
     """
     rng = np.random.default_rng([seed, 7])
     n = round(duration * RATE)
@@ -185,7 +188,7 @@ def recording(joint, seed, servo="position", *, duration=60.0, decibel=15.0, nam
     noise = coloured(rng, n + lead, 0.2, 3.0)
     if servo == "position":
         corner = bandwidth * natural_frequency(JOINTS[name])
-        x, v, a = (joint.speed * each for each in smooth_random(rng, n + lead, corner, 3))
+        x, v, a = (joint.speed * each for each in smooth_random(rng, n + lead, corner, 4))
         drive = joint.side * np.maximum(joint.side * v - joint.reflex_threshold, 0.0) if halfwave else v
         reflex = _reflex_torque(
             drive, joint.reflex_delay, joint.reflex_gain, wn, joint.reflex_damping_ratio, 1.0 / RATE

@@ -11,7 +11,7 @@ from armperturb.anthropometry import anthropometric_body
 from armperturb.envs.lab.joint_experiment import JointTrial, at_signal_to_noise, run_joint_experiment
 from armperturb.joint_person import JOINT_PEOPLE, JointPerson, half_wave, servo_of
 from armperturb.muscle_law import MuscleLaw
-from armperturb.perturbations.one_axis import random_noise, random_steps
+from armperturb.perturbations.one_axis import imposed_movement, random_noise, random_steps
 from armperturb.recording_files import load_recording, save_recording
 
 RATE = 1000.0
@@ -110,6 +110,24 @@ def test_contraction_moves_torques_and_thresholds():
     assert person.stiffness == 2 * ANKLE.stiffness
     assert person.inertia == ANKLE.inertia
     assert person.muscle.of_elements("spindle_threshold")[0] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("natural", "cutoff"), [(5.0, 5.0 * 2**0.5), (40.0, 15.0), (0.0, 1.0)])
+def test_an_imposed_movement_is_as_wide_as_the_joint(natural, cutoff):
+    angle = imposed_movement(seed=3, duration=400.0, natural_frequency=natural, speed=0.2)
+    assert np.sqrt(np.mean(derivatives(angle)[0] ** 2)) == pytest.approx(0.2, rel=0.02)
+    frequency, power = signal.welch(angle, RATE, nperseg=8192)
+    near = np.abs(frequency - cutoff) < 0.1 * cutoff
+    low = (frequency > 0.2) & (frequency < 0.5 * cutoff)
+    assert power[near].mean() == pytest.approx(0.5 * power[low].mean(), rel=0.15)
+    beyond = np.abs(frequency - 2.0 * cutoff) < 0.1 * cutoff
+    assert power[beyond].mean() == pytest.approx(power[low].mean() / 257.0, rel=0.5)  # Butterworth, order 4
+
+
+@pytest.mark.parametrize("number", [{"natural_frequency": -1.0}, {"natural_frequency": 5.0, "speed": 0.0}])
+def test_an_imposed_movement_refuses_numbers_out_of_range(number):
+    with pytest.raises(ValueError, match="imposed_movement: "):
+        imposed_movement(seed=0, duration=1.0, **number)
 
 
 @pytest.mark.parametrize(("kind", "name"), [("position", "force"), ("force", "displacement")])
