@@ -25,9 +25,6 @@ QUANTITIES = ("k", "b", "kv", "kp")
 EFFECTS: Mapping[str, tuple[str, ...]] = {"PT": QUANTITIES, "RT": QUANTITIES[:2]}
 """Task to the quantities that differ from trial to trial, each by one factor on all muscle groups."""
 
-MULTIPLIED_TOO: Mapping[str, tuple[str, ...]] = {"k": ("short_range_stiffness",)}
-"""Quantity to the parameters of the law that its factor is on, too."""
-
 BODY, GRIP = ("m_h", "m_f"), ("k_h", "b_h")
 SHORT_RANGE = ("short_range_stiffness", "elastic_limit_deg")
 HALF_WAVE = ("spindle_direction", "spindle_threshold")
@@ -276,26 +273,6 @@ class Parameters:
             name: value_at(name, point[place]) if isinstance(place, int) else place
             for name, place in self._of_task[task]
         }
-
-    def effect_weights(self, task: str, point: Array) -> Array | None:
-        """Derivatives by a trial's effects as weighted sums of those by parameters, (effect, parameter).
-
-        An effect multiplies parameters of its trial, all of which change together. None where one of these is fixed, or
-        tied to a parameter that the effect leaves alone: then parameters cannot tell what the effect does.
-        """
-        places, values = dict(self._of_task[task]), self.values(task, point)
-        weights = np.zeros((len(EFFECTS[task]), len(point)))
-        for row, quantity in zip(weights, EFFECTS[task], strict=True):
-            multiplied = [name for name in places if stem(name) in (quantity, *MULTIPLIED_TOO.get(quantity, ()))]
-            for name in multiplied:
-                place = places[name]
-                if not isinstance(place, int) or any(
-                    places[other] == place and isinstance(places[other], int)
-                    for other in places.keys() - set(multiplied)
-                ):
-                    return None
-                row[place] = values[name] / value_per_coordinate(name, values[name])
-        return weights
 
     def person(self, task: str, point: Array, condition: str) -> Subject:
         """The person in a condition, see `person`."""

@@ -282,33 +282,26 @@ class Problem:
 
     def slopes(self, state: State, *, n_draws: int | None = None, coarse: bool = False) -> list[Array]:
         """Derivatives of white predictions: of each trial (parameters and own effects, number)."""
-        parameters = self.parameters
-        weights = {task: parameters.effect_weights(task, state.point) for task in parameters.bodies}
         states = []
         for column in range(len(state.point)):
             point = state.point.copy()
             point[column] += COORDINATE_STEP
             states.append(state._replace(point=point))
-        if any(of_task is None for of_task in weights.values()):
-            for effect in range(max(places.stop - places.start for places in self.effects_of)):
-                effects = state.effects.copy()
-                for places in self.effects_of:
-                    if places.start + effect < places.stop:
-                        effects[places.start + effect] += COORDINATE_STEP
-                states.append(state._replace(effects=effects))
+        for effect in range(max(places.stop - places.start for places in self.effects_of)):
+            effects = state.effects.copy()
+            for places in self.effects_of:
+                if places.start + effect < places.stop:
+                    effects[places.start + effect] += COORDINATE_STEP
+            states.append(state._replace(effects=effects))
         predicted = self.predict([state, *states], n_draws=n_draws, coarse=coarse)
         if coarse and not np.isfinite(predicted).all():  # the step is too long for this arm
             return self.slopes(state, n_draws=n_draws)
         changes = (predicted[1:] - predicted[0]) / COORDINATE_STEP
-        slopes, n = [], len(state.point)
+        slopes = []
         for rows, noise in zip(self.rows, self.noises, strict=True):
             for trial in range(rows.start, rows.stop):
-                by_parameters = weights[self._tasks[trial]]
-                n_effects = self.effects_of[trial].stop - self.effects_of[trial].start
-                simulated = noise.white(changes[: n + (by_parameters is None) * n_effects, trial])
-                slopes.append(
-                    simulated if by_parameters is None else np.concatenate([simulated, by_parameters @ simulated])
-                )
+                n_unknowns = len(state.point) + self.effects_of[trial].stop - self.effects_of[trial].start
+                slopes.append(noise.white(changes[:n_unknowns, trial]))
         return slopes
 
     def gathered(self, state: State, parts: Sequence[Array]) -> Array:

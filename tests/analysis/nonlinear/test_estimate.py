@@ -9,7 +9,7 @@ import pytest
 from armperturb.analysis.nonlinear.choice import Choice, Gain, Judged, compare_laws, left_out_likelihood
 from armperturb.analysis.nonlinear.draws import lack_of_fit, predict_with_noise, simulate_deviations
 from armperturb.analysis.nonlinear.estimate import fit, free_parameters, nearest_arms
-from armperturb.analysis.nonlinear.model import Model, Parameters, coordinate, true_values
+from armperturb.analysis.nonlinear.model import Model, true_values
 from armperturb.analysis.nonlinear.prediction import predict_pulses, predict_pulses_linearly
 from armperturb.analysis.nonlinear.problem import NoiseDraws, Problem, State
 from armperturb.analysis.nonlinear.result import remarks_on
@@ -465,31 +465,3 @@ def test_lack_of_fit_is_judged_by_draws(at_truth):
         assert stationary[label].dof % 8 == 0
         assert less[label].dof == as_drawn[label].dof
         assert less[label].chi2 == pytest.approx(as_drawn[label].chi2 / 4.0)
-
-
-@pytest.mark.slow(reason="simulates a trial for each parameter")
-def test_derivatives_by_effects_are_sums_of_those_by_parameters(monkeypatch):
-    """To the error of forward differences, 0.5 % of a law whose derivatives change fast."""
-    trials = made.trial_set(made.record(POSITION, [made.push(1, 1.5, 6.0)], condition="PT7.5"))
-    parameters = free_parameters([trials], Model(law="linear"))
-    true, problem = true_values(POSITION, {}), Problem(parameters, [trials], {"PT7.5": replace(POSITION, muscle=None)})
-    point = np.array([coordinate(name, true[name]) for name in problem.parameters.names])
-    state = State(point, np.array([0.2, -0.1, 0.3, 0.1]), np.full(4, 0.1))
-    problem.weigh(problem.residual(problem.predict([state])[0]))
-    (summed,) = problem.slopes(state)
-    monkeypatch.setattr(Parameters, "effect_weights", lambda *_: None)
-    (simulated,) = problem.slopes(state)
-    n = len(point)
-    np.testing.assert_array_equal(summed[:n], simulated[:n])
-    for one, other in zip(summed[n:], simulated[n:], strict=True):
-        assert np.linalg.norm(one - other) < 1e-2 * np.linalg.norm(other)
-
-
-@pytest.mark.parametrize(
-    "model", [Model(fixed={"kv.elbow": 1.0}), Model(tied={"k.elbow": "b.elbow"})], ids=("fixed", "tied to another")
-)
-def test_effects_on_what_is_not_free_by_itself_are_no_sums(model):
-    parameters = Parameters(model, {"PT": POSITION}, {"PT": ["PT7.5"]})
-    assert parameters.effect_weights("PT", np.zeros(len(parameters.names))) is None
-    free = Parameters(Model(), {"PT": POSITION}, {"PT": ["PT7.5"]})
-    assert free.effect_weights("PT", np.zeros(len(free.names))).shape == (4, len(free.names))
