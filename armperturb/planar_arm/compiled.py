@@ -208,13 +208,13 @@ def _is_grouped(p: Lane) -> bool:
 
 
 @njit(cache=True, error_model="numpy")
-def _load(lanes: Table, start: Start, first: int, timestep: float, w: Array) -> int:
+def _load(lanes: Table, start: Start, first: int, timestep: float, w: Array) -> tuple[int, int]:
     """Put a group's states and constants where `_advance` wants them; the last group is filled with its last lane.
 
     Returns:
-      How many lanes have reflexes that the group computes.
+      How many lanes have reflexes, and how many a muscle law, that the group computes.
     """
-    n_reflexive = 0
+    n_reflexive, n_lawful = 0, 0
     for i in range(GROUP):
         lane = min(first + i, len(lanes) - 1)
         p = lanes[lane]
@@ -236,6 +236,7 @@ def _load(lanes: Table, start: Start, first: int, timestep: float, w: Array) -> 
         for row in range(V_BEFORE, len(w)):
             w[row, i] = 0.0
         if p.grouped != 0.0:
+            n_lawful += 1
             m = start.memory[lane]
             w[V_BEFORE, i], w[V_BEFORE + 1, i] = m.velocity[0, 0], m.velocity[0, 1]
             for j in range(3):
@@ -274,7 +275,7 @@ def _load(lanes: Table, start: Start, first: int, timestep: float, w: Array) -> 
                     w[STEPS + 2 * half + joint, i], w[SHARE + 2 * half + joint, i] = whole, share
                 for step in range(len(m.sent)):
                     w[RING + 2 * step + joint, i] = m.sent[(m.next + step) % len(m.sent), joint]
-    return n_reflexive
+    return n_reflexive, n_lawful
 
 
 @njit(cache=True, error_model="numpy")
@@ -351,7 +352,7 @@ def simulate_lanes(
     w, room = np.zeros((RING + 2 * n_history, GROUP)), np.zeros((8, 3))
     for first in range(0, len(lanes), GROUP):
         n = min(GROUP, len(lanes) - first)
-        n_reflexive = _load(lanes, start, first, timestep, w)
+        n_reflexive, n_lawful = _load(lanes, start, first, timestep, w)
         for i in range(n):
             displacement[first + i, 0, 0], displacement[first + i, 0, 1] = w[X, i], w[Y, i]
         steps = (n_samples[first : first + n].max() - 1) * decimation
@@ -367,7 +368,8 @@ def simulate_lanes(
                 for stage in range(3):
                     for axis in range(2):
                         w[PUSH + 2 * stage + axis, i] = force[trial, 2 * step + stage, axis]
-            add_yielding(w, timestep)
+            if n_lawful:
+                add_yielding(w, timestep)
             _advance(w, timestep)
             if (step + 1) % decimation == 0:
                 sample = (step + 1) // decimation
@@ -407,7 +409,7 @@ def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Ar
     w, room = np.zeros((RING + 2 * n_history, GROUP)), np.zeros((8, 3))
     for first in range(0, len(lanes), GROUP):
         n = min(GROUP, len(lanes) - first)
-        n_reflexive = _load(lanes, start, first, timestep, w)
+        n_reflexive, n_lawful = _load(lanes, start, first, timestep, w)
         for step in range(log.shape[1]):
             for i in range(n):
                 _write(lanes[first + i], w, i, log[first + i, step])
@@ -425,6 +427,7 @@ def log_lanes(lanes: Table, start: Start, known: Array, timestep: float, log: Ar
                     for stage in range(3):
                         w[TORQUE + 2 * stage + j, i] += known[first + i, 2 * step + stage, j]
                         w[PUSH + 2 * stage + j, i] = known[first + i, 2 * step + stage, 2 + j]
-            add_yielding(w, timestep)
+            if n_lawful:
+                add_yielding(w, timestep)
             _advance(w, timestep)
         _store(lanes, start, first, log.shape[1] - 1, w)

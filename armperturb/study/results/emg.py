@@ -127,7 +127,7 @@ def person_emg(name: str, path: Path, shown: Condition | None = None) -> PersonE
     Args:
       name: of the person.
       path: of the recording.
-      shown: condition of which figures are drawn.
+      shown: condition of which figures are drawn, if the recording has it.
 
     Raises:
       ValueError: the recording is refused.
@@ -158,7 +158,7 @@ def person_emg(name: str, path: Path, shown: Condition | None = None) -> PersonE
         cocontraction=tuple(Cocontraction(*row) for row in _plain(of_muscles.cocontraction)),
         reflexes=tuple(responses),
         remarks=tuple(f"{name}: {line}" for line in amplitudes.remarks),
-        shown=shown_emg(amplitudes, by_condition, shown) if shown else None,
+        shown=shown_emg(amplitudes, by_condition, shown) if shown and shown.name in by_condition else None,
     )
 
 
