@@ -1,4 +1,6 @@
-"""What the analysis of EMG reaches: `python -m benchmarks.emg [PEOPLE [SEED]]`; some 40 s of a core per person.
+"""What the analysis of EMG reaches: `python -m benchmarks.emg [PEOPLE [SEED [PART]]]`; some 40 s of a core per person.
+
+PART is `linear_laboratory` for fits alone, of people whose arms keep the geometry of their posture.
 
 People are drawn as in a study and do the thesis's protocol with a maximal contraction, under the published forces, with
 all noise. Their EMG shows background and reflexes; the last lines are of the same people whose effort (remnant and slow
@@ -45,12 +47,19 @@ PROTOCOL = replace(THESIS, forces="published", conditions=(*THESIS.conditions, M
 HELD = ("PT0", "PT2.5", "PT7.5", "PT22.5")
 MOVED = ("PT2.5", "PT7.5", "PT22.5")
 HOLDING = replace(PROTOCOL, conditions=(*(THESIS.condition(name) for name in HELD), MAXIMAL), pulse_unit_condition="")
+MOVING = replace(HOLDING, conditions=tuple(each for each in HOLDING.conditions if each.name in (*MOVED, "MVC")))
 SLIGHT = 0.05
 """Co-contraction that has to be noticed [-]."""
 
 
 def recorded(
-    person: Person, number: int, protocol: Protocol = PROTOCOL, seed: int = SEED, effort: float = 0.0
+    person: Person,
+    number: int,
+    protocol: Protocol = PROTOCOL,
+    seed: int = SEED,
+    *,
+    effort: float = 0.0,
+    linear: bool = False,
 ) -> tuple[xr.Dataset, np.ndarray]:
     """A person's recording, and the true index of co-contraction of each trial, (trial, joint)."""
     indices = []
@@ -70,11 +79,10 @@ def recorded(
         return original(emg, subject, excitation, rate, *others)
 
     trials = protocol.trials(person, protocol.given_forces(), seed, number)
-    options = {"engine": "compiled", "timestep": 2.5e-3, "n_threads": 1}
+    how: dict[str, Any] = {"linear": True} if linear else {"engine": "compiled", "timestep": 2.5e-3}
     with mock.patch.object(Emg, "read", read):
-        recording = run_experiment(
-            trials, instruments=Instruments(marker_noise=None, emg=Emg(effort=effort)), **options
-        )
+        instruments = Instruments(marker_noise=None, emg=Emg(effort=effort))
+        recording = run_experiment(trials, instruments=instruments, n_threads=1, **how)
     return recording, np.array(indices)
 
 
@@ -226,7 +234,6 @@ def nonlinear_people(n: int, seed: int) -> Iterator[Line]:
 def linear_people(n: int, seed: int) -> Iterator[Line]:
     """Latencies of linear people, also by NeuroKit2, and reflexes that are identified with EMG and without."""
     latencies, fits, showing, neurokit = Intervals(), Fits(), Fits(), optional_neurokit()
-    fitted = replace(HOLDING, conditions=tuple(each for each in HOLDING.conditions if each.name in (*MOVED, "MVC")))
     thresholds, here = [], []
     for number, person in enumerate(draw_cohort(n, seed, muscles="linear")):
         recording, _ = recorded(person, number, HOLDING, seed)
@@ -239,7 +246,7 @@ def linear_people(n: int, seed: int) -> Iterator[Line]:
                 thresholds.append(latency - person.subjects["PT"].Td_s)
                 here.append(row["latency_s"] - person.subjects["PT"].Td_s)
         fits.add(person, conditions, amplitudes)
-        recording, _ = recorded(person, number, fitted, seed, effort=1.0)
+        recording, _ = recorded(person, number, MOVING, seed, effort=1.0)
         showing.add(person, trials_by_condition(recording, is_checked=True), envelopes(recording))
     yield from latencies.lines("latency of answers to pulses, linear people")
     if neurokit is not None:
@@ -251,6 +258,15 @@ def linear_people(n: int, seed: int) -> Iterator[Line]:
         yield Line("the same muscles here", "", f"bias {same.mean():+.1f} ms, SD {same.std():.1f} ms")
     yield from fits.lines()
     yield from (line._replace(quantity=f"effort shows: {line.quantity}") for line in showing.lines())
+
+
+def linear_laboratory(n: int, seed: int) -> Iterator[Line]:
+    """The same fits of people whose arms keep the geometry of their posture."""
+    fits, protocol = Fits(), MOVING
+    for number, person in enumerate(draw_cohort(n, seed, muscles="linear")):
+        recording, _ = recorded(person, number, protocol, seed, linear=True)
+        fits.add(person, trials_by_condition(recording, is_checked=True), envelopes(recording))
+    yield from (line._replace(quantity=f"linear laboratory: {line.quantity}") for line in fits.lines())
 
 
 def _by_threshold(neurokit: Any, recording: xr.Dataset, muscle: str, direction: float) -> float:
@@ -418,12 +434,13 @@ def _indices(result: Activity, recording: xr.Dataset, true: np.ndarray) -> np.nd
     return np.array(rows)
 
 
-def main(n: int, seed: int = SEED) -> None:
-    """Print every line."""
-    for part in (known_envelopes(), lateness(), nonlinear_people(n, seed), linear_people(n, seed)):
-        for line in part:
+def main(n: int, seed: int = SEED, part: str = "") -> None:
+    """Print every line, or those of a part."""
+    every = (known_envelopes(), lateness(), nonlinear_people(n, seed), linear_people(n, seed))
+    for lines in (linear_laboratory(n, seed),) if part else every:
+        for line in lines:
             print(f"{line.quantity:87}  {line.target:16}  {line.measured}", flush=True)
 
 
 if __name__ == "__main__":
-    main(*([int(each) for each in sys.argv[1:]] or [PEOPLE]))
+    main(*([int(each) for each in sys.argv[1:3]] or [PEOPLE]), *sys.argv[3:4])
