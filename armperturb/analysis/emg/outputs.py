@@ -77,12 +77,14 @@ def reflex_outputs(trials: ConditionTrials, envelopes: Envelopes) -> ReflexOutpu
             "EMG is not used: of no muscle is it known what it does; expected joints and sign (signals.emg.muscles of "
             "the sidecar)"
         )
+    difference, turned = np.stack(differences, axis=2), rotation(trials)
     has_angles = "joint_angle" in trials.recording.data_vars
     load = None if has_angles else window(trials.force @ np.linalg.inv(hand_jacobian(trials.body)).T)
     return ReflexOutputs(
         groups=tuple(groups),
-        difference=window(np.stack(differences, axis=2)),
-        rotation=window(rotation(trials)),
+        # What is thinned has to begin at zero.
+        difference=window(difference - difference.mean(axis=1, keepdims=True)),
+        rotation=window(turned - turned[:, :1]),
         grip_load=load,
         rate=envelopes.rate / window.factor,
         averaging=envelopes.averaging,

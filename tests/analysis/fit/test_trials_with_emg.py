@@ -22,18 +22,26 @@ from armperturb.subject import POSITION
 REFLEXES = ("kv_s", "kv_se", "kv_e", "kp_s", "kp_se", "kp_e", "Td_s", "Td_e", "fact_s", "fact_e")
 
 
-@pytest.fixture(scope="module")
-def groups(studies):
-    """Without and with EMG; a linear arm, so that nothing but noise is left of the movement."""
-    noise = replace(HUMAN_NOISE["PT"], spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
-    instruments = Instruments(marker_noise=None, emg=Emg(effort=1.0))
-    recording = run_experiment(
-        studies.perturbed(POSITION, 5.4, 4, noise=noise), linear=True, instruments=instruments, n_threads=1
-    )
+NOISE = replace(HUMAN_NOISE["PT"], spread_b=0.0, spread_k=0.0, spread_kv=0.0, spread_kp=0.0)
+
+
+def fitted(recording):
+    """Trials without and with EMG."""
     trials = ConditionTrials.prepare(recording)
     group = Group.prepare([trials], structure_of("3", wide=True))
     likelihood = EmgLikelihood(reflex_outputs(trials, envelopes(recording)), ElectromechanicalDelay())
     return group, group.with_emg(likelihood)
+
+
+def recorded(trials, **options):
+    """Of a linear arm, so that nothing but noise is left of the movement."""
+    instruments = Instruments(marker_noise=None, emg=Emg(effort=1.0))
+    return run_experiment(trials, linear=True, instruments=instruments, n_threads=1, **options)
+
+
+@pytest.fixture(scope="module")
+def groups(studies):
+    return fitted(recorded(studies.perturbed(POSITION, 5.4, 4, noise=NOISE)))
 
 
 @pytest.mark.slow(reason="simulates four trials with EMG")
@@ -62,6 +70,12 @@ def test_noise_that_shows_is_no_lack_of_fit_and_tells_of_the_arm(groups, monkeyp
     # Where what shows is taken for noise of the EMG alone, the same trials refute the right structure.
     monkeypatch.setattr("armperturb.analysis.fit.trials_with_emg.SAME_STEP", -1.0)
     assert estimate([groups[1]]).p_value < 1e-4
+
+
+@pytest.mark.slow(reason="simulates three trials with EMG")
+def test_faster_samples_are_taken_as_slowly_as_those_of_the_movement(studies):
+    recording = recorded(studies.perturbed(POSITION, 5.4, 3, noise=NOISE), timestep=1e-3, rate=1000.0)
+    assert estimate([fitted(recording)[1]]).p_value > 0.01
 
 
 def test_excitation_is_what_makes_the_torque():
