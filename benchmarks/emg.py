@@ -325,9 +325,6 @@ class Fits:
 
     WAYS = ("alone", "EMG", "EMG, conditions together")
     FITTED = ("PT7.5", "PT22.5")
-    BETTER = 100.0
-    """By how much the EMG of the bound tells more than that of people [-]."""
-
     RECTIFIED = 2.0
     """By how much it would tell more at most if muscles were outputs one by one, each rectified: the difference between
     antagonists has the noise of both, and while the arm moves one way only one of them answers [-]."""
@@ -353,15 +350,13 @@ class Fits:
         for name in self.FITTED:
             moved, active = (ways[place][name] for place in (0, 1))
             alone, with_emg = _alike([groups[name][0]], moved), _alike([groups[name][1]], active)
-            bound, rectified = (
-                _alike([groups[name][1]], active, emg_times=times) for times in (self.BETTER, self.RECTIFIED)
-            )
+            rectified = _alike([groups[name][1]], active, emg_times=self.RECTIFIED)
             for parameter in moved.values:
                 if not parameter.startswith(("kv_", "kp_", "Td_", "fact_")):
                     continue
                 true, label = getattr(person.subjects["PT"], parameter), f"{parameter} [{name}]"
                 row: dict[str, Any] = {"quantity": f"{parameter.partition('_')[0]}, {name}"}
-                row["EMG"], row["bound"] = with_emg[parameter] / alone[parameter], bound[parameter] / alone[parameter]
+                row["EMG"] = with_emg[parameter] / alone[parameter]
                 row["rectified"] = rectified[parameter] / alone[parameter]
                 row["EMG, conditions together"] = of_all[label] / alone[parameter]
                 fitted = (moved, parameter), (active, parameter), (together, label)
@@ -374,7 +369,7 @@ class Fits:
         """Medians of ratios, errors and coverage."""
         for quantity, of in pd.DataFrame(self.rows).groupby("quantity", sort=False):
             of_gains = quantity.startswith("k")
-            beside = f" (rectified outputs at best {of['rectified'].median():.2f}, bound {of['bound'].median():.2f})"
+            beside = f" (rectified outputs at best {of['rectified'].median():.2f})"
             for way in self.WAYS[1:]:
                 yield Line(
                     f"{quantity}: standard error over that without EMG, {way}",
