@@ -30,9 +30,9 @@ class TrialsWithEmg:
             raise ValueError(f"EMG of {emg.n_trials} trials; expected that of {movement.n_trials}")
         self.movement, self.emg = movement, emg
         # Where the frequencies of the EMG begin among those of the movement.
-        step, of_emg = (np.diff(each.frequency[:2])[0] for each in (movement, emg))
+        step, of_emg = (np.diff(each.judged_frequency[:2])[0] for each in (movement, emg))
         self._is_shown = isinstance(movement, RecordLikelihood) and bool(abs(step / of_emg - 1.0) < SAME_STEP)
-        self._first = round(float((emg.frequency[0] - movement.frequency[0]) / step))
+        self._first = round(float((emg.judged_frequency[0] - movement.judged_frequency[0]) / step))
 
     @property
     def n_trials(self) -> int:
@@ -91,12 +91,12 @@ class TrialsWithEmg:
 
     def _shown(self, rows: Array) -> ComplexArray:
         """White movement at the frequencies of the EMG, (..., axis, frequency)."""
-        return self._at_emg(complex_values(rows, (*rows.shape[:-1], 2, len(self.movement.frequency))))
+        return self._at_emg(complex_values(rows, (*rows.shape[:-1], 2, len(self.movement.judged_frequency))))
 
     def _at_emg(self, values: ComplexArray) -> ComplexArray:
         """Values (..., frequency) at the frequencies of the EMG, zero where movement is not judged."""
-        part = values[..., self._first : self._first + len(self.emg.frequency)]
-        return np.pad(part, [(0, 0)] * (part.ndim - 1) + [(0, len(self.emg.frequency) - part.shape[-1])])
+        part = values[..., self._first : self._first + len(self.emg.judged_frequency)]
+        return np.pad(part, [(0, 0)] * (part.ndim - 1) + [(0, len(self.emg.judged_frequency) - part.shape[-1])])
 
     def _white_rows(self, values: Array) -> tuple[Array, Array]:
         """The white residuals of movement and EMG, as `Whittle.white_rows`."""

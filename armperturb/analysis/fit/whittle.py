@@ -226,7 +226,7 @@ class Whittle:
         return self._left(applied_rows(self._white, self._residual(values)))
 
     @property
-    def frequency(self) -> Array:
+    def judged_frequency(self) -> Array:
         """At which models answer [Hz], (answer,)."""
         return np.asarray(self._frequency[self._answering])
 
@@ -319,7 +319,7 @@ class Whittle:
     def _lack_by_band(self, rows: Array) -> tuple[BandOfLack, ...]:
         residual = complex_values(rows, self._observed.shape)
         changes = np.einsum("aof,tif->tafoi", self._white * self._scale, self._cause)
-        frequency, left = self.frequency, []
+        frequency, left = self.judged_frequency, []
         for band in self._bands:
             change = changes[:, :, band]
             basis, _ = np.linalg.qr(change.reshape(-1, change.shape[-2] * change.shape[-1]))
