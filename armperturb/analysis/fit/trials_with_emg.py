@@ -3,12 +3,16 @@
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armperturb.analysis.fit.emg_likelihood import N_ARM, EmgLikelihood
 from armperturb.analysis.fit.frequency_rows import complex_values
 from armperturb.analysis.fit.likelihood import Likelihood, RecordLikelihood
 from armperturb.analysis.fit.whittle import LackOfFit, Normal
 from armperturb.arrays import Array, ComplexArray
+
+Slopes = tuple[NDArray[np.int_], Array]
+"""Free parameters, and the derivatives by these, (free parameter, number); those by others are zero."""
 
 SAME_STEP = 1e-9
 """Relative difference between the steps of two frequencies up to which they are the same [-]."""
@@ -68,19 +72,20 @@ class TrialsWithEmg:
         moved, active = self._white_rows(values)
         n_trials, n = self.n_trials, mixing.shape[1]
         slopes, informations = np.zeros((n_trials, n)), np.zeros((n_trials, n, n))
-        for trial, of_movement, of_emg in self._white_slopes(values, mixing, quick=quick):
-            slopes[trial] = of_movement @ moved[trial] + of_emg @ active[trial]
-            informations[trial] = of_movement @ of_movement.T + of_emg @ of_emg.T
+        for trial, *both in self._white_slopes(values, mixing, quick=quick):
+            for (columns, rows), left in zip(both, (moved[trial], active[trial]), strict=True):
+                slopes[trial, columns] += rows @ left
+                informations[trial][np.ix_(columns, columns)] += rows @ rows.T
         return Normal(float(np.sum(moved**2) + np.sum(active**2)), slopes, informations)
 
     def informations(self, values: Array, mixing: Array) -> tuple[Array, Array]:
         """As `Whittle.informations`."""
         known, left = np.zeros((2, mixing.shape[1], mixing.shape[1]))
         for _, *both in self._white_slopes(values, mixing, quick=True):
-            for rows, sure in zip(both, (self.movement.sure, self.emg.sure), strict=True):
-                known += rows @ rows.T
+            for (columns, rows), sure in zip(both, (self.movement.sure, self.emg.sure), strict=True):
+                known[np.ix_(columns, columns)] += rows @ rows.T
                 rows *= sure
-                left += rows @ rows.T
+                left[np.ix_(columns, columns)] += rows @ rows.T
         return known, left
 
     def lack_of_fit(self, values: Array) -> LackOfFit:
@@ -103,15 +108,17 @@ class TrialsWithEmg:
         moved, active = self.movement.white_rows(values[..., :N_ARM]), self.emg.white_rows(values)
         return moved, active - self.emg.of_movement(self._shown(moved)) if self._is_shown else active
 
-    def _white_slopes(self, values: Array, mixing: Array, *, quick: bool) -> Iterator[tuple[int, Array, Array]]:
-        """Each trial and the derivatives of both, as `Whittle.white_slopes`, of all free parameters."""
+    def _white_slopes(self, values: Array, mixing: Array, *, quick: bool) -> Iterator[tuple[int, Slopes, Slopes]]:
+        """Each trial and the derivatives of movement and EMG, as `Whittle.white_slopes`."""
         # Of the other parameters, derivatives are zero.
         of_movement, of_emg = (np.flatnonzero(each.any(axis=0)) for each in (mixing[:N_ARM], mixing[self.emg.rows]))
         moved = self.movement.white_slopes(values[..., :N_ARM], mixing[:N_ARM, of_movement], quick=quick)
         active = self.emg.white_slopes(values, mixing[:, of_emg], quick=quick)
         for (trial, of_arm), (_, of_gains) in zip(moved, active, strict=True):
-            both = [np.zeros((mixing.shape[1], rows.shape[1])) for rows in (of_arm, of_gains)]
-            both[0][of_movement], both[1][of_emg] = of_arm, of_gains
+            columns, rows = of_emg, of_gains
             if self._is_shown:
-                both[1][of_movement] -= self.emg.of_movement(self._shown(of_arm))
-            yield trial, both[0], both[1]
+                columns = np.union1d(of_movement, of_emg)
+                rows = np.zeros((len(columns), of_gains.shape[1]))
+                rows[np.searchsorted(columns, of_emg)] = of_gains
+                rows[np.searchsorted(columns, of_movement)] -= self.emg.of_movement(self._shown(of_arm))
+            yield trial, (of_movement, of_arm), (columns, rows)
